@@ -1,4 +1,4 @@
-//! The options that name a device, and the devices of this process.
+//! The options that name a device, and the devices and operations of this process.
 
 use std::sync::OnceLock;
 
@@ -6,12 +6,12 @@ use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use train::device::{DeviceName, list, open};
-use train::model::{fused, precision};
+use train::model::pass::{Arithmetic, has_bf16};
 
 use crate::exit::Exit;
 use crate::report;
 
-static CHOSEN: OnceLock<Vec<Device>> = OnceLock::new();
+static CHOSEN: OnceLock<(Vec<Device>, Arithmetic)> = OnceLock::new();
 
 /// Options of verbs that run a model.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -58,14 +58,23 @@ impl DeviceArgs {
 
     /// Chooses the device of this process.
     pub(crate) fn choose(&self) -> anyhow::Result<()> {
-        self.choose_of(1)
+        self.choose_of(1, false)
     }
 
-    fn choose_of(&self, count: usize) -> anyhow::Result<()> {
-        fused::set_enabled(!self.no_fused);
+    fn choose_of(&self, count: usize, bf16: bool) -> anyhow::Result<()> {
         let devices = open(self.device, count)?;
+        if bf16 && !devices.iter().all(has_bf16) {
+            anyhow::bail!(
+                "device {} does not compute in bfloat16; leave out --bf16",
+                self.device
+            );
+        }
+        let arithmetic = Arithmetic {
+            kernels: !self.no_fused,
+            bf16,
+        };
         // Chosen once, when the program starts.
-        let _ = CHOSEN.set(devices);
+        let _ = CHOSEN.set((devices, arithmetic));
         Ok(())
     }
 }
@@ -91,21 +100,22 @@ impl TrainDeviceArgs {
 
     /// Chooses the devices of this process.
     pub(crate) fn choose(&self) -> anyhow::Result<()> {
-        self.one.choose_of(self.devices.into())?;
-        if self.bf16 && !devices().iter().all(precision::has_bf16) {
-            anyhow::bail!(
-                "device {} does not compute in bfloat16; leave out --bf16",
-                self.one.device
-            );
-        }
-        precision::set_bf16(self.bf16);
-        Ok(())
+        self.one.choose_of(self.devices.into(), self.bf16)
     }
+}
+
+fn chosen() -> &'static (Vec<Device>, Arithmetic) {
+    CHOSEN.get_or_init(|| (vec![Device::flex()], Arithmetic::default()))
 }
 
 /// The devices models run on.
 pub(crate) fn devices() -> &'static [Device] {
-    CHOSEN.get_or_init(|| vec![Device::flex()])
+    &chosen().0
+}
+
+/// The operations that models are computed by.
+pub(crate) fn arithmetic() -> Arithmetic {
+    chosen().1
 }
 
 /// The device models run on, the first of several.

@@ -13,10 +13,11 @@ use eval::metric::cross_retrieval::CrossRetrieval;
 use eval::protocol::Protocol;
 use train::checkpoint::{Slot, check_skeleton};
 use train::coordinator::TrainedCoordinator;
-use train::stage::encoder::{CaptionedClip, captioned_clips};
+use train::captioned::CaptionedClip;
+use train::stage::encoder::captioned_clips;
 use train::tmr::TmrEncoder;
 
-use crate::device::device;
+use crate::device::{arithmetic, device};
 use crate::exit::Exit;
 use crate::{judge, local, report};
 
@@ -51,7 +52,8 @@ impl EvaluatorRuns<'_> {
         let encoder = Encoder::load(self.encoder)?;
         let classifier = match self.coordinator {
             Some(run) => Some(Classifier {
-                network: TrainedCoordinator::load(run, Slot::Best, &device())?,
+                network: TrainedCoordinator::load(run, Slot::Best, &device())?
+                    .with_arithmetic(arithmetic()),
                 skeleton,
             }),
             None => None,
@@ -83,10 +85,11 @@ impl Encoder {
 
 /// The encoder of a run folder, or the built-in one.
 fn network(run: &Path) -> anyhow::Result<TmrEncoder> {
-    match judge::is_builtin(run) {
-        true => judge::load(),
-        false => Ok(TmrEncoder::load(run, Slot::Best, &device())?),
-    }
+    let encoder = match judge::is_builtin(run) {
+        true => judge::load()?,
+        false => TmrEncoder::load(run, Slot::Best, &device())?,
+    };
+    Ok(encoder.with_arithmetic(arithmetic()))
 }
 
 fn in_double(latents: Vec<Vec<f32>>) -> Vec<Vec<f64>> {
@@ -168,7 +171,7 @@ pub(crate) fn report_on_encoder(
     run: &Path,
     seed: Seed,
 ) -> anyhow::Result<JudgeReport> {
-    let encoder = TmrEncoder::load(run, Slot::Best, &device())?;
+    let encoder = TmrEncoder::load(run, Slot::Best, &device())?.with_arithmetic(arithmetic());
     let clips = captioned_clips(dataset, Split::Val)?;
     let texts: Vec<&str> = clips.iter().map(|clip| clip.captions[0].as_str()).collect();
     let motions: Vec<&Motion> = clips.iter().map(|clip| &clip.motion).collect();

@@ -12,7 +12,7 @@ use train::Session;
 use train::text::source::TextEncoderSource;
 use train::work::Surroundings;
 
-use crate::device::{device, devices};
+use crate::device::{arithmetic, device, devices};
 use crate::exit::Exit;
 use crate::report;
 
@@ -55,6 +55,7 @@ pub(crate) fn with_session<T>(
     act(&Session {
         device: &device(),
         more_devices: &devices()[1..],
+        arithmetic: arithmetic(),
         progress,
         stop: &STOP,
         clock: &|| begun.elapsed(),
@@ -70,6 +71,7 @@ pub(crate) fn hub_cache() -> Option<HubCache> {
 pub(crate) fn surroundings() -> Surroundings {
     Surroundings {
         device: device(),
+        arithmetic: arithmetic(),
         cache: hub_cache(),
     }
 }

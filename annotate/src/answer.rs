@@ -342,11 +342,6 @@ impl Answer {
             .is_some_and(|verdict| verdict != Verdict::Keep)
     }
 
-    /// The type of edit of a pair.
-    pub(crate) fn edit_type(&self) -> Option<EditType> {
-        self.fields().edit_type
-    }
-
     /// The style of a pair that is kept, if the project does not have it yet.
     pub(crate) fn new_style(&self, settings: &Settings) -> Option<&str> {
         let style = self.fields().style.filter(|_| !self.is_reject());
@@ -373,11 +368,6 @@ impl Answer {
     pub(crate) fn cells(&self, frames: i64) -> Vec<Cells> {
         let masks = self.fields().masks.iter();
         masks.map(|mask| mask.cells(frames)).collect()
-    }
-
-    /// The note.
-    pub(crate) fn note(&self) -> &str {
-        self.fields().note
     }
 
     /// The texts, each with the suggestion it started from.

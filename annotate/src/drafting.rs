@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use datasets_spec::BodyPart;
+use rayon::ThreadPoolBuilder;
+use rayon::prelude::*;
 
 use crate::Error;
 use crate::lock::lock;
@@ -43,30 +44,26 @@ fn each(
     ask: impl Fn(&TaskRecord) -> Result<usize, Error> + Sync,
 ) -> Result<(), Error> {
     done.looked_at += tasks.len();
-    let (next, done) = (AtomicUsize::new(0), Mutex::new(done));
-    let goes_on = || lock(&done).failures < MAX_FAILURES;
-    let work = || {
-        while goes_on()
-            && let Some(task) = tasks.get(next.fetch_add(1, Ordering::Relaxed))
-        {
-            match ask(task) {
-                Ok(0) => lock(&done).without_parts += 1,
-                Ok(texts) => lock(&done).texts += texts,
-                Err(Error::Refused(problem)) => {
-                    let mut done = lock(&done);
-                    done.failures += 1;
-                    done.last_failure = Some(problem.detail);
-                }
-                Err(error) => return Err(error),
+    let done = Mutex::new(done);
+    let work = |task| {
+        if lock(&done).failures >= MAX_FAILURES {
+            return Ok(());
+        }
+        match ask(task) {
+            Ok(0) => lock(&done).without_parts += 1,
+            Ok(texts) => lock(&done).texts += texts,
+            Err(Error::Refused(problem)) => {
+                let mut done = lock(&done);
+                done.failures += 1;
+                done.last_failure = Some(problem.detail);
             }
+            Err(error) => return Err(error),
         }
         Ok(())
     };
-    std::thread::scope(|scope| {
-        let threads = [(); PARALLEL].map(|()| scope.spawn(work));
-        let mut ends = threads.into_iter().map(|thread| thread.join());
-        ends.try_for_each(|end| end.unwrap_or(Err(Error::Closed)))
-    })
+    let threads = ThreadPoolBuilder::new().num_threads(PARALLEL).build();
+    let threads = threads.map_err(|_| Error::Closed)?;
+    threads.install(|| tasks.par_iter().try_for_each(work))
 }
 
 /// Asks for drafts of up to `limit` tasks that still want answers and have no draft of a model: one for each suggested

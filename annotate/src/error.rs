@@ -88,6 +88,12 @@ impl Error {
         Vec::from_iter(all.map(|error| error.to_string())).join(": ")
     }
 
+    /// Input that is invalid: what, and what is wrong with it.
+    pub(crate) fn import(what: impl Into<String>, problem: impl Into<String>) -> Self {
+        let (what, problem) = (what.into(), problem.into());
+        Self::Import { what, problem }
+    }
+
     /// A refusal.
     pub(crate) fn refused(code: Code, detail: impl Into<String>) -> Self {
         Self::Refused(Box::new(Problem::new(code, detail)))

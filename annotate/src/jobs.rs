@@ -1,6 +1,5 @@
 //! Imports and exports in the background.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::RecvTimeoutError;
@@ -10,8 +9,8 @@ use datasets_spec::Error as Spec;
 
 use crate::Error;
 use crate::http::App;
-use crate::store::{Millis, MotionRecord, Store};
-use crate::transfer::{self, Exported};
+use crate::store::{Millis, Store};
+use crate::transfer::{self, Exported, RELEASE};
 use crate::wire::{Code, ExportFormat, ExportRequest, ImportFormat, Job};
 
 /// Folder of a job's files.
@@ -110,15 +109,13 @@ pub(crate) fn start_import(
                 transfer::from_dataset(store, &app.config.dataset, actor, now, &mut progress)?
             }
             ImportFormat::Stance => {
-                let document = serde_json::from_slice(&body).map_err(|error| Error::Import {
-                    what: "the annotations of a STANCE release".to_owned(),
-                    problem: error.to_string(),
-                })?;
-                transfer::from_release(store, &known_motions(store)?, &document, actor, now)?
+                let refused = |error: serde_json::Error| Error::import(RELEASE, error.to_string());
+                let document = serde_json::from_slice(&body).map_err(refused)?;
+                transfer::from_release(store, &document, actor, now)?
             }
             ImportFormat::Annotations => {
-                let (file, motions) = (upload_in(app, job.id, &body)?, known_motions(store)?);
-                let taken = transfer::from_annotations(store, &motions, &file, actor, now);
+                let file = upload_in(app, job.id, &body)?;
+                let taken = transfer::from_annotations(store, &file, actor, now);
                 // A file that cannot be removed only uses space.
                 let _removed = std::fs::remove_file(&file);
                 taken?
@@ -139,15 +136,6 @@ fn upload_in(app: &App, job: i64, body: &[u8]) -> Result<PathBuf, Error> {
     let path = folder.join(format!("{job}.parquet"));
     std::fs::write(&path, body).map_err(Spec::io("write", &path))?;
     Ok(path)
-}
-
-/// All motions of a store by their ids.
-///
-/// # Errors
-/// The store fails.
-pub fn known_motions(store: &Store) -> Result<BTreeMap<String, MotionRecord>, Error> {
-    let motions = store.all_motions()?.into_iter();
-    Ok(motions.map(|motion| (motion.id.clone(), motion)).collect())
 }
 
 /// Starts an export.

@@ -64,5 +64,5 @@ pub mod transfer;
 pub mod wire;
 
 pub use error::Error;
-pub use jobs::{known_motions, log_export};
-pub use lines::{Finding, Judgement, Taken, Verdict, accept, drafts, to_json_lines};
+pub use jobs::log_export;
+pub use lines::{Finding, Taken, accept, drafts};

@@ -15,7 +15,7 @@ use crate::wire::JointChoice;
 /// Decision of a person about a draft.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Verdict {
+enum Verdict {
     /// Not judged. The draft stays, with the parts and the text of the line where these were edited.
     Todo,
     /// The parts and the text of the line replace the draft.
@@ -28,27 +28,24 @@ pub enum Verdict {
 /// pipeline did not propose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Judgement {
-    /// Id of the drafted mask; empty for a new one.
+struct Judgement {
     #[serde(default)]
-    pub mask: String,
-    /// Motion the mask belongs to.
-    pub motion: String,
+    mask: String,
+    motion: String,
     /// Body parts, in the release's spelling.
-    pub parts: Vec<String>,
+    parts: Vec<String>,
     /// Joints whose weight differs from the one that the parts give them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub joints: Vec<JointChoice>,
+    joints: Vec<JointChoice>,
     /// First frame that the mask holds for; missing for the whole clip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub start: Option<i32>,
+    start: Option<i32>,
     /// The frame after the last one that the mask holds for; missing for the whole clip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub end: Option<i32>,
+    end: Option<i32>,
     /// What the masked part does, as an instruction.
-    pub text: String,
-    /// The decision.
-    pub verdict: Verdict,
+    text: String,
+    verdict: Verdict,
 }
 
 impl Judgement {
@@ -69,6 +66,10 @@ impl Judgement {
                 Verdict::Todo
             },
         })
+    }
+
+    fn line(&self) -> String {
+        serde_json::to_string(self).unwrap_or_default() + "\n"
     }
 
     /// Whether it says other things than its draft, or something where there is none.
@@ -104,21 +105,13 @@ pub struct Finding {
     pub problem: String,
 }
 
-/// The drafts of a dataset as lines to judge, in the order of the table.
+/// The drafts of a dataset as lines to judge, in the order of the table: a JSON object each.
 ///
 /// # Errors
 /// A mask has an unknown joint, or one that is both hard and soft.
-pub fn drafts(masks: &[MaskRow]) -> Result<Vec<Judgement>, datasets_spec::Error> {
-    masks.iter().map(Judgement::of).collect()
-}
-
-/// Writes one JSON object per line.
-///
-/// # Errors
-/// Serialisation fails, which no valid line can cause.
-pub fn to_json_lines(judgements: &[Judgement]) -> Result<String, serde_json::Error> {
-    let lines = judgements.iter().map(serde_json::to_string);
-    lines.map(|line| Ok(line? + "\n")).collect()
+pub fn drafts(masks: &[MaskRow]) -> Result<String, datasets_spec::Error> {
+    let lines = masks.iter().map(|mask| Ok(Judgement::of(mask)?.line()));
+    lines.collect()
 }
 
 /// The masks of a dataset after lines were taken back.
@@ -157,17 +150,14 @@ pub fn accept(
         }
         let problem = match judge(line, author, &drafts, motions) {
             Ok(None) => continue,
-            Ok(Some((id, _))) if judged.contains(&id) => {
-                format!("mask {id} is judged twice; keep one of the lines")
-            }
-            Ok(Some((id, row))) => {
+            Ok(Some((id, row))) if judged.insert(id.clone()) => {
                 let before = drafts.get(id.as_str()).copied();
                 let is_open = row.as_ref().is_some_and(|row| row.text_origin == DRAFT);
                 open_edits += usize::from(is_open && before != row.as_ref());
-                judged.insert(id);
                 rows.extend(row);
                 continue;
             }
+            Ok(Some((id, _))) => format!("mask {id} is judged twice; keep one of the lines"),
             Err(problem) => problem,
         };
         let line = index + 1;
@@ -309,10 +299,17 @@ mod tests {
         (masks, motions)
     }
 
+    fn judgements(masks: &[MaskRow]) -> Vec<Judgement> {
+        let lines = masks
+            .iter()
+            .map(|mask| Judgement::of(mask).expect("joints"));
+        lines.collect()
+    }
+
     #[test]
     fn lines_not_looked_at_change_nothing() {
         let (masks, motions) = dataset();
-        let lines = to_json_lines(&drafts(&masks).expect("joints")).expect("json");
+        let lines = drafts(&masks).expect("joints");
         for lines in [lines.as_str(), ""] {
             let taken = accept(lines, "ann", &masks, &motions).expect("all lines are fine");
             assert_eq!((&taken.masks, taken.open_edits), (&masks, 0));
@@ -322,7 +319,7 @@ mod tests {
     #[test]
     fn verdicts_do_what_they_say() {
         let (masks, motions) = dataset();
-        let mut lines = drafts(&masks).expect("joints");
+        let mut lines = judgements(&masks);
         lines[0].verdict = Verdict::Accept;
         lines[0].text = " The person is saluting. ".to_owned();
         lines[0].parts = vec!["RIGHT_ARM".to_owned()];
@@ -333,7 +330,7 @@ mod tests {
             parts: vec!["UPPER_BODY".to_owned(), "HEAD".to_owned()],
             ..lines[0].clone()
         });
-        let text = to_json_lines(&lines).expect("json");
+        let text: String = lines.iter().map(Judgement::line).collect();
         let taken = accept(&text, "ann", &masks, &motions).expect("all lines are fine");
         assert_eq!(taken.open_edits, 0);
         let rows = taken.masks;
@@ -354,11 +351,11 @@ mod tests {
     fn ranges_and_joints_are_lines_too() {
         let (masks, motions) = dataset();
         let take = |masks: &[MaskRow], lines: &[Judgement]| -> Vec<MaskRow> {
-            let text = to_json_lines(lines).expect("json");
+            let text: String = lines.iter().map(Judgement::line).collect();
             let taken = accept(&text, "ann", masks, &motions).expect("all lines are fine");
             taken.masks
         };
-        let mut lines = drafts(&masks).expect("joints");
+        let mut lines = judgements(&masks);
         (lines[0].start, lines[0].end) = (Some(4), Some(36));
         let collar = JointChoice {
             joint: "left_collar".to_owned(),
@@ -379,15 +376,14 @@ mod tests {
             assert_eq!((row.id.as_str(), (row.start, row.end)), (id, range));
         }
         // They come out as they went in.
-        let again = drafts(&rows).expect("joints");
+        let again = judgements(&rows);
         assert_eq!(again[0].joints, [collar]);
         assert_eq!(take(&rows, &again), rows);
 
         let refused = |change: fn(&mut Judgement)| {
             let mut line = again[0].clone();
             change(&mut line);
-            let text = to_json_lines(&[line]).expect("json");
-            let findings = accept(&text, "ann", &rows, &motions).expect_err("a bad line");
+            let findings = accept(&line.line(), "ann", &rows, &motions).expect_err("a bad line");
             findings[0].problem.clone()
         };
         for (problem, part) in [

@@ -6,8 +6,7 @@
 use std::time::Duration;
 
 use datasets_spec::BodyPart;
-use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
 use crate::Error;
@@ -35,20 +34,6 @@ pub struct Model {
     agent: ureq::Agent,
 }
 
-#[derive(Serialize)]
-struct Request<'a> {
-    model: &'a str,
-    messages: [Message<'a>; 2],
-    temperature: f64,
-    max_tokens: u32,
-}
-
-#[derive(Serialize)]
-struct Message<'a> {
-    role: &'a str,
-    content: &'a str,
-}
-
 const SYSTEM: &str =
     "You help to annotate human motion. Answer with one short English phrase and nothing else.";
 
@@ -73,10 +58,7 @@ impl Model {
     /// # Errors
     /// The address is not HTTP, or contains a user or a password.
     pub fn new(url: &str, name: &str, key: Option<String>) -> Result<Self, Error> {
-        let refuse = |problem: &str| Error::Import {
-            what: "the address of the language model".to_owned(),
-            problem: problem.to_owned(),
-        };
+        let refuse = |problem: &str| Error::import("the address of the language model", problem);
         let rest = url
             .strip_prefix("https://")
             .or_else(|| url.strip_prefix("http://"))
@@ -121,19 +103,18 @@ impl Model {
         let motions = store.motions(hashes.collect())?;
         let captions = motions.iter().flat_map(|motion| &motion.captions);
         let question = question(task, captions, parts);
-        let request = Request {
-            model: &self.name,
-            messages: [("system", SYSTEM), ("user", question.as_str())]
-                .map(|(role, content)| Message { role, content }),
-            temperature: 0.2,
-            max_tokens: 80,
-        };
-        let body = serde_json::to_vec(&request).map_err(|_| failed("cannot be asked"))?;
-        let prompt_hash = sha(&[self.url.as_bytes(), b"\n", &body].concat());
+        let messages = [("system", SYSTEM), ("user", question.as_str())]
+            .map(|(role, content)| json!({ "role": role, "content": content }));
+        let mut request = json!({ "temperature": 0.2, "max_tokens": 80 });
+        let params = request.to_string();
+        request["model"] = json!(self.name);
+        request["messages"] = json!(messages);
+        let body = request.to_string();
+        let prompt_hash = sha(format!("{}\n{body}", self.url).as_bytes());
         if let Some(known) = store.cached_suggestion(&prompt_hash)? {
             return Ok(known);
         }
-        let response = self.ask(&body)?;
+        let response = self.ask(body.as_bytes())?;
         let unexpected = || failed("sent an unexpected response");
         let answer: Value = serde_json::from_slice(&response).map_err(|_| unexpected())?;
         let content = &answer["choices"][0]["message"]["content"];
@@ -147,10 +128,7 @@ impl Model {
             text,
             model: self.name.clone(),
             prompt_hash,
-            params: format!(
-                "{{\"temperature\":{},\"max_tokens\":{}}}",
-                request.temperature, request.max_tokens
-            ),
+            params,
             tokens: answer["usage"]["total_tokens"].as_i64(),
             response_hash: sha(&response),
         })

@@ -37,8 +37,6 @@ pub struct MotionLibrary {
     places: BTreeMap<String, (usize, usize)>,
     reference: [f64; NUM_RELEASE_PARTS],
     cache: Mutex<LruCache<String, Arc<Motion>>>,
-    /// Cache of active parts by content hash.
-    active: Mutex<BTreeMap<String, Vec<BodyPart>>>,
 }
 
 impl MotionLibrary {
@@ -58,11 +56,8 @@ impl MotionLibrary {
             places.extend(rows.map(|(row, hash)| (hash, (shard, row))));
         }
         if places.is_empty() {
-            return Err(Error::Import {
-                what: root.display().to_string(),
-                problem: "it holds no motions; run `stance ingest SOURCE --out DATASET` first"
-                    .to_owned(),
-            });
+            let problem = "it holds no motions; run `stance ingest SOURCE --out DATASET` first";
+            return Err(Error::import(root.display().to_string(), problem));
         }
         let mut library = Self {
             skeleton: dataset.skeleton()?,
@@ -70,7 +65,6 @@ impl MotionLibrary {
             places,
             reference: [1.0; NUM_RELEASE_PARTS],
             cache: Mutex::new(LruCache::new(CACHED)),
-            active: Mutex::new(BTreeMap::new()),
         };
         library.reference = library.measure(&dataset)?;
         Ok(library)
@@ -151,12 +145,7 @@ impl MotionLibrary {
 
     /// The parts that move in more than a fifth of the frames.
     pub(crate) fn active_parts(&self, hash: &str) -> Result<Vec<BodyPart>, Error> {
-        if let Some(parts) = lock(&self.active).get(hash) {
-            return Ok(parts.clone());
-        }
-        let parts = active_parts(&self.heat(hash)?);
-        lock(&self.active).insert(hash.to_owned(), parts.clone());
-        Ok(parts)
+        Ok(active_parts(&self.heat(hash)?))
     }
 
     /// Distance of two motions in metres, `[6, T]`: the root, then the parts of the release. `T` is the frames of the

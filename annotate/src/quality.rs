@@ -13,7 +13,7 @@ use crate::body::{NUM_RELEASE_PARTS, RELEASE_PARTS};
 use crate::lock::lock;
 use crate::mask::{Cells, jaccard_in_time};
 use crate::store::{Label, Millis, Store};
-use crate::wire::{Agreement, Answer, Estimate, PartAgreement, RevisionState, TaskKind, Verdict};
+use crate::wire::{Agreement, Answer, Estimate, PartAgreement, RevisionState, Verdict};
 
 /// Tasks read at a time.
 const BATCH: usize = 2000;
@@ -59,10 +59,11 @@ struct Said {
     secs: f64,
     at: i64,
     blind: bool,
+    gold: bool,
     state: RevisionState,
     /// Edit distances of its texts from their drafts.
     drafts: Vec<f64>,
-    /// Place of its verdict in [`Verdict::ALL`].
+    /// Place of its verdict in [`Verdict::ALL`]; none for masks.
     verdict: Option<usize>,
     /// Whether a mask contains all hard joints of each part of the release: BOTH_ARMS marks each arm.
     covers: [bool; NUM_RELEASE_PARTS],
@@ -80,11 +81,25 @@ impl Said {
     }
 }
 
-/// The answers to a task.
-struct OfTask {
-    kind: TaskKind,
-    gold: bool,
-    said: Vec<Said>,
+/// A task with several answers.
+struct Shared<'a> {
+    said: &'a [Said],
+    /// How far each answer agrees with the others, in the mean.
+    alike: Vec<f64>,
+}
+
+impl<'a> Shared<'a> {
+    fn of(said: &'a [Said]) -> Self {
+        let alike = said.iter().enumerate().filter_map(|(index, own)| {
+            let others = said[..index].iter().chain(&said[index + 1..]);
+            let alike: Vec<f64> = others.map(|other| own.likeness(other)).collect();
+            mean(&alike)
+        });
+        Self {
+            said,
+            alike: alike.collect(),
+        }
+    }
 }
 
 /// What the figures need of all answers. It is kept in memory and brought up to date with the tasks that changed since,
@@ -93,34 +108,8 @@ struct OfTask {
 pub(crate) struct Gathered {
     /// Sequence number of the log up to which it is up to date.
     seq: i64,
-    tasks: BTreeMap<i64, OfTask>,
-}
-
-#[derive(Default)]
-struct OfPerson {
-    secs: Vec<f64>,
-    drafts: Vec<f64>,
-    /// How far each answer to a shared task agrees with the others.
-    shared: Vec<f64>,
-}
-
-/// What the figures are computed from.
-#[derive(Default)]
-struct Counted {
-    people: BTreeMap<i64, OfPerson>,
-    secs_by_time: Vec<(i64, f64)>,
-    agreed_by_time: Vec<(i64, f64)>,
-    /// Whether each answer to a shared task covers a part, by the place of the part in [`RELEASE_PARTS`].
-    parts: [Vec<Item>; NUM_RELEASE_PARTS],
-    /// Mean Jaccard index of the answers to each shared task, over pairs of a joint and a frame.
-    jaccards: Vec<f64>,
-    verdicts: Vec<Item>,
-    /// 1 for each answer that a reviewer accepted unchanged, 0 for each other one that was decided.
-    decided: Vec<f64>,
-    /// Seconds of work on answers that began from a draft.
-    with_draft: Vec<f64>,
-    /// Seconds of work on answers whose drafts were withheld.
-    without_draft: Vec<f64>,
+    /// The answers to each task.
+    tasks: BTreeMap<i64, Vec<Said>>,
 }
 
 impl Figures {
@@ -143,14 +132,9 @@ impl Gathered {
             for task in tasks {
                 self.tasks.remove(task);
             }
-            for task in labels.chunk_by(|a, b| a.task == b.task) {
-                let said = task.iter().map(|label| said(label, &drafts, &frames));
-                let of_task = OfTask {
-                    kind: task[0].kind,
-                    gold: task[0].gold,
-                    said: said.collect(),
-                };
-                self.tasks.insert(task[0].task, of_task);
+            for label in &labels {
+                let answers = self.tasks.entry(label.task).or_default();
+                answers.push(said(label, &drafts, &frames));
             }
         }
         self.seq = seq;
@@ -159,122 +143,111 @@ impl Gathered {
 
     /// The figures.
     pub(crate) fn figures(&self) -> Figures {
-        let mut counted = Counted::default();
-        for task in self.tasks.values() {
-            counted.add(task);
-        }
+        let all: Vec<&Said> = self.tasks.values().flatten().collect();
+        let several = self.tasks.values().filter(|said| said.len() > 1);
+        let shared: Vec<Shared<'_>> = several
+            .filter(|said| !said[0].gold)
+            .map(|said| Shared::of(said))
+            .collect();
+        let last = |task: &Shared<'_>| task.said.iter().map(|said| said.at).max();
         Figures {
-            agreement: counted.agreement(),
-            people: counted
-                .people
-                .into_iter()
-                .map(|(id, person)| (id, person.figures()))
+            agreement: agreement(&all, &shared),
+            people: people(&all, &shared),
+            secs_by_time: all.iter().map(|said| (said.at, said.secs)).collect(),
+            agreed_by_time: shared
+                .iter()
+                .filter_map(|task| last(task).zip(mean(&task.alike)))
                 .collect(),
-            secs_by_time: counted.secs_by_time,
-            agreed_by_time: counted.agreed_by_time,
         }
     }
 }
 
-impl Counted {
-    fn add(&mut self, task: &OfTask) {
-        for said in &task.said {
-            let person = self.people.entry(said.author).or_default();
-            person.secs.push(said.secs);
-            self.secs_by_time.push((said.at, said.secs));
-            person.drafts.extend(&said.drafts);
-            if said.blind {
-                self.without_draft.push(said.secs);
-            } else if !said.drafts.is_empty() {
-                self.with_draft.push(said.secs);
-            }
-            match said.state {
-                RevisionState::Accepted => self.decided.push(1.0),
-                RevisionState::Returned | RevisionState::Superseded => self.decided.push(0.0),
-                RevisionState::Draft | RevisionState::Submitted => {}
-            }
-        }
-        if task.said.len() > 1 && !task.gold {
-            self.add_shared(task);
+fn agreement(all: &[&Said], shared: &[Shared<'_>]) -> Agreement {
+    let (masks, pairs): (Vec<&Shared<'_>>, Vec<&Shared<'_>>) = shared
+        .iter()
+        .partition(|task| task.said[0].verdict.is_none());
+    let jaccards: Vec<f64> = masks.iter().filter_map(|task| mean(&task.alike)).collect();
+    let verdicts: Vec<Item> = pairs
+        .iter()
+        .map(|task| task.said.iter().filter_map(|said| said.verdict).collect())
+        .collect();
+    let decided: Vec<f64> = all
+        .iter()
+        .filter_map(|said| match said.state {
+            RevisionState::Accepted => Some(1.0),
+            RevisionState::Returned | RevisionState::Superseded => Some(0.0),
+            RevisionState::Draft | RevisionState::Submitted => None,
+        })
+        .collect();
+    let drafts: Vec<f64> = all.iter().flat_map(|said| said.drafts.clone()).collect();
+    // Too few seconds of work say nothing.
+    let median_secs = |counts: fn(&Said) -> bool| {
+        let counted = all.iter().filter(|said| counts(said));
+        let mut secs: Vec<f64> = counted.map(|said| said.secs).collect();
+        quantile::median(&mut secs).filter(|_| secs.len() >= MIN_ITEMS)
+    };
+    let with_draft = median_secs(|said| !said.blind && !said.drafts.is_empty());
+    let without_draft = median_secs(|said| said.blind);
+    Agreement {
+        parts: agreement_by_part(&masks),
+        jaccard: mean_estimate(&jaccards),
+        verdicts: (!verdicts.is_empty())
+            .then(|| part_agreement("verdict", &verdicts, Verdict::ALL.len())),
+        shared_items: shared.len(),
+        accepted_share: mean_estimate(&decided),
+        draft_distance: mean(&drafts),
+        secs_with_and_without_draft: with_draft
+            .zip(without_draft)
+            .map(|(with, without)| [with, without]),
+    }
+}
+
+/// Agreement on each part of the release, and on all their decisions together.
+fn agreement_by_part(tasks: &[&Shared<'_>]) -> Vec<PartAgreement> {
+    let covers = |part: usize| -> Vec<Item> {
+        let items = tasks.iter().map(|task| {
+            let covers = task.said.iter().map(|said| usize::from(said.covers[part]));
+            covers.collect()
+        });
+        items.collect()
+    };
+    let parts: [Vec<Item>; NUM_RELEASE_PARTS] = std::array::from_fn(covers);
+    let all: Vec<Item> = parts.concat();
+    let names = RELEASE_PARTS.iter().map(|part| part.name());
+    let mut decisions: Vec<(&str, &Vec<Item>)> = names.zip(&parts).collect();
+    decisions.push(("overall", &all));
+    decisions
+        .into_par_iter()
+        .map(|(name, items)| part_agreement(name, items, 2))
+        .collect()
+}
+
+fn people(all: &[&Said], shared: &[Shared<'_>]) -> BTreeMap<i64, PersonFigures> {
+    let mut own: BTreeMap<i64, Vec<&Said>> = BTreeMap::new();
+    for said in all {
+        own.entry(said.author).or_default().push(said);
+    }
+    let mut alike: BTreeMap<i64, Vec<f64>> = BTreeMap::new();
+    for task in shared {
+        for (said, value) in task.said.iter().zip(&task.alike) {
+            alike.entry(said.author).or_default().push(*value);
         }
     }
-
-    /// Adds a task with several answers. Each answer has a mean likeness to the others; the agreement on the task is
-    /// the mean of these.
-    fn add_shared(&mut self, task: &OfTask) {
-        let mut each = Vec::new();
-        for (index, said) in task.said.iter().enumerate() {
-            let others = task.said[..index].iter().chain(&task.said[index + 1..]);
-            let alike: Vec<f64> = others.map(|other| said.likeness(other)).collect();
-            each.extend(mean(&alike));
-            let person = self.people.entry(said.author).or_default();
-            person.shared.extend(mean(&alike));
-        }
-        let last = task.said.iter().map(|said| said.at).max();
-        self.agreed_by_time.extend(last.zip(mean(&each)));
-        if task.kind == TaskKind::MaskText {
-            self.jaccards.extend(mean(&each));
-            for (part, items) in self.parts.iter_mut().enumerate() {
-                let covers = task.said.iter().map(|said| usize::from(said.covers[part]));
-                items.push(covers.collect());
-            }
-        } else {
-            let verdicts = task.said.iter().filter_map(|said| said.verdict);
-            self.verdicts.push(verdicts.collect());
-        }
-    }
-
-    fn agreement(&mut self) -> Agreement {
-        let drafts: Vec<f64> = self
-            .people
-            .values()
-            .flat_map(|person| person.drafts.iter().copied())
-            .collect();
-        let secs = median_secs(&mut self.with_draft).zip(median_secs(&mut self.without_draft));
-        Agreement {
-            parts: self.agreement_by_part(),
-            jaccard: mean_estimate(&self.jaccards),
-            verdicts: (!self.verdicts.is_empty())
-                .then(|| part_agreement("verdict", &self.verdicts, Verdict::ALL.len())),
-            shared_items: self.jaccards.len() + self.verdicts.len(),
-            accepted_share: mean_estimate(&self.decided),
-            draft_distance: mean(&drafts),
-            secs_with_and_without_draft: secs.map(|(with, without)| [with, without]),
-        }
-    }
-
-    /// Agreement on each part of the release, and on all their decisions together.
-    fn agreement_by_part(&self) -> Vec<PartAgreement> {
-        let all: Vec<Item> = self.parts.concat();
-        let mut decisions: Vec<(&str, &Vec<Item>)> = RELEASE_PARTS
+    let figures = |(author, said): (i64, Vec<&Said>)| {
+        let mut secs: Vec<f64> = said.iter().map(|said| said.secs).collect();
+        let drafts: Vec<f64> = said.iter().flat_map(|said| said.drafts.clone()).collect();
+        let unchanged = drafts
             .iter()
-            .map(|part| part.name())
-            .zip(&self.parts)
-            .collect();
-        decisions.push(("overall", &all));
-        decisions
-            .into_par_iter()
-            .map(|(name, items)| part_agreement(name, items, 2))
-            .collect()
-    }
-}
-
-/// Median of some seconds of work, unless they are too few to say anything.
-fn median_secs(secs: &mut [f64]) -> Option<f64> {
-    quantile::median(secs).filter(|_| secs.len() >= MIN_ITEMS)
-}
-
-impl OfPerson {
-    fn figures(mut self) -> PersonFigures {
-        let is_unchanged = |distance: &f64| f64::from(u8::from(*distance == 0.0));
-        let unchanged: Vec<f64> = self.drafts.iter().map(is_unchanged).collect();
-        PersonFigures {
-            median_secs: quantile::median(&mut self.secs),
-            draft_unchanged: mean(&unchanged),
-            draft_distance: mean(&self.drafts),
-            agreement: mean_estimate(&self.shared),
-        }
-    }
+            .map(|distance| f64::from(u8::from(*distance == 0.0)));
+        let figures = PersonFigures {
+            median_secs: quantile::median(&mut secs),
+            draft_unchanged: mean(&unchanged.collect::<Vec<_>>()),
+            draft_distance: mean(&drafts),
+            agreement: mean_estimate(alike.get(&author).map_or(&[][..], Vec::as_slice)),
+        };
+        (author, figures)
+    };
+    own.into_iter().map(figures).collect()
 }
 
 /// Texts of the suggestions that answers started from.
@@ -321,6 +294,7 @@ fn said(label: &Label, drafts: &BTreeMap<i64, String>, frames: &BTreeMap<String,
         secs: revision.secs,
         at: revision.at,
         blind: label.blind,
+        gold: label.gold,
         state: revision.state,
         drafts: draft_distances(&revision.answer, drafts),
         verdict: Verdict::ALL

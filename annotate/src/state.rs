@@ -16,23 +16,18 @@ names! {
         ClipKept = "clip_kept",
         /// A lease was taken, to answer or to review.
         Claimed = "claimed",
-        /// A lease was renewed.
         Renewed = "renewed",
         /// A lease ended without an answer: given back, expired, or revoked.
         Released = "released",
-        /// A draft was saved.
         DraftSaved = "draft_saved",
-        /// An answer was submitted.
         Submitted = "submitted",
         /// A user skipped or postponed a task.
         Skipped = "skipped",
         /// Answers were sent back with a comment.
         Returned = "returned",
-        /// An answer was accepted.
         Accepted = "accepted",
         /// An answer merged by the reviewer was accepted.
         Merged = "merged",
-        /// A task was dropped.
         Dropped = "dropped",
         /// A decision was undone.
         Reopened = "reopened",
@@ -40,19 +35,15 @@ names! {
         Undone = "undone",
         /// A suggestion was used, edited or discarded.
         SuggestionUsed = "suggestion_used",
-        /// An answer to a gold task was scored.
         GoldScored = "gold_scored",
         /// A user was added, or their role or access changed.
         RoleChanged = "role_changed",
-        /// Settings were changed.
         SettingsChanged = "settings_changed",
-        /// Accepted answers were exported.
         Exported = "exported",
         /// A task was reserved for a person.
         Assigned = "assigned",
         /// The number of answers that a task wants was changed.
         Retargeted = "retargeted",
-        /// The capture plan was changed.
         CapturesPlanned = "captures_planned",
         /// A picture of the guide was stored or deleted.
         GuidePicture = "guide_picture",
@@ -143,25 +134,25 @@ pub fn targets(from: TaskState, event: LogKind) -> &'static [TaskState] {
     }
 }
 
-/// The table as Markdown, for `docs/data-model.md`.
-pub fn markdown() -> String {
-    let names = |states: &[TaskState]| match states {
-        [] => "the same".to_owned(),
-        _ if states == TaskState::ALL => "any".to_owned(),
-        _ => Vec::from_iter(states.iter().map(|state| state.as_str())).join(", "),
-    };
-    let mut text = "| event | from | to |\n|---|---|---|\n".to_owned();
-    for (event, before, to) in MOVES {
-        text += &format!("| {event} | {} | {} |\n", names(before), names(to));
-    }
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
 
     use super::*;
+
+    /// The table as Markdown, for `docs/data-model.md`.
+    fn markdown() -> String {
+        let names = |states: &[TaskState]| match states {
+            [] => "the same".to_owned(),
+            _ if states == TaskState::ALL => "any".to_owned(),
+            _ => Vec::from_iter(states.iter().map(|state| state.as_str())).join(", "),
+        };
+        let mut text = "| event | from | to |\n|---|---|---|\n".to_owned();
+        for (event, before, to) in MOVES {
+            text += &format!("| {event} | {} | {} |\n", names(before), names(to));
+        }
+        text
+    }
 
     #[test]
     fn every_move_is_listed_once_and_every_state_is_reached_and_left() {

@@ -6,7 +6,7 @@ use train::config::Preset;
 use train::device::{Products, check, list};
 use train::throughput::of_training;
 
-use crate::device::{DeviceArgs, device};
+use crate::device::{DeviceArgs, arithmetic, device};
 use crate::exit::Exit;
 use crate::global::Global;
 
@@ -40,6 +40,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         args.windows.into(),
         Duration::from_secs(args.secs),
         &device,
+        arithmetic(),
         &|| begun.elapsed(),
     )
     .map_err(failed)?;

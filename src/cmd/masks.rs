@@ -67,10 +67,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(file) = &args.drafts {
         let dataset = args.chosen.open(&args.dataset)?;
         let lines = annotate::drafts(&dataset.read::<MaskRow>(None)?)?;
-        local::write(file, annotate::to_json_lines(&lines)?.as_bytes())?;
+        local::write(file, lines.as_bytes())?;
         report::note(&format!(
             "{} drafts; set `verdict` to accept or reject, then: stance masks {} --accept {} --author NAME",
-            lines.len(),
+            lines.lines().count(),
             args.dataset.display(),
             file.display()
         ));

@@ -294,7 +294,7 @@ fn embed(args: &EmbedArgs, global: &Global) -> anyhow::Result<()> {
     bars.begin("texts", Some(texts.len() as u64));
     let mut reported = 0;
     let all = texts.iter().map(String::as_str);
-    let table = EmbeddingTable::compute_bert(&encoder, args.vectors, all, &mut |done, _| {
+    let table = EmbeddingTable::compute(&encoder, args.vectors, all, &mut |done, _| {
         bars.advance((done - reported) as u64);
         reported = done;
     })?;
@@ -351,10 +351,7 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
             let record = EditorRecord {
                 train: TrainConfig::preset(preset),
                 normalizer,
-                text: TextRecord::Frozen {
-                    encoder_hash: clip.identity().to_owned(),
-                    width: clip.width(),
-                },
+                text: TextRecord::frozen(&clip, BertVectors::Pooled),
                 compose,
                 extrapolation: None,
             };
@@ -395,10 +392,7 @@ fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
     let import = TmedImport {
         num_heads: args.heads,
         statistics: read_released_statistics(&local::read(stats)?, stats)?,
-        text: TextRecord::Frozen {
-            encoder_hash: clip.token_identity(),
-            width: clip.token_width(),
-        },
+        text: TextRecord::frozen(&clip, BertVectors::States),
     };
     import_tmed(&args.out, import, weights, &args.file, &device())?;
     Ok(())
@@ -473,10 +467,7 @@ fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
         std: numbers("Std.npy")?,
     };
     let clip = text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitB32, &device())?;
-    let text = TextRecord::Frozen {
-        encoder_hash: clip.identity().to_owned(),
-        width: clip.width(),
-    };
+    let text = TextRecord::frozen(&clip, BertVectors::Pooled);
     let (out, file) = (&args.out, &args.file);
     let fitted = (features, text);
     exchange::import_mdm(out, &mdm, args.heads, fitted, weights, file, &device())?;

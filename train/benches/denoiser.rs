@@ -19,19 +19,25 @@ use train::diffusion::Objective;
 use train::features::FeatureRecipe;
 use train::mdm::{MdmConfig, masked_l2};
 use train::model::denoiser::Denoiser;
-use train::model::fused;
 use train::model::mdm::Mdm;
 use train::model::motionrefit::TextSource;
+use train::model::pass::{Arithmetic, Pass};
 use train::model::tmed::TmedModel;
 use train::model::weights::draw;
 use train::optimizer::adamw;
 use train::sample::{Condition, Sampler};
 use train::schedule::Schedule;
 use train::tmed::features::NUM_FEATURES;
-use train::tmed::{ClipBatch, TextTokens, TmedConfig, loss};
+use train::tmed::{ClipBatch, TmedConfig, loss};
 
 /// Windows in a training step.
 const BATCH: usize = 64;
+
+/// The backend's operations alone.
+const WITHOUT_KERNELS: Arithmetic = Arithmetic {
+    kernels: false,
+    bf16: false,
+};
 
 fn main() {
     divan::main();
@@ -46,7 +52,7 @@ fn denoiser(dropout: f64, device: &Device) -> Denoiser {
     };
     let previous = config.diffusion.previous;
     draw(
-        Denoiser::new(&network, previous, network.width, device),
+        Denoiser::new(&network, previous, network.width, FRAME_WIDTH, device),
         Seed(1),
     )
     .expect("known layers")
@@ -70,7 +76,10 @@ fn noisy_batch(device: &Device) -> NoisyBatch {
         timesteps: (0..BATCH).collect(),
         progress: vec![0.5; BATCH],
         // The text vectors are given to the loss.
-        texts: TextBatch::Vectors(Vec::new()),
+        texts: TextBatch::Vectors {
+            values: Vec::new(),
+            lengths: Vec::new(),
+        },
         text_kept: vec![1.0; BATCH],
         is_start: vec![false; BATCH],
     }
@@ -79,18 +88,16 @@ fn noisy_batch(device: &Device) -> NoisyBatch {
 /// Forward, loss, backward and AdamW of 64 windows.
 #[divan::bench(args = [0.0, 0.1], sample_count = 5, sample_size = 1)]
 fn training_step(bencher: Bencher, dropout: f64) {
-    step(bencher, dropout);
+    step(bencher, dropout, Arithmetic::default());
 }
 
 /// The same composed of the backend's operations, whose products are those of the crate `gemm`.
 #[divan::bench(sample_count = 5, sample_size = 1)]
 fn training_step_without_kernels(bencher: Bencher) {
-    fused::set_enabled(false);
-    step(bencher, 0.0);
-    fused::set_enabled(true);
+    step(bencher, 0.0, WITHOUT_KERNELS);
 }
 
-fn step(bencher: Bencher, dropout: f64) {
+fn step(bencher: Bencher, dropout: f64, arithmetic: Arithmetic) {
     let device = Device::flex().autodiff();
     let batch = noisy_batch(&Device::flex());
     let diffusion = TrainConfig::preset(Preset::Paper).diffusion;
@@ -107,10 +114,11 @@ fn step(bencher: Bencher, dropout: f64) {
         },
         fps: Fps::STORE,
     };
-    let mut optimizer = adamw(0.01);
+    let mut optimizer = adamw(0.01, arithmetic);
+    let pass = Pass::new(arithmetic);
     bencher.counter(ItemsCount::new(BATCH)).bench_local(|| {
         let network = model.take().expect("put back after every step");
-        let loss = objective.loss(&network, &batch, text.clone());
+        let loss = objective.loss(&network, &batch, text.clone(), &pass);
         let value: f32 = loss.clone().into_scalar();
         let gradients = GradientsParams::from_grads(loss.backward(), &network);
         model = Some(optimizer.step(1e-4, network, gradients));
@@ -133,6 +141,7 @@ fn forward(bencher: Bencher) {
             text.clone(),
             &[0.1, 0.1],
             original.clone(),
+            &Pass::default(),
         ))
     });
 }
@@ -140,18 +149,16 @@ fn forward(bencher: Bencher) {
 /// 100 guided steps.
 #[divan::bench(args = [1, 32], sample_count = 3, sample_size = 1)]
 fn sample(bencher: Bencher, batch: usize) {
-    generate(bencher, batch);
+    generate(bencher, batch, Arithmetic::default());
 }
 
 /// The same composed of the backend's operations.
 #[divan::bench(args = [1, 32], sample_count = 3, sample_size = 1)]
 fn sample_without_kernels(bencher: Bencher, batch: usize) {
-    fused::set_enabled(false);
-    generate(bencher, batch);
-    fused::set_enabled(true);
+    generate(bencher, batch, WITHOUT_KERNELS);
 }
 
-fn generate(bencher: Bencher, batch: usize) {
+fn generate(bencher: Bencher, batch: usize, arithmetic: Arithmetic) {
     let device = Device::flex();
     let network = denoiser(0.1, &device.clone().autodiff()).valid();
     let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
@@ -161,7 +168,7 @@ fn generate(bencher: Bencher, batch: usize) {
         text: normal([batch, 512], &device),
         progress: vec![0.5; batch],
     };
-    let weights = network.prepared_weights();
+    let weights = network.prepared_weights(arithmetic);
     let sampler = Sampler {
         denoiser: &network,
         weights: &weights,
@@ -216,16 +223,17 @@ fn tmed_training_step(bencher: Bencher, dropout: f64) {
         target_frames: vec![CLIP_FRAMES; CLIPS],
         noise: motions(),
         timesteps: (0..CLIPS).collect(),
-        texts: TextTokens::Vectors {
+        texts: TextBatch::Vectors {
             values: numbers(CLIPS * TOKENS * 768),
             lengths: vec![TOKENS; CLIPS],
         },
     };
     let schedule = Schedule::cosine(config.diffusion.num_steps).expect("steps");
-    let mut optimizer = adamw(0.01);
+    let mut optimizer = adamw(0.01, Arithmetic::default());
+    let pass = Pass::default();
     bencher.counter(ItemsCount::new(CLIPS)).bench_local(|| {
         let network = model.take().expect("put back after every step");
-        let loss = loss(&network, &batch, &config, &schedule, &device);
+        let loss = loss(&network, &batch, &config, &schedule, &device, &pass);
         let value: f32 = loss.clone().into_scalar();
         let gradients = GradientsParams::from_grads(loss.backward(), &network);
         model = Some(optimizer.step(1e-4, network, gradients));
@@ -250,13 +258,14 @@ fn mdm_training_step(bencher: Bencher, dropout: f64) {
     let text = normal::<2>([CLIPS, CLIP_WIDTH], &plain);
     let (timesteps, lengths): (Vec<usize>, _) = ((0..CLIPS).collect(), [frames; CLIPS]);
     let schedule = Schedule::cosine(config.diffusion_steps).expect("steps");
-    let mut optimizer = adamw(0.0);
+    let mut optimizer = adamw(0.0, Arithmetic::default());
+    let pass = Pass::default();
     bencher.counter(ItemsCount::new(CLIPS)).bench_local(|| {
         let network = model.take().expect("put back after every step");
         let text = Tensor::<2>::from_data(text.to_data(), &device);
         let [x0, noise] = [&x0, &noise].map(|x| Tensor::<3>::from_data(x.to_data(), &device));
         let x_t = schedule.q_sample(x0.clone(), &timesteps, noise);
-        let predicted = network.forward(x_t, &timesteps, text, None);
+        let predicted = network.forward(x_t, &timesteps, text, None, &pass);
         let loss = masked_l2(predicted, x0, &lengths).mean();
         let value: f32 = loss.clone().into_scalar();
         let gradients = GradientsParams::from_grads(loss.backward(), &network);

@@ -14,7 +14,7 @@ use kinematics::normalise::FRAME_WIDTH;
 use serde_json::json;
 use train::config::{Prediction, Preset, ScheduleName, TrainConfig};
 use train::device::{DeviceName, open};
-use train::model::precision;
+use train::model::pass::{Arithmetic, has_bf16};
 use train::sample::{Condition, Sampler};
 use train::schedule::Schedule;
 use train::throughput::{network, of_training};
@@ -38,12 +38,15 @@ fn main() {
         Ok(devices) => devices[0].clone(),
         Err(error) => panic!("{error}"),
     };
-    let is_bf16 = words.iter().any(|word| word == "--bf16");
+    let bf16 = words.iter().any(|word| word == "--bf16");
     assert!(
-        !is_bf16 || precision::has_bf16(&device),
+        !bf16 || has_bf16(&device),
         "the device does not compute in bfloat16"
     );
-    precision::set_bf16(is_bf16);
+    let arithmetic = Arithmetic {
+        bf16,
+        ..Arithmetic::default()
+    };
     let (batches, samples) = match is_quick {
         true => (vec![8], vec![1]),
         false => (vec![64, 256, 1024], vec![1, 32, 1024]),
@@ -52,7 +55,7 @@ fn main() {
         let least = Duration::from_secs(if is_quick { 0 } else { LEAST_SECS });
         let start = Instant::now();
         let clock = || start.elapsed();
-        let measured = of_training(Preset::Paper, batch, least, &device, &clock);
+        let measured = of_training(Preset::Paper, batch, least, &device, arithmetic, &clock);
         let measured = measured.unwrap_or_else(|problem| panic!("the device {problem}"));
         let secs = measured.secs / measured.steps as f64;
         let mut line = json!({
@@ -64,7 +67,7 @@ fn main() {
         println!("{line}");
     }
     for batch in samples {
-        let secs = sample(batch, &device);
+        let secs = sample(batch, &device, arithmetic);
         println!(
             "{}",
             json!({ "what": "100 guided steps", "batch": batch, "secs": secs })
@@ -86,7 +89,7 @@ fn normal<const D: usize>(shape: [usize; D], device: &Device) -> Tensor<D> {
 }
 
 /// Seconds of 100 guided steps.
-fn sample(batch: usize, device: &Device) -> f64 {
+fn sample(batch: usize, device: &Device, arithmetic: Arithmetic) -> f64 {
     let network = network(Preset::Paper, device).valid();
     let schedule = Schedule::new(ScheduleName::Official, 100).expect("enough steps");
     let condition = Condition {
@@ -95,7 +98,7 @@ fn sample(batch: usize, device: &Device) -> f64 {
         text: normal([batch, 512], device),
         progress: vec![0.5; batch],
     };
-    let weights = network.prepared_weights();
+    let weights = network.prepared_weights(arithmetic);
     let sampler = Sampler {
         denoiser: &network,
         weights: &weights,

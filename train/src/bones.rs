@@ -28,9 +28,7 @@ pub(crate) fn parent_number(number: usize) -> usize {
 /// # Shapes
 /// Both `[3 keypoints, 3 keypoints]`. A frame is a row vector, left of the map ([`mapped`]).
 pub(crate) fn bones(keypoints: usize, device: &Device) -> [Tensor<2>; 2] {
-    /// Computed once for each width and device.
     static TO_BONES: Tables = Tables::new(to_bones);
-    /// Computed once for each width and device.
     static TO_POINTS: Tables = Tables::new(to_points);
     let width = 3 * keypoints;
     let numbers: Vec<usize> = (0..width).collect();
@@ -89,14 +87,11 @@ fn map_rows(numbers: &[usize], width: usize, weight: impl Fn(usize, usize) -> f3
 
 #[cfg(test)]
 mod tests {
-    use burn::tensor::TensorData;
     use kinematics::skeleton::{Joint, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 
     use super::*;
-
-    fn values(tensor: Tensor<3>) -> Vec<f32> {
-        tensor.into_data().try_into_vec_as().expect("floats")
-    }
+    use crate::sample::noise::normal;
+    use crate::transfer::{read, send};
 
     #[test]
     fn a_frame_that_is_taken_to_bones_and_back_is_as_it_was() {
@@ -104,24 +99,21 @@ mod tests {
         for device in [Device::flex(), Device::flex().autodiff()] {
             for keypoints in [NUM_BODY_JOINTS, NUM_KEYPOINTS] {
                 let width = 3 * keypoints;
-                let frame: Vec<f32> = (0..width)
-                    .map(|_| rand::RngExt::sample(&mut rng, rand_distr::StandardNormal))
-                    .collect();
-                let points = TensorData::new(frame.clone(), [1, 1, width]);
-                let points = Tensor::<3>::from_data(points, &device);
+                let frame = normal(&mut rng, width);
+                let points = send(frame.clone(), [1, 1, width], &device);
                 let [to_bones, to_points] = bones(keypoints, &device);
                 let bones = mapped(points, to_bones);
                 let wrist = 3 * Joint::LeftWrist.index();
                 let elbow = 3 * Joint::LeftElbow.index();
                 assert_eq!(
-                    values(bones.clone())[wrist + 1],
+                    read(bones.clone())[wrist + 1],
                     frame[wrist + 1] - frame[elbow + 1]
                 );
                 assert_eq!(
                     bone_number(&frame, wrist + 1),
                     frame[wrist + 1] - frame[elbow + 1]
                 );
-                for (back, was) in values(mapped(bones, to_points)).iter().zip(&frame) {
+                for (back, was) in read(mapped(bones, to_points)).iter().zip(&frame) {
                     // Sums of a dozen numbers of size one.
                     assert!((back - was).abs() < 1e-5, "{back} {was}");
                 }

@@ -190,11 +190,13 @@ pub fn candidates(
                 continue;
             };
             let drift_m = pair[0].bone_drift_m.max(pair[1].bone_drift_m);
-            let verdict = judge([source, target], drift_m, config, skeleton)?;
-            *made.counts.of(verdict) += 1;
-            if verdict != Verdict::Kept {
+            let pair = [source, target];
+            let breaks = broken_bound(pair, drift_m, config, skeleton, &mut made.counts)?;
+            if let Some(count) = breaks {
+                *count += 1;
                 continue;
             }
+            made.counts.kept += 1;
             made.pairs.push(PairRow {
                 id: format!("{}/pair{number}", group.base),
                 split: source.split,
@@ -212,18 +214,6 @@ pub fn candidates(
         }
     }
     Ok(made)
-}
-
-/// What becomes of a pair of variants.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Verdict {
-    Lengths,
-    Identical,
-    Different,
-    Sliding,
-    Drifting,
-    Floating,
-    Kept,
 }
 
 impl std::ops::AddAssign for VariantCounts {
@@ -255,29 +245,17 @@ impl std::ops::AddAssign for VariantCounts {
     }
 }
 
-impl VariantCounts {
-    fn of(&mut self, verdict: Verdict) -> &mut usize {
-        match verdict {
-            Verdict::Lengths => &mut self.lengths,
-            Verdict::Identical => &mut self.identical,
-            Verdict::Different => &mut self.different,
-            Verdict::Sliding => &mut self.sliding,
-            Verdict::Drifting => &mut self.drifting,
-            Verdict::Floating => &mut self.floating,
-            Verdict::Kept => &mut self.kept,
-        }
-    }
-}
-
-fn judge(
+/// The count of pairs that break the first bound that a pair breaks.
+fn broken_bound<'a>(
     pair: [&MotionRow; 2],
     bone_drift_m: f32,
     config: &VariantConfig,
     skeleton: &Skeleton,
-) -> Result<Verdict, datasets_spec::Error> {
+    counts: &'a mut VariantCounts,
+) -> Result<Option<&'a mut usize>, datasets_spec::Error> {
     let [source, target] = pair;
     if (source.n_frames, source.fps) != (target.n_frames, target.fps) {
-        return Ok(Verdict::Lengths);
+        return Ok(Some(&mut counts.lengths));
     }
     let [a, b] = [source.motion()?, target.motion()?];
     let distance = distance_m(
@@ -286,23 +264,23 @@ fn judge(
     );
     let quality = pair.map(|row| row.quality);
     Ok(if distance < config.min_distance_m {
-        Verdict::Identical
+        Some(&mut counts.identical)
     } else if distance > config.max_distance_m {
-        Verdict::Different
+        Some(&mut counts.different)
     } else if quality
         .iter()
         .any(|quality| quality.foot_skate > config.max_foot_skate)
     {
-        Verdict::Sliding
+        Some(&mut counts.sliding)
     } else if bone_drift_m > config.max_bone_drift_m {
-        Verdict::Drifting
+        Some(&mut counts.drifting)
     } else if quality
         .iter()
         .any(|quality| quality.flags & (FLAG_FLOOR_PENETRATION | FLAG_NO_CONTACT) != 0)
     {
-        Verdict::Floating
+        Some(&mut counts.floating)
     } else {
-        Verdict::Kept
+        None
     })
 }
 

@@ -1,7 +1,9 @@
 //! Crops of captioned motions, as models of motions and captions are trained on them.
 
-use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::{Fps, Resample, Seed, Skeleton};
+use std::ops::Range;
+
+use burn::tensor::{Device, Tensor};
+use datasets_spec::{Fps, Motion, Resample, Seed, Skeleton};
 use features::humanml3d::{Features, features_of_joints, joints_of_motion};
 use features::{Statistics, smpl_body};
 use rand::RngExt;
@@ -9,26 +11,45 @@ use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::data::TextVectors;
+use crate::data::spread_timestep;
+use crate::error::motion_error;
 use crate::features::{FeatureRecipe, FeatureStats};
-use crate::tmr::CaptionedMotion;
+use crate::text::table::EmbeddingTable;
+use crate::transfer::send;
+
+/// A clip with its captions.
+#[derive(Clone, Debug)]
+pub struct CaptionedClip {
+    /// Its id, which names it in errors.
+    pub id: String,
+    /// The motion.
+    pub motion: Motion,
+    /// At least one caption.
+    pub captions: Vec<String>,
+}
 
 /// What a model of motions and captions learns from.
 #[derive(Clone, Copy)]
 pub struct CaptionedCorpus<'a> {
     /// Training clips.
-    pub train: &'a [CaptionedMotion<'a>],
+    pub train: &'a [CaptionedClip],
     /// Validation clips.
-    pub val: &'a [CaptionedMotion<'a>],
+    pub val: &'a [CaptionedClip],
     /// Vectors of all captions and of the empty text, of a frozen encoder.
-    pub vectors: Option<&'a dyn TextVectors>,
+    pub vectors: Option<&'a EmbeddingTable>,
     /// The skeleton the motions drive.
     pub skeleton: &'a Skeleton,
     /// Hash of the table of motions.
     pub dataset_hash: &'a str,
 }
 
-/// A clip as features of HumanML3D, with its captions.
+impl CaptionedCorpus<'_> {
+    pub(crate) fn captions(&self) -> impl Iterator<Item = &str> {
+        let captions = self.train.iter().flat_map(|clip| &clip.captions);
+        captions.map(String::as_str)
+    }
+}
+
 pub(crate) struct CaptionedRows {
     rows: Vec<Features>,
     captions: Vec<String>,
@@ -40,7 +61,7 @@ pub(crate) struct CaptionedRows {
 /// # Errors
 /// No clip is long enough, one has no caption, or one has no features.
 pub(crate) fn captioned_rows(
-    clips: &[CaptionedMotion<'_>],
+    clips: &[CaptionedClip],
     skeleton: &Skeleton,
     min_frames: usize,
     what: &'static str,
@@ -50,36 +71,27 @@ pub(crate) fn captioned_rows(
         .par_iter()
         .map(|clip| {
             if clip.captions.is_empty() {
-                return Err(Error::Item {
-                    id: clip.id.to_owned(),
-                    problem: "has no caption".to_owned(),
-                });
+                return Err(Error::item(&clip.id, "has no caption"));
             }
             let motion = Resample::Exact
-                .apply(clip.motion, Fps::STORE)
-                .map_err(|source| Error::Motion {
-                    id: clip.id.to_owned(),
-                    source: source.into(),
-                })?;
+                .apply(&clip.motion, Fps::STORE)
+                .map_err(motion_error(&clip.id))?;
             // Velocities need the next frame.
             if motion.len() <= min_frames {
                 return Ok(None);
             }
             let rows = features_of_joints(&joints_of_motion(&motion, &body));
-            let rows = rows.map_err(|error| Error::Item {
-                id: clip.id.to_owned(),
-                problem: format!("has no HumanML3D features: {error}"),
+            let rows = rows.map_err(|error| {
+                Error::item(&clip.id, format!("has no HumanML3D features: {error}"))
             })?;
             Ok(Some(CaptionedRows {
                 rows,
-                captions: clip.captions.to_vec(),
+                captions: clip.captions.clone(),
             }))
         })
         .collect::<Result<_, Error>>()?;
     let rows: Vec<CaptionedRows> = rows.into_iter().flatten().collect();
-    if rows.is_empty() {
-        return Err(Error::Empty { what });
-    }
+    Error::if_empty(&rows, what)?;
     Ok(rows)
 }
 
@@ -122,7 +134,7 @@ impl Crops<'_> {
         let rows = self.lengths.len();
         let width = self.features.len() / (rows * self.frames);
         let shape = [rows, self.frames, width];
-        Tensor::from_data(TensorData::new(self.features.clone(), shape), device)
+        send(self.features.clone(), shape, device)
     }
 
     /// 1 for the frames that are not padding, 0 for the others, `[B, T, 1]`.
@@ -132,7 +144,7 @@ impl Crops<'_> {
             (0..frames).map(move |frame| if frame < length { 1.0f32 } else { 0.0 })
         });
         let shape = [self.lengths.len(), frames, 1];
-        Tensor::from_data(TensorData::new(valid.collect(), shape), device)
+        send(valid.collect(), shape, device)
     }
 }
 
@@ -142,7 +154,6 @@ impl Crops<'_> {
 pub(crate) struct CropSampler<'a> {
     pub(crate) clips: &'a [CaptionedRows],
     pub(crate) stats: &'a FeatureStats,
-    /// Frames of the longest crop.
     pub(crate) max_frames: usize,
     /// Whether crops are padded to the longest possible one rather than to the longest of the batch.
     pub(crate) pads_to_max: bool,
@@ -196,15 +207,27 @@ impl<'a> CropSampler<'a> {
 
     /// All clips from their first frame with their first caption, in batches of `size`.
     pub(crate) fn whole(&self, size: usize) -> Vec<Crops<'a>> {
-        let crops: Vec<Crop> = (0..self.clips.len())
-            .map(|clip| Crop {
-                clip,
-                caption: 0,
-                start: 0,
-                frames: self.clips[clip].rows.len().min(self.max_frames),
-            })
-            .collect();
+        let frames = self.clips.iter().map(|clip| clip.rows.len());
+        let crops = Crop::firsts(frames, self.max_frames);
         crops.chunks(size).map(|crops| self.crops(crops)).collect()
+    }
+
+    /// [`CropSampler::whole`], each with the place of its first clip, and with diffusion steps that are spread
+    /// evenly, which makes validations comparable.
+    pub(crate) fn validation(
+        &self,
+        size: usize,
+        num_steps: usize,
+    ) -> impl Iterator<Item = (u64, Vec<usize>, Crops<'a>)> {
+        let (mut first, total) = (0, self.clips.len());
+        self.whole(size).into_iter().map(move |crops| {
+            let places = first..first + crops.lengths.len();
+            first = places.end;
+            let timesteps = places
+                .clone()
+                .map(|place| spread_timestep(place, total, num_steps));
+            (places.start as u64, timesteps.collect(), crops)
+        })
     }
 
     fn crops(&self, crops: &[Crop]) -> Crops<'a> {
@@ -217,7 +240,7 @@ impl<'a> CropSampler<'a> {
         let width = self.stats.recipe.width();
         let mut features = Vec::with_capacity(crops.len() * frames * width);
         for (row, crop) in crops.iter().enumerate() {
-            let rows = &self.clips[crop.clip].rows[crop.start..crop.start + crop.frames];
+            let rows = &self.clips[crop.clip].rows[crop.range()];
             self.stats
                 .push_normalized(rows.as_flattened(), &mut features);
             features.resize((row + 1) * frames * width, 0.0);
@@ -236,11 +259,28 @@ impl<'a> CropSampler<'a> {
 }
 
 #[derive(Clone, Copy)]
-struct Crop {
-    clip: usize,
-    caption: usize,
-    start: usize,
-    frames: usize,
+pub(crate) struct Crop {
+    pub(crate) clip: usize,
+    pub(crate) caption: usize,
+    pub(crate) start: usize,
+    pub(crate) frames: usize,
+}
+
+impl Crop {
+    /// All clips, of so many frames each, from their first frame with their first caption.
+    pub(crate) fn firsts(frames: impl Iterator<Item = usize>, longest: usize) -> Vec<Self> {
+        let crop = |(clip, frames): (usize, usize)| Self {
+            clip,
+            caption: 0,
+            start: 0,
+            frames: frames.min(longest),
+        };
+        frames.enumerate().map(crop).collect()
+    }
+
+    pub(crate) fn range(&self) -> Range<usize> {
+        self.start..self.start + self.frames
+    }
 }
 
 #[cfg(test)]

@@ -26,19 +26,19 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::Error;
+use crate::error::json_error;
 
 use self::events::EVENTS;
 pub use self::record::{
     Ancestor, CONFIG, FORMAT, Inheritance, RunRecord, check_skeleton, check_skeleton_of, read_any,
 };
 pub(crate) use self::record::{MOTION_KIND, read_kind, read_record, record_of};
-use self::record::{differences, not_a_run, parse_record, to_value};
+use self::record::{differences, not_a_run, parse_record, text_of, to_value};
 
 pub(crate) const METRICS: &str = "metrics.jsonl";
 const MANIFEST: &str = "manifest.json";
 /// Prefix of the files with the averaged weights, in a checkpoint: those of the model under their names.
 pub(crate) const EMA_PREFIX: &str = "ema-";
-/// The progress of the run, in a checkpoint.
 pub(crate) const STATE: &str = "state.json";
 
 /// A checkpoint of a run.
@@ -134,13 +134,10 @@ impl Start<'_> {
         }
         for dir in [Some(self.run), self.init].into_iter().flatten() {
             let path = dir.join(CONFIG);
-            let text = match fs::read_to_string(&path) {
-                Ok(text) => text,
-                Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => continue,
-                Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
+            let Some(text) = text_of(&path)? else {
+                continue;
             };
-            let record: Record =
-                serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
+            let record: Record = serde_json::from_str(&text).map_err(json_error(&path))?;
             return Ok(record.config.normalizer);
         }
         Ok(None)
@@ -206,20 +203,13 @@ impl Run {
         let path = start.run.join(CONFIG);
         fs::create_dir_all(start.run).map_err(datasets_spec::Error::io("create", start.run))?;
         // Both documents are parsed from text, so that numbers compare as written.
-        let asked = to_value(record).map_err(|source| Error::Json {
-            path: path.clone(),
-            source,
-        })?;
-        match fs::read_to_string(&path) {
-            Ok(recorded) => Self::open_again(start, record, asked, &recorded),
-            Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
-                Self::begin(start, record, &asked)
-            }
-            Err(problem) => Err(datasets_spec::Error::io("read", path)(problem).into()),
+        let asked = to_value(record).map_err(json_error(&path))?;
+        match text_of(&path)? {
+            Some(recorded) => Self::open_again(start, record, asked, &recorded),
+            None => Self::begin(start, record, &asked),
         }
     }
 
-    /// Starts a run in a folder that holds none.
     fn begin<C: Serialize + DeserializeOwned>(
         start: Start<'_>,
         record: &RunRecord<C>,
@@ -253,10 +243,8 @@ impl Run {
         recorded: &str,
     ) -> Result<Self, Error> {
         let dir = start.run;
-        let json = |source| Error::Json {
-            path: dir.join(CONFIG),
-            source,
-        };
+        let path = dir.join(CONFIG);
+        let json = json_error(&path);
         let kind: Value = serde_json::from_str(recorded).map_err(json)?;
         if kind["kind"] != asked["kind"] {
             let reason = format!("it is a run of {}", kind["kind"]);
@@ -286,7 +274,7 @@ impl Run {
             let mut lineage = recorded.lineage.clone();
             lineage.push(Ancestor {
                 by: Inheritance::Extend,
-                weights: hash_of(&recorded.config, &files),
+                weights: weights_hash(&recorded.config, &files),
                 step: step_of(&files, "step"),
                 changed: differences,
             });
@@ -299,7 +287,6 @@ impl Run {
         })
     }
 
-    /// Records the settings of an extended run.
     pub(crate) fn settle(&self) -> Result<(), Error> {
         match &self.extended {
             Some((record, lineage)) => write_record(&self.dir.join(CONFIG), record, lineage),
@@ -314,12 +301,10 @@ impl Run {
         Some((dir, files.clone()))
     }
 
-    /// The folder.
     pub(crate) fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// Replaces a checkpoint.
     pub(crate) fn write(&self, slot: Slot, files: &Files) -> Result<(), Error> {
         let parent = self.dir.join("checkpoint");
         let name = slot.name();
@@ -345,10 +330,7 @@ impl Run {
                 .collect(),
         };
         let path = new.join(MANIFEST);
-        let text = serde_json::to_vec_pretty(&manifest).map_err(|source| Error::Json {
-            path: path.clone(),
-            source,
-        })?;
+        let text = serde_json::to_vec_pretty(&manifest).map_err(json_error(&path))?;
         write_synced(&path, &text)?;
         sync_dir(&new)?;
         // A folder cannot be renamed onto a full one. Between the two renames the old checkpoint
@@ -362,13 +344,9 @@ impl Run {
         remove_dir(&old)
     }
 
-    /// Appends a line to the metrics file.
     pub(crate) fn log(&self, line: &impl Serialize) -> Result<(), Error> {
         let path = self.dir.join(METRICS);
-        let not_json = |source| Error::Json {
-            path: path.clone(),
-            source,
-        };
+        let not_json = json_error(&path);
         let mut text = serde_json::to_string(line).map_err(not_json)?;
         text.push('\n');
         append(&path, text.as_bytes())?;
@@ -390,10 +368,8 @@ impl Run {
             step: u64,
         }
         let path = self.dir.join(METRICS);
-        let text = match fs::read_to_string(&path) {
-            Ok(text) => text,
-            Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => return Ok(()),
-            Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
+        let Some(text) = text_of(&path)? else {
+            return Ok(());
         };
         let kept: String = text
             .lines()
@@ -434,8 +410,7 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
     };
     let path = place.join(MANIFEST);
     let text = fs::read(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    let manifest: Manifest =
-        serde_json::from_slice(&text).map_err(|source| Error::Json { path, source })?;
+    let manifest: Manifest = serde_json::from_slice(&text).map_err(json_error(&path))?;
     let mut files = Files::new();
     for (name, entry) in manifest.files {
         let path = place.join(&name);
@@ -451,11 +426,8 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
             Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
         };
         if bytes.len() as u64 != entry.bytes {
-            return Err(corrupt(format!(
-                "{} bytes, recorded {}",
-                bytes.len(),
-                entry.bytes
-            )));
+            let detail = format!("{} bytes, recorded {}", bytes.len(), entry.bytes);
+            return Err(corrupt(detail));
         }
         let hash = blake3::hash(&bytes).to_hex().to_string();
         if hash != entry.blake3 {
@@ -466,12 +438,33 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
     Ok(Some(files))
 }
 
-/// The checkpoint a finished run is used from: the best one, or the last one if none was validated.
-pub(crate) fn read_for_use(run_dir: &Path, slot: Slot, kind: &'static str) -> Result<Files, Error> {
-    read(run_dir, slot)?.ok_or_else(|| {
+pub(crate) struct Opened<C> {
+    pub(crate) record: RunRecord<C>,
+    pub(crate) files: Files,
+    pub(crate) hash: String,
+}
+
+impl<C: Serialize> Opened<C> {
+    pub(crate) fn new(record: RunRecord<C>, files: Files) -> Self {
+        Self {
+            hash: weights_hash(&record.config, &files),
+            record,
+            files,
+        }
+    }
+}
+
+pub(crate) fn open_for_use<C: Serialize + DeserializeOwned>(
+    run_dir: &Path,
+    slot: Slot,
+    kind: &'static str,
+) -> Result<Opened<C>, Error> {
+    let record = read_record(run_dir, kind)?;
+    let files = read(run_dir, slot)?.ok_or_else(|| {
         let reason = format!("it holds no checkpoint {:?}", slot.name());
         not_a_run(run_dir, kind, reason)
-    })
+    })?;
+    Ok(Opened::new(record, files))
 }
 
 /// Removes a file from the files of a checkpoint.
@@ -482,25 +475,20 @@ pub(crate) fn take(files: &mut Files, name: &str, run_dir: &Path) -> Result<Vec<
     })
 }
 
-/// What identifies trained weights: the BLAKE3 of configuration and weight files, hexadecimal.
-pub(crate) fn weights_hash<C: Serialize>(config: &C, files: &[&[u8]]) -> String {
+/// What identifies the weights of a checkpoint, as editors and tables do: the BLAKE3 of configuration and weight files,
+/// hexadecimal.
+fn weights_hash<C: Serialize>(config: &C, files: &Files) -> String {
     let mut hasher = blake3::Hasher::new();
     let config = serde_json::to_vec(config).expect("a configuration that was read can be written");
-    for part in std::iter::once(config.as_slice()).chain(files.iter().copied()) {
+    let weights = files
+        .iter()
+        .filter(|(name, _)| name.ends_with(".safetensors") && !name.starts_with(EMA_PREFIX))
+        .map(|(_, bytes)| bytes.as_slice());
+    for part in std::iter::once(config.as_slice()).chain(weights) {
         hasher.update(&(part.len() as u64).to_le_bytes());
         hasher.update(part);
     }
     hasher.finalize().to_hex().to_string()
-}
-
-/// Identifies the weights of a checkpoint, as editors and tables do.
-fn hash_of<C: Serialize>(config: &C, files: &Files) -> String {
-    let weights: Vec<&[u8]> = files
-        .iter()
-        .filter(|(name, _)| name.ends_with(".safetensors") && !name.starts_with(EMA_PREFIX))
-        .map(|(_, bytes)| bytes.as_slice())
-        .collect();
-    weights_hash(config, &weights)
 }
 
 /// The step of a checkpoint; 0 if it is not recorded.
@@ -512,7 +500,6 @@ fn step_of(files: &Files, field: &str) -> u64 {
         .unwrap_or(0)
 }
 
-/// Checks that the fields in which a record differs may change.
 fn check_changes<'a>(
     start: Start<'_>,
     mut fields: impl Iterator<Item = &'a String>,
@@ -580,10 +567,7 @@ fn begin_with<C: Serialize + DeserializeOwned>(
         return Err(not_a_run(from, &record.kind, reason));
     }
     let path = from.join(CONFIG);
-    let json = |source| Error::Json {
-        path: path.clone(),
-        source,
-    };
+    let json = json_error(&path);
     let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
     let before: RunRecord<C> = parse_record(&text).map_err(json)?;
     let files = read(from, Slot::Best)?
@@ -592,7 +576,7 @@ fn begin_with<C: Serialize + DeserializeOwned>(
     let mut lineage = before.lineage.clone();
     lineage.push(Ancestor {
         by: Inheritance::Init,
-        weights: hash_of(&before.config, &files),
+        weights: weights_hash(&before.config, &files),
         step: step_of(&last, "best_step"),
         changed: differences(&to_value(&before).map_err(json)?, asked),
     });
@@ -600,10 +584,7 @@ fn begin_with<C: Serialize + DeserializeOwned>(
 }
 
 fn write_record(path: &Path, record: &Value, lineage: &[Ancestor]) -> Result<(), Error> {
-    let json = |source| Error::Json {
-        path: path.to_owned(),
-        source,
-    };
+    let json = json_error(path);
     let mut record = record.clone();
     if !lineage.is_empty() {
         record["lineage"] = serde_json::to_value(lineage).map_err(json)?;

@@ -20,17 +20,10 @@ pub struct ComposeRecord {
 }
 
 #[derive(Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, deny_unknown_fields)]
 enum Written {
-    Fields(Fields),
+    Fields { config: ComposeConfig, seed: Seed },
     Text(String),
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Fields {
-    config: ComposeConfig,
-    seed: Seed,
 }
 
 impl TryFrom<Written> for ComposeRecord {
@@ -38,7 +31,7 @@ impl TryFrom<Written> for ComposeRecord {
 
     fn try_from(written: Written) -> Result<Self, String> {
         let (config, seed) = match written {
-            Written::Fields(Fields { config, seed }) => (config, seed),
+            Written::Fields { config, seed } => (config, seed),
             Written::Text(text) if text.is_empty() => {
                 return Err(
                     "the run does not say how its windows were composed; import the model again"
@@ -66,10 +59,7 @@ impl ComposeRecord {
             ),
             Ok(()) => return Ok(()),
         };
-        Err(Error::Config {
-            field: "compose",
-            problem,
-        })
+        Err(Error::config("compose", problem))
     }
 }
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use burn::tensor::activation::relu;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use compose::{CoordinatorBatch, Stream};
 use datasets_spec::{Motion, Resample, Seed, Skeleton};
 use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES, canonicalise, window_starts};
@@ -13,25 +13,24 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{
-    self, Files, Run, RunRecord, Slot, Start, read_for_use, take, weights_hash,
-};
+use crate::checkpoint::{Run, RunRecord, Slot, Start, open_for_use};
 use crate::compose::ComposeRecord;
-use crate::config::ScheduleName;
 use crate::config::{
-    Decay, DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings,
-    TrainConfig, all_keypoints, check_keypoints, is_all_keypoints, is_zero, narrowed, positive,
-    share,
+    DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, ScheduleName,
+    TrainConfig, all_keypoints, check_keypoints, check_windows, ensure, is_all_keypoints,
+    is_default, narrowed, positive, share,
 };
+use crate::data::{WindowSource, across_epochs};
+use crate::error::motion_error;
 use crate::model::coordinator::Coordinator;
-use crate::model::weights::{draw, from_safetensors, to_safetensors};
+use crate::model::pass::{Arithmetic, Pass};
+use crate::model::weights::Networks;
 use crate::schedule::Schedule;
-use crate::trainer::{Task, TrainReport, TrainerConfig, train};
-use crate::transfer::{read, weighted_mean};
+use crate::trainer::{Task, TrainReport, train};
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "coordinator";
-pub(crate) const WEIGHTS: &str = "coordinator.safetensors";
 
 /// Last diffusion steps whose noise the coordinator learns to see through (paper, Sec. 5.2).
 const NOISE_STEPS: usize = 20;
@@ -55,7 +54,7 @@ pub struct CoordinatorConfig {
     pub keypoints: usize,
     /// Share of training windows that are mirrored, where the composer's settings mirror none: a mirrored motion is as
     /// natural, and a mirrored blend as composed, as the window itself.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub mirrored_ratio: f64,
     /// Windows in a validation.
     pub val_windows: usize,
@@ -95,14 +94,12 @@ impl CoordinatorConfig {
             mirrored_ratio: if is_tiny { 0.5 } else { 0.0 },
             val_windows: editor.val_windows,
             run: RunSettings {
-                optimizer: OptimizerConfig {
-                    decay: Decay::Linear,
-                    learning_rate: if is_tiny {
-                        3e-4
-                    } else {
-                        editor.run.optimizer.learning_rate
+                optimizer: match preset {
+                    Preset::Tiny => OptimizerConfig {
+                        learning_rate: 3e-4,
+                        ..editor.run.optimizer
                     },
-                    ..editor.run.optimizer
+                    Preset::Paper | Preset::Official => editor.run.optimizer,
                 },
                 // The paper does not say how long. The released coordinators stopped after 55,000 to 68,000 steps.
                 length: RunLength::of_steps(if is_tiny { 6_000 } else { 68_000 }),
@@ -124,49 +121,14 @@ impl CoordinatorConfig {
         positive("val_windows", self.val_windows as u64)?;
         share("mirrored_ratio", self.mirrored_ratio)?;
         positive("noise_steps", self.noise_steps as u64)?;
-        if self.noise_steps > self.diffusion_steps {
-            return Err(Error::Config {
-                field: "noise_steps",
-                problem: format!(
-                    "it is {}, more than the {} diffusion steps",
-                    self.noise_steps, self.diffusion_steps
-                ),
-            });
-        }
+        let (steps, all) = (self.noise_steps, self.diffusion_steps);
+        let problem = format!("it is {steps}, more than the {all} diffusion steps");
+        ensure(steps <= all, "noise_steps", problem)?;
         Schedule::new(self.schedule, self.diffusion_steps).map(|_| ())
     }
 }
 
-/// Natural and composed windows in equal numbers, which can be entered anywhere.
-pub trait SegmentSource: Sync {
-    /// Items of an epoch.
-    fn epoch_len(&self) -> u64;
-
-    /// Numbers of a window: its frames times 84.
-    fn window_len(&self) -> usize;
-
-    /// Whether windows can be drawn.
-    ///
-    /// # Errors
-    /// There are not two motions to compose a window of.
-    fn check(&self) -> Result<(), Error> {
-        Ok(())
-    }
-
-    /// Replaces the contents of `batch` by `num_items` items of an epoch, from `first_item` on.
-    ///
-    /// # Errors
-    /// The motions cannot be read.
-    fn fill(
-        &self,
-        epoch: u64,
-        first_item: u64,
-        num_items: usize,
-        batch: &mut CoordinatorBatch,
-    ) -> Result<(), Error>;
-}
-
-impl SegmentSource for Stream {
+impl WindowSource<CoordinatorBatch> for Stream {
     fn epoch_len(&self) -> u64 {
         Stream::epoch_len(self)
     }
@@ -193,10 +155,10 @@ impl SegmentSource for Stream {
 /// What the coordinator learns from.
 #[derive(Clone, Copy)]
 pub struct Segments<'a> {
-    /// Training segments.
-    pub train: &'a dyn SegmentSource,
+    /// Training segments: natural and composed windows in equal numbers.
+    pub train: &'a dyn WindowSource<CoordinatorBatch>,
     /// Validation segments.
-    pub val: &'a dyn SegmentSource,
+    pub val: &'a dyn WindowSource<CoordinatorBatch>,
     /// Range the windows were scaled by.
     pub normalizer: Normalizer,
     /// The skeleton the motions drive.
@@ -251,20 +213,9 @@ pub fn train_coordinator<'a>(
     segments.compose.check(config.window)?;
     for source in [segments.train, segments.val] {
         source.check()?;
-        if source.window_len() != config.window * FRAME_WIDTH {
-            return Err(Error::Config {
-                field: "window",
-                problem: format!(
-                    "it is {} frames, and the windows to train on have {}",
-                    config.window,
-                    source.window_len() / FRAME_WIDTH
-                ),
-            });
-        }
+        check_windows(config.window, source.window_len())?;
         if source.epoch_len() == 0 {
-            return Err(Error::Empty {
-                what: "source of segments",
-            });
+            return Err(Error::empty("source of segments"));
         }
     }
     let record = CoordinatorRecord {
@@ -272,10 +223,8 @@ pub fn train_coordinator<'a>(
         normalizer: segments.normalizer,
         compose: segments.compose.clone(),
     };
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, segments.dataset_hash, segments.skeleton, record),
-    )?;
+    let document = RunRecord::new(KIND, segments.dataset_hash, segments.skeleton, record);
+    let run = Run::open(start, &document)?;
     let seed = Seed(config.run.seed);
     let schedule = Schedule::new(config.schedule, config.diffusion_steps)?;
     let sampler = SegmentSampler {
@@ -290,42 +239,38 @@ pub fn train_coordinator<'a>(
         seed: seed.derive(&["val"]),
         ..sampler
     };
-    let part = config.run.micro_batch();
-    let val_batches: Vec<SegmentBatch> = (0..config.val_windows)
-        .step_by(part)
-        .map(|first| val_sampler.draw(first as u64, part.min(config.val_windows - first)))
-        .collect::<Result<_, Error>>()?;
-    let device = session.device.clone().autodiff();
-    let model = draw(
-        Coordinator::of_frames(&config.model, 3 * config.keypoints, &device),
-        seed.derive(&["weights"]),
-    )?;
-    let trainer = TrainerConfig {
+    let validation = |first, count| val_sampler.draw(first, count);
+    let task = Task::<Coordinator, SegmentBatch> {
         kind: KIND,
         samples: "windows",
         run: config.run,
         epoch_len: segments.train.epoch_len(),
+        draw: &|step| {
+            let run = &config.run;
+            run.batches(step, |first, count| sampler.draw(first, count))
+        },
+        loss: &|model, batch, device, pass| {
+            let rows = batch.timesteps.len();
+            let shape = [rows, config.window, 3 * config.keypoints];
+            let x = send(batch.windows.clone(), shape, device);
+            let composed = send(batch.composed.clone(), [rows, 1], device);
+            binary_cross_entropy(model.logits(x, &batch.timesteps, pass), composed)
+        },
+        validation: config.run.validation(config.val_windows, validation)?,
     };
-    let task = CoordinatorTask {
-        config,
-        sampler,
-        val_batches,
-    };
-    let (_, report) = train(&task, model, &trainer, &run, session)?;
-    Ok(report)
+    let network = |device: &Device| Coordinator::new(&config.model, 3 * config.keypoints, device);
+    Ok(train(&task, network, &run, session)?.1)
 }
 
-/// Noisy windows, their steps and whether they were composed.
 struct SegmentBatch {
     windows: Vec<f32>,
     timesteps: Vec<usize>,
     composed: Vec<f32>,
 }
 
-/// Draws segments and puts noise on them.
 #[derive(Clone, Copy)]
 struct SegmentSampler<'a> {
-    source: &'a dyn SegmentSource,
+    source: &'a dyn WindowSource<CoordinatorBatch>,
     schedule: &'a Schedule,
     noise_steps: usize,
     keypoints: usize,
@@ -335,19 +280,16 @@ struct SegmentSampler<'a> {
 impl SegmentSampler<'_> {
     /// The segments `first..first + count` of the run. The count goes on from one epoch to the next.
     fn draw(&self, first: u64, count: usize) -> Result<SegmentBatch, Error> {
-        let epoch_len = self.source.epoch_len();
         let window = self.source.window_len() / FRAME_WIDTH * 3 * self.keypoints;
         let mut whole = CoordinatorBatch::default();
         let mut part = CoordinatorBatch::default();
-        while whole.composed.len() < count {
-            let at = first + whole.composed.len() as u64;
-            let (epoch, item) = (at / epoch_len, at % epoch_len);
-            let missing = (count - whole.composed.len()) as u64;
-            let num_items = missing.min(epoch_len - item) as usize;
+        let items = first..first + count as u64;
+        across_epochs(self.source.epoch_len(), items, |epoch, item, num_items| {
             self.source.fill(epoch, item, num_items, &mut part)?;
             whole.windows.append(&mut part.windows);
             whole.composed.append(&mut part.composed);
-        }
+            Ok(())
+        })?;
         whole.windows = narrowed(whole.windows, self.keypoints);
         let timesteps: Vec<usize> = whole
             .windows
@@ -372,56 +314,6 @@ impl SegmentSampler<'_> {
     }
 }
 
-struct CoordinatorTask<'a> {
-    config: &'a CoordinatorConfig,
-    sampler: SegmentSampler<'a>,
-    val_batches: Vec<SegmentBatch>,
-}
-
-impl Task for CoordinatorTask<'_> {
-    type Model = Coordinator;
-    type Batch = SegmentBatch;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, SegmentBatch)>, Error> {
-        let run = &self.config.run;
-        run.batches(step, |first, count| self.sampler.draw(first, count))
-    }
-
-    fn loss(&self, model: &Coordinator, batch: &SegmentBatch, device: &Device) -> Tensor<1> {
-        let rows = batch.timesteps.len();
-        let (window, width) = (self.config.window, 3 * self.config.keypoints);
-        let x = Tensor::<3>::from_data(
-            TensorData::new(batch.windows.clone(), [rows, window, width]),
-            device,
-        );
-        let composed =
-            Tensor::<2>::from_data(TensorData::new(batch.composed.clone(), [rows, 1]), device);
-        binary_cross_entropy(model.logits(x, &batch.timesteps), composed)
-    }
-
-    fn validate(&self, model: &Coordinator, device: &Device) -> f32 {
-        weighted_mean(
-            self.val_batches
-                .iter()
-                .map(|batch| (batch.timesteps.len(), self.loss(model, batch, device))),
-        )
-    }
-
-    fn save(&self, model: &Coordinator, run_dir: &Path) -> Result<Files, Error> {
-        Ok([(WEIGHTS.to_owned(), to_safetensors(model, run_dir)?)].into())
-    }
-
-    fn load(
-        &self,
-        model: &mut Coordinator,
-        files: &mut Files,
-        run_dir: &Path,
-    ) -> Result<(), Error> {
-        let bytes = take(files, WEIGHTS, run_dir)?;
-        from_safetensors(model, bytes, "", &run_dir.join(WEIGHTS))
-    }
-}
-
 /// The mean cross entropy of logits `z` and labels `y` in [0, 1]:
 /// `max(z, 0) - z y + ln(1 + exp(-|z|))`, in which nothing overflows.
 fn binary_cross_entropy(logits: Tensor<2>, labels: Tensor<2>) -> Tensor<1> {
@@ -436,6 +328,7 @@ pub struct TrainedCoordinator {
     record: RunRecord<CoordinatorRecord>,
     hash: String,
     device: Device,
+    arithmetic: Arithmetic,
 }
 
 impl TrainedCoordinator {
@@ -444,21 +337,26 @@ impl TrainedCoordinator {
     /// # Errors
     /// The folder is not a run of the coordinator, or its checkpoint is missing or damaged.
     pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<Self, Error> {
-        let record: RunRecord<CoordinatorRecord> = checkpoint::read_record(run_dir, KIND)?;
+        let opened = open_for_use::<CoordinatorRecord>(run_dir, slot, KIND)?;
+        let (record, hash, mut files) = (opened.record, opened.hash, opened.files);
         record.config.check()?;
-        let mut files = read_for_use(run_dir, slot, KIND)?;
-        let weights = files.get(WEIGHTS).map_or(&[][..], Vec::as_slice);
-        let hash = weights_hash(&record.config, &[weights]);
         let train = &record.config.train;
-        let mut model = Coordinator::of_frames(&train.model, 3 * train.keypoints, device);
-        let bytes = take(&mut files, WEIGHTS, run_dir)?;
-        from_safetensors(&mut model, bytes, "", &run_dir.join(WEIGHTS))?;
+        let mut model = Coordinator::new(&train.model, 3 * train.keypoints, device);
+        model.take_files(&mut files, run_dir)?;
         Ok(Self {
             model,
             record,
             hash,
             device: device.clone(),
+            arithmetic: Arithmetic::default(),
         })
+    }
+
+    /// The same coordinator by other operations, where it judges by itself.
+    #[must_use]
+    pub fn with_arithmetic(mut self, arithmetic: Arithmetic) -> Self {
+        self.arithmetic = arithmetic;
+        self
     }
 
     /// The settings the coordinator was trained with.
@@ -477,10 +375,7 @@ impl TrainedCoordinator {
     /// # Errors
     /// The motion is shorter than a window.
     pub fn composed_share(&self, motion: &Motion, skeleton: &Skeleton) -> Result<f64, Error> {
-        let no_motion = |source: kinematics::Error| Error::Motion {
-            id: "a motion to judge".to_owned(),
-            source: source.into(),
-        };
+        let no_motion = motion_error::<kinematics::Error>("a motion to judge");
         let window = self.record.config.train.window;
         let compose = &self.record.config.compose.config;
         let poses = Resample::Exact
@@ -525,11 +420,9 @@ impl TrainedCoordinator {
             return Vec::new();
         }
         let seen = narrowed(windows.to_vec(), keypoints);
-        let x = Tensor::<3>::from_data(
-            TensorData::new(seen, [rows, window, 3 * keypoints]),
-            &self.device,
-        );
-        read(self.model.probability(x, &vec![0; rows]))
+        let x = send(seen, [rows, window, 3 * keypoints], &self.device);
+        let pass = Pass::new(self.arithmetic);
+        read(self.model.probability(x, &vec![0; rows], &pass))
     }
 }
 
@@ -558,7 +451,7 @@ mod tests {
 
     #[test]
     fn presets_are_usable() {
-        for preset in [Preset::Paper, Preset::Official, Preset::Tiny] {
+        for preset in Preset::ALL {
             CoordinatorConfig::preset(preset).check().expect("usable");
         }
     }

@@ -1,11 +1,12 @@
 //! Training windows on their way to the network: drawn, paired with noise, prefetched.
 
+use std::ops::Range;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::Scope;
 
 pub use compose::WindowBatch;
 use compose::{Stream, WindowLoader};
-use datasets_spec::Seed;
+use datasets_spec::{Rng, Seed};
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::FRAME_WIDTH;
 use rand::RngExt;
@@ -14,20 +15,31 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::config::narrowed;
+pub use crate::model::text::TextBatch;
 use crate::noise_shape::NoiseShape;
-use crate::vocabulary::{TokenBatch, Vocabulary};
+use crate::text::table::EmbeddingTable;
+use crate::vocabulary::Vocabulary;
 
 /// Batches prepared ahead of the trainer: one being taken and one ready.
 const PREFETCHED_BATCHES: usize = 2;
 
 /// A stream of training windows that can be entered anywhere: item `i` of an epoch is the same
-/// whoever asks for it and whatever was asked before.
-pub trait WindowSource: Sync {
+/// whoever asks for it and whatever was asked before. Items are edits, or the segments that the coordinator
+/// learns from.
+pub trait WindowSource<B = WindowBatch>: Sync {
     /// Items of an epoch.
     fn epoch_len(&self) -> u64;
 
     /// Numbers of a window: its frames times 84.
     fn window_len(&self) -> usize;
+
+    /// Whether windows can be drawn.
+    ///
+    /// # Errors
+    /// There are too few motions to compose a window of.
+    fn check(&self) -> Result<(), Error> {
+        Ok(())
+    }
 
     /// Replaces the contents of `batch` by `num_items` items of an epoch, from `first_item` on.
     ///
@@ -38,8 +50,25 @@ pub trait WindowSource: Sync {
         epoch: u64,
         first_item: u64,
         num_items: usize,
-        batch: &mut WindowBatch,
+        batch: &mut B,
     ) -> Result<(), Error>;
+}
+
+/// Reads items of a run, whose count goes on from one epoch to the next. `read` is asked for a number of items of an
+/// epoch, from one of them on.
+pub(crate) fn across_epochs(
+    epoch_len: u64,
+    items: Range<u64>,
+    mut read: impl FnMut(u64, u64, usize) -> Result<(), Error>,
+) -> Result<(), Error> {
+    let mut at = items.start;
+    while at < items.end {
+        let (epoch, first_item) = (at / epoch_len, at % epoch_len);
+        let num_items = (items.end - at).min(epoch_len - first_item);
+        read(epoch, first_item, num_items as usize)?;
+        at += num_items;
+    }
+    Ok(())
 }
 
 impl WindowSource for Stream {
@@ -84,34 +113,13 @@ impl WindowSource for WindowLoader {
     }
 }
 
-/// Vectors of texts that a frozen encoder has made before.
-pub trait TextVectors: Sync + std::fmt::Debug {
-    /// Numbers of a vector.
-    fn width(&self) -> usize;
-
-    /// The vector of a text, if it was made.
-    fn get(&self, text: &str) -> Option<&[f32]>;
-
-    /// What identifies the encoder.
-    fn encoder_hash(&self) -> &str;
-}
-
 /// How instructions become what a network is given.
 #[derive(Clone, Copy, Debug)]
 pub enum Texts<'a> {
     /// The numbers of their words.
     Words(&'a Vocabulary),
     /// The vectors of a frozen encoder.
-    Vectors(&'a dyn TextVectors),
-}
-
-/// Instructions as a network is given them.
-#[derive(Clone, Debug, PartialEq)]
-pub enum TextBatch {
-    /// The numbers of their words.
-    Words(TokenBatch),
-    /// The vectors of a frozen encoder, `[B, d]`.
-    Vectors(Vec<f32>),
+    Vectors(&'a EmbeddingTable),
 }
 
 impl Texts<'_> {
@@ -120,20 +128,31 @@ impl Texts<'_> {
     /// # Errors
     /// A text has no vector.
     pub fn batch<'a>(&self, texts: impl Iterator<Item = &'a str>) -> Result<TextBatch, Error> {
-        match self {
-            Self::Words(vocabulary) => Ok(TextBatch::Words(vocabulary.encode_batch(texts))),
-            Self::Vectors(vectors) => {
-                let mut values = Vec::new();
-                for text in texts {
-                    let vector = vectors.get(text).ok_or_else(|| Error::NotEmbedded {
-                        count: 1,
-                        examples: vec![text.to_owned()],
-                    })?;
-                    values.extend_from_slice(vector);
-                }
-                Ok(TextBatch::Vectors(values))
+        let table = match self {
+            Self::Words(vocabulary) => {
+                return Ok(TextBatch::Words(vocabulary.encode_batch(texts)));
             }
+            Self::Vectors(table) => table,
+        };
+        let vectors = texts.map(|text| {
+            table.get(text).ok_or_else(|| Error::NotEmbedded {
+                count: 1,
+                examples: vec![text.to_owned()],
+            })
+        });
+        let vectors: Vec<&[f32]> = vectors.collect::<Result<_, _>>()?;
+        let longest = vectors.iter().map(|vector| vector.len()).max().unwrap_or(0);
+        let mut values = Vec::with_capacity(vectors.len() * longest);
+        for vector in &vectors {
+            let end = values.len() + longest;
+            values.extend_from_slice(vector);
+            values.resize(end, 0.0);
         }
+        let tokens = vectors.iter().map(|vector| vector.len() / table.width());
+        Ok(TextBatch::Vectors {
+            lengths: tokens.collect(),
+            values,
+        })
     }
 }
 
@@ -171,7 +190,6 @@ impl NoisyBatch {
     }
 }
 
-/// How the diffusion steps of a batch are chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Timesteps {
     /// Uniformly, each window for itself.
@@ -181,12 +199,25 @@ pub(crate) enum Timesteps {
     Spread(usize),
 }
 
+impl Timesteps {
+    pub(crate) fn of(self, item: u64, num_steps: usize, rng: &mut Rng) -> usize {
+        match self {
+            Self::Random => rng.random_range(0..num_steps),
+            Self::Spread(total) => spread_timestep(item as usize % total, total, num_steps),
+        }
+    }
+}
+
+/// The diffusion step of item `place` of so many, which are spread evenly over the schedule.
+pub(crate) fn spread_timestep(place: usize, total: usize, num_steps: usize) -> usize {
+    (2 * place + 1) * num_steps / (2 * total)
+}
+
 /// Samples noisy batches from a source of windows. Everything drawn for an item depends on the seed and
 /// the item's place in the run alone.
 #[derive(Clone, Copy)]
 pub(crate) struct WindowSampler<'a> {
     pub(crate) source: &'a dyn WindowSource,
-    /// Keypoints of a frame that are taken.
     pub(crate) keypoints: usize,
     pub(crate) texts: Texts<'a>,
     pub(crate) seed: Seed,
@@ -209,16 +240,9 @@ impl WindowSampler<'_> {
             .par_chunks_mut(window_len)
             .enumerate()
             .map(|(index, noise)| {
-                let mut rng = self
-                    .seed
-                    .rng(&["window", &(first + index as u64).to_string()]);
-                let timestep = match self.timesteps {
-                    Timesteps::Random => rng.random_range(0..self.num_timesteps),
-                    Timesteps::Spread(total) => {
-                        let place = (first as usize + index) % total;
-                        (2 * place + 1) * self.num_timesteps / (2 * total)
-                    }
-                };
+                let item = first + index as u64;
+                let mut rng = self.seed.rng(&["window", &item.to_string()]);
+                let timestep = self.timesteps.of(item, self.num_timesteps, &mut rng);
                 let text_kept = if rng.random_bool(self.text_dropout) {
                     0.0
                 } else {
@@ -255,21 +279,15 @@ impl WindowSampler<'_> {
         })
     }
 
-    /// Reads windows across the boundaries of epochs.
     pub(crate) fn windows(&self, first: u64, num_windows: usize) -> Result<WindowBatch, Error> {
         let epoch_len = self.source.epoch_len();
         if epoch_len == 0 {
-            return Err(Error::Empty {
-                what: "source of training windows",
-            });
+            return Err(Error::empty("source of training windows"));
         }
         let mut whole = WindowBatch::default();
         let mut part = WindowBatch::default();
-        while whole.progress.len() < num_windows {
-            let at = first + whole.progress.len() as u64;
-            let (epoch, first_item) = (at / epoch_len, at % epoch_len);
-            let missing = (num_windows - whole.progress.len()) as u64;
-            let num_items = missing.min(epoch_len - first_item) as usize;
+        let items = first..first + num_windows as u64;
+        across_epochs(epoch_len, items, |epoch, first_item, num_items| {
             self.source.fill(epoch, first_item, num_items, &mut part)?;
             let window_len = self.source.window_len();
             check_shape(&part, epoch, first_item, num_items, window_len)?;
@@ -277,7 +295,8 @@ impl WindowSampler<'_> {
             whole.edited.append(&mut part.edited);
             whole.progress.append(&mut part.progress);
             whole.instructions.append(&mut part.instructions);
-        }
+            Ok(())
+        })?;
         Ok(whole)
     }
 }
@@ -296,13 +315,9 @@ fn check_shape(
         ("instructions", batch.instructions.len(), num_items),
     ] {
         if got != expected {
-            return Err(Error::BatchShape {
-                epoch,
-                first_item,
-                field,
-                got,
-                expected,
-            });
+            return Err(Error::Refused(format!(
+                "training windows {first_item}.. of epoch {epoch}: {field} holds {got} values, expected {expected}"
+            )));
         }
     }
     Ok(())
@@ -312,7 +327,7 @@ fn check_shape(
 /// the last value is made, when making one fails, or when the receiver is dropped.
 pub(crate) fn prefetch<'scope, T: Send + 'scope>(
     scope: &'scope Scope<'scope, '_>,
-    steps: std::ops::Range<u64>,
+    steps: Range<u64>,
     mut make: impl FnMut(u64) -> Result<T, Error> + Send + 'scope,
 ) -> Receiver<Result<T, Error>> {
     let (sender, receiver) = sync_channel(PREFETCHED_BATCHES);
@@ -332,7 +347,6 @@ pub(crate) fn prefetch<'scope, T: Send + 'scope>(
 mod tests {
     use super::*;
 
-    /// Numbers of a window of 16 frames.
     const WINDOW_NUMBERS: usize = 16 * FRAME_WIDTH;
 
     /// Windows that hold their own epoch and item number.
@@ -367,19 +381,27 @@ mod tests {
         }
     }
 
-    fn check(first: u64, num_windows: usize, expected: &[f32]) {
-        let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
-        let sampler = WindowSampler {
-            source: &Counting(3),
+    fn sampler<'a>(source: &'a Counting, vocabulary: &'a Vocabulary) -> WindowSampler<'a> {
+        WindowSampler {
+            source,
             keypoints: 28,
-            texts: Texts::Words(&vocabulary),
+            texts: Texts::Words(vocabulary),
             seed: Seed(1),
             num_timesteps: 10,
             timesteps: Timesteps::Random,
-            text_dropout: 0.5,
-            generated_starts: 0.25,
+            text_dropout: 0.0,
+            generated_starts: 0.0,
             fixed_noise: 0.0,
             shape: None,
+        }
+    }
+
+    fn check(first: u64, num_windows: usize, expected: &[f32]) {
+        let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
+        let sampler = WindowSampler {
+            text_dropout: 0.5,
+            generated_starts: 0.25,
+            ..sampler(&Counting(3), &vocabulary)
         };
         let batch = sampler.draw(first, num_windows).expect("drawn");
         let firsts: Vec<f32> = batch
@@ -408,16 +430,9 @@ mod tests {
     fn noise_is_zero_on_the_fixed_frames_and_standard_elsewhere() {
         let vocabulary = Vocabulary::build(["wave"], 1, 4).expect("valid");
         let sampler = WindowSampler {
-            source: &Counting(64),
-            keypoints: 28,
-            texts: Texts::Words(&vocabulary),
             seed: Seed(2),
-            num_timesteps: 10,
             timesteps: Timesteps::Spread(64),
-            text_dropout: 0.0,
-            generated_starts: 0.0,
-            fixed_noise: 0.0,
-            shape: None,
+            ..sampler(&Counting(64), &vocabulary)
         };
         let batch = sampler.draw(0, 64).expect("drawn");
         let mut square = 0.0f64;

@@ -3,6 +3,7 @@
 use burn::tensor::Tensor;
 
 use crate::Error;
+use crate::config::ensure;
 use crate::schedule::Schedule;
 
 /// Added to every sampled timestep, so that they are 1, 21, 41 and so on (`steps_offset` of MLD's scheduler).
@@ -27,15 +28,9 @@ impl Ddim {
     /// # Errors
     /// There is no step, or there are more than half of those of the schedule.
     pub fn new(schedule: Schedule, num_steps: usize) -> Result<Self, Error> {
-        if num_steps == 0 || 2 * num_steps > schedule.len() {
-            return Err(Error::Config {
-                field: "sampling_steps",
-                problem: format!(
-                    "it is {num_steps}, and must be from 1 to {}",
-                    schedule.len() / 2
-                ),
-            });
-        }
+        let most = schedule.len() / 2;
+        let problem = format!("it is {num_steps}, and must be from 1 to {most}");
+        ensure((1..=most).contains(&num_steps), "sampling_steps", problem)?;
         let stride = schedule.len() / num_steps;
         let timesteps = (0..num_steps).rev().map(|step| step * stride + OFFSET);
         Ok(Self {

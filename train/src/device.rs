@@ -5,15 +5,16 @@ use std::fmt;
 use std::str::FromStr;
 
 use burn::tensor::activation::softmax;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use serde::Serialize;
 
 use crate::Error;
 use crate::config::NetworkConfig;
+use crate::model::pass::Pass;
 use crate::model::transformer::{EncoderLayer, Padding};
 use crate::model::weights::draw;
-use crate::transfer::read;
+use crate::transfer::{read, send};
 
 /// A kind of device, as it is asked for by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -112,10 +113,7 @@ pub struct FoundDevice {
 /// # Errors
 /// The program was built without the backend, there are not so many devices, or one gives wrong numbers.
 pub fn open(name: DeviceName, count: usize) -> Result<Vec<Device>, Error> {
-    let fails = |problem: String| Error::Device {
-        name: name.to_string(),
-        problem,
-    };
+    let fails = |problem: String| Error::Refused(format!("device {name} {problem}"));
     let devices = match name {
         // A second copy of the processor would share its cores with the first.
         DeviceName::Cpu | DeviceName::Ndarray if count > 1 => {
@@ -162,29 +160,18 @@ fn ndarray() -> Device {
 /// The devices of this machine that this build of the program can use. Every card is opened, none is tested.
 pub fn list() -> Vec<FoundDevice> {
     let threads = rayon::current_num_threads();
-    let processor = |name: DeviceName, description: String| FoundDevice {
-        name: name.to_string(),
-        index: 0,
-        description,
-    };
-    let mut found = vec![
-        processor(DeviceName::Cpu, format!("the processor, {threads} threads")),
-        processor(
-            DeviceName::Ndarray,
-            "the processor, by burn-ndarray".to_owned(),
-        ),
-    ];
-    let cards = backend::list();
-    found.extend(
-        cards
-            .into_iter()
-            .map(|(name, index, description)| FoundDevice {
-                name: name.to_string(),
-                index,
-                description,
-            }),
-    );
+    let processor = format!("the processor, {threads} threads");
+    let ours = (DeviceName::Cpu, 0, processor);
+    let other = "the processor, by burn-ndarray".to_owned();
+    let found = [ours, (DeviceName::Ndarray, 0, other)].into_iter();
     found
+        .chain(backend::list())
+        .map(|(name, index, description)| FoundDevice {
+            name: name.to_string(),
+            index,
+            description,
+        })
+        .collect()
 }
 
 /// How a device computes matrix products of single precision. Cards round their factors where that is faster.
@@ -201,7 +188,6 @@ pub enum Products {
 impl Products {
     const ALL: [Self; 3] = [Self::Single, Self::Tf32, Self::Bf16];
 
-    /// Bits of a factor that are lost.
     fn lost_bits(self) -> u32 {
         match self {
             Self::Single => 0,
@@ -281,7 +267,7 @@ impl Products {
 pub fn check(device: &Device) -> Result<Products, String> {
     let device = device.clone().inner();
     let ones: Vec<f32> = (1..=1000u16).map(f32::from).collect();
-    let sum = Tensor::<1>::from_data(TensorData::new(ones, [1000]), &device).sum();
+    let sum = send(ones, [1000], &device).sum();
     compare("the sum of 1 to 1,000", &read(sum), &[500_500.0], 0.0)?;
 
     let (a, b) = (
@@ -320,7 +306,7 @@ fn waves(shape: &[usize; 2], step: f32, device: &Device) -> Tensor<2> {
     let values: Vec<f32> = (0..shape[0] * shape[1])
         .map(|index| (index as f32 * step).sin())
         .collect();
-    Tensor::from_data(TensorData::new(values, *shape), device)
+    send(values, *shape, device)
 }
 
 /// The output of a layer of a transformer with padding, and the gradients of its weights.
@@ -337,7 +323,7 @@ fn layer(device: &Device) -> Result<Vec<(&'static str, Vec<f32>)>, String> {
         .map_err(|error| format!("its weights cannot be drawn: {error}"))?;
     let x = waves(&[5 * 11, 32], 0.37, &device).reshape([5, 11, 32]);
     let padding = Padding::after(&[11, 4, 7, 9, 11], 11);
-    let out = layer.forward(x, Some(&padding));
+    let out = layer.forward(x, Some(&padding), &Pass::default());
     let wave = waves(&[5 * 11, 32], 0.19, &device).reshape([5, 11, 32]);
     let grads = (out.clone() * wave).sum().backward();
     let mut found = vec![("a layer of a transformer", read(out.inner()))];

@@ -1,7 +1,7 @@
 //! What MotionReFit's denoiser predicts, its guidance and its loss.
 
 use burn::tensor::activation::sigmoid;
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Fps;
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::Normalizer;
@@ -12,7 +12,9 @@ use crate::config::{DiffusionConfig, FixedFrames, Loss, NoiseKind, Prediction};
 use crate::data::NoisyBatch;
 use crate::extrapolation::{Basis, Extrapolation};
 use crate::model::denoiser::Denoiser;
+use crate::model::pass::Pass;
 use crate::schedule::Schedule;
+use crate::transfer::send;
 
 /// Gates of a keypoint: of the original's bone, of the extrapolated change, of what the network makes and, with
 /// shaped noise, of what the noisy window shows.
@@ -113,7 +115,6 @@ impl Loss {
         self.of_each(predicted - target).mean()
     }
 
-    /// The loss of each difference.
     fn of_each(self, difference: Tensor<3>) -> Tensor<3> {
         match self {
             // With c = min(|d|, 1), c (|d| - c / 2) is d^2 / 2 below 1 and |d| - 1/2 above.
@@ -141,6 +142,33 @@ const REST_SPEED: f64 = 0.1;
 /// Length in metres that is the unit of the loss on bones: half of a hand's way in a gesture.
 const BONE_UNIT: f64 = 0.1;
 
+/// Windows of a batch on a device, `[B, W, D]`.
+struct Windows {
+    x0: Tensor<3>,
+    noise: Tensor<3>,
+    /// 1 for windows that are the first of their motion, `[B, 1, 1]`; none if none is.
+    starts: Option<Tensor<3>>,
+    original: Tensor<3>,
+}
+
+impl Windows {
+    fn of(batch: &NoisyBatch, frame_width: usize, device: &Device) -> Self {
+        let shape = [batch.len(), batch.window(frame_width), frame_width];
+        let windows = |values: &[f32]| -> Tensor<3> { send(values.to_vec(), shape, device) };
+        Self {
+            x0: windows(&batch.edited),
+            noise: windows(&batch.noise),
+            starts: batch.is_start.contains(&true).then(|| {
+                let starts = batch.is_start.iter();
+                let starts = starts.map(|is_start| f32::from(u8::from(*is_start)));
+                let starts: Vec<f32> = starts.collect();
+                send(starts, [batch.len(), 1, 1], device)
+            }),
+            original: windows(&batch.original),
+        }
+    }
+}
+
 /// The training objective of the denoiser.
 #[derive(Clone, Copy, Debug)]
 pub struct Objective<'a> {
@@ -167,39 +195,27 @@ impl Objective<'_> {
     /// # Source
     /// Paper Eq. 2; released `train_losses` for [`Prediction::Noise`], [`FixedFrames::Scaled`] and
     /// [`Loss::SmoothL1`].
-    pub fn loss(&self, denoiser: &Denoiser, batch: &NoisyBatch, text: Tensor<2>) -> Tensor<1> {
+    pub fn loss(
+        &self,
+        denoiser: &Denoiser,
+        batch: &NoisyBatch,
+        text: Tensor<2>,
+        pass: &Pass,
+    ) -> Tensor<1> {
         let Self {
             schedule, config, ..
         } = *self;
-        let device = text.device();
-        let frame_width = denoiser.frame_width();
-        let window = batch.window(frame_width);
-        let windows = |values: &[f32]| -> Tensor<3> {
-            Tensor::from_data(
-                TensorData::new(values.to_vec(), [batch.len(), window, frame_width]),
-                &device,
-            )
-        };
-        let x0 = windows(&batch.edited);
-        let noise = windows(&batch.noise);
-        let starts = batch.is_start.contains(&true).then(|| {
-            let starts = batch
-                .is_start
-                .iter()
-                .map(|is_start| f32::from(u8::from(*is_start)));
-            let starts: Vec<f32> = starts.collect();
-            Tensor::<3>::from_data(TensorData::new(starts, [batch.len(), 1, 1]), &device)
-        });
-        let original = windows(&batch.original);
+        let windows = Windows::of(batch, denoiser.frame_width(), &text.device());
+        let Windows { x0, original, .. } = &windows;
         let basis = Basis::new(original.clone(), &batch.is_start, self.extrapolation);
-        let x_t = self.shown(&x0, &noise, &batch.timesteps, starts.as_ref(), &basis);
-        let change = || x0.clone() - original.clone();
+        let x_t = self.shown(&windows, &batch.timesteps, &basis);
         let predicted = denoiser.forward(
             basis.seen(x_t.clone()),
             &batch.timesteps,
             text,
             &batch.progress,
             basis.seen(original.clone()),
+            pass,
         );
         let needs_clean = config.prediction == Prediction::Gated
             || config.contact_weight > 0.0
@@ -208,27 +224,9 @@ impl Objective<'_> {
             let predicted = predicted.clone();
             schedule.clean_of(config.prediction, predicted, &x_t, &basis, &batch.timesteps)
         });
-        let (predicted, target) = match (config.prediction, &clean) {
-            (Prediction::Noise, _) => (predicted, noise),
-            (Prediction::Clean, _) => (predicted, x0.clone()),
-            (Prediction::Change, _) => (predicted, change()),
-            (Prediction::Gated, clean) => {
-                let clean = clean.clone().expect("gates need it");
-                let (_, spread) = basis.guess(&x_t);
-                let found = (clean - original.clone()) / spread.clone();
-                (found, change() / spread)
-            }
-        };
-        let begun = starts.map(|starts| {
-            let first = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES) * starts.clone();
-            config.loss.mean(first(&predicted), first(&target))
-        });
-        let free = |x: &Tensor<3>| x.clone().narrow(1, FIXED_FRAMES, window - FIXED_FRAMES);
-        let mut loss = config.loss.mean(free(&predicted), free(&target));
-        if let Some(begun) = begun {
-            // Weight by the number of frames, so that every value counts the same.
-            loss = loss + begun.mul_scalar(FIXED_FRAMES as f64 / (window - FIXED_FRAMES) as f64);
-        }
+        let spread = || basis.guess(&x_t).1;
+        let (predicted, target) = self.compared(predicted, clean.as_ref(), &windows, spread);
+        let mut loss = self.of_frames(&predicted, &target, windows.starts.as_ref());
         if config.motion_weight > 0.0 {
             let motion = config
                 .loss
@@ -236,30 +234,78 @@ impl Objective<'_> {
             loss = loss + motion.mul_scalar(config.motion_weight);
         }
         if config.bone_weight > 0.0 {
-            let clean = clean.clone().expect("bones need it");
-            let bones = self.bones(free(&clean), free(&x0));
+            let clean = clean.as_ref().expect("bones need it");
+            let bones = self.bones(free(clean), free(x0));
             loss = loss + bones.mul_scalar(config.bone_weight);
         }
         if config.contact_weight > 0.0 {
             let clean = clean.expect("contacts need it");
             // The editor puts the fixed frames back; a foot that rests on them must not leave them.
             let clean = put_fixed(clean, x0.clone().narrow(1, 0, FIXED_FRAMES));
-            let contact = self.sliding(clean, x0, &batch.timesteps);
+            let contact = self.sliding(clean, x0.clone(), &batch.timesteps);
             loss = loss + contact.mul_scalar(config.contact_weight);
         }
         loss
     }
 
-    /// What the network sees of windows: noisy frames, with the fixed ones as the settings say. A window
-    /// of `starts` has none.
-    fn shown(
+    /// What is compared with each other: a prediction in its own form, or where it has gates the change it
+    /// makes, in units of the `spread` of what is left open.
+    fn compared(
         &self,
-        x0: &Tensor<3>,
-        noise: &Tensor<3>,
-        timesteps: &[usize],
+        predicted: Tensor<3>,
+        clean: Option<&Tensor<3>>,
+        windows: &Windows,
+        spread: impl FnOnce() -> Tensor<3>,
+    ) -> (Tensor<3>, Tensor<3>) {
+        let Windows {
+            x0,
+            noise,
+            original,
+            ..
+        } = windows;
+        let change = || x0.clone() - original.clone();
+        match self.config.prediction {
+            Prediction::Noise => (predicted, noise.clone()),
+            Prediction::Clean => (predicted, x0.clone()),
+            Prediction::Change => (predicted, change()),
+            Prediction::Gated => {
+                let clean = clean.cloned().expect("gates need it");
+                let spread = spread();
+                let found = (clean - original.clone()) / spread.clone();
+                (found, change() / spread)
+            }
+        }
+    }
+
+    /// The error on the frames that are not fixed, those of the first windows of motions included.
+    fn of_frames(
+        &self,
+        predicted: &Tensor<3>,
+        target: &Tensor<3>,
         starts: Option<&Tensor<3>>,
-        basis: &Basis,
-    ) -> Tensor<3> {
+    ) -> Tensor<1> {
+        let [_, window, _] = target.dims();
+        let begun = starts.map(|starts| {
+            let first = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES) * starts.clone();
+            self.config.loss.mean(first(predicted), first(target))
+        });
+        let loss = self.config.loss.mean(free(predicted), free(target));
+        match begun {
+            // Weight by the number of frames, so that every value counts the same.
+            Some(begun) => {
+                let weight = FIXED_FRAMES as f64 / (window - FIXED_FRAMES) as f64;
+                loss + begun.mul_scalar(weight)
+            }
+            None => loss,
+        }
+    }
+
+    /// What the network sees of windows: noisy frames, with the fixed ones as the settings say. A first window
+    /// of a motion has none.
+    fn shown(&self, windows: &Windows, timesteps: &[usize], basis: &Basis) -> Tensor<3> {
+        let Windows {
+            x0, noise, starts, ..
+        } = windows;
         let noisy = |x: Tensor<3>| self.schedule.q_sample(x, timesteps, noise.clone());
         if self.config.fixed_frames == FixedFrames::Scaled {
             return noisy(x0.clone());
@@ -290,7 +336,7 @@ impl Objective<'_> {
         let unit = |at: usize| (max[at % 3] - min[at % 3]) / 2.0 / BONE_UNIT;
         let units: Vec<f32> = (0..width).map(|at| unit(at) as f32).collect();
         let device = clean.device();
-        let units = Tensor::<3>::from_data(TensorData::new(units, [1, 1, width]), &device);
+        let units = send(units, [1, 1, width], &device);
         let [to_bones, _] = bones(width / 3, &device);
         let differences = mapped((clean - wanted) * units, to_bones);
         let nothing = differences.zeros_like();
@@ -310,7 +356,7 @@ impl Objective<'_> {
         let units: Vec<f32> = (0..3)
             .map(|axis| ((max[axis] - min[axis]) / 2.0 * self.fps.get() / REST_SPEED) as f32)
             .collect();
-        let units = Tensor::<4>::from_data(TensorData::new(units, [1, 1, 1, 3]), &clean.device());
+        let units = send(units, [1, 1, 1, 3], &clean.device());
         let speeds = |x: Tensor<3>| {
             let feet = FEET.map(|joint| x.clone().narrow(2, 3 * joint.index(), 3));
             let steps = steps(Tensor::cat(feet.to_vec(), 2));
@@ -330,6 +376,15 @@ impl Objective<'_> {
     }
 }
 
+/// The frames of windows that are not fixed.
+///
+/// # Shapes
+/// `[B, W, D]` give `[B, W - 2, D]`.
+fn free(x: &Tensor<3>) -> Tensor<3> {
+    let [_, window, _] = x.dims();
+    x.clone().narrow(1, FIXED_FRAMES, window - FIXED_FRAMES)
+}
+
 /// Differences from frame to frame.
 ///
 /// # Shapes
@@ -343,22 +398,16 @@ fn steps(x: Tensor<3>) -> Tensor<3> {
 mod tests {
     use proptest::prelude::*;
 
-    use burn::tensor::Device;
     use kinematics::normalise::FRAME_WIDTH;
     use kinematics::skeleton::{NUM_KEYPOINTS, parent_of};
 
     use super::*;
     use crate::config::ScheduleName;
+    use crate::sample::noise::normal;
+    use crate::transfer::read;
 
     fn tensor(values: &[f32]) -> Tensor<3> {
-        Tensor::from_data(
-            TensorData::new(values.to_vec(), [1, 1, values.len()]),
-            &Device::flex(),
-        )
-    }
-
-    fn values(tensor: Tensor<3>) -> Vec<f32> {
-        tensor.into_data().try_into_vec_as().expect("floats")
+        send(values.to_vec(), [1, 1, values.len()], &Device::flex())
     }
 
     #[test]
@@ -374,18 +423,11 @@ mod tests {
     #[test]
     fn guidance_of_one_is_the_prediction_with_text_and_of_zero_without() {
         let (with, without) = (tensor(&[2.0, -1.0]), tensor(&[0.5, 1.0]));
-        assert_eq!(
-            values(guide(with.clone(), without.clone(), 1.0)),
-            [2.0, -1.0]
-        );
-        assert_eq!(
-            values(guide(with.clone(), without.clone(), 0.0)),
-            [0.5, 1.0]
-        );
-        assert_eq!(values(guide(with, without, 3.0)), [5.0, -5.0]);
+        assert_eq!(read(guide(with.clone(), without.clone(), 1.0)), [2.0, -1.0]);
+        assert_eq!(read(guide(with.clone(), without.clone(), 0.0)), [0.5, 1.0]);
+        assert_eq!(read(guide(with, without, 3.0)), [5.0, -5.0]);
     }
 
-    /// Gates with white noise.
     const NUM_GATES: usize = 3;
 
     #[test]
@@ -393,14 +435,10 @@ mod tests {
         const WINDOW: usize = 3;
         let device = Device::flex();
         let mut rng = datasets_spec::Seed(5).rng(&["gates"]);
-        let mut normal = |rows: usize| -> Vec<f32> {
-            (0..rows * FRAME_WIDTH)
-                .map(|_| rand::RngExt::sample(&mut rng, rand_distr::StandardNormal))
-                .collect()
-        };
+        let mut normal = |rows: usize| normal(&mut rng, rows * FRAME_WIDTH);
         let frames = |values: &[f32]| -> Tensor<3> {
             let shape = [1, values.len() / FRAME_WIDTH, FRAME_WIDTH];
-            Tensor::from_data(TensorData::new(values.to_vec(), shape), &device)
+            send(values.to_vec(), shape, &device)
         };
         let original = normal(WINDOW);
         let shown = normal(WINDOW);
@@ -425,11 +463,11 @@ mod tests {
             let logits: Vec<f32> = logits.collect();
             let logits = [logits.as_slice(); WINDOW].concat();
             let shape = [1, WINDOW, NUM_GATES * NUM_KEYPOINTS];
-            let logits = Tensor::from_data(TensorData::new(logits, shape), &device);
+            let logits = send(logits, shape, &device);
             let predicted = Tensor::cat(vec![frames(&made), logits], 2);
             let clean =
                 schedule.clean_of(Prediction::Gated, predicted, &frames(&shown), &basis, &[0]);
-            let values = values(clean);
+            let values = read(clean);
             values[(WINDOW - 1) * FRAME_WIDTH..].to_vec()
         };
         let [kept, carried, own] = [0, 1, 2].map(|gate| {
@@ -471,19 +509,12 @@ mod tests {
         const WINDOW: usize = 4;
         let device = Device::flex();
         let mut rng = datasets_spec::Seed(8).rng(&["shown"]);
-        let mut normal = |rows: usize| -> Vec<f32> {
-            (0..rows * WINDOW * FRAME_WIDTH)
-                .map(|_| rand::RngExt::sample(&mut rng, rand_distr::StandardNormal))
-                .collect()
-        };
+        let mut normal = |rows: usize| normal(&mut rng, rows * WINDOW * FRAME_WIDTH);
         let (originals, edited) = (normal(16), normal(16));
         let guess = Extrapolation::fit(&originals, &edited, WINDOW, 0.0, NoiseKind::Shaped);
         let windows = |values: &[f32]| -> Tensor<3> {
             let shape = [1, WINDOW, FRAME_WIDTH];
-            Tensor::from_data(
-                TensorData::new(values[..WINDOW * FRAME_WIDTH].to_vec(), shape),
-                &device,
-            )
+            send(values[..WINDOW * FRAME_WIDTH].to_vec(), shape, &device)
         };
         let (original, x_t) = (windows(&originals), windows(&edited));
         let basis = Basis::new(original, &[false], Some(&guess));
@@ -496,7 +527,7 @@ mod tests {
             let clean = schedule.clean_of(Prediction::Gated, predicted.clone(), &x_t, &basis, &[t]);
             let signal = schedule.alphas_cumprod[t].sqrt();
             let expected = centre.clone() + (x_t.clone() - centre.clone()).mul_scalar(signal);
-            for (a, b) in values(clean).iter().zip(values(expected)) {
+            for (a, b) in read(clean).iter().zip(read(expected)) {
                 // Sums of a dozen numbers of size one.
                 assert!((a - b).abs() < 1e-4, "{a} {b}");
             }
@@ -540,8 +571,7 @@ mod tests {
                 row[3 * Joint::LeftAnkle.index() + 1] = ankle;
                 row[3 * Joint::RightFoot.index() + 2] = foot;
             }
-            let values = TensorData::new(values, [1, WINDOW, FRAME_WIDTH]);
-            Tensor::<3>::from_data(values, &Device::flex())
+            send(values, [1, WINDOW, FRAME_WIDTH], &Device::flex())
         };
         // The ankle rests, the foot walks at 0.5 m/s; both are said to stand still but for one jump of
         // the ankle by 6 cm.
@@ -608,8 +638,9 @@ mod tests {
             ] {
                 let basis = Basis::new(tensor(&original), &[false], None);
                 let back = schedule.clean_of(prediction, predicted, &x_t, &basis, &[t]);
+                // One rounding of x_t, at most 4 in size, is divided by the remaining signal.
                 let slack = 4.0 * 1e-6 / schedule.alphas_cumprod[t].sqrt();
-                for (a, b) in x0.iter().zip(values(back)) {
+                for (a, b) in x0.iter().zip(read(back)) {
                     prop_assert!(f64::from((a - b).abs()) < slack, "{prediction:?} {a} {b}");
                 }
             }

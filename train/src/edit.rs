@@ -7,25 +7,26 @@ use compose::EditKind;
 use datasets_spec::{Fps, Motion, Seed, Skeleton};
 use kinematics::KeypointFrame;
 use kinematics::canonical::FIXED_FRAMES;
-use kinematics::fit::{AdamFit, FitOptions, fit_motion_from};
+use kinematics::fit::{FitOptions, fit_motion_from};
 use kinematics::skeleton::{Joint, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use rayon::prelude::*;
 
 use crate::checkpoint::{Slot, check_skeleton};
 use crate::config::{GuidanceConfig, Preset, TrainConfig};
 use crate::coordinator::TrainedCoordinator;
-use crate::j2s::{J2sPreset, PoseNet, Refinement, solve};
+use crate::error::motion_error;
+use crate::j2s::{PoseNet, Refinement, solve};
 use crate::sample::{
     EditItem, EditSettings, EditTimes, Editor, FitMethod, keypoint_parent, model_frames,
 };
+use crate::system::Setting::{self, Count, Flag, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, Setting, SystemIdentity,
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
     SystemSource, named_with,
 };
 use crate::text::clip::ClipModel;
 use crate::{Error, Session};
 
-/// The MotionReFit editor as a system.
 struct MotionRefitSystem {
     editor: Editor,
     /// All but the seed, which every call brings.
@@ -40,7 +41,6 @@ struct MotionRefitSystem {
 /// edited clips of the Bandai-Namco set's test split, so that results on that split are biased by it.
 const NETWORK_PRIOR: f64 = 0.01;
 
-/// Opens an editor with its helpers.
 pub(crate) fn open(
     source: &SystemSource,
     config: &EditConfig,
@@ -81,7 +81,6 @@ pub(crate) fn open(
     }))
 }
 
-/// The settings the editor samples with.
 fn settings(editor: &Editor, config: &EditConfig) -> EditSettings {
     let trained = &editor.record().config.train;
     EditSettings {
@@ -143,19 +142,17 @@ fn system_name(editor: &Editor, slot: Slot, settings: &EditSettings) -> String {
 /// training.
 fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setting)> {
     let trained = &editor.record().config.train;
-    let usual = [Preset::Paper, Preset::Official, Preset::Tiny]
+    let usual = Preset::ALL
         .map(TrainConfig::preset)
         .into_iter()
         .find(|preset| preset.model == trained.model);
     let usual = usual.as_ref().unwrap_or(trained);
+    let diffusion = &usual.diffusion;
     let mut changes = vec![
-        (
-            "guidance",
-            Setting::Number(settings.guidance, usual.diffusion.guidance),
-        ),
+        ("guidance", Number(settings.guidance, diffusion.guidance)),
         (
             "temperature",
-            Setting::Number(settings.temperature, usual.diffusion.temperature),
+            Number(settings.temperature, diffusion.temperature),
         ),
     ];
     if editor.has_coordinator() {
@@ -163,26 +160,18 @@ fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setti
         changes.extend([
             (
                 "coordinator strength",
-                Setting::Number(used.strength, usual.strength),
+                Number(used.strength, usual.strength),
             ),
-            (
-                "coordinator steps",
-                Setting::Count(used.num_steps, usual.num_steps),
-            ),
+            ("coordinator steps", Count(used.num_steps, usual.num_steps)),
         ]);
     }
-    let usual_prior = usual_prior(editor);
     changes.extend([
-        (
-            "paper's fit",
-            Setting::Flag(settings.fit == FitMethod::Paper),
-        ),
-        ("prior", Setting::Number(settings.prior, usual_prior)),
+        ("paper's fit", Flag(settings.fit == FitMethod::Paper)),
+        ("prior", Number(settings.prior, usual_prior(editor))),
     ]);
     changes
 }
 
-/// Weight of the prior where the user gives none.
 fn usual_prior(editor: &Editor) -> f64 {
     match editor.has_poses() {
         true => NETWORK_PRIOR,
@@ -228,23 +217,18 @@ impl EditSystem for MotionRefitSystem {
         };
         Remarks {
             num_short: motions.iter().filter(is_short).count(),
-            unknown_words: texts
-                .iter()
-                .flat_map(|text| record.text.unknown_words(text))
-                .collect(),
+            unknown_words: record.text.unknown_words(texts),
         }
     }
 
     fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {
-        let encoder = self.editor.record().config.train.text.encoder;
-        let Some(encoder) = encoder.frozen(ClipModel::VitB32) else {
-            return Ok(());
-        };
         let source = &self.source;
+        let encoder = self.editor.record().config.train.text.encoder;
+        let encoder = (encoder, ClipModel::VitB32);
         let table = source
             .text_encoder
             .embeddings(&source.run, texts, encoder, session)?;
-        self.editor.set_vectors(Box::new(table))
+        table.map_or(Ok(()), |table| self.editor.set_vectors(table))
     }
 
     /// With one window at a time the fits take turns too, so that the times are those of a single window.
@@ -349,13 +333,11 @@ impl<'a> Fit<'a> {
     /// It asks for a pose network that the editor has not.
     fn of(editor: &'a Editor, settings: &EditSettings) -> Result<Self, Error> {
         if settings.fit == FitMethod::Paper && editor.poses().is_none() {
-            return Err(Error::Misfit {
-                what: "the published fit",
-                problem:
-                    "it starts from a pose network; train one (stance train j2s) and give its \
-                          run with --poses"
-                        .to_owned(),
-            });
+            return Err(Error::misfit(
+                "the published fit",
+                "it starts from a pose network; train one (stance train j2s) and give its \
+                          run with --poses",
+            ));
         }
         Ok(Self {
             method: settings.fit,
@@ -383,11 +365,8 @@ impl<'a> Fit<'a> {
         }
         let failed = motion_error(&item.id);
         if let (FitMethod::Paper, Some((net, device))) = (self.method, self.poses) {
-            let fit = match net.preset() {
-                J2sPreset::Paper => AdamFit::paper(),
-                J2sPreset::Official => AdamFit::official(),
-            };
-            let poses = solve(net, &Refinement::Adam(fit), &frames, skeleton, device);
+            let refinement = Refinement::Adam(net.preset().fit());
+            let poses = solve(net, &refinement, &frames, skeleton, device);
             let motion = Motion::from_poses(item.fps, &poses).map_err(failed)?;
             let errors: Vec<f64> = skeleton
                 .points_of_poses::<NUM_KEYPOINTS>(&poses)
@@ -439,11 +418,4 @@ fn complete(
         }
     }
     Ok(())
-}
-
-fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error {
-    move |source| Error::Motion {
-        id: id.to_owned(),
-        source: source.into(),
-    }
 }

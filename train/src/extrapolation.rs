@@ -1,13 +1,14 @@
 //! Linear extrapolation of an edit from the fixed frames of a window, and its residual.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::FRAME_WIDTH;
 use serde::{Deserialize, Serialize};
 
 use crate::bones::{bones, mapped};
 use crate::config::NoiseKind;
-use crate::noise_shape::NoiseShape;
+use crate::noise_shape::{LEAST_SPREAD, NoiseShape};
+use crate::transfer::send;
 
 /// The best linear guess of the change of a window from that of its fixed frames: one matrix for all
 /// numbers of a frame, fitted to training windows.
@@ -25,10 +26,6 @@ pub struct Extrapolation {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) shape: Option<NoiseShape>,
 }
-
-/// Lower bound of a frame's spread in model units. It is a few millimetres, the noise of motion
-/// capture.
-pub(crate) const LEAST_SPREAD: f64 = 2e-3;
 
 impl Extrapolation {
     /// Fits the guess to pairs of original and edited windows, `[N, W, 84]` each, for fixed frames that
@@ -148,8 +145,8 @@ impl Extrapolation {
             .copied()
             .collect();
         (
-            Tensor::from_data(TensorData::new(gains, [rows, window, FIXED_FRAMES]), device),
-            Tensor::from_data(TensorData::new(spreads, [rows, window, 1]), device),
+            send(gains, [rows, window, FIXED_FRAMES], device),
+            send(spreads, [rows, window, 1], device),
         )
     }
 }
@@ -191,9 +188,7 @@ impl Basis {
         Self {
             tables: extrapolation.map(|guess| guess.tables(is_start, &device)),
             shaped: shape.map(|shape| {
-                let row = |values: Vec<f32>| {
-                    Tensor::from_data(TensorData::new(values, [1, 1, width]), &device)
-                };
+                let row = |values: Vec<f32>| send(values, [1, 1, width], &device);
                 let (mean, scale) = shape.standard(width);
                 let spreads = [false, true].map(|is_start| shape.spreads(width, is_start));
                 let of_rows: Vec<f32> = is_start
@@ -203,10 +198,7 @@ impl Basis {
                 ShapedBasis {
                     mean: row(mean),
                     scale: row(scale),
-                    spreads: Tensor::from_data(
-                        TensorData::new(of_rows, [is_start.len(), window, width]),
-                        &device,
-                    ),
+                    spreads: send(of_rows, [is_start.len(), window, width], &device),
                 }
             }),
             original,
@@ -253,10 +245,7 @@ impl Basis {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn values(tensor: Tensor<3>) -> Vec<f32> {
-        tensor.into_data().try_into_vec_as().expect("floats")
-    }
+    use crate::transfer::read;
 
     #[test]
     fn a_change_that_goes_on_as_it_began_leaves_no_residual() {
@@ -299,8 +288,9 @@ mod tests {
 
         let windows = |values: &[f32]| {
             let count = values.len() / (WINDOW * FRAME_WIDTH);
-            Tensor::<3>::from_data(
-                TensorData::new(values.to_vec(), [count, WINDOW, FRAME_WIDTH]),
+            send(
+                values.to_vec(),
+                [count, WINDOW, FRAME_WIDTH],
                 &Device::flex(),
             )
         };
@@ -308,7 +298,7 @@ mod tests {
         let basis = Basis::new(windows(&original), &[false; 64], Some(&fitted));
         let (guess, _) = basis.guess(&x0);
         let back = windows(&original) + guess;
-        for (a, b) in edited.iter().zip(values(back)) {
+        for (a, b) in edited.iter().zip(read(back)) {
             // Slopes of up to 4 over 5 frames, times the millionths of the ridge.
             assert!((a - b).abs() < 0.02, "{a} {b}");
         }

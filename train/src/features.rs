@@ -12,6 +12,7 @@ use kinematics::rotation;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::error::motion_error;
 
 /// Numbers of a frame: 3 of translation, 21 joints and the root with 6 each.
 pub const FEATURE_WIDTH: usize = 135;
@@ -127,16 +128,11 @@ impl Prepared {
     ) -> Result<Self, Error> {
         let motion = Resample::Exact
             .apply(motion, recipe.fps())
-            .map_err(|source| Error::Motion {
-                id: id.to_owned(),
-                source: source.into(),
-            })?;
+            .map_err(motion_error(id))?;
         if recipe == FeatureRecipe::HumanMl3d {
             let joints = joints_of_motion(&motion, &Skeleton::smplx_neutral());
-            let rows = features_of_joints(&joints).map_err(|error| Error::Item {
-                id: id.to_owned(),
-                problem: format!("has no HumanML3D features: {error}"),
-            })?;
+            let rows = features_of_joints(&joints)
+                .map_err(|error| Error::item(id, format!("has no HumanML3D features: {error}")))?;
             let rows = rows.into_iter().step_by(stride).flatten().collect();
             return Ok(Self::Rows(recipe, rows));
         }
@@ -144,7 +140,6 @@ impl Prepared {
         Ok(Self::Poses(recipe, poses))
     }
 
-    /// Frames.
     pub(crate) fn len(&self) -> usize {
         match self {
             Self::Poses(_, poses) => poses.len(),
@@ -193,6 +188,73 @@ pub(crate) fn face_forward(segment: &mut [Pose]) {
     }
 }
 
+/// Sums of which the mean and the standard deviation of columns are made; those of several motions can be merged.
+#[derive(Clone, Debug)]
+pub(crate) struct Moments {
+    count: f64,
+    mean: Vec<f64>,
+    /// Sums of squared deviations from the mean.
+    squares: Vec<f64>,
+}
+
+impl Moments {
+    pub(crate) fn none(width: usize) -> Self {
+        Self {
+            count: 0.0,
+            mean: vec![0.0; width],
+            squares: vec![0.0; width],
+        }
+    }
+
+    pub(crate) fn of<'a>(width: usize, rows: impl IntoIterator<Item = &'a [f32]>) -> Self {
+        let mut moments = Self::none(width);
+        for row in rows {
+            moments.count += 1.0;
+            let columns = moments.mean.iter_mut().zip(&mut moments.squares);
+            for ((mean, squares), &value) in columns.zip(row) {
+                // Welford's update keeps its digits where the mean is large against the spread.
+                let away = f64::from(value) - *mean;
+                *mean += away / moments.count;
+                *squares += away * (f64::from(value) - *mean);
+            }
+        }
+        moments
+    }
+
+    /// Moments of the rows of both.
+    ///
+    /// # Source
+    /// Chan, Golub and LeVeque 1983.
+    pub(crate) fn merge(mut self, other: &Self) -> Self {
+        let count = self.count + other.count;
+        if other.is_empty() {
+            return self;
+        }
+        let columns = self.mean.iter_mut().zip(&mut self.squares);
+        for ((mean, squares), (theirs, more)) in columns.zip(other.mean.iter().zip(&other.squares))
+        {
+            let apart = theirs - *mean;
+            *mean += apart * other.count / count;
+            *squares += more + apart * apart * self.count * other.count / count;
+        }
+        self.count = count;
+        self
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.count == 0.0
+    }
+
+    pub(crate) fn means(&self) -> Vec<f32> {
+        self.mean.iter().map(|&mean| mean as f32).collect()
+    }
+
+    pub(crate) fn deviations(&self) -> impl Iterator<Item = f64> {
+        let squares = self.squares.iter();
+        squares.map(|squares| (squares / self.count).sqrt())
+    }
+}
+
 /// Mean and standard deviation of each feature over the training split.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -214,32 +276,16 @@ impl FeatureStats {
         recipe: FeatureRecipe,
         rows: impl IntoIterator<Item = &'a [f32]>,
     ) -> Result<Self, Error> {
-        let mut count = 0u64;
-        let mut mean = vec![0.0f64; recipe.width()];
-        let mut squares = vec![0.0f64; recipe.width()];
-        for row in rows {
-            count += 1;
-            for ((mean, squares), &value) in mean.iter_mut().zip(&mut squares).zip(row) {
-                // Welford's update keeps its digits where the mean is large against the spread.
-                let delta = f64::from(value) - *mean;
-                *mean += delta / count as f64;
-                *squares += delta * (f64::from(value) - *mean);
-            }
+        let moments = Moments::of(recipe.width(), rows);
+        if moments.is_empty() {
+            return Err(Error::empty("training split of the encoder"));
         }
-        if count == 0 {
-            return Err(Error::Empty {
-                what: "training split of the encoder",
-            });
-        }
+        let deviations = moments.deviations().enumerate();
         Ok(Self {
             recipe,
-            mean: mean.iter().map(|&mean| mean as f32).collect(),
-            std: squares
-                .iter()
-                .enumerate()
-                .map(|(column, squares)| {
-                    (squares / count as f64).sqrt().max(recipe.min_std(column)) as f32
-                })
+            mean: moments.means(),
+            std: deviations
+                .map(|(column, std)| std.max(recipe.min_std(column)) as f32)
                 .collect(),
         })
     }

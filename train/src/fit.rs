@@ -1,32 +1,30 @@
 //! The training of the editor.
 
-use std::path::Path;
+use std::collections::BTreeSet;
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 use datasets_spec::{Seed, Skeleton};
-use kinematics::normalise::{FRAME_WIDTH, Normalizer};
+use kinematics::normalise::Normalizer;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{Files, Run, RunRecord, Start, take};
+use crate::checkpoint::{Run, RunRecord, Start};
 use crate::compose::ComposeRecord;
-use crate::config::{NoiseKind, TextConfig, TextEncoder, TrainConfig};
-use crate::data::{NoisyBatch, TextVectors, Texts, Timesteps, WindowSampler, WindowSource};
+use crate::config::{
+    BertVectors, NoiseKind, TextConfig, TextEncoder, TrainConfig, check_windows, ensure,
+};
+use crate::data::{NoisyBatch, Texts, Timesteps, WindowSampler, WindowSource};
 use crate::diffusion::Objective;
 use crate::extrapolation::Extrapolation;
 use crate::model::motionrefit::{MotionRefit, TextSource};
-use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
+use crate::text::FrozenText;
+use crate::text::table::EmbeddingTable;
 pub use crate::trainer::TrainReport;
-use crate::trainer::{Task, TrainerConfig, train};
-use crate::transfer::weighted_mean;
+use crate::trainer::{Task, train};
 use crate::vocabulary::Vocabulary;
 use crate::{Error, Session};
 
-/// Kind of run.
 pub(crate) const KIND: &str = "motionrefit";
-
-pub(crate) const DENOISER: &str = "denoiser.safetensors";
-pub(crate) const TEXT: &str = "text.safetensors";
 
 /// Windows that the linear guess of a residual is fitted to: 84 numbers each, of which a 2 by 2 matrix
 /// is estimated.
@@ -42,7 +40,7 @@ pub struct Corpus<'a> {
     /// Instructions of the training split, whose words are the vocabulary of a learned encoder.
     pub instructions: &'a [String],
     /// Vectors of the instructions of both splits, of a frozen encoder.
-    pub vectors: Option<&'a dyn TextVectors>,
+    pub vectors: Option<&'a EmbeddingTable>,
     /// Range the windows were scaled by.
     pub normalizer: Normalizer,
     /// The skeleton the motions drive.
@@ -80,30 +78,25 @@ impl EditorRecord {
         self.compose.check(self.train.window)?;
         let wanted =
             (self.train.diffusion.prediction.is_extrapolated()).then_some(self.train.window);
-        if self.extrapolation.as_ref().map(Extrapolation::window) != wanted {
-            return Err(Error::Config {
-                field: "extrapolation",
-                problem:
-                    "gated predictions are relative to one of the model's window, others to none"
-                        .to_owned(),
-            });
-        }
+        ensure(
+            self.extrapolation.as_ref().map(Extrapolation::window) == wanted,
+            "extrapolation",
+            "gated predictions are relative to one of the model's window, others to none",
+        )?;
         let shape = self.extrapolation.as_ref().and_then(Extrapolation::shape);
         let is_shaped = self.train.diffusion.noise == NoiseKind::Shaped;
-        if shape.is_some() != is_shaped || shape.is_some_and(|shape| !shape.fits(self.train.window))
-        {
-            return Err(Error::Config {
-                field: "extrapolation.shape",
-                problem: "shaped noise has one of the model's window, white noise none".to_owned(),
-            });
-        }
-        Ok(())
+        ensure(
+            shape.map_or(!is_shaped, |shape| {
+                is_shaped && shape.fits(self.train.window)
+            }),
+            "extrapolation.shape",
+            "shaped noise has one of the model's window, white noise none",
+        )
     }
 
-    /// Builds the networks.
-    fn network(&self, device: &Device) -> MotionRefit {
+    pub(crate) fn network(&self, device: &Device) -> MotionRefit {
         let config = &self.train;
-        MotionRefit::of_frames(
+        MotionRefit::new(
             &config.model,
             &config.diffusion,
             self.text.source(),
@@ -139,7 +132,7 @@ impl TextRecord {
         config: &TextConfig,
         known: Option<Self>,
         texts: impl IntoIterator<Item = &'a str>,
-        vectors: Option<&dyn TextVectors>,
+        vectors: Option<&EmbeddingTable>,
     ) -> Result<Self, Error> {
         match (config.encoder, known) {
             (TextEncoder::Learned, Some(text @ Self::Learned(_)))
@@ -147,27 +140,35 @@ impl TextRecord {
                 TextEncoder::Clip | TextEncoder::Bert | TextEncoder::Table,
                 Some(text @ Self::Frozen { .. }),
             ) => Ok(text),
-            (_, Some(_)) => Err(Error::Config {
-                field: "text.encoder",
-                problem: "it is not that of the run whose weights are to be taken over".to_owned(),
-            }),
+            (_, Some(_)) => Err(Error::config(
+                "text.encoder",
+                "it is not that of the run whose weights are to be taken over",
+            )),
             (TextEncoder::Learned, None) => Ok(Self::Learned(Vocabulary::build(
                 texts,
                 config.words.num_buckets,
                 config.words.max_words,
             )?)),
             (TextEncoder::Clip | TextEncoder::Bert | TextEncoder::Table, None) => {
-                let vectors = vectors.ok_or_else(|| Error::Config {
-                    field: "text.encoder",
-                    problem:
-                        "it is a frozen one; name it with --text-encoder, or set it to learned"
-                            .to_owned(),
+                let vectors = vectors.ok_or_else(|| {
+                    Error::config(
+                        "text.encoder",
+                        "it is a frozen one; name it with --text-encoder, or set it to learned",
+                    )
                 })?;
                 Ok(Self::Frozen {
-                    encoder_hash: vectors.encoder_hash().to_owned(),
+                    encoder_hash: vectors.encoder().to_owned(),
                     width: vectors.width(),
                 })
             }
+        }
+    }
+
+    /// That of a frozen encoder.
+    pub fn frozen(encoder: &impl FrozenText, vectors: BertVectors) -> Self {
+        Self::Frozen {
+            encoder_hash: encoder.identity(vectors),
+            width: encoder.width(vectors),
         }
     }
 
@@ -178,12 +179,16 @@ impl TextRecord {
         }
     }
 
-    /// Words of a text that the learned encoder has never seen, in their order, each once. A frozen
-    /// encoder has seen all.
-    pub fn unknown_words(&self, text: &str) -> Vec<String> {
+    /// Words of texts that the learned encoder has never seen. A frozen encoder has seen all.
+    pub(crate) fn unknown_words(&self, texts: &[&str]) -> BTreeSet<String> {
         match self {
-            Self::Learned(vocabulary) => vocabulary.unknown_words(text),
-            Self::Frozen { .. } => Vec::new(),
+            Self::Learned(vocabulary) => {
+                let texts = texts.iter();
+                texts
+                    .flat_map(|text| vocabulary.unknown_words(text))
+                    .collect()
+            }
+            Self::Frozen { .. } => BTreeSet::new(),
         }
     }
 
@@ -193,32 +198,26 @@ impl TextRecord {
     /// The model listens to a frozen encoder, and none, or the vectors of another, are given.
     pub(crate) fn texts<'a>(
         &'a self,
-        vectors: Option<&'a dyn TextVectors>,
+        vectors: Option<&'a EmbeddingTable>,
     ) -> Result<Texts<'a>, Error> {
-        let Self::Frozen {
-            encoder_hash,
-            width,
-        } = self
-        else {
-            let Self::Learned(vocabulary) = self else {
-                unreachable!("there are two kinds")
-            };
-            return Ok(Texts::Words(vocabulary));
+        let (encoder_hash, width) = match self {
+            Self::Learned(vocabulary) => return Ok(Texts::Words(vocabulary)),
+            Self::Frozen {
+                encoder_hash,
+                width,
+            } => (encoder_hash, width),
         };
         let Some(vectors) = vectors else {
-            return Err(Error::Misfit {
-                what: "no text encoder",
-                problem: "it uses a frozen one; name it with --text-encoder".to_owned(),
-            });
+            return Err(Error::misfit(
+                "no text encoder",
+                "it uses a frozen one; name it with --text-encoder",
+            ));
         };
-        if vectors.encoder_hash() != encoder_hash || vectors.width() != *width {
-            return Err(Error::Misfit {
-                what: "the text encoder",
-                problem: format!(
-                    "it is {:.12}, the model was trained with {encoder_hash:.12}",
-                    vectors.encoder_hash()
-                ),
-            });
+        if vectors.encoder() != encoder_hash || vectors.width() != *width {
+            let given = vectors.encoder();
+            let problem =
+                format!("it is {given:.12}, the model was trained with {encoder_hash:.12}");
+            return Err(Error::misfit("the text encoder", problem));
         }
         Ok(Texts::Vectors(vectors))
     }
@@ -240,13 +239,14 @@ pub fn train_motionrefit<'a>(
 ) -> Result<TrainReport, Error> {
     config.check()?;
     corpus.compose.check(config.window)?;
-    check_windows(config, &corpus)?;
+    for source in [corpus.train, corpus.val] {
+        check_windows(config.window, source.window_len())?;
+    }
     let start = start.into();
     let fitted: Option<EditorRecord> = start.fitted(KIND)?;
-    let (known_text, known_extrapolation) = match fitted {
-        Some(record) => (Some(record.text), record.extrapolation),
-        None => (None, None),
-    };
+    let (known_text, known_extrapolation) = fitted
+        .map(|known| (known.text, known.extrapolation))
+        .unzip();
     let instructions = corpus.instructions.iter().map(String::as_str);
     let text = TextRecord::chosen(&config.text, known_text, instructions, corpus.vectors)?;
     let seed = Seed(config.run.seed);
@@ -263,7 +263,7 @@ pub fn train_motionrefit<'a>(
         fixed_noise: config.diffusion.fixed_noise,
         shape: None,
     };
-    let extrapolation = chosen_extrapolation(config, known_extrapolation, &sampler)?;
+    let extrapolation = chosen_extrapolation(config, known_extrapolation.flatten(), &sampler)?;
     let sampler = WindowSampler {
         shape: extrapolation.as_ref().and_then(Extrapolation::shape),
         ..sampler
@@ -283,28 +283,30 @@ pub fn train_motionrefit<'a>(
         extrapolation: extrapolation.clone(),
     };
     record.check()?;
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
-    let val_batches = val_batches(config, &val_sampler)?;
-
-    let device = session.device.clone().autodiff();
-    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
-    let trainer = TrainerConfig {
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(start, &document)?;
+    let objective = Objective {
+        schedule: &schedule,
+        extrapolation: record.extrapolation.as_ref(),
+        config: &config.diffusion,
+        normalizer: &record.normalizer,
+        fps: record.compose.config.fps,
+    };
+    let validation = |first, count| val_sampler.draw(first, count);
+    let task = Task::<MotionRefit, NoisyBatch> {
         kind: KIND,
         samples: "windows",
         run: config.run,
         epoch_len: corpus.train.epoch_len(),
+        draw: &|step| {
+            let run = &config.run;
+            run.batches(step, |first, count| sampler.draw(first, count))
+        },
+        loss: &|model, batch, device, pass| model.loss(&objective, batch, device, pass),
+        validation: config.run.validation(config.val_windows, validation)?,
     };
-    let task = EditorTask {
-        record: &record,
-        schedule,
-        sampler,
-        val_batches,
-    };
-    let (_, report) = train(&task, model, &trainer, &run, session)?;
-    Ok(report)
+    let network = |device: &Device| record.network(device);
+    Ok(train(&task, network, &run, session)?.1)
 }
 
 /// The extrapolation of the run whose weights are taken over; without one, that of the first windows of
@@ -328,107 +330,4 @@ fn chosen_extrapolation(
         config.diffusion.fixed_noise,
         config.diffusion.noise,
     )))
-}
-
-fn val_batches(
-    config: &TrainConfig,
-    sampler: &WindowSampler<'_>,
-) -> Result<Vec<NoisyBatch>, Error> {
-    let part = config.run.micro_batch();
-    (0..config.val_windows)
-        .step_by(part)
-        .map(|first| sampler.draw(first as u64, part.min(config.val_windows - first)))
-        .collect()
-}
-
-fn check_windows(config: &TrainConfig, corpus: &Corpus<'_>) -> Result<(), Error> {
-    let wanted = config.window * FRAME_WIDTH;
-    for source in [corpus.train, corpus.val] {
-        if source.window_len() != wanted {
-            return Err(Error::Config {
-                field: "window",
-                problem: format!(
-                    "it is {} frames, and the windows to train on have {}",
-                    config.window,
-                    source.window_len() / FRAME_WIDTH
-                ),
-            });
-        }
-    }
-    Ok(())
-}
-
-struct EditorTask<'a> {
-    record: &'a EditorRecord,
-    schedule: Schedule,
-    sampler: WindowSampler<'a>,
-    val_batches: Vec<NoisyBatch>,
-}
-
-impl Task for EditorTask<'_> {
-    type Model = MotionRefit;
-    type Batch = NoisyBatch;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, NoisyBatch)>, Error> {
-        let run = &self.record.train.run;
-        run.batches(step, |first, count| self.sampler.draw(first, count))
-    }
-
-    fn loss(&self, model: &MotionRefit, batch: &NoisyBatch, device: &Device) -> Tensor<1> {
-        let objective = Objective {
-            schedule: &self.schedule,
-            extrapolation: self.record.extrapolation.as_ref(),
-            config: &self.record.train.diffusion,
-            normalizer: &self.record.normalizer,
-            fps: self.record.compose.config.fps,
-        };
-        model.loss(&objective, batch, device)
-    }
-
-    fn validate(&self, model: &MotionRefit, device: &Device) -> f32 {
-        weighted_mean(
-            self.val_batches
-                .iter()
-                .map(|batch| (batch.len(), self.loss(model, batch, device))),
-        )
-    }
-
-    fn save(&self, model: &MotionRefit, run_dir: &Path) -> Result<Files, Error> {
-        let mut files: Files = [(
-            DENOISER.to_owned(),
-            to_safetensors(&model.denoiser, run_dir)?,
-        )]
-        .into();
-        if let Some(text) = &model.text {
-            files.insert(TEXT.to_owned(), to_safetensors(text, run_dir)?);
-        }
-        Ok(files)
-    }
-
-    fn load(
-        &self,
-        model: &mut MotionRefit,
-        files: &mut Files,
-        run_dir: &Path,
-    ) -> Result<(), Error> {
-        load_weights(model, files, run_dir)
-    }
-}
-
-/// Loads the networks of an editor.
-pub(crate) fn load_weights(
-    model: &mut MotionRefit,
-    files: &mut Files,
-    run_dir: &Path,
-) -> Result<(), Error> {
-    let path = run_dir.join(DENOISER);
-    let bytes = take(files, DENOISER, run_dir)?;
-    from_safetensors(&mut model.denoiser, bytes, "", &path)?;
-    match &mut model.text {
-        Some(text) => {
-            let bytes = take(files, TEXT, run_dir)?;
-            from_safetensors(text, bytes, "", &run_dir.join(TEXT))
-        }
-        None => Ok(()),
-    }
 }

@@ -4,6 +4,7 @@ use burn::tensor::Tensor;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::config::ensure;
 use crate::sample::reverse;
 use crate::schedule::Schedule;
 
@@ -45,12 +46,8 @@ impl SampleSteps {
     /// # Errors
     /// There is no step, or there are more than in training.
     pub fn new(num_trained: usize, num_steps: usize, respacing: Respacing) -> Result<Self, Error> {
-        if !(1..=num_trained).contains(&num_steps) {
-            return Err(Error::Config {
-                field: "steps",
-                problem: format!("it is {num_steps}, and must be from 1 to {num_trained}"),
-            });
-        }
+        let problem = format!("it is {num_steps}, and must be from 1 to {num_trained}");
+        ensure((1..=num_trained).contains(&num_steps), "steps", problem)?;
         if respacing == Respacing::Official {
             return Ok(Self {
                 schedule: Schedule::cosine(num_steps)?,
@@ -119,6 +116,7 @@ mod tests {
 
     use super::*;
     use crate::sample::noise::Noise;
+    use crate::transfer::read;
 
     #[test]
     fn fewer_steps_are_spread_over_those_of_training() {
@@ -163,7 +161,7 @@ mod tests {
                 |step, _| indices.push(step.index),
             );
             assert!(indices.into_iter().eq((0..7).rev()));
-            x.into_data().try_into_vec_as().expect("floats")
+            read(x)
         };
         let both = sampled(&["a", "b"]);
         assert_eq!(both[..6], sampled(&["a"]));

@@ -6,10 +6,10 @@ use kinematics::motion::BODY_POSE_WIDTH;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::error::motion_error;
 use crate::sample::TimedInstruction;
 use crate::system::{Edited, Misfit};
 
-/// Version of the document.
 const VERSION: u32 = 2;
 
 /// A motion and the edits made of it, one after another.
@@ -17,7 +17,6 @@ const VERSION: u32 = 2;
 #[serde(deny_unknown_fields)]
 pub struct EditHistory {
     version: u32,
-    /// Name of the motion that was opened.
     id: String,
     opened: StoredMotion,
     edits: Vec<HistoryStep>,
@@ -42,7 +41,6 @@ pub struct HistoryStep {
     result: StoredMotion,
 }
 
-/// A motion as SMPL-X parameters, frame by frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StoredMotion {
@@ -63,30 +61,22 @@ impl StoredMotion {
     }
 
     fn motion(&self, id: &str) -> Result<Motion, Error> {
-        let damaged = |problem: &str| Error::Item {
-            id: id.to_owned(),
-            problem: format!("is damaged in the history: {problem}"),
-        };
+        let damaged =
+            |problem: &str| Error::item(id, format!("is damaged in the history: {problem}"));
         let body_pose: Vec<[f32; BODY_POSE_WIDTH]> = self
             .body_pose
             .iter()
             .map(|row| row.as_slice().try_into())
             .collect::<Result<_, _>>()
             .map_err(|_| damaged("a frame has not 63 body rotations"))?;
-        let fps = Fps::new(self.fps).map_err(|source| Error::Motion {
-            id: id.to_owned(),
-            source: source.into(),
-        })?;
+        let fps = Fps::new(self.fps).map_err(motion_error(id))?;
         Motion::new(
             fps,
             self.transl.clone(),
             self.global_orient.clone(),
             body_pose,
         )
-        .map_err(|source| Error::Motion {
-            id: id.to_owned(),
-            source: source.into(),
-        })
+        .map_err(motion_error(id))
     }
 }
 
@@ -107,10 +97,7 @@ impl EditHistory {
     /// # Errors
     /// The document is no history, of another version, or damaged.
     pub fn from_json(text: &str) -> Result<Self, Error> {
-        let item = |problem: String| Error::Item {
-            id: "history".to_owned(),
-            problem,
-        };
+        let item = |problem: String| Error::item("history", problem);
         let history: Self =
             serde_json::from_str(text).map_err(|source| item(format!("is not one: {source}")))?;
         if history.version != VERSION {

@@ -2,9 +2,7 @@
 
 use std::path::Path;
 
-use burn::module::Module;
-use burn::tensor::{Device, Tensor, TensorData};
-use burn_store::ModuleSnapshot;
+use burn::tensor::{Device, Tensor};
 use datasets_spec::{Motion, Pose, Seed};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::KeypointFrame;
@@ -16,25 +14,19 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{
-    self, Files, Run, RunRecord, Slot, Start, read_for_use, take, weights_hash,
-};
+use crate::checkpoint::{Run, RunRecord, Slot, Start, open_for_use, take, write_atomically};
 use crate::config::{Decay, OptimizerConfig, Preset, RunLength, RunSettings};
 use crate::model::pose_net::{
-    OFFICIAL_INPUT, OFFICIAL_NAMES, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_INPUT, PAPER_NAMES,
-    PAPER_OUTPUT, PaperPoseNet,
+    NAMES, OFFICIAL_INPUT, OFFICIAL_OUTPUT, OfficialPoseNet, PAPER_INPUT, PAPER_OUTPUT,
+    PaperPoseNet,
 };
-use crate::model::weights::{draw, from_safetensors, from_safetensors_named, to_safetensors};
-use crate::trainer::{self, Task, TrainerConfig};
-use crate::transfer::{read, weighted_mean};
+use crate::model::weights::{Networks, from_safetensors_named, to_safetensors};
+use crate::trainer::{self, Task, TrainReport};
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
-/// Kind of run.
 pub(crate) const KIND: &str = "j2s";
 
-const WEIGHTS: &str = "model.safetensors";
-
-/// Poses of a validation.
 const VAL_POSES: usize = 512;
 
 /// Which of the two published networks.
@@ -48,11 +40,17 @@ pub enum J2sPreset {
 }
 
 impl J2sPreset {
-    /// Numbers of a frame the network sees.
     fn input(self) -> usize {
         match self {
             Self::Paper => PAPER_INPUT,
             Self::Official => OFFICIAL_INPUT,
+        }
+    }
+
+    pub(crate) fn fit(self) -> AdamFit {
+        match self {
+            Self::Paper => AdamFit::paper(),
+            Self::Official => AdamFit::official(),
         }
     }
 }
@@ -92,12 +90,9 @@ impl J2sConfig {
             faces_forward: preset == J2sPreset::Paper,
             run: RunSettings {
                 optimizer: OptimizerConfig {
-                    learning_rate: 1e-3,
                     decay: Decay::Linear,
-                    warmup_steps: 0,
                     weight_decay: 0.0,
-                    max_gradient_norm: None,
-                    ema_decay: None,
+                    ..OptimizerConfig::of_rate(1e-3)
                 },
                 batch_size: 512,
                 micro_batch_size: None,
@@ -135,7 +130,6 @@ pub struct PoseNet {
     faces_forward: bool,
 }
 
-/// The two published networks.
 #[derive(Debug)]
 enum Network {
     Paper(Box<PaperPoseNet>),
@@ -193,35 +187,37 @@ pub fn train_j2s<'a>(
     session: &Session<'_>,
 ) -> Result<J2sReport, Error> {
     let [train, val] = motions;
-    for (motions, what) in [
-        (train, "training split of the pose network"),
-        (val, "validation split of the pose network"),
-    ] {
-        if motions.is_empty() {
-            return Err(Error::Empty { what });
-        }
-    }
+    Error::if_empty(train, "training split of the pose network")?;
+    Error::if_empty(val, "validation split of the pose network")?;
     config.check()?;
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, dataset_hash, skeleton, config.clone()),
-    )?;
+    let document = RunRecord::new(KIND, dataset_hash, skeleton, config.clone());
+    let run = Run::open(start, &document)?;
     let run_dir = run.dir();
-    let seed = Seed(config.run.seed);
-    let device = session.device.clone().autodiff();
     let (network, done) = match config.preset {
         J2sPreset::Paper => {
-            let net = PaperPoseNet::new(config.width, &device);
-            let task = PoseTask::new(PaperPoseNet::forward, config, motions, skeleton);
-            let net = draw(net, seed.derive(&["weights"]))?;
-            let (net, done) = trainer::train(&task, net, &task.trainer(), &run, session)?;
+            let net = |device: &Device| PaperPoseNet::new(config.width, device);
+            let (net, done) = fit(
+                PaperPoseNet::forward,
+                net,
+                config,
+                motions,
+                skeleton,
+                &run,
+                session,
+            )?;
             (Network::Paper(Box::new(net)), done)
         }
         J2sPreset::Official => {
-            let net = OfficialPoseNet::new(config.width, &device);
-            let task = PoseTask::new(OfficialPoseNet::forward, config, motions, skeleton);
-            let net = draw(net, seed.derive(&["weights"]))?;
-            let (net, done) = trainer::train(&task, net, &task.trainer(), &run, session)?;
+            let net = |device: &Device| OfficialPoseNet::new(config.width, device);
+            let (net, done) = fit(
+                OfficialPoseNet::forward,
+                net,
+                config,
+                motions,
+                skeleton,
+                &run,
+                session,
+            )?;
             (Network::Official(Box::new(net)), done)
         }
     };
@@ -237,107 +233,55 @@ pub fn train_j2s<'a>(
         loss: [done.first_loss, done.last_loss].map(|loss| loss.unwrap_or(f64::NAN)),
         fits: measure(&net, val, skeleton, config, session),
     };
-    let weights = run_dir.join(WEIGHTS);
+    let weights = run_dir.join(PaperPoseNet::FILE);
     let bytes = net.to_safetensors(&weights)?;
-    write(&weights, &bytes)?;
+    write_atomically(&weights, &bytes)?;
     let document = serde_json::to_vec_pretty(&report).expect("plain numbers and names serialise");
-    write(&run_dir.join("report.json"), &document)?;
+    write_atomically(&run_dir.join("report.json"), &document)?;
     Ok(report)
 }
 
-fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    let staged = path.with_extension("part");
-    Ok(std::fs::write(&staged, bytes)
-        .and_then(|()| std::fs::rename(&staged, path))
-        .map_err(datasets_spec::Error::io("write", path))?)
-}
-
-struct PoseTask<'a, M> {
+/// Trains one of the networks. `forward` is what it makes of rows of points.
+fn fit<M: Networks>(
     forward: fn(&M, Tensor<2>) -> Tensor<2>,
-    config: &'a J2sConfig,
-    train: &'a [Motion],
-    skeleton: &'a Skeleton,
-    seed: Seed,
-    /// Inputs and targets of the validation poses.
-    val: (Vec<f32>, Vec<f32>),
-}
-
-impl<'a, M: Module> PoseTask<'a, M> {
-    fn new(
-        forward: fn(&M, Tensor<2>) -> Tensor<2>,
-        config: &'a J2sConfig,
-        motions: [&'a [Motion]; 2],
-        skeleton: &'a Skeleton,
-    ) -> Self {
-        let [train, val] = motions;
-        let seed = Seed(config.run.seed).derive(&["poses"]);
-        let poses = draw_poses(val, VAL_POSES, seed.derive(&["val"]).rng_of(0));
-        Self {
-            forward,
-            config,
-            train,
-            skeleton,
-            seed,
-            val: samples(&poses, config, skeleton, None),
-        }
-    }
-
-    fn trainer(&self) -> TrainerConfig {
-        let mut run = self.config.run;
-        // At least twenty lines and ten validations in a run, however short it is.
-        let num_steps = run.length.steps;
-        run.log_every = run.log_every.min(num_steps.div_ceil(20));
-        run.val_every = run.val_every.min(num_steps.div_ceil(10));
-        TrainerConfig {
-            kind: KIND,
-            samples: "poses",
-            run,
-            epoch_len: self.train.iter().map(|motion| motion.len() as u64).sum(),
-        }
-    }
-}
-
-impl<M: Module + ModuleSnapshot + Sync> Task for PoseTask<'_, M> {
-    type Model = M;
-    type Batch = (Vec<f32>, Vec<f32>);
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error> {
-        let poses = draw_poses(
-            self.train,
-            self.config.run.batch_size,
-            self.seed.rng_of(step),
-        );
-        let noise = self.seed.derive(&["noise"]).rng_of(step);
-        Ok(vec![(
-            1.0,
-            samples(&poses, self.config, self.skeleton, Some(noise)),
-        )])
-    }
-
-    fn loss(&self, net: &M, (points, wanted): &Self::Batch, device: &Device) -> Tensor<1> {
-        let rows = points.len() / self.config.preset.input();
-        let points = tensor(points.clone(), rows, device);
-        let away = (self.forward)(net, points) - tensor(wanted.clone(), rows, device);
-        away.square().mean()
-    }
-
-    fn validate(&self, net: &M, device: &Device) -> f32 {
-        weighted_mean([(1, self.loss(net, &self.val, device))])
-    }
-
-    fn save(&self, net: &M, run_dir: &Path) -> Result<Files, Error> {
-        Ok([(WEIGHTS.to_owned(), to_safetensors(net, run_dir)?)].into())
-    }
-
-    fn load(&self, net: &mut M, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
-        let bytes = take(files, WEIGHTS, run_dir)?;
-        from_safetensors(net, bytes, "", &run_dir.join(WEIGHTS))
-    }
+    network: impl FnOnce(&Device) -> M,
+    config: &J2sConfig,
+    [train, val]: [&[Motion]; 2],
+    skeleton: &Skeleton,
+    run: &Run,
+    session: &Session<'_>,
+) -> Result<(M, TrainReport), Error> {
+    let seed = Seed(config.run.seed).derive(&["poses"]);
+    let mut settings = config.run;
+    // At least twenty lines and ten validations in a run, however short it is.
+    let num_steps = settings.length.steps;
+    settings.log_every = settings.log_every.min(num_steps.div_ceil(20));
+    settings.val_every = settings.val_every.min(num_steps.div_ceil(10));
+    let val_poses = draw_poses(val, VAL_POSES, seed.derive(&["val"]).rng_of(0));
+    let task = Task::<M, (Vec<f32>, Vec<f32>)> {
+        kind: KIND,
+        samples: "poses",
+        run: settings,
+        epoch_len: train.iter().map(|motion| motion.len() as u64).sum(),
+        draw: &|step| {
+            let poses = draw_poses(train, config.run.batch_size, seed.rng_of(step));
+            let noise = seed.derive(&["noise"]).rng_of(step);
+            Ok(vec![(1.0, samples(&poses, config, skeleton, Some(noise)))])
+        },
+        loss: &|net, (points, wanted), device, _| {
+            let rows = points.len() / config.preset.input();
+            let points = tensor(points.clone(), rows, device);
+            let away = forward(net, points) - tensor(wanted.clone(), rows, device);
+            away.square().mean()
+        },
+        validation: vec![(1, samples(&val_poses, config, skeleton, None))],
+    };
+    trainer::train(&task, network, run, session)
 }
 
 fn tensor(numbers: Vec<f32>, rows: usize, device: &Device) -> Tensor<2> {
     let columns = numbers.len() / rows.max(1);
-    Tensor::from_data(TensorData::new(numbers, [rows, columns]), device)
+    send(numbers, [rows, columns], device)
 }
 
 /// Poses of random frames, turned about the vertical at random.
@@ -353,7 +297,6 @@ fn draw_poses(motions: &[Motion], count: usize, mut rng: datasets_spec::Rng) -> 
         .collect()
 }
 
-/// Inputs and targets of a network for poses.
 fn samples(
     poses: &[Pose],
     config: &J2sConfig,
@@ -425,18 +368,16 @@ impl PoseNet {
     /// # Errors
     /// The folder is no such run, or its checkpoint is missing or damaged.
     pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<(Self, String), Error> {
-        let record: RunRecord<J2sConfig> = checkpoint::read_record(run_dir, KIND)?;
-        let mut files = read_for_use(run_dir, slot, KIND)?;
-        let bytes = take(&mut files, WEIGHTS, run_dir)?;
-        let hash = weights_hash(&record.config, &[&bytes]);
-        let config = &record.config;
-        let path = run_dir.join(WEIGHTS);
+        let mut opened = open_for_use::<J2sConfig>(run_dir, slot, KIND)?;
+        let bytes = take(&mut opened.files, PaperPoseNet::FILE, run_dir)?;
+        let config = &opened.record.config;
+        let path = run_dir.join(PaperPoseNet::FILE);
         let net = Self::from_safetensors(config.preset, config.width, bytes, "", &path, device)?;
         let net = Self {
             faces_forward: config.faces_forward,
             ..net
         };
-        Ok((net, hash))
+        Ok((net, opened.hash))
     }
 
     /// Loads a network from safetensors under the names it is published or recorded with, or those
@@ -452,24 +393,16 @@ impl PoseNet {
         path: &Path,
         device: &Device,
     ) -> Result<Self, Error> {
-        fn load<M: Module + ModuleSnapshot>(
-            mut net: M,
-            bytes: Vec<u8>,
-            prefix: &str,
-            path: &Path,
-            names: &[(&str, &str)],
-        ) -> Result<M, Error> {
-            from_safetensors_named(&mut net, bytes, prefix, path, names)?;
-            Ok(net)
-        }
         let network = match preset {
             J2sPreset::Paper => {
-                let net = PaperPoseNet::new(width, device);
-                Network::Paper(Box::new(load(net, bytes, prefix, path, &PAPER_NAMES)?))
+                let mut net = PaperPoseNet::new(width, device);
+                from_safetensors_named(&mut net, bytes, prefix, path, &NAMES)?;
+                Network::Paper(Box::new(net))
             }
             J2sPreset::Official => {
-                let net = OfficialPoseNet::new(width, device);
-                Network::Official(Box::new(load(net, bytes, prefix, path, &OFFICIAL_NAMES)?))
+                let mut net = OfficialPoseNet::new(width, device);
+                from_safetensors_named(&mut net, bytes, prefix, path, &NAMES)?;
+                Network::Official(Box::new(net))
             }
         };
         Ok(Self {
@@ -598,20 +531,13 @@ fn measure(
     session: &Session<'_>,
 ) -> Vec<FitErrors> {
     const POSES: usize = 512;
-    let poses = draw_poses(
-        motions,
-        POSES,
-        Seed(config.run.seed).derive(&["measure"]).rng_of(0),
-    );
+    let seed = Seed(config.run.seed).derive(&["measure"]);
+    let poses = draw_poses(motions, POSES, seed.rng_of(0));
     let frames = skeleton.points_of_poses::<NUM_KEYPOINTS>(&poses);
-    let adam = match config.preset {
-        J2sPreset::Paper => AdamFit::paper(),
-        J2sPreset::Official => AdamFit::official(),
-    };
     let second_order = FitOptions::default();
     let methods: [(&'static str, Option<Refinement>); 4] = [
         ("network", Some(Refinement::None)),
-        ("network, Adam", Some(Refinement::Adam(adam))),
+        ("network, Adam", Some(Refinement::Adam(config.preset.fit()))),
         (
             "network, second order",
             Some(Refinement::SecondOrder(Box::new(second_order.clone()))),
@@ -654,6 +580,7 @@ mod tests {
     use kinematics::rotation::angle_between;
 
     use super::*;
+    use crate::model::weights::draw;
 
     /// A body that lunges, turned about the vertical.
     fn turned(degrees: f64) -> Pose {

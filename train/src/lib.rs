@@ -26,6 +26,7 @@
 //! let session = train::Session {
 //!     device: &device,
 //!     more_devices: &[],
+//!     arithmetic: train::model::pass::Arithmetic::default(),
 //!     progress: &NoProgress,
 //!     stop: &AtomicBool::new(false),
 //!     clock: &|| begun.elapsed(),

@@ -1,39 +1,31 @@
 //! MDM: settings and training.
 
-use std::path::Path;
-
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use crate::captioned::{
-    CaptionedCorpus, CaptionedRows, CropSampler, Crops, captioned_rows, grouped_stats,
-};
-use crate::checkpoint::{Files, Run, RunRecord, Start};
+use crate::captioned::{CaptionedCorpus, CropSampler, Crops, captioned_rows, grouped_stats};
+use crate::checkpoint::{Run, RunRecord, Start};
 use crate::config::{
-    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TextEncoder,
-    TrainConfig, WordsConfig, positive, share,
+    NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TrainConfig,
+    check_lengths, positive, share,
 };
 use crate::data::{TextBatch, Texts};
 use crate::features::FeatureStats;
 use crate::fit::TextRecord;
 use crate::model::conditioned::Conditioned;
 use crate::model::mdm::Mdm;
-use crate::model::weights::draw;
+use crate::model::pass::Pass;
 use crate::schedule::Schedule;
 use crate::text::clip::ClipModel;
-use crate::trainer::{self, Task, TrainReport, TrainerConfig};
-use crate::transfer::weighted_mean;
+use crate::trainer::{self, Task, TrainReport};
+use crate::transfer::send;
 use crate::{Error, Session};
 
-/// Kind of run.
 pub(crate) const KIND: &str = "mdm";
 
-pub(crate) const WEIGHTS: &str = "mdm.safetensors";
-
-/// The frozen text encoder.
 pub(crate) const CLIP: ClipModel = ClipModel::VitB32;
 
 /// Settings of MDM.
@@ -92,14 +84,7 @@ impl MdmConfig {
                     feed_forward: 1024,
                     dropout: 0.1,
                 },
-                text: TextConfig {
-                    encoder: TextEncoder::Clip,
-                    vectors: None,
-                    words: WordsConfig {
-                        num_buckets: 64,
-                        max_words: 32,
-                    },
-                },
+                text: TextConfig::clip(),
                 diffusion_steps: 1_000,
                 mask_frames: false,
                 text_dropout: 0.1,
@@ -108,12 +93,8 @@ impl MdmConfig {
                 max_frames: 196,
                 run: RunSettings {
                     optimizer: OptimizerConfig {
-                        learning_rate: 1e-4,
-                        decay: Decay::Constant,
-                        warmup_steps: 0,
                         weight_decay: 0.0,
-                        max_gradient_norm: None,
-                        ema_decay: None,
+                        ..OptimizerConfig::of_rate(1e-4)
                     },
                     batch_size: 64,
                     micro_batch_size: None,
@@ -153,34 +134,20 @@ impl MdmConfig {
         self.text.check_pooled()?;
         share("text_dropout", self.text_dropout)?;
         positive("diffusion_steps", self.diffusion_steps as u64)?;
-        positive("min_frames", self.min_frames as u64)?;
-        if self.max_frames < self.min_frames {
-            return Err(Error::Config {
-                field: "max_frames",
-                problem: format!(
-                    "it is {}, less than min_frames {}",
-                    self.max_frames, self.min_frames
-                ),
-            });
-        }
-        Ok(())
+        check_lengths(self.min_frames, self.max_frames)
     }
 }
 
 /// Record of a run of MDM.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct MdmRecord {
-    /// The resolved settings.
-    pub train: MdmConfig,
-    /// Mean and spread of the features over the training split.
-    pub features: FeatureStats,
-    /// What the network is told captions by.
-    pub text: TextRecord,
+pub(crate) struct MdmRecord {
+    pub(crate) train: MdmConfig,
+    pub(crate) features: FeatureStats,
+    pub(crate) text: TextRecord,
 }
 
 impl MdmRecord {
-    /// Builds the networks.
     pub(crate) fn network(&self, device: &Device) -> Conditioned<Mdm> {
         let (config, num_features) = (&self.train.model, self.features.recipe.width());
         Conditioned::new(self.text.source(), config.width, device, |text_width| {
@@ -207,17 +174,8 @@ pub fn train_mdm<'a>(
     config.check()?;
     let start = start.into();
     let fitted: Option<MdmRecord> = start.fitted(KIND)?;
-    let (known_text, known_features) = match fitted {
-        Some(record) => (Some(record.text), Some(record.features)),
-        None => (None, None),
-    };
-    let captions = corpus.train.iter().flat_map(|clip| clip.captions);
-    let text = TextRecord::chosen(
-        &config.text,
-        known_text,
-        captions.map(String::as_str),
-        corpus.vectors,
-    )?;
+    let (known_text, known_features) = fitted.map(|known| (known.text, known.features)).unzip();
+    let text = TextRecord::chosen(&config.text, known_text, corpus.captions(), corpus.vectors)?;
     let rows = |clips, what| captioned_rows(clips, corpus.skeleton, config.min_frames, what);
     let train = rows(corpus.train, "training split of MDM")?;
     let val = rows(corpus.val, "validation split of MDM")?;
@@ -226,22 +184,44 @@ pub fn train_mdm<'a>(
         features: known_features.unwrap_or_else(|| grouped_stats(&train)),
         text,
     };
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
-    let device = session.device.clone().autodiff();
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(start, &document)?;
     let seed = Seed(config.run.seed);
-    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
-    let task = MdmTask::new(&record, [&train, &val], record.text.texts(corpus.vectors)?)?;
-    let trainer = TrainerConfig {
+    let sampler = |clips, name| CropSampler {
+        clips,
+        stats: &record.features,
+        max_frames: config.max_frames,
+        pads_to_max: !config.mask_frames,
+        seed: seed.derive(&[name]),
+    };
+    let (sampler, held_out) = (sampler(&train, "train"), sampler(&val, "val"));
+    let noising = Noising {
+        record: &record,
+        schedule: Schedule::cosine(config.diffusion_steps)?,
+        texts: record.text.texts(corpus.vectors)?,
+    };
+    let size = config.run.micro_batch();
+    let val_batches = held_out.validation(size, config.diffusion_steps);
+    let val_batches = val_batches.map(|(first, timesteps, crops)| {
+        let mut batch = noising.noisy(crops, held_out.seed, first)?;
+        batch.text_kept.fill(1.0);
+        Ok((timesteps.len(), MdmBatch { timesteps, ..batch }))
+    });
+    let task = Task::<Conditioned<Mdm>, MdmBatch> {
         kind: KIND,
         samples: "motions",
         run: config.run,
         epoch_len: train.len() as u64,
+        draw: &|step| {
+            config.run.batches(step, |first, count| {
+                noising.noisy(sampler.draw(first, count), sampler.seed, first)
+            })
+        },
+        loss: &|model, batch, device, pass| noising.loss(model, batch, device, pass),
+        validation: val_batches.collect::<Result<_, Error>>()?,
     };
-    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
-    Ok(report)
+    let network = |device: &Device| record.network(device);
+    Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
 /// Noisy motions with their captions, with everything a training step draws.
@@ -261,55 +241,14 @@ struct MdmBatch {
     text_kept: Vec<f32>,
 }
 
-struct MdmTask<'a> {
+/// How motions become noisy ones, and what is asked of those.
+struct Noising<'a> {
     record: &'a MdmRecord,
     schedule: Schedule,
-    sampler: CropSampler<'a>,
     texts: Texts<'a>,
-    val_batches: Vec<MdmBatch>,
 }
 
-impl<'a> MdmTask<'a> {
-    fn new(
-        record: &'a MdmRecord,
-        splits: [&'a [CaptionedRows]; 2],
-        texts: Texts<'a>,
-    ) -> Result<Self, Error> {
-        let [train, val] = splits;
-        let config = &record.train;
-        let seed = Seed(config.run.seed);
-        let sampler = |clips, name| CropSampler {
-            clips,
-            stats: &record.features,
-            max_frames: config.max_frames,
-            pads_to_max: !config.mask_frames,
-            seed: seed.derive(&[name]),
-        };
-        let mut task = Self {
-            record,
-            schedule: Schedule::cosine(config.diffusion_steps)?,
-            sampler: sampler(train, "train"),
-            texts,
-            val_batches: Vec::new(),
-        };
-        let held_out = sampler(val, "val");
-        let mut first = 0;
-        for crops in held_out.whole(config.run.micro_batch()) {
-            let samples = first..first + crops.lengths.len();
-            // Steps spread evenly make validations comparable.
-            let timesteps = samples
-                .map(|sample| (2 * sample + 1) * config.diffusion_steps / (2 * val.len()))
-                .collect();
-            let count = crops.lengths.len();
-            let mut batch = task.noisy(crops, held_out.seed, first as u64)?;
-            batch.timesteps = timesteps;
-            batch.text_kept.fill(1.0);
-            task.val_batches.push(batch);
-            first += count;
-        }
-        Ok(task)
-    }
-
+impl Noising<'_> {
     /// Draws noise, diffusion steps and dropped captions of crops, the first of which is the sample
     /// `first` of the run.
     fn noisy(&self, crops: Crops<'_>, seed: Seed, first: u64) -> Result<MdmBatch, Error> {
@@ -333,59 +272,33 @@ impl<'a> MdmTask<'a> {
             text_kept,
         })
     }
-}
-
-impl Task for MdmTask<'_> {
-    type Model = Conditioned<Mdm>;
-    type Batch = MdmBatch;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, MdmBatch)>, Error> {
-        let run = &self.record.train.run;
-        run.batches(step, |first, count| {
-            self.noisy(self.sampler.draw(first, count), self.sampler.seed, first)
-        })
-    }
 
     /// The error of the predicted clean motions.
     ///
     /// # Source
     /// Tevet et al. 2023, Eq. 2; the weights of the geometric losses are 0 in the released settings.
-    fn loss(&self, model: &Conditioned<Mdm>, batch: &MdmBatch, device: &Device) -> Tensor<1> {
+    fn loss(
+        &self,
+        model: &Conditioned<Mdm>,
+        batch: &MdmBatch,
+        device: &Device,
+        pass: &Pass,
+    ) -> Tensor<1> {
         let rows = batch.lengths.len();
         let motions = |values: &[f32]| -> Tensor<3> {
             let width = self.record.features.recipe.width();
             let shape = [rows, batch.frames, width];
-            Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
+            send(values.to_vec(), shape, device)
         };
         let (x0, noise) = (motions(&batch.features), motions(&batch.noise));
-        let kept = TensorData::new(batch.text_kept.clone(), [rows, 1]);
-        let text =
-            model.text_vectors(&batch.texts, rows, device) * Tensor::<2>::from_data(kept, device);
+        let text = model.text_vectors(&batch.texts, rows, device)
+            * send(batch.text_kept.clone(), [rows, 1], device);
         let x_t = self.schedule.q_sample(x0.clone(), &batch.timesteps, noise);
         let lengths = self.record.train.mask_frames.then_some(&*batch.lengths);
-        let predicted = model.network.forward(x_t, &batch.timesteps, text, lengths);
+        let predicted = model
+            .network
+            .forward(x_t, &batch.timesteps, text, lengths, pass);
         masked_l2(predicted, x0, &batch.lengths).mean()
-    }
-
-    fn validate(&self, model: &Conditioned<Mdm>, device: &Device) -> f32 {
-        weighted_mean(
-            self.val_batches
-                .iter()
-                .map(|batch| (batch.lengths.len(), self.loss(model, batch, device))),
-        )
-    }
-
-    fn save(&self, model: &Conditioned<Mdm>, run_dir: &Path) -> Result<Files, Error> {
-        model.save(WEIGHTS, run_dir)
-    }
-
-    fn load(
-        &self,
-        model: &mut Conditioned<Mdm>,
-        files: &mut Files,
-        run_dir: &Path,
-    ) -> Result<(), Error> {
-        model.load(WEIGHTS, files, run_dir)
     }
 }
 
@@ -405,8 +318,7 @@ pub fn masked_l2(predicted: Tensor<3>, target: Tensor<3>, lengths: &[usize]) -> 
             (0..frames).map(move |frame| if frame < length { weight } else { 0.0 })
         })
         .collect();
-    let weights = TensorData::new(weights, [rows, frames, 1]);
-    let weights = Tensor::<3>::from_data(weights, &predicted.device());
+    let weights = send(weights, [rows, frames, 1], &predicted.device());
     let errors = (predicted - target).square() * weights;
     errors.sum_dim(2).sum_dim(1).reshape([rows])
 }

@@ -1,39 +1,40 @@
 //! MDM-BP as an editing system: MDM starts from the noised source and keeps what lies outside the edited
 //! body parts until the last steps.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{Fps, JointSet, Motion, Resample, Rng, Seed, Skeleton};
 use features::humanml3d::Features;
 use kinematics::resample::grid;
 use rayon::prelude::*;
 
-use crate::checkpoint::{RunRecord, Slot, read_for_use, read_record, weights_hash};
-use crate::config::Preset;
-use crate::data::TextVectors;
+use crate::checkpoint::{Slot, open_for_use};
+use crate::config::{Preset, ensure};
 use crate::diffusion::guide;
-use crate::fit::TEXT;
+use crate::error::motion_error;
 use crate::humanml3d::{SourceFeatures, feature_mask};
-use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord, WEIGHTS};
+use crate::mdm::{CLIP, KIND, MdmConfig, MdmRecord};
 use crate::model::conditioned::Conditioned;
-use crate::model::mdm::{Mdm, PreparedMdm};
+use crate::model::mdm::Mdm;
+use crate::model::transformer::PreparedWeights;
+use crate::model::weights::Networks;
 use crate::sample::noise::Noise;
 use crate::sample::{EditTimes, covering};
 use crate::schedule::Schedule;
+use crate::system::Setting::{Count, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, Setting, SystemIdentity,
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
     SystemSource, named_with,
 };
-use crate::transfer::read;
+use crate::text::table::EmbeddingTable;
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 /// Last steps of the published schedule in which the whole body is free, and the steps of that schedule.
 const PUBLISHED_RELEASE: [usize; 2] = [20, 1_000];
 
-/// A trained MDM that edits parts of motions.
 struct MdmBpSystem {
     model: Conditioned<Mdm>,
-    prepared: PreparedMdm,
     record: MdmRecord,
     inpainting: PartInpainting,
     guidance: f64,
@@ -42,27 +43,21 @@ struct MdmBpSystem {
     identity: SystemIdentity,
     skeleton: Skeleton,
     source: SystemSource,
-    vectors: Option<Box<dyn TextVectors + Send>>,
+    vectors: Option<EmbeddingTable>,
     device: Device,
 }
 
-/// Opens a run of MDM as an editor of motions.
 pub(crate) fn open(
     source: &SystemSource,
     config: &EditConfig,
     skeleton: &Skeleton,
     device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
-    let RunRecord { config: record, .. } = read_record::<MdmRecord>(&source.run, KIND)?;
+    let mut opened = open_for_use::<MdmRecord>(&source.run, source.slot, KIND)?;
+    let record = opened.record.config;
     record.train.check()?;
-    let mut files = read_for_use(&source.run, source.slot, KIND)?;
-    let weights: Vec<&[u8]> = [WEIGHTS, TEXT]
-        .iter()
-        .filter_map(|&name| files.get(name).map(Vec::as_slice))
-        .collect();
-    let checkpoint_hash = weights_hash(&record, &weights);
     let mut model = record.network(device);
-    model.load(WEIGHTS, &mut files, &source.run)?;
+    model.take_files(&mut opened.files, &source.run)?;
     let inpainting = PartInpainting::new(
         Schedule::cosine(record.train.diffusion_steps)?,
         config.start,
@@ -80,7 +75,6 @@ pub(crate) fn open(
         "fps": Fps::STORE,
     });
     Ok(Box::new(MdmBpSystem {
-        prepared: model.network.prepare(),
         model,
         record,
         inpainting,
@@ -89,7 +83,7 @@ pub(crate) fn open(
         max_batch: config.max_batch.max(1),
         identity: SystemIdentity {
             name: config.name.clone().unwrap_or(name),
-            checkpoint_hash,
+            checkpoint_hash: opened.hash,
             settings: settings.to_string(),
         },
         skeleton: skeleton.clone(),
@@ -114,17 +108,17 @@ fn system_name(
         true => "MDM-BP tiny",
         false => "MDM-BP",
     };
-    let usual = [Preset::Paper, Preset::Official, Preset::Tiny]
+    let usual = Preset::ALL
         .map(MdmConfig::preset)
         .into_iter()
         .find(|preset| preset.model == trained.model)
         .map_or(trained.guidance, |preset| preset.guidance);
     let plain = PartInpainting::new(inpainting.schedule.clone(), None, None)?;
     let changes = [
-        ("guidance", Setting::Number(guidance, usual)),
-        ("temperature", Setting::Number(temperature, 1.0)),
-        ("start", Setting::Count(inpainting.start, plain.start)),
-        ("release", Setting::Count(inpainting.release, plain.release)),
+        ("guidance", Number(guidance, usual)),
+        ("temperature", Number(temperature, 1.0)),
+        ("start", Count(inpainting.start, plain.start)),
+        ("release", Count(inpainting.release, plain.release)),
     ];
     Ok(named_with(name.to_owned(), slot, &changes))
 }
@@ -150,16 +144,10 @@ impl PartInpainting {
         release: Option<usize>,
     ) -> Result<Self, Error> {
         let [released, steps] = PUBLISHED_RELEASE;
-        let start = start.unwrap_or(schedule.len() - 1);
-        if start >= schedule.len() {
-            return Err(Error::Config {
-                field: "start",
-                problem: format!(
-                    "it is step {start}, and the model has the steps 0 to {}",
-                    schedule.len() - 1
-                ),
-            });
-        }
+        let last = schedule.len() - 1;
+        let start = start.unwrap_or(last);
+        let problem = format!("it is step {start}, and the model has the steps 0 to {last}");
+        ensure(start <= last, "start", problem)?;
         Ok(Self {
             release: release.unwrap_or(schedule.len() * released / steps),
             schedule,
@@ -190,20 +178,17 @@ impl PartInpainting {
         mut noise: impl FnMut(Option<usize>) -> Tensor<3>,
         mut on_step: impl FnMut(usize, &Tensor<3>),
     ) -> Result<Tensor<3>, Error> {
-        let at = |timestep: usize| vec![timestep; source.dims()[0]];
-        let mut x = self
-            .schedule
-            .q_sample(source.clone(), &at(self.start), noise(None));
+        let starts = vec![self.start; source.dims()[0]];
+        let mut x = self.schedule.q_sample(source.clone(), &starts, noise(None));
         for timestep in (0..=self.start).rev() {
             let mut x0 = clean(&x, timestep)?;
             if timestep >= self.release {
                 x0 = keep_source(x0, source, kept);
             }
             on_step(timestep, &x0);
-            let mean = self.schedule.posterior_mean(x0, x, &at(timestep));
             x = self
                 .schedule
-                .add_noise(mean, timestep, noise(Some(timestep)));
+                .reverse_step(x, x0, timestep, noise(Some(timestep)));
         }
         Ok(x)
     }
@@ -218,7 +203,6 @@ pub fn keep_source(x0: Tensor<3>, source: &Tensor<3>, kept: &Tensor<3>) -> Tenso
     x0 * free + source.clone() * kept.clone()
 }
 
-/// A request as the network sees it.
 struct Item<'a> {
     request: &'a EditRequest<'a>,
     instruction: &'a str,
@@ -270,29 +254,18 @@ impl<'a> Item<'a> {
             .source
             .motion(features)
             .map_err(|error| refused(self.request, error))?;
-        let EditRequest {
-            id,
-            motion: original,
-            fps,
-            ..
-        } = *self.request;
+        let (original, fps) = (self.request.motion, self.request.fps);
         let frames = grid(original.len(), original.fps(), fps).len();
         let motion = Resample::Exact
             .apply(&motion, fps)
             .and_then(|motion| motion.crop(0..frames))
-            .map_err(|source| Error::Motion {
-                id: id.to_owned(),
-                source: source.into(),
-            })?;
+            .map_err(motion_error(self.request.id))?;
         Ok((motion, misfit))
     }
 }
 
 fn refused(request: &EditRequest<'_>, problem: impl std::fmt::Display) -> Error {
-    Error::Item {
-        id: request.id.to_owned(),
-        problem: format!("cannot be edited: {problem}"),
-    }
+    Error::item(request.id, format!("cannot be edited: {problem}"))
 }
 
 impl MdmBpSystem {
@@ -300,6 +273,7 @@ impl MdmBpSystem {
     fn generate(
         &self,
         items: &mut [&mut Item<'_>],
+        weights: &PreparedWeights,
         session: &Session<'_>,
     ) -> Result<Vec<Vec<Features>>, Error> {
         let (rows, frames) = (items.len(), items[0].seen_frames);
@@ -314,12 +288,11 @@ impl MdmBpSystem {
         }
         let tensor = |values: Vec<f32>, frames: usize| -> Tensor<3> {
             let shape = [rows, frames, HUMANML3D_WIDTH];
-            Tensor::from_data(TensorData::new(values, shape), &self.device)
+            send(values, shape, &self.device)
         };
         let (source, kept) = (tensor(source, frames), tensor(kept, 1));
 
-        let vectors = self.vectors.as_deref().map(|vectors| vectors as _);
-        let texts = self.record.text.texts(vectors)?;
+        let texts = self.record.text.texts(self.vectors.as_ref())?;
         let texts = texts.batch(items.iter().map(|item| item.instruction))?;
         let text = self.model.text_vectors(&texts, rows, &self.device);
         // At weight 1 the prediction without text cancels out.
@@ -330,13 +303,11 @@ impl MdmBpSystem {
             text
         };
         let clean = |x: &Tensor<3>, timestep: usize| {
-            if session.is_stopped() {
-                return Err(Error::Stopped { what: "editing" });
-            }
+            session.go_on("editing")?;
             let network = |x: Tensor<3>, timesteps: &[usize]| {
                 self.model
                     .network
-                    .infer(&self.prepared, x, timesteps, text.clone())
+                    .infer(weights, x, timesteps, text.clone())
             };
             if !is_guided {
                 return Ok(network(x.clone(), &vec![timestep; rows]));
@@ -385,24 +356,17 @@ impl EditSystem for MdmBpSystem {
 
     fn remarks(&self, _motions: &[(usize, Fps)], texts: &[&str]) -> Remarks {
         Remarks {
-            num_short: 0,
-            unknown_words: texts
-                .iter()
-                .flat_map(|text| self.record.text.unknown_words(text))
-                .collect(),
+            unknown_words: self.record.text.unknown_words(texts),
+            ..Remarks::default()
         }
     }
 
     fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {
-        if let Some(encoder) = self.record.train.text.encoder.frozen(CLIP) {
-            let source = &self.source;
-            let table = source
-                .text_encoder
-                .embeddings(&source.run, texts, encoder, session)?;
-            self.record.text.texts(Some(&table))?;
-            self.vectors = Some(Box::new(table));
-        }
-        Ok(())
+        let (source, encoder) = (&self.source, (self.record.train.text.encoder, CLIP));
+        self.vectors = source
+            .text_encoder
+            .embeddings(&source.run, texts, encoder, session)?;
+        self.record.text.texts(self.vectors.as_ref()).map(|_| ())
     }
 
     fn edit(
@@ -420,6 +384,7 @@ impl EditSystem for MdmBpSystem {
             ..EditTimes::default()
         };
         let begun = session.secs();
+        let weights = self.model.network.prepare(session.arithmetic);
         let progress = session.progress;
         progress.begin("edit", Some(items.len() as u64));
         // A row never sees padding that depends on the other rows.
@@ -432,7 +397,7 @@ impl EditSystem for MdmBpSystem {
                     .iter_mut()
                     .map(|(index, item)| (*index, &mut **item))
                     .unzip();
-                let made = self.generate(&mut items, session)?;
+                let made = self.generate(&mut items, &weights, session)?;
                 for (index, features) in indices.iter().zip(made) {
                     generated[*index] = features;
                 }
@@ -469,12 +434,7 @@ mod tests {
     use super::*;
 
     fn tensor(values: &[f32]) -> Tensor<3> {
-        let data = TensorData::new(values.to_vec(), [1, values.len() / 2, 2]);
-        Tensor::from_data(data, &Device::flex())
-    }
-
-    fn values(tensor: &Tensor<3>) -> Vec<f32> {
-        tensor.to_data().try_into_vec_as().expect("floats")
+        send(values.to_vec(), [1, values.len() / 2, 2], &Device::flex())
     }
 
     /// Samples with a network that answers 5 everywhere; gives the estimates that the steps used and the
@@ -492,10 +452,10 @@ mod tests {
                 &kept,
                 |x, _| Ok(x.zeros_like().add_scalar(5.0)),
                 |_| tensor(&[0; 4].map(|_| rng.sample(StandardNormal))),
-                |timestep, x0| estimates.push((timestep, values(x0))),
+                |timestep, x0| estimates.push((timestep, read(x0.clone()))),
             )
             .expect("sampled");
-        (estimates, values(&x))
+        (estimates, read(x))
     }
 
     #[test]

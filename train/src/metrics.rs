@@ -6,6 +6,7 @@ use serde::Deserialize;
 
 use crate::Error;
 use crate::checkpoint::METRICS;
+use crate::error::json_error;
 
 /// The loss curves of a run: step and loss of each point.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -33,10 +34,7 @@ pub fn read(run_dir: &Path) -> Result<Curves, Error> {
     let text = std::fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
     let mut curves = Curves::default();
     for line in text.lines() {
-        let line: Line = serde_json::from_str(line).map_err(|source| Error::Json {
-            path: path.clone(),
-            source,
-        })?;
+        let line: Line = serde_json::from_str(line).map_err(json_error(&path))?;
         let step = line.step as f64;
         curves.loss.extend(line.loss.map(|loss| (step, loss)));
         curves

@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use work::Context;
 
 use crate::checkpoint::{Run, RunRecord, read_record};
+use crate::error::motion_error;
 use crate::kind::{ModelKind, TrainRequest, Trained};
 use crate::sample::EditTimes;
 use crate::system::{
@@ -25,7 +26,6 @@ use crate::system::{
 use crate::vocabulary::words_of;
 use crate::{Error, Session};
 
-/// The nearest neighbour in the training set.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: KIND,
     about: "The training target whose instruction is closest: no network, a row to compare with",
@@ -35,22 +35,17 @@ pub(crate) const MODEL: ModelKind = ModelKind {
 };
 
 const KIND: &str = "nearest";
-/// Folder of the training triplets in a run.
 const TRIPLETS: &str = "triplets";
-/// Name in tables.
 const NAME: &str = "Nearest neighbour";
 
-/// Settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NearestConfig {
     /// Training triplets to answer from.
     triplets: u64,
-    /// Seed of the training stream.
     seed: u64,
 }
 
-/// What a run depends on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NearestRecord {
@@ -58,7 +53,6 @@ struct NearestRecord {
     compose: ComposeConfig,
 }
 
-/// Records triplets of the training stream.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let preset = NearestConfig {
         triplets: 1_024,
@@ -104,7 +98,6 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     })
 }
 
-/// Training targets by instruction.
 struct Nearest {
     identity: SystemIdentity,
     fps: Fps,
@@ -124,10 +117,7 @@ fn open(
     let mut targets: BTreeMap<String, Vec<Motion>> = BTreeMap::new();
     let mut fps = Fps::STORE;
     for row in folder.read::<TripletRow>(None)? {
-        let edited = row.edited().map_err(|source| Error::Motion {
-            id: row.id.clone(),
-            source,
-        })?;
+        let edited = row.edited().map_err(motion_error(&row.id))?;
         fps = edited.fps();
         targets.entry(row.instruction).or_default().push(edited);
     }
@@ -179,9 +169,7 @@ impl EditSystem for Nearest {
         session: &Session<'_>,
     ) -> Result<EditedMotions, Error> {
         let motions = requests.iter().map(|request| {
-            if session.is_stopped() {
-                return Err(Error::Stopped { what: "editing" });
-            }
+            session.go_on("editing")?;
             Ok((self.answer(request, seed)?, Misfit::default()))
         });
         Ok(EditedMotions {
@@ -195,10 +183,6 @@ impl Nearest {
     /// The target of the closest instruction, one of them where several have it, moved to the start of the
     /// original and cut to its length; a shorter one ends with its last pose held.
     fn answer(&self, request: &EditRequest<'_>, seed: Seed) -> Result<Motion, Error> {
-        let failed = |source: datasets_spec::Error| Error::Motion {
-            id: request.id.to_owned(),
-            source,
-        };
         let texts: Vec<&str> = request
             .instructions
             .iter()
@@ -208,16 +192,16 @@ impl Nearest {
         let targets = closest.and_then(|text| self.targets.get(text));
         let targets = targets.map_or(&[][..], Vec::as_slice);
         if targets.is_empty() {
-            return Err(Error::Item {
-                id: request.id.to_owned(),
-                problem: "cannot be answered: the run holds no training targets".to_owned(),
-            });
+            return Err(Error::item(
+                request.id,
+                "cannot be answered: the run holds no training targets",
+            ));
         }
         let mut rng = seed.rng(&[KIND, request.id]);
         let target = &targets[rng.random_range(0..targets.len())];
         let target = Resample::Exact
             .apply(target, request.fps)
-            .map_err(|error| failed(error.into()))?;
+            .map_err(motion_error(request.id))?;
         let original = request.motion;
         let frames = grid(original.len(), original.fps(), request.fps).len();
         let mut poses = target.poses();
@@ -225,7 +209,7 @@ impl Nearest {
         self.move_to(&mut poses, &original.pose(0));
         let last = poses.last().copied().unwrap_or(Pose::REST);
         poses.resize(frames, last);
-        Motion::from_poses(request.fps, &poses).map_err(|error| failed(error.into()))
+        Motion::from_poses(request.fps, &poses).map_err(motion_error(request.id))
     }
 
     /// Places a motion on the ground position and heading of another motion's first pose. Heights do not change.

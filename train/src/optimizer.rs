@@ -9,11 +9,11 @@ use burn::tensor::{DType, Device, Tensor};
 use kernels::adamw::{self, BETAS, EPSILON, Factors};
 use kernels::on_workers;
 
-use crate::model::fused::is_used;
+use crate::model::pass::Arithmetic;
 
 /// AdamW with PyTorch's defaults and a weight decay.
-pub fn adamw(weight_decay: f64) -> ModuleOptimizer {
-    OnePass::new(weight_decay as f32).into()
+pub fn adamw(weight_decay: f64, arithmetic: Arithmetic) -> ModuleOptimizer {
+    OnePass::new(weight_decay as f32, arithmetic).into()
 }
 
 /// AdamW whose step on the processor is one pass. Its state is that of the composed one, to the bit.
@@ -21,10 +21,11 @@ pub fn adamw(weight_decay: f64) -> ModuleOptimizer {
 struct OnePass {
     composed: AdamW,
     weight_decay: f32,
+    arithmetic: Arithmetic,
 }
 
 impl OnePass {
-    fn new(weight_decay: f32) -> Self {
+    fn new(weight_decay: f32, arithmetic: Arithmetic) -> Self {
         let config = AdamWConfig::new()
             .with_beta_1(BETAS[0])
             .with_beta_2(BETAS[1])
@@ -33,6 +34,7 @@ impl OnePass {
         Self {
             composed: config.build(),
             weight_decay,
+            arithmetic,
         }
     }
 }
@@ -52,7 +54,7 @@ impl Optimizer for OnePass {
             return self.composed.step(rate, tensor, grad, None);
         };
         let is_plain = |tensor: &Tensor<D>| {
-            is_used(&tensor.device())
+            self.arithmetic.uses_kernels(&tensor.device())
                 && tensor.dtype() == DType::F32
                 && !tensor.device().is_autodiff()
         };
@@ -106,6 +108,7 @@ mod tests {
     use burn::tensor::Distribution;
 
     use super::*;
+    use crate::transfer::read;
 
     /// The weights after some steps on random gradients, among which are very small and large ones.
     fn trained(mut optimizer: ModuleOptimizer) -> Vec<Vec<f32>> {
@@ -121,16 +124,15 @@ mod tests {
             let grads = GradientsParams::from_grads(grads, &layer);
             layer = optimizer.step(0.01, layer, grads);
             let Linear { weight, bias } = layer.clone().valid();
-            found.push(weight.val().into_data().try_into_vec_as().expect("floats"));
-            let bias = bias.as_ref().map(Param::val).expect("it has a bias");
-            found.push(bias.into_data().try_into_vec_as().expect("floats"));
+            found.push(read(weight.val()));
+            found.push(read(bias.as_ref().map(Param::val).expect("it has a bias")));
         }
         found
     }
 
     #[test]
     fn one_pass_steps_as_the_composed_optimizer_does() {
-        let ours = OnePass::new(0.05);
+        let ours = OnePass::new(0.05, Arithmetic::default());
         let composed = ModuleOptimizer::from(ours.composed.clone());
         assert_eq!(trained(ours.into()), trained(composed));
     }
@@ -149,10 +151,10 @@ mod tests {
             moment_2: tensor([0.5, 0.1]),
             max_moment_2: None,
         };
-        let optimizer = OnePass::new(0.01);
+        let optimizer = OnePass::new(0.01, Arithmetic::default());
         let state = Some(AdamWState { momentum });
         let (found, state) = optimizer.step(1e-2, tensor([1.0, -2.0]), tensor([0.7, 0.4]), state);
-        let found: Vec<f32> = found.into_data().try_into_vec_as().expect("floats");
+        let found = read(found);
         assert_eq!(state.expect("kept").momentum.time, 5);
         let numbers = [(1.0, 0.7, 0.3, 0.5), (-2.0, 0.4, -0.2, 0.1)];
         for ((value, gradient, first, second), found) in numbers.into_iter().zip(found) {

@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use work::commit_edits;
 
 use crate::checkpoint::Slot;
+use crate::error::{json_error, motion_error};
 use crate::sample::{EditTimes, FitMethod, TimedInstruction};
 use crate::text::source::TextEncoderSource;
 use crate::{Error, Session};
@@ -144,7 +145,6 @@ pub(crate) fn named_with(name: String, slot: Slot, settings: &[(&str, Setting)])
     }
 }
 
-/// A setting that a system edits with, and its usual value.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Setting {
     /// Used and usual.
@@ -176,9 +176,7 @@ impl Remarks {
     pub fn read(edits: &Path) -> Result<Self, Error> {
         let path = edits.join(REMARKS);
         match ByPath.read(&path) {
-            Ok(bytes) => {
-                serde_json::from_slice(&bytes).map_err(|source| Error::Json { path, source })
-            }
+            Ok(bytes) => serde_json::from_slice(&bytes).map_err(json_error(&path)),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
             Err(error) => Err(datasets_spec::Error::io("read", &path)(error).into()),
         }
@@ -330,10 +328,7 @@ pub fn edit_items(
     let sources: Vec<(Motion, [TimedInstruction; 1])> = items
         .iter()
         .map(|item| {
-            let source = item.source().map_err(|source| Error::Motion {
-                id: item.id.clone(),
-                source,
-            })?;
+            let source = item.source().map_err(motion_error(&item.id))?;
             let instruction = TimedInstruction {
                 frames: item.edited_frames()?,
                 text: item.instruction.clone(),
@@ -382,10 +377,7 @@ fn kept_outside<'a>(request: &EditRequest<'_>, made: &'a Motion) -> Result<Cow<'
         return Ok(Cow::Borrowed(made));
     }
     let kept = keep_outside(request.motion, made, &ranges);
-    kept.map(Cow::Owned).map_err(|source| Error::Motion {
-        id: request.id.to_owned(),
-        source,
-    })
+    kept.map(Cow::Owned).map_err(motion_error(request.id))
 }
 
 /// An edited motion.
@@ -476,10 +468,7 @@ pub fn edit_layers(
     }
     match edited {
         Some(edited) => Ok(Edited { times, ..edited }),
-        None => Err(Error::Item {
-            id: id.to_owned(),
-            problem: "has no instruction".to_owned(),
-        }),
+        None => Err(Error::item(id, "has no instruction")),
     }
 }
 

@@ -12,6 +12,7 @@ use crate::config::{Preset, ScheduleName, TrainConfig};
 use crate::data::{NoisyBatch, TextBatch};
 use crate::diffusion::Objective;
 use crate::model::denoiser::Denoiser;
+use crate::model::pass::{Arithmetic, Pass};
 use crate::model::weights::draw;
 use crate::optimizer::adamw;
 use crate::schedule::Schedule;
@@ -19,7 +20,6 @@ use crate::transfer::read;
 
 /// Steps before the clock starts: kernels are compiled and memory is taken in the first ones.
 const WARM_UP: usize = 3;
-/// Steps of diffusion.
 const DIFFUSION_STEPS: usize = 100;
 
 /// What was measured.
@@ -43,8 +43,8 @@ impl Throughput {
 /// The network of the editor of a preset, with drawn weights.
 pub fn network(preset: Preset, device: &Device) -> Denoiser {
     let config = TrainConfig::preset(preset);
-    let width = config.model.width;
-    let network = Denoiser::new(&config.model, config.diffusion.previous, width, device);
+    let (model, previous) = (&config.model, config.diffusion.previous);
+    let network = Denoiser::new(model, previous, model.width, FRAME_WIDTH, device);
     draw(network, Seed(1)).expect("every layer has a rule")
 }
 
@@ -58,6 +58,7 @@ pub fn of_training(
     rows: usize,
     least: Duration,
     device: &Device,
+    arithmetic: Arithmetic,
     clock: &dyn Fn() -> Duration,
 ) -> Result<Throughput, String> {
     let config = TrainConfig::preset(preset);
@@ -81,7 +82,8 @@ pub fn of_training(
         &device,
     );
     let mut model = network(preset, &device);
-    let mut optimizer = adamw(0.01);
+    let mut optimizer = adamw(0.01, arithmetic);
+    let pass = Pass::new(arithmetic);
     let mut begun = clock();
     let mut steps = 0;
     // A read waits for the device. Runs read it every few steps, so that rounds grow.
@@ -89,7 +91,7 @@ pub fn of_training(
     for (place, round) in std::iter::once(WARM_UP).chain(rounds).enumerate() {
         let mut last = None;
         for _ in 0..round {
-            let loss = objective.loss(&model, &batch, text.clone());
+            let loss = objective.loss(&model, &batch, text.clone(), &pass);
             last = Some(loss.clone().inner());
             let gradients = GradientsParams::from_grads(loss.backward(), &model);
             model = optimizer.step(1e-4, model, gradients);
@@ -126,7 +128,10 @@ fn batch(rows: usize) -> NoisyBatch {
         noise: values(),
         timesteps: (0..rows).map(|row| row % DIFFUSION_STEPS).collect(),
         progress: vec![0.5; rows],
-        texts: TextBatch::Vectors(Vec::new()),
+        texts: TextBatch::Vectors {
+            values: Vec::new(),
+            lengths: Vec::new(),
+        },
         text_kept: vec![1.0; rows],
         is_start: vec![false; rows],
     }

@@ -1,4 +1,4 @@
-//! Numbers read from a device: the only place of this crate that reads, so that reads are counted.
+//! Numbers sent to a device and read from one: the only place of this crate that reads, so that reads are counted.
 //!
 //! A card computes behind the program. A read waits until it has done everything asked of it so far, and
 //! then it has nothing to do until the program asks again. So nothing is read inside a step of training or
@@ -6,13 +6,22 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use burn::tensor::Tensor;
+use burn::tensor::{Device, Tensor, TensorData};
 
 static READS: AtomicU64 = AtomicU64::new(0);
 
 /// Number of reads from a device by this process so far, but for those that write checkpoints.
 pub fn num_reads() -> u64 {
     READS.load(Ordering::Relaxed)
+}
+
+/// Numbers, row by row, as a tensor on a device.
+pub(crate) fn send<const D: usize>(
+    values: Vec<f32>,
+    shape: [usize; D],
+    device: &Device,
+) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values, shape), device)
 }
 
 /// The numbers of a tensor of floats, row by row.
@@ -48,8 +57,6 @@ pub(crate) fn weighted_mean(losses: impl IntoIterator<Item = (usize, Tensor<1>)>
 #[cfg(test)]
 mod tests {
     use std::path::Path;
-
-    use burn::tensor::Device;
 
     use super::*;
 

@@ -6,6 +6,7 @@ use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::config::positive;
 
 /// Number of the token that fills a row up to the length of the longest one.
 pub const PADDING: i32 = 0;
@@ -31,6 +32,27 @@ pub struct TokenBatch {
     pub width: usize,
 }
 
+impl TokenBatch {
+    /// Texts as rows, padded to the longest.
+    pub(crate) fn of<T: AsRef<[i32]>>(texts: &[T]) -> Self {
+        let texts = texts.iter().map(T::as_ref);
+        let width = texts.clone().map(<[i32]>::len).max().unwrap_or(1);
+        let mut ids = Vec::with_capacity(texts.len() * width);
+        for text in texts {
+            let end = ids.len() + width;
+            ids.extend_from_slice(text);
+            ids.resize(end, PADDING);
+        }
+        Self { ids, width }
+    }
+
+    /// Tokens of each row that are not padding, `[B]`.
+    pub fn lengths(&self) -> impl Iterator<Item = usize> {
+        let rows = self.ids.chunks_exact(self.width);
+        rows.map(|row| row.iter().filter(|&&id| id != PADDING).count())
+    }
+}
+
 impl Vocabulary {
     /// Collects the words of `texts`. Texts are later cut after `max_words` words.
     ///
@@ -41,17 +63,8 @@ impl Vocabulary {
         num_buckets: usize,
         max_words: usize,
     ) -> Result<Self, Error> {
-        for (field, value) in [
-            ("text.num_buckets", num_buckets),
-            ("text.max_words", max_words),
-        ] {
-            if value == 0 {
-                return Err(Error::Config {
-                    field,
-                    problem: "it must be at least 1".to_owned(),
-                });
-            }
-        }
+        positive("text.num_buckets", num_buckets as u64)?;
+        positive("text.max_words", max_words as u64)?;
         let words: BTreeSet<String> = texts.into_iter().flat_map(words_of).collect();
         Ok(Self {
             words: words.into_iter().collect(),
@@ -80,14 +93,7 @@ impl Vocabulary {
     /// The token numbers of several texts, padded to the longest.
     pub fn encode_batch<'a>(&self, texts: impl IntoIterator<Item = &'a str>) -> TokenBatch {
         let rows: Vec<Vec<i32>> = texts.into_iter().map(|text| self.encode(text)).collect();
-        let width = rows.iter().map(Vec::len).max().unwrap_or(1);
-        let mut ids = Vec::with_capacity(rows.len() * width);
-        for row in rows {
-            let filled = ids.len() + width;
-            ids.extend(row);
-            ids.resize(filled, PADDING);
-        }
-        TokenBatch { ids, width }
+        TokenBatch::of(&rows)
     }
 
     /// Unknown words among the first `max_words` of a text, each once, in order.

@@ -15,8 +15,10 @@ use train::checkpoint::Slot;
 use train::config::{BertVectors, NetworkConfig};
 use train::exchange::{TextSide, import_motion_encoder};
 use train::features::{FeatureRecipe, FeatureStats};
+use train::model::pass::Pass;
 use train::model::tmr::SequenceEncoder;
 use train::model::weights::{draw, to_safetensors};
+use train::text::FrozenText;
 use train::text::bert::{BertEncoder, BertFiles};
 use train::text::package::unpack;
 use train::text::table::EmbeddingTable;
@@ -206,7 +208,7 @@ fn states_are_those_that_were_recorded() {
     for (kind, first, last, pooled) in RECORDED {
         let dir = folder(kind, "");
         let encoder = load(dir.path()).expect("loads");
-        assert_eq!(encoder.width(), WIDTH);
+        assert_eq!(encoder.width(BertVectors::States), WIDTH);
         let states = encode(&encoder, text, BertVectors::States);
         assert_eq!(states.len(), 7 * WIDTH, "{kind}");
         check(&states[..WIDTH], &first, kind);
@@ -443,8 +445,8 @@ fn a_table_holds_what_the_encoder_gives() {
     let encoder = load(dir.path()).expect("loads");
     let texts = ["wave", "raise the left arm", ""];
     for vectors in [BertVectors::Pooled, BertVectors::States] {
-        let table = EmbeddingTable::compute_bert(&encoder, vectors, texts, &mut |_, _| {})
-            .expect("encoded");
+        let table =
+            EmbeddingTable::compute(&encoder, vectors, texts, &mut |_, _| {}).expect("encoded");
         assert_eq!(table.encoder(), encoder.identity(vectors));
         for text in texts {
             let found = table.get(text).expect("there");
@@ -505,7 +507,10 @@ fn the_text_side_of_tmr_reads_the_states_of_its_network() {
         .expect("encoded");
     let length = states.len() / WIDTH;
     let states = Tensor::<3>::from_data(TensorData::new(states, [1, length, WIDTH]), &device);
-    let expected = text.forward(states, &[length]).mu.into_data();
+    let expected = text
+        .forward(states, &[length], &Pass::default())
+        .mu
+        .into_data();
     let expected: Vec<f32> = expected.try_into_vec_as().expect("floats");
     check(&codes[1], &expected, "latent");
     // A folder that was exchanged is noticed.

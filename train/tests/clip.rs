@@ -14,9 +14,11 @@ use remote_store::hub::HubCache;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 use train::Error;
+use train::config::BertVectors;
 use train::model::clip::{ClipConfig, ClipText};
 use train::model::torch::{StateDictOptions, state_dict_from_torch};
 use train::model::weights::{draw, to_safetensors};
+use train::text::FrozenText;
 use train::text::clip::{ClipEncoder, ClipFiles, ClipModel};
 use train::text::table::EmbeddingTable;
 use train::text::tokens::ClipTokenizer;
@@ -407,21 +409,23 @@ fn tiny_encoder(seed: u64, weights: &str) -> ClipEncoder {
 #[test]
 fn every_kind_of_file_gives_the_same_encoder() {
     let encoder = tiny_encoder(1, "model.safetensors");
-    assert_eq!(encoder.width(), 6);
+    assert_eq!(encoder.width(BertVectors::Pooled), 6);
     let pickled = tiny_encoder(1, "pytorch_model.bin");
-    assert_eq!(encoder.identity(), pickled.identity());
+    assert_eq!(encoder.hash(), pickled.hash());
     let texts = ["up", "UN  up"];
-    let encoded = encoder.encode(&texts).expect("encoded");
-    assert_eq!(encoded, pickled.encode(&texts).expect("encoded"));
-    assert_eq!(encoded.len(), 2 * encoder.width());
-    assert_ne!(encoded[..6], encoded[6..]);
+    let encode = |encoder: &ClipEncoder| {
+        encoder
+            .encode(&texts, BertVectors::Pooled)
+            .expect("encoded")
+    };
+    let encoded = encode(&encoder);
+    assert_eq!(encoded, encode(&pickled));
+    assert!(encoded.iter().map(Vec::len).eq([6, 6]));
+    assert_ne!(encoded[0], encoded[1]);
     // Not normalised.
-    let norm: f32 = encoded[..6].iter().map(|value| value * value).sum();
+    let norm: f32 = encoded[0].iter().map(|value| value * value).sum();
     assert!((norm - 1.0).abs() > 1e-3, "{norm}");
-    assert_ne!(
-        encoder.identity(),
-        tiny_encoder(2, "model.safetensors").identity()
-    );
+    assert_ne!(encoder.hash(), tiny_encoder(2, "model.safetensors").hash());
 }
 
 #[test]
@@ -455,23 +459,19 @@ fn a_table_holds_what_the_encoder_gives() {
     let encoder = tiny_encoder(1, "model.safetensors");
     let texts = ["wave", "up", "un-wave both arms", "up", ""];
     let mut seen = Vec::new();
-    let table = EmbeddingTable::compute(&encoder, texts, &mut |done, all| seen.push((done, all)))
-        .expect("encoded");
+    let mut note = |done, all| seen.push((done, all));
+    let table =
+        EmbeddingTable::compute(&encoder, BertVectors::Pooled, texts, &mut note).expect("encoded");
     assert_eq!(seen, [(4, 4)]);
     assert_eq!(table.texts(), ["", "un-wave both arms", "up", "wave"]);
     for text in texts {
-        let alone = encoder.encode(&[text]).expect("encoded");
+        let alone = encoder.encode(&[text], BertVectors::Pooled);
         let found = table.get(text).expect("there");
-        for (a, b) in found.iter().zip(&alone) {
+        for (a, b) in found.iter().zip(&alone.expect("encoded")[0]) {
             // Sums of 16 products of f32 in another order.
             assert!((a - b).abs() < 1e-5, "{text:?}: {a} {b}");
         }
     }
-    let batch = table
-        .batch(&["up", "wave", "up"], &Device::flex())
-        .expect("there");
-    assert_eq!(batch.dims(), [3, 6]);
-
     table.check_texts(["up", "wave"]).expect("complete");
     let error = table
         .check_texts(["up", "Up", "down"])
@@ -481,7 +481,6 @@ fn a_table_holds_what_the_encoder_gives() {
         message.contains(r#"lacks 2 texts, such as "Up", "down""#),
         "{message}"
     );
-    assert!(table.batch(&["down"], &Device::flex()).is_err());
 }
 
 #[test]
@@ -491,7 +490,8 @@ fn a_table_comes_back_bit_for_bit_or_not_at_all() {
     let encoder = tiny_encoder(1, "model.safetensors");
     let texts: Vec<String> = (0..150).map(|i| format!("turn {i} \"times\"\n")).collect();
     let compute = |texts: &mut dyn Iterator<Item = &str>| {
-        EmbeddingTable::compute(&encoder, texts, &mut |_, _| {}).expect("encoded")
+        let vectors = BertVectors::Pooled;
+        EmbeddingTable::compute(&encoder, vectors, texts, &mut |_, _| {}).expect("encoded")
     };
     let table = compute(&mut texts.iter().map(String::as_str));
     table.save(&path).expect("saved");

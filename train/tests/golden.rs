@@ -21,7 +21,7 @@ use burn_store::ModuleSnapshot;
 use datasets_spec::{Fps, Motion, Pose, Seed};
 use glam::DVec3;
 use kinematics::canonical::FIXED_FRAMES;
-use kinematics::normalise::Normalizer;
+use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use kinematics::rotation;
 use safetensors::SafeTensors;
 use train::compose::ComposeRecord;
@@ -35,6 +35,7 @@ use train::features::smpl135;
 use train::j2s::{J2sPreset, PoseNet};
 use train::model::coordinator::Coordinator;
 use train::model::denoiser::{Denoiser, progress_indices};
+use train::model::pass::{Arithmetic, Pass};
 use train::model::position::sinusoid;
 use train::model::tmr::{
     Distribution, SequenceDecoder, SequenceEncoder, cosine_similarity, info_nce,
@@ -138,6 +139,7 @@ fn denoiser() -> Denoiser {
         &config,
         PreviousFrames::Inpainted,
         config.width,
+        FRAME_WIDTH,
         &Device::flex(),
     );
     golden.load(&mut network, "weights.");
@@ -172,6 +174,7 @@ fn golden_denoiser() {
             text,
             &golden.f32s("in.prog"),
             golden.tensor("in.orig"),
+            &Pass::default(),
         )
     };
     check(forward(text.clone()), &golden, "out.eps", 2e-5);
@@ -200,7 +203,8 @@ fn golden_denoiser_trains_as_it_infers() {
         ..golden.network("dim_model", "dim_feedforward")
     };
     let device = Device::flex().autodiff();
-    let mut network = Denoiser::new(&config, PreviousFrames::Inpainted, config.width, &device);
+    let previous = PreviousFrames::Inpainted;
+    let mut network = Denoiser::new(&config, previous, config.width, FRAME_WIDTH, &device);
     golden.load(&mut network, "weights.");
     let on_device = |values: Tensor<3>| Tensor::<3>::from_data(values.into_data(), &device);
     let eps = network.forward(
@@ -209,16 +213,22 @@ fn golden_denoiser_trains_as_it_infers() {
         Tensor::from_data(golden.tensor::<2>("in.text").into_data(), &device),
         &golden.f32s("in.prog"),
         on_device(golden.tensor("in.orig")),
+        &Pass::default(),
     );
     check(eps.inner(), &golden, "out.eps", 2e-5);
 }
 
 #[test]
-fn golden_denoiser_is_saved_under_the_reference_names() {
-    let golden = Golden::read("motionrefit_denoiser");
-    let bytes = to_safetensors(&denoiser(), Path::new("memory")).expect("saved");
+fn golden_networks_are_saved_under_the_reference_names() {
+    check_saved(&denoiser(), "motionrefit_denoiser");
+    check_saved(&coordinator(&Device::flex()), "motionrefit_coordinator");
+}
+
+/// A network is saved as the weights of a recorded case.
+fn check_saved(network: &impl Module, case: &str) {
+    let bytes = to_safetensors(network, Path::new("memory")).expect("saved");
     let saved = SafeTensors::deserialize(&bytes).expect("a safetensors file");
-    let recorded = golden.bytes();
+    let recorded = Golden::read(case).bytes();
     let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
     let mut expected: Vec<&str> = reference
         .names()
@@ -228,7 +238,7 @@ fn golden_denoiser_is_saved_under_the_reference_names() {
     let mut names: Vec<&str> = saved.names().into_iter().collect();
     expected.sort_unstable();
     names.sort_unstable();
-    assert_eq!(names, expected);
+    assert_eq!(names, expected, "{case}");
     for name in names {
         let original = reference.tensor(&format!("weights.{name}")).expect("known");
         let written = saved.tensor(name).expect("written");
@@ -417,7 +427,12 @@ fn golden_training_loss() {
         fps: Fps::STORE,
     };
     let loss: f32 = objective
-        .loss(&denoiser(), &batch, golden.tensor("in.loss.text"))
+        .loss(
+            &denoiser(),
+            &batch,
+            golden.tensor("in.loss.text"),
+            &Pass::default(),
+        )
         .into_scalar();
     // Mean of some 3,500 terms, each within the tolerance of the network.
     assert!((loss - golden.f32s("out.loss.value")[0]).abs() < 2e-5);
@@ -436,7 +451,7 @@ fn coordinator(device: &Device) -> Coordinator {
         feed_forward,
         dropout: 0.1,
     };
-    let mut network = Coordinator::new(&config, device);
+    let mut network = Coordinator::new(&config, FRAME_WIDTH, device);
     golden.load(&mut network, "weights.");
     network
 }
@@ -447,13 +462,13 @@ fn golden_coordinator() {
     let network = coordinator(&Device::flex());
     let (x, t) = (golden.tensor::<3>("in.x"), golden.indices("in.t"));
     check(
-        network.probability(x.clone(), &t),
+        network.probability(x.clone(), &t, &Pass::default()),
         &golden,
         "out.prob",
         2e-6,
     );
     let gradient: Vec<f32> = network
-        .gradient(x, &t)
+        .gradient(x, &t, &Pass::default())
         .into_data()
         .try_into_vec_as()
         .expect("floats");
@@ -466,28 +481,6 @@ fn golden_coordinator() {
 }
 
 #[test]
-fn golden_coordinator_is_saved_under_the_reference_names() {
-    let bytes = to_safetensors(&coordinator(&Device::flex()), Path::new("memory")).expect("saved");
-    let saved = SafeTensors::deserialize(&bytes).expect("a safetensors file");
-    let recorded = Golden::read("motionrefit_coordinator").bytes();
-    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
-    let mut names: Vec<&str> = saved.names().into_iter().collect();
-    let mut expected: Vec<&str> = reference
-        .names()
-        .into_iter()
-        .filter_map(|name| name.strip_prefix("weights."))
-        .collect();
-    names.sort_unstable();
-    expected.sort_unstable();
-    assert_eq!(names, expected);
-    for name in names {
-        let original = reference.tensor(&format!("weights.{name}")).expect("known");
-        let written = saved.tensor(name).expect("written");
-        assert_eq!(written.data(), original.data(), "{name}");
-    }
-}
-
-#[test]
 fn the_gradient_of_the_coordinator_is_that_of_finite_differences() {
     let network = coordinator(&Device::flex());
     let golden = Golden::read("motionrefit_coordinator");
@@ -496,13 +489,13 @@ fn the_gradient_of_the_coordinator_is_that_of_finite_differences() {
     let shape = x.dims();
     let values: Vec<f32> = x.to_data().try_into_vec_as().expect("floats");
     let gradient: Vec<f32> = network
-        .gradient(x, t)
+        .gradient(x, t, &Pass::default())
         .into_data()
         .try_into_vec_as()
         .expect("floats");
     let probability = |values: Vec<f32>| -> f64 {
         let x = Tensor::from_data(TensorData::new(values, shape), &Device::flex());
-        let p: f32 = network.probability(x, t).into_scalar();
+        let p: f32 = network.probability(x, t, &Pass::default()).into_scalar();
         f64::from(p)
     };
     // Along directions that mix all numbers, so that the difference stands out of f32 rounding.
@@ -600,7 +593,7 @@ fn check_sampling(case: &str) {
     let network = denoiser();
     Sampler {
         denoiser: &network,
-        weights: &network.prepared_weights(),
+        weights: &network.prepared_weights(Arithmetic::default()),
         schedule: &schedule,
         prediction: Prediction::Noise,
         extrapolation: None,
@@ -643,9 +636,11 @@ fn golden_guided_step() {
     let recorded =
         |name: &str, row: usize| golden.f32s(name)[row * numbers..(row + 1) * numbers].to_vec();
     for (row, t) in golden.indices("in.t").into_iter().enumerate() {
+        let pass = Pass::default();
         let predict = |text: Tensor<2>| {
             let progress = golden.f32s("in.prog");
-            network.forward(x_t.clone(), &[t], text, &progress, golden.tensor("in.orig"))
+            let original = golden.tensor("in.orig");
+            network.forward(x_t.clone(), &[t], text, &progress, original, &pass)
         };
         let eps = guide(predict(text.clone()), predict(text.zeros_like()), 3.0);
         let x0 = schedule.predict_x0(x_t.clone(), &[t], eps).clamp(-1.0, 1.0);
@@ -655,7 +650,7 @@ fn golden_guided_step() {
             assert!(difference <= 5e-6, "{name} at {t}: {difference}");
         };
         close(&mean, "out.mean");
-        let gradient = coordinator.gradient(mean.clone(), &[t]);
+        let gradient = coordinator.gradient(mean.clone(), &[t], &pass);
         close(&gradient, "out.grad");
         let is_guided = t > 0 && t < 5;
         let guided = if is_guided {
@@ -709,7 +704,7 @@ fn golden_autoregressive() {
     };
     let expected_fixed = golden.f32s("out.fixed");
     let expected = golden.f32s("out.windows");
-    let weights = network.prepared_weights();
+    let weights = network.prepared_weights(Arithmetic::default());
     for index in 0..num_windows {
         let original = &original[index * numbers..(index + 1) * numbers];
         let fixed: Vec<f32> = match stitcher.next_fixed() {
@@ -783,20 +778,22 @@ fn golden_tmr_encoder_decoder() {
     let mut encoder = SequenceEncoder::new(motion_features, &config, &device);
     golden.load(&mut encoder, "weights.motion_encoder.");
     let lengths = golden.indices("in.motion_lengths");
-    let motion = encoder.forward(golden.tensor("in.motion"), &lengths);
+    let pass = Pass::default();
+    let motion = encoder.forward(golden.tensor("in.motion"), &lengths, &pass);
     check(motion.mu.clone(), &golden, "out.motion_mu", 3e-5);
     check(motion.logvar, &golden, "out.motion_logvar", 3e-5);
 
     let mut encoder = SequenceEncoder::new(golden.size("nfeats_text"), &config, &device);
     golden.load(&mut encoder, "weights.text_encoder.");
-    let text = encoder.forward(golden.tensor("in.text"), &golden.indices("in.text_lengths"));
+    let text_lengths = golden.indices("in.text_lengths");
+    let text = encoder.forward(golden.tensor("in.text"), &text_lengths, &pass);
     check(text.mu.clone(), &golden, "out.text_mu", 3e-5);
     check(text.logvar, &golden, "out.text_logvar", 3e-5);
 
     let mut decoder = SequenceDecoder::new(motion_features, &config, &device);
     golden.load(&mut decoder, "weights.motion_decoder.");
     let steps = golden.values("in.motion").1[1];
-    let decoded = decoder.forward(motion.mu.clone(), &lengths, steps);
+    let decoded = decoder.forward(motion.mu.clone(), &lengths, steps, &pass);
     check(decoded, &golden, "out.decoded", 3e-5);
     check(
         cosine_similarity(text.mu, motion.mu),
@@ -1041,6 +1038,7 @@ fn a_pose_network_learns_and_is_loaded_again() {
         let session = Session {
             device: &Device::flex(),
             more_devices: &[],
+            arithmetic: Arithmetic::default(),
             progress: &NoProgress,
             stop: &std::sync::atomic::AtomicBool::new(false),
             clock: &|| std::time::Duration::ZERO,

@@ -22,25 +22,26 @@ use kinematics::canonical::{FIXED_FRAMES, WINDOW_FRAMES};
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use rand::RngExt;
 use rand_distr::StandardNormal;
+use train::captioned::{CaptionedClip, CaptionedCorpus};
 use train::checkpoint::{Slot, Start};
 use train::compose::ComposeRecord;
 use train::config::{
     Decay, DiffusionConfig, NetworkConfig, NoiseKind, Prediction, Preset, PreviousFrames,
     RunLength, TextEncoder, TrainConfig,
 };
-use train::coordinator::{
-    CoordinatorConfig, SegmentSource, Segments, TrainedCoordinator, train_coordinator,
-};
-use train::data::{NoisyBatch, TextBatch, TextVectors, WindowBatch, WindowSource};
+use train::coordinator::{CoordinatorConfig, Segments, TrainedCoordinator, train_coordinator};
+use train::data::{NoisyBatch, TextBatch, WindowBatch, WindowSource};
 use train::diffusion::Objective;
 use train::exchange::export;
 use train::features::FeatureRecipe;
 use train::fit::{Corpus, EditorRecord, TextRecord, TrainReport, train_motionrefit};
 use train::model::motionrefit::{MotionRefit, TextSource};
+use train::model::pass::{Arithmetic, Pass};
 use train::model::weights::draw;
 use train::sample::{EditItem, EditSettings, EditTimes, Editor, FitMethod, TimedInstruction};
 use train::schedule::Schedule;
-use train::tmr::{CaptionedMotion, TmrConfig, TmrCorpus, TmrEncoder, train_tmr};
+use train::text::table::EmbeddingTable;
+use train::tmr::{TmrConfig, TmrEncoder, train_tmr};
 use train::vocabulary::Vocabulary;
 use train::{Error, Session};
 
@@ -222,6 +223,7 @@ fn train_until<'a>(
         &Session {
             device: &Device::flex(),
             more_devices: &[],
+            arithmetic: Arithmetic::default(),
             progress,
             stop,
             clock: &|| begun.elapsed(),
@@ -337,6 +339,7 @@ fn one_batch_is_overfitted() {
             &network,
             &diffusion,
             TextSource::Learned(vocabulary.num_tokens()),
+            FRAME_WIDTH,
             &device,
         ),
         Seed(2),
@@ -344,9 +347,11 @@ fn one_batch_is_overfitted() {
     .expect("known layers");
     const STEPS: u32 = 800;
     let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
+    let pass = Pass::default();
     let mut losses = Vec::new();
     for step in 0..STEPS {
-        let loss = model.loss(&objective(&schedule, &diffusion), &batch, &device);
+        let objective = objective(&schedule, &diffusion);
+        let loss = model.loss(&objective, &batch, &device, &pass);
         losses.push(loss.clone().into_scalar::<f32>());
         let gradients = GradientsParams::from_grads(loss.backward(), &model);
         let rate = 3e-3 * (1.0 - f64::from(step) / f64::from(STEPS));
@@ -382,6 +387,7 @@ fn a_dropped_instruction_leaves_no_trace() {
             &config.model,
             &config.diffusion,
             TextSource::Learned(vocabulary.num_tokens()),
+            FRAME_WIDTH,
             &device,
         ),
         Seed(4),
@@ -400,8 +406,9 @@ fn a_dropped_instruction_leaves_no_trace() {
         };
         let objective = objective(&schedule, &config.diffusion);
         let nothing = Tensor::zeros([1, config.model.width], &device);
-        let of_zeros = objective.loss(&model.denoiser, &batch, nothing);
-        let loss = model.loss(&objective, &batch, &device);
+        let pass = Pass::default();
+        let of_zeros = objective.loss(&model.denoiser, &batch, nothing, &pass);
+        let loss = model.loss(&objective, &batch, &device, &pass);
         (loss.into_scalar::<f32>(), of_zeros.into_scalar::<f32>())
     };
     let (raised, without) = loss("raise it", 1.0);
@@ -617,22 +624,9 @@ fn epochs_are_counted_and_their_checkpoints_kept() {
 }
 
 /// Vectors of the two instructions, as a frozen encoder would give.
-#[derive(Debug)]
-struct TwoVectors([Vec<f32>; 2]);
-
-impl TextVectors for TwoVectors {
-    fn width(&self) -> usize {
-        self.0[0].len()
-    }
-
-    fn get(&self, text: &str) -> Option<&[f32]> {
-        let place = HEIGHTS.iter().position(|(known, _)| *known == text)?;
-        Some(&self.0[place])
-    }
-
-    fn encoder_hash(&self) -> &str {
-        "frozen"
-    }
+fn two_vectors(values: &[f32]) -> EmbeddingTable {
+    let texts = HEIGHTS.map(|(text, _)| text.to_owned());
+    EmbeddingTable::of_vectors("frozen", &texts, values).expect("a row for each text")
 }
 
 #[test]
@@ -642,9 +636,9 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
     config.text.encoder = TextEncoder::Clip;
     config.run.optimizer.learning_rate = 3e-3;
     config.run.optimizer.decay = Decay::Constant;
-    let vectors = TwoVectors([vec![8.0, 0.0, 1.0], vec![0.0, -8.0, 1.0]]);
+    let vectors = two_vectors(&[8.0, 0.0, 1.0, 0.0, -8.0, 1.0]);
     let source = Waves { items: 20 };
-    let run = |vectors: Option<&dyn TextVectors>| {
+    let run = |vectors: Option<&EmbeddingTable>| {
         quietly(|session| {
             train_motionrefit(
                 dir.path(),
@@ -663,26 +657,18 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
     assert!(best.expect("validated") < 0.5 * first.expect("a line"));
 
     let load = || Editor::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
-    let other = TwoVectors([vec![1.0; 4], vec![2.0; 4]]);
+    let other = two_vectors(&[1.0; 8]);
     assert!(matches!(
-        load().set_vectors(Box::new(other)),
+        load().set_vectors(other),
         Err(Error::Misfit { .. })
     ));
     let mut editor = load();
-    editor.set_vectors(Box::new(vectors)).expect("its encoder");
+    editor.set_vectors(vectors).expect("its encoder");
     let record = &editor.record().config;
     let skeleton = Skeleton::smplx_neutral();
     let edit = |text: &str| {
-        let item = EditItem::new("a", &walk(61, 1.0, 0.0), text, &skeleton, record)?;
-        let settings = EditSettings {
-            seed: Seed(5),
-            guidance: 1.0,
-            temperature: 1.0,
-            coordinator: record.train.coordinator,
-            fit: FitMethod::Exact,
-            prior: 0.0,
-            max_batch: 2,
-        };
+        let item = whole_item("a", &walk(61, 1.0, 0.0), text, record)?;
+        let settings = edit_settings(record);
         quietly(|session| {
             let mut times = EditTimes::default();
             editor.edit_batch(&[item], &skeleton, &settings, session, &mut times)
@@ -950,7 +936,7 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
     let record = &editor.record().config;
     let item = |id: &str, num_frames: usize, instruction: &str| {
         let motion = walk(num_frames, 1.0, 0.0);
-        EditItem::new(id, &motion, instruction, &skeleton, record).expect("long enough")
+        whole_item(id, &motion, instruction, record).expect("long enough")
     };
     let items = [
         item("a", 61, "raise it"),
@@ -958,13 +944,8 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
         item("c", 93, "raise it"),
     ];
     let settings = EditSettings {
-        seed: Seed(5),
         guidance: 2.0,
-        temperature: 1.0,
-        coordinator: record.train.coordinator,
-        fit: FitMethod::Exact,
-        prior: 0.0,
-        max_batch: 2,
+        ..edit_settings(record)
     };
     let edit = |items: &[EditItem], settings: &EditSettings| {
         quietly(|session| {
@@ -1025,10 +1006,35 @@ fn quietly<T>(act: impl FnOnce(&Session<'_>) -> T) -> T {
     act(&Session {
         device: &Device::flex(),
         more_devices: &[],
+        arithmetic: Arithmetic::default(),
         progress: &NoProgress,
         stop: &AtomicBool::new(false),
         clock: &|| begun.elapsed(),
     })
+}
+
+/// Two windows at a time, unguided.
+fn edit_settings(record: &EditorRecord) -> EditSettings {
+    EditSettings {
+        seed: Seed(5),
+        guidance: 1.0,
+        temperature: 1.0,
+        coordinator: record.train.coordinator,
+        fit: FitMethod::Exact,
+        prior: 0.0,
+        max_batch: 2,
+    }
+}
+
+/// A motion that is asked for the same in all of its frames.
+fn whole_item(
+    id: &str,
+    motion: &Motion,
+    instruction: &str,
+    record: &EditorRecord,
+) -> Result<EditItem, Error> {
+    let asked = [timed(0..motion.len(), instruction)];
+    EditItem::timed(id, motion, &asked, motion.fps(), &SKELETON, record)
 }
 
 fn timed(frames: std::ops::Range<usize>, text: &str) -> TimedInstruction {
@@ -1040,31 +1046,23 @@ fn timed(frames: std::ops::Range<usize>, text: &str) -> TimedInstruction {
 
 #[test]
 fn windows_hear_the_instruction_their_frames_belong_to() {
-    let skeleton = Skeleton::smplx_neutral();
     let mut record = untrained_record();
     record.train.diffusion.overlap = 0;
     // 145 frames at 20 fps are 73 at 10: windows at 0, 14, 28, 42 and 56, and one at 57 for the last
     // frame.
     let motion = walk(145, 1.0, 0.0);
-    let heard = |asked: &[TimedInstruction]| {
-        EditItem::timed("walk", &motion, asked, Fps::STORE, &skeleton, &record).map(|item| {
-            let windows = item.windows.iter();
-            windows
-                .map(|window| {
-                    (
-                        window.instruction.as_deref().map(str::to_owned),
-                        window.progress,
-                    )
-                })
-                .collect::<Vec<_>>()
-        })
+    let cut = |record: &EditorRecord, asked: &[TimedInstruction]| {
+        let item = EditItem::timed("walk", &motion, asked, Fps::STORE, &SKELETON, record);
+        item.map(|item| item.windows)
     };
     let texts = |asked: &[TimedInstruction]| -> Vec<Option<String>> {
-        heard(asked)
-            .expect("cut")
-            .into_iter()
-            .map(|(text, _)| text)
-            .collect()
+        let windows = cut(&record, asked).expect("cut").into_iter();
+        let texts = windows.map(|window| window.instruction);
+        texts.map(|text| Some(text?.to_string())).collect()
+    };
+    let places = |record: &EditorRecord, asked: TimedInstruction| -> Vec<(usize, usize)> {
+        let windows = cut(record, &[asked]).expect("cut").into_iter();
+        windows.map(|window| (window.start, window.used)).collect()
     };
     let some = |text: &str| Some(text.to_owned());
     assert_eq!(
@@ -1084,16 +1082,8 @@ fn windows_hear_the_instruction_their_frames_belong_to() {
         texts(&[timed(40..60, "raise")]),
         [None, None, some("raise"), None, None, None, None]
     );
-    let asked = [timed(40..60, "raise")];
-    let item = EditItem::timed("walk", &motion, &asked, Fps::STORE, &skeleton, &record);
-    let places: Vec<(usize, usize)> = item
-        .expect("cut")
-        .windows
-        .iter()
-        .map(|window| (window.start, window.used))
-        .collect();
     assert_eq!(
-        places,
+        places(&record, timed(40..60, "raise")),
         [
             (0, 16),
             (14, 6),
@@ -1104,28 +1094,16 @@ fn windows_hear_the_instruction_their_frames_belong_to() {
             (57, 16)
         ]
     );
-    let progress: Vec<f32> = heard(&[timed(0..145, "raise")])
-        .expect("cut")
-        .into_iter()
-        .map(|(_, progress)| progress)
-        .collect();
+    let windows = cut(&record, &[timed(0..145, "raise")]).expect("cut");
     let expected = [0.0, 28.0, 56.0, 84.0, 112.0, 114.0].map(|frame| frame / 145.0);
-    for (found, expected) in progress.iter().zip(expected) {
-        assert!((found - expected).abs() < 1e-6);
+    for (found, expected) in windows.iter().zip(expected) {
+        assert!((found.progress - expected).abs() < 1e-6);
     }
     // Windows that share four frames with the one before, but for those that nothing is asked of.
     let mut overlapping = untrained_record();
     overlapping.train.diffusion.overlap = 4;
-    let asked = [timed(0..60, "raise")];
-    let item = EditItem::timed("walk", &motion, &asked, Fps::STORE, &skeleton, &overlapping);
-    let places: Vec<(usize, usize)> = item
-        .expect("cut")
-        .windows
-        .iter()
-        .map(|window| (window.start, window.used))
-        .collect();
     assert_eq!(
-        places,
+        places(&overlapping, timed(0..60, "raise")),
         [
             (0, 16),
             (10, 16),
@@ -1144,7 +1122,7 @@ fn windows_hear_the_instruction_their_frames_belong_to() {
             "no frame of its own",
         ),
     ] {
-        match heard(&asked) {
+        match cut(&record, &asked) {
             Err(error) => assert!(error.to_string().contains(reason), "{error}"),
             Ok(_) => panic!("{asked:?} is accepted"),
         }
@@ -1161,15 +1139,7 @@ fn windows_without_an_instruction_stay_as_they_were() {
     let motion = walk(145, 1.0, 0.0);
     let asked = [timed(60..88, "raise it")];
     let item = EditItem::timed("a", &motion, &asked, Fps::STORE, &skeleton, record).expect("cut");
-    let settings = EditSettings {
-        seed: Seed(5),
-        guidance: 1.0,
-        temperature: 1.0,
-        coordinator: record.train.coordinator,
-        fit: FitMethod::Exact,
-        prior: 0.0,
-        max_batch: 2,
-    };
+    let settings = edit_settings(record);
     let mut times = EditTimes::default();
     let edited =
         quietly(|session| editor.edit_batch(&[item], &skeleton, &settings, session, &mut times))
@@ -1214,7 +1184,7 @@ impl Swings {
     }
 }
 
-impl SegmentSource for Swings {
+impl WindowSource<CoordinatorBatch> for Swings {
     fn epoch_len(&self) -> u64 {
         512
     }
@@ -1304,7 +1274,7 @@ fn the_encoder_learns_to_tell_motions_apart() {
         ("sit down", &SITTING),
     ];
     // Walks of other lengths, speeds and phases are held out.
-    let motions = |offset: f64| -> Vec<(String, Motion, Vec<String>)> {
+    let motions = |offset: f64| -> Vec<CaptionedClip> {
         (0..18)
             .map(|index| {
                 let (text, turns) = kinds[index % kinds.len()];
@@ -1315,7 +1285,7 @@ fn the_encoder_learns_to_tell_motions_apart() {
                         motion.set_axis_angle(frame, *joint, turn.as_vec3().to_array());
                     }
                 }
-                (index.to_string(), motion, vec![text.to_owned()])
+                captioned(index, motion, text)
             })
             .collect()
     };
@@ -1325,21 +1295,18 @@ fn the_encoder_learns_to_tell_motions_apart() {
     }
 }
 
-fn views(motions: &[(String, Motion, Vec<String>)]) -> Vec<CaptionedMotion<'_>> {
-    motions
-        .iter()
-        .map(|(id, motion, captions)| CaptionedMotion {
-            id,
-            motion,
-            captions,
-        })
-        .collect()
+fn captioned(index: usize, motion: Motion, caption: &str) -> CaptionedClip {
+    CaptionedClip {
+        id: index.to_string(),
+        motion,
+        captions: vec![caption.to_owned()],
+    }
 }
 
 /// Trains an encoder on 18 motions of three texts in turn and asks it for the texts of 18 others.
 fn check_encoder(
-    train: &[(String, Motion, Vec<String>)],
-    held_out: &[(String, Motion, Vec<String>)],
+    train: &[CaptionedClip],
+    held_out: &[CaptionedClip],
     kinds: &[&str; 3],
     recipe: FeatureRecipe,
 ) {
@@ -1350,25 +1317,15 @@ fn check_encoder(
     config.run.batch_size = 18;
     config.run.length = RunLength::of_steps(150);
     config.run.val_every = 150;
-    let stop = AtomicBool::new(false);
-    let report = train_tmr(
-        dir.path(),
-        &config,
-        TmrCorpus {
-            train: &views(train),
-            val: &views(held_out),
-            skeleton: &SKELETON,
-            dataset_hash: "0",
-        },
-        &Session {
-            device: &Device::flex(),
-            more_devices: &[],
-            progress: &NoProgress,
-            stop: &stop,
-            clock: &|| Duration::ZERO,
-        },
-    )
-    .expect("trains");
+    let corpus = CaptionedCorpus {
+        train,
+        val: held_out,
+        vectors: None,
+        skeleton: &SKELETON,
+        dataset_hash: "0",
+    };
+    let report = quietly(|session| train_tmr(dir.path(), &config, corpus, session));
+    let report = report.expect("trains");
     let (first, last) = (
         report.first_loss.expect("a line"),
         report.last_loss.expect("a line"),
@@ -1376,7 +1333,7 @@ fn check_encoder(
     assert!(last < 0.7 * first, "{recipe:?}: {first} fell to {last}");
 
     let encoder = TmrEncoder::load(dir.path(), Slot::Last, &Device::flex()).expect("loads");
-    let refs: Vec<&Motion> = held_out.iter().map(|(_, motion, _)| motion).collect();
+    let refs: Vec<&Motion> = held_out.iter().map(|clip| &clip.motion).collect();
     let codes = encoder.encode(&refs).expect("encodes");
     let texts = encoder.encode_texts(kinds).expect("trained here");
     let cosine = |a: &[f32], b: &[f32]| {

@@ -17,6 +17,7 @@ use train::compose::ComposeRecord;
 use train::config::{Preset, TrainConfig};
 use train::edit::Fit;
 use train::fit::{EditorRecord, TextRecord};
+use train::model::pass::Arithmetic;
 use train::sample::{
     EditItem, EditSettings, EditWindow, FitMethod, TimedInstruction, WindowModel, WindowRequest,
     edit_windows, reverse,
@@ -229,6 +230,7 @@ fn edited(
     let session = Session {
         device: &Device::flex(),
         more_devices: &[],
+        arithmetic: Arithmetic::default(),
         progress: &NoProgress,
         stop: &AtomicBool::new(false),
         clock: &|| Duration::ZERO,

@@ -1,5 +1,4 @@
-//! Training with products in bfloat16 beside single precision. One test in a process of its own, because the
-//! precision is that of the process.
+//! Training with products in bfloat16 beside single precision.
 
 mod support;
 
@@ -8,8 +7,9 @@ use std::sync::atomic::AtomicBool;
 use burn::tensor::Device;
 use datasets_spec::NoProgress;
 use support::{Data, on, settings, train};
+use train::Session;
 use train::metrics::{self, Curves};
-use train::model::{fused, precision};
+use train::model::pass::{Arithmetic, has_bf16};
 
 const STEPS: u64 = 60;
 const LOG_EVERY: u64 = 10;
@@ -17,23 +17,33 @@ const LOG_EVERY: u64 = 10;
 #[test]
 fn losses_with_products_in_bf16_are_those_of_single_precision_within_two_per_cent() {
     let data = Data::new();
-    let device = Device::flex();
-    assert!(precision::has_bf16(&device));
+    assert!(has_bf16(&Device::flex()));
     // The kernels compute in single precision: both runs are composed of the backend's operations.
-    fused::set_enabled(false);
-    let losses = |name: &str, is_bf16: bool| -> Curves {
-        precision::set_bf16(is_bf16);
+    let losses = |name: &str, bf16: bool| -> Curves {
+        let arithmetic = Arithmetic {
+            kernels: false,
+            bf16,
+        };
         let run = data.run(name);
         let mut own = settings("motionrefit", STEPS, LOG_EVERY);
         own["batch_size"] = 16.into();
         own["val_windows"] = 64.into();
         let stop = AtomicBool::new(false);
-        on(&device, &NoProgress, &stop, |session| {
-            train(&data, "motionrefit", &run, &own, session);
+        on(&Device::flex(), &NoProgress, &stop, |session| {
+            let session = Session {
+                arithmetic,
+                ..*session
+            };
+            train(&data, "motionrefit", &run, &own, &session);
         });
         metrics::read(&run).expect("metrics")
     };
-    let (single, half) = (losses("f32", false), losses("bf16", true));
+    // Side by side in one process: neither run feels the precision of the other.
+    let (single, half) = std::thread::scope(|scope| {
+        let half = scope.spawn(|| losses("bf16", true));
+        let single = losses("f32", false);
+        (single, half.join().expect("it does not panic"))
+    });
     assert_ne!(single.loss, half.loss, "nothing was rounded");
     for (single, half) in [
         (&single.loss, &half.loss),

@@ -32,6 +32,15 @@ fn nothing_is_read_inside_a_step_of_training_or_sampling() {
     let items = items::items(&data);
     let device = Device::flex();
     let stop = AtomicBool::new(false);
+    let reads_of = |network: &str, own: &serde_json::Value| {
+        let run = data.run(network);
+        let (reads, ()) = counted(|| {
+            on(&device, &NoProgress, &stop, |session| {
+                train(&data, network, &run, own, session);
+            });
+        });
+        reads
+    };
     // One read for each line of the metrics file, and one for the validation at the end.
     let expected = STEPS / LOG_EVERY + 1;
     for network in ["coordinator", "tmr", "mdm", "tmed", "motionrefit"] {
@@ -41,42 +50,14 @@ fn nothing_is_read_inside_a_step_of_training_or_sampling() {
         if network != "tmr" {
             own["micro_batch_size"] = 3.into();
         }
-        let run = data.run(network);
-        let (reads, ()) = counted(|| {
-            on(&device, &NoProgress, &stop, |session| {
-                train(&data, network, &run, &own, session);
-            });
-        });
-        assert_eq!(reads, expected, "{network}");
+        assert_eq!(reads_of(network, &own), expected, "{network}");
     }
     // The pose network logs at least twenty lines and validates at least ten times. Afterwards it is
     // measured: once beside each of the fits that begin with its poses.
-    let run = data.run("j2s");
-    let (reads, ()) = counted(|| {
-        on(&device, &NoProgress, &stop, |session| {
-            train(
-                &data,
-                "j2s",
-                &run,
-                &settings("j2s", STEPS, LOG_EVERY),
-                session,
-            );
-        });
-    });
+    let reads = reads_of("j2s", &settings("j2s", STEPS, LOG_EVERY));
     assert!((STEPS + 10..STEPS + 20).contains(&reads), "{reads}");
     // The loader of the latent diffusion reads the latent vectors of each micro-batch, beside the step.
-    let run = data.run("mld");
-    let (reads, ()) = counted(|| {
-        on(&device, &NoProgress, &stop, |session| {
-            train(
-                &data,
-                "mld",
-                &run,
-                &settings("mld", STEPS, LOG_EVERY),
-                session,
-            );
-        });
-    });
+    let reads = reads_of("mld", &settings("mld", STEPS, LOG_EVERY));
     let of_loader = reads - 2 * expected;
     assert!(of_loader >= STEPS, "{of_loader}");
 

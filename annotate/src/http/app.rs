@@ -10,6 +10,7 @@ use axum::extract::RawPathParams;
 use axum::http::header::{self, HeaderMap, HeaderName};
 use axum::http::{StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
+use axum::routing::MethodFilter;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -33,6 +34,7 @@ pub const UPLOAD_PATIENCE: Duration = Duration::from_secs(600);
 pub struct Route {
     /// Method.
     pub method: &'static str,
+    pub(super) filter: MethodFilter,
     /// Path, with parameters in braces.
     pub path: &'static str,
     /// The least role of its users; `None` lets everybody in. Routes that change something still need the header and

@@ -18,12 +18,12 @@ use std::time::{Duration, Instant};
 
 use axum::body::{Body, Bytes};
 use axum::extract::{FromRequestParts, RawPathParams, Request};
-use axum::http::header::{self, HeaderMap, HeaderName, HeaderValue};
+use axum::http::header::{self, HeaderMap, HeaderName};
 use axum::http::uri::Authority;
 use axum::http::{Method, StatusCode};
 use axum::middleware::map_response;
-use axum::response::Response;
-use axum::routing::{MethodFilter, on};
+use axum::response::{IntoResponse as _, Response};
+use axum::routing::on;
 use futures_util::StreamExt as _;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::net::TcpListener;
@@ -214,18 +214,11 @@ fn router(app: &Arc<App>, routes: &'static [Route]) -> axum::Router {
     let mut router = axum::Router::new();
     for route in routes {
         let app = Arc::clone(app);
-        let filter = match route.method {
-            "GET" => MethodFilter::GET,
-            "PUT" => MethodFilter::PUT,
-            "PATCH" => MethodFilter::PATCH,
-            "DELETE" => MethodFilter::DELETE,
-            _ => MethodFilter::POST,
-        };
         let handler = move |request: Request| {
             let app = Arc::clone(&app);
             async move { serve(app, route, request).await }
         };
-        router = router.route(route.path, on(filter, handler));
+        router = router.route(route.path, on(route.filter, handler));
     }
     let lost = |code: Code| {
         move |request: Request| async move {
@@ -428,18 +421,15 @@ fn check_own(app: &App, headers: &HeaderMap) -> Result<(), Error> {
 
 fn problem_response(problem: &Problem) -> Response {
     let body = serde_json::to_vec(problem).unwrap_or_default();
-    let mut response = content("application/problem+json", "no-store", body);
-    *response.status_mut() =
-        StatusCode::from_u16(problem.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
-    if let Some(seconds) = problem.retry_after_secs {
-        let headers = response.headers_mut();
-        headers.insert(header::RETRY_AFTER, seconds.into());
-    }
-    response
+    let body = content("application/problem+json", "no-store", body);
+    let status = StatusCode::from_u16(problem.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
+    let seconds = problem.retry_after_secs;
+    let retry = seconds.map(|seconds| [(header::RETRY_AFTER, seconds.to_string())]);
+    (status, retry, body).into_response()
 }
 
 /// Sets the headers of every response.
-fn hardened(mut response: Response, secure: bool) -> Response {
+fn hardened(response: Response, secure: bool) -> Response {
     let of_all = [
         ("content-security-policy", CSP),
         ("x-content-type-options", "nosniff"),
@@ -451,10 +441,6 @@ fn hardened(mut response: Response, secure: bool) -> Response {
             "camera=(), microphone=(), geolocation=()",
         ),
     ];
-    let of_tls = secure.then_some(("strict-transport-security", "max-age=31536000"));
-    for (name, value) in of_all.into_iter().chain(of_tls) {
-        let headers = response.headers_mut();
-        headers.insert(name, HeaderValue::from_static(value));
-    }
-    response
+    let of_tls = secure.then_some([("strict-transport-security", "max-age=31536000")]);
+    (of_all, of_tls, response).into_response()
 }

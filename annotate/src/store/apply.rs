@@ -507,7 +507,7 @@ impl Change<'_> {
                 secs,
                 blind,
                 answer.verdict(),
-                answer.edit_type(),
+                answer.fields().edit_type,
                 words(answer),
                 part_list(answer)
             ],

@@ -229,7 +229,7 @@ fn brief((own, name): (Revision, String)) -> AnswerBrief {
         text: texts.join(" · "),
         parts: parts.map(str::to_owned).collect(),
         verdict: own.answer.verdict(),
-        edit_type: own.answer.edit_type(),
+        edit_type: own.answer.fields().edit_type,
         at: own.at,
     }
 }

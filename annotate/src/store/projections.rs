@@ -128,7 +128,7 @@ pub(super) fn words(answer: &Answer) -> String {
         .texts()
         .into_iter()
         .map(|(text, _)| text)
-        .chain([answer.note()])
+        .chain([answer.fields().note])
         .filter(|text| !text.is_empty())
         .map(str::to_lowercase)
         .collect();

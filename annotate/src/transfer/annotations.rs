@@ -6,7 +6,7 @@ use std::path::Path;
 use datasets_spec::table::read_rows;
 use datasets_spec::{BodyPart, MASK_DEF_VERSION};
 
-use super::import::{CANDIDATE, PAIR, Taken, credit, entered_mask, task};
+use super::import::{CANDIDATE, PAIR, Taken, credit, entered_mask, known_motions, task};
 use super::tables::AnnotationRow;
 use crate::Error;
 use crate::answer::Fields;
@@ -20,21 +20,18 @@ use crate::wire::{Answer, CountReason, EditType, Extent, MaskAnswer, TaskKind, V
 /// The file cannot be read, names an unknown motion, or holds an invalid answer; then nothing is imported.
 pub fn from_annotations(
     store: &Store,
-    motions: &BTreeMap<String, MotionRecord>,
     path: &Path,
     actor: Option<i64>,
     now: Millis,
 ) -> Result<Taken, Error> {
+    let motions = known_motions(store)?;
     let rows: Vec<AnnotationRow> = read_rows(path)?;
     let mut taken = Taken::default();
     let mut tasks = Vec::new();
     for group in rows.chunk_by(|a, b| a.task == b.task) {
-        tasks.push(
-            annotation_task(group, motions).map_err(|problem| Error::Import {
-                what: format!("task {:?} of {}", group[0].task, path.display()),
-                problem,
-            })?,
-        );
+        let what = || format!("task {:?} of {}", group[0].task, path.display());
+        let task = annotation_task(group, &motions);
+        tasks.push(task.map_err(|problem| Error::import(what(), problem))?);
     }
     taken.take(store.import(actor, tasks, now)?);
     Ok(taken)

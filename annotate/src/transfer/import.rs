@@ -99,6 +99,12 @@ pub(super) fn task(key: String, kind: TaskKind, motion: &MotionRecord) -> NewTas
     }
 }
 
+/// All motions of a store by their ids.
+pub(super) fn known_motions(store: &Store) -> Result<BTreeMap<String, MotionRecord>, Error> {
+    let motions = store.all_motions()?.into_iter();
+    Ok(motions.map(|motion| (motion.id.clone(), motion)).collect())
+}
+
 pub(super) fn mask_key(motion: &str) -> String {
     format!("mask:{motion}")
 }
@@ -206,10 +212,9 @@ pub fn from_dataset(
         .iter()
         .map(|clip| (clip.record.id.as_str(), *clip))
         .collect();
-    replace_changed(store, &clips, actor, now, &mut taken)?;
+    compare_with_known(store, &all, &clips, actor, now, &mut taken)?;
     store.put_motions(clips.iter().map(|clip| clip.record.clone()).collect())?;
     taken.count("motions", clips.len() as i64);
-    note_gone(store, &all, &mut taken)?;
 
     let chosen: Vec<&Clip> = clips
         .iter()
@@ -220,10 +225,11 @@ pub fn from_dataset(
     let mut tasks = mask_tasks(&whole, &dataset, &chosen, &mut taken)?;
     let pairs: Vec<PairRow> = dataset.read(None)?;
     tasks.extend(tasks_of_pairs(pairs.iter(), &by_id, &mut taken));
-    let candidates = new_candidates(store, &chosen, &pairs)?;
-    taken.count("candidates", candidates.len() as i64);
+    let takes = candidates(store, &chosen, &pairs)?;
+    let count: usize = takes.values().map(Vec::len).sum();
+    taken.count("candidates", count as i64);
     // Pairs that were made for an instruction come before candidates.
-    for (name, list) in takes(&candidates) {
+    for (name, list) in takes {
         tasks.extend(bundled(&name, list));
     }
     let total = tasks.len() as i64;
@@ -248,26 +254,8 @@ fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
     let chosen = text
         .parse::<Condition>()
         .and_then(|condition| condition.of(dataset));
-    chosen.map_err(|error| Error::Import {
-        what: dataset.root().display().to_string(),
-        problem: error.to_string(),
-    })
-}
-
-/// Says how many clips the project knows that are not in the dataset.
-fn note_gone(store: &Store, clips: &[Clip], taken: &mut Taken) -> Result<(), Error> {
-    let here: BTreeSet<&str> = clips.iter().map(|clip| clip.record.id.as_str()).collect();
-    let known = store.all_motions()?;
-    let is_gone = |motion: &&MotionRecord| !here.contains(motion.id.as_str());
-    let gone: Vec<&MotionRecord> = known.iter().filter(is_gone).collect();
-    taken.report("clips_gone", gone.len(), || {
-        format!(
-            "{} clips of the project are not in this dataset, for example {}; their tasks and answers stay",
-            gone.len(),
-            gone[0].id
-        )
-    });
-    Ok(())
+    let what = || dataset.root().display().to_string();
+    chosen.map_err(|error| Error::import(what(), error.to_string()))
 }
 
 /// The clips without those that repeat the motion of one before them.
@@ -416,14 +404,15 @@ pub fn from_labels(
         let exported = labels.motions.get(id);
         if let Some(exported) = exported.filter(|hashes| !hashes.contains(hash)) {
             let exported: Vec<&str> = exported.iter().map(String::as_str).collect();
-            return Err(Error::Import {
-                what: format!("the labels of motion {id:?}"),
-                problem: format!(
-                    "its content is {hash} in this dataset and {} in the export; import them into the dataset that was \
-                     exported, or ingest the export",
-                    exported.join(" or ")
-                ),
-            });
+            let problem = format!(
+                "its content is {hash} in this dataset and {} in the export; import them into the dataset that was \
+                 exported, or ingest the export",
+                exported.join(" or ")
+            );
+            return Err(Error::import(
+                format!("the labels of motion {id:?}"),
+                problem,
+            ));
         }
         if by_hash.insert(hash) {
             by_id.insert(id, clip);
@@ -465,42 +454,51 @@ pub fn from_labels(
     Ok(taken)
 }
 
-/// Gives clips that were ingested anew, under the same id, their new content.
-fn replace_changed(
+/// Gives clips that were ingested anew, under the same id, their new content, and says how many clips the project knows
+/// that are not in the dataset. `all` are those of the dataset, `clips` those without copies.
+fn compare_with_known(
     store: &Store,
+    all: &[Clip],
     clips: &[&Clip],
     actor: Option<i64>,
     now: Millis,
     taken: &mut Taken,
 ) -> Result<(), Error> {
     let known = store.all_motions()?;
-    let known: BTreeMap<&str, &str> = known
+    let hashes = known
         .iter()
-        .map(|motion| (motion.id.as_str(), motion.hash.as_str()))
-        .collect();
-    let changed: Vec<MotionRecord> = clips
-        .iter()
-        .map(|clip| &clip.record)
-        .filter(|clip| {
-            known
-                .get(clip.id.as_str())
-                .is_some_and(|hash| *hash != clip.hash)
+        .map(|motion| (motion.id.as_str(), &motion.hash));
+    let hashes: BTreeMap<&str, &String> = hashes.collect();
+    let motions = clips.iter().map(|clip| &clip.record);
+    let changed: Vec<MotionRecord> = motions
+        .filter(|motion| {
+            hashes
+                .get(motion.id.as_str())
+                .is_some_and(|hash| **hash != motion.hash)
         })
         .cloned()
         .collect();
-    if changed.is_empty() {
-        return Ok(());
+    if !changed.is_empty() {
+        taken.count("changed_motions", changed.len() as i64);
+        let tasks = store.replace_motions(actor, changed, now)?;
+        taken.count("changed_tasks", tasks);
+        let asked = store.changed_tasks()?.len();
+        if asked > 0 {
+            taken.messages.push(format!(
+                "{asked} tasks have answers about clips that were ingested anew, with other content; `stance annotate \
+                 DATASET changed` lists them and takes the decision"
+            ));
+        }
     }
-    taken.count("changed_motions", changed.len() as i64);
-    let tasks = store.replace_motions(actor, changed, now)?;
-    taken.count("changed_tasks", tasks);
-    let asked = store.changed_tasks()?.len();
-    if asked > 0 {
-        taken.messages.push(format!(
-            "{asked} tasks have answers about clips that were ingested anew, with other content; `stance annotate \
-             DATASET changed` lists them and takes the decision"
-        ));
-    }
+    let here: BTreeSet<&str> = all.iter().map(|clip| clip.record.id.as_str()).collect();
+    let gone: Vec<&str> = hashes.into_keys().filter(|id| !here.contains(id)).collect();
+    taken.report("clips_gone", gone.len(), || {
+        format!(
+            "{} clips of the project are not in this dataset, for example {}; their tasks and answers stay",
+            gone.len(),
+            gone[0]
+        )
+    });
     Ok(())
 }
 
@@ -583,38 +581,14 @@ pub(super) fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> O
     })
 }
 
-/// Candidate pairs: each clip of an action with the next one of the same split, sorted by style.
-fn candidates<'a>(clips: &[&'a Clip]) -> Vec<(&'a Clip, &'a Clip)> {
-    let mut groups: BTreeMap<(&str, &str), Vec<&Clip>> = BTreeMap::new();
-    for &clip in clips.iter().filter(|clip| !clip.mirrored) {
-        if let Some(action) = &clip.record.action {
-            groups
-                .entry((action.as_str(), clip.record.split.as_str()))
-                .or_default()
-                .push(clip);
-        }
-    }
-    let mut pairs = Vec::new();
-    for mut group in groups.into_values() {
-        group.sort_by(|a, b| (&a.record.style, &a.record.id).cmp(&(&b.record.style, &b.record.id)));
-        pairs.extend(
-            group
-                .windows(2)
-                .map(|pair| (pair[0], pair[1]))
-                .filter(|(a, b)| a.source_clip != b.source_clip),
-        );
-    }
-    pairs
-}
-
-/// Candidates that nobody has judged: two clips are judged only once. A pair of the dataset is no candidate, and neither
-/// is one that people judged unusable, which is no longer in the dataset.
-fn new_candidates<'a>(
+/// Tasks of candidate pairs, by the name of their bundles: each clip of an action with the next one of the same split,
+/// sorted by style. Two clips are judged only once: a pair of the dataset is no candidate, and neither is one that people
+/// judged unusable, which is no longer in the dataset.
+fn candidates(
     store: &Store,
-    chosen: &[&'a Clip],
+    chosen: &[&Clip],
     pairs: &[PairRow],
-) -> Result<Vec<(&'a Clip, &'a Clip)>, Error> {
-    let mut candidates = candidates(chosen);
+) -> Result<BTreeMap<String, Vec<NewTask>>, Error> {
     let known: BTreeSet<(&str, &str)> = pairs
         .iter()
         .map(|pair| (pair.source_id.as_str(), pair.target_id.as_str()))
@@ -624,43 +598,45 @@ fn new_candidates<'a>(
         .into_iter()
         .map(|(key, source, target)| ((source, target), key))
         .collect();
-    candidates.retain(|(source, target)| {
-        let (source, target) = (&source.record, &target.record);
-        let task = judged.get(&(source.hash.clone(), target.hash.clone()));
+    let is_new = |source: &MotionRecord, target: &MotionRecord| {
+        let judged = judged.get(&(source.hash.clone(), target.hash.clone()));
         !known.contains(&(source.id.as_str(), target.id.as_str()))
-            && task.is_none_or(|key| *key == candidate_key(source, target))
-    });
-    Ok(candidates)
-}
-
-fn candidate_key(source: &MotionRecord, target: &MotionRecord) -> String {
-    format!("{CANDIDATE}{}|{}", source.id, target.id)
-}
-
-/// Tasks of candidate pairs, by the name of their bundles.
-fn takes(candidates: &[(&Clip, &Clip)]) -> BTreeMap<String, Vec<NewTask>> {
-    let mut tasks: BTreeMap<(&str, &str), Vec<NewTask>> = BTreeMap::new();
-    for (source, target) in candidates {
-        let key = candidate_key(&source.record, &target.record);
-        let mut new = task(key, TaskKind::Pair, &source.record);
-        new.target = Some(target.record.hash.clone());
-        let action = source.record.action.as_deref().unwrap_or_default();
-        tasks
-            .entry((source.record.split.as_str(), action))
-            .or_default()
-            .push(new);
+            && judged.is_none_or(|key| *key == candidate_key(source, target))
+    };
+    let mut groups: BTreeMap<(&str, &str), Vec<&Clip>> = BTreeMap::new();
+    for &clip in chosen.iter().filter(|clip| !clip.mirrored) {
+        if let Some(action) = &clip.record.action {
+            let group = (clip.record.split.as_str(), action.as_str());
+            groups.entry(group).or_default().push(clip);
+        }
     }
-    // Actions with few takes share bundles within their split, so that bundles are not too small.
-    let mut merged: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
-    for ((split, action), list) in tasks {
-        let place = if list.len() < BUNDLE {
+    let mut takes: BTreeMap<String, Vec<NewTask>> = BTreeMap::new();
+    for ((split, action), mut group) in groups {
+        group.sort_by(|a, b| (&a.record.style, &a.record.id).cmp(&(&b.record.style, &b.record.id)));
+        let tasks: Vec<NewTask> = group
+            .windows(2)
+            .filter(|pair| pair[0].source_clip != pair[1].source_clip)
+            .map(|pair| (&pair[0].record, &pair[1].record))
+            .filter(|(source, target)| is_new(source, target))
+            .map(|(source, target)| {
+                let mut new = task(candidate_key(source, target), TaskKind::Pair, source);
+                new.target = Some(target.hash.clone());
+                new
+            })
+            .collect();
+        // Actions with few takes share bundles within their split, so that bundles are not too small.
+        let place = if tasks.len() < BUNDLE {
             format!("takes {split}")
         } else {
             format!("takes {split} {action}")
         };
-        merged.entry(place).or_default().extend(list);
+        takes.entry(place).or_default().extend(tasks);
     }
-    merged
+    Ok(takes)
+}
+
+fn candidate_key(source: &MotionRecord, target: &MotionRecord) -> String {
+    format!("{CANDIDATE}{}|{}", source.id, target.id)
 }
 
 /// Puts pairs into bundles of eight of the same split.

@@ -10,4 +10,5 @@ pub use self::tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRo
 pub use annotations::from_annotations;
 pub use export::{Exported, check_files, export};
 pub use import::{CHOSEN, Taken, from_dataset, from_labels};
+pub(crate) use release::RELEASE;
 pub use release::from_release;

@@ -11,11 +11,14 @@ use datasets_spec::BodyPart;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
-use super::import::{Taken, credit, key_of_pair, mask_key, task};
+use super::import::{Taken, credit, key_of_pair, known_motions, mask_key, task};
 use crate::Error;
 use crate::answer::{Fields, check_draft};
 use crate::store::{Millis, MotionRecord, NewTask, Store};
 use crate::wire::{Answer, EditType, MaskAnswer, TaskKind, Verdict};
+
+/// What errors call a release.
+pub(crate) const RELEASE: &str = "the annotations of a STANCE release";
 
 /// Imports `mask_all.json` and `part_annotations.json` of a STANCE release, and `accepted_by.json` and `pairs.json` of an
 /// export, given as one object with the names of the files. The annotations become accepted answers of tasks that nobody
@@ -25,20 +28,13 @@ use crate::wire::{Answer, EditType, MaskAnswer, TaskKind, Verdict};
 /// It is not such an object, or the store fails.
 pub fn from_release(
     store: &Store,
-    motions: &BTreeMap<String, MotionRecord>,
     document: &Value,
     actor: Option<i64>,
     now: Millis,
 ) -> Result<Taken, Error> {
-    let parsed = parse(document).map_err(|problem| Error::Import {
-        what: "the annotations of a STANCE release".to_owned(),
-        problem,
-    })?;
-    let mut taken = Taken::default();
-    for (shape, count) in parsed.shapes {
-        taken.count(&format!("shape: {shape}"), count);
-    }
-    taken.messages = parsed.messages;
+    let parsed = parse(document).map_err(|problem| Error::import(RELEASE, problem))?;
+    let motions = known_motions(store)?;
+    let mut taken = parsed.taken;
     let mut tasks = Vec::new();
     for (id, said) in parsed.motions {
         let Some(motion) = motions.get(&id) else {
@@ -65,12 +61,9 @@ pub fn from_release(
             taken.count("unknown_ids", 1);
             continue;
         };
-        tasks.push(
-            released_pair(&pair, source, target).map_err(|problem| Error::Import {
-                what: format!("pair {:?} of a STANCE release", pair.id),
-                problem,
-            })?,
-        );
+        let task = released_pair(&pair, source, target);
+        let what = || format!("pair {:?} of a STANCE release", pair.id);
+        tasks.push(task.map_err(|problem| Error::import(what(), problem))?);
     }
     taken.take(store.import(actor, tasks, now)?);
     Ok(taken)
@@ -123,8 +116,8 @@ struct Said {
 struct Release {
     motions: BTreeMap<String, Said>,
     pairs: Vec<SaidPair>,
-    shapes: BTreeMap<String, i64>,
-    messages: Vec<String>,
+    /// Counts of the shapes of values, and what is wrong with them.
+    taken: Taken,
 }
 
 /// A usable pair of `pairs.json`.
@@ -232,7 +225,7 @@ fn parse(document: &Value) -> Result<Release, String> {
         release.pairs.push(pair);
     }
     if !nameless.is_empty() {
-        release.messages.push(format!(
+        release.taken.messages.push(format!(
             "{} pairs have no id, as in exports of earlier versions, and are left out",
             nameless.len()
         ));
@@ -245,7 +238,7 @@ fn parse(document: &Value) -> Result<Release, String> {
         (only(&said, &masks), "ids have texts but no masks"),
     ] {
         if count > 0 {
-            release.messages.push(format!("{count} {what}"));
+            release.taken.messages.push(format!("{count} {what}"));
         }
     }
     let ids: BTreeSet<&String> = masks.keys().chain(said.keys()).collect();
@@ -253,10 +246,8 @@ fn parse(document: &Value) -> Result<Release, String> {
         let (mask, text) = (masks.get(id), said.get(id));
         for (value, file) in [(mask, "mask_all"), (text, "part_annotations")] {
             if let Some(value) = value {
-                *release
-                    .shapes
-                    .entry(format!("{file} {}", shape(value)))
-                    .or_default() += 1;
+                let shape = format!("shape: {file} {}", shape(value));
+                release.taken.count(&shape, 1);
             }
         }
         let read = motion(mask.unwrap_or(&Value::Null), text.unwrap_or(&Value::Null));
@@ -266,8 +257,8 @@ fn parse(document: &Value) -> Result<Release, String> {
             .and_then(Value::as_str)
             .map(str::to_owned);
         for problem in problems {
-            if release.messages.len() < 50 {
-                release.messages.push(format!("{id}: {problem}"));
+            if release.taken.messages.len() < 50 {
+                release.taken.messages.push(format!("{id}: {problem}"));
             }
         }
         release.motions.insert(id.clone(), said);
@@ -387,14 +378,14 @@ mod tests {
         let kept = &release.motions["c"];
         assert_eq!(kept.masks.len(), 2);
         for problem in ["TAIL", "1 ids have masks but no texts"] {
-            let mut messages = release.messages.iter();
+            let mut messages = release.taken.messages.iter();
             assert!(messages.any(|message| message.contains(problem)));
         }
         let (_, texts) = entries(&kept.masks, kept.extra.as_ref());
         assert_eq!(texts, json!([1, 2, 3]));
         let older = json!({ "mask_all": {}, "pairs": [{ "kind": "style" }] });
         let release = parse(&older).expect("an object");
-        assert!(release.pairs.is_empty() && release.messages[0].contains("have no id"));
+        assert!(release.pairs.is_empty() && release.taken.messages[0].contains("have no id"));
         for refused in [json!([]), json!({"other": 1}), json!({"mask_all": 7})] {
             assert!(parse(&refused).is_err());
         }

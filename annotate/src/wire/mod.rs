@@ -3,6 +3,42 @@
 //! Requests with unknown fields are refused. Times are milliseconds since the epoch, ids are integers, and
 //! names of enums are `snake_case`.
 
+/// Declares messages: structs that are read from JSON and written to it, and that are types of the page. A field whose
+/// name says what it is needs no words.
+macro_rules! messages {
+    ($(
+        $(#[doc = $doc:literal])+
+        $(#[derive($($derived:ident),+)])?
+        $(#[serde($($strictness:tt)+)])?
+        pub struct $name:ident {
+            $(
+                $(#[doc = $said:literal])*
+                $(#[serde($($form:tt)+)])?
+                $(#[ts($($type_form:tt)+)])?
+                pub $field:ident: $type:ty,
+            )+
+        }
+    )+) => { $(
+        $(#[doc = $doc])+
+        #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize $($(, $derived)+)?)]
+        #[cfg_attr(test, derive(ts_rs::TS))]
+        $(#[serde($($strictness)+)])?
+        pub struct $name { $(
+            $(#[doc = $said])*
+            $(#[serde($($form)+)])?
+            $(#[cfg_attr(test, ts($($type_form)+))])?
+            pub $field: $type,
+        )+ }
+    )+
+
+        /// The messages by name, in TypeScript.
+        #[cfg(test)]
+        pub(super) fn declared(config: &ts_rs::Config) -> Vec<(String, String)> {
+            vec![$( crate::wire::typescript::declaration::<$name>(config), )+]
+        }
+    };
+}
+
 mod names;
 mod people;
 mod review;
@@ -10,8 +46,6 @@ mod stats;
 mod task;
 #[cfg(test)]
 mod typescript;
-
-use serde::{Deserialize, Serialize};
 
 pub(crate) use names::names;
 pub use names::*;
@@ -57,28 +91,27 @@ pub const KEY_CODES: [&str; 100] = [
     "Period", "Slash", "IntlBackslash", "IntlRo", "IntlYen", "NumpadAdd",
 ];
 
-/// A problem (RFC 9457), as `application/problem+json`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Problem {
-    /// `/problems/` and the code.
-    #[serde(rename = "type")]
-    pub kind: String,
-    /// Meaning of the code.
-    pub title: String,
-    /// HTTP status.
-    pub status: u16,
-    /// Stable code.
-    pub code: Code,
-    /// What happened, and what to do.
-    pub detail: String,
-    /// The invalid field.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub field: Option<String>,
-    /// Seconds until a retry is allowed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub retry_after_secs: Option<u64>,
-    /// The current revision of the store, if the request is based on another one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub theirs: Option<Box<Revision>>,
+messages! {
+    /// A problem (RFC 9457), as `application/problem+json`.
+    pub struct Problem {
+        /// `/problems/` and the code.
+        #[serde(rename = "type")]
+        pub kind: String,
+        /// Meaning of the code.
+        pub title: String,
+        /// HTTP status.
+        pub status: u16,
+        pub code: Code,
+        /// What happened, and what to do.
+        pub detail: String,
+        /// The invalid field.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub field: Option<String>,
+        /// Seconds until a retry is allowed.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub retry_after_secs: Option<u64>,
+        /// The current revision of the store, if the request is based on another one.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub theirs: Option<Box<Revision>>,
+    }
 }

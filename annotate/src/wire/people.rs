@@ -1,104 +1,264 @@
 //! People and what the project asks of them: logging in, preferences, settings, the guide, users and tokens.
 
+#![expect(
+    missing_docs,
+    reason = "a field whose name says what it is needs no words"
+)]
+
 use std::collections::BTreeMap;
 
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Deserializer};
 
 use super::{Action, EditType, Role, Rule, TaskKind, TextForm};
 
-/// `POST session`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct Login {
-    /// The token as it was printed.
-    pub token: String,
-}
+messages! {
+    /// `POST session`.
+    #[serde(deny_unknown_fields)]
+    pub struct Login {
+        pub token: String,
+    }
 
-/// A user.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct User {
-    /// Id.
-    pub id: i64,
-    /// Name, unique.
-    pub name: String,
-    /// What they may do.
-    pub role: Role,
-    /// Whether the user may log in.
-    pub active: bool,
-}
+    /// A user.
+    pub struct User {
+        pub id: i64,
+        /// Name, unique.
+        pub name: String,
+        pub role: Role,
+        /// Whether the user may log in.
+        pub active: bool,
+    }
 
-/// `GET me`, and the answer to `POST session`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Me {
-    /// Who is logged in.
-    pub user: User,
+    /// `GET me`, and the answer to `POST session`.
+    pub struct Me {
+        pub user: User,
+        pub limits: Limits,
+        pub project: Project,
+        pub prefs: Prefs,
+        /// Name of the language model, if there is one.
+        pub model: Option<String>,
+        /// Why nothing can be saved at present, if so.
+        pub read_only: Option<String>,
+        /// Version of the server.
+        pub version: String,
+        /// Id of the store. What a browser keeps belongs to it: another project may be served at the same address.
+        pub store: String,
+    }
+
     /// How long a lease lasts.
-    pub limits: Limits,
-    /// What the project asks for.
-    pub project: Project,
-    /// Keys and display, as they were saved.
-    pub prefs: Prefs,
-    /// Name of the language model, if there is one.
-    pub model: Option<String>,
-    /// Why nothing can be saved at present, if so.
-    pub read_only: Option<String>,
-    /// Version of the server.
-    pub version: String,
-    /// Id of the store. What a browser keeps belongs to it: another project may be served at the same address.
-    pub store: String,
-}
+    pub struct Limits {
+        pub lease_secs: i64,
+        /// Seconds between renewals.
+        pub heartbeat_secs: i64,
+    }
 
-/// How long a lease lasts.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Limits {
-    /// Seconds a lease lasts.
-    pub lease_secs: i64,
-    /// Seconds between renewals.
-    pub heartbeat_secs: i64,
-}
+    /// The part of the settings that annotators see, as it is there.
+    pub struct Project {
+        pub name: String,
+        pub min_masks: usize,
+        pub max_masks: usize,
+        pub styles: Vec<Style>,
+        pub templates: Vec<String>,
+        pub style_templates: Vec<String>,
+        pub mask_templates: Vec<String>,
+        pub time_zone: String,
+    }
 
-/// The part of the settings that annotators see.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Project {
-    /// Name of the project.
-    pub name: String,
-    /// Fewest masks of an answer without a reason.
-    pub min_masks: usize,
-    /// Most masks of an answer without a reason.
-    pub max_masks: usize,
-    /// Styles to choose from.
-    pub styles: Vec<Style>,
-    /// Phrases to complete the instruction of a fine-grained pair with.
-    pub templates: Vec<String>,
-    /// Phrases to complete the instruction of a style pair with; `{style}` is the chosen style.
-    pub style_templates: Vec<String>,
-    /// Phrases to start the description of a mask with: they complete "The person is …".
-    pub mask_templates: Vec<String>,
-    /// Name of the time zone in which days and weeks begin.
-    pub time_zone: String,
-}
+    /// A style of the project.
+    #[derive(Default)]
+    #[serde(deny_unknown_fields)]
+    pub struct Style {
+        /// Its name, as answers and pairs have it: 1 to 100 characters.
+        pub name: String,
+        /// What it looks like, for the people who perform it and who describe it.
+        #[serde(default)]
+        pub text: String,
+        /// How it is performed, in paragraphs with empty lines between: what the body does, and what it must not do. Up
+        /// to 10,000 characters.
+        #[serde(default, skip_serializing_if = "String::is_empty")]
+        pub guideline: String,
+        /// The colour of its mark, `#rrggbb`.
+        pub colour: Option<String>,
+    }
 
-/// A style of the project.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct Style {
-    /// Its name, as answers and pairs have it: 1 to 100 characters.
-    pub name: String,
-    /// What it looks like, for the people who perform it and who describe it.
-    #[serde(default)]
-    pub text: String,
-    /// How it is performed, in paragraphs with empty lines between: what the body does, and what it must not do. Up to
-    /// 10,000 characters.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub guideline: String,
-    /// The colour of its mark, `#rrggbb`.
-    pub colour: Option<String>,
+    /// `GET`/`PUT settings`.
+    #[serde(deny_unknown_fields)]
+    pub struct Settings {
+        pub name: String,
+        /// People a task wants, for the share `overlap_percent` of tasks. A change applies to tasks that still want
+        /// answers.
+        pub answers_per_task: u32,
+        /// Share of tasks that want more than one person.
+        pub overlap_percent: u32,
+        /// Share of tasks given out that are hidden gold tasks.
+        pub gold_percent: u32,
+        /// Share of tasks shown without any draft.
+        pub blind_percent: u32,
+        /// Share of the review queue `sample` among submitted tasks.
+        pub review_percent: u32,
+        pub lease_minutes: u32,
+        /// Days a returned task waits for its author.
+        pub returned_days: u32,
+        /// Fewest masks of an answer without a reason.
+        pub min_masks: usize,
+        /// Most masks of an answer without a reason.
+        pub max_masks: usize,
+        /// Styles to choose from, in the order in which they came. Those of the dataset are added as its pairs are
+        /// imported, and a new one as the first answer with it is accepted.
+        #[serde(deserialize_with = "styles_or_names")]
+        pub styles: Vec<Style>,
+        /// Phrases to complete the instruction of a fine-grained pair with.
+        pub templates: Vec<String>,
+        /// Phrases to start the description of a mask with: they complete "The person is …".
+        #[serde(default)]
+        pub mask_templates: Vec<String>,
+        /// Phrases to complete the instruction of a style pair with; `{style}` is the chosen style.
+        pub style_templates: Vec<String>,
+        /// Pairs wanted of each category and edit type, for the dashboard; 0 for no bound.
+        pub quota: u32,
+        /// Pairs kept of each category, after which its other pairs are not given out; 0 for no bound.
+        pub category_quota: u32,
+        /// Pairs wanted of each edit type, of all categories together; 0, or no entry, for no bound. Pairs that are
+        /// stated to be of the type that is furthest behind are given out first; none is held back.
+        #[serde(default)]
+        pub edit_type_quota: BTreeMap<EditType, u32>,
+        /// The guide, plain text.
+        pub guide: String,
+        /// Name of the time zone in which days begin, such as `Europe/Berlin`.
+        pub time_zone: String,
+        #[serde(default)]
+        pub guides: BTreeMap<TaskKind, KindGuide>,
+        /// Rules that accept answers without a reviewer, tried in this order.
+        #[serde(default)]
+        pub rules: Vec<Rule>,
+        /// Minutes in which an author may take back an answer that a rule accepted.
+        #[serde(default = "take_back_minutes")]
+        pub take_back_minutes: u32,
+        /// Seed of the draws that leave tasks to reviewers.
+        #[serde(default)]
+        pub seed: u32,
+        /// Practice tasks that an annotator does before real work of a kind; 0 for none.
+        #[serde(default)]
+        pub practice_tasks: u32,
+        /// Mean score that opens real work, in percent.
+        #[serde(default = "practice_percent")]
+        pub practice_percent: u32,
+        /// Whether reviewers may accept their own answers: for a project of one person. Such acceptances are marked in
+        /// every export.
+        #[serde(default)]
+        pub solo: bool,
+    }
+
+    /// `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before;
+    /// [`super::KEY_CODES`] lists them.
+    #[derive(Default)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Prefs {
+        /// Keys that differ from the defaults.
+        pub keys: BTreeMap<Action, Vec<String>>,
+        /// Playback speed, 0.1 to 2.
+        pub speed: Option<f64>,
+        pub follow_root: Option<bool>,
+        /// Whether a pair is shown as ghosts.
+        pub ghost: Option<bool>,
+        /// Whether the soft ring is on for a new mask.
+        pub soft_ring: Option<bool>,
+    }
+
+    /// `POST users`.
+    #[serde(deny_unknown_fields)]
+    pub struct NewUser {
+        /// Name, unique: 1 to 64 characters.
+        pub name: String,
+        pub role: Role,
+    }
+
+    /// `POST users/bulk`: many users at once, all or none.
+    #[serde(deny_unknown_fields)]
+    pub struct NewUsers {
+        /// Lines of a name, or of a name and a role parted by a comma, a semicolon or a tab.
+        pub lines: String,
+        /// Days until their tokens end, 1 to 365.
+        #[serde(default = "token_days")]
+        pub days: u32,
+    }
+
+    /// Answer to `POST users/bulk`: a new user with a link to log in.
+    pub struct NewUserLink {
+        pub user: User,
+        /// What follows the address of the server: it logs the user in until the token ends. Shown this once.
+        pub path: String,
+        pub expires: i64,
+    }
+
+    /// `PATCH users/{id}`.
+    #[derive(Default)]
+    #[serde(deny_unknown_fields)]
+    pub struct UserChange {
+        pub role: Option<Role>,
+        pub active: Option<bool>,
+    }
+
+    /// `POST users/{id}/tokens`.
+    #[serde(deny_unknown_fields)]
+    pub struct NewToken {
+        /// Days until it ends, 1 to 365.
+        pub days: u32,
+    }
+
+    /// Answer to `POST users` and `POST users/{id}/tokens`. The token is shown this once.
+    pub struct TokenShown {
+        pub user: User,
+        /// Id of the token, to revoke it.
+        pub id: i64,
+        pub token: String,
+        pub expires: i64,
+    }
+
+    /// A token, without its secret.
+    pub struct TokenInfo {
+        pub id: i64,
+        pub user: i64,
+        pub created: i64,
+        pub expires: i64,
+        pub last_used: Option<i64>,
+        pub revoked: bool,
+    }
+
+    /// `GET guide`.
+    pub struct Guide {
+        /// What holds for all kinds, plain text.
+        pub text: String,
+        pub kinds: BTreeMap<TaskKind, KindGuide>,
+        /// What the texts of each kind are.
+        pub forms: BTreeMap<TaskKind, TextForm>,
+    }
+
+    /// Guidelines of a kind of task. `GET`/`PUT guide/{kind}`.
+    #[derive(Default)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct KindGuide {
+        /// Plain text.
+        pub text: String,
+        pub pictures: Vec<GuidePicture>,
+    }
+
+    /// A picture of a right or a wrong answer.
+    #[serde(deny_unknown_fields)]
+    pub struct GuidePicture {
+        /// Name, at `guide/pictures/{name}`.
+        pub name: String,
+        pub caption: String,
+        /// Whether the answer it shows is right.
+        pub right: bool,
+    }
+
+    /// `GET guide/pictures`: a stored picture.
+    pub struct PictureInfo {
+        /// Name: up to 60 letters, digits, dashes, dots and underscores.
+        pub name: String,
+        pub mime: String,
+        pub bytes: usize,
+    }
 }
 
 impl Style {
@@ -127,79 +287,6 @@ fn styles_or_names<'de, D: Deserializer<'de>>(stored: D) -> Result<Vec<Style>, D
     Ok(styles.collect())
 }
 
-/// `GET`/`PUT settings`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct Settings {
-    /// Name of the project.
-    pub name: String,
-    /// People a task wants, for the share `overlap_percent` of tasks. A change applies to tasks that still want
-    /// answers.
-    pub answers_per_task: u32,
-    /// Share of tasks that want more than one person.
-    pub overlap_percent: u32,
-    /// Share of tasks given out that are hidden gold tasks.
-    pub gold_percent: u32,
-    /// Share of tasks shown without any draft.
-    pub blind_percent: u32,
-    /// Share of the review queue `sample` among submitted tasks.
-    pub review_percent: u32,
-    /// Minutes a lease lasts.
-    pub lease_minutes: u32,
-    /// Days a returned task waits for its author.
-    pub returned_days: u32,
-    /// Fewest masks of an answer without a reason.
-    pub min_masks: usize,
-    /// Most masks of an answer without a reason.
-    pub max_masks: usize,
-    /// Styles to choose from, in the order in which they came. Those of the dataset are added as its pairs are
-    /// imported, and a new one as the first answer with it is accepted.
-    #[serde(deserialize_with = "styles_or_names")]
-    pub styles: Vec<Style>,
-    /// Phrases to complete the instruction of a fine-grained pair with.
-    pub templates: Vec<String>,
-    /// Phrases to start the description of a mask with: they complete "The person is …".
-    #[serde(default)]
-    pub mask_templates: Vec<String>,
-    /// Phrases to complete the instruction of a style pair with; `{style}` is the chosen style.
-    pub style_templates: Vec<String>,
-    /// Pairs wanted of each category and edit type, for the dashboard; 0 for no bound.
-    pub quota: u32,
-    /// Pairs kept of each category, after which its other pairs are not given out; 0 for no bound.
-    pub category_quota: u32,
-    /// Pairs wanted of each edit type, of all categories together; 0, or no entry, for no bound. Pairs that are stated
-    /// to be of the type that is furthest behind are given out first; none is held back.
-    #[serde(default)]
-    pub edit_type_quota: BTreeMap<EditType, u32>,
-    /// The guide, plain text.
-    pub guide: String,
-    /// Name of the time zone in which days begin, such as `Europe/Berlin`.
-    pub time_zone: String,
-    /// Guidelines of each kind.
-    #[serde(default)]
-    pub guides: BTreeMap<TaskKind, KindGuide>,
-    /// Rules that accept answers without a reviewer, tried in this order.
-    #[serde(default)]
-    pub rules: Vec<Rule>,
-    /// Minutes in which an author may take back an answer that a rule accepted.
-    #[serde(default = "take_back_minutes")]
-    pub take_back_minutes: u32,
-    /// Seed of the draws that leave tasks to reviewers.
-    #[serde(default)]
-    pub seed: u32,
-    /// Practice tasks that an annotator does before real work of a kind; 0 for none.
-    #[serde(default)]
-    pub practice_tasks: u32,
-    /// Mean score that opens real work, in percent.
-    #[serde(default = "practice_percent")]
-    pub practice_percent: u32,
-    /// Whether reviewers may accept their own answers: for a project of one person. Such acceptances are marked in
-    /// every export.
-    #[serde(default)]
-    pub solo: bool,
-}
-
 impl Settings {
     /// Whether the project has a style of this name.
     pub fn has_style(&self, name: &str) -> bool {
@@ -215,112 +302,8 @@ fn practice_percent() -> u32 {
     80
 }
 
-/// `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before; [`super::KEY_CODES`] lists them.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields, default)]
-pub struct Prefs {
-    /// Keys that differ from the defaults.
-    pub keys: BTreeMap<Action, Vec<String>>,
-    /// Playback speed, 0.1 to 2.
-    pub speed: Option<f64>,
-    /// Whether the camera follows the root.
-    pub follow_root: Option<bool>,
-    /// Whether a pair is shown as ghosts.
-    pub ghost: Option<bool>,
-    /// Whether the soft ring is on for a new mask.
-    pub soft_ring: Option<bool>,
-}
-
-/// `POST users`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct NewUser {
-    /// Name, unique: 1 to 64 characters.
-    pub name: String,
-    /// What they may do.
-    pub role: Role,
-}
-
-/// `POST users/bulk`: many users at once, all or none.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct NewUsers {
-    /// Lines of a name, or of a name and a role parted by a comma, a semicolon or a tab.
-    pub lines: String,
-    /// Days until their tokens end, 1 to 365.
-    #[serde(default = "token_days")]
-    pub days: u32,
-}
-
 fn token_days() -> u32 {
     90
-}
-
-/// Answer to `POST users/bulk`: a new user with a link to log in.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct NewUserLink {
-    /// The user.
-    pub user: User,
-    /// What follows the address of the server: it logs the user in until the token ends. Shown this once.
-    pub path: String,
-    /// When the token ends.
-    pub expires: i64,
-}
-
-/// `PATCH users/{id}`.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct UserChange {
-    /// New role.
-    pub role: Option<Role>,
-    /// Whether the user may log in.
-    pub active: Option<bool>,
-}
-
-/// `POST users/{id}/tokens`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct NewToken {
-    /// Days until it ends, 1 to 365.
-    pub days: u32,
-}
-
-/// Answer to `POST users` and `POST users/{id}/tokens`. The token is shown this once.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct TokenShown {
-    /// Whose it is.
-    pub user: User,
-    /// Id of the token, to revoke it.
-    pub id: i64,
-    /// The token.
-    pub token: String,
-    /// When it ends.
-    pub expires: i64,
-}
-
-/// A token, without its secret.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct TokenInfo {
-    /// Id.
-    pub id: i64,
-    /// Whose it is.
-    pub user: i64,
-    /// When it was made.
-    pub created: i64,
-    /// When it ends.
-    pub expires: i64,
-    /// When it was last used.
-    pub last_used: Option<i64>,
-    /// Whether it was revoked.
-    pub revoked: bool,
 }
 
 impl Default for Settings {
@@ -377,52 +360,4 @@ impl Default for Settings {
             solo: false,
         }
     }
-}
-
-/// `GET guide`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Guide {
-    /// What holds for all kinds, plain text.
-    pub text: String,
-    /// Guidelines of each kind.
-    pub kinds: BTreeMap<TaskKind, KindGuide>,
-    /// What the texts of each kind are.
-    pub forms: BTreeMap<TaskKind, TextForm>,
-}
-
-/// Guidelines of a kind of task. `GET`/`PUT guide/{kind}`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields, default)]
-pub struct KindGuide {
-    /// Plain text.
-    pub text: String,
-    /// Examples.
-    pub pictures: Vec<GuidePicture>,
-}
-
-/// A picture of a right or a wrong answer.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct GuidePicture {
-    /// Name, at `guide/pictures/{name}`.
-    pub name: String,
-    /// What it shows.
-    pub caption: String,
-    /// Whether the answer it shows is right.
-    pub right: bool,
-}
-
-/// `GET guide/pictures`: a stored picture.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct PictureInfo {
-    /// Name: up to 60 letters, digits, dashes, dots and underscores.
-    pub name: String,
-    /// Type of its content.
-    pub mime: String,
-    /// Size in bytes.
-    pub bytes: usize,
 }

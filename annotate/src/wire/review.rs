@@ -1,81 +1,347 @@
 //! What reviewers see and send: reviews, the task browser, bulk actions, and rules of acceptance.
 
-use std::collections::BTreeMap;
+#![expect(
+    missing_docs,
+    reason = "a field whose name says what it is needs no words"
+)]
 
-use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 use super::{
     Answer, BulkAction, Decision, EditType, Lease, ReviewQueue, Revision, RevisionState, RuleKind,
     SkipFilter, SkipReason, Suggestion, Task, TaskKind, TaskSort, TaskState, Verdict,
 };
 
-/// `POST review/next`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct ReviewRequest {
-    /// Queue.
-    pub queue: ReviewQueue,
-    /// Only this kind.
-    pub kind: Option<TaskKind>,
-    /// This task, whatever its queue and kind.
-    pub task: Option<i64>,
-}
+messages! {
+    /// `POST review/next`.
+    #[serde(deny_unknown_fields)]
+    pub struct ReviewRequest {
+        pub queue: ReviewQueue,
+        /// Only this kind.
+        pub kind: Option<TaskKind>,
+        /// This task, whatever its queue and kind.
+        pub task: Option<i64>,
+    }
 
-/// Answer to `POST review/next`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct ReviewNext {
-    /// The task and its answers.
-    pub review: Option<ReviewView>,
-    /// Why there is none.
-    pub empty: Option<ReviewEmpty>,
-}
+    /// Answer to `POST review/next`.
+    pub struct ReviewNext {
+        pub review: Option<ReviewView>,
+        pub empty: Option<ReviewEmpty>,
+    }
 
-/// Why there is nothing to review.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct ReviewEmpty {
-    /// Submitted tasks of the queue.
-    pub waiting: i64,
-    /// Of these, those I answered myself.
-    pub mine: i64,
-    /// Of these, those leased by another reviewer.
-    pub in_review: i64,
-}
+    /// Why there is nothing to review.
+    #[derive(Default)]
+    pub struct ReviewEmpty {
+        /// Submitted tasks of the queue.
+        pub waiting: i64,
+        /// Of these, those I answered myself.
+        pub mine: i64,
+        /// Of these, those leased by another reviewer.
+        pub in_review: i64,
+    }
 
-/// A task to review.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct ReviewView {
-    /// The task.
-    pub task: Task,
-    /// My lease.
-    pub lease: Lease,
-    /// The submitted answers.
-    pub candidates: Vec<Candidate>,
-    /// Largest distance of the answers, 0 to 1; `null` for a single answer.
-    pub distance: Option<f64>,
-    /// Comments of earlier rounds, oldest first.
-    pub comments: Vec<String>,
-    /// Suggestions that the annotators were offered, unless theirs was a blind task.
-    pub suggestions: Vec<Suggestion>,
-    /// Whether the clip was ingested anew, with other content, after the answers were written.
-    pub clip_changed: bool,
-}
+    /// A task to review.
+    pub struct ReviewView {
+        pub task: Task,
+        pub lease: Lease,
+        pub candidates: Vec<Candidate>,
+        /// Largest distance of the answers, 0 to 1; `null` for a single answer.
+        pub distance: Option<f64>,
+        /// Comments of earlier rounds, oldest first.
+        pub comments: Vec<String>,
+        /// Suggestions that the annotators were offered, unless theirs was a blind task.
+        pub suggestions: Vec<Suggestion>,
+        /// Whether the clip was ingested anew, with other content, after the answers were written.
+        pub clip_changed: bool,
+    }
 
-/// An answer to review.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Candidate {
-    /// The answer.
-    pub revision: Revision,
-    /// Name of its author.
-    pub author_name: String,
-    /// Body joints of its masks, hard or soft, for the viewer.
-    pub joints: Vec<usize>,
-    /// Edit distance of its texts from their drafts, 0 to 1.
-    pub draft_distance: Option<f64>,
+    /// An answer to review.
+    pub struct Candidate {
+        pub revision: Revision,
+        pub author_name: String,
+        /// Body joints of its masks, hard or soft, for the viewer.
+        pub joints: Vec<usize>,
+        /// Edit distance of its texts from their drafts, 0 to 1.
+        pub draft_distance: Option<f64>,
+    }
+
+    /// `POST reviews`.
+    #[serde(deny_unknown_fields)]
+    pub struct NewReview {
+        /// Unique key made by the browser.
+        pub idem_key: String,
+        pub task: i64,
+        /// Fencing number of the lease; ignored for `reopen` and `drop`.
+        #[serde(default)]
+        pub lease_epoch: i64,
+        pub decision: Decision,
+        /// Author of the answer that is accepted or returned; all authors if missing.
+        pub author: Option<i64>,
+        /// The answer, for `merge`.
+        pub answer: Option<Answer>,
+        /// Required for `return`, `drop` and `reopen`.
+        #[serde(default)]
+        pub comment: String,
+        /// Seconds of work on the review.
+        #[serde(default, skip_serializing_if = "none")]
+        pub secs: f64,
+    }
+
+    /// Answer to `POST reviews`.
+    pub struct ReviewDone {
+        /// Its sequence number in the log.
+        pub seq: i64,
+        /// State of the task after it.
+        pub state: TaskState,
+    }
+
+    /// Which tasks: those that fit every given field. Gold and practice tasks are left out.
+    #[derive(Default)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct TaskFilter {
+        pub kind: Option<TaskKind>,
+        pub state: Option<TaskState>,
+        /// Words of an answer, a caption, the id of a motion, the category, the hint or the style. Case is ignored;
+        /// names of fields and parts are not searched.
+        pub q: Option<String>,
+        /// A person who answered, skipped or holds it.
+        pub person: Option<i64>,
+        /// A part that an answer names.
+        pub part: Option<String>,
+        pub edit_type: Option<EditType>,
+        pub verdict: Option<Verdict>,
+        pub category: Option<String>,
+        /// train, val or test.
+        pub split: Option<String>,
+        /// Least distance of its answers, 0 to 1: it has two or more.
+        pub min_distance: Option<f64>,
+        /// Largest distance of its answers, 0 to 1: it has two or more.
+        pub max_distance: Option<f64>,
+        pub skipped: Option<SkipFilter>,
+        /// Accepted by the rule of this name.
+        pub rule: Option<String>,
+        pub task: Option<i64>,
+    }
+
+    /// `GET tasks`: a page of tasks. The query has the fields of [`TaskFilter`], `sort`, `reverse` (0 or 1), `after`
+    /// and `limit` (up to 200).
+    pub struct TaskPage {
+        pub rows: Vec<TaskRow>,
+        /// Value of `after` for the next page.
+        pub next: Option<String>,
+        /// Number of tasks that fit; given for the first page alone.
+        pub total: Option<i64>,
+        pub sort: TaskSort,
+    }
+
+    /// A task in the browser.
+    pub struct TaskRow {
+        pub id: i64,
+        /// Key: the same in every store and export of the dataset.
+        pub key: String,
+        pub kind: TaskKind,
+        pub state: TaskState,
+        /// Id of its motion, or of the one before the edit.
+        pub source_id: String,
+        /// Id of the motion after the edit.
+        pub target_id: Option<String>,
+        /// train, val or test.
+        pub split: String,
+        pub category: Option<String>,
+        pub hint: Option<String>,
+        pub style: Option<String>,
+        pub wanted: u32,
+        pub submitted: u32,
+        /// Largest distance of its answers, 0 to 1; `null` below two answers.
+        pub distance: Option<f64>,
+        /// When it last got an answer, a skip or a decision; 0 before.
+        pub touched: i64,
+        /// Answers in short, in the order they were handed in. Drafts are left out.
+        pub answers: Vec<AnswerBrief>,
+        /// Who holds it, and until when.
+        pub holders: Vec<Holder>,
+        pub skips: Vec<SkipBrief>,
+        /// How it was accepted: `review`, `own` (by its author), `rule:NAME` or `import`.
+        pub accepted_by: Option<String>,
+    }
+
+    /// An answer in short.
+    pub struct AnswerBrief {
+        pub author: i64,
+        pub name: String,
+        pub state: RevisionState,
+        /// Its texts, joined.
+        pub text: String,
+        pub parts: Vec<String>,
+        pub verdict: Option<Verdict>,
+        pub edit_type: Option<EditType>,
+        pub at: i64,
+    }
+
+    /// Who holds a task.
+    pub struct Holder {
+        /// Id of the lease or the reservation.
+        pub lease: i64,
+        pub user: i64,
+        pub name: String,
+        /// `annotate`, `review`, `returned` (waits for the author it was sent back to) or `assigned`.
+        pub purpose: String,
+        pub until: i64,
+    }
+
+    /// A skip.
+    pub struct SkipBrief {
+        pub user: i64,
+        pub name: String,
+        /// Whether it was only postponed.
+        pub postponed: bool,
+        /// Why; `null` for a postponed task.
+        pub reason: Option<SkipReason>,
+        pub note: String,
+        pub at: i64,
+    }
+
+    /// A decision on a task.
+    pub struct DecisionRow {
+        /// Its sequence number in the log.
+        pub seq: i64,
+        pub task: i64,
+        pub key: String,
+        /// `accepted`, `merged`, `returned`, `dropped` or `reopened`.
+        pub decision: String,
+        /// Id of the reviewer; 0 for a rule.
+        pub reviewer: i64,
+        /// Name of the reviewer; empty for a rule.
+        pub reviewer_name: String,
+        /// The author whose answer was accepted or sent back; `null` if it concerns all authors.
+        pub author: Option<i64>,
+        /// Names of the authors it concerns.
+        pub authors: Vec<String>,
+        /// The rule that accepted the task, or whose acceptance was taken back.
+        pub rule: Option<String>,
+        pub comment: String,
+        pub at: i64,
+        /// State of the task now.
+        pub state: TaskState,
+    }
+
+    /// `GET reviews`: decisions, newest first.
+    pub struct Decisions {
+        pub items: Vec<DecisionRow>,
+        /// Value of `before` for the next page.
+        pub next: Option<i64>,
+    }
+
+    /// `GET tasks/{id}/record`: everything about a task, for reviewers.
+    pub struct TaskFile {
+        pub task: Task,
+        pub row: TaskRow,
+        /// All answers that were handed in, with their authors.
+        pub answers: Vec<Candidate>,
+        pub accepted: Option<Answer>,
+        /// Decisions, oldest first.
+        pub decisions: Vec<DecisionRow>,
+        /// Suggestions the annotators were offered.
+        pub suggestions: Vec<Suggestion>,
+    }
+
+    /// `POST bulk` and `POST bulk/preview`: one action on all tasks of a filter.
+    #[serde(deny_unknown_fields)]
+    pub struct BulkRequest {
+        pub filter: TaskFilter,
+        pub action: BulkAction,
+        /// Required for `return`, `drop` and `reopen`; a preview needs none.
+        #[serde(default)]
+        pub comment: String,
+        /// The person, for `assign`.
+        pub person: Option<i64>,
+        /// Id of the last task that was looked at; without it, begins with the first task.
+        pub after: Option<i64>,
+    }
+
+    /// Answer to `POST bulk` and `POST bulk/preview`. A preview looks at all tasks and changes nothing; `POST bulk`
+    /// looks at up to 2,000.
+    #[derive(Default)]
+    pub struct BulkDone {
+        /// Tasks of the filter that were looked at.
+        pub looked_at: i64,
+        /// Tasks changed, or that would be changed.
+        pub done: i64,
+        /// Tasks left alone, by reason: `wrong_state`, `own_work`, `held` (by another person), `answers_differ`,
+        /// `answered` (by the person), `task_full`, `new_style` (a reviewer has to see it).
+        pub left_alone: BTreeMap<String, i64>,
+        /// Value of `after` for the next request; `null` once all are done.
+        pub next: Option<i64>,
+    }
+
+    /// A rule of acceptance. It looks at tasks that have all their answers and wait for review; the first enabled rule
+    /// that fits accepts the task at once. A rule never touches a task that a reviewer returned or reopened, nor a gold
+    /// task.
+    #[serde(deny_unknown_fields)]
+    pub struct Rule {
+        /// Name, unique in the project: 1 to 40 letters, digits and dashes. Every acceptance records it.
+        pub name: String,
+        pub enabled: bool,
+        pub accepts: RuleKind,
+        /// Kinds of task; all if empty.
+        #[serde(default)]
+        pub kinds: Vec<TaskKind>,
+        /// Ids of the trusted people, for `trusted`. The answer of the first of them is accepted; for the other rules
+        /// it is the answer handed in first.
+        #[serde(default)]
+        pub people: Vec<i64>,
+        #[serde(default = "one")]
+        pub min_answers: u32,
+        /// Largest distance of the answers of a task, 0 to 1: 0 asks for equal parts and labels. Rejects of different
+        /// verdicts have distance 1.
+        #[serde(default)]
+        pub max_distance: f64,
+        /// Share of the fitting tasks that is left to reviewers, 0 to 100. The draw depends on the task and the
+        /// project's seed alone.
+        #[serde(default)]
+        pub review_percent: u32,
+    }
+
+    /// `GET rules`: a rule, and what it does. The rules are edited as a part of the settings.
+    pub struct RuleState {
+        /// The rule. A rule that was removed is listed while acceptances of it stand.
+        pub rule: Rule,
+        /// Whether the settings have it.
+        pub known: bool,
+        pub accepted: i64,
+        /// Waiting tasks that it would accept now, whether or not it is enabled.
+        pub would_accept: i64,
+        /// Waiting tasks that fit it and are left to reviewers.
+        pub left_to_review: i64,
+    }
+
+    /// `POST rules/apply`: applies the enabled rules to the tasks that wait for review.
+    #[derive(Default)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct ApplyRules {
+        /// Id of the last task that was looked at; without it, begins with the first task.
+        pub after: Option<i64>,
+    }
+
+    /// Answer to `POST rules/apply`. One request looks at up to 2,000 tasks.
+    #[derive(Default)]
+    pub struct RulesApplied {
+        pub looked_at: i64,
+        /// Tasks accepted, by the name of the rule.
+        pub accepted: BTreeMap<String, i64>,
+        /// Value of `after` for the next request; `null` once all are done.
+        pub next: Option<i64>,
+    }
+
+    /// Answer to `POST rules/{name}/undo`: the rule is disabled, and its acceptances are taken back, up to 2,000 in one
+    /// request. The tasks wait for review again.
+    #[derive(Default)]
+    pub struct RuleUndone {
+        /// Acceptances taken back by this request.
+        pub reopened: i64,
+        /// Acceptances that still stand: repeat the request until it is 0.
+        pub left: i64,
+    }
 }
 
 /// Requests without seconds keep the hash they had before there was this field.
@@ -87,364 +353,6 @@ fn none(secs: &f64) -> bool {
     *secs == 0.0
 }
 
-/// `POST reviews`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct NewReview {
-    /// Unique key made by the browser.
-    pub idem_key: String,
-    /// Task.
-    pub task: i64,
-    /// Fencing number of the lease; ignored for `reopen` and `drop`.
-    #[serde(default)]
-    pub lease_epoch: i64,
-    /// Decision.
-    pub decision: Decision,
-    /// Author of the answer that is accepted or returned; all authors if missing.
-    pub author: Option<i64>,
-    /// The answer, for `merge`.
-    pub answer: Option<Answer>,
-    /// Required for `return`, `drop` and `reopen`.
-    #[serde(default)]
-    pub comment: String,
-    /// Seconds of work on the review.
-    #[serde(default, skip_serializing_if = "none")]
-    pub secs: f64,
-}
-
-/// Answer to `POST reviews`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct ReviewDone {
-    /// Its sequence number in the log.
-    pub seq: i64,
-    /// State of the task after it.
-    pub state: TaskState,
-}
-
-/// Which tasks: those that fit every given field. Gold and practice tasks are left out.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields, default)]
-pub struct TaskFilter {
-    /// Kind.
-    pub kind: Option<TaskKind>,
-    /// State.
-    pub state: Option<TaskState>,
-    /// Words of an answer, a caption, the id of a motion, the category, the hint or the style. Case is ignored; names
-    /// of fields and parts are not searched.
-    pub q: Option<String>,
-    /// A person who answered, skipped or holds it.
-    pub person: Option<i64>,
-    /// A part that an answer names.
-    pub part: Option<String>,
-    /// An edit type that an answer names.
-    pub edit_type: Option<EditType>,
-    /// A verdict that an answer gives.
-    pub verdict: Option<Verdict>,
-    /// Category.
-    pub category: Option<String>,
-    /// train, val or test.
-    pub split: Option<String>,
-    /// Least distance of its answers, 0 to 1: it has two or more.
-    pub min_distance: Option<f64>,
-    /// Largest distance of its answers, 0 to 1: it has two or more.
-    pub max_distance: Option<f64>,
-    /// Skipped tasks.
-    pub skipped: Option<SkipFilter>,
-    /// Accepted by the rule of this name.
-    pub rule: Option<String>,
-    /// The task with this id.
-    pub task: Option<i64>,
-}
-
-/// `GET tasks`: a page of tasks. The query has the fields of [`TaskFilter`], `sort`, `reverse` (0 or 1), `after` and
-/// `limit` (up to 200).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct TaskPage {
-    /// The rows, in order.
-    pub rows: Vec<TaskRow>,
-    /// Value of `after` for the next page.
-    pub next: Option<String>,
-    /// Number of tasks that fit; given for the first page alone.
-    pub total: Option<i64>,
-    /// Order of the rows.
-    pub sort: TaskSort,
-}
-
-/// A task in the browser.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct TaskRow {
-    /// Id.
-    pub id: i64,
-    /// Key: the same in every store and export of the dataset.
-    pub key: String,
-    /// Kind.
-    pub kind: TaskKind,
-    /// State.
-    pub state: TaskState,
-    /// Id of its motion, or of the one before the edit.
-    pub source_id: String,
-    /// Id of the motion after the edit.
-    pub target_id: Option<String>,
-    /// train, val or test.
-    pub split: String,
-    /// Category.
-    pub category: Option<String>,
-    /// Edit that the pair was made for.
-    pub hint: Option<String>,
-    /// Style label of the source.
-    pub style: Option<String>,
-    /// Answers wanted.
-    pub wanted: u32,
-    /// Answers handed in.
-    pub submitted: u32,
-    /// Largest distance of its answers, 0 to 1; `null` below two answers.
-    pub distance: Option<f64>,
-    /// When it last got an answer, a skip or a decision; 0 before.
-    pub touched: i64,
-    /// Answers in short, in the order they were handed in. Drafts are left out.
-    pub answers: Vec<AnswerBrief>,
-    /// Who holds it, and until when.
-    pub holders: Vec<Holder>,
-    /// Who skipped it, and why.
-    pub skips: Vec<SkipBrief>,
-    /// How it was accepted: `review`, `own` (by its author), `rule:NAME` or `import`.
-    pub accepted_by: Option<String>,
-}
-
-/// An answer in short.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct AnswerBrief {
-    /// Id of its author.
-    pub author: i64,
-    /// Name of its author.
-    pub name: String,
-    /// State.
-    pub state: RevisionState,
-    /// Its texts, joined.
-    pub text: String,
-    /// Parts that it names.
-    pub parts: Vec<String>,
-    /// Verdict.
-    pub verdict: Option<Verdict>,
-    /// Edit type.
-    pub edit_type: Option<EditType>,
-    /// When it was last written.
-    pub at: i64,
-}
-
-/// Who holds a task.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Holder {
-    /// Id of the lease or the reservation.
-    pub lease: i64,
-    /// Id.
-    pub user: i64,
-    /// Name.
-    pub name: String,
-    /// `annotate`, `review`, `returned` (waits for the author it was sent back to) or `assigned`.
-    pub purpose: String,
-    /// When the lease or the reservation ends.
-    pub until: i64,
-}
-
-/// A skip.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct SkipBrief {
-    /// Id.
-    pub user: i64,
-    /// Name.
-    pub name: String,
-    /// Whether it was only postponed.
-    pub postponed: bool,
-    /// Why; `null` for a postponed task.
-    pub reason: Option<SkipReason>,
-    /// More about it.
-    pub note: String,
-    /// When.
-    pub at: i64,
-}
-
-/// A decision on a task.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct DecisionRow {
-    /// Its sequence number in the log.
-    pub seq: i64,
-    /// Task.
-    pub task: i64,
-    /// Key of the task.
-    pub key: String,
-    /// `accepted`, `merged`, `returned`, `dropped` or `reopened`.
-    pub decision: String,
-    /// Id of the reviewer; 0 for a rule.
-    pub reviewer: i64,
-    /// Name of the reviewer; empty for a rule.
-    pub reviewer_name: String,
-    /// The author whose answer was accepted or sent back; `null` if it concerns all authors.
-    pub author: Option<i64>,
-    /// Names of the authors it concerns.
-    pub authors: Vec<String>,
-    /// The rule that accepted the task, or whose acceptance was taken back.
-    pub rule: Option<String>,
-    /// Comment.
-    pub comment: String,
-    /// When.
-    pub at: i64,
-    /// State of the task now.
-    pub state: TaskState,
-}
-
-/// `GET reviews`: decisions, newest first.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Decisions {
-    /// The decisions.
-    pub items: Vec<DecisionRow>,
-    /// Value of `before` for the next page.
-    pub next: Option<i64>,
-}
-
-/// `GET tasks/{id}/record`: everything about a task, for reviewers.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct TaskFile {
-    /// The task.
-    pub task: Task,
-    /// Its row in the browser.
-    pub row: TaskRow,
-    /// All answers that were handed in, with their authors.
-    pub answers: Vec<Candidate>,
-    /// The accepted answer.
-    pub accepted: Option<Answer>,
-    /// Decisions, oldest first.
-    pub decisions: Vec<DecisionRow>,
-    /// Suggestions the annotators were offered.
-    pub suggestions: Vec<Suggestion>,
-}
-
-/// `POST bulk` and `POST bulk/preview`: one action on all tasks of a filter.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct BulkRequest {
-    /// Which tasks.
-    pub filter: TaskFilter,
-    /// What to do with each.
-    pub action: BulkAction,
-    /// Required for `return`, `drop` and `reopen`; a preview needs none.
-    #[serde(default)]
-    pub comment: String,
-    /// The person, for `assign`.
-    pub person: Option<i64>,
-    /// Id of the last task that was looked at; without it, begins with the first task.
-    pub after: Option<i64>,
-}
-
-/// Answer to `POST bulk` and `POST bulk/preview`. A preview looks at all tasks and changes nothing; `POST bulk`
-/// looks at up to 2,000.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct BulkDone {
-    /// Tasks of the filter that were looked at.
-    pub looked_at: i64,
-    /// Tasks changed, or that would be changed.
-    pub done: i64,
-    /// Tasks left alone, by reason: `wrong_state`, `own_work`, `held` (by another person), `answers_differ`,
-    /// `answered` (by the person), `task_full`, `new_style` (a reviewer has to see it).
-    pub left_alone: BTreeMap<String, i64>,
-    /// Value of `after` for the next request; `null` once all are done.
-    pub next: Option<i64>,
-}
-
-/// A rule of acceptance. It looks at tasks that have all their answers and wait for review; the first enabled rule
-/// that fits accepts the task at once. A rule never touches a task that a reviewer returned or reopened, nor a gold
-/// task.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct Rule {
-    /// Name, unique in the project: 1 to 40 letters, digits and dashes. Every acceptance records it.
-    pub name: String,
-    /// Whether it is applied.
-    pub enabled: bool,
-    /// What it looks at.
-    pub accepts: RuleKind,
-    /// Kinds of task; all if empty.
-    #[serde(default)]
-    pub kinds: Vec<TaskKind>,
-    /// Ids of the trusted people, for `trusted`. The answer of the first of them is accepted; for the other rules
-    /// it is the answer handed in first.
-    #[serde(default)]
-    pub people: Vec<i64>,
-    /// Fewest answers of a task.
-    #[serde(default = "one")]
-    pub min_answers: u32,
-    /// Largest distance of the answers of a task, 0 to 1: 0 asks for equal parts and labels. Rejects of different
-    /// verdicts have distance 1.
-    #[serde(default)]
-    pub max_distance: f64,
-    /// Share of the fitting tasks that is left to reviewers, 0 to 100. The draw depends on the task and the
-    /// project's seed alone.
-    #[serde(default)]
-    pub review_percent: u32,
-}
-
 fn one() -> u32 {
     1
-}
-
-/// `GET rules`: a rule, and what it does. The rules are edited as a part of the settings.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct RuleState {
-    /// The rule. A rule that was removed is listed while acceptances of it stand.
-    pub rule: Rule,
-    /// Whether the settings have it.
-    pub known: bool,
-    /// Tasks that are accepted by it.
-    pub accepted: i64,
-    /// Waiting tasks that it would accept now, whether or not it is enabled.
-    pub would_accept: i64,
-    /// Waiting tasks that fit it and are left to reviewers.
-    pub left_to_review: i64,
-}
-
-/// `POST rules/apply`: applies the enabled rules to the tasks that wait for review.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields, default)]
-pub struct ApplyRules {
-    /// Id of the last task that was looked at; without it, begins with the first task.
-    pub after: Option<i64>,
-}
-
-/// Answer to `POST rules/apply`. One request looks at up to 2,000 tasks.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct RulesApplied {
-    /// Waiting tasks looked at.
-    pub looked_at: i64,
-    /// Tasks accepted, by the name of the rule.
-    pub accepted: BTreeMap<String, i64>,
-    /// Value of `after` for the next request; `null` once all are done.
-    pub next: Option<i64>,
-}
-
-/// Answer to `POST rules/{name}/undo`: the rule is disabled, and its acceptances are taken back, up to 2,000 in
-/// one request. The tasks wait for review again.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct RuleUndone {
-    /// Acceptances taken back by this request.
-    pub reopened: i64,
-    /// Acceptances that still stand: repeat the request until it is 0.
-    pub left: i64,
 }

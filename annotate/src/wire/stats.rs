@@ -1,330 +1,251 @@
 //! What the project has done: figures of the dashboard, the log, jobs, and the capture plan.
 
-use std::collections::BTreeMap;
+#![expect(
+    missing_docs,
+    reason = "a field whose name says what it is needs no words"
+)]
 
-use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 use super::{EditType, ExportFormat, TaskKind, TaskState, User};
 
-/// A figure with its interval.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Estimate {
-    /// The value.
-    pub value: f64,
-    /// Lower end of the 95 % bootstrap interval.
-    pub low: f64,
-    /// Upper end.
-    pub high: f64,
-    /// Number of items.
-    pub items: usize,
-}
+messages! {
+    /// A figure with its interval.
+    #[derive(Copy)]
+    pub struct Estimate {
+        pub value: f64,
+        /// Lower end of the 95 % bootstrap interval.
+        pub low: f64,
+        pub high: f64,
+        pub items: usize,
+    }
 
-/// `GET stats/funnel`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Funnel {
-    /// Tasks by kind and state.
-    pub counts: BTreeMap<TaskKind, BTreeMap<TaskState, i64>>,
-    /// Weeks, oldest first.
-    pub weeks: Vec<Week>,
-}
+    /// `GET stats/funnel`.
+    pub struct Funnel {
+        /// Tasks by kind and state.
+        pub counts: BTreeMap<TaskKind, BTreeMap<TaskState, i64>>,
+        /// Weeks, oldest first.
+        pub weeks: Vec<Week>,
+    }
 
-/// A week of work.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Week {
-    /// Midnight of its Monday in the project's time zone.
-    pub start: i64,
-    /// Answers handed in.
-    pub submitted: i64,
-    /// Answers accepted.
-    pub accepted: i64,
-    /// Answers returned.
-    pub returned: i64,
-    /// Median seconds of an answer.
-    pub median_secs: Option<f64>,
-    /// Mean agreement on the tasks whose last answer came in this week: 1 for equal verdicts or joint sets.
-    pub agreement: Option<f64>,
-    /// Number of those tasks.
-    pub shared_items: usize,
-}
+    /// A week of work.
+    pub struct Week {
+        /// Midnight of its Monday in the project's time zone.
+        pub start: i64,
+        pub submitted: i64,
+        pub accepted: i64,
+        pub returned: i64,
+        pub median_secs: Option<f64>,
+        /// Mean agreement on the tasks whose last answer came in this week: 1 for equal verdicts or joint sets.
+        pub agreement: Option<f64>,
+        /// Number of those tasks.
+        pub shared_items: usize,
+    }
 
-/// `GET stats/people`: one for each person.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Person {
-    /// Who.
-    pub user: User,
-    /// Answers handed in.
-    pub done: i64,
-    /// Median seconds of an answer.
-    pub median_secs: Option<f64>,
-    /// Answers accepted.
-    pub accepted: i64,
-    /// Answers sent back.
-    pub returned: i64,
-    /// Share of unchanged texts among those that started from a draft.
-    pub draft_unchanged: Option<f64>,
-    /// Mean edit distance from the draft, 0 to 1.
-    pub draft_distance: Option<f64>,
-    /// Gold tasks answered.
-    pub gold_items: i64,
-    /// Mean score on gold tasks, 0 to 1.
-    pub gold_score: Option<f64>,
-    /// Agreement with others (mean Jaccard index of the joints and frames of masks).
-    pub agreement: Option<Estimate>,
-    /// Time of the last log entry.
-    pub last_seen: Option<i64>,
-}
+    /// `GET stats/people`: one for each person.
+    pub struct Person {
+        pub user: User,
+        /// Answers handed in.
+        pub done: i64,
+        pub median_secs: Option<f64>,
+        pub accepted: i64,
+        pub returned: i64,
+        /// Share of unchanged texts among those that started from a draft.
+        pub draft_unchanged: Option<f64>,
+        /// Mean edit distance from the draft, 0 to 1.
+        pub draft_distance: Option<f64>,
+        pub gold_items: i64,
+        pub gold_score: Option<f64>,
+        /// Agreement with others (mean Jaccard index of the joints and frames of masks).
+        pub agreement: Option<Estimate>,
+        /// Time of the last log entry.
+        pub last_seen: Option<i64>,
+    }
 
-/// `GET stats/agreement`. Figures are `null` below 30 shared items.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Agreement {
-    /// One for each of the release's parts, and `overall` of their decisions together.
-    pub parts: Vec<PartAgreement>,
-    /// Mean Jaccard index of the joints and frames of masks.
-    pub jaccard: Option<Estimate>,
-    /// Agreement on the verdicts about pairs.
-    pub verdicts: Option<PartAgreement>,
-    /// Tasks with two answers or more.
-    pub shared_items: usize,
-    /// Share of answers that reviewers accepted unchanged.
-    pub accepted_share: Option<Estimate>,
-    /// Edit distance from the draft, with drafts shown and with drafts withheld.
-    pub draft_distance: Option<f64>,
-    /// Seconds per answer with drafts and without.
-    pub secs_with_and_without_draft: Option<[f64; 2]>,
-}
+    /// `GET stats/agreement`. Figures are `null` below 30 shared items.
+    pub struct Agreement {
+        /// One for each of the release's parts, and `overall` of their decisions together.
+        pub parts: Vec<PartAgreement>,
+        /// Mean Jaccard index of the joints and frames of masks.
+        pub jaccard: Option<Estimate>,
+        pub verdicts: Option<PartAgreement>,
+        /// Tasks with two answers or more.
+        pub shared_items: usize,
+        /// Share of answers that reviewers accepted unchanged.
+        pub accepted_share: Option<Estimate>,
+        /// Edit distance from the draft, with drafts shown and with drafts withheld.
+        pub draft_distance: Option<f64>,
+        /// Seconds per answer with drafts and without.
+        pub secs_with_and_without_draft: Option<[f64; 2]>,
+    }
 
-/// Agreement on one decision.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct PartAgreement {
-    /// Name of the part.
-    pub part: String,
-    /// Items with two answers or more.
-    pub items: usize,
-    /// Gwet's AC1: the agreement beyond chance.
-    pub gwet_ac1: Option<Estimate>,
-}
+    /// Agreement on one decision.
+    pub struct PartAgreement {
+        pub part: String,
+        /// Items with two answers or more.
+        pub items: usize,
+        /// Gwet's AC1: the agreement beyond chance.
+        pub gwet_ac1: Option<Estimate>,
+    }
 
-/// `GET stats/quota`: one for each category and edit type.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct QuotaRow {
-    /// Category; empty where the source gives none.
-    pub category: String,
-    /// Edit type.
-    pub edit_type: EditType,
-    /// Pairs kept: answered `keep` and not sent back.
-    pub kept: i64,
-    /// Pairs wanted; 0 for no bound.
-    pub wanted: i64,
-    /// Pairs of the category that are given out at most, of all edit types together; 0 for no bound.
-    pub category_wanted: i64,
-}
+    /// `GET stats/quota`: one for each category and edit type.
+    pub struct QuotaRow {
+        /// Category; empty where the source gives none.
+        pub category: String,
+        pub edit_type: EditType,
+        /// Pairs kept: answered `keep` and not sent back.
+        pub kept: i64,
+        /// Pairs wanted; 0 for no bound.
+        pub wanted: i64,
+        /// Pairs of the category that are given out at most, of all edit types together; 0 for no bound.
+        pub category_wanted: i64,
+    }
 
-/// `GET stats/edit-types`: one for each edit type that the project has a quota of.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct EditTypeCount {
-    /// Edit type.
-    pub edit_type: EditType,
-    /// Pairs kept: answered `keep` and not sent back.
-    pub kept: i64,
-    /// Pairs wanted.
-    pub wanted: i64,
-}
+    /// `GET stats/edit-types`: one for each edit type that the project has a quota of.
+    pub struct EditTypeCount {
+        pub edit_type: EditType,
+        pub kept: i64,
+        pub wanted: i64,
+    }
 
-/// `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. The day
-/// of `from` is counted whole.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct DayWork {
-    /// First millisecond of the day in the project's time zone, in Unix time.
-    pub start: i64,
-    /// Id of the person.
-    pub user: i64,
-    /// Name of the person.
-    pub name: String,
-    /// Kind of task.
-    pub kind: TaskKind,
-    /// Seconds of work.
-    pub secs: f64,
-    /// Answers handed in.
-    pub answers: i64,
-    /// Tasks skipped or postponed.
-    pub skips: i64,
-    /// Decisions as a reviewer. Bulk actions are not counted.
-    pub reviews: i64,
-}
+    /// `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. The day of `from` is counted
+    /// whole.
+    pub struct DayWork {
+        /// First millisecond of the day in the project's time zone, in Unix time.
+        pub start: i64,
+        pub user: i64,
+        pub name: String,
+        pub kind: TaskKind,
+        pub secs: f64,
+        pub answers: i64,
+        /// Tasks skipped or postponed.
+        pub skips: i64,
+        /// Decisions as a reviewer. Bulk actions are not counted.
+        pub reviews: i64,
+    }
 
-/// `GET stats/outlook`: what is left of a kind, at the pace of the last seven days.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Outlook {
-    /// Kind.
-    pub kind: TaskKind,
-    /// Answers that tasks still want.
-    pub answers_left: i64,
-    /// Tasks that wait for a reviewer.
-    pub reviews_left: i64,
-    /// Answers in a day.
-    pub answers_per_day: f64,
-    /// Decisions of reviewers in a day.
-    pub reviews_per_day: f64,
-    /// Mean seconds of an answer.
-    pub secs_per_answer: Option<f64>,
-    /// Hours of work left: the median seconds of an answer for each.
-    pub hours_left: Option<f64>,
-    /// Days left.
-    pub days_left: Option<f64>,
-    /// When it ends.
-    pub ends: Option<i64>,
-}
+    /// `GET stats/outlook`: what is left of a kind, at the pace of the last seven days.
+    pub struct Outlook {
+        pub kind: TaskKind,
+        /// Answers that tasks still want.
+        pub answers_left: i64,
+        /// Tasks that wait for a reviewer.
+        pub reviews_left: i64,
+        pub answers_per_day: f64,
+        pub reviews_per_day: f64,
+        /// Mean seconds of an answer.
+        pub secs_per_answer: Option<f64>,
+        /// Hours of work left: the median seconds of an answer for each.
+        pub hours_left: Option<f64>,
+        pub days_left: Option<f64>,
+        pub ends: Option<i64>,
+    }
 
-/// An entry of the log, for `GET audit` and `GET tasks/{id}/history`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct AuditEntry {
-    /// Sequence number in the log.
-    pub seq: i64,
-    /// When.
-    pub at: i64,
-    /// User; `null` for the program itself.
-    pub actor: Option<i64>,
-    /// Their name.
-    pub actor_name: Option<String>,
-    /// Kind of entry.
-    pub kind: String,
-    /// Task.
-    pub task: Option<i64>,
-    /// Body of the entry.
-    #[cfg_attr(test, ts(type = "unknown"))]
-    pub body: serde_json::Value,
-}
+    /// An entry of the log, for `GET audit` and `GET tasks/{id}/history`.
+    pub struct AuditEntry {
+        /// Sequence number in the log.
+        pub seq: i64,
+        pub at: i64,
+        /// User; `null` for the program itself.
+        pub actor: Option<i64>,
+        pub actor_name: Option<String>,
+        pub kind: String,
+        pub task: Option<i64>,
+        #[ts(type = "unknown")]
+        pub body: serde_json::Value,
+    }
 
-/// `GET audit`: newest first.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Audit {
-    /// Entries.
-    pub entries: Vec<AuditEntry>,
-    /// Value of `before` for the next page.
-    pub next: Option<i64>,
-}
+    /// `GET audit`: newest first.
+    pub struct Audit {
+        pub entries: Vec<AuditEntry>,
+        /// Value of `before` for the next page.
+        pub next: Option<i64>,
+    }
 
-/// An entry of `GET stream` (event `change`).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Change {
-    /// Sequence number in the log.
-    pub seq: i64,
-    /// What happened.
-    pub kind: String,
-    /// Task.
-    pub task: Option<i64>,
-    /// Whether the task is one of mine.
-    pub mine: bool,
-}
+    /// An entry of `GET stream` (event `change`).
+    pub struct Change {
+        /// Sequence number in the log.
+        pub seq: i64,
+        pub kind: String,
+        pub task: Option<i64>,
+        pub mine: bool,
+    }
 
-/// `POST exports`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct ExportRequest {
-    /// Layout.
-    pub format: ExportFormat,
-    /// Splits to export; all if empty.
-    #[serde(default)]
-    pub splits: Vec<String>,
-    /// Also write the log (format `parquet` only).
-    #[serde(default)]
-    pub events: bool,
-}
+    /// `POST exports`.
+    #[serde(deny_unknown_fields)]
+    pub struct ExportRequest {
+        pub format: ExportFormat,
+        /// Splits to export; all if empty.
+        #[serde(default)]
+        pub splits: Vec<String>,
+        /// Also write the log (format `parquet` only).
+        #[serde(default)]
+        pub events: bool,
+    }
 
-/// `GET jobs/{id}`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Job {
-    /// Id.
-    pub id: i64,
-    /// `import` or `export`.
-    pub kind: String,
-    /// Layout.
-    pub format: String,
-    /// `running`, `done` or `failed`.
-    pub state: String,
-    /// Items done.
-    pub done: i64,
-    /// Items in all, once known.
-    pub total: Option<i64>,
-    /// Counts of imported, written and omitted items.
-    pub counts: BTreeMap<String, i64>,
-    /// Messages about errors and omitted items.
-    pub messages: Vec<String>,
-    /// Files to download, at `jobs/{id}/files/{name}`.
-    pub files: Vec<String>,
-    /// When it began.
-    pub started: i64,
-    /// When it ended.
-    pub finished: Option<i64>,
-    /// When its server last reported on it.
-    #[serde(default)]
-    pub heartbeat: i64,
-}
+    /// `GET jobs/{id}`.
+    #[derive(Default)]
+    pub struct Job {
+        pub id: i64,
+        /// `import` or `export`.
+        pub kind: String,
+        pub format: String,
+        /// `running`, `done` or `failed`.
+        pub state: String,
+        pub done: i64,
+        /// Items in all, once known.
+        pub total: Option<i64>,
+        /// Counts of imported, written and omitted items.
+        pub counts: BTreeMap<String, i64>,
+        /// Messages about errors and omitted items.
+        pub messages: Vec<String>,
+        /// Files to download, at `jobs/{id}/files/{name}`.
+        pub files: Vec<String>,
+        pub started: i64,
+        pub finished: Option<i64>,
+        /// When its server last reported on it.
+        #[serde(default)]
+        pub heartbeat: i64,
+    }
 
-/// `PUT captures`: the whole plan, in place of the one before.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct CapturePlan {
-    /// Its cells, each motion with each style once.
-    pub cells: Vec<PlannedCapture>,
-}
+    /// `PUT captures`: the whole plan, in place of the one before.
+    #[serde(deny_unknown_fields)]
+    pub struct CapturePlan {
+        /// Its cells, each motion with each style once.
+        pub cells: Vec<PlannedCapture>,
+    }
 
-/// A cell of the plan.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct PlannedCapture {
-    /// Id of the source motion; the project need not know it yet.
-    pub motion: String,
-    /// Name of the style.
-    pub style: String,
-    /// Takes that are wanted, 1 to 1,000.
-    pub takes: u32,
-}
+    /// A cell of the plan.
+    #[serde(deny_unknown_fields)]
+    pub struct PlannedCapture {
+        /// Id of the source motion; the project need not know it yet.
+        pub motion: String,
+        pub style: String,
+        /// Takes that are wanted, 1 to 1,000.
+        pub takes: u32,
+    }
 
-/// `GET captures`, and the answer to `PUT captures`: the plan with what has arrived of it. A take is a style pair of
-/// the motion in the style.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Captures {
-    /// The cells in the order of the plan.
-    pub cells: Vec<CaptureCell>,
-    /// Number of style pairs that belong to no cell of the plan. Rejected pairs are not counted.
-    pub unplanned: u32,
-}
+    /// `GET captures`, and the answer to `PUT captures`: the plan with what has arrived of it. A take is a style pair
+    /// of the motion in the style.
+    #[derive(Default)]
+    pub struct Captures {
+        /// The cells in the order of the plan.
+        pub cells: Vec<CaptureCell>,
+        /// Number of style pairs that belong to no cell of the plan. Rejected pairs are not counted.
+        pub unplanned: u32,
+    }
 
-/// A cell of the plan with what has arrived.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct CaptureCell {
-    /// Id of the source motion.
-    pub motion: String,
-    /// Name of the style.
-    pub style: String,
-    /// Takes that are wanted.
-    pub takes: u32,
-    /// Takes that arrived and are not rejected.
-    pub arrived: u32,
-    /// Takes that were judged unusable or dropped.
-    pub rejected: u32,
-    /// Takes that are still to capture.
-    pub missing: u32,
-    /// Whether the project has a motion of this id.
-    pub known: bool,
+    /// A cell of the plan with what has arrived.
+    pub struct CaptureCell {
+        pub motion: String,
+        pub style: String,
+        pub takes: u32,
+        /// Takes that arrived and are not rejected.
+        pub arrived: u32,
+        /// Takes that were judged unusable or dropped.
+        pub rejected: u32,
+        pub missing: u32,
+        /// Whether the project has a motion of this id.
+        pub known: bool,
+    }
 }

@@ -1,5 +1,10 @@
 //! What annotators see and send: tasks, answers, events, the home page, their own answers, and practice.
 
+#![expect(
+    missing_docs,
+    reason = "a field whose name says what it is needs no words"
+)]
+
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -7,37 +12,397 @@ use super::{
     SkipReason, Standing, SuggestionSource, SuggestionUse, TaskKind, TaskState, Verdict,
 };
 
-/// One mask of an answer.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct MaskAnswer {
-    /// Names of the parts as entered: LEFT_ARM with RIGHT_ARM is not merged to BOTH_ARMS.
-    pub parts: Vec<String>,
-    /// Whether the soft ring is blended.
-    #[serde(default = "yes")]
-    pub soft: bool,
-    /// Joints whose weight differs from the one that the parts and `soft` give them.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub joints: Vec<JointChoice>,
-    /// First frame that the mask holds for, and the one after the last; the whole clip if missing.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub range: Option<[i32; 2]>,
-    /// What the parts do.
-    pub text: String,
-    /// The suggestion the text started from, if any.
-    pub suggestion: Option<i64>,
-}
+messages! {
+    /// One mask of an answer.
+    #[serde(deny_unknown_fields)]
+    pub struct MaskAnswer {
+        /// Names of the parts as entered: LEFT_ARM with RIGHT_ARM is not merged to BOTH_ARMS.
+        pub parts: Vec<String>,
+        /// Whether the soft ring is blended.
+        #[serde(default = "yes")]
+        pub soft: bool,
+        /// Joints whose weight differs from the one that the parts and `soft` give them.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        pub joints: Vec<JointChoice>,
+        /// First frame that the mask holds for, and the one after the last; the whole clip if missing.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub range: Option<[i32; 2]>,
+        /// What the parts do.
+        pub text: String,
+        /// The suggestion the text started from, if any.
+        pub suggestion: Option<i64>,
+    }
 
-/// The weight that a person chose for a joint of a mask.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct JointChoice {
-    /// Name of one of the 22 body joints.
-    pub joint: String,
-    /// Its weight.
-    pub weight: JointWeight,
+    /// The weight that a person chose for a joint of a mask.
+    #[derive(Eq)]
+    #[serde(deny_unknown_fields)]
+    pub struct JointChoice {
+        /// Name of one of the 22 body joints.
+        pub joint: String,
+        pub weight: JointWeight,
+    }
+
+    /// The current answer of a user to a task.
+    pub struct Revision {
+        pub task: i64,
+        pub author: i64,
+        /// Revision number: counts drafts and submissions from 1.
+        pub rev: i64,
+        pub state: RevisionState,
+        pub answer: Answer,
+        pub at: i64,
+        pub secs: f64,
+    }
+
+    /// A proposal by a program or the source; never an answer.
+    pub struct Suggestion {
+        pub id: i64,
+        pub source: SuggestionSource,
+        pub parts: Vec<String>,
+        /// Text; empty for parts alone.
+        pub text: String,
+        /// Name of the model or program.
+        pub model: String,
+    }
+
+    /// `GET skeleton`.
+    pub struct SkeletonInfo {
+        /// Names of the 28 keypoints, in the order of the binaries.
+        pub joints: Vec<String>,
+        /// Parent of each; -1 for the root.
+        pub parents: Vec<i32>,
+        /// `left`, `right` or `middle` of each.
+        pub sides: Vec<String>,
+        /// All parts; the five of the release come first, in the order of the rows of heat and diff.
+        pub parts: Vec<PartInfo>,
+    }
+
+    /// A body part.
+    pub struct PartInfo {
+        /// Name in the release's spelling.
+        pub name: String,
+        /// Name in words: "left arm".
+        pub phrase: String,
+        /// Whether it is one of the five release parts.
+        pub release: bool,
+        /// Hard body joints.
+        pub hard: Vec<usize>,
+        /// Body joints of the soft ring.
+        pub soft: Vec<usize>,
+    }
+
+    /// A motion, without its frames.
+    pub struct MotionInfo {
+        /// Content hash; identifies the motion in URLs.
+        pub hash: String,
+        /// Id in the dataset.
+        pub id: String,
+        pub frames: usize,
+        pub fps: f64,
+        /// train, val or test.
+        pub split: String,
+        pub captions: Vec<String>,
+        /// Style label of the source.
+        pub style: Option<String>,
+    }
+
+    /// A task.
+    pub struct Task {
+        pub id: i64,
+        pub kind: TaskKind,
+        pub state: TaskState,
+        /// One motion, or the one before and the one after the edit.
+        pub motions: Vec<MotionInfo>,
+        /// Action category, for the quota.
+        pub category: Option<String>,
+        /// Edit that the pair was made for, if the source states it.
+        pub hint: Option<String>,
+        /// Style label of the source.
+        pub style: Option<String>,
+        /// Answers wanted.
+        pub wanted: u32,
+        /// Submitted answers.
+        pub submitted: u32,
+        /// The bundle, for pairs.
+        pub bundle: Option<Bundle>,
+        /// Whether it is practice: the known answer is shown after mine.
+        pub practice: bool,
+    }
+
+    /// Pairs that are leased together and submitted one by one.
+    pub struct Bundle {
+        pub id: i64,
+        pub tasks: Vec<BundleItem>,
+    }
+
+    /// A task of a bundle.
+    pub struct BundleItem {
+        pub task: i64,
+        /// My answer's state, if there is one.
+        pub mine: Option<RevisionState>,
+        /// My verdict, if it is submitted.
+        pub verdict: Option<Verdict>,
+        pub leased: bool,
+    }
+
+    /// A lease: the right to work on a task for a limited time.
+    pub struct Lease {
+        pub id: i64,
+        pub task: i64,
+        pub user: i64,
+        /// Fencing number, sent with every event.
+        pub epoch: i64,
+        /// When it ends unless renewed.
+        pub expires: i64,
+    }
+
+    /// A held lease, as the dashboard lists it.
+    pub struct HeldLease {
+        pub lease: Lease,
+        pub user_name: String,
+        pub kind: TaskKind,
+        /// `annotate`, `review`, or `returned` (reserved for the author).
+        pub purpose: String,
+    }
+
+    /// `GET tasks/{id}`.
+    pub struct TaskView {
+        pub task: Task,
+        pub lease: Option<Lease>,
+        pub mine: Option<Revision>,
+        /// The reviewer's comment, if the task was returned.
+        pub comment: Option<String>,
+        /// Suggestions; empty if the task is blind.
+        pub suggestions: Vec<Suggestion>,
+        /// Whether suggestions are withheld, to measure their effect.
+        pub blind: bool,
+        /// Whether the clip was ingested anew, with other content, after I wrote my answer.
+        pub clip_changed: bool,
+    }
+
+    /// `POST queue/next`.
+    #[serde(deny_unknown_fields)]
+    pub struct NextRequest {
+        pub kind: TaskKind,
+    }
+
+    /// Answer to `POST queue/next`: a task, or why there is none.
+    pub struct Next {
+        pub task: Option<TaskView>,
+        pub empty: Option<Empty>,
+        /// Hashes of the motions of the following tasks, for prefetching.
+        pub prefetch: Vec<String>,
+    }
+
+    /// Why a queue is empty. Counts are tasks of the kind.
+    #[derive(Default)]
+    pub struct Empty {
+        pub total: i64,
+        /// With all wanted answers.
+        pub done: i64,
+        /// Answered by me, waiting for others.
+        pub waiting_for_others: i64,
+        pub leased_by_others: i64,
+        /// When the first of those leases expires.
+        pub soonest_expiry: Option<i64>,
+        pub skipped_by_me: i64,
+        pub dropped: i64,
+        /// Pairs that are not given out because their category has as many as the project wants.
+        pub quota_full: i64,
+    }
+
+    /// `POST tasks/{id}/events`.
+    #[serde(deny_unknown_fields)]
+    pub struct EventBatch {
+        /// In the order they happened.
+        pub events: Vec<NewEvent>,
+    }
+
+    /// An event of a task in the browser.
+    #[serde(deny_unknown_fields)]
+    pub struct NewEvent {
+        /// Unique key made by the browser: 8 to 64 letters, digits and dashes.
+        pub idem_key: String,
+        pub kind: EventKind,
+        /// Fencing number of the lease; ignored for `undo`.
+        #[serde(default)]
+        pub lease_epoch: i64,
+        /// Revision this one is based on; 0 for none.
+        #[serde(default)]
+        pub base_rev: i64,
+        /// The answer, for `draft` and `submit`.
+        pub answer: Option<Answer>,
+        /// The reason, for `skip`.
+        pub reason: Option<SkipReason>,
+        /// More about the reason.
+        #[serde(default)]
+        pub note: String,
+        /// The suggestion, for `suggestion_used`.
+        pub suggestion: Option<i64>,
+        pub used: Option<SuggestionUse>,
+        /// Seconds of work since the previous event.
+        #[serde(default)]
+        pub secs: f64,
+    }
+
+    /// Answer to `POST tasks/{id}/events`. The status is 200; each event has its own.
+    pub struct EventResults {
+        /// Results in the order of the events. Events after the first failed one are not processed and have no result:
+        /// send them again.
+        pub results: Vec<EventResult>,
+    }
+
+    /// Result of an event.
+    pub struct EventResult {
+        pub idem_key: String,
+        /// 200 once it is durable, or the status of the problem.
+        pub status: u16,
+        /// Its sequence number in the log; `null` if nothing was logged.
+        pub seq: Option<i64>,
+        /// My revision after it.
+        pub rev: i64,
+        /// State of the task after it.
+        pub state: Option<TaskState>,
+        pub lease: Option<Lease>,
+        pub problem: Option<Problem>,
+        /// The known answer, after an answer to a practice task.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub feedback: Option<Feedback>,
+    }
+
+    /// What a practice task teaches.
+    pub struct Feedback {
+        /// Score of the answer: 1 minus its distance from the known one.
+        pub score: f64,
+        pub known: Answer,
+    }
+
+    /// `GET practice`: my practice of a kind. Real work of a kind is open once it is passed; `POST queue/next` gives
+    /// practice tasks before.
+    pub struct Practice {
+        pub kind: TaskKind,
+        /// Practice tasks to do; 0 if the kind needs no practice.
+        pub needed: i64,
+        /// Practice tasks done, up to `needed`.
+        pub done: i64,
+        /// Mean score of the last `needed` ones, 0 to 1.
+        pub score: Option<f64>,
+        /// Score to reach, 0 to 1.
+        pub threshold: f64,
+        /// Whether real work is open. It always is to reviewers and admins.
+        pub passed: bool,
+    }
+
+    /// `POST blend`: `soft` and `joints` as in a mask of an answer.
+    #[serde(deny_unknown_fields)]
+    pub struct BlendRequest {
+        /// Hash of the edited motion.
+        pub src: String,
+        /// Hash of the motion the masked parts come from.
+        pub tgt: String,
+        pub parts: Vec<String>,
+        #[serde(default = "yes")]
+        pub soft: bool,
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        pub joints: Vec<JointChoice>,
+        /// Weight of `tgt` on the soft ring, 0 to 1.
+        pub alpha: f64,
+    }
+
+    /// `POST tasks/{id}/suggest`.
+    #[serde(deny_unknown_fields)]
+    pub struct SuggestRequest {
+        /// Parts that the text shall describe.
+        pub parts: Vec<String>,
+    }
+
+    /// `GET home`.
+    pub struct Home {
+        pub queues: Vec<QueueInfo>,
+        pub returned: Vec<ReturnedTask>,
+        /// Tasks I hold leases on, the one last renewed first.
+        pub held: Vec<Lease>,
+        /// Answers I submitted today, which begins at midnight in the project's time zone. Practice is left out.
+        pub today: i64,
+        /// Seconds I worked today: on answers, skips and reviews.
+        pub today_secs: f64,
+        /// Median seconds of my answers today.
+        pub median_secs: Option<f64>,
+        /// My agreement with others; `null` below 30 shared items.
+        pub agreement: Option<Estimate>,
+        /// Answers submitted by everybody today.
+        pub today_all: i64,
+    }
+
+    /// A queue as I see it.
+    pub struct QueueInfo {
+        pub kind: TaskKind,
+        pub total: i64,
+        /// Tasks with all wanted answers.
+        pub done: i64,
+        /// Tasks I answered, hold, or was sent back. Practice is left out.
+        pub mine: i64,
+        /// Tasks I hold now. Practice is left out.
+        pub held: i64,
+        /// When the first of them goes to others unless I go on.
+        pub held_until: Option<i64>,
+        /// Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me. Before
+        /// practice is passed, the practice tasks that are left stand for the new ones.
+        pub open: i64,
+    }
+
+    /// A returned task.
+    pub struct ReturnedTask {
+        pub task: i64,
+        pub kind: TaskKind,
+        pub comment: String,
+        /// When others can claim it.
+        pub until: i64,
+    }
+
+    /// `GET shelf`: accepted answers.
+    pub struct Shelf {
+        /// Newest first.
+        pub items: Vec<ShelfItem>,
+        /// Value of `before` for the next page.
+        pub next: Option<i64>,
+    }
+
+    /// An accepted answer.
+    pub struct ShelfItem {
+        pub task: Task,
+        pub answer: Answer,
+        pub at: i64,
+    }
+
+    /// `GET answers?standing=&kind=&task=&before=&limit=`: my answers, newest first.
+    pub struct MyAnswers {
+        pub items: Vec<MyAnswer>,
+        /// Value of `before` for the next page.
+        pub next: Option<String>,
+    }
+
+    /// An answer of mine.
+    pub struct MyAnswer {
+        pub task: Task,
+        /// The answer as I last wrote it.
+        pub mine: Revision,
+        pub standing: Standing,
+        /// Answers that the task still waits for.
+        pub missing: u32,
+        /// The comment it was sent back with, or the task was dropped with.
+        pub comment: Option<String>,
+        /// The answer that was accepted instead, if it is another one.
+        pub accepted: Option<Answer>,
+        /// How it was accepted: `review`, `own`, `rule:NAME` or `import`.
+        pub accepted_by: Option<String>,
+        /// Whether the event `undo` of `POST tasks/{id}/events` takes it back now.
+        pub can_take_back: bool,
+        /// When a returned task is offered to others.
+        pub until: Option<i64>,
+        /// The known answer and my score, if it is practice that I handed in.
+        pub feedback: Option<Feedback>,
+    }
 }
 
 fn yes() -> bool {
@@ -97,481 +462,4 @@ pub enum Answer {
         #[serde(default)]
         note: String,
     },
-}
-
-/// The current answer of a user to a task.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Revision {
-    /// Task.
-    pub task: i64,
-    /// Author.
-    pub author: i64,
-    /// Revision number: counts drafts and submissions from 1.
-    pub rev: i64,
-    /// State.
-    pub state: RevisionState,
-    /// The answer.
-    pub answer: Answer,
-    /// When it was last written.
-    pub at: i64,
-    /// Seconds of work.
-    pub secs: f64,
-}
-
-/// A proposal by a program or the source; never an answer.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Suggestion {
-    /// Id.
-    pub id: i64,
-    /// Origin.
-    pub source: SuggestionSource,
-    /// Parts that it describes.
-    pub parts: Vec<String>,
-    /// Text; empty for parts alone.
-    pub text: String,
-    /// Name of the model or program.
-    pub model: String,
-}
-
-/// `GET skeleton`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct SkeletonInfo {
-    /// Names of the 28 keypoints, in the order of the binaries.
-    pub joints: Vec<String>,
-    /// Parent of each; -1 for the root.
-    pub parents: Vec<i32>,
-    /// `left`, `right` or `middle` of each.
-    pub sides: Vec<String>,
-    /// All parts; the five of the release come first, in the order of the rows of heat and diff.
-    pub parts: Vec<PartInfo>,
-}
-
-/// A body part.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct PartInfo {
-    /// Name in the release's spelling.
-    pub name: String,
-    /// Name in words: "left arm".
-    pub phrase: String,
-    /// Whether it is one of the five release parts.
-    pub release: bool,
-    /// Hard body joints.
-    pub hard: Vec<usize>,
-    /// Body joints of the soft ring.
-    pub soft: Vec<usize>,
-}
-
-/// A motion, without its frames.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct MotionInfo {
-    /// Content hash; identifies the motion in URLs.
-    pub hash: String,
-    /// Id in the dataset.
-    pub id: String,
-    /// Number of frames.
-    pub frames: usize,
-    /// Frames per second.
-    pub fps: f64,
-    /// train, val or test.
-    pub split: String,
-    /// Captions of the source.
-    pub captions: Vec<String>,
-    /// Style label of the source.
-    pub style: Option<String>,
-}
-
-/// A task.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Task {
-    /// Id.
-    pub id: i64,
-    /// Kind of task.
-    pub kind: TaskKind,
-    /// State.
-    pub state: TaskState,
-    /// One motion, or the one before and the one after the edit.
-    pub motions: Vec<MotionInfo>,
-    /// Action category, for the quota.
-    pub category: Option<String>,
-    /// Edit that the pair was made for, if the source states it.
-    pub hint: Option<String>,
-    /// Style label of the source.
-    pub style: Option<String>,
-    /// Answers wanted.
-    pub wanted: u32,
-    /// Submitted answers.
-    pub submitted: u32,
-    /// The bundle, for pairs.
-    pub bundle: Option<Bundle>,
-    /// Whether it is practice: the known answer is shown after mine.
-    pub practice: bool,
-}
-
-/// Pairs that are leased together and submitted one by one.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Bundle {
-    /// Id.
-    pub id: i64,
-    /// Its tasks, in order.
-    pub tasks: Vec<BundleItem>,
-}
-
-/// A task of a bundle.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct BundleItem {
-    /// Task.
-    pub task: i64,
-    /// My answer's state, if there is one.
-    pub mine: Option<RevisionState>,
-    /// My verdict, if it is submitted.
-    pub verdict: Option<Verdict>,
-    /// Whether I hold a lease on it.
-    pub leased: bool,
-}
-
-/// A lease: the right to work on a task for a limited time.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Lease {
-    /// Id.
-    pub id: i64,
-    /// Task.
-    pub task: i64,
-    /// Holder.
-    pub user: i64,
-    /// Fencing number, sent with every event.
-    pub epoch: i64,
-    /// When it ends unless renewed.
-    pub expires: i64,
-}
-
-/// A held lease, as the dashboard lists it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct HeldLease {
-    /// The lease.
-    pub lease: Lease,
-    /// Name of its holder.
-    pub user_name: String,
-    /// Kind of its task.
-    pub kind: TaskKind,
-    /// `annotate`, `review`, or `returned` (reserved for the author).
-    pub purpose: String,
-}
-
-/// `GET tasks/{id}`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct TaskView {
-    /// The task.
-    pub task: Task,
-    /// My lease, if I hold one.
-    pub lease: Option<Lease>,
-    /// My answer, if I started one.
-    pub mine: Option<Revision>,
-    /// The reviewer's comment, if the task was returned.
-    pub comment: Option<String>,
-    /// Suggestions; empty if the task is blind.
-    pub suggestions: Vec<Suggestion>,
-    /// Whether suggestions are withheld, to measure their effect.
-    pub blind: bool,
-    /// Whether the clip was ingested anew, with other content, after I wrote my answer.
-    pub clip_changed: bool,
-}
-
-/// `POST queue/next`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct NextRequest {
-    /// Kind of task.
-    pub kind: TaskKind,
-}
-
-/// Answer to `POST queue/next`: a task, or why there is none.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Next {
-    /// The task and the lease on it.
-    pub task: Option<TaskView>,
-    /// Why there is none.
-    pub empty: Option<Empty>,
-    /// Hashes of the motions of the following tasks, for prefetching.
-    pub prefetch: Vec<String>,
-}
-
-/// Why a queue is empty. Counts are tasks of the kind.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Empty {
-    /// All tasks.
-    pub total: i64,
-    /// With all wanted answers.
-    pub done: i64,
-    /// Answered by me, waiting for others.
-    pub waiting_for_others: i64,
-    /// Held by others.
-    pub leased_by_others: i64,
-    /// When the first of those leases expires.
-    pub soonest_expiry: Option<i64>,
-    /// Skipped by me.
-    pub skipped_by_me: i64,
-    /// Dropped by reviewers.
-    pub dropped: i64,
-    /// Pairs that are not given out because their category has as many as the project wants.
-    pub quota_full: i64,
-}
-
-/// `POST tasks/{id}/events`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct EventBatch {
-    /// In the order they happened.
-    pub events: Vec<NewEvent>,
-}
-
-/// An event of a task in the browser.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct NewEvent {
-    /// Unique key made by the browser: 8 to 64 letters, digits and dashes.
-    pub idem_key: String,
-    /// Kind of event.
-    pub kind: EventKind,
-    /// Fencing number of the lease; ignored for `undo`.
-    #[serde(default)]
-    pub lease_epoch: i64,
-    /// Revision this one is based on; 0 for none.
-    #[serde(default)]
-    pub base_rev: i64,
-    /// The answer, for `draft` and `submit`.
-    pub answer: Option<Answer>,
-    /// The reason, for `skip`.
-    pub reason: Option<SkipReason>,
-    /// More about the reason.
-    #[serde(default)]
-    pub note: String,
-    /// The suggestion, for `suggestion_used`.
-    pub suggestion: Option<i64>,
-    /// Use of the suggestion.
-    pub used: Option<SuggestionUse>,
-    /// Seconds of work since the previous event.
-    #[serde(default)]
-    pub secs: f64,
-}
-
-/// Answer to `POST tasks/{id}/events`. The status is 200; each event has its own.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct EventResults {
-    /// Results in the order of the events. Events after the first failed one are not processed and have no
-    /// result: send them again.
-    pub results: Vec<EventResult>,
-}
-
-/// Result of an event.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct EventResult {
-    /// Key of the event.
-    pub idem_key: String,
-    /// 200 once it is durable, or the status of the problem.
-    pub status: u16,
-    /// Its sequence number in the log; `null` if nothing was logged.
-    pub seq: Option<i64>,
-    /// My revision after it.
-    pub rev: i64,
-    /// State of the task after it.
-    pub state: Option<TaskState>,
-    /// My lease after it.
-    pub lease: Option<Lease>,
-    /// The problem, if it failed.
-    pub problem: Option<Problem>,
-    /// The known answer, after an answer to a practice task.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub feedback: Option<Feedback>,
-}
-
-/// What a practice task teaches.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Feedback {
-    /// Score of the answer: 1 minus its distance from the known one.
-    pub score: f64,
-    /// The known answer.
-    pub known: Answer,
-}
-
-/// `GET practice`: my practice of a kind. Real work of a kind is open once it is passed; `POST queue/next` gives
-/// practice tasks before.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Practice {
-    /// Kind.
-    pub kind: TaskKind,
-    /// Practice tasks to do; 0 if the kind needs no practice.
-    pub needed: i64,
-    /// Practice tasks done, up to `needed`.
-    pub done: i64,
-    /// Mean score of the last `needed` ones, 0 to 1.
-    pub score: Option<f64>,
-    /// Score to reach, 0 to 1.
-    pub threshold: f64,
-    /// Whether real work is open. It always is to reviewers and admins.
-    pub passed: bool,
-}
-
-/// `POST blend`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct BlendRequest {
-    /// Hash of the edited motion.
-    pub src: String,
-    /// Hash of the motion the masked parts come from.
-    pub tgt: String,
-    /// Names of the parts.
-    pub parts: Vec<String>,
-    /// Whether the soft ring is blended.
-    #[serde(default = "yes")]
-    pub soft: bool,
-    /// Joints whose weight differs from the one that the parts and `soft` give them.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub joints: Vec<JointChoice>,
-    /// Weight of `tgt` on the soft ring, 0 to 1.
-    pub alpha: f64,
-}
-
-/// `POST tasks/{id}/suggest`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-#[serde(deny_unknown_fields)]
-pub struct SuggestRequest {
-    /// Parts that the text shall describe.
-    pub parts: Vec<String>,
-}
-
-/// `GET home`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Home {
-    /// One queue for each kind.
-    pub queues: Vec<QueueInfo>,
-    /// Tasks returned to me.
-    pub returned: Vec<ReturnedTask>,
-    /// Tasks I hold leases on, the one last renewed first.
-    pub held: Vec<Lease>,
-    /// Answers I submitted today, which begins at midnight in the project's time zone. Practice is left out.
-    pub today: i64,
-    /// Seconds I worked today: on answers, skips and reviews.
-    pub today_secs: f64,
-    /// Median seconds of my answers today.
-    pub median_secs: Option<f64>,
-    /// My agreement with others; `null` below 30 shared items.
-    pub agreement: Option<Estimate>,
-    /// Answers submitted by everybody today.
-    pub today_all: i64,
-}
-
-/// A queue as I see it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct QueueInfo {
-    /// Kind.
-    pub kind: TaskKind,
-    /// Tasks in all.
-    pub total: i64,
-    /// Tasks with all wanted answers.
-    pub done: i64,
-    /// Tasks I answered, hold, or was sent back. Practice is left out.
-    pub mine: i64,
-    /// Tasks I hold now. Practice is left out.
-    pub held: i64,
-    /// When the first of them goes to others unless I go on.
-    pub held_until: Option<i64>,
-    /// Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me. Before
-    /// practice is passed, the practice tasks that are left stand for the new ones.
-    pub open: i64,
-}
-
-/// A returned task.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct ReturnedTask {
-    /// Task.
-    pub task: i64,
-    /// Kind.
-    pub kind: TaskKind,
-    /// The reviewer's comment.
-    pub comment: String,
-    /// When others can claim it.
-    pub until: i64,
-}
-
-/// `GET shelf`: accepted answers.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct Shelf {
-    /// Newest first.
-    pub items: Vec<ShelfItem>,
-    /// Value of `before` for the next page.
-    pub next: Option<i64>,
-}
-
-/// An accepted answer.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct ShelfItem {
-    /// Its task.
-    pub task: Task,
-    /// The answer.
-    pub answer: Answer,
-    /// When it was accepted.
-    pub at: i64,
-}
-
-/// `GET answers?standing=&kind=&task=&before=&limit=`: my answers, newest first.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct MyAnswers {
-    /// The answers.
-    pub items: Vec<MyAnswer>,
-    /// Value of `before` for the next page.
-    pub next: Option<String>,
-}
-
-/// An answer of mine.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[cfg_attr(test, derive(ts_rs::TS))]
-pub struct MyAnswer {
-    /// The task.
-    pub task: Task,
-    /// The answer as I last wrote it.
-    pub mine: Revision,
-    /// Where it stands.
-    pub standing: Standing,
-    /// Answers that the task still waits for.
-    pub missing: u32,
-    /// The comment it was sent back with, or the task was dropped with.
-    pub comment: Option<String>,
-    /// The answer that was accepted instead, if it is another one.
-    pub accepted: Option<Answer>,
-    /// How it was accepted: `review`, `own`, `rule:NAME` or `import`.
-    pub accepted_by: Option<String>,
-    /// Whether the event `undo` of `POST tasks/{id}/events` takes it back now.
-    pub can_take_back: bool,
-    /// When a returned task is offered to others.
-    pub until: Option<i64>,
-    /// The known answer and my score, if it is practice that I handed in.
-    pub feedback: Option<Feedback>,
 }

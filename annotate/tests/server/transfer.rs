@@ -106,22 +106,18 @@ fn release(folder: &Path) -> Value {
     json!({ "mask_all": read("mask_all.json"), "part_annotations": read("part_annotations.json") })
 }
 
-type Motions = BTreeMap<String, MotionRecord>;
-
 /// Takes the annotations of an export.
-fn take(store: &Store, motions: &Motions, folder: &Path) -> Taken {
+fn take(store: &Store, folder: &Path) -> Taken {
     let table = folder.join("annotations.parquet");
-    from_annotations(store, motions, &table, None, START).expect("takes")
+    from_annotations(store, &table, None, START).expect("takes")
 }
 
 /// A store with motions but no tasks.
-fn empty_store(site: &Site, name: &str) -> (Arc<Store>, Motions) {
+fn empty_store(site: &Site, name: &str) -> Arc<Store> {
     let store = open_sqlite(&site.folder.path().join(name)).expect("a store");
     let motions = site.store.all_motions().expect("motions");
-    store.put_motions(motions.clone()).expect("motions");
-    let by_id = motions.into_iter();
-    let by_id = by_id.map(|motion| (motion.id.clone(), motion));
-    (store, by_id.collect())
+    store.put_motions(motions).expect("motions");
+    store
 }
 
 fn answers(store: &Store) -> BTreeMap<String, Answer> {
@@ -130,11 +126,11 @@ fn answers(store: &Store) -> BTreeMap<String, Answer> {
 }
 
 /// A store with the tasks of the site's dataset and nobody's answers.
-fn fresh_store(site: &Site, name: &str) -> (Arc<Store>, Motions) {
-    let (store, motions) = empty_store(site, name);
+fn fresh_store(site: &Site, name: &str) -> Arc<Store> {
+    let store = empty_store(site, name);
     plain_settings(&store);
     take_dataset(site, &store);
-    (store, motions)
+    store
 }
 
 fn take_dataset(site: &Site, store: &Store) -> Taken {
@@ -198,8 +194,8 @@ fn parquet_comes_back_as_it_went() {
     let reasons: Vec<&str> = rejects.iter().map(|row| row.reason.as_str()).collect();
     assert_eq!(reasons, ["unnatural"]);
 
-    let (store, motions) = empty_store(&site, "other.sqlite");
-    let taken = take(&store, &motions, &first);
+    let store = empty_store(&site, "other.sqlite");
+    let taken = take(&store, &first);
     assert_eq!(taken.counts["new_tasks"], 6);
     assert_eq!(answers(&store), answers(&site.store));
     let second = write(&site, &store, "second", ExportFormat::Parquet);
@@ -243,8 +239,8 @@ fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
     assert!(!done.counts.contains_key("masks_without_ring"));
     for folder in [&first, &lists] {
         let name = folder.file_name().expect("a name").to_string_lossy();
-        let (store, motions) = empty_store(&site, &format!("{name}.sqlite"));
-        take(&store, &motions, folder);
+        let store = empty_store(&site, &format!("{name}.sqlite"));
+        take(&store, folder);
         assert_eq!(answers(&store), said);
         whole(&store);
     }
@@ -287,8 +283,8 @@ fn the_release_layout_comes_back_as_it_went() {
     assert_eq!(*texts, json!(["waving", "waving, walking"]));
     let pairs = read_json(first.join("pairs.json"));
     assert_eq!(pairs.as_array().map(Vec::len), Some(2));
-    let (store, motions) = empty_store(&site, "other.sqlite");
-    from_release(&store, &motions, &document, None, START).expect("takes");
+    let store = empty_store(&site, "other.sqlite");
+    from_release(&store, &document, None, START).expect("takes");
     let second = write(&site, &store, "second", ExportFormat::Stance);
     same_files(&first, &second, &["mask_all.json", "part_annotations.json"]);
 }
@@ -375,7 +371,7 @@ fn splits_are_kept_apart() {
 fn an_export_and_a_release_fill_tasks_that_exist() {
     let site = annotated();
     let first = write(&site, &site.store, "first", ExportFormat::Parquet);
-    let (store, motions) = fresh_store(&site, "other.sqlite");
+    let store = fresh_store(&site, "other.sqlite");
     let tasks = || {
         let counts = store.funnel().expect("counts");
         counts.iter().map(|row| row.2).sum::<i64>()
@@ -384,19 +380,19 @@ fn an_export_and_a_release_fill_tasks_that_exist() {
     let filled = ["filled_tasks", "new_tasks", "conflicts"];
     let known = ["filled_tasks", "known_tasks", "conflicts"];
     let before = tasks();
-    let taken = take(&store, &motions, &first);
+    let taken = take(&store, &first);
     assert_eq!(counted(taken, filled), [6, 0, 0]);
     assert_eq!(answers(&store), answers(&site.store));
     assert_eq!(tasks(), before, "no task is there twice");
     let second = write(&site, &store, "second", ExportFormat::Parquet);
     same_files(&first, &second, &["annotations.parquet", "rejects.parquet"]);
-    let taken = take(&store, &motions, &first);
+    let taken = take(&store, &first);
     assert_eq!(counted(taken, known), [0, 6, 0]);
     whole(&store);
     let first = write(&site, &site.store, "release", ExportFormat::Stance);
-    let (store, motions) = fresh_store(&site, "third.sqlite");
+    let store = fresh_store(&site, "third.sqlite");
     let document = release(&first);
-    let taken = from_release(&store, &motions, &document, None, START).expect("takes");
+    let taken = from_release(&store, &document, None, START).expect("takes");
     assert_eq!(counted(taken, filled)[..2], [3, 0]);
     let second = write(&site, &store, "release2", ExportFormat::Stance);
     same_files(&first, &second, &["mask_all.json", "part_annotations.json"]);
@@ -406,7 +402,7 @@ fn an_export_and_a_release_fill_tasks_that_exist() {
 fn an_import_never_touches_an_answer_of_a_person_and_reports_the_conflict() {
     let site = annotated();
     let first = write(&site, &site.store, "first", ExportFormat::Parquet);
-    let (store, motions) = fresh_store(&site, "other.sqlite");
+    let store = fresh_store(&site, "other.sqlite");
     let bob = join(&store, "bob", Role::Annotator);
     let eve = join(&store, "eve", Role::Reviewer);
     // clip00 has another accepted answer, clip01 the same one, clip02 a draft.
@@ -419,7 +415,7 @@ fn an_import_never_touches_an_answer_of_a_person_and_reports_the_conflict() {
     let record = |task: i64| store.task_record(task).expect("a task");
     let keys = [accepted, same, draft].map(|task| record(task).key);
     assert_eq!(keys, ["mask:clip00", "mask:clip01", "mask:clip02"]);
-    let taken = take(&store, &motions, &first);
+    let taken = take(&store, &first);
     for (name, count) in [("filled_tasks", 3), ("known_tasks", 1), ("conflicts", 2)] {
         assert_eq!(taken.counts[name], count, "{name}");
     }
@@ -437,7 +433,7 @@ fn an_import_never_touches_an_answer_of_a_person_and_reports_the_conflict() {
     let reopened = task_of(&store, kept.expect("a pair")).id;
     let reopen = decision(reopened, 0, Decision::Reopen);
     store.review(eve, reopen, START).expect("reopens");
-    let taken = take(&store, &motions, &first);
+    let taken = take(&store, &first);
     assert_eq!(taken.counts["conflicts"], 3);
     assert_eq!(record(reopened).state, TaskState::Open);
     whole(&store);

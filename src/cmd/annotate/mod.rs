@@ -3,8 +3,6 @@
 mod args;
 mod captures;
 mod drafts;
-mod pack;
-mod rules;
 mod serve;
 mod shared;
 mod sheet;
@@ -21,9 +19,8 @@ use datasets_spec::Dataset;
 use self::args::Action;
 pub(crate) use self::args::Args;
 use self::drafts::ask_drafts;
-use self::pack::{pack, unpack};
-use self::store::{back_up, check, open, rebuild};
-use self::tasks::{changed_clips, run_bulk};
+use self::store::{back_up, check, open, pack, rebuild, unpack};
+use self::tasks::{changed_clips, rules, run_bulk};
 use self::transfer::{export, import};
 use self::users::{find, token, user};
 use crate::exit::Exit;
@@ -60,7 +57,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             };
             export(args, store, &selection, to.as_deref(), global)
         }
-        Action::Rules { action } => rules::rules(store, action.as_ref(), global),
+        Action::Rules { action } => rules(store, action.as_ref(), global),
         Action::Styles { file } => styles::styles(store, file.as_deref(), global),
         Action::Captures {
             file,

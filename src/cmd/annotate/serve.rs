@@ -81,36 +81,37 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
 }
 
 /// What an operator should know about the addresses before somebody else finds out.
-fn warnings(args: &Args) -> Vec<&'static str> {
-    let mut all = Vec::new();
+fn warnings(args: &Args) -> impl Iterator<Item = &'static str> {
     let is_reached = !args.listen.ip().is_loopback();
-    if is_reached && !args.secure {
-        all.push(
-            "others can reach this address and nothing on the way is encrypted; put a proxy with TLS in front, pass --secure, and listen on 127.0.0.1",
-        );
-    }
-    if is_reached && args.secure {
-        all.push(
-            "others can reach this address without the proxy and its TLS; listen on 127.0.0.1, unless the proxy runs on another machine",
-        );
-    }
-    if args.secure && args.host.is_empty() {
-        all.push(
-            "requests that a proxy passes on by its name are refused; say the name with --host",
-        );
-    }
-    if args.secure && args.trusted_proxy.is_empty() {
-        all.push(
-            "all browsers share the limits of one address; name the proxy with --trusted-proxy, such as 127.0.0.1",
-        );
-    }
-    if args
+    let is_measured = args
         .metrics
-        .is_some_and(|metrics| !metrics.ip().is_loopback())
-    {
-        all.push("others can read the figures at the address of --metrics without a login");
-    }
-    all
+        .is_some_and(|metrics| !metrics.ip().is_loopback());
+    [
+        (
+            is_reached && !args.secure,
+            "others can reach this address and nothing on the way is encrypted; put a proxy with TLS in front, pass \
+             --secure, and listen on 127.0.0.1",
+        ),
+        (
+            is_reached && args.secure,
+            "others can reach this address without the proxy and its TLS; listen on 127.0.0.1, unless the proxy \
+             runs on another machine",
+        ),
+        (
+            args.secure && args.host.is_empty(),
+            "requests that a proxy passes on by its name are refused; say the name with --host",
+        ),
+        (
+            args.secure && args.trusted_proxy.is_empty(),
+            "all browsers share the limits of one address; name the proxy with --trusted-proxy, such as 127.0.0.1",
+        ),
+        (
+            is_measured,
+            "others can read the figures at the address of --metrics without a login",
+        ),
+    ]
+    .into_iter()
+    .filter_map(|(holds, warning)| holds.then_some(warning))
 }
 
 /// Prints the address to open, with a token that logs the admin in once.

@@ -1,16 +1,23 @@
-//! The store: opening, copying and checking it.
+//! The store: opening, copying and checking it, and its way to another machine.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use annotate::store::{self, Store};
-use anyhow::Context;
+use anyhow::{Context, bail};
+use serde_json::json;
 
 use super::args::{Args, STORE};
 use super::shared::now;
+use super::transfer::import_dataset;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
+
+/// What a file of SQLite begins with.
+const MAGIC: &[u8] = b"SQLite format 3\0";
 
 /// Opens the store, and says what people should know about it first.
 pub(super) fn open(args: &Args) -> anyhow::Result<Arc<Store>> {
@@ -31,7 +38,7 @@ pub(super) fn open(args: &Args) -> anyhow::Result<Arc<Store>> {
 }
 
 /// Where a store is.
-pub(super) enum Place<'a> {
+enum Place<'a> {
     /// A file of SQLite.
     File(PathBuf),
     /// Address of a database.
@@ -39,7 +46,7 @@ pub(super) enum Place<'a> {
 }
 
 /// Where the store is that the arguments name.
-pub(super) fn place(args: &Args) -> Place<'_> {
+fn place(args: &Args) -> Place<'_> {
     match args.store.as_deref().filter(|store| !store.is_empty()) {
         Some(url) if url.starts_with("postgres://") || url.starts_with("postgresql://") => {
             Place::Postgres(url)
@@ -75,7 +82,7 @@ fn open_postgres(url: &str) -> anyhow::Result<Arc<Store>> {
 
 #[cfg(not(feature = "postgres"))]
 fn open_postgres(_: &str) -> anyhow::Result<Arc<Store>> {
-    anyhow::bail!(
+    bail!(
         "this stance was built without PostgreSQL; build it with `cargo build --release --features postgres`"
     )
 }
@@ -94,7 +101,7 @@ pub(super) fn back_up(
         file.to_owned()
     };
     global.say(
-        &serde_json::json!({ "backup": copy }),
+        &json!({ "backup": copy }),
         &format!("copied to {}", copy.display()),
     )
 }
@@ -106,7 +113,7 @@ pub(super) fn rebuild(store: &Store, global: &Global) -> anyhow::Result<Exit> {
         [] => "all tables follow from the log".to_owned(),
         _ => format!("made again: {}", changed.join(", ")),
     };
-    global.say(&serde_json::json!({ "changed": changed }), &text)
+    global.say(&json!({ "changed": changed }), &text)
 }
 
 /// Checks the log and all tables.
@@ -116,7 +123,7 @@ pub(super) fn check(store: &Store, global: &Global) -> anyhow::Result<Exit> {
         [] => "the store is whole".to_owned(),
         _ => findings.join("\n"),
     };
-    global.say(&serde_json::json!({ "findings": findings }), &text)?;
+    global.say(&json!({ "findings": findings }), &text)?;
     if findings.is_empty() {
         return Ok(Exit::Done);
     }
@@ -124,4 +131,72 @@ pub(super) fn check(store: &Store, global: &Global) -> anyhow::Result<Exit> {
         "run `stance annotate DATASET rebuild`, or restore a backup if the log itself is damaged",
     );
     Ok(Exit::Failed)
+}
+
+/// Writes a project to a file.
+pub(super) fn pack(store: &Store, file: &Path, global: &Global) -> anyhow::Result<Exit> {
+    store.pack(file)?;
+    let text = format!(
+        "packed into {}, without tokens; take it elsewhere with `stance annotate DATASET unpack`",
+        file.display()
+    );
+    global.say(&json!({ "packed": file }), &text)
+}
+
+/// Makes a packed project that of a dataset.
+pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Exit> {
+    let Place::File(to) = place(args) else {
+        bail!("a packed project is unpacked into a file; leave the address of PostgreSQL out");
+    };
+    if to.exists() {
+        bail!(
+            "{} is a project already, and stays; unpack into another file with --store FILE",
+            to.display()
+        );
+    }
+    let mut begin = Vec::new();
+    File::open(file)
+        .and_then(|from| from.take(MAGIC.len() as u64).read_to_end(&mut begin))
+        .with_context(|| format!("cannot read {}", file.display()))?;
+    if begin != MAGIC {
+        bail!(
+            "{} is no packed project; `stance annotate DATASET pack FILE` writes one",
+            file.display()
+        );
+    }
+    if let Some(folder) = to.parent() {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot create folder {}", folder.display()))?;
+    }
+    let aside = to.with_extension("unpacked");
+    std::fs::copy(file, &aside)
+        .and_then(|_| File::open(&aside)?.sync_all())
+        .and_then(|()| std::fs::rename(&aside, &to))
+        .with_context(|| format!("cannot write {}", to.display()))?;
+    let opened = store::open_sqlite(&to).and_then(|store| {
+        let users = store.users()?.len();
+        Ok((store, users))
+    });
+    let (store, people) = match opened {
+        Ok(opened) => opened,
+        Err(error) => {
+            // It was made here, and is no project.
+            let _removed = std::fs::remove_file(&to);
+            return Err(error).with_context(|| format!("{} is no packed project", file.display()));
+        }
+    };
+    let taken = import_dataset(args, &store, global)?;
+    let changed = store.changed_tasks()?.len();
+    let mut lines = vec![
+        format!("unpacked into {}", to.display()),
+        format!("{people} people; each needs a token: stance annotate DATASET token NAME"),
+    ];
+    if changed > 0 {
+        lines.push(format!(
+            "{changed} tasks are about clips with other content here: stance annotate DATASET changed"
+        ));
+    }
+    lines.extend(taken.messages.iter().cloned());
+    let document = json!({ "store": to, "people": people, "changed": changed, "import": taken });
+    global.say(&document, &lines.join("\n"))
 }

@@ -1,10 +1,8 @@
 //! Import of tasks from the dataset and of annotations from files, and export of accepted answers.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
-use annotate::known_motions;
-use annotate::store::{MotionRecord, Store};
+use annotate::store::Store;
 use annotate::transfer::{self, CHOSEN, Taken};
 use annotate::wire::ExportRequest;
 use anyhow::Context;
@@ -32,13 +30,12 @@ pub(super) fn import(
         Some(file) => {
             // Annotations refer to tasks, so the tasks come first.
             let messages = import_dataset(args, store, global)?.messages;
-            let motions = known_motions(store)?;
             let mut taken = match file.is_dir() {
-                true => import_folder(args, store, &motions, file)?,
+                true => import_folder(args, store, file)?,
                 false if file.extension().is_some_and(|found| found == "parquet") => {
-                    transfer::from_annotations(store, &motions, file, None, now())?
+                    transfer::from_annotations(store, file, None, now())?
                 }
-                false => transfer::from_release(store, &motions, &read_json(file)?, None, now())?,
+                false => transfer::from_release(store, &read_json(file)?, None, now())?,
             };
             taken.messages.splice(..0, messages);
             taken
@@ -71,17 +68,16 @@ pub(super) fn import_dataset(args: &Args, store: &Store, global: &Global) -> any
 }
 
 /// Imports the labels of a folder: of an export of answers, of an exported dataset, or of a STANCE release.
-fn import_folder(
-    args: &Args,
-    store: &Store,
-    motions: &BTreeMap<String, MotionRecord>,
-    folder: &Path,
-) -> anyhow::Result<Taken> {
+fn import_folder(args: &Args, store: &Store, folder: &Path) -> anyhow::Result<Taken> {
     transfer::check_files(folder)?;
     let annotations = folder.join(ANNOTATIONS);
     if annotations.is_file() {
-        let taken = transfer::from_annotations(store, motions, &annotations, None, now());
-        return Ok(taken?);
+        return Ok(transfer::from_annotations(
+            store,
+            &annotations,
+            None,
+            now(),
+        )?);
     }
     if let Some(labels) = exported_labels(folder)? {
         let dataset = &args.dataset;
@@ -97,8 +93,7 @@ fn import_folder(
             both.insert(name.to_owned(), read_json(&path)?);
         }
     }
-    let taken = transfer::from_release(store, motions, &both.into(), None, now());
-    Ok(taken?)
+    Ok(transfer::from_release(store, &both.into(), None, now())?)
 }
 
 fn read_json(path: &Path) -> anyhow::Result<serde_json::Value> {

@@ -40,7 +40,6 @@ impl Small {
         &mut self.values[row * self.stride..][..self.stride]
     }
 
-    /// Copies rows.
     #[inline(always)]
     fn copy<'a>(&mut self, rows: impl Iterator<Item = &'a [f32]>) {
         for (row, from) in rows.enumerate() {
@@ -48,7 +47,6 @@ impl Small {
         }
     }
 
-    /// Copies the transpose of rows.
     #[inline(always)]
     fn copy_transposed<'a>(&mut self, rows: impl Iterator<Item = &'a [f32]>) {
         for (column, from) in rows.enumerate() {
@@ -135,12 +133,7 @@ fn forward_short(
 
         #[inline(always)]
         fn run(self) {
-            let Heads {
-                length,
-                width,
-                count,
-                ..
-            } = self.heads;
+            let (length, width, count) = (self.heads.length, self.heads.width, self.heads.count);
             let (head, scale) = (self.heads.head(), self.heads.scale());
             let padding = self.heads.padding_of(self.index);
             let first = self.index * self.heads.weights();
@@ -210,7 +203,6 @@ pub fn backward(
     }
 }
 
-/// One sequence of the backward pass.
 struct SequenceGrad<'a> {
     heads: Heads<'a>,
     index: usize,
@@ -226,12 +218,7 @@ impl Kernel for SequenceGrad<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Heads {
-            length,
-            width,
-            count,
-            ..
-        } = self.heads;
+        let (length, width, count) = (self.heads.length, self.heads.width, self.heads.count);
         let (head, scale) = (self.heads.head(), self.heads.scale());
         let first = self.index * self.heads.weights();
         let tokens = || Small::new(length, head);

@@ -22,7 +22,6 @@ impl Heads<'_> {
         self.width / self.count
     }
 
-    /// Weights of a sequence.
     pub(crate) fn weights(&self) -> usize {
         self.count * self.length * self.length
     }

@@ -9,12 +9,7 @@ use crate::rows::Mask;
 
 /// Queries, keys or values (`part` 0, 1 or 2) of a head: `place` counts the heads of all sequences.
 fn part<'a>(heads: Heads<'_>, joint: &'a [f32], place: usize, part: usize) -> Columns<'a> {
-    let Heads {
-        length,
-        width,
-        count,
-        ..
-    } = heads;
+    let (length, width, count) = (heads.length, heads.width, heads.count);
     let (sequence, at) = (place / count, place % count);
     let size = 3 * length * width;
     let joint = &joint[sequence * size..][..size];
@@ -26,7 +21,6 @@ fn part<'a>(heads: Heads<'_>, joint: &'a [f32], place: usize, part: usize) -> Co
     )
 }
 
-/// As [`crate::attention::forward`].
 pub(crate) fn forward(
     heads: Heads<'_>,
     joint: &[f32],
@@ -58,7 +52,6 @@ pub(crate) fn forward(
     join(heads, &attended, head, out, |at| at * head);
 }
 
-/// As [`crate::attention::backward`].
 pub(crate) fn backward(
     heads: Heads<'_>,
     joint: &[f32],
@@ -66,12 +59,7 @@ pub(crate) fn backward(
     weights: &[f32],
     grad: &[f32],
 ) -> Vec<f32> {
-    let Heads {
-        length,
-        width,
-        count,
-        ..
-    } = heads;
+    let (length, width, count) = (heads.length, heads.width, heads.count);
     let (head, pairs, size) = (heads.head(), length * length, length * width);
     // Gradients of queries, keys and values of every head.
     let mut of_parts = [0, 1, 2].map(|_| vec![0.0; grad.len()]);
@@ -120,12 +108,7 @@ fn join(
     out: &mut [f32],
     column: impl Fn(usize) -> usize + Sync,
 ) {
-    let Heads {
-        length,
-        width,
-        count,
-        ..
-    } = heads;
+    let (length, width, count) = (heads.length, heads.width, heads.count);
     let stride = out.len() / (parts.len() / width);
     out.par_chunks_mut(stride)
         .enumerate()

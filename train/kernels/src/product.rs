@@ -84,7 +84,6 @@ pub fn multiply(a: Matrix<'_>, b: Matrix<'_>, out: &mut [f32], write: Write) {
     matmul(out, accumulate, a.view(), b.view(), 1.0, Par::rayon(0));
 }
 
-/// Some columns of a matrix.
 pub(crate) type Columns<'a> = MatRef<'a, f32>;
 
 /// The `count` columns from `first` on of row-major numbers with `stride` in a row.

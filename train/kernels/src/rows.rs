@@ -70,7 +70,6 @@ pub fn factors(mask: Mask, count: usize) -> Vec<f32> {
             }
         }
     }
-    /// Numbers a task makes.
     const PART: usize = 1 << 14;
     let mut factors = vec![0.0; count];
     let parts = factors.par_chunks_mut(PART).enumerate();
@@ -108,7 +107,6 @@ pub(crate) fn exp(x: f32) -> f32 {
 /// derivative.
 #[inline(always)]
 fn gelu(x: f32) -> (f32, f32) {
-    /// 1 / sqrt(2 pi).
     const DENSITY: f32 = 0.398_942_3;
     let bell = exp(-0.5 * x * x);
     let t = 1.0 / (1.0 + 0.327_591_1 * std::f32::consts::FRAC_1_SQRT_2 * x.abs());
@@ -121,7 +119,6 @@ fn gelu(x: f32) -> (f32, f32) {
     (x * below, below + x * DENSITY * bell)
 }
 
-/// The sum of products of two rows.
 #[inline(always)]
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut sums = [0.0f32; LANES];
@@ -145,7 +142,6 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     sums[0]
 }
 
-/// Adds `factor` times a row to another.
 #[inline(always)]
 fn add_scaled(to: &mut [f32], factor: f32, row: &[f32]) {
     for (to, value) in to.iter_mut().zip(row) {
@@ -365,7 +361,6 @@ pub fn residual_norm(
     scales
 }
 
-/// The sum of a row.
 #[inline(always)]
 fn sum(row: &[f32]) -> f32 {
     let mut sums = [0.0f32; LANES];
@@ -389,7 +384,6 @@ pub struct NormGrads {
     pub bias: Vec<f32>,
 }
 
-/// Rows of the backward pass of [`residual_norm`].
 struct NormGradRows<'a> {
     grad: &'a mut [f32],
     normalised: &'a [f32],

@@ -11,7 +11,6 @@ use serde_json::Value;
 /// Name of the file. TensorBoard looks for `tfevents` in it.
 pub(super) const EVENTS: &str = "events.out.tfevents.0.stance";
 
-/// What a file begins with.
 pub(super) fn head() -> Vec<u8> {
     let mut event = time();
     put_bytes(&mut event, 3, b"brain.Event:2");
@@ -40,7 +39,6 @@ pub(super) fn of_line(line: &Value) -> Vec<u8> {
     record(&event)
 }
 
-/// How a field is written.
 #[derive(Clone, Copy)]
 enum Wire {
     Varint = 0,

@@ -11,6 +11,7 @@ use serde_json::Value;
 
 use crate::Error;
 use crate::config::rename_former;
+use crate::error::json_error;
 
 /// Version of the run folder.
 pub const FORMAT: u32 = 1;
@@ -125,10 +126,7 @@ pub fn check_skeleton_of(
         skeleton: String,
         skeleton_hash: Option<String>,
     }
-    let trained: Trained = serde_json::from_str(text).map_err(|source| Error::Json {
-        path: run_dir.join(CONFIG),
-        source,
-    })?;
+    let trained: Trained = serde_json::from_str(text).map_err(json_error(&run_dir.join(CONFIG)))?;
     if trained.kind == MOTION_KIND {
         return Ok(());
     }
@@ -141,15 +139,16 @@ pub fn check_skeleton_of(
         return Ok(());
     }
     let of = trained.skeleton_hash.as_deref();
-    Err(Error::OtherSkeleton {
-        what,
-        run: run_dir.to_owned(),
-        trained: format!("{} ({:.12})", trained.skeleton, of.unwrap_or("no hash")),
-        asked: format!("{} ({hash:.12})", skeleton.name()),
-    })
+    Err(Error::Refused(format!(
+        "{what} in {} was trained on skeleton {} ({:.12}), and the motions are on {} ({hash:.12}); train one \
+         on a dataset of theirs, or bring the motions to its skeleton with --body-model",
+        run_dir.display(),
+        trained.skeleton,
+        of.unwrap_or("no hash"),
+        skeleton.name(),
+    )))
 }
 
-/// The kind of model in a run folder.
 pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
     #[derive(Deserialize)]
     struct Kind {
@@ -157,7 +156,7 @@ pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
     }
     let path = run_dir.join(CONFIG);
     let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    let found: Kind = serde_json::from_str(&text).map_err(|source| Error::Json { path, source })?;
+    let found: Kind = serde_json::from_str(&text).map_err(json_error(&path))?;
     Ok(found.kind)
 }
 
@@ -179,20 +178,23 @@ pub fn read_any(run_dir: &Path) -> Result<RunRecord<Value>, Error> {
     }
 }
 
-/// Reads the document of a finished or running run.
 pub(crate) fn read_record<C: DeserializeOwned>(
     run_dir: &Path,
     kind: &'static str,
 ) -> Result<RunRecord<C>, Error> {
     let path = run_dir.join(CONFIG);
-    let text = match fs::read_to_string(&path) {
-        Ok(text) => text,
-        Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
-            return Err(not_a_run(run_dir, kind, format!("it holds no {CONFIG}")));
-        }
-        Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
-    };
+    let text =
+        text_of(&path)?.ok_or_else(|| not_a_run(run_dir, kind, format!("it holds no {CONFIG}")))?;
     record_of(&text, run_dir, kind)
+}
+
+/// The text of a file; none where there is no such file.
+pub(super) fn text_of(path: &Path) -> Result<Option<String>, Error> {
+    match fs::read_to_string(path) {
+        Ok(text) => Ok(Some(text)),
+        Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(problem) => Err(datasets_spec::Error::io("read", path)(problem).into()),
+    }
 }
 
 /// Parses the text of a run's `config.json`. Errors name the run by `run_dir`.
@@ -207,10 +209,7 @@ pub(crate) fn record_of<C: DeserializeOwned>(
         kind: String,
     }
     let path = run_dir.join(CONFIG);
-    let json = |source| Error::Json {
-        path: path.clone(),
-        source,
-    };
+    let json = json_error(&path);
     let header: Header = serde_json::from_str(text).map_err(json)?;
     if header.kind != kind {
         let reason = format!("it is a run of {:?}", header.kind);
@@ -226,7 +225,6 @@ pub(crate) fn record_of<C: DeserializeOwned>(
     parse_record(text).map_err(json)
 }
 
-/// Reads a record of this version or of an earlier one.
 pub(super) fn parse_record<C: DeserializeOwned>(
     text: &str,
 ) -> Result<RunRecord<C>, serde_json::Error> {
@@ -238,7 +236,6 @@ pub(super) fn parse_record<C: DeserializeOwned>(
     serde_json::from_value(record)
 }
 
-/// The error that a folder is no run of a kind.
 pub(super) fn not_a_run(path: &Path, kind: &str, reason: impl Into<String>) -> Error {
     Error::NotARun {
         path: path.to_owned(),

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::share;
+use super::check::{ensure, finite, not_negative, share};
 use super::schedule::ScheduleName;
 use crate::Error;
 use crate::schedule::Schedule;
@@ -73,12 +73,6 @@ pub enum NoiseKind {
     Shaped,
 }
 
-impl NoiseKind {
-    fn is_white(&self) -> bool {
-        *self == Self::White
-    }
-}
-
 /// Noise schedule, loss and guidance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -88,7 +82,7 @@ pub struct DiffusionConfig {
     /// Noise schedule.
     pub schedule: ScheduleName,
     /// Noise that windows are mixed with.
-    #[serde(default, skip_serializing_if = "NoiseKind::is_white")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub noise: NoiseKind,
     /// What the network predicts.
     pub prediction: Prediction,
@@ -110,12 +104,12 @@ pub struct DiffusionConfig {
     /// Weight of the loss on feet that slide beside the loss on the prediction: the speed of each foot,
     /// in units of 0.1 m/s, in frames in which the edited motion's is slower than that (after Tevet et al.
     /// 2023, Eq. 4; neither publication has it).
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub contact_weight: f64,
     /// Weight of the loss on bones, as vectors from joint to joint in units of 10 cm, beside the loss on the
     /// prediction. In points, the way of the root counts as often as there are keypoints, and what an arm
     /// does hardly at all (our addition).
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub bone_weight: f64,
     /// Guidance weight the editor uses unless told otherwise.
     pub guidance: f64,
@@ -125,17 +119,17 @@ pub struct DiffusionConfig {
     /// Share of the training windows that are shown as the first of their motion, with nothing fixed.
     /// At 0 the editor starts a motion on the first frames of the original, as published, although
     /// training always fixes those of the edited motion; above 0 it generates them.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub generated_starts: f64,
     /// Standard deviation in model units of noise on the clean fixed frames shown while training. While
     /// editing they are the network's own, and what they are wrong by is carried from window to window
     /// unless the network has learned to mend it.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub fixed_noise: f64,
     /// Generated frames that a window of an edit shares with the one before it, beside the fixed ones.
     /// The two are blended there, so that a window that goes another way does so over some frames. At 0
     /// each window begins where the one before ends, as published.
-    #[serde(default, skip_serializing_if = "is_no_frame")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub overlap: usize,
     /// Whether instruction, diffusion step and progress are added to every frame that the network sees,
     /// beside their own token.
@@ -143,12 +137,8 @@ pub struct DiffusionConfig {
     pub tell_frames: bool,
 }
 
-pub(crate) fn is_zero(value: &f64) -> bool {
-    *value == 0.0
-}
-
-fn is_no_frame(count: &usize) -> bool {
-    *count == 0
+pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 /// How the frames before a window, which are its fixed first frames, enter the network.
@@ -166,12 +156,7 @@ impl DiffusionConfig {
     pub(super) fn check(&self) -> Result<(), Error> {
         share("diffusion.text_dropout", self.text_dropout)?;
         share("diffusion.generated_starts", self.generated_starts)?;
-        if !self.guidance.is_finite() {
-            return Err(Error::Config {
-                field: "diffusion.guidance",
-                problem: format!("it is {}", self.guidance),
-            });
-        }
+        finite("diffusion.guidance", self.guidance)?;
         for (field, value) in [
             ("diffusion.motion_weight", self.motion_weight),
             ("diffusion.contact_weight", self.contact_weight),
@@ -179,36 +164,25 @@ impl DiffusionConfig {
             ("diffusion.temperature", self.temperature),
             ("diffusion.fixed_noise", self.fixed_noise),
         ] {
-            if !(value.is_finite() && value >= 0.0) {
-                return Err(Error::Config {
-                    field,
-                    problem: format!("it is {value}, and must be finite and not negative"),
-                });
-            }
+            not_negative(field, value)?;
         }
-        if self.motion_weight > 0.0
-            && !matches!(self.prediction, Prediction::Clean | Prediction::Change)
-        {
-            return Err(Error::Config {
-                field: "diffusion.motion_weight",
-                problem: "frames follow each other in a clean window or a change, not in noise"
-                    .to_owned(),
-            });
-        }
-        if self.noise == NoiseKind::Shaped && self.prediction != Prediction::Gated {
-            return Err(Error::Config {
-                field: "diffusion.noise",
-                problem: "it is shaped, which only the prediction gated supports; set it to white"
-                    .to_owned(),
-            });
-        }
+        let is_clean = matches!(self.prediction, Prediction::Clean | Prediction::Change);
+        ensure(
+            self.motion_weight == 0.0 || is_clean,
+            "diffusion.motion_weight",
+            "frames follow each other in a clean window or a change, not in noise",
+        )?;
+        ensure(
+            self.noise == NoiseKind::White || self.prediction == Prediction::Gated,
+            "diffusion.noise",
+            "it is shaped, which only the prediction gated supports; set it to white",
+        )?;
         let needs_clean = self.prediction.is_extrapolated() || self.fixed_noise > 0.0;
-        if needs_clean && self.fixed_frames != FixedFrames::Clean {
-            return Err(Error::Config {
-                field: "diffusion.fixed_frames",
-                problem: "a residual and noise on the fixed frames need them clean".to_owned(),
-            });
-        }
+        ensure(
+            self.fixed_frames == FixedFrames::Clean || !needs_clean,
+            "diffusion.fixed_frames",
+            "a residual and noise on the fixed frames need them clean",
+        )?;
         Schedule::new(self.schedule, self.num_steps).map(|_| ())
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::{positive, share};
+use super::check::{above_zero, ensure, not_negative, positive, share};
 use crate::Error;
 
 /// Settings that every training run has, whatever is trained. In files they stand beside the
@@ -43,7 +43,6 @@ fn default_val_every() -> u64 {
 }
 
 impl RunSettings {
-    /// Samples computed at once.
     pub(crate) fn micro_batch(&self) -> usize {
         self.micro_batch_size
             .map_or(self.batch_size, |size| size.min(self.batch_size))
@@ -70,6 +69,21 @@ impl RunSettings {
             .collect()
     }
 
+    /// Draws the micro-batches of a validation of so many items, as [`RunSettings::batches`] draws those of a step; each comes
+    /// with its number of items.
+    pub(crate) fn validation<B>(
+        &self,
+        num_items: usize,
+        draw: impl Fn(u64, usize) -> Result<B, Error>,
+    ) -> Result<Vec<(usize, B)>, Error> {
+        let micro = self.micro_batch();
+        (0..num_items)
+            .step_by(micro)
+            .map(|first| (first, micro.min(num_items - first)))
+            .map(|(first, count)| Ok((count, draw(first as u64, count)?)))
+            .collect()
+    }
+
     /// Checks that a run can be made with the settings.
     ///
     /// # Errors
@@ -85,13 +99,11 @@ impl RunSettings {
 
     /// Refuses micro-batches for a model whose loss needs the whole batch.
     pub(crate) fn check_whole(&self, why: &str) -> Result<(), Error> {
-        if self.micro_batch() == self.batch_size {
-            return Ok(());
-        }
-        Err(Error::Config {
-            field: "micro_batch_size",
-            problem: format!("a step of this model cannot be split: {why}; leave it out"),
-        })
+        ensure(
+            self.micro_batch() == self.batch_size,
+            "micro_batch_size",
+            format!("a step of this model cannot be split: {why}; leave it out"),
+        )
     }
 }
 
@@ -122,6 +134,11 @@ impl RunLength {
             Some(epochs) => self.steps.min(epochs.saturating_mul(steps_per_epoch)),
             None => self.steps,
         }
+    }
+
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        positive("length.steps", self.steps)?;
+        positive("length.epochs", self.epochs.unwrap_or(1))
     }
 }
 
@@ -155,36 +172,26 @@ pub enum Decay {
     Linear,
 }
 
-impl RunLength {
-    pub(crate) fn check(&self) -> Result<(), Error> {
-        positive("length.steps", self.steps)?;
-        positive("length.epochs", self.epochs.unwrap_or(1))
-    }
-}
-
 impl OptimizerConfig {
+    /// A constant rate with PyTorch's weight decay, and nothing else.
+    pub(crate) fn of_rate(learning_rate: f64) -> Self {
+        Self {
+            learning_rate,
+            decay: Decay::Constant,
+            warmup_steps: 0,
+            weight_decay: 0.01,
+            max_gradient_norm: None,
+            ema_decay: None,
+        }
+    }
+
     pub(crate) fn check(&self) -> Result<(), Error> {
-        if let Some(longest) = self.max_gradient_norm
-            && !(longest.is_finite() && longest > 0.0)
-        {
-            return Err(Error::Config {
-                field: "optimizer.max_gradient_norm",
-                problem: format!("it is {longest}, and must be positive"),
-            });
+        if let Some(longest) = self.max_gradient_norm {
+            above_zero("optimizer.max_gradient_norm", longest)?;
         }
         share("optimizer.ema_decay", self.ema_decay.unwrap_or(0.0))?;
-        for (field, value) in [
-            ("optimizer.learning_rate", self.learning_rate),
-            ("optimizer.weight_decay", self.weight_decay),
-        ] {
-            if !value.is_finite() || value < 0.0 {
-                return Err(Error::Config {
-                    field,
-                    problem: format!("it is {value}, and must be finite and not negative"),
-                });
-            }
-        }
-        Ok(())
+        not_negative("optimizer.learning_rate", self.learning_rate)?;
+        not_negative("optimizer.weight_decay", self.weight_decay)
     }
 
     /// The learning rate of a step, counted from 0, of a run of `num_steps`.

@@ -2,32 +2,26 @@
 
 use std::path::{Path, PathBuf};
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
-use rand::RngExt;
-use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use super::config::AutoencoderConfig;
 use super::joints::recovered_joints;
 use crate::captioned::{CaptionedCorpus, CaptionedRows, CropSampler, Crops, grouped_stats};
-use crate::checkpoint::{
-    self, Files, Run, RunRecord, Slot, read_for_use, read_record, take, weights_hash,
-};
+use crate::checkpoint::{Run, RunRecord, Slot, open_for_use};
 use crate::config::Loss;
 use crate::features::FeatureStats;
 use crate::model::mld::{MAX_POSITIONS, MotionVae};
-use crate::model::weights::{draw, from_safetensors, to_safetensors};
-use crate::trainer::{self, Task, TrainReport, TrainerConfig};
-use crate::transfer::weighted_mean;
+use crate::model::pass::Pass;
+use crate::model::weights::Networks;
+use crate::sample::noise::normal;
+use crate::trainer::{self, Task, TrainReport};
+use crate::transfer::send;
 use crate::{Error, Session};
 
-/// Kind of run.
 const KIND: &str = "mld-autoencoder";
 
-const WEIGHTS: &str = "autoencoder.safetensors";
-
-/// Record of a run of the autoencoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct AutoencoderRecord {
@@ -35,14 +29,6 @@ struct AutoencoderRecord {
     features: FeatureStats,
 }
 
-impl AutoencoderRecord {
-    fn network(&self, device: &Device) -> MotionVae {
-        let width = self.features.recipe.width();
-        MotionVae::new(&self.train.model, width, MAX_POSITIONS, device)
-    }
-}
-
-/// The folder of the autoencoder in that of the latent diffusion.
 fn folder(run: &Path) -> PathBuf {
     run.join("autoencoder")
 }
@@ -63,13 +49,9 @@ pub(super) fn train(
         train: config.clone(),
         features: grouped_stats(clips),
     };
-    let run = Run::open(
-        &folder(run),
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
-    let device = session.device.clone().autodiff();
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(&folder(run), &document)?;
     let seed = Seed(config.run.seed);
-    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
     let sampler = |clips, name| CropSampler {
         clips,
         stats: &record.features,
@@ -78,41 +60,36 @@ pub(super) fn train(
         seed: seed.derive(&[name]),
     };
     let val = sampler(val, "val").whole(config.run.micro_batch());
-    let task = AutoencoderTask {
-        record: &record,
-        sampler: sampler(clips, "train"),
-        // A validation takes the mean latent vectors.
-        val: val.into_iter().map(|crops| (crops, None)).collect(),
-    };
-    let trainer = TrainerConfig {
+    let sampler = sampler(clips, "train");
+    let task = Task::<MotionVae, NoisyCrops<'_>> {
         kind: KIND,
         samples: "motions",
         run: config.run,
         epoch_len: clips.len() as u64,
+        draw: &|step| {
+            config.run.batches(step, |first, count| {
+                let noise = latent_noise(sampler.seed, first, count, config.model.width);
+                Ok((sampler.draw(first, count), Some(noise)))
+            })
+        },
+        loss: &|model, batch, device, pass| record.loss(model, batch, device, pass),
+        // A validation takes the mean latent vectors.
+        validation: val
+            .into_iter()
+            .map(|crops| (crops.lengths.len(), (crops, None)))
+            .collect(),
     };
-    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
-    Ok(report)
+    let network = |device: &Device| record.network(device);
+    Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
 /// Crops, and the noise of their latent vectors, `[B, d]`.
 type NoisyCrops<'a> = (Crops<'a>, Option<Vec<f32>>);
 
-struct AutoencoderTask<'a> {
-    record: &'a AutoencoderRecord,
-    sampler: CropSampler<'a>,
-    val: Vec<NoisyCrops<'a>>,
-}
-
-impl<'a> Task for AutoencoderTask<'a> {
-    type Model = MotionVae;
-    type Batch = NoisyCrops<'a>;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, Self::Batch)>, Error> {
-        let config = &self.record.train;
-        config.run.batches(step, |first, count| {
-            let noise = latent_noise(self.sampler.seed, first, count, config.model.width);
-            Ok((self.sampler.draw(first, count), Some(noise)))
-        })
+impl AutoencoderRecord {
+    fn network(&self, device: &Device) -> MotionVae {
+        let width = self.features.recipe.width();
+        MotionVae::new(&self.train.model, width, MAX_POSITIONS, device)
     }
 
     /// Errors of features and joints, and the divergence of the latent vectors from the standard normal
@@ -121,30 +98,30 @@ impl<'a> Task for AutoencoderTask<'a> {
     /// # Source
     /// Chen et al. 2023, Eq. 2 with the released weights; joints past the end of a motion are left out
     /// here.
-    fn loss(&self, model: &MotionVae, batch: &Self::Batch, device: &Device) -> Tensor<1> {
-        let (crops, noise) = batch;
-        let AutoencoderRecord {
-            train: config,
-            features: stats,
-        } = self.record;
+    fn loss(
+        &self,
+        model: &MotionVae,
+        (crops, noise): &NoisyCrops<'_>,
+        device: &Device,
+        pass: &Pass,
+    ) -> Tensor<1> {
+        let (config, stats) = (&self.train, &self.features);
         let features = crops.tensor(device);
-        let encoded = model.encode(features.clone(), &crops.lengths);
+        let encoded = model.encode(features.clone(), &crops.lengths, pass);
         let latent = match noise {
             Some(noise) => {
                 let shape = encoded.mu.dims();
-                let noise = TensorData::new(noise.clone(), shape);
-                encoded.sample(Tensor::from_data(noise, device))
+                encoded.sample(send(noise.clone(), shape, device))
             }
             None => encoded.mu.clone(),
         };
-        let decoded = model.decode(latent, &crops.lengths, crops.frames);
+        let decoded = model.decode(latent, &crops.lengths, crops.frames, pass);
         let kl = encoded.kl(&encoded.standard());
         let mut loss = Loss::SmoothL1.mean(decoded.clone(), features.clone())
             + kl.mul_scalar(config.kl_weight);
         if config.joints_weight > 0.0 {
             let column = |values: &[f32]| -> Tensor<3> {
-                let data = TensorData::new(values.to_vec(), [1, 1, values.len()]);
-                Tensor::from_data(data, device)
+                send(values.to_vec(), [1, 1, values.len()], device)
             };
             let (mean, std) = (column(&stats.mean), column(&stats.std));
             let valid = crops.valid(device);
@@ -156,41 +133,19 @@ impl<'a> Task for AutoencoderTask<'a> {
         }
         loss
     }
-
-    fn validate(&self, model: &MotionVae, device: &Device) -> f32 {
-        weighted_mean(
-            self.val
-                .iter()
-                .map(|batch| (batch.0.lengths.len(), self.loss(model, batch, device))),
-        )
-    }
-
-    fn save(&self, model: &MotionVae, run_dir: &Path) -> Result<Files, Error> {
-        Ok([(WEIGHTS.to_owned(), to_safetensors(model, run_dir)?)].into())
-    }
-
-    fn load(&self, model: &mut MotionVae, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
-        let bytes = take(files, WEIGHTS, run_dir)?;
-        from_safetensors(model, bytes, "", &run_dir.join(WEIGHTS))
-    }
 }
 
 /// Standard normal noise for the latent vectors of the samples from `first` on, `[count, width]`. It
 /// depends on the seed and the sample alone.
 pub(super) fn latent_noise(seed: Seed, first: u64, count: usize, width: usize) -> Vec<f32> {
     (first..first + count as u64)
-        .flat_map(|sample| {
-            let mut rng = seed.rng(&["latent", &sample.to_string()]);
-            (0..width)
-                .map(|_| rng.sample(StandardNormal))
-                .collect::<Vec<f32>>()
-        })
+        .flat_map(|sample| normal(&mut seed.rng(&["latent", &sample.to_string()]), width))
         .collect()
 }
 
 /// A trained autoencoder.
 #[derive(Debug)]
-pub struct Autoencoder {
+pub(super) struct Autoencoder {
     pub(super) network: MotionVae,
     pub(super) stats: FeatureStats,
     /// Longest motion it was trained on, in frames.
@@ -203,30 +158,35 @@ impl Autoencoder {
     ///
     /// # Errors
     /// There is none, or its checkpoint is missing or damaged.
-    pub fn load(run: &Path, device: &Device) -> Result<Self, Error> {
+    pub(super) fn load(run: &Path, device: &Device) -> Result<Self, Error> {
         let dir = folder(run);
-        let record: RunRecord<AutoencoderRecord> = read_record(&dir, KIND)?;
-        record.config.train.check()?;
-        let mut files = read_for_use(&dir, Slot::Best, KIND)?;
-        let bytes = checkpoint::take(&mut files, WEIGHTS, &dir)?;
-        let hash = weights_hash(&record.config, &[&bytes]);
-        let mut network = record.config.network(device);
-        from_safetensors(&mut network, bytes, "", &dir.join(WEIGHTS))?;
+        let mut opened = open_for_use::<AutoencoderRecord>(&dir, Slot::Best, KIND)?;
+        let record = opened.record.config;
+        record.train.check()?;
+        let mut network = record.network(device);
+        network.take_files(&mut opened.files, &dir)?;
         Ok(Self {
             network,
-            max_frames: record.config.train.max_frames,
-            stats: record.config.features,
-            hash,
+            max_frames: record.train.max_frames,
+            stats: record.features,
+            hash: opened.hash,
         })
     }
 
     /// The latent vectors of crops: samples of their distributions, by the noise that is given.
     ///
     /// # Shapes
-    /// `noise` `[B, d]`, row by row; the result `[B, d]` on the autoencoder's device.
-    pub(super) fn latents(&self, crops: &Crops<'_>, noise: &[f32], device: &Device) -> Tensor<2> {
-        let encoded = self.network.encode(crops.tensor(device), &crops.lengths);
-        let noise = TensorData::new(noise.to_vec(), encoded.mu.dims());
-        encoded.sample(Tensor::from_data(noise, device))
+    /// `noise` `[B, d]`, row by row; the result `[B, d]` on the device of the session.
+    pub(super) fn latents(
+        &self,
+        crops: &Crops<'_>,
+        noise: &[f32],
+        session: &Session<'_>,
+    ) -> Tensor<2> {
+        let device = session.device;
+        let pass = Pass::new(session.arithmetic);
+        let motions = crops.tensor(device);
+        let encoded = self.network.encode(motions, &crops.lengths, &pass);
+        encoded.sample(send(noise.to_vec(), encoded.mu.dims(), device))
     }
 }

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::config::{
-    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TextEncoder,
-    TrainConfig, WordsConfig, positive, share,
+    NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TrainConfig,
+    ensure, not_negative, positive, share,
 };
 use crate::model::mld::MAX_POSITIONS;
 
@@ -73,14 +73,7 @@ impl MldConfig {
             dropout: 0.1,
         };
         let run = |batch_size, epochs| RunSettings {
-            optimizer: OptimizerConfig {
-                learning_rate: 1e-4,
-                decay: Decay::Constant,
-                warmup_steps: 0,
-                weight_decay: 0.01,
-                max_gradient_norm: None,
-                ema_decay: None,
-            },
+            optimizer: OptimizerConfig::of_rate(1e-4),
             batch_size,
             micro_batch_size: None,
             length: RunLength {
@@ -102,14 +95,7 @@ impl MldConfig {
                 run: run(128, 6_000),
             },
             model,
-            text: TextConfig {
-                encoder: TextEncoder::Clip,
-                vectors: None,
-                words: WordsConfig {
-                    num_buckets: 64,
-                    max_words: 32,
-                },
-            },
+            text: TextConfig::clip(),
             diffusion_steps: 1_000,
             sampling_steps: 50,
             guidance: 7.5,
@@ -160,16 +146,9 @@ impl MldConfig {
         self.run.check()?;
         self.text.check_pooled()?;
         share("text_dropout", self.text_dropout)?;
-        if self.model.width != self.autoencoder.model.width {
-            return Err(Error::Config {
-                field: "model.width",
-                problem: format!(
-                    "it is {}, and latent vectors have {} numbers",
-                    self.model.width, self.autoencoder.model.width
-                ),
-            });
-        }
-        Ok(())
+        let (width, latent) = (self.model.width, self.autoencoder.model.width);
+        let problem = format!("it is {width}, and latent vectors have {latent} numbers");
+        ensure(width == latent, "model.width", problem)
     }
 }
 
@@ -183,42 +162,24 @@ impl AutoencoderConfig {
         self.run.check()?;
         positive("autoencoder.min_frames", self.min_frames as u64)?;
         // Two learned tokens stand before the frames.
-        if !(self.min_frames..=MAX_POSITIONS - 2).contains(&self.max_frames) {
-            return Err(Error::Config {
-                field: "autoencoder.max_frames",
-                problem: format!(
-                    "it is {}, and must be from min_frames {} to {}",
-                    self.max_frames,
-                    self.min_frames,
-                    MAX_POSITIONS - 2
-                ),
-            });
-        }
-        for (field, weight) in [
-            ("autoencoder.joints_weight", self.joints_weight),
-            ("autoencoder.kl_weight", self.kl_weight),
-        ] {
-            if !(weight.is_finite() && weight >= 0.0) {
-                return Err(Error::Config {
-                    field,
-                    problem: format!("it is {weight}, and must be finite and not negative"),
-                });
-            }
-        }
-        Ok(())
+        let (frames, least, most) = (self.max_frames, self.min_frames, MAX_POSITIONS - 2);
+        let problem = format!("it is {frames}, and must be from min_frames {least} to {most}");
+        ensure(
+            (least..=most).contains(&frames),
+            "autoencoder.max_frames",
+            problem,
+        )?;
+        not_negative("autoencoder.joints_weight", self.joints_weight)?;
+        not_negative("autoencoder.kl_weight", self.kl_weight)
     }
 }
 
 /// Skip connections join layers in pairs around a middle one.
 fn check_layers(field: &'static str, model: &NetworkConfig) -> Result<(), Error> {
     model.check()?;
-    if model.num_layers.is_multiple_of(2) {
-        return Err(Error::Config {
-            field,
-            problem: format!("it is {}, and must be odd", model.num_layers),
-        });
-    }
-    Ok(())
+    let layers = model.num_layers;
+    let problem = format!("it is {layers}, and must be odd");
+    ensure(!layers.is_multiple_of(2), field, problem)
 }
 
 #[cfg(test)]
@@ -227,7 +188,7 @@ mod tests {
 
     #[test]
     fn presets_are_usable_and_an_even_number_of_layers_is_not() {
-        for preset in [Preset::Paper, Preset::Official, Preset::Tiny] {
+        for preset in Preset::ALL {
             MldConfig::preset(preset).check().expect("usable");
         }
         let mut config = MldConfig::preset(Preset::Tiny);

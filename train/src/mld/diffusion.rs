@@ -1,8 +1,6 @@
 //! The diffusion of latent vectors: training.
 
-use std::path::Path;
-
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -12,35 +10,30 @@ use super::KIND;
 use super::autoencoder::{self, Autoencoder, latent_noise};
 use super::config::MldConfig;
 use crate::captioned::{CaptionedCorpus, CropSampler, Crops, captioned_rows};
-use crate::checkpoint::{Files, Run, RunRecord, Start};
+use crate::checkpoint::{Run, RunRecord, Start};
 use crate::data::{TextBatch, Texts};
 use crate::fit::TextRecord;
 use crate::model::conditioned::Conditioned;
 use crate::model::mld::{LatentDenoiser, MAX_POSITIONS};
-use crate::model::weights::draw;
+use crate::model::pass::Pass;
 use crate::schedule::Schedule;
-use crate::trainer::{self, Task, TrainReport, TrainerConfig};
-use crate::transfer::{read, weighted_mean};
+use crate::trainer::{self, Task, TrainReport};
+use crate::transfer::{read, send};
 use crate::{Error, Session};
-
-pub(super) const WEIGHTS: &str = "denoiser.safetensors";
 
 /// Record of a run of the latent diffusion.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct MldRecord {
-    /// The resolved settings.
-    pub train: MldConfig,
-    /// What the network is told captions by.
-    pub text: TextRecord,
+pub(crate) struct MldRecord {
+    pub(crate) train: MldConfig,
+    pub(crate) text: TextRecord,
     /// What identifies the autoencoder: BLAKE3, hexadecimal.
-    pub autoencoder: String,
+    pub(crate) autoencoder: String,
     /// Standard deviation of the latent vectors of the training split, over all their numbers.
-    pub latent_std: f32,
+    pub(crate) latent_std: f32,
 }
 
 impl MldRecord {
-    /// Builds the networks.
     pub(super) fn network(&self, device: &Device) -> Conditioned<LatentDenoiser> {
         let config = &self.train.model;
         Conditioned::new(self.text.source(), config.width, device, |text_width| {
@@ -92,47 +85,43 @@ pub fn train_mld<'a>(
         pads_to_max: false,
         seed: seed.derive(&[name]),
     };
-    let captions = corpus.train.iter().flat_map(|clip| clip.captions);
     let record = MldRecord {
         train: config.clone(),
-        text: TextRecord::chosen(
-            &config.text,
-            None,
-            captions.map(String::as_str),
-            corpus.vectors,
-        )?,
+        text: TextRecord::chosen(&config.text, None, corpus.captions(), corpus.vectors)?,
         autoencoder: autoencoder.hash.clone(),
-        latent_std: latent_std(
-            &autoencoder,
-            &sampler(&train, "std"),
-            config,
-            session.device,
-        ),
+        latent_std: latent_std(&autoencoder, &sampler(&train, "std"), config, session),
     };
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
-    let device = session.device.clone().autodiff();
-    let model = draw(record.network(&device), seed.derive(&["weights"]))?;
-    let mut task = DiffusionTask {
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(start, &document)?;
+    let noising = Noising {
         record: &record,
         autoencoder: &autoencoder,
-        device: session.device,
+        session,
         schedule: Schedule::scaled_linear(config.diffusion_steps)?,
-        sampler: sampler(&train, "train"),
         texts: record.text.texts(corpus.vectors)?,
-        val: Vec::new(),
     };
-    task.val = task.val_batches(&sampler(&val, "val"))?;
-    let trainer = TrainerConfig {
+    let (held_out, sampler) = (sampler(&val, "val"), sampler(&train, "train"));
+    let val_batches = held_out.validation(config.run.micro_batch(), config.diffusion_steps);
+    let val_batches = val_batches.map(|(first, timesteps, crops)| {
+        let batch = noising.noisy(&crops, held_out.seed, first, 0.0)?;
+        Ok((timesteps.len(), LatentBatch { timesteps, ..batch }))
+    });
+    let task = Task::<Conditioned<LatentDenoiser>, LatentBatch> {
         kind: KIND,
         samples: "motions",
         run: config.run,
         epoch_len: train.len() as u64,
+        draw: &|step| {
+            config.run.batches(step, |first, count| {
+                let crops = sampler.draw(first, count);
+                noising.noisy(&crops, sampler.seed, first, config.text_dropout)
+            })
+        },
+        loss: &|model, batch, device, pass| noising.loss(model, batch, device, pass),
+        validation: val_batches.collect::<Result<_, Error>>()?,
     };
-    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
-    Ok(report)
+    let network = |device: &Device| record.network(device);
+    Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
 /// The standard deviation of the latent vectors of clips: the root of the mean variance of their numbers.
@@ -140,14 +129,14 @@ fn latent_std(
     autoencoder: &Autoencoder,
     sampler: &CropSampler<'_>,
     config: &MldConfig,
-    device: &Device,
+    session: &Session<'_>,
 ) -> f32 {
     let width = config.model.width;
     let (mut count, mut sums, mut squares) = (0.0, vec![0.0f64; width], vec![0.0f64; width]);
     for crops in sampler.whole(config.run.micro_batch()) {
         let rows = crops.lengths.len();
         let noise = latent_noise(sampler.seed, count as u64, rows, width);
-        let latents = autoencoder.latents(&crops, &noise, device);
+        let latents = autoencoder.latents(&crops, &noise, session);
         for row in read(latents).chunks_exact(width) {
             for ((sum, square), &value) in sums.iter_mut().zip(&mut squares).zip(row) {
                 *sum += f64::from(value);
@@ -174,18 +163,17 @@ struct LatentBatch {
     texts: TextBatch,
 }
 
-struct DiffusionTask<'a> {
+/// How motions become noisy latent vectors, and what is asked of those.
+struct Noising<'a> {
     record: &'a MldRecord,
     autoencoder: &'a Autoencoder,
-    /// Where the autoencoder computes.
-    device: &'a Device,
+    /// Where and how the autoencoder computes.
+    session: &'a Session<'a>,
     schedule: Schedule,
-    sampler: CropSampler<'a>,
     texts: Texts<'a>,
-    val: Vec<LatentBatch>,
 }
 
-impl DiffusionTask<'_> {
+impl Noising<'_> {
     /// Draws latent vectors, noise, diffusion steps and dropped captions of crops, the first of which is
     /// the sample `first` of the run.
     fn noisy(
@@ -197,7 +185,7 @@ impl DiffusionTask<'_> {
     ) -> Result<LatentBatch, Error> {
         let (count, width) = (crops.lengths.len(), self.record.train.model.width);
         let spread = latent_noise(seed, first, count, width);
-        let latents = self.autoencoder.latents(crops, &spread, self.device);
+        let latents = self.autoencoder.latents(crops, &spread, self.session);
         let mut noise = Vec::with_capacity(count * width);
         let (mut timesteps, mut captions) = (Vec::new(), Vec::new());
         for (index, &caption) in crops.captions.iter().enumerate() {
@@ -216,49 +204,21 @@ impl DiffusionTask<'_> {
         })
     }
 
-    /// The validation batches: all clips of a sampler, with steps spread evenly, which makes validations
-    /// comparable.
-    fn val_batches(&self, held_out: &CropSampler<'_>) -> Result<Vec<LatentBatch>, Error> {
-        let config = &self.record.train;
-        let mut batches = Vec::new();
-        let mut first = 0;
-        for crops in held_out.whole(config.run.micro_batch()) {
-            let count = crops.lengths.len();
-            let timesteps = (first..first + count)
-                .map(|sample| {
-                    (2 * sample + 1) * config.diffusion_steps / (2 * held_out.clips.len())
-                })
-                .collect();
-            let batch = self.noisy(&crops, held_out.seed, first as u64, 0.0)?;
-            batches.push(LatentBatch { timesteps, ..batch });
-            first += count;
-        }
-        Ok(batches)
-    }
-}
-
-impl Task for DiffusionTask<'_> {
-    type Model = Conditioned<LatentDenoiser>;
-    type Batch = LatentBatch;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, LatentBatch)>, Error> {
-        let run = &self.record.train.run;
-        let text_dropout = self.record.train.text_dropout;
-        run.batches(step, |first, count| {
-            let crops = self.sampler.draw(first, count);
-            self.noisy(&crops, self.sampler.seed, first, text_dropout)
-        })
-    }
-
     /// The squared error of the predicted noise.
     ///
     /// # Source
     /// Chen et al. 2023, Eq. 4.
-    fn loss(&self, model: &Self::Model, batch: &LatentBatch, device: &Device) -> Tensor<1> {
+    fn loss(
+        &self,
+        model: &Conditioned<LatentDenoiser>,
+        batch: &LatentBatch,
+        device: &Device,
+        pass: &Pass,
+    ) -> Tensor<1> {
         let rows = batch.timesteps.len();
         let latents = |values: &[f32]| -> Tensor<3> {
             let shape = [rows, 1, values.len() / rows];
-            Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
+            send(values.to_vec(), shape, device)
         };
         let noise = latents(&batch.noise);
         let z_t = self
@@ -266,28 +226,9 @@ impl Task for DiffusionTask<'_> {
             .q_sample(latents(&batch.latents), &batch.timesteps, noise.clone());
         let text = model.text_vectors(&batch.texts, rows, device);
         let flat = |x: Tensor<3>| x.squeeze_dim::<2>(1);
-        let predicted = model.network.forward(flat(z_t), &batch.timesteps, text);
+        let predicted = model
+            .network
+            .forward(flat(z_t), &batch.timesteps, text, pass);
         (predicted - flat(noise)).square().mean()
-    }
-
-    fn validate(&self, model: &Self::Model, device: &Device) -> f32 {
-        weighted_mean(
-            self.val
-                .iter()
-                .map(|batch| (batch.timesteps.len(), self.loss(model, batch, device))),
-        )
-    }
-
-    fn save(&self, model: &Self::Model, run_dir: &Path) -> Result<Files, Error> {
-        model.save(WEIGHTS, run_dir)
-    }
-
-    fn load(
-        &self,
-        model: &mut Self::Model,
-        files: &mut Files,
-        run_dir: &Path,
-    ) -> Result<(), Error> {
-        model.load(WEIGHTS, files, run_dir)
     }
 }

@@ -2,26 +2,26 @@
 
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use features::humanml3d::Features;
-use rand::RngExt;
-use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use super::autoencoder::Autoencoder;
-use super::diffusion::{MldRecord, WEIGHTS};
+use super::diffusion::MldRecord;
 use super::{CLIP, KIND};
-use crate::checkpoint::{RunRecord, Slot, read_for_use, read_record, weights_hash};
-use crate::data::TextVectors;
+use crate::checkpoint::{Slot, open_for_use};
 use crate::ddim::Ddim;
 use crate::diffusion::guide;
-use crate::fit::TEXT;
 use crate::model::conditioned::Conditioned;
 use crate::model::mld::LatentDenoiser;
+use crate::model::pass::Pass;
+use crate::model::weights::Networks;
+use crate::sample::noise::normal;
 use crate::schedule::Schedule;
 use crate::text::source::TextEncoderSource;
-use crate::transfer::read;
+use crate::text::table::EmbeddingTable;
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 /// A motion to generate.
@@ -53,7 +53,7 @@ pub struct Generator {
     autoencoder: Autoencoder,
     record: MldRecord,
     ddim: Ddim,
-    vectors: Option<Box<dyn TextVectors + Send>>,
+    vectors: Option<EmbeddingTable>,
     hash: String,
     device: Device,
 }
@@ -65,26 +65,19 @@ impl Generator {
     /// The folder is no such run, its autoencoder is not the one the diffusion was trained with, or a
     /// checkpoint is missing or damaged.
     pub fn load(run: &Path, device: &Device) -> Result<Self, Error> {
-        let RunRecord { config: record, .. } = read_record::<MldRecord>(run, KIND)?;
+        let mut opened = open_for_use::<MldRecord>(run, Slot::Best, KIND)?;
+        let record = opened.record.config;
         record.train.check()?;
         let autoencoder = Autoencoder::load(run, device)?;
         if autoencoder.hash != record.autoencoder {
-            return Err(Error::Misfit {
-                what: "the autoencoder",
-                problem:
-                    "it was trained again after the diffusion of its latent vectors; train MLD \
-                          into another folder"
-                        .to_owned(),
-            });
+            return Err(Error::misfit(
+                "the autoencoder",
+                "it was trained again after the diffusion of its latent vectors; train MLD \
+                          into another folder",
+            ));
         }
-        let mut files = read_for_use(run, Slot::Best, KIND)?;
-        let weights: Vec<&[u8]> = [WEIGHTS, TEXT]
-            .iter()
-            .filter_map(|&name| files.get(name).map(Vec::as_slice))
-            .collect();
-        let hash = weights_hash(&record, &weights);
         let mut model = record.network(device);
-        model.load(WEIGHTS, &mut files, run)?;
+        model.take_files(&mut opened.files, run)?;
         let schedule = Schedule::scaled_linear(record.train.diffusion_steps)?;
         Ok(Self {
             ddim: Ddim::new(schedule, record.train.sampling_steps)?,
@@ -92,7 +85,7 @@ impl Generator {
             autoencoder,
             record,
             vectors: None,
-            hash,
+            hash: opened.hash,
             device: device.clone(),
         })
     }
@@ -124,14 +117,10 @@ impl Generator {
         source: &TextEncoderSource,
         session: &Session<'_>,
     ) -> Result<(), Error> {
-        if let Some(encoder) = self.record.train.text.encoder.frozen(CLIP) {
-            let mut texts = texts.to_vec();
-            texts.push(String::new());
-            let table = source.embeddings(run, &texts, encoder, session)?;
-            self.record.text.texts(Some(&table))?;
-            self.vectors = Some(Box::new(table));
-        }
-        Ok(())
+        let texts = [texts, &[String::new()]].concat();
+        let encoder = (self.record.train.text.encoder, CLIP);
+        self.vectors = source.embeddings(run, &texts, encoder, session)?;
+        self.record.text.texts(self.vectors.as_ref()).map(|_| ())
     }
 
     /// Features of `count` variants of each base motion: a latent vector is sampled by the text, and each
@@ -163,19 +152,17 @@ impl Generator {
             .iter()
             .zip(latents.chunks_exact(width))
             .map(|(base, latent)| {
-                if session.is_stopped() {
-                    return Err(Error::Stopped { what: "generating" });
-                }
+                session.go_on("generating")?;
                 let values: Vec<f32> = (0..count)
                     .flat_map(|variant| {
                         let mut rng = seed.rng(&["variant", &base.id, &variant.to_string()]);
-                        latent
-                            .iter()
-                            .map(|value| value + sigma * rng.sample::<f32, _>(StandardNormal))
+                        let moved = latent.iter().zip(normal(&mut rng, width));
+                        moved
+                            .map(|(value, noise)| value + sigma * noise)
                             .collect::<Vec<f32>>()
                     })
                     .collect();
-                Ok(self.decoded(values, count, base.frames))
+                Ok(self.decoded(values, count, base.frames, session))
             })
             .collect()
     }
@@ -190,28 +177,22 @@ impl Generator {
         let (rows, width) = (bases.len(), self.record.train.model.width);
         let start: Vec<f32> = bases
             .iter()
-            .flat_map(|base| {
-                let mut rng = seed.rng(&["base", &base.id]);
-                (0..width)
-                    .map(|_| rng.sample(StandardNormal))
-                    .collect::<Vec<f32>>()
-            })
+            .flat_map(|base| normal(&mut seed.rng(&["base", &base.id]), width))
             .collect();
-        let start = Tensor::<2>::from_data(TensorData::new(start, [rows, width]), &self.device);
-        let vectors = self.vectors.as_deref().map(|vectors| vectors as _);
-        let texts = self.record.text.texts(vectors)?;
+        let start = send(start, [rows, width], &self.device);
+        let texts = self.record.text.texts(self.vectors.as_ref())?;
         let none = std::iter::repeat_n("", rows);
         let texts = texts.batch(bases.iter().map(|base| base.text.as_str()).chain(none))?;
         let text = self.model.text_vectors(&texts, 2 * rows, &self.device);
+        let pass = Pass::new(session.arithmetic);
         let latents = self.ddim.sample(
             start,
             |z, timestep| {
-                if session.is_stopped() {
-                    return Err(Error::Stopped { what: "generating" });
-                }
+                session.go_on("generating")?;
                 let both = Tensor::cat(vec![z.clone(), z.clone()], 0);
                 let timesteps = vec![timestep; 2 * rows];
-                let both = self.model.network.forward(both, &timesteps, text.clone());
+                let network = &self.model.network;
+                let both = network.forward(both, &timesteps, text.clone(), &pass);
                 let half = |index: usize| both.clone().narrow(0, index * rows, rows);
                 Ok(guide(half(0), half(1), self.record.train.guidance))
             },
@@ -221,11 +202,17 @@ impl Generator {
     }
 
     /// The motions of latent vectors, all as long as one another.
-    fn decoded(&self, latents: Vec<f32>, rows: usize, frames: usize) -> Vec<Vec<Features>> {
-        let data = TensorData::new(latents, [rows, self.record.train.model.width]);
-        let latents = Tensor::<2>::from_data(data, &self.device);
+    fn decoded(
+        &self,
+        latents: Vec<f32>,
+        rows: usize,
+        frames: usize,
+        session: &Session<'_>,
+    ) -> Vec<Vec<Features>> {
+        let latents = send(latents, [rows, self.record.train.model.width], &self.device);
         let network = &self.autoencoder.network;
-        let values = read(network.decode(latents, &vec![frames; rows], frames));
+        let pass = Pass::new(session.arithmetic);
+        let values = read(network.decode(latents, &vec![frames; rows], frames, &pass));
         let restored = self.autoencoder.stats.restored(&values);
         let (features, _) = restored.as_chunks();
         features.chunks_exact(frames).map(<[_]>::to_vec).collect()

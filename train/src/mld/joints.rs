@@ -1,9 +1,10 @@
 //! Joint positions of HumanML3D features, with gradients.
 
-use burn::tensor::{Device, Tensor, TensorData};
-
+use burn::tensor::{Device, Tensor};
 use datasets_spec::record::HUMANML3D_WIDTH;
 use kinematics::skeleton::NUM_BODY_JOINTS;
+
+use crate::transfer::send;
 
 /// The joints of features, as [`features::humanml3d::recover_joints`] finds them.
 ///
@@ -50,7 +51,7 @@ fn sums(frames: usize, is_added: impl Fn(usize, usize) -> bool, device: &Device)
         .flat_map(|to| (0..frames).map(move |from| (from, to)))
         .map(|(from, to)| f32::from(u8::from(is_added(from, to))))
         .collect();
-    Tensor::from_data(TensorData::new(values, [1, frames, frames]), device)
+    send(values, [1, frames, frames], device)
 }
 
 #[cfg(test)]
@@ -58,6 +59,7 @@ mod tests {
     use features::humanml3d::{Features, recover_joints};
 
     use super::*;
+    use crate::transfer::read;
 
     #[test]
     fn joints_are_those_of_the_recipe() {
@@ -71,9 +73,8 @@ mod tests {
             })
             .collect();
         let shape = [2, 20, HUMANML3D_WIDTH];
-        let data = TensorData::new(features.as_flattened().to_vec(), shape);
-        let found = recovered_joints(Tensor::from_data(data, &Device::flex()));
-        let found: Vec<f32> = found.into_data().try_into_vec_as().expect("floats");
+        let features = send(features.as_flattened().to_vec(), shape, &Device::flex());
+        let found = read(recovered_joints(features));
         let expected = [&features[..20], &features[20..]].map(recover_joints);
         let expected = expected.iter().flatten().flatten();
         for (found, expected) in found.chunks_exact(3).zip(expected) {

@@ -7,12 +7,12 @@ use burn::nn::{Embedding, EmbeddingConfig, LayerNorm, LayerNormConfig, Linear, L
 use burn::tensor::activation::sigmoid;
 use burn::tensor::module::attention;
 use burn::tensor::ops::AttentionModuleOptions;
-use burn::tensor::{Bool, Device, Int, Tensor, TensorData};
+use burn::tensor::{Device, Int, Tensor, TensorData};
 use safetensors::SafeTensors;
 
 use super::text::token_tensor;
 use super::torch::{StoredTensor, float_tensor, safetensors_of};
-use super::transformer::padding_of;
+use super::transformer::{Padding, join_heads, split_heads};
 use super::weights::from_safetensors_named;
 use crate::Error;
 use crate::vocabulary::TokenBatch;
@@ -213,10 +213,7 @@ impl ClipText {
         let words = self.token_embedding.forward(token_tensor(tokens, &device));
         let places = self.position_embedding.weight.val();
         let places = places.narrow(0, 0, tokens.width);
-        let padding = lengths.map(|lengths| {
-            let [batch, width, _] = words.dims();
-            padding_of(lengths, width, &device).reshape([batch, 1, 1, width])
-        });
+        let padding = lengths.map(|lengths| Padding::after(lengths, tokens.width));
         let x = self
             .layers
             .iter()
@@ -255,7 +252,6 @@ fn end_place(ids: &[i32], end_token: usize) -> usize {
     ids.iter().position(|&id| Some(id) == end).unwrap_or(0)
 }
 
-/// A pre-norm transformer layer.
 #[derive(Module, Debug)]
 struct ClipLayer {
     self_attn: ClipAttention,
@@ -277,7 +273,7 @@ impl ClipLayer {
         }
     }
 
-    fn forward(&self, x: Tensor<3>, padding: Option<&Tensor<4, Bool>>) -> Tensor<3> {
+    fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
         let normed = self.layer_norm1.forward(x.clone());
         let x = x + self.self_attn.forward(normed, padding);
         let normed = self.layer_norm2.forward(x.clone());
@@ -307,19 +303,9 @@ impl ClipAttention {
         }
     }
 
-    fn forward(&self, x: Tensor<3>, padding: Option<&Tensor<4, Bool>>) -> Tensor<3> {
-        let [batch, length, width] = x.dims();
-        let heads = |layer: &Linear| {
-            layer
-                .forward(x.clone())
-                .reshape([batch, length, self.num_heads, width / self.num_heads])
-                .swap_dims(1, 2)
-        };
-        let mask = padding.map(|padding| {
-            padding
-                .clone()
-                .expand([batch, self.num_heads, length, length])
-        });
+    fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
+        let heads = |layer: &Linear| split_heads(layer.forward(x.clone()), self.num_heads);
+        let mask = padding.map(|padding| padding.of_attention(self.num_heads, &x.device()));
         let options = AttentionModuleOptions {
             is_causal: true,
             ..Default::default()
@@ -332,12 +318,10 @@ impl ClipAttention {
             None,
             options,
         );
-        self.out_proj
-            .forward(attended.swap_dims(1, 2).reshape([batch, length, width]))
+        self.out_proj.forward(join_heads(attended))
     }
 }
 
-/// The feed-forward layers.
 #[derive(Module, Debug)]
 struct ClipMlp {
     fc1: Linear,

@@ -4,16 +4,13 @@ use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use burn_store::ModuleSnapshot;
 
 use super::denoiser::TEXT_DIVISOR;
 use super::motionrefit::TextSource;
-use super::text::{LearnedText, text_vectors};
-use super::weights::{from_safetensors, to_safetensors};
+use super::text::{LearnedText, TextBatch, text_vectors};
+use super::weights::{Networks, both_files};
 use crate::Error;
-use crate::checkpoint::{Files, take};
-use crate::data::TextBatch;
-use crate::fit::TEXT;
+use crate::checkpoint::Files;
 
 /// A network and its text encoder.
 #[derive(Module, Debug)]
@@ -24,7 +21,20 @@ pub struct Conditioned<N: Module> {
     pub text: Option<LearnedText>,
 }
 
-impl<N: Module + ModuleSnapshot> Conditioned<N> {
+impl<N: Networks> Networks for Conditioned<N> {
+    const FILE: &'static str = N::FILE;
+
+    fn to_files(&self, run_dir: &Path) -> Result<Files, Error> {
+        both_files(&self.network, &self.text, run_dir)
+    }
+
+    fn take_files(&mut self, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        self.network.take_files(files, run_dir)?;
+        self.text.take_files(files, run_dir)
+    }
+}
+
+impl<N: Module> Conditioned<N> {
     /// Builds a network for the width of its text vectors. A learned encoder makes vectors of `width`
     /// numbers.
     pub fn new(
@@ -33,10 +43,7 @@ impl<N: Module + ModuleSnapshot> Conditioned<N> {
         device: &Device,
         network: impl FnOnce(usize) -> N,
     ) -> Self {
-        let (text_width, text) = match text {
-            TextSource::Learned(tokens) => (width, Some(LearnedText::new(tokens, width, device))),
-            TextSource::Frozen(width) => (width, None),
-        };
+        let (text_width, text) = text.encoder(width, device);
         Self {
             network: network(text_width),
             text,
@@ -56,40 +63,6 @@ impl<N: Module + ModuleSnapshot> Conditioned<N> {
         match &self.text {
             Some(_) => vectors.div_scalar(TEXT_DIVISOR),
             None => vectors,
-        }
-    }
-
-    /// The networks as files of a checkpoint, that of `N` under the given name.
-    ///
-    /// # Errors
-    /// A network cannot be written.
-    pub(crate) fn save(&self, name: &str, run_dir: &Path) -> Result<Files, Error> {
-        let network = to_safetensors(&self.network, run_dir)?;
-        let mut files: Files = [(name.to_owned(), network)].into();
-        if let Some(text) = &self.text {
-            files.insert(TEXT.to_owned(), to_safetensors(text, run_dir)?);
-        }
-        Ok(files)
-    }
-
-    /// The inverse of [`Conditioned::save`].
-    ///
-    /// # Errors
-    /// A file is missing, damaged or of another network.
-    pub(crate) fn load(
-        &mut self,
-        name: &str,
-        files: &mut Files,
-        run_dir: &Path,
-    ) -> Result<(), Error> {
-        let bytes = take(files, name, run_dir)?;
-        from_safetensors(&mut self.network, bytes, "", &run_dir.join(name))?;
-        match &mut self.text {
-            Some(text) => {
-                let bytes = take(files, TEXT, run_dir)?;
-                from_safetensors(text, bytes, "", &run_dir.join(TEXT))
-            }
-            None => Ok(()),
         }
     }
 }

@@ -2,22 +2,15 @@
 
 use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
-use burn::tensor::activation::{sigmoid, silu};
+use burn::tensor::activation::sigmoid;
 use burn::tensor::{Device, Tensor};
-use kinematics::normalise::FRAME_WIDTH;
 
-use super::denoiser::IndexEmbedding;
-use super::dropout::drop_out;
+use super::denoiser::TwoLayers;
+use super::pass::Pass;
 use super::position::positions;
 use super::transformer::Encoder;
+use super::weights::Networks;
 use crate::config::NetworkConfig;
-
-/// The two layers after the mean over frames.
-#[derive(Module, Debug)]
-pub struct Verdict {
-    hidden: Linear,
-    output: Linear,
-}
 
 /// A transformer over a token of the diffusion step and the frames of a window, and a verdict on
 /// their mean.
@@ -30,34 +23,31 @@ pub struct Verdict {
 pub struct Coordinator {
     embedding_input: Linear,
     embedding_original: Linear,
-    embed_timestep: IndexEmbedding,
-    embed_prog_ind: IndexEmbedding,
+    embed_timestep: TwoLayers,
+    embed_prog_ind: TwoLayers,
     transformer: Encoder,
     out: Linear,
-    pred: Verdict,
+    /// What follows the mean over frames.
+    pred: TwoLayers,
     dropout: Dropout,
 }
 
-impl Coordinator {
-    /// Builds the network.
-    pub fn new(config: &NetworkConfig, device: &Device) -> Self {
-        Self::of_frames(config, FRAME_WIDTH, device)
-    }
+impl Networks for Coordinator {
+    const FILE: &'static str = "coordinator.safetensors";
+}
 
-    /// Builds the network for frames of other than 84 numbers.
-    pub fn of_frames(config: &NetworkConfig, frame_width: usize, device: &Device) -> Self {
+impl Coordinator {
+    /// Builds the network for frames of `frame_width` numbers, 84 of all keypoints.
+    pub fn new(config: &NetworkConfig, frame_width: usize, device: &Device) -> Self {
         let linear = |from, to| LinearConfig::new(from, to).init(device);
         Self {
             embedding_input: linear(frame_width, config.width),
             embedding_original: linear(frame_width, config.width),
-            embed_timestep: IndexEmbedding::new(config.width, device),
-            embed_prog_ind: IndexEmbedding::new(config.width, device),
+            embed_timestep: TwoLayers::new([config.width; 3], device),
+            embed_prog_ind: TwoLayers::new([config.width; 3], device),
             transformer: Encoder::new(config, device),
             out: linear(config.width, frame_width),
-            pred: Verdict {
-                hidden: linear(frame_width, frame_width),
-                output: linear(frame_width, 1),
-            },
+            pred: TwoLayers::new([frame_width, frame_width, 1], device),
             dropout: DropoutConfig::new(config.dropout).init(),
         }
     }
@@ -66,31 +56,29 @@ impl Coordinator {
     ///
     /// # Shapes
     /// `x` `[B, W, 84]`, `timesteps` `[B]`; the result `[B, 1]`.
-    pub fn logits(&self, x: Tensor<3>, timesteps: &[usize]) -> Tensor<2> {
+    pub fn logits(&self, x: Tensor<3>, timesteps: &[usize], pass: &Pass) -> Tensor<2> {
         let [_, window, _] = x.dims();
         let device = x.device();
         let frames = self.embedding_input.forward(x);
         let [_, _, width] = frames.dims();
         // The token of the step is not scaled, unlike that of the denoiser (released code).
-        let step = self.embed_timestep.forward(timesteps).unsqueeze_dim::<3>(1);
+        let step = self.embed_timestep.embed(timesteps).unsqueeze_dim::<3>(1);
         let tokens = Tensor::cat(vec![step, frames.mul_scalar((width as f64).sqrt())], 1);
         let tokens = tokens + positions(1 + window, width, &device);
         let tokens = self
             .transformer
-            .forward(drop_out(&self.dropout, tokens), None);
+            .forward(pass.drop_out(&self.dropout, tokens), None, pass);
         let frames = self.out.forward(tokens.narrow(1, 1, window));
         let mean = frames.mean_dim(1).squeeze_dim::<2>(1);
-        self.pred
-            .output
-            .forward(silu(self.pred.hidden.forward(mean)))
+        self.pred.forward(mean)
     }
 
     /// The probability that each window was composed.
     ///
     /// # Shapes
     /// As [`Coordinator::logits`].
-    pub fn probability(&self, x: Tensor<3>, timesteps: &[usize]) -> Tensor<2> {
-        sigmoid(self.logits(x, timesteps))
+    pub fn probability(&self, x: Tensor<3>, timesteps: &[usize], pass: &Pass) -> Tensor<2> {
+        sigmoid(self.logits(x, timesteps, pass))
     }
 
     /// The gradient of the probability of each window with respect to that window.
@@ -98,13 +86,13 @@ impl Coordinator {
     /// # Shapes
     /// `x` and the result `[B, W, 84]`, on a device without automatic differentiation; `timesteps`
     /// `[B]`.
-    pub fn gradient(&self, x: Tensor<3>, timesteps: &[usize]) -> Tensor<3> {
+    pub fn gradient(&self, x: Tensor<3>, timesteps: &[usize], pass: &Pass) -> Tensor<3> {
         let device = x.device();
         let x = Tensor::<3>::from_inner(x).require_grad();
         // On a device with gradients dropout would be at work.
         let settled = self.valid();
         // A row never sees another, so that the gradient of the sum holds the gradient of each.
-        let sum = settled.probability(x.clone(), timesteps).sum();
+        let sum = settled.probability(x.clone(), timesteps, pass).sum();
         let gradients = sum.backward();
         x.grad(&gradients)
             .unwrap_or_else(|| Tensor::zeros(x.dims(), &device))

@@ -5,12 +5,11 @@ use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
 use burn::tensor::activation::silu;
 use burn::tensor::{Device, Tensor};
 use kinematics::canonical::FIXED_FRAMES;
-use kinematics::normalise::FRAME_WIDTH;
 
-use super::dropout::drop_out;
-use super::fused::PreparedEncoder;
+use super::pass::{Arithmetic, Pass};
 use super::position::{positions, sinusoid};
-use super::transformer::Encoder;
+use super::transformer::{Encoder, PreparedWeights};
+use super::weights::Networks;
 use crate::config::{NetworkConfig, PreviousFrames};
 
 /// What the text feature is divided by before it joins the condition token (released code).
@@ -19,53 +18,37 @@ pub const TEXT_DIVISOR: f64 = 10.0;
 /// Steps progress in [0, 1] is divided into before it is looked up (released code).
 const PROGRESS_STEPS: f32 = 100.0;
 
-/// An index looked up in the sinusoidal table and mapped by two layers.
+/// Two layers with SiLU between them.
 #[derive(Module, Debug)]
-pub struct IndexEmbedding {
+pub struct TwoLayers {
     hidden: Linear,
     output: Linear,
 }
 
-impl IndexEmbedding {
-    pub(crate) fn new(width: usize, device: &Device) -> Self {
+impl TwoLayers {
+    /// Builds layers from `input` numbers to `hidden`, and on to `output`.
+    pub(crate) fn new([input, hidden, output]: [usize; 3], device: &Device) -> Self {
         Self {
-            hidden: LinearConfig::new(width, width).init(device),
-            output: LinearConfig::new(width, width).init(device),
+            hidden: LinearConfig::new(input, hidden).init(device),
+            output: LinearConfig::new(hidden, output).init(device),
         }
     }
 
-    /// Embeds indices.
+    /// Applies the layers.
     ///
     /// # Shapes
-    /// `[B]` indices give `[B, d]`.
-    pub fn forward(&self, indices: &[usize]) -> Tensor<2> {
+    /// `[.., input]` gives `[.., output]`.
+    pub fn forward<const D: usize>(&self, x: Tensor<D>) -> Tensor<D> {
+        self.output.forward(silu(self.hidden.forward(x)))
+    }
+
+    /// Embeds indices, each looked up in the sinusoidal table.
+    ///
+    /// # Shapes
+    /// `[B]` indices give `[B, output]`.
+    pub fn embed(&self, indices: &[usize]) -> Tensor<2> {
         let weight = self.hidden.weight.val();
-        let table = sinusoid(indices, weight.dims()[0], &weight.device());
-        self.output.forward(silu(self.hidden.forward(table)))
-    }
-}
-
-/// Frames before a window, each mapped by two layers to the token of its place.
-#[derive(Module, Debug)]
-pub struct PreviousEmbedding {
-    hidden: Linear,
-    output: Linear,
-}
-
-impl PreviousEmbedding {
-    fn new(frame_width: usize, width: usize, device: &Device) -> Self {
-        Self {
-            hidden: LinearConfig::new(frame_width, width).init(device),
-            output: LinearConfig::new(width, width).init(device),
-        }
-    }
-
-    /// Embeds frames.
-    ///
-    /// # Shapes
-    /// `[B, F, 84]` give `[B, F, d]`.
-    pub fn forward(&self, frames: Tensor<3>) -> Tensor<3> {
-        self.output.forward(silu(self.hidden.forward(frames)))
+        self.forward(sinusoid(indices, weight.dims()[0], &weight.device()))
     }
 }
 
@@ -78,12 +61,13 @@ impl PreviousEmbedding {
 /// that of every frame.
 #[derive(Module, Debug)]
 pub struct Denoiser {
-    embed_previous: Option<PreviousEmbedding>,
+    /// Maps each frame before a window to the token of its place.
+    embed_previous: Option<TwoLayers>,
     project_text: Option<Linear>,
     embedding_input: Linear,
     embedding_original: Linear,
-    embed_timestep: IndexEmbedding,
-    embed_prog_ind: IndexEmbedding,
+    embed_timestep: TwoLayers,
+    embed_prog_ind: TwoLayers,
     transformer: Encoder,
     out: Linear,
     /// Gates of each keypoint, for predictions that have them.
@@ -94,44 +78,34 @@ pub struct Denoiser {
     dropout: Dropout,
 }
 
-impl Denoiser {
-    /// Builds the network for text vectors of `text_width` numbers. If that is not the network's own
-    /// width, a layer maps one to the other; neither publication has one.
-    pub fn new(
-        config: &NetworkConfig,
-        previous: PreviousFrames,
-        text_width: usize,
-        device: &Device,
-    ) -> Self {
-        Self::of_frames(config, previous, text_width, FRAME_WIDTH, device)
-    }
+impl Networks for Denoiser {
+    const FILE: &'static str = "denoiser.safetensors";
+}
 
-    /// Builds the network for frames of other than 84 numbers.
-    pub fn of_frames(
+impl Denoiser {
+    /// Builds the network for text vectors of `text_width` numbers and frames of `frame_width`, which is 84 of all
+    /// keypoints. If text vectors have not the network's own width, a layer maps one to the other; neither
+    /// publication has one.
+    pub fn new(
         config: &NetworkConfig,
         previous: PreviousFrames,
         text_width: usize,
         frame_width: usize,
         device: &Device,
     ) -> Self {
+        let width = config.width;
+        let linear = LinearConfig::new;
         Self {
-            embed_previous: match previous {
-                PreviousFrames::Encoded => {
-                    Some(PreviousEmbedding::new(frame_width, config.width, device))
-                }
-                PreviousFrames::Inpainted => None,
-            },
-            project_text: (text_width != config.width).then(|| {
-                LinearConfig::new(text_width, config.width)
-                    .with_bias(false)
-                    .init(device)
-            }),
-            embedding_input: LinearConfig::new(frame_width, config.width).init(device),
-            embedding_original: LinearConfig::new(frame_width, config.width).init(device),
-            embed_timestep: IndexEmbedding::new(config.width, device),
-            embed_prog_ind: IndexEmbedding::new(config.width, device),
+            embed_previous: (previous == PreviousFrames::Encoded)
+                .then(|| TwoLayers::new([frame_width, width, width], device)),
+            project_text: (text_width != width)
+                .then(|| linear(text_width, width).with_bias(false).init(device)),
+            embedding_input: linear(frame_width, width).init(device),
+            embedding_original: linear(frame_width, width).init(device),
+            embed_timestep: TwoLayers::new([width; 3], device),
+            embed_prog_ind: TwoLayers::new([width; 3], device),
             transformer: Encoder::new(config, device),
-            out: LinearConfig::new(config.width, frame_width).init(device),
+            out: linear(width, frame_width).init(device),
             gate: None,
             tells_frames: false,
             dropout: DropoutConfig::new(config.dropout).init(),
@@ -192,6 +166,7 @@ impl Denoiser {
         text: Tensor<2>,
         progress: &[f32],
         original: Tensor<3>,
+        pass: &Pass,
     ) -> Tensor<3> {
         let [_, window, _] = x.dims();
         let device = x.device();
@@ -201,9 +176,9 @@ impl Denoiser {
 
         let frames = (self.embed_frames(x) + self.embedding_original.forward(original))
             .mul_scalar(scale / 2.0);
-        let condition = self.embed_timestep.forward(timesteps)
+        let condition = self.embed_timestep.embed(timesteps)
             + text.div_scalar(TEXT_DIVISOR)
-            + self.embed_prog_ind.forward(&progress_indices(progress));
+            + self.embed_prog_ind.embed(&progress_indices(progress));
         let condition = condition.mul_scalar(scale).unsqueeze_dim::<3>(1);
         let frames = self.told(frames, &condition);
 
@@ -211,12 +186,10 @@ impl Denoiser {
         let tokens = tokens + positions(1 + window, width, &device);
         let tokens = self
             .transformer
-            .forward(drop_out(&self.dropout, tokens), None);
+            .forward(pass.drop_out(&self.dropout, tokens), None, pass);
         self.read(tokens.narrow(1, 1, window))
     }
-}
 
-impl Denoiser {
     /// Text vectors in the width of the network. The layer has no bias, which keeps zeros zeros: no
     /// text stays no text.
     fn project(&self, text: Tensor<2>) -> Tensor<2> {
@@ -238,8 +211,8 @@ impl Denoiser {
     }
 
     /// Lays out the weights as they are multiplied while sampling.
-    pub fn prepared_weights(&self) -> PreparedWeights {
-        PreparedWeights(self.transformer.prepare())
+    pub fn prepared_weights(&self, arithmetic: Arithmetic) -> PreparedWeights {
+        self.transformer.prepare(arithmetic)
     }
 
     /// Computes once what does not change from step to step of sampling: the embeddings of all
@@ -263,27 +236,22 @@ impl Denoiser {
         let steps: Vec<usize> = (0..num_steps).collect();
         PreparedDenoiser {
             denoiser: self,
-            encoder: weights.0.as_ref(),
-            steps: self.embed_timestep.forward(&steps),
+            weights,
+            steps: self.embed_timestep.embed(&steps),
             condition: text.div_scalar(TEXT_DIVISOR)
-                + self.embed_prog_ind.forward(&progress_indices(progress)),
+                + self.embed_prog_ind.embed(&progress_indices(progress)),
             original: self.embedding_original.forward(original),
             positions: positions(1 + window, width, &device),
         }
     }
 }
 
-/// The weights of a denoiser, prepared for many passes where they lie on a processor. They are those it
-/// had when they were prepared.
-#[derive(Debug)]
-pub struct PreparedWeights(Option<PreparedEncoder>);
-
 /// A denoiser together with what it is conditioned on, for the steps of sampling. No gradients flow
 /// through it on a processor.
 #[derive(Debug)]
 pub struct PreparedDenoiser<'a> {
     denoiser: &'a Denoiser,
-    encoder: Option<&'a PreparedEncoder>,
+    weights: &'a PreparedWeights,
     /// `[S, d]`
     steps: Tensor<2>,
     /// `[B, d]`
@@ -309,10 +277,7 @@ impl PreparedDenoiser<'_> {
         let condition = condition.mul_scalar(scale).unsqueeze_dim::<3>(1);
         let frames = self.denoiser.told(frames, &condition);
         let tokens = Tensor::cat(vec![condition, frames], 1) + self.positions.clone();
-        let encoded = self
-            .encoder
-            .and_then(|encoder| encoder.forward(tokens.clone()))
-            .unwrap_or_else(|| self.denoiser.transformer.forward(tokens, None));
+        let encoded = self.denoiser.transformer.infer(self.weights, tokens);
         self.denoiser.read(encoded.narrow(1, 1, window))
     }
 }
@@ -333,6 +298,7 @@ mod tests {
     fn a_prepared_denoiser_predicts_the_same() {
         use burn::tensor::Distribution;
         use datasets_spec::Seed;
+        use kinematics::normalise::FRAME_WIDTH;
 
         use crate::model::weights::draw;
 
@@ -349,7 +315,7 @@ mod tests {
             (PreviousFrames::Inpainted, 32, true),
             (PreviousFrames::Encoded, 12, false),
         ] {
-            let denoiser = Denoiser::new(&config, previous, text_width, &device);
+            let denoiser = Denoiser::new(&config, previous, text_width, FRAME_WIDTH, &device);
             let denoiser = if is_ours {
                 denoiser.gated(2).telling_frames()
             } else {
@@ -362,7 +328,7 @@ mod tests {
             let (x, original) = (normal([3, 16, FRAME_WIDTH]), normal([3, 16, FRAME_WIDTH]));
             let text = normal([3, 1, text_width]).squeeze_dim::<2>(1);
             let progress = [0.0, 0.4, 1.0];
-            let weights = denoiser.prepared_weights();
+            let weights = denoiser.prepared_weights(Arithmetic::default());
             let prepared =
                 denoiser.prepare(&weights, 10, text.clone(), &progress, original.clone());
             for timestep in [0, 7] {
@@ -373,6 +339,7 @@ mod tests {
                     text.clone(),
                     &progress,
                     original.clone(),
+                    &Pass::default(),
                 );
                 let difference: f32 = (found - expected).abs().max().into_scalar();
                 assert!(difference < 1e-5, "{difference}");

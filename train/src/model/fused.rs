@@ -5,7 +5,6 @@
 //! of them only to copy, mask or sum. Here every array is read and written once. Tests compare the layer
 //! with the composed one, also on another backend.
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
@@ -14,35 +13,19 @@ use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Flex};
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Tensor, TensorData};
 use kernels::attention::{self, Heads};
 use kernels::on_workers;
 use kernels::product::{Matrix, Write, multiply};
 use kernels::rows::{
-    Mask, Norm, add_bias, column_sums, factors, gelu_dropout, residual_norm,
+    Mask, Norm, NormGrads, add_bias, column_sums, factors, gelu_dropout, residual_norm,
     residual_norm_backward, times_derivatives,
 };
-
-use super::precision::is_bf16;
 
 /// Numbers of a tensor of the processor's backend.
 type Buffer = FloatTensor<Flex>;
 /// The same with a place in the graph of gradients.
 type Tracked = FloatTensor<Autodiff<Flex>>;
-
-static ENABLED: AtomicBool = AtomicBool::new(true);
-
-/// Switches the fused operations of this process on or off. Without them every model is composed of
-/// burn's own operations; results are equal up to rounding.
-pub fn set_enabled(is_enabled: bool) {
-    ENABLED.store(is_enabled, Ordering::Relaxed);
-}
-
-/// Whether the fused operations are used on a device: only in the memory of the processor.
-pub(crate) fn is_used(device: &Device) -> bool {
-    // The kernels compute in single precision.
-    ENABLED.load(Ordering::Relaxed) && !is_bf16() && device.clone().inner() == Device::flex()
-}
 
 /// The factors of a dropout: 0 with probability `prob`, otherwise `1 / (1 - prob)`.
 pub(crate) fn dropout_factors(prob: f64, key: u64, count: usize) -> Vec<f32> {
@@ -82,9 +65,6 @@ impl PreparedLayer {
 
     /// Prepares a layer for inference; none where its tensors lie elsewhere.
     pub(crate) fn for_inference(tensors: LayerTensors, num_heads: usize) -> Option<Self> {
-        if !is_used(&tensors.weights[0].device()) {
-            return None;
-        }
         let weights = all(tensors.weights.map(plain))?;
         let vectors = all(tensors.vectors.map(plain))?;
         Some(Self::new(weights, vectors, num_heads))
@@ -315,9 +295,102 @@ impl Backward<Flex, 13> for LayerBackward {
     }
 }
 
+/// Gradients of a block: of its two weights where they are asked for, of the bias of the first, and of the norm.
+struct BlockGrads {
+    weights: [Option<Buffer>; 2],
+    bias: Vec<f32>,
+    norm: NormGrads,
+}
+
 impl LayerState {
     /// Gradients of the input, the weights and the vectors, those of weights only where asked for.
     fn backward(&self, grad: Buffer, has_grad: [bool; 13]) -> [Option<Buffer>; 13] {
+        let mut residual = numbers(&grad.to_contiguous()).to_vec();
+        let mut branch = branch_buffer(self.masks.output, residual.len());
+        let [_, has_weights @ .., _, _, _, _, _, _, _, _] = has_grad;
+        let of_forward = self.feed_forward_backward(&mut residual, &mut branch, has_weights);
+        let (of_attention, of_joint) =
+            self.attention_backward(&mut residual, &mut branch, has_weights);
+        let of_x = has_grad[0].then(|| {
+            let (left, right) = self.back(&of_joint, IN_PROJ);
+            multiply(left, right, &mut residual, Write::Add);
+            let shape = self.x.layout().shape();
+            buffer(residual, [shape[0], shape[1], shape[2]])
+        });
+        let vector = |values: Vec<f32>| {
+            let length = values.len();
+            Some(buffer(values, [length]))
+        };
+        let [of_in_proj, of_out_proj] = of_attention.weights;
+        let [of_linear1, of_linear2] = of_forward.weights;
+        let (first, second) = (of_attention.norm, of_forward.norm);
+        [
+            of_x,
+            of_in_proj,
+            of_out_proj,
+            of_linear1,
+            of_linear2,
+            vector(of_attention.bias),
+            vector(first.bias),
+            vector(of_forward.bias),
+            vector(second.bias),
+            vector(first.gamma),
+            vector(first.beta),
+            vector(second.gamma),
+            vector(second.beta),
+        ]
+    }
+
+    /// The backward pass of the second norm and the feed-forward block: `residual`, the gradient of the result of the
+    /// layer, becomes that of what enters the block.
+    fn feed_forward_backward(
+        &self,
+        residual: &mut [f32],
+        branch: &mut [f32],
+        has_weights: [bool; 4],
+    ) -> BlockGrads {
+        let Self {
+            layer,
+            saved,
+            masks,
+            ..
+        } = self;
+        let norm = residual_norm_backward(
+            residual,
+            &saved.second.0,
+            &saved.second.1,
+            layer.norm(1).gamma,
+            masks.output,
+            branch,
+        );
+        let of_output: &[f32] = if masks.output.is_active() {
+            &*branch
+        } else {
+            &*residual
+        };
+        let of_linear2 = self.of_weight(LINEAR2, &saved.hidden, of_output, has_weights);
+        let (left, right) = self.back(of_output, LINEAR2);
+        let mut of_hidden = product(left, right);
+        let hidden_width = layer.weight(LINEAR1).columns();
+        let bias = times_derivatives(&mut of_hidden, &saved.derivatives, hidden_width);
+        let of_linear1 = self.of_weight(LINEAR1, &saved.middle, &of_hidden, has_weights);
+        let (left, right) = self.back(&of_hidden, LINEAR1);
+        multiply(left, right, residual, Write::Add);
+        BlockGrads {
+            weights: [of_linear1, of_linear2],
+            bias,
+            norm,
+        }
+    }
+
+    /// The backward pass of the first norm and attention: `residual` becomes the gradient of what goes past attention.
+    /// The second result is the gradient of queries, keys and values.
+    fn attention_backward(
+        &self,
+        residual: &mut [f32],
+        branch: &mut [f32],
+        has_weights: [bool; 4],
+    ) -> (BlockGrads, Vec<f32>) {
         let Self {
             layer,
             saved,
@@ -325,57 +398,20 @@ impl LayerState {
             ..
         } = self;
         let heads = layer.heads(self.length, self.padding.as_deref());
-        let (width, shape) = (heads.width, self.x.layout().shape().clone());
-        let hidden_width = layer.weight(LINEAR1).columns();
-        let gamma = |norm: usize| layer.norm(norm).gamma;
-        let of_weight = |weight: usize, x: &[f32], grad: &[f32]| {
-            has_grad[1 + weight].then(|| {
-                let [inputs, outputs] = [x, grad].map(|values| values.len() / self.rows());
-                let grad = Matrix::new(grad, outputs);
-                let values = product(Matrix::new(x, inputs).transposed(), grad);
-                buffer(values, [inputs, outputs])
-            })
-        };
-
-        // Second norm and feed-forward block.
-        let mut residual = numbers(&grad.to_contiguous()).to_vec();
-        let mut branch = branch_buffer(masks.output, residual.len());
-        let second = residual_norm_backward(
-            &mut residual,
-            &saved.second.0,
-            &saved.second.1,
-            gamma(1),
-            masks.output,
-            &mut branch,
-        );
-        let of_output = if masks.output.is_active() {
-            &branch
-        } else {
-            &residual
-        };
-        let of_linear2 = of_weight(LINEAR2, &saved.hidden, of_output);
-        let (left, right) = self.back(of_output, LINEAR2);
-        let mut of_hidden = product(left, right);
-        let of_bias1 = times_derivatives(&mut of_hidden, &saved.derivatives, hidden_width);
-        let of_linear1 = of_weight(LINEAR1, &saved.middle, &of_hidden);
-        let (left, right) = self.back(&of_hidden, LINEAR1);
-        multiply(left, right, &mut residual, Write::Add);
-
-        // First norm and attention.
-        let first = residual_norm_backward(
-            &mut residual,
+        let norm = residual_norm_backward(
+            residual,
             &saved.first.0,
             &saved.first.1,
-            gamma(0),
+            layer.norm(0).gamma,
             masks.attended,
-            &mut branch,
+            branch,
         );
-        let of_output = if masks.attended.is_active() {
-            &branch
+        let of_output: &[f32] = if masks.attended.is_active() {
+            &*branch
         } else {
-            &residual
+            &*residual
         };
-        let of_out_proj = of_weight(OUT_PROJ, &saved.attended, of_output);
+        let of_out_proj = self.of_weight(OUT_PROJ, &saved.attended, of_output, has_weights);
         let (left, right) = self.back(of_output, OUT_PROJ);
         let of_attended = product(left, right);
         let of_joint = attention::backward(
@@ -385,33 +421,29 @@ impl LayerState {
             &saved.weights,
             &of_attended,
         );
-        let x = numbers(&self.x);
-        let of_in_proj = of_weight(IN_PROJ, x, &of_joint);
-        let of_joint_bias = column_sums(&of_joint, 3 * width);
-        let of_x = has_grad[0].then(|| {
-            let (left, right) = self.back(&of_joint, IN_PROJ);
-            multiply(left, right, &mut residual, Write::Add);
-            buffer(residual, [shape[0], shape[1], shape[2]])
-        });
-        let vector = |values: Vec<f32>| {
-            let length = values.len();
-            Some(buffer(values, [length]))
+        let of_in_proj = self.of_weight(IN_PROJ, numbers(&self.x), &of_joint, has_weights);
+        let grads = BlockGrads {
+            weights: [of_in_proj, of_out_proj],
+            bias: column_sums(&of_joint, 3 * heads.width),
+            norm,
         };
-        [
-            of_x,
-            of_in_proj,
-            of_out_proj,
-            of_linear1,
-            of_linear2,
-            vector(of_joint_bias),
-            vector(first.bias),
-            vector(of_bias1),
-            vector(second.bias),
-            vector(first.gamma),
-            vector(first.beta),
-            vector(second.gamma),
-            vector(second.beta),
-        ]
+        (grads, of_joint)
+    }
+
+    /// The gradient of a weight that multiplied `x`, where it is asked for.
+    fn of_weight(
+        &self,
+        weight: usize,
+        x: &[f32],
+        grad: &[f32],
+        has_weights: [bool; 4],
+    ) -> Option<Buffer> {
+        has_weights[weight].then(|| {
+            let [inputs, outputs] = [x, grad].map(|values| values.len() / self.rows());
+            let grad = Matrix::new(grad, outputs);
+            let values = product(Matrix::new(x, inputs).transposed(), grad);
+            buffer(values, [inputs, outputs])
+        })
     }
 
     /// The factors of the gradient of what was multiplied with a weight.
@@ -450,17 +482,12 @@ pub(crate) fn encoder_layer(
     prob: f64,
     draw_key: impl FnOnce() -> u64,
 ) -> Option<Tensor<3>> {
-    if !is_used(&x.device()) {
-        return None;
-    }
     let [_, length, _] = x.dims();
     if !x.device().is_autodiff() {
-        let weights = all(tensors.weights.map(plain))?;
-        let vectors = all(tensors.vectors.map(plain))?;
+        let layer = PreparedLayer::for_inference(tensors, num_heads)?;
         let x = plain(x.clone())?.to_contiguous();
         let mut out = vec![0.0; numbers(&x).len()];
         on_workers(|| {
-            let layer = PreparedLayer::new(weights, vectors, num_heads);
             let heads = layer.heads(length, padding.as_deref());
             layer.infer(numbers(&x), heads, &mut Saved::default(), &mut out);
         });

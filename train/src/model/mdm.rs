@@ -4,11 +4,11 @@ use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
 use burn::tensor::{Device, Tensor};
 
-use super::denoiser::IndexEmbedding;
-use super::dropout::drop_out;
-use super::fused::PreparedEncoder;
+use super::denoiser::TwoLayers;
+use super::pass::{Arithmetic, Pass};
 use super::position::positions;
-use super::transformer::{Encoder, Padding};
+use super::transformer::{Encoder, Padding, PreparedWeights};
+use super::weights::Networks;
 use crate::config::NetworkConfig;
 
 /// A transformer over one token of diffusion step and caption, and a token for each frame.
@@ -19,16 +19,16 @@ use crate::config::NetworkConfig;
 #[derive(Module, Debug)]
 pub struct Mdm {
     pose_embedding: Linear,
-    embed_timestep: IndexEmbedding,
+    embed_timestep: TwoLayers,
     embed_text: Linear,
     sequence_encoder: Encoder,
     pose_final: Linear,
     dropout: Dropout,
 }
 
-/// The layers of an [`Mdm`], prepared for many passes; `None` where they do not lie on a processor.
-#[derive(Debug)]
-pub struct PreparedMdm(Option<PreparedEncoder>);
+impl Networks for Mdm {
+    const FILE: &'static str = "mdm.safetensors";
+}
 
 impl Mdm {
     /// Builds the network for frames of `num_features` numbers and text vectors of `text_width`.
@@ -41,7 +41,7 @@ impl Mdm {
         let linear = |from, to| LinearConfig::new(from, to).init(device);
         Self {
             pose_embedding: linear(num_features, config.width),
-            embed_timestep: IndexEmbedding::new(config.width, device),
+            embed_timestep: TwoLayers::new([config.width; 3], device),
             embed_text: linear(text_width, config.width),
             sequence_encoder: Encoder::new(config, device),
             pose_final: linear(config.width, num_features),
@@ -62,20 +62,23 @@ impl Mdm {
         timesteps: &[usize],
         text: Tensor<2>,
         lengths: Option<&[usize]>,
+        pass: &Pass,
     ) -> Tensor<3> {
         let [_, frames, _] = x.dims();
         let padding = lengths.map(|lengths| {
             let tokens: Vec<usize> = lengths.iter().map(|length| 1 + length).collect();
             Padding::after(&tokens, 1 + frames)
         });
-        let tokens = drop_out(&self.dropout, self.tokens(x, timesteps, text));
-        let tokens = self.sequence_encoder.forward(tokens, padding.as_ref());
+        let tokens = pass.drop_out(&self.dropout, self.tokens(x, timesteps, text));
+        let tokens = self
+            .sequence_encoder
+            .forward(tokens, padding.as_ref(), pass);
         self.frames(tokens)
     }
 
     /// Prepares the layers for sampling. They are those the network has now.
-    pub fn prepare(&self) -> PreparedMdm {
-        PreparedMdm(self.sequence_encoder.prepare())
+    pub fn prepare(&self, arithmetic: Arithmetic) -> PreparedWeights {
+        self.sequence_encoder.prepare(arithmetic)
     }
 
     /// [`Mdm::forward`] without gradients, all frames of all rows taking part.
@@ -84,23 +87,19 @@ impl Mdm {
     /// As [`Mdm::forward`].
     pub fn infer(
         &self,
-        prepared: &PreparedMdm,
+        weights: &PreparedWeights,
         x: Tensor<3>,
         timesteps: &[usize],
         text: Tensor<2>,
     ) -> Tensor<3> {
         let tokens = self.tokens(x, timesteps, text);
-        let encoded = prepared
-            .0
-            .as_ref()
-            .and_then(|encoder| encoder.forward(tokens.clone()));
-        self.frames(encoded.unwrap_or_else(|| self.sequence_encoder.forward(tokens, None)))
+        self.frames(self.sequence_encoder.infer(weights, tokens))
     }
 
     /// The token of step and text, and those of the frames, with their positions: `[B, 1 + T, d]`.
     fn tokens(&self, x: Tensor<3>, timesteps: &[usize], text: Tensor<2>) -> Tensor<3> {
         let device = x.device();
-        let condition = self.embed_timestep.forward(timesteps) + self.embed_text.forward(text);
+        let condition = self.embed_timestep.embed(timesteps) + self.embed_text.forward(text);
         let tokens = Tensor::cat(
             vec![condition.unsqueeze_dim(1), self.pose_embedding.forward(x)],
             1,

@@ -6,21 +6,19 @@ use burn::nn::{Linear, LinearConfig};
 use burn::tensor::activation::{relu, silu};
 use burn::tensor::{Device, Tensor};
 
+use super::pass::Pass;
 use super::position::Tables;
 use super::skip::{SkipDecoder, SkipEncoder};
-use super::tmr::Distribution;
+use super::tmr::{Distribution, NUM_TOKENS, with_tokens};
 use super::transformer::Padding;
+use super::weights::Networks;
 use crate::config::NetworkConfig;
 
-/// Learned tokens put before the frames: one becomes the mean, one the log variance.
-const NUM_TOKENS: usize = 2;
-
 /// Positions of the released tables.
-pub const MAX_POSITIONS: usize = 500;
+pub(crate) const MAX_POSITIONS: usize = 500;
 
-/// A learned table of positions.
 #[derive(Module, Debug)]
-pub struct LearnedPositions {
+struct LearnedPositions {
     pe: Param<Tensor<3>>,
 }
 
@@ -53,6 +51,10 @@ pub struct MotionVae {
     final_layer: Linear,
 }
 
+impl Networks for MotionVae {
+    const FILE: &'static str = "autoencoder.safetensors";
+}
+
 impl MotionVae {
     /// Builds the networks for frames of `num_features` numbers, with tables of so many positions.
     pub fn new(
@@ -77,34 +79,28 @@ impl MotionVae {
     ///
     /// # Shapes
     /// `x` `[B, T, F]`; `lengths` `[B]`, the frames of each row that are not padding.
-    pub fn encode(&self, x: Tensor<3>, lengths: &[usize]) -> Distribution {
-        let [batch, frames, _] = x.dims();
+    pub fn encode(&self, x: Tensor<3>, lengths: &[usize], pass: &Pass) -> Distribution {
+        let [_, frames, _] = x.dims();
         let x = self.skel_embedding.forward(x);
-        let [_, _, width] = x.dims();
-        let tokens = self
-            .global_motion_token
-            .val()
-            .unsqueeze_dim::<3>(0)
-            .expand([batch, NUM_TOKENS, width]);
         let length = NUM_TOKENS + frames;
-        let x = Tensor::cat(vec![tokens, x], 1) + self.query_pos_encoder.rows(length);
+        let x = with_tokens(&self.global_motion_token, x) + self.query_pos_encoder.rows(length);
         let lengths: Vec<usize> = lengths.iter().map(|frames| NUM_TOKENS + frames).collect();
         let padding = Padding::after(&lengths, length);
-        let x = self.encoder.encode(x, Some(&padding));
-        let token = |index: usize| x.clone().narrow(1, index, 1).squeeze_dim::<2>(1);
-        Distribution {
-            mu: token(0),
-            logvar: token(1),
-        }
+        Distribution::of_tokens(&self.encoder.encode(x, Some(&padding), pass))
     }
 
     /// Decodes latent vectors to motions of `frames`; frames past a row's length are zero.
     ///
     /// # Shapes
     /// `latent` `[B, d]`; `lengths` `[B]`; the result `[B, frames, F]`.
-    pub fn decode(&self, latent: Tensor<2>, lengths: &[usize], frames: usize) -> Tensor<3> {
+    pub fn decode(
+        &self,
+        latent: Tensor<2>,
+        lengths: &[usize],
+        frames: usize,
+        pass: &Pass,
+    ) -> Tensor<3> {
         let [batch, width] = latent.dims();
-        let device = latent.device();
         let queries = self
             .query_pos_decoder
             .rows(frames)
@@ -112,21 +108,14 @@ impl MotionVae {
         let padding = Padding::after(lengths, frames);
         let x = self
             .decoder
-            .decode(queries, &latent.unsqueeze_dim(1), Some(&padding));
-        let x = self.final_layer.forward(x);
-        let [_, _, num_features] = x.dims();
-        let padding =
-            padding
-                .mask(&device)
-                .reshape([batch, frames, 1])
-                .expand([batch, frames, num_features]);
-        x.mask_fill(padding, 0.0)
+            .decode(queries, &latent.unsqueeze_dim(1), Some(&padding), pass);
+        padding.clear(self.final_layer.forward(x))
     }
 }
 
 /// Two layers that map the sinusoid of a diffusion step to a token.
 #[derive(Module, Debug)]
-pub struct TimeEmbedding {
+struct TimeEmbedding {
     linear_1: Linear,
     linear_2: Linear,
 }
@@ -142,6 +131,10 @@ pub struct LatentDenoiser {
     text_emb_proj: Linear,
     query_pos: LearnedPositions,
     encoder: SkipEncoder,
+}
+
+impl Networks for LatentDenoiser {
+    const FILE: &'static str = "denoiser.safetensors";
 }
 
 impl LatentDenoiser {
@@ -169,7 +162,13 @@ impl LatentDenoiser {
     ///
     /// # Shapes
     /// `z` and the result `[B, d]`; `timesteps` `[B]`; `text` `[B, text_width]`.
-    pub fn forward(&self, z: Tensor<2>, timesteps: &[usize], text: Tensor<2>) -> Tensor<2> {
+    pub fn forward(
+        &self,
+        z: Tensor<2>,
+        timesteps: &[usize],
+        text: Tensor<2>,
+        pass: &Pass,
+    ) -> Tensor<2> {
         let [_, text_width] = text.dims();
         let time = step_sinusoid(timesteps, text_width, &z.device());
         let embedding = &self.time_embedding;
@@ -180,7 +179,7 @@ impl LatentDenoiser {
         let tokens = Tensor::stack::<3>(vec![z, time, text], 1);
         let [_, length, _] = tokens.dims();
         let tokens = tokens + self.query_pos.rows(length);
-        let encoded = self.encoder.encode(tokens, None);
+        let encoded = self.encoder.encode(tokens, None, pass);
         encoded.narrow(1, 0, 1).squeeze_dim(1)
     }
 }
@@ -190,7 +189,6 @@ impl LatentDenoiser {
 /// # Shapes
 /// `[B]` steps give `[B, width]`.
 pub fn step_sinusoid(timesteps: &[usize], width: usize, device: &Device) -> Tensor<2> {
-    /// Computed once for each width and device.
     static TABLES: Tables = Tables::new(step_sinusoid_values);
     TABLES.rows(timesteps, width, device)
 }

@@ -1,14 +1,20 @@
 //! The denoiser together with the text encoder trained with it, where there is one.
 
+use std::path::Path;
+
 use burn::module::Module;
-use burn::tensor::{Device, Tensor, TensorData};
-use kinematics::normalise::FRAME_WIDTH;
+use burn::tensor::{Device, Tensor};
 
 use super::denoiser::Denoiser;
-use super::text::{LearnedText, text_vectors};
+use super::pass::Pass;
+use super::text::{LearnedText, TextBatch, text_vectors};
+use super::weights::{Networks, both_files};
+use crate::Error;
+use crate::checkpoint::Files;
 use crate::config::{DiffusionConfig, NetworkConfig, Prediction};
-use crate::data::{NoisyBatch, TextBatch};
+use crate::data::NoisyBatch;
 use crate::diffusion::{Objective, num_gates};
+use crate::transfer::send;
 
 /// MotionReFit.
 #[derive(Module, Debug)]
@@ -28,31 +34,40 @@ pub enum TextSource {
     Frozen(usize),
 }
 
-impl MotionRefit {
-    /// Builds the networks.
-    pub fn new(
-        config: &NetworkConfig,
-        diffusion: &DiffusionConfig,
-        text: TextSource,
-        device: &Device,
-    ) -> Self {
-        Self::of_frames(config, diffusion, text, FRAME_WIDTH, device)
+impl TextSource {
+    /// The width of the text vectors, and the encoder that is trained to make them, of vectors of `width`.
+    pub(super) fn encoder(self, width: usize, device: &Device) -> (usize, Option<LearnedText>) {
+        match self {
+            Self::Learned(tokens) => (width, Some(LearnedText::new(tokens, width, device))),
+            Self::Frozen(width) => (width, None),
+        }
+    }
+}
+
+impl Networks for MotionRefit {
+    const FILE: &'static str = Denoiser::FILE;
+
+    fn to_files(&self, run_dir: &Path) -> Result<Files, Error> {
+        both_files(&self.denoiser, &self.text, run_dir)
     }
 
-    /// Builds the networks for frames of other than 84 numbers.
-    pub fn of_frames(
+    fn take_files(&mut self, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        self.denoiser.take_files(files, run_dir)?;
+        self.text.take_files(files, run_dir)
+    }
+}
+
+impl MotionRefit {
+    /// Builds the networks for frames of `frame_width` numbers, 84 of all keypoints.
+    pub fn new(
         config: &NetworkConfig,
         diffusion: &DiffusionConfig,
         text: TextSource,
         frame_width: usize,
         device: &Device,
     ) -> Self {
-        let text_width = match text {
-            TextSource::Learned(_) => config.width,
-            TextSource::Frozen(width) => width,
-        };
-        let denoiser =
-            Denoiser::of_frames(config, diffusion.previous, text_width, frame_width, device);
+        let (text_width, text) = text.encoder(config.width, device);
+        let denoiser = Denoiser::new(config, diffusion.previous, text_width, frame_width, device);
         let denoiser = match diffusion.prediction {
             Prediction::Gated => denoiser.gated(num_gates(diffusion.noise)),
             _ => denoiser,
@@ -62,15 +77,7 @@ impl MotionRefit {
         } else {
             denoiser
         };
-        Self {
-            denoiser,
-            text: match text {
-                TextSource::Learned(num_tokens) => {
-                    Some(LearnedText::new(num_tokens, config.width, device))
-                }
-                TextSource::Frozen(_) => None,
-            },
-        }
+        Self { denoiser, text }
     }
 
     /// The vectors of a batch of instructions.
@@ -93,12 +100,10 @@ impl MotionRefit {
         objective: &Objective<'_>,
         batch: &NoisyBatch,
         device: &Device,
+        pass: &Pass,
     ) -> Tensor<1> {
         let text = self.text_vectors(&batch.texts, batch.len(), device);
-        let kept = Tensor::<2>::from_data(
-            TensorData::new(batch.text_kept.clone(), [batch.len(), 1]),
-            device,
-        );
-        objective.loss(&self.denoiser, batch, text * kept)
+        let kept = send(batch.text_kept.clone(), [batch.len(), 1], device);
+        objective.loss(&self.denoiser, batch, text * kept, pass)
     }
 }

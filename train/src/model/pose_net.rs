@@ -6,66 +6,80 @@ use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 use kinematics::skeleton::{FIT_KEYPOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 
-/// Numbers of a frame the network of the paper sees: 28 keypoints.
-pub const PAPER_INPUT: usize = 3 * NUM_KEYPOINTS;
-/// Numbers it gives: 22 rotation vectors.
-pub const PAPER_OUTPUT: usize = 3 * NUM_BODY_JOINTS;
-/// Numbers of a frame the released network sees: 24 joints.
-pub const OFFICIAL_INPUT: usize = 3 * FIT_KEYPOINTS.len();
-/// Numbers it gives: the first two rows of 22 rotation matrices.
-pub const OFFICIAL_OUTPUT: usize = 6 * NUM_BODY_JOINTS;
+use super::weights::Networks;
 
-/// Where the names of the released network differ from ours: (pattern, ours).
-pub const OFFICIAL_NAMES: [(&str, &str); 5] = [
-    (r"^layers\.0\.", "first."),
-    (r"^layers\.1\.", "first_norm."),
-    (r"^layers\.3\.", "second."),
-    (r"^layers\.4\.", "second_norm."),
-    (r"^layers\.6\.", "last."),
+/// Numbers of a frame the network of the paper sees: 28 keypoints.
+pub(crate) const PAPER_INPUT: usize = 3 * NUM_KEYPOINTS;
+/// Numbers it gives: 22 rotation vectors.
+pub(crate) const PAPER_OUTPUT: usize = 3 * NUM_BODY_JOINTS;
+/// Numbers of a frame the released network sees: 24 joints.
+pub(crate) const OFFICIAL_INPUT: usize = 3 * FIT_KEYPOINTS.len();
+/// Numbers it gives: the first two rows of 22 rotation matrices.
+pub(crate) const OFFICIAL_OUTPUT: usize = 6 * NUM_BODY_JOINTS;
+
+/// Where the names of a plain sequence of layers differ from ours: (pattern, ours). The recorded network of the
+/// paper is named so, and the released one with a prefix.
+pub(crate) const NAMES: [(&str, &str); 5] = [
+    (r"^(layers\.)?0\.", "first."),
+    (r"^(layers\.)?1\.", "first_norm."),
+    (r"^(layers\.)?3\.", "second."),
+    (r"^(layers\.)?4\.", "second_norm."),
+    (r"^(layers\.)?6\.", "last."),
 ];
-/// The same of a plain sequence of layers, as the recorded network of the paper is named.
-pub const PAPER_NAMES: [(&str, &str); 5] = [
-    (r"^0\.", "first."),
-    (r"^1\.", "first_norm."),
-    (r"^3\.", "second."),
-    (r"^4\.", "second_norm."),
-    (r"^6\.", "last."),
-];
+
+/// Three layers, with a norm and ReLU after each but the last.
+#[derive(Module, Debug)]
+pub(crate) struct PoseLayers<N: Module> {
+    first: Linear,
+    first_norm: N,
+    second: Linear,
+    second_norm: N,
+    last: Linear,
+}
+
+impl<N: Module> Networks for PoseLayers<N> {
+    const FILE: &'static str = "model.safetensors";
+}
+
+impl<N: Module> PoseLayers<N> {
+    fn of([input, width, output]: [usize; 3], norm: impl Fn() -> N, device: &Device) -> Self {
+        let linear = |from, to| LinearConfig::new(from, to).init(device);
+        Self {
+            first: linear(input, width),
+            first_norm: norm(),
+            second: linear(width, width),
+            second_norm: norm(),
+            last: linear(width, output),
+        }
+    }
+
+    fn apply(&self, x: Tensor<2>, norm: impl Fn(&N, Tensor<2>) -> Tensor<2>) -> Tensor<2> {
+        let hidden = relu(norm(&self.first_norm, self.first.forward(x)));
+        let hidden = relu(norm(&self.second_norm, self.second.forward(hidden)));
+        self.last.forward(hidden)
+    }
+}
 
 /// Three layers with layer norm: 28 keypoints to 22 rotation vectors.
 ///
 /// # Source
 /// Paper App. B.3: 84, 512, 512 and 66 numbers, ReLU and LayerNorm. The order of norm and ReLU is not
 /// published; here the norm comes first.
-#[derive(Module, Debug)]
-pub struct PaperPoseNet {
-    first: Linear,
-    first_norm: LayerNorm,
-    second: Linear,
-    second_norm: LayerNorm,
-    last: Linear,
-}
+pub(crate) type PaperPoseNet = PoseLayers<LayerNorm>;
 
 impl PaperPoseNet {
     /// Builds the network; the published width is 512.
-    pub fn new(width: usize, device: &Device) -> Self {
-        Self {
-            first: LinearConfig::new(PAPER_INPUT, width).init(device),
-            first_norm: LayerNormConfig::new(width).init(device),
-            second: LinearConfig::new(width, width).init(device),
-            second_norm: LayerNormConfig::new(width).init(device),
-            last: LinearConfig::new(width, PAPER_OUTPUT).init(device),
-        }
+    pub(crate) fn new(width: usize, device: &Device) -> Self {
+        let norm = || LayerNormConfig::new(width).init(device);
+        Self::of([PAPER_INPUT, width, PAPER_OUTPUT], norm, device)
     }
 
     /// Rotation vectors of frames.
     ///
     /// # Shapes
     /// `[B, 84]` give `[B, 66]`.
-    pub fn forward(&self, points: Tensor<2>) -> Tensor<2> {
-        let hidden = relu(self.first_norm.forward(self.first.forward(points)));
-        let hidden = relu(self.second_norm.forward(self.second.forward(hidden)));
-        self.last.forward(hidden)
+    pub(crate) fn forward(&self, points: Tensor<2>) -> Tensor<2> {
+        self.apply(points, |norm, x| norm.forward(x))
     }
 }
 
@@ -73,34 +87,20 @@ impl PaperPoseNet {
 ///
 /// # Source
 /// The released `joints_to_smpl`: 72, 64, 64 and 132 numbers.
-#[derive(Module, Debug)]
-pub struct OfficialPoseNet {
-    first: Linear,
-    first_norm: BatchNorm,
-    second: Linear,
-    second_norm: BatchNorm,
-    last: Linear,
-}
+pub(crate) type OfficialPoseNet = PoseLayers<BatchNorm>;
 
 impl OfficialPoseNet {
     /// Builds the network; the released width is 64.
-    pub fn new(width: usize, device: &Device) -> Self {
-        Self {
-            first: LinearConfig::new(OFFICIAL_INPUT, width).init(device),
-            first_norm: BatchNormConfig::new(width).init(device),
-            second: LinearConfig::new(width, width).init(device),
-            second_norm: BatchNormConfig::new(width).init(device),
-            last: LinearConfig::new(width, OFFICIAL_OUTPUT).init(device),
-        }
+    pub(crate) fn new(width: usize, device: &Device) -> Self {
+        let norm = || BatchNormConfig::new(width).init(device);
+        Self::of([OFFICIAL_INPUT, width, OFFICIAL_OUTPUT], norm, device)
     }
 
     /// Rows of rotation matrices of frames.
     ///
     /// # Shapes
     /// `[B, 72]` give `[B, 132]`.
-    pub fn forward(&self, joints: Tensor<2>) -> Tensor<2> {
-        let hidden = relu(self.first_norm.forward(self.first.forward(joints)));
-        let hidden = relu(self.second_norm.forward(self.second.forward(hidden)));
-        self.last.forward(hidden)
+    pub(crate) fn forward(&self, joints: Tensor<2>) -> Tensor<2> {
+        self.apply(joints, |norm, x| norm.forward(x))
     }
 }

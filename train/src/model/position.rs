@@ -19,7 +19,6 @@ const LEAST_ROWS: usize = 128;
 /// # Source
 /// Vaswani et al. 2017, Sec. 3.5; used alike by MotionReFit, TMR, MDM and TMED.
 pub fn sinusoid(indices: &[usize], width: usize, device: &Device) -> Tensor<2> {
-    /// Computed once for each width and device.
     static TABLES: Tables = Tables::new(sinusoid_values);
     TABLES.rows(indices, width, device)
 }
@@ -131,11 +130,11 @@ pub fn positions(length: usize, width: usize, device: &Device) -> Tensor<3> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::transfer::read;
 
     #[test]
     fn sine_and_cosine_alternate() {
-        let table = sinusoid(&[0, 1], 4, &Device::flex());
-        let values = table.into_data().try_into_vec_as::<f32>().expect("floats");
+        let values = read(sinusoid(&[0, 1], 4, &Device::flex()));
         let expected = [
             0.0,
             1.0,
@@ -156,8 +155,7 @@ mod tests {
         for device in [Device::flex(), Device::flex().autodiff()] {
             // Each of the three ways, and a table that must grow.
             for indices in [&[5, 5, 5][..], &[0, 1, 2, 3], &[900, 3, 900], &[2]] {
-                let rows = sinusoid(indices, 6, &device).into_data();
-                let rows = rows.try_into_vec_as::<f32>().expect("floats");
+                let rows = read(sinusoid(indices, 6, &device));
                 assert_eq!(rows, sinusoid_values(indices, 6), "{indices:?}");
             }
         }

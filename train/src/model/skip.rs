@@ -4,6 +4,7 @@ use burn::module::Module;
 use burn::nn::{LayerNorm, LayerNormConfig, Linear, LinearConfig};
 use burn::tensor::{Device, Tensor};
 
+use super::pass::Pass;
 use super::transformer::{DecoderLayer, EncoderLayer, Padding};
 use crate::config::NetworkConfig;
 
@@ -13,7 +14,7 @@ use crate::config::NetworkConfig;
 /// # Source
 /// MLD, `operator/cross_attention.py`, after the U-ViT of Bao et al. 2023.
 #[derive(Module, Debug)]
-pub struct SkipLayers<L: Module> {
+pub(super) struct SkipLayers<L: Module> {
     input_blocks: Vec<L>,
     middle_block: L,
     output_blocks: Vec<L>,
@@ -52,38 +53,39 @@ impl<L: Module> SkipLayers<L> {
     }
 }
 
-/// An encoder with skip connections.
-pub type SkipEncoder = SkipLayers<EncoderLayer>;
+pub(super) type SkipEncoder = SkipLayers<EncoderLayer>;
 
 impl SkipLayers<EncoderLayer> {
-    /// Builds the layers.
-    pub fn encoder(config: &NetworkConfig, device: &Device) -> Self {
+    pub(super) fn encoder(config: &NetworkConfig, device: &Device) -> Self {
         Self::new(config, device, || EncoderLayer::new(config, device))
     }
 
-    /// Applies the layers.
-    ///
     /// # Shapes
     /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
-    pub fn encode(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        self.forward(x, |layer, x| layer.forward(x, padding))
+    pub(super) fn encode(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
+        self.forward(x, |layer, x| layer.forward(x, padding, pass))
     }
 }
 
 /// A decoder with skip connections whose memory is one token.
-pub type SkipDecoder = SkipLayers<DecoderLayer>;
+pub(super) type SkipDecoder = SkipLayers<DecoderLayer>;
 
 impl SkipLayers<DecoderLayer> {
-    /// Builds the layers.
-    pub fn decoder(config: &NetworkConfig, device: &Device) -> Self {
+    pub(super) fn decoder(config: &NetworkConfig, device: &Device) -> Self {
         Self::new(config, device, || DecoderLayer::new(config, device))
     }
 
-    /// Applies the layers.
-    ///
     /// # Shapes
     /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` that of `B` rows of `T` tokens.
-    pub fn decode(&self, x: Tensor<3>, memory: &Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        self.forward(x, |layer, x| layer.forward(x, memory.clone(), padding))
+    pub(super) fn decode(
+        &self,
+        x: Tensor<3>,
+        memory: &Tensor<3>,
+        padding: Option<&Padding>,
+        pass: &Pass,
+    ) -> Tensor<3> {
+        self.forward(x, |layer, x| {
+            layer.forward(x, memory.clone(), padding, pass)
+        })
     }
 }

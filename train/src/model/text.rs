@@ -7,7 +7,8 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 
 use super::denoiser::TEXT_DIVISOR;
 use super::position::positions;
-use crate::data::TextBatch;
+use super::weights::Networks;
+use crate::transfer::send;
 use crate::vocabulary::{PADDING, TokenBatch};
 
 /// Words to one vector: each word, knowing its place, is weighed by a gate, and the weighed words
@@ -23,6 +24,10 @@ pub struct LearnedText {
     gate: Linear,
     norm: LayerNorm,
     output: Linear,
+}
+
+impl Networks for LearnedText {
+    const FILE: &'static str = "text.safetensors";
 }
 
 impl LearnedText {
@@ -60,6 +65,30 @@ impl LearnedText {
     }
 }
 
+/// Texts as a network is given them.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TextBatch {
+    /// The numbers of their words.
+    Words(TokenBatch),
+    /// The vectors of a frozen encoder.
+    Vectors {
+        /// The vectors of the tokens of each text, `[B, N, d]`, zero past its end; N is 1 where a text has one vector.
+        values: Vec<f32>,
+        /// Tokens of each text, `[B]`.
+        lengths: Vec<usize>,
+    },
+}
+
+impl TextBatch {
+    /// Tokens of each text, `[B]`.
+    pub fn lengths(&self) -> Vec<usize> {
+        match self {
+            Self::Words(tokens) => tokens.lengths().collect(),
+            Self::Vectors { lengths, .. } => lengths.clone(),
+        }
+    }
+}
+
 /// The vectors of texts: those of a frozen encoder as they are, and words by the encoder that is trained
 /// with the model.
 ///
@@ -78,10 +107,9 @@ pub(crate) fn text_vectors(
         TextBatch::Words(tokens) => learned
             .expect("words are given to a model that learns them")
             .forward(tokens),
-        TextBatch::Vectors(values) => Tensor::from_data(
-            TensorData::new(values.clone(), [rows, values.len() / rows.max(1)]),
-            device,
-        ),
+        TextBatch::Vectors { values, .. } => {
+            send(values.clone(), [rows, values.len() / rows.max(1)], device)
+        }
     }
 }
 
@@ -91,10 +119,8 @@ pub(crate) fn text_vectors(
 /// `[B, T]`
 pub(crate) fn token_tensor(tokens: &TokenBatch, device: &Device) -> Tensor<2, Int> {
     let rows = tokens.ids.len() / tokens.width;
-    Tensor::from_data(
-        TensorData::new(tokens.ids.clone(), [rows, tokens.width]),
-        device,
-    )
+    let ids = TensorData::new(tokens.ids.clone(), [rows, tokens.width]);
+    Tensor::from_data(ids, device)
 }
 
 #[cfg(test)]
@@ -103,6 +129,7 @@ mod tests {
 
     use super::*;
     use crate::model::weights::draw;
+    use crate::transfer::read;
     use crate::vocabulary::Vocabulary;
 
     #[test]
@@ -114,13 +141,8 @@ mod tests {
             Seed(3),
         )
         .expect("known layers");
-        let encode = |texts: &[&str]| {
-            encoder
-                .forward(&vocabulary.encode_batch(texts.iter().copied()))
-                .into_data()
-                .try_into_vec_as::<f32>()
-                .expect("floats")
-        };
+        let encode =
+            |texts: &[&str]| read(encoder.forward(&vocabulary.encode_batch(texts.iter().copied())));
         let alone = encode(&["left arm"]);
         let beside = encode(&["left arm", "raise the left arm slowly"]);
         for (a, b) in alone.iter().zip(&beside) {

@@ -1,14 +1,19 @@
 //! The TMED denoiser.
 
+use std::path::Path;
+
 use burn::module::{Initializer, Module, Param};
 use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, LinearConfig};
 use burn::tensor::{Device, Tensor};
 
-use super::denoiser::IndexEmbedding;
-use super::dropout::drop_out;
+use super::denoiser::TwoLayers;
 use super::motionrefit::TextSource;
+use super::pass::Pass;
 use super::position::sinusoid;
-use super::transformer::{Encoder, Padding, padding_of};
+use super::transformer::{Encoder, Padding};
+use super::weights::{Networks, both_files};
+use crate::Error;
+use crate::checkpoint::Files;
 use crate::config::NetworkConfig;
 
 /// A transformer over one sequence: the diffusion step, the tokens of the instruction, the source, a
@@ -24,7 +29,7 @@ pub struct Tmed {
     pose_proj_in_source: Linear,
     pose_proj_in_target: Linear,
     pose_proj_out: Linear,
-    embed_timestep: IndexEmbedding,
+    embed_timestep: TwoLayers,
     emb_proj: Option<Linear>,
     encoder: Encoder,
     dropout: Dropout,
@@ -68,6 +73,10 @@ impl Places {
     }
 }
 
+impl Networks for Tmed {
+    const FILE: &'static str = "denoiser.safetensors";
+}
+
 impl Tmed {
     /// Builds the network for frames of `num_features` numbers. Tokens of text that have the network's own
     /// width are not projected, as in the released code.
@@ -84,7 +93,7 @@ impl Tmed {
             pose_proj_in_source: linear(num_features, width),
             pose_proj_in_target: linear(num_features, width),
             pose_proj_out: linear(width, num_features),
-            embed_timestep: IndexEmbedding::new(width, device),
+            embed_timestep: TwoLayers::new([width; 3], device),
             emb_proj: (text_width != width).then(|| linear(text_width, width)),
             encoder: Encoder::new(config, device),
             dropout: DropoutConfig::new(config.dropout).init(),
@@ -101,10 +110,11 @@ impl Tmed {
         lengths: &[usize],
         timesteps: &[usize],
         condition: &Condition,
+        pass: &Pass,
     ) -> Tensor<3> {
-        let [batch, frames, num_features] = x.dims();
+        let [batch, frames, _] = x.dims();
         let device = x.device();
-        let time = self.embed_timestep.forward(timesteps).unsqueeze_dim::<3>(1);
+        let time = self.embed_timestep.embed(timesteps).unsqueeze_dim::<3>(1);
         let [_, _, width] = time.dims();
         let text = match &self.emb_proj {
             Some(projection) => projection.forward(condition.text.clone()),
@@ -124,9 +134,8 @@ impl Tmed {
             })
             .collect();
         let padding = padding(&visible, parts);
-        let tokens = self
-            .encoder
-            .forward(drop_out(&self.dropout, tokens), padding.as_ref());
+        let tokens = pass.drop_out(&self.dropout, tokens);
+        let tokens = self.encoder.forward(tokens, padding.as_ref(), pass);
         let [_, length, _] = tokens.dims();
         let out = self
             .pose_proj_out
@@ -134,11 +143,7 @@ impl Tmed {
         if lengths.iter().all(|&length| length == frames) {
             return out;
         }
-        let past = padding_of(lengths, frames, &device);
-        let past = past
-            .unsqueeze_dim::<3>(2)
-            .expand([batch, frames, num_features]);
-        out.mask_fill(past, 0.0)
+        Padding::after(lengths, frames).clear(out)
     }
 
     /// Tokens of source frames. A frame of zeros gives a token of zeros, not the bias.
@@ -193,6 +198,24 @@ pub struct TmedModel {
     pub denoiser: Tmed,
     /// Word vectors, unless a frozen encoder gives the tokens of texts.
     pub words: Option<Embedding>,
+}
+
+/// Word vectors alone.
+impl Networks for Embedding {
+    const FILE: &'static str = "words.safetensors";
+}
+
+impl Networks for TmedModel {
+    const FILE: &'static str = Tmed::FILE;
+
+    fn to_files(&self, run_dir: &Path) -> Result<Files, Error> {
+        both_files(&self.denoiser, &self.words, run_dir)
+    }
+
+    fn take_files(&mut self, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        self.denoiser.take_files(files, run_dir)?;
+        self.words.take_files(files, run_dir)
+    }
 }
 
 impl TmedModel {

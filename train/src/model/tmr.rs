@@ -5,15 +5,26 @@ use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, Linea
 use burn::tensor::activation::log_softmax;
 use burn::tensor::{Bool, Device, Tensor, TensorData};
 
-use super::dropout::drop_out;
+use super::pass::Pass;
 use super::position::positions;
 use super::text::token_tensor;
 use super::transformer::{Decoder, Encoder, Padding};
+use super::weights::Networks;
 use crate::config::NetworkConfig;
-use crate::vocabulary::{PADDING, TokenBatch};
+use crate::vocabulary::TokenBatch;
 
 /// Learned tokens put before a sequence: one becomes the mean, one the log variance.
-const NUM_TOKENS: usize = 2;
+pub(super) const NUM_TOKENS: usize = 2;
+
+/// Puts learned tokens, `[2, d]`, before the sequences of a batch.
+///
+/// # Shapes
+/// `x` `[B, T, d]`; the result `[B, 2 + T, d]`.
+pub(super) fn with_tokens(tokens: &Param<Tensor<2>>, x: Tensor<3>) -> Tensor<3> {
+    let [batch, _, width] = x.dims();
+    let tokens = tokens.val().unsqueeze_dim::<3>(0);
+    Tensor::cat(vec![tokens.expand([batch, NUM_TOKENS, width]), x], 1)
+}
 
 /// A normal distribution over the latent space.
 #[derive(Clone, Debug)]
@@ -25,6 +36,18 @@ pub struct Distribution {
 }
 
 impl Distribution {
+    /// What encoded sequences say in place of their learned tokens.
+    ///
+    /// # Shapes
+    /// `[B, 2 + T, d]`
+    pub(super) fn of_tokens(encoded: &Tensor<3>) -> Self {
+        let token = |index: usize| encoded.clone().narrow(1, index, 1).squeeze_dim::<2>(1);
+        Self {
+            mu: token(0),
+            logvar: token(1),
+        }
+    }
+
     /// A sample, given standard normal noise.
     ///
     /// # Shapes
@@ -83,28 +106,15 @@ impl SequenceEncoder {
     ///
     /// # Shapes
     /// `x` `[B, T, F]`; `lengths` `[B]`, the steps of each row that are not padding.
-    pub fn forward(&self, x: Tensor<3>, lengths: &[usize]) -> Distribution {
-        let [batch, steps, _] = x.dims();
+    pub fn forward(&self, x: Tensor<3>, lengths: &[usize], pass: &Pass) -> Distribution {
         let device = x.device();
-        let x = self.projection.forward(x);
-        let [_, _, width] = x.dims();
-        let tokens = self
-            .tokens
-            .val()
-            .unsqueeze_dim::<3>(0)
-            .expand([batch, NUM_TOKENS, width]);
-        let x = Tensor::cat(vec![tokens, x], 1);
-        let x = x + positions(NUM_TOKENS + steps, width, &device);
-        let with_tokens: Vec<usize> = lengths.iter().map(|length| NUM_TOKENS + length).collect();
-        let padding = padding(&with_tokens, NUM_TOKENS + steps);
-        let x = self
-            .sequence_encoder
-            .forward(drop_out(&self.dropout, x), padding.as_ref());
-        let token = |index: usize| x.clone().narrow(1, index, 1).squeeze_dim::<2>(1);
-        Distribution {
-            mu: token(0),
-            logvar: token(1),
-        }
+        let x = with_tokens(&self.tokens, self.projection.forward(x));
+        let [_, length, width] = x.dims();
+        let x = x + positions(length, width, &device);
+        let lengths: Vec<usize> = lengths.iter().map(|steps| NUM_TOKENS + steps).collect();
+        let padding = Padding::where_shorter(&lengths, length);
+        let x = pass.drop_out(&self.dropout, x);
+        Distribution::of_tokens(&self.sequence_encoder.forward(x, padding.as_ref(), pass))
     }
 }
 
@@ -130,51 +140,29 @@ impl SequenceDecoder {
     ///
     /// # Shapes
     /// `latent` `[B, d]`; the result `[B, steps, F]`.
-    pub fn forward(&self, latent: Tensor<2>, lengths: &[usize], steps: usize) -> Tensor<3> {
+    pub fn forward(
+        &self,
+        latent: Tensor<2>,
+        lengths: &[usize],
+        steps: usize,
+        pass: &Pass,
+    ) -> Tensor<3> {
         let [batch, width] = latent.dims();
         let device = latent.device();
         let queries = positions(steps, width, &device).expand([batch, steps, width]);
-        let padding = padding(lengths, steps);
+        let padding = Padding::where_shorter(lengths, steps);
         let x = self.sequence_decoder.forward(
-            drop_out(&self.dropout, queries),
+            pass.drop_out(&self.dropout, queries),
             latent.unsqueeze_dim(1),
             padding.as_ref(),
+            pass,
         );
         let x = self.final_layer.forward(x);
         match padding {
             None => x,
-            Some(padding) => {
-                let [_, _, num_features] = x.dims();
-                let padding = padding.mask(&device).reshape([batch, steps, 1]).expand([
-                    batch,
-                    steps,
-                    num_features,
-                ]);
-                x.mask_fill(padding, 0.0)
-            }
+            Some(padding) => padding.clear(x),
         }
     }
-}
-
-/// The padding of rows, or nothing if none is shorter than `width`.
-fn padding(lengths: &[usize], width: usize) -> Option<Padding> {
-    lengths
-        .iter()
-        .any(|&length| length < width)
-        .then(|| Padding::after(lengths, width))
-}
-
-/// Sizes of the TMR networks.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TmrSizes {
-    /// Numbers of a motion frame.
-    pub motion_features: usize,
-    /// Tokens of the vocabulary.
-    pub num_tokens: usize,
-    /// Width of a word vector.
-    pub word_width: usize,
-    /// The transformers, whose width is that of the latent space.
-    pub network: NetworkConfig,
 }
 
 /// Motion and text encoders, the motion decoder, and the word vectors learned with them.
@@ -189,20 +177,24 @@ pub struct Tmr {
     words: Embedding,
 }
 
+impl Networks for Tmr {
+    const FILE: &'static str = "tmr.safetensors";
+}
+
 impl Tmr {
-    /// Builds the networks.
-    pub fn new(sizes: &TmrSizes, device: &Device) -> Self {
-        let TmrSizes {
-            motion_features,
-            num_tokens,
-            word_width,
-            network,
-        } = sizes;
+    /// Builds the networks for motion frames of `num_features` numbers and `num_tokens` words, whose vectors have
+    /// `word_width`. The width of the transformers is that of the latent space.
+    pub fn new(
+        config: &NetworkConfig,
+        num_features: usize,
+        [num_tokens, word_width]: [usize; 2],
+        device: &Device,
+    ) -> Self {
         Self {
-            motion_encoder: SequenceEncoder::new(*motion_features, network, device),
-            text_encoder: SequenceEncoder::new(*word_width, network, device),
-            motion_decoder: SequenceDecoder::new(*motion_features, network, device),
-            words: EmbeddingConfig::new(*num_tokens, *word_width).init(device),
+            motion_encoder: SequenceEncoder::new(num_features, config, device),
+            text_encoder: SequenceEncoder::new(word_width, config, device),
+            motion_decoder: SequenceDecoder::new(num_features, config, device),
+            words: EmbeddingConfig::new(num_tokens, word_width).init(device),
         }
     }
 
@@ -210,14 +202,11 @@ impl Tmr {
     ///
     /// # Shapes
     /// `B` rows of tokens give distributions over `[B, d]`.
-    pub fn encode_text(&self, tokens: &TokenBatch) -> Distribution {
-        let lengths: Vec<usize> = tokens
-            .ids
-            .chunks_exact(tokens.width)
-            .map(|row| row.iter().filter(|&&id| id != PADDING).count().max(1))
-            .collect();
+    pub fn encode_text(&self, tokens: &TokenBatch, pass: &Pass) -> Distribution {
+        let lengths: Vec<usize> = tokens.lengths().map(|length| length.max(1)).collect();
         let ids = token_tensor(tokens, &self.words.weight.val().device());
-        self.text_encoder.forward(self.words.forward(ids), &lengths)
+        self.text_encoder
+            .forward(self.words.forward(ids), &lengths, pass)
     }
 }
 
@@ -241,10 +230,8 @@ pub fn info_nce(
     let device = texts.device();
     let mut logits = cosine_similarity(texts, motions).div_scalar(temperature);
     if ignored.iter().any(|&ignored| ignored) {
-        let mask = Tensor::<2, Bool>::from_data(
-            TensorData::new(ignored.to_vec(), [batch, batch]),
-            &device,
-        );
+        let mask = TensorData::new(ignored.to_vec(), [batch, batch]);
+        let mask = Tensor::<2, Bool>::from_data(mask, &device);
         logits = logits.mask_fill(mask, f32::NEG_INFINITY);
     }
     // The pairs that belong together lie on the diagonal.

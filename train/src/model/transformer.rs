@@ -10,9 +10,8 @@ use burn::tensor::module::attention;
 use burn::tensor::ops::AttentionModuleOptions;
 use burn::tensor::{Bool, Device, Tensor, TensorData};
 
-use super::dropout::{draw_key, drop_out, probability};
 use super::fused::{LayerTensors, PreparedEncoder, PreparedLayer, encoder_layer};
-use super::precision::{forward, product};
+use super::pass::{Arithmetic, Pass, probability};
 use crate::config::NetworkConfig;
 
 /// Which tokens of a batch of sequences are padding. The program knows it, so that nothing is read from a
@@ -37,7 +36,16 @@ impl Padding {
 
     /// The padding of rows that end before `width` tokens.
     pub fn after(lengths: &[usize], width: usize) -> Self {
-        Self::new(padded(lengths, width), lengths.len())
+        let padded = lengths
+            .iter()
+            .flat_map(|&length| (0..width).map(move |token| token >= length));
+        Self::new(padded.collect(), lengths.len())
+    }
+
+    /// As [`Padding::after`], or nothing if no row ends before `width` tokens.
+    pub(crate) fn where_shorter(lengths: &[usize], width: usize) -> Option<Self> {
+        let is_shorter = lengths.iter().any(|&length| length < width);
+        is_shorter.then(|| Self::after(lengths, width))
     }
 
     /// The mask on a device.
@@ -50,11 +58,48 @@ impl Padding {
             .get_or_init(|| Tensor::from_data(TensorData::new(self.values.to_vec(), shape), device))
             .clone()
     }
+
+    /// The mask of attention: the same for each head and each token that asks.
+    ///
+    /// # Shapes
+    /// `[B, H, T, T]`
+    pub(crate) fn of_attention(&self, num_heads: usize, device: &Device) -> Tensor<4, Bool> {
+        let mask = self.mask(device);
+        let [batch, _, _, length] = mask.dims();
+        mask.expand([batch, num_heads, length, length])
+    }
+
+    /// Puts zeros in place of padding.
+    ///
+    /// # Shapes
+    /// `[B, T, F]`
+    pub(crate) fn clear(&self, x: Tensor<3>) -> Tensor<3> {
+        let [batch, length, width] = x.dims();
+        let mask = self.mask(&x.device()).reshape([batch, length, 1]);
+        x.mask_fill(mask.expand([batch, length, width]), 0.0)
+    }
+}
+
+/// The heads of tokens.
+///
+/// # Shapes
+/// `[B, T, d]` gives `[B, H, T, d / H]`.
+pub(crate) fn split_heads(x: Tensor<3>, num_heads: usize) -> Tensor<4> {
+    let [batch, length, width] = x.dims();
+    x.reshape([batch, length, num_heads, width / num_heads])
+        .swap_dims(1, 2)
+}
+
+pub(crate) fn join_heads(heads: Tensor<4>) -> Tensor<3> {
+    let [batch, num_heads, length, head] = heads.dims();
+    heads
+        .swap_dims(1, 2)
+        .reshape([batch, length, num_heads * head])
 }
 
 /// Multi-head self-attention with query, key and value in one projection.
 #[derive(Module, Debug)]
-pub struct SelfAttention {
+struct SelfAttention {
     in_proj: Linear,
     out_proj: Linear,
     dropout: Dropout,
@@ -62,8 +107,7 @@ pub struct SelfAttention {
 }
 
 impl SelfAttention {
-    /// Builds the layer.
-    pub fn new(config: &NetworkConfig, device: &Device) -> Self {
+    fn new(config: &NetworkConfig, device: &Device) -> Self {
         Self {
             in_proj: LinearConfig::new(config.width, 3 * config.width).init(device),
             out_proj: LinearConfig::new(config.width, config.width).init(device),
@@ -76,9 +120,8 @@ impl SelfAttention {
     ///
     /// # Shapes
     /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
-    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        let [batch, length, width] = x.dims();
-        let head = width / self.num_heads;
+    fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
+        let [_, _, width] = x.dims();
         let weight = self.in_proj.weight.val();
         let bias = self.in_proj.bias.as_ref().map(|bias| bias.val());
         // The weights are cut in three, not the result: the gradient of a cut fills the whole with
@@ -86,29 +129,22 @@ impl SelfAttention {
         let [q, k, v] = [0, 1, 2].map(|part| {
             let weight = weight.clone().narrow(1, part * width, width);
             let bias = bias.clone().map(|bias| bias.narrow(0, part * width, width));
-            product(x.clone(), weight, bias)
-                .reshape([batch, length, self.num_heads, head])
-                .swap_dims(1, 2)
+            split_heads(pass.product(x.clone(), weight, bias), self.num_heads)
         });
-        let mask = padding.map(|padding| {
-            padding
-                .mask(&x.device())
-                .expand([batch, self.num_heads, length, length])
-        });
+        let mask = padding.map(|padding| padding.of_attention(self.num_heads, &x.device()));
         let attended = if q.device().is_autodiff() {
             // The fused product has no gradient of its own: its fallback would also carry
             // gradients through the row maximum, and it cannot drop attention weights.
-            let scale = (head as f64).sqrt().recip();
+            let scale = ((width / self.num_heads) as f64).sqrt().recip();
             let mut scores = q.mul_scalar(scale).matmul(k.swap_dims(2, 3));
             if let Some(mask) = mask {
                 scores = scores.mask_fill(mask, f32::NEG_INFINITY);
             }
-            drop_out(&self.dropout, softmax(scores, 3)).matmul(v)
+            pass.drop_out(&self.dropout, softmax(scores, 3)).matmul(v)
         } else {
             attention(q, k, v, mask, None, AttentionModuleOptions::default())
         };
-        let attended = attended.swap_dims(1, 2).reshape([batch, length, width]);
-        forward(&self.out_proj, attended)
+        pass.linear(&self.out_proj, join_heads(attended))
     }
 }
 
@@ -119,25 +155,21 @@ impl SelfAttention {
 /// Dropout of attention weights, which would only remove the memory from single tokens, is left
 /// out.
 #[derive(Module, Debug)]
-pub struct SingleMemoryAttention {
+struct SingleMemoryAttention {
     in_proj: Linear,
     out_proj: Linear,
 }
 
 impl SingleMemoryAttention {
-    /// Builds the layer.
-    pub fn new(config: &NetworkConfig, device: &Device) -> Self {
+    fn new(config: &NetworkConfig, device: &Device) -> Self {
         Self {
             in_proj: LinearConfig::new(config.width, 3 * config.width).init(device),
             out_proj: LinearConfig::new(config.width, config.width).init(device),
         }
     }
 
-    /// What every token receives from the memory.
-    ///
-    /// # Shapes
-    /// `[B, 1, d]` to `[B, 1, d]`
-    pub fn forward(&self, memory: Tensor<3>) -> Tensor<3> {
+    /// What every token receives from the memory, `[B, 1, d]` to `[B, 1, d]`.
+    fn forward(&self, memory: Tensor<3>, pass: &Pass) -> Tensor<3> {
         let [_, _, width] = memory.dims();
         let weight = self.in_proj.weight.val().narrow(1, 2 * width, width);
         let bias = self
@@ -145,7 +177,7 @@ impl SingleMemoryAttention {
             .bias
             .as_ref()
             .map(|bias| bias.val().narrow(0, 2 * width, width));
-        forward(&self.out_proj, product(memory, weight, bias))
+        pass.linear(&self.out_proj, pass.product(memory, weight, bias))
     }
 }
 
@@ -173,46 +205,44 @@ impl EncoderLayer {
         }
     }
 
-    /// Applies the layer: as one operation where its tensors lie on a processor, and composed
-    /// elsewhere.
+    /// Applies the layer: as one operation where kernels are used and its tensors lie on a processor,
+    /// and composed elsewhere.
     ///
     /// # Shapes
-    /// As [`SelfAttention::forward`].
-    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        let fused = self.tensors().and_then(|tensors| {
-            let device = x.device();
+    /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
+    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
+        let device = x.device();
+        let tensors = pass.uses_kernels(&device).then(|| self.tensors()).flatten();
+        let fused = tensors.and_then(|tensors| {
             encoder_layer(
                 &x,
                 tensors,
                 self.self_attn.num_heads,
                 padding.map(|padding| Arc::clone(&padding.values)),
                 probability(&self.dropout, &device),
-                draw_key,
+                || pass.draw_key(),
             )
         });
-        fused.unwrap_or_else(|| self.forward_composed(x, padding))
+        fused.unwrap_or_else(|| self.forward_composed(x, padding, pass))
     }
 
-    /// The weights of its products.
-    pub(crate) fn weights(&self) -> [Tensor<2>; 4] {
-        let linears = [
+    fn linears(&self) -> [&Linear; 4] {
+        [
             &self.self_attn.in_proj,
             &self.self_attn.out_proj,
             &self.linear1,
             &self.linear2,
-        ];
-        linears.map(|linear| linear.weight.val())
+        ]
+    }
+
+    pub(crate) fn weights(&self) -> [Tensor<2>; 4] {
+        self.linears().map(|linear| linear.weight.val())
     }
 
     /// The trainable tensors, where the layer has all of them.
     fn tensors(&self) -> Option<LayerTensors> {
-        let linears = [
-            &self.self_attn.in_proj,
-            &self.self_attn.out_proj,
-            &self.linear1,
-            &self.linear2,
-        ];
-        let [b0, b1, b2, b3] = linears.map(|linear| linear.bias.as_ref().map(|bias| bias.val()));
+        let biases = self.linears().map(|linear| linear.bias.as_ref());
+        let [b0, b1, b2, b3] = biases.map(|bias| bias.map(|bias| bias.val()));
         let beta = |norm: &LayerNorm| norm.beta.as_ref().map(|beta| beta.val());
         Some(LayerTensors {
             weights: self.weights(),
@@ -229,12 +259,13 @@ impl EncoderLayer {
         })
     }
 
-    fn forward_composed(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        let attended = self.self_attn.forward(x.clone(), padding);
-        let x = self.norm1.forward(x + drop_out(&self.dropout, attended));
-        let hidden = drop_out(&self.dropout, gelu(forward(&self.linear1, x.clone())));
-        let hidden = forward(&self.linear2, hidden);
-        self.norm2.forward(x + drop_out(&self.dropout, hidden))
+    fn forward_composed(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
+        let drop_out = |x: Tensor<3>| pass.drop_out(&self.dropout, x);
+        let attended = self.self_attn.forward(x.clone(), padding, pass);
+        let x = self.norm1.forward(x + drop_out(attended));
+        let hidden = drop_out(gelu(pass.linear(&self.linear1, x.clone())));
+        let hidden = pass.linear(&self.linear2, hidden);
+        self.norm2.forward(x + drop_out(hidden))
     }
 }
 
@@ -254,30 +285,59 @@ impl Encoder {
         }
     }
 
-    /// The layers prepared for many passes, where they lie on a processor and are
-    /// not trained.
-    pub(crate) fn prepare(&self) -> Option<PreparedEncoder> {
-        PreparedEncoder::new(
-            self.layers.iter().map(|layer| {
-                PreparedLayer::for_inference(layer.tensors()?, layer.self_attn.num_heads)
-            }),
-        )
+    /// Lays out the weights as they are multiplied in many passes without gradients.
+    pub(crate) fn prepare(&self, arithmetic: Arithmetic) -> PreparedWeights {
+        let layers = self.layers.iter().map(|layer| {
+            let tensors = layer.tensors()?;
+            arithmetic
+                .uses_kernels(&tensors.weights[0].device())
+                .then(|| PreparedLayer::for_inference(tensors, layer.self_attn.num_heads))?
+        });
+        PreparedWeights {
+            encoder: PreparedEncoder::new(layers),
+            arithmetic,
+        }
+    }
+
+    /// Applies all layers without gradients, all tokens of all rows taking part.
+    ///
+    /// # Shapes
+    /// `[B, T, d]` to `[B, T, d]`
+    pub(crate) fn infer(&self, weights: &PreparedWeights, x: Tensor<3>) -> Tensor<3> {
+        let prepared = weights.encoder.as_ref();
+        prepared
+            .and_then(|encoder| encoder.forward(x.clone()))
+            .unwrap_or_else(|| self.forward(x, None, &Pass::new(weights.arithmetic)))
     }
 
     /// Applies all layers.
     ///
     /// # Shapes
-    /// As [`SelfAttention::forward`].
-    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
+    /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
+    pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
         self.layers
             .iter()
-            .fold(x, |x, layer| layer.forward(x, padding))
+            .fold(x, |x, layer| layer.forward(x, padding, pass))
+    }
+}
+
+/// The weights of an encoder, prepared for many passes where kernels are used. They are those it had when
+/// they were prepared.
+#[derive(Debug)]
+pub struct PreparedWeights {
+    encoder: Option<PreparedEncoder>,
+    arithmetic: Arithmetic,
+}
+
+impl PreparedWeights {
+    pub(crate) fn arithmetic(&self) -> Arithmetic {
+        self.arithmetic
     }
 }
 
 /// `nn.TransformerDecoderLayer` whose memory is one token.
 #[derive(Module, Debug)]
-pub struct DecoderLayer {
+pub(super) struct DecoderLayer {
     self_attn: SelfAttention,
     multihead_attn: SingleMemoryAttention,
     linear1: Linear,
@@ -289,8 +349,7 @@ pub struct DecoderLayer {
 }
 
 impl DecoderLayer {
-    /// Builds the layer.
-    pub fn new(config: &NetworkConfig, device: &Device) -> Self {
+    pub(super) fn new(config: &NetworkConfig, device: &Device) -> Self {
         Self {
             self_attn: SelfAttention::new(config, device),
             multihead_attn: SingleMemoryAttention::new(config, device),
@@ -303,30 +362,34 @@ impl DecoderLayer {
         }
     }
 
-    /// Applies the layer.
-    ///
     /// # Shapes
-    /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` as in [`SelfAttention::forward`].
-    pub fn forward(&self, x: Tensor<3>, memory: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        let attended = self.self_attn.forward(x.clone(), padding);
-        let x = self.norm1.forward(x + drop_out(&self.dropout, attended));
-        let remembered = self.multihead_attn.forward(memory);
-        let x = self.norm2.forward(x + drop_out(&self.dropout, remembered));
-        let hidden = drop_out(&self.dropout, gelu(forward(&self.linear1, x.clone())));
-        let hidden = forward(&self.linear2, hidden);
-        self.norm3.forward(x + drop_out(&self.dropout, hidden))
+    /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` that of `B` rows of `T` tokens.
+    pub(super) fn forward(
+        &self,
+        x: Tensor<3>,
+        memory: Tensor<3>,
+        padding: Option<&Padding>,
+        pass: &Pass,
+    ) -> Tensor<3> {
+        let drop_out = |x: Tensor<3>| pass.drop_out(&self.dropout, x);
+        let attended = self.self_attn.forward(x.clone(), padding, pass);
+        let x = self.norm1.forward(x + drop_out(attended));
+        let remembered = self.multihead_attn.forward(memory, pass);
+        let x = self.norm2.forward(x + drop_out(remembered));
+        let hidden = drop_out(gelu(pass.linear(&self.linear1, x.clone())));
+        let hidden = pass.linear(&self.linear2, hidden);
+        self.norm3.forward(x + drop_out(hidden))
     }
 }
 
 /// `nn.TransformerDecoder` whose memory is one token, without a final norm.
 #[derive(Module, Debug)]
-pub struct Decoder {
+pub(super) struct Decoder {
     layers: Vec<DecoderLayer>,
 }
 
 impl Decoder {
-    /// Builds the layers.
-    pub fn new(config: &NetworkConfig, device: &Device) -> Self {
+    pub(super) fn new(config: &NetworkConfig, device: &Device) -> Self {
         Self {
             layers: (0..config.num_layers)
                 .map(|_| DecoderLayer::new(config, device))
@@ -334,32 +397,19 @@ impl Decoder {
         }
     }
 
-    /// Applies all layers.
-    ///
     /// # Shapes
     /// As [`DecoderLayer::forward`].
-    pub fn forward(&self, x: Tensor<3>, memory: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
-        self.layers
-            .iter()
-            .fold(x, |x, layer| layer.forward(x, memory.clone(), padding))
+    pub(super) fn forward(
+        &self,
+        x: Tensor<3>,
+        memory: Tensor<3>,
+        padding: Option<&Padding>,
+        pass: &Pass,
+    ) -> Tensor<3> {
+        self.layers.iter().fold(x, |x, layer| {
+            layer.forward(x, memory.clone(), padding, pass)
+        })
     }
-}
-
-/// True from a row's length on, row by row.
-fn padded(lengths: &[usize], width: usize) -> Vec<bool> {
-    lengths
-        .iter()
-        .flat_map(|&length| (0..width).map(move |token| token >= length))
-        .collect()
-}
-
-/// The mask of rows that end before `width` tokens: true from a row's length on.
-///
-/// # Shapes
-/// `[B]` lengths give `[B, width]`.
-pub fn padding_of(lengths: &[usize], width: usize, device: &Device) -> Tensor<2, Bool> {
-    let padded = TensorData::new(padded(lengths, width), [lengths.len(), width]);
-    Tensor::from_data(padded, device)
 }
 
 #[cfg(test)]
@@ -369,6 +419,7 @@ mod tests {
 
     use super::*;
     use crate::model::weights::draw;
+    use crate::transfer::{read, send};
 
     const CONFIG: NetworkConfig = NetworkConfig {
         width: 24,
@@ -377,10 +428,6 @@ mod tests {
         feed_forward: 40,
         dropout: 0.0,
     };
-
-    fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-        tensor.into_data().try_into_vec_as().expect("floats")
-    }
 
     fn check_equal(found: &[f32], expected: &[f32], tolerance: f32) {
         assert_eq!(found.len(), expected.len());
@@ -400,15 +447,15 @@ mod tests {
         let slope: Vec<f32> = (0..out.shape().num_elements())
             .map(|index| (index as f32 * 0.7).sin())
             .collect();
-        let slope = Tensor::<3>::from_data(TensorData::new(slope, out.shape()), &out.device());
+        let slope = send(slope, out.dims(), &out.device());
         let grads = (out.clone() * slope).sum().backward();
         let tensors = layer.tensors().expect("a whole layer");
-        let mut found = vec![values(out), values(x.grad(&grads).expect("a gradient"))];
+        let mut found = vec![read(out), read(x.grad(&grads).expect("a gradient"))];
         for weight in tensors.weights {
-            found.push(values(weight.grad(&grads).expect("a gradient")));
+            found.push(read(weight.grad(&grads).expect("a gradient")));
         }
         for vector in tensors.vectors {
-            found.push(values(vector.grad(&grads).expect("a gradient")));
+            found.push(read(vector.grad(&grads).expect("a gradient")));
         }
         found
     }
@@ -421,16 +468,19 @@ mod tests {
         let x = Tensor::random([batch, length, 24], Distribution::Normal(0.0, 1.0), &device);
         let lengths: Vec<usize> = (0..batch).map(|row| 3 + row).collect();
         let padding = Padding::after(&lengths, length);
+        let pass = Pass::default();
         for padding in [None, Some(&padding)] {
-            let fused = run(&layer, &x, |layer, x| layer.forward(x, padding));
-            let composed = run(&layer, &x, |layer, x| layer.forward_composed(x, padding));
+            let fused = run(&layer, &x, |layer, x| layer.forward(x, padding, &pass));
+            let composed = run(&layer, &x, |layer, x| {
+                layer.forward_composed(x, padding, &pass)
+            });
             for (fused, composed) in fused.iter().zip(&composed) {
                 check_equal(fused, composed, 3e-5);
             }
             let plain = layer.valid();
             let padding = padding.map(|_| Padding::after(&lengths, length));
-            let inferred = plain.forward(x.clone().inner(), padding.as_ref());
-            check_equal(&values(inferred), &fused[0], 1e-5);
+            let inferred = plain.forward(x.clone().inner(), padding.as_ref(), &pass);
+            check_equal(&read(inferred), &fused[0], 1e-5);
         }
     }
 
@@ -446,10 +496,11 @@ mod tests {
         let lengths: Vec<usize> = (0..batch).map(|row| 3 + row).collect();
         let [ours, theirs] = devices.map(|device| {
             let layer = draw(EncoderLayer::new(&CONFIG, &device), Seed(1)).expect("known layers");
-            let data = TensorData::new(numbers.clone(), [batch, length, 24]);
-            let x = Tensor::<3>::from_data(data, &device);
+            let x = send(numbers.clone(), [batch, length, 24], &device);
             let padding = Padding::after(&lengths, length);
-            run(&layer, &x, |layer, x| layer.forward(x, Some(&padding)))
+            run(&layer, &x, |layer, x| {
+                layer.forward(x, Some(&padding), &Pass::default())
+            })
         });
         // The backend's derivative of GELU is that of its approximation by tanh, which differs from the exact
         // one by up to 1e-3: burn-backend's `gelu_backward`. Only the result, and the gradients of what lies
@@ -474,23 +525,22 @@ mod tests {
             .num_threads(1)
             .build()
             .expect("a pool")
-            .install(|| values(forward(1, x.clone())));
-        assert_eq!(values(forward(1, x.clone())), on_one_thread);
-        assert_ne!(values(forward(2, x.clone())), on_one_thread);
+            .install(|| read(forward(1, x.clone())));
+        assert_eq!(read(forward(1, x.clone())), on_one_thread);
+        assert_ne!(read(forward(2, x.clone())), on_one_thread);
         let input = x.clone().require_grad();
         let weights: Vec<f32> = (0..240).map(|index| (index as f32 * 0.3).cos()).collect();
-        let weights = Tensor::<3>::from_data(TensorData::new(weights, [2, 5, 24]), &device);
+        let weights = send(weights, [2, 5, 24], &device);
         let loss = |x: Tensor<3>| (forward(3, x) * weights.clone()).sum();
         let grads = loss(input.clone()).backward();
-        let grad = values(input.grad(&grads).expect("a gradient"));
-        let at = values(x);
+        let grad = read(input.grad(&grads).expect("a gradient"));
+        let at = read(x);
         const STEP: f32 = 1e-2;
         for index in (0..240).step_by(17) {
             let moved = |by: f32| {
                 let mut at = at.clone();
                 at[index] += by;
-                let x = Tensor::<3>::from_data(TensorData::new(at, [2, 5, 24]), &device);
-                loss(x).into_scalar::<f32>()
+                read(loss(send(at, [2, 5, 24], &device)))[0]
             };
             let slope = (moved(STEP) - moved(-STEP)) / (2.0 * STEP);
             // The error of the difference is of the order of the squared step.

@@ -15,6 +15,7 @@ use rand_distr::StandardNormal;
 use safetensors::SafeTensors;
 
 use crate::Error;
+use crate::checkpoint::{Files, take};
 
 /// Renamed parameters: (pattern in PyTorch's name, ours; pattern in our name, PyTorch's). The store
 /// converts layouts of linear layers and names of norms.
@@ -76,10 +77,7 @@ const RENAMES: [(&str, &str, &str, &str); 10] = [
 ///
 /// # Errors
 /// The store refuses a tensor.
-pub fn to_safetensors<M: Module + ModuleSnapshot>(
-    network: &M,
-    path: &Path,
-) -> Result<Vec<u8>, Error> {
+pub fn to_safetensors<M: Module>(network: &M, path: &Path) -> Result<Vec<u8>, Error> {
     let mut store = SafetensorsStore::from_bytes(None)
         .clear_metadata()
         .with_to_adapter(BurnToPyTorchAdapter);
@@ -98,7 +96,7 @@ pub fn to_safetensors<M: Module + ModuleSnapshot>(
 ///
 /// # Errors
 /// The file is malformed, or a tensor is missing or of another shape.
-pub fn from_safetensors<M: Module + ModuleSnapshot>(
+pub fn from_safetensors<M: Module>(
     network: &mut M,
     bytes: Vec<u8>,
     prefix: &str,
@@ -112,7 +110,7 @@ pub fn from_safetensors<M: Module + ModuleSnapshot>(
 ///
 /// # Errors
 /// As [`from_safetensors`].
-pub fn from_safetensors_named<M: Module + ModuleSnapshot>(
+pub fn from_safetensors_named<M: Module>(
     network: &mut M,
     bytes: Vec<u8>,
     prefix: &str,
@@ -161,7 +159,71 @@ pub fn from_safetensors_named<M: Module + ModuleSnapshot>(
     Err(Error::weights(path, detail))
 }
 
-/// Maximum number of tensors an error names.
+/// Takes a network out of the files of a checkpoint.
+///
+/// # Errors
+/// The file is missing, damaged or of another network.
+pub(crate) fn load_network<M: Module>(
+    network: &mut M,
+    files: &mut Files,
+    name: &str,
+    run_dir: &Path,
+) -> Result<(), Error> {
+    let bytes = take(files, name, run_dir)?;
+    from_safetensors(network, bytes, "", &run_dir.join(name))
+}
+
+/// Networks as files of a checkpoint.
+pub trait Networks: Module {
+    /// Name of the file; where there are several, of that of the main network.
+    const FILE: &'static str;
+
+    /// The networks as files by name.
+    ///
+    /// # Errors
+    /// A network cannot be written.
+    fn to_files(&self, run_dir: &Path) -> Result<Files, Error> {
+        Ok([(Self::FILE.to_owned(), to_safetensors(self, run_dir)?)].into())
+    }
+
+    /// The inverse of [`Networks::to_files`]: takes the files it needs.
+    ///
+    /// # Errors
+    /// A file is missing, damaged or of another network.
+    fn take_files(&mut self, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        load_network(self, files, Self::FILE, run_dir)
+    }
+}
+
+/// A network that only some models have.
+impl<N: Networks> Networks for Option<N> {
+    const FILE: &'static str = N::FILE;
+
+    fn to_files(&self, run_dir: &Path) -> Result<Files, Error> {
+        self.as_ref()
+            .map_or_else(|| Ok(Files::new()), |network| network.to_files(run_dir))
+    }
+
+    fn take_files(&mut self, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
+        self.as_mut()
+            .map_or(Ok(()), |network| network.take_files(files, run_dir))
+    }
+}
+
+/// The files of a main network and of one that goes with it.
+///
+/// # Errors
+/// A network cannot be written.
+pub(crate) fn both_files(
+    main: &impl Networks,
+    other: &impl Networks,
+    run_dir: &Path,
+) -> Result<Files, Error> {
+    let mut files = main.to_files(run_dir)?;
+    files.extend(other.to_files(run_dir)?);
+    Ok(files)
+}
+
 const LISTED: usize = 5;
 
 /// Shapes of the tensors of a safetensors file whose names start with `prefix`, by the rest.
@@ -200,7 +262,10 @@ pub fn draw<M: Module>(network: M, seed: Seed) -> Result<M, Error> {
     let network = network.map(&mut draw);
     match draw.unknown {
         None => Ok(network),
-        Some((parameter, layer)) => Err(Error::NoFirstValue { parameter, layer }),
+        Some((parameter, layer)) => Err(Error::Refused(format!(
+            "parameter {parameter} of layer {layer} has no rule for its first values; add one to \
+             model::weights::draw"
+        ))),
     }
 }
 
@@ -303,6 +368,7 @@ mod tests {
     use burn::tensor::Device;
 
     use super::*;
+    use crate::transfer::read;
 
     fn linear(seed: u64) -> Linear {
         draw(
@@ -316,13 +382,14 @@ mod tests {
     fn a_batch_norm_begins_as_pytorchs_does() {
         let device = Device::flex().autodiff();
         let norm = draw(BatchNormConfig::new(8).init(&device), Seed(3)).expect("a known layer");
-        let numbers = |tensor: Tensor<1>| -> Vec<f32> {
-            tensor.into_data().try_into_vec_as().expect("floats")
-        };
-        assert_eq!(numbers(norm.gamma.val()), [1.0; 8]);
-        assert_eq!(numbers(norm.beta.val()), [0.0; 8]);
-        assert_eq!(numbers(norm.running_mean.value()), [0.0; 8]);
-        assert_eq!(numbers(norm.running_var.value()), [1.0; 8]);
+        for (tensor, expected) in [
+            (norm.gamma.val(), 1.0),
+            (norm.beta.val(), 0.0),
+            (norm.running_mean.value(), 0.0),
+            (norm.running_var.value(), 1.0),
+        ] {
+            assert_eq!(read(tensor), [expected; 8]);
+        }
     }
 
     #[test]
@@ -337,12 +404,8 @@ mod tests {
             inner: linear(1),
             scale: Param::from_tensor(Tensor::zeros([3], &device)),
         };
-        match draw(odd, Seed(1)) {
-            Err(Error::NoFirstValue { parameter, layer }) => {
-                assert_eq!((parameter.as_str(), layer.as_str()), ("scale", "Odd"));
-            }
-            other => panic!("expected a refusal, got {other:?}"),
-        }
+        let error = draw(odd, Seed(1)).expect_err("no rule").to_string();
+        assert!(error.starts_with("parameter scale of layer Odd"), "{error}");
     }
 
     #[test]
@@ -353,8 +416,7 @@ mod tests {
         assert_ne!(bytes(&layer), bytes(&linear(2)));
         assert_eq!(layer.weight.id, linear(2).weight.id);
         assert!(layer.weight.val().is_require_grad());
-        let values = layer.weight.val().into_data();
-        let values = values.try_into_vec_as::<f32>().expect("floats");
+        let values = read(layer.weight.val());
         assert!(values.iter().all(|value| value.abs() <= 0.25));
         assert!(values.iter().any(|value| value.abs() > 0.2));
     }

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Skeleton;
 use kinematics::KeypointFrame;
 use kinematics::canonical::FIXED_FRAMES;
@@ -15,30 +15,29 @@ use super::noise::Noise;
 use super::sampler::{Condition, Guide, Sampler};
 use super::settings::{EditSettings, EditTimes};
 use super::windows::{WindowModel, WindowRequest, edit_windows};
-use crate::checkpoint::{self, RunRecord, Slot, read_for_use, weights_hash};
+use crate::checkpoint::{RunRecord, Slot, open_for_use};
 use crate::config::narrowed;
 use crate::coordinator::TrainedCoordinator;
-use crate::data::TextVectors;
 use crate::extrapolation::Extrapolation;
-use crate::fit::{DENOISER, EditorRecord, KIND, TEXT, load_weights};
+use crate::fit::{EditorRecord, KIND};
 use crate::j2s::PoseNet;
-use crate::model::denoiser::PreparedWeights;
 use crate::model::motionrefit::MotionRefit;
+use crate::model::transformer::PreparedWeights;
+use crate::model::weights::Networks;
 use crate::schedule::Schedule;
-use crate::transfer::read;
+use crate::text::table::EmbeddingTable;
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
 /// A trained editor.
 #[derive(Debug)]
 pub struct Editor {
     model: MotionRefit,
-    /// Packed weights of the model's denoiser.
-    weights: PreparedWeights,
     schedule: Schedule,
     record: RunRecord<EditorRecord>,
     hash: String,
     device: Device,
-    vectors: Option<Box<dyn TextVectors + Send>>,
+    vectors: Option<EmbeddingTable>,
     coordinator: Option<TrainedCoordinator>,
     poses: Option<PoseNet>,
 }
@@ -49,25 +48,13 @@ impl Editor {
     /// # Errors
     /// The folder is not a run of the editor, or its checkpoint is missing or damaged.
     pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<Self, Error> {
-        let record: RunRecord<EditorRecord> = checkpoint::read_record(run_dir, KIND)?;
+        let opened = open_for_use::<EditorRecord>(run_dir, slot, KIND)?;
+        let (record, hash, mut files) = (opened.record, opened.hash, opened.files);
         let config = &record.config.train;
         record.config.check()?;
-        let mut files = read_for_use(run_dir, slot, KIND)?;
-        let weights: Vec<&[u8]> = [DENOISER, TEXT]
-            .iter()
-            .filter_map(|&name| files.get(name).map(Vec::as_slice))
-            .collect();
-        let hash = weights_hash(&record.config, &weights);
-        let mut model = MotionRefit::of_frames(
-            &config.model,
-            &config.diffusion,
-            record.config.text.source(),
-            3 * config.keypoints,
-            device,
-        );
-        load_weights(&mut model, &mut files, run_dir)?;
+        let mut model = record.config.network(device);
+        model.take_files(&mut files, run_dir)?;
         Ok(Self {
-            weights: model.denoiser.prepared_weights(),
             model,
             schedule: Schedule::new(config.diffusion.schedule, config.diffusion.num_steps)?,
             hash,
@@ -99,12 +86,10 @@ impl Editor {
         self.hash = blake3::hash(&both).to_hex().to_string();
     }
 
-    /// The pose network.
     pub(crate) fn poses(&self) -> Option<&PoseNet> {
         self.poses.as_ref()
     }
 
-    /// Device of the tensors.
     pub(crate) fn device(&self) -> &Device {
         &self.device
     }
@@ -114,8 +99,8 @@ impl Editor {
     ///
     /// # Errors
     /// They are of another encoder.
-    pub fn set_vectors(&mut self, vectors: Box<dyn TextVectors + Send>) -> Result<(), Error> {
-        self.record.config.text.texts(Some(&*vectors))?;
+    pub fn set_vectors(&mut self, vectors: EmbeddingTable) -> Result<(), Error> {
+        self.record.config.text.texts(Some(&vectors))?;
         self.vectors = Some(vectors);
         Ok(())
     }
@@ -148,10 +133,7 @@ impl Editor {
             self.coordinator = Some(coordinator);
             return Ok(self);
         };
-        Err(Error::Misfit {
-            what: "the coordinator",
-            problem: problem.to_owned(),
-        })
+        Err(Error::misfit("the coordinator", problem))
     }
 
     /// Whether the editor has a coordinator.
@@ -198,6 +180,7 @@ impl Editor {
         times.window = self.record.config.train.window;
         let mut generator = Generator {
             editor: self,
+            weights: self.model.denoiser.prepared_weights(session.arithmetic),
             settings,
             session,
             times,
@@ -213,9 +196,9 @@ impl Editor {
     }
 }
 
-/// The editor's network at work.
 struct Generator<'a> {
     editor: &'a Editor,
+    weights: PreparedWeights,
     settings: &'a EditSettings,
     session: &'a Session<'a>,
     times: &'a mut EditTimes,
@@ -225,6 +208,7 @@ impl WindowModel for Generator<'_> {
     fn generate(&mut self, requests: &mut [WindowRequest<'_>]) -> Result<Vec<f32>, Error> {
         let Self {
             editor,
+            weights,
             settings,
             session,
             ..
@@ -234,10 +218,7 @@ impl WindowModel for Generator<'_> {
         let num_rows = requests.len();
         let (frames, keypoints) = (config.train.window, config.train.keypoints);
         let window = |values: Vec<f32>, frames: usize| -> Tensor<3> {
-            Tensor::from_data(
-                TensorData::new(values, [num_rows, frames, 3 * keypoints]),
-                &editor.device,
-            )
+            send(values, [num_rows, frames, 3 * keypoints], &editor.device)
         };
         let original: Vec<f32> = requests
             .iter()
@@ -245,8 +226,7 @@ impl WindowModel for Generator<'_> {
             .collect();
         let fixed: Option<Vec<[NormalizedFrame; FIXED_FRAMES]>> =
             requests.iter().map(|request| request.fixed).collect();
-        let vectors = editor.vectors.as_deref().map(|vectors| vectors as _);
-        let texts = config.text.texts(vectors)?.batch(
+        let texts = config.text.texts(editor.vectors.as_ref())?.batch(
             requests
                 .iter()
                 .map(|request| request.window.instruction.as_deref().unwrap_or_default()),
@@ -273,7 +253,7 @@ impl WindowModel for Generator<'_> {
         });
         let sampler = Sampler {
             denoiser: &editor.model.denoiser,
-            weights: &editor.weights,
+            weights,
             schedule: &editor.schedule,
             prediction: diffusion.prediction,
             extrapolation: config.extrapolation.as_ref(),
@@ -323,7 +303,6 @@ fn widened(generated: Vec<f32>, keypoints: usize) -> Vec<f32> {
         .collect()
 }
 
-/// The keypoint that one of the others hangs from.
 pub(crate) fn keypoint_parent(slot: usize) -> usize {
     usize::try_from(KEYPOINT_PARENTS[slot]).unwrap_or(0)
 }

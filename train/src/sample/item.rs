@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::settings::FitMethod;
 use crate::Error;
+use crate::error::motion_error;
 use crate::fit::EditorRecord;
 
 /// An instruction for some frames of a motion.
@@ -83,29 +84,6 @@ struct Span {
 }
 
 impl EditItem {
-    /// Cuts a motion of any rate into windows that all ask for the same. The edit has the motion's
-    /// own rate and length.
-    ///
-    /// # Errors
-    /// The motion has no frame.
-    ///
-    /// # Source
-    /// Paper, App. B.2. The windows advance by what each adds; the released demo's 31 raw
-    /// frames drift against the generated motion (`algorithms` section 8).
-    pub fn new(
-        id: impl Into<String>,
-        motion: &Motion,
-        instruction: &str,
-        skeleton: &Skeleton,
-        editor: &EditorRecord,
-    ) -> Result<Self, Error> {
-        let whole = TimedInstruction {
-            frames: 0..motion.len(),
-            text: instruction.to_owned(),
-        };
-        Self::timed(id, motion, &[whole], motion.fps(), skeleton, editor)
-    }
-
     /// Cuts a motion into windows that ask for what is asked of their frames; a frame belongs to the
     /// first instruction that covers it, and stays as it is where none does. `fps` is the rate of the
     /// edit.
@@ -121,7 +99,9 @@ impl EditItem {
     /// frame of its own.
     ///
     /// # Source
-    /// Paper, App. E.1 (time-variant editing); which window hears which instruction is not published.
+    /// Paper, App. B.2, and App. E.1 (time-variant editing); which window hears which instruction is not published. The
+    /// windows advance by what each adds; the released demo's 31 raw frames drift against the generated motion
+    /// (`algorithms` section 8).
     pub fn timed(
         id: impl Into<String>,
         motion: &Motion,
@@ -131,97 +111,52 @@ impl EditItem {
         editor: &EditorRecord,
     ) -> Result<Self, Error> {
         let id = id.into();
-        let (window, normalizer) = (editor.train.window, &editor.normalizer);
-        let overlap = editor.train.diffusion.overlap;
+        let refused = |problem: String| Error::item(id.clone(), problem);
+        check_ranges(motion, instructions).map_err(&refused)?;
         let (model_fps, anchor) = (editor.compose.config.fps, editor.compose.config.anchor);
-        for asked in instructions {
-            let Range { start, end } = asked.frames;
-            if start >= end || end > motion.len() {
-                return Err(Error::Item {
-                    id,
-                    problem: format!(
-                        "has {} frames, which the range {start}:{end} of {:?} does not fit",
-                        motion.len(),
-                        asked.text
-                    ),
-                });
-            }
-        }
         let original = Resample::Exact
             .apply(motion, fps)
-            .map_err(|source| Error::Motion {
-                id: id.clone(),
-                source: source.into(),
-            })?
+            .map_err(motion_error(&id))?
             .poses();
         let mut poses = covering(motion, model_fps);
         let num_frames = poses.len();
         let Some(&last_pose) = poses.last() else {
-            return Err(Error::Item {
-                id,
-                problem: "has no frame".to_owned(),
-            });
+            return Err(refused("has no frame".to_owned()));
         };
         let to_model = model_fps.get() / motion.fps().get();
         let spans = spans(num_frames, motion.len(), to_model, instructions);
-        for (index, asked) in instructions.iter().enumerate() {
-            if spans.iter().all(|span| span.instruction != Some(index)) {
-                let Range { start, end } = asked.frames;
-                return Err(Error::Item {
-                    id,
-                    problem: format!(
-                        "has no frame of its own for {start}:{end} {:?}: at {model_fps} all of them \
-                         belong to instructions before it; widen the range",
-                        asked.text
-                    ),
-                });
-            }
-        }
-        let places: Vec<(usize, usize, Option<usize>)> = spans
-            .iter()
-            .flat_map(|span| {
-                let instruction = span.instruction;
-                // What is kept as it was meets what was there.
-                let overlap = instruction.map_or(0, |_| overlap);
-                places(&span.frames, num_frames, window, overlap)
-                    .into_iter()
-                    .map(move |(start, used)| (start, used, instruction))
-            })
-            .collect();
-        let needed = places.iter().map(|(start, ..)| start + window).max();
-        poses.resize(needed.unwrap_or(0).max(num_frames), last_pose);
+        check_heard(&spans, instructions, model_fps).map_err(&refused)?;
+        let places = places_of_spans(&spans, num_frames, editor);
+        let needed = places.iter().map(|place| place.start + editor.train.window);
+        poses.resize(needed.max().unwrap_or(0).max(num_frames), last_pose);
         let texts: Vec<Arc<str>> = instructions
             .iter()
             .map(|asked| asked.text.as_str().into())
             .collect();
         let windows = places
             .into_iter()
-            .map(|(start, used, instruction)| {
-                let mut segment = poses[start..start + window].to_vec();
-                canonicalise(&mut segment, anchor, skeleton);
-                let progress = instruction.map_or(0.0, |index| {
+            .map(|place| {
+                let progress = place.instruction.map_or(0.0, |index| {
                     let Range { start: begin, end } = instructions[index].frames;
                     let length = (end - begin) as f64 * to_model;
-                    ((start as f64 - begin as f64 * to_model) / length).clamp(0.0, 1.0)
+                    ((place.start as f64 - begin as f64 * to_model) / length).clamp(0.0, 1.0)
                 });
+                let segment = poses[place.start..place.start + editor.train.window].to_vec();
                 EditWindow {
-                    original: segment
-                        .iter()
-                        .map(|pose| normalizer.normalize(&skeleton.keypoints(pose)))
-                        .collect(),
-                    instruction: instruction.map(|index| Arc::clone(&texts[index])),
+                    original: model_units(segment, skeleton, editor),
+                    instruction: place.instruction.map(|index| Arc::clone(&texts[index])),
                     progress: progress as f32,
-                    start,
-                    used,
+                    start: place.start,
+                    used: place.used,
                 }
             })
             .collect();
         Ok(Self {
-            id,
             windows,
             placement: motion_from_segment(&poses[0], anchor, skeleton),
             original,
             fps,
+            id,
         })
     }
 
@@ -256,6 +191,58 @@ impl EditItem {
             })
             .collect()
     }
+}
+
+/// Checks that all ranges lie in a motion.
+///
+/// # Errors
+/// What is wrong with one.
+fn check_ranges(motion: &Motion, instructions: &[TimedInstruction]) -> Result<(), String> {
+    for asked in instructions {
+        let Range { start, end } = asked.frames;
+        if start >= end || end > motion.len() {
+            return Err(format!(
+                "has {} frames, which the range {start}:{end} of {:?} does not fit",
+                motion.len(),
+                asked.text
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Checks that every instruction has a frame of its own.
+///
+/// # Errors
+/// Which one has none.
+fn check_heard(
+    spans: &[Span],
+    instructions: &[TimedInstruction],
+    model_fps: Fps,
+) -> Result<(), String> {
+    for (index, asked) in instructions.iter().enumerate() {
+        if spans.iter().all(|span| span.instruction != Some(index)) {
+            let Range { start, end } = asked.frames;
+            return Err(format!(
+                "has no frame of its own for {start}:{end} {:?}: at {model_fps} all of them \
+                 belong to instructions before it; widen the range",
+                asked.text
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn model_units(
+    mut segment: Vec<Pose>,
+    skeleton: &Skeleton,
+    editor: &EditorRecord,
+) -> Vec<NormalizedFrame> {
+    canonicalise(&mut segment, editor.compose.config.anchor, skeleton);
+    segment
+        .iter()
+        .map(|pose| editor.normalizer.normalize(&skeleton.keypoints(pose)))
+        .collect()
 }
 
 /// A Catmull-Rom spline through frames, between `before` and the frame after it. Past either end it goes
@@ -356,14 +343,32 @@ fn spans(
     spans
 }
 
-/// Start and used frames of the windows that make the frames of a span, of a motion of `num_frames`. Each
-/// window but the first makes the last `overlap` frames before it anew.
-fn places(
-    frames: &Range<usize>,
-    num_frames: usize,
-    window: usize,
-    overlap: usize,
-) -> Vec<(usize, usize)> {
+/// Where a window lies in its motion, at the model's rate, and what it is asked for.
+#[derive(Clone, Copy)]
+struct Place {
+    start: usize,
+    used: usize,
+    instruction: Option<usize>,
+}
+
+/// The windows that make the frames of all spans, of a motion of `num_frames`.
+fn places_of_spans(spans: &[Span], num_frames: usize, editor: &EditorRecord) -> Vec<Place> {
+    spans
+        .iter()
+        .flat_map(|span| {
+            // What is kept as it was meets what was there.
+            let overlap = span
+                .instruction
+                .map_or(0, |_| editor.train.diffusion.overlap);
+            places(span, num_frames, editor.train.window, overlap)
+        })
+        .collect()
+}
+
+/// The windows that make the frames of a span, of a motion of `num_frames`. Each window but the first makes the
+/// last `overlap` frames before it anew.
+fn places(span: &Span, num_frames: usize, window: usize, overlap: usize) -> Vec<Place> {
+    let frames = &span.frames;
     let mut places = Vec::new();
     let mut next = frames.start;
     while next < frames.end {
@@ -376,7 +381,11 @@ fn places(
             natural
         };
         let used = (frames.end - start).min(window);
-        places.push((start, used));
+        places.push(Place {
+            start,
+            used,
+            instruction: span.instruction,
+        });
         let end = start + used;
         if end == frames.end {
             break;

@@ -4,13 +4,14 @@
 //! and does not depend on what else is in its batch. Many steps are drawn and sent at once, so that a
 //! device does not wait for each.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Rng;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
 use crate::noise_shape::NoiseShape;
+use crate::transfer::send;
 
 /// Numbers drawn and sent at once: 16 MB. Most batches need one or two such blocks.
 const BLOCK: usize = 1 << 22;
@@ -24,7 +25,6 @@ pub(crate) struct Noise<'a> {
     /// Covariance of the noise, and whether it is that of first windows; none for white noise.
     covariance: Option<(&'a NoiseShape, bool)>,
     device: &'a Device,
-    /// Steps still to be drawn.
     left: usize,
     /// Steps that were drawn, `[S, B, T, width]`, and the first that was not taken.
     block: Option<(Tensor<4>, usize)>,
@@ -49,7 +49,6 @@ impl<'a> Noise<'a> {
         }
     }
 
-    /// The same noise times a factor.
     pub(crate) fn scaled(mut self, scale: f64) -> Self {
         self.scale = scale as f32;
         self
@@ -107,8 +106,13 @@ impl<'a> Noise<'a> {
             }
         }
         let shape = [steps, rows, frames, width];
-        Tensor::from_data(TensorData::new(values, shape), self.device)
+        send(values, shape, self.device)
     }
+}
+
+/// So many numbers of the standard normal distribution.
+pub(crate) fn normal(rng: &mut Rng, count: usize) -> Vec<f32> {
+    (0..count).map(|_| rng.sample(StandardNormal)).collect()
 }
 
 #[cfg(test)]
@@ -116,6 +120,7 @@ mod tests {
     use datasets_spec::Seed;
 
     use super::*;
+    use crate::transfer::read;
 
     #[test]
     fn noise_is_that_of_each_row_whatever_is_drawn_ahead() {
@@ -127,8 +132,7 @@ mod tests {
         // Two blocks: the first holds nine steps of two rows.
         let mut noise = Noise::new(&mut ahead, SHAPE, 11, &device).scaled(0.5);
         for _ in 0..11 {
-            let step = noise.step().into_data();
-            let step: Vec<f32> = step.try_into_vec_as().expect("floats");
+            let step = read(noise.step());
             let expected: Vec<f32> = one_by_one
                 .iter_mut()
                 .flat_map(|rng| {

@@ -8,7 +8,9 @@ use crate::config::{GuidanceConfig, GuidanceTarget, Prediction};
 use crate::diffusion::{guide, put_fixed};
 use crate::extrapolation::{Basis, Extrapolation};
 use crate::model::coordinator::Coordinator;
-use crate::model::denoiser::{Denoiser, PreparedWeights};
+use crate::model::denoiser::{Denoiser, PreparedDenoiser};
+use crate::model::pass::Pass;
+use crate::model::transformer::PreparedWeights;
 use crate::schedule::Schedule;
 
 /// What a batch of windows is generated from.
@@ -40,7 +42,13 @@ pub struct Guide<'a> {
 impl Guide<'_> {
     /// How far `x` is moved at a step, if this is what the guide moves and the step is among the
     /// guided ones.
-    fn push(&self, target: GuidanceTarget, x: &Tensor<3>, timestep: usize) -> Option<Tensor<3>> {
+    fn push(
+        &self,
+        target: GuidanceTarget,
+        x: &Tensor<3>,
+        timestep: usize,
+        pass: &Pass,
+    ) -> Option<Tensor<3>> {
         let is_guided = target == self.config.target && timestep < self.config.num_steps;
         if !is_guided || self.config.strength == 0.0 {
             return None;
@@ -53,7 +61,7 @@ impl Guide<'_> {
         };
         let gradient = self
             .network
-            .gradient(x.clone(), &vec![seen_as; x.dims()[0]])
+            .gradient(x.clone(), &vec![seen_as; x.dims()[0]], pass)
             .mul_scalar(self.config.strength);
         self.secs.set(self.secs.get() + (self.clock)() - begun);
         Some(gradient)
@@ -65,7 +73,7 @@ impl Guide<'_> {
 pub struct Sampler<'a> {
     /// The network.
     pub denoiser: &'a Denoiser,
-    /// Its weights.
+    /// Its weights, and the operations that it and the coordinator are computed by.
     pub weights: &'a PreparedWeights,
     /// The schedule it was trained with.
     pub schedule: &'a Schedule,
@@ -82,6 +90,11 @@ pub struct Sampler<'a> {
 }
 
 impl Sampler<'_> {
+    /// Whether predictions with and without text are mixed: at weight 1 that without cancels out.
+    fn is_guided(&self) -> bool {
+        self.guidance != 1.0
+    }
+
     /// Generates a batch of windows, `[B, W, 84]`.
     ///
     /// `noise` is asked first for the start (`None`), then for every reverse step in the order they
@@ -96,11 +109,35 @@ impl Sampler<'_> {
         noise: impl FnMut(Option<usize>) -> Tensor<3>,
         on_step: impl FnMut(usize, &Tensor<3>),
     ) -> Tensor<3> {
+        let windows = Sampling::new(*self, condition);
+        let placed = match &condition.fixed {
+            Some(fixed) => put_fixed(condition.original.clone(), fixed.clone()),
+            None => condition.original.clone(),
+        };
+        reverse(
+            self.schedule,
+            condition.fixed.as_ref(),
+            windows.basis.centre(&placed).as_ref(),
+            |x, timestep| windows.estimate(x, timestep),
+            |mean, timestep| windows.nudge(mean, timestep),
+            noise,
+            on_step,
+        )
+    }
+}
+
+struct Sampling<'a> {
+    sampler: Sampler<'a>,
+    denoiser: PreparedDenoiser<'a>,
+    basis: Basis,
+    batch: usize,
+    pass: Pass,
+}
+
+impl<'a> Sampling<'a> {
+    fn new(sampler: Sampler<'a>, condition: &Condition) -> Self {
         let batch = condition.progress.len();
-        // At weight 1 the prediction without text cancels out.
-        let is_guided = self.guidance != 1.0;
-        let twice = |x: &Tensor<3>| Tensor::cat(vec![x.clone(), x.clone()], 0);
-        let (text, original, progress) = if is_guided {
+        let (text, original, progress) = if sampler.is_guided() {
             (
                 Tensor::cat(vec![condition.text.clone(), condition.text.zeros_like()], 0),
                 twice(&condition.original),
@@ -114,72 +151,79 @@ impl Sampler<'_> {
             )
         };
         let is_start = vec![condition.fixed.is_none(); batch];
-        let basis = Basis::new(condition.original.clone(), &is_start, self.extrapolation);
-        let denoiser = self.denoiser.prepare(
-            self.weights,
-            self.schedule.len(),
-            text,
-            &progress,
-            basis.seen(original),
-        );
-        let push = |target, x: &Tensor<3>, timestep| {
-            self.coordinator
-                .and_then(|guide| guide.push(target, x, timestep))
-        };
-        let estimate = |x: &Tensor<3>, timestep: usize| {
-            let input = if is_guided { twice(x) } else { x.clone() };
-            let predicted = denoiser.forward(basis.seen(input), timestep);
-            let predicted = if is_guided {
-                guide(
-                    predicted.clone().narrow(0, 0, batch),
-                    predicted.narrow(0, batch, batch),
-                    self.guidance,
-                )
-            } else {
-                predicted
-            };
-            let mut x0 = self.schedule.clean_of(
-                self.prediction,
-                predicted,
-                x,
-                &basis,
-                &vec![timestep; batch],
-            );
-            if self.clip {
-                x0 = x0.clamp(-1.0, 1.0);
-            }
-            match push(GuidanceTarget::CleanPrediction, &x0, timestep) {
-                Some(gradient) => x0 - gradient,
-                None => x0,
-            }
-        };
-        let nudge = |mean: Tensor<3>, timestep: usize| {
-            // The last step adds no noise, and what is scaled by it is nothing.
-            let gradient = (timestep > 0)
-                .then(|| push(GuidanceTarget::PosteriorMean, &mean, timestep))
-                .flatten();
-            match gradient {
-                Some(gradient) => {
-                    let spread = self.schedule.posterior_variance[timestep].sqrt();
-                    mean - gradient.mul_scalar(spread)
-                }
-                None => mean,
-            }
-        };
-        let placed = match &condition.fixed {
-            Some(fixed) => put_fixed(condition.original.clone(), fixed.clone()),
-            None => condition.original.clone(),
-        };
-        reverse(
-            self.schedule,
-            condition.fixed.as_ref(),
-            basis.centre(&placed).as_ref(),
-            estimate,
-            nudge,
-            noise,
-            on_step,
-        )
+        let basis = Basis::new(condition.original.clone(), &is_start, sampler.extrapolation);
+        Self {
+            denoiser: sampler.denoiser.prepare(
+                sampler.weights,
+                sampler.schedule.len(),
+                text,
+                &progress,
+                basis.seen(original),
+            ),
+            basis,
+            batch,
+            pass: Pass::new(sampler.weights.arithmetic()),
+            sampler,
+        }
     }
+
+    /// The clean windows of noisy ones, `[B, W, 84]`.
+    fn estimate(&self, x: &Tensor<3>, timestep: usize) -> Tensor<3> {
+        let Self { sampler, batch, .. } = self;
+        let input = if sampler.is_guided() {
+            twice(x)
+        } else {
+            x.clone()
+        };
+        let predicted = self.denoiser.forward(self.basis.seen(input), timestep);
+        let predicted = if sampler.is_guided() {
+            guide(
+                predicted.clone().narrow(0, 0, *batch),
+                predicted.narrow(0, *batch, *batch),
+                sampler.guidance,
+            )
+        } else {
+            predicted
+        };
+        let mut x0 = sampler.schedule.clean_of(
+            sampler.prediction,
+            predicted,
+            x,
+            &self.basis,
+            &vec![timestep; *batch],
+        );
+        if sampler.clip {
+            x0 = x0.clamp(-1.0, 1.0);
+        }
+        match self.push(GuidanceTarget::CleanPrediction, &x0, timestep) {
+            Some(gradient) => x0 - gradient,
+            None => x0,
+        }
+    }
+
+    /// The mean of a posterior, moved by the coordinator.
+    fn nudge(&self, mean: Tensor<3>, timestep: usize) -> Tensor<3> {
+        // The last step adds no noise, and what is scaled by it is nothing.
+        let gradient = (timestep > 0)
+            .then(|| self.push(GuidanceTarget::PosteriorMean, &mean, timestep))
+            .flatten();
+        match gradient {
+            Some(gradient) => {
+                let spread = self.sampler.schedule.posterior_variance[timestep].sqrt();
+                mean - gradient.mul_scalar(spread)
+            }
+            None => mean,
+        }
+    }
+
+    fn push(&self, target: GuidanceTarget, x: &Tensor<3>, timestep: usize) -> Option<Tensor<3>> {
+        let coordinator = self.sampler.coordinator?;
+        coordinator.push(target, x, timestep, &self.pass)
+    }
+}
+
+fn twice(x: &Tensor<3>) -> Tensor<3> {
+    Tensor::cat(vec![x.clone(), x.clone()], 0)
 }
 
 /// Runs the reverse process from pure noise, `[B, W, 84]`, with `estimate` telling the clean windows of

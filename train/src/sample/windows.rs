@@ -49,7 +49,40 @@ pub fn edit_windows(
     settings: &EditSettings,
     session: &Session<'_>,
 ) -> Result<Vec<Vec<KeypointFrame>>, Error> {
-    let window_frames = record.train.window;
+    check_windows(items, record.train.window)?;
+    let pelvis = record.compose.config.anchor.pelvis(skeleton);
+    let mut joining = Joining {
+        record,
+        items,
+        settings,
+        stitchers: items
+            .iter()
+            .map(|item| Stitcher::new(skeleton.rest_triangle(), item.placement).anchored(pelvis))
+            .collect(),
+        former: vec![Vec::new(); items.len()],
+    };
+    let num_windows = items.iter().map(|item| item.windows.len()).sum::<usize>();
+    let progress = session.progress;
+    progress.begin("edit", Some(num_windows as u64));
+    let longest = items.iter().map(|item| item.windows.len()).max();
+    for window_index in 0..longest.unwrap_or(0) {
+        let active = joining.advance(window_index, session);
+        for chunk in active.chunks(settings.max_batch.max(1)) {
+            session.go_on("editing")?;
+            let mut requests: Vec<WindowRequest<'_>> = chunk
+                .iter()
+                .map(|&item| joining.request(item, window_index))
+                .collect();
+            let generated = model.generate(&mut requests)?;
+            joining.push(&requests, &generated);
+            progress.advance(chunk.len() as u64);
+        }
+    }
+    progress.finish(&format!("{} motions, {num_windows} windows", items.len()));
+    Ok(joining.into_frames())
+}
+
+fn check_windows(items: &[EditItem], window_frames: usize) -> Result<(), Error> {
     for item in items {
         let problem = if item.windows.is_empty() {
             "has no window".to_owned()
@@ -62,81 +95,83 @@ pub fn edit_windows(
         } else {
             continue;
         };
-        return Err(Error::Item {
-            id: item.id.clone(),
-            problem,
-        });
+        return Err(Error::item(item.id.clone(), problem));
     }
-    let normalizer = &record.normalizer;
-    let pelvis = record.compose.config.anchor.pelvis(skeleton);
-    let mut stitchers: Vec<Stitcher> = items
-        .iter()
-        .map(|item| Stitcher::new(skeleton.rest_triangle(), item.placement).anchored(pelvis))
-        .collect();
-    let num_windows = items.iter().map(|item| item.windows.len()).sum::<usize>();
-    let progress = session.progress;
-    progress.begin("edit", Some(num_windows as u64));
-    let longest = items.iter().map(|item| item.windows.len()).max();
-    let overlap = record.train.diffusion.overlap;
-    // What a window is blended with.
-    let mut former: Vec<Vec<KeypointFrame>> = vec![Vec::new(); items.len()];
-    for window_index in 0..longest.unwrap_or(0) {
-        // Longer motions go on while shorter ones are done.
+    Ok(())
+}
+
+struct Joining<'a> {
+    record: &'a EditorRecord,
+    items: &'a [EditItem],
+    settings: &'a EditSettings,
+    stitchers: Vec<Stitcher>,
+    /// What the next window of each motion is blended with.
+    former: Vec<Vec<KeypointFrame>>,
+}
+
+impl<'a> Joining<'a> {
+    /// Goes on to a window of every motion that has one: adds those that are kept as they were, and gives the items
+    /// whose windows are to be made. Longer motions go on while shorter ones are done.
+    fn advance(&mut self, window_index: usize, session: &Session<'_>) -> Vec<usize> {
         let mut active = Vec::new();
-        for (index, item) in items.iter().enumerate() {
+        for (index, item) in self.items.iter().enumerate() {
             let Some(window) = item.windows.get(window_index) else {
                 continue;
             };
+            let stitcher = &mut self.stitchers[index];
             if window_index > 0 {
-                former[index] = stitchers[index].rewind(window.start + FIXED_FRAMES);
-                former[index].truncate(overlap);
+                let former = &mut self.former[index];
+                *former = stitcher.rewind(window.start + FIXED_FRAMES);
+                former.truncate(self.record.train.diffusion.overlap);
             }
             if window.instruction.is_some() {
                 active.push(index);
             } else {
-                keep(&mut stitchers[index], window, normalizer);
-                progress.advance(1);
+                keep(stitcher, window, &self.record.normalizer);
+                session.progress.advance(1);
             }
         }
-        for chunk in active.chunks(settings.max_batch.max(1)) {
-            if session.is_stopped() {
-                return Err(Error::Stopped { what: "editing" });
-            }
-            let mut requests: Vec<WindowRequest<'_>> = chunk
-                .iter()
-                .map(|&index| {
-                    let item = &items[index];
-                    let window = &item.windows[window_index];
-                    let is_generated = record.train.diffusion.generated_starts > 0.0;
-                    let fixed = match stitchers[index].next_fixed() {
-                        Some(frames) => Some(frames.map(|frame| normalizer.normalize(&frame))),
-                        None if is_generated => None,
-                        None => Some([window.original[0], window.original[1]]),
-                    };
-                    let place = window_index.to_string();
-                    WindowRequest {
-                        item: index,
-                        window,
-                        fixed,
-                        rng: settings.seed.rng(&["edit", &item.id, &place]),
-                    }
-                })
-                .collect();
-            let generated = model.generate(&mut requests)?;
-            let numbers = window_frames * FRAME_WIDTH;
-            for (request, frames) in requests.iter().zip(generated.chunks_exact(numbers)) {
-                let frames: Vec<KeypointFrame> = frames
-                    .chunks_exact(FRAME_WIDTH)
-                    .take(request.window.used)
-                    .map(|frame| normalizer.denormalize(&NormalizedFrame::from_model_units(frame)))
-                    .collect();
-                stitchers[request.item].push_over(&frames, &former[request.item]);
-            }
-            progress.advance(chunk.len() as u64);
+        active
+    }
+
+    fn request(&self, item: usize, window_index: usize) -> WindowRequest<'a> {
+        let EditItem { id, windows, .. } = &self.items[item];
+        let window = &windows[window_index];
+        let normalizer = &self.record.normalizer;
+        let is_generated = self.record.train.diffusion.generated_starts > 0.0;
+        let fixed = match self.stitchers[item].next_fixed() {
+            Some(frames) => Some(frames.map(|frame| normalizer.normalize(&frame))),
+            None if is_generated => None,
+            None => Some([window.original[0], window.original[1]]),
+        };
+        let place = window_index.to_string();
+        WindowRequest {
+            item,
+            window,
+            fixed,
+            rng: self.settings.seed.rng(&["edit", id, &place]),
         }
     }
-    progress.finish(&format!("{} motions, {num_windows} windows", items.len()));
-    Ok(stitchers.into_iter().map(Stitcher::into_frames).collect())
+
+    fn push(&mut self, requests: &[WindowRequest<'_>], generated: &[f32]) {
+        let EditorRecord {
+            train, normalizer, ..
+        } = self.record;
+        let windows = generated.chunks_exact(train.window * FRAME_WIDTH);
+        for (request, frames) in requests.iter().zip(windows) {
+            let frames: Vec<KeypointFrame> = frames
+                .chunks_exact(FRAME_WIDTH)
+                .take(request.window.used)
+                .map(|frame| normalizer.denormalize(&NormalizedFrame::from_model_units(frame)))
+                .collect();
+            self.stitchers[request.item].push_over(&frames, &self.former[request.item]);
+        }
+    }
+
+    fn into_frames(self) -> Vec<Vec<KeypointFrame>> {
+        let stitchers = self.stitchers.into_iter();
+        stitchers.map(Stitcher::into_frames).collect()
+    }
 }
 
 /// Adds a window as it was. After an edit its frames stand where the edit left the body, and the pose

@@ -3,14 +3,12 @@
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Split};
 
-use super::encoder::{CaptionedClip, views};
-use super::{MOTIONS, create_dir};
-use crate::captioned::CaptionedCorpus;
-use crate::config::TextConfig;
+use super::{MOTIONS, kept};
+use crate::captioned::{CaptionedClip, CaptionedCorpus};
+use crate::config::TextEncoder;
+use crate::error::motion_error;
 use crate::kind::{TrainRequest, Trained};
 use crate::text::clip::ClipModel;
-use crate::text::source::EMBEDDINGS;
-use crate::text::table::EmbeddingTable;
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
@@ -26,10 +24,7 @@ fn timed_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedClip>, Er
     let rows: Vec<MotionRow> = dataset.read(Some(split))?;
     let mut clips = Vec::new();
     for row in rows.iter().filter(|row| !row.captions.is_empty()) {
-        push_clips(row, &mut clips).map_err(|source| Error::Motion {
-            id: row.id.to_string(),
-            source,
-        })?;
+        push_clips(row, &mut clips).map_err(motion_error(row.id.as_str()))?;
     }
     Ok(clips)
 }
@@ -62,51 +57,30 @@ fn push_clips(row: &MotionRow, clips: &mut Vec<CaptionedClip>) -> Result<(), dat
     Ok(())
 }
 
-/// Trains a model on the captioned clips of a dataset, its captions told by `encoder`.
+/// Trains a model on the captioned clips of a dataset, its captions told by `encoder`. Vectors of all captions and of the
+/// empty text are kept in the run folder, where the encoder is a frozen one.
 ///
 /// # Errors
 /// The dataset cannot be read, the text encoder is missing or cannot encode a caption, or training fails.
 pub(super) fn train_on_captions(
     request: &TrainRequest<'_>,
-    encoder: (&TextConfig, ClipModel),
+    encoder: (TextEncoder, ClipModel),
     session: &Session<'_>,
     fit: impl FnOnce(CaptionedCorpus<'_>) -> Result<TrainReport, Error>,
 ) -> Result<Trained, Error> {
     let dataset = request.dataset;
     let train = timed_clips(dataset, Split::Train)?;
     let val = timed_clips(dataset, Split::Val)?;
-    let vectors = caption_vectors(encoder, train.iter().chain(&val), request, session)?;
+    let captions = train.iter().chain(&val).flat_map(|clip| &clip.captions);
+    let captions: Vec<String> = captions.cloned().chain([String::new()]).collect();
+    let (run, source) = (request.start.run, request.text_encoder);
+    let vectors = kept(source.embeddings(run, &captions, encoder, session)?, run)?;
     let report = fit(CaptionedCorpus {
-        train: &views(&train),
-        val: &views(&val),
-        vectors: vectors.as_ref().map(|table| table as _),
+        train: &train,
+        val: &val,
+        vectors: vectors.as_ref(),
         skeleton: &dataset.skeleton()?,
         dataset_hash: &dataset.content_hash(&MOTIONS),
     })?;
-    Ok(Trained::from_report(report, request.start.run))
-}
-
-/// Vectors of all captions and of the empty text, where the settings ask for a frozen encoder; they are
-/// kept in the run folder.
-///
-/// # Errors
-/// The text encoder is missing or cannot encode a caption, or the table cannot be written.
-fn caption_vectors<'a>(
-    (text, model): (&TextConfig, ClipModel),
-    clips: impl Iterator<Item = &'a CaptionedClip>,
-    request: &TrainRequest<'_>,
-    session: &Session<'_>,
-) -> Result<Option<EmbeddingTable>, Error> {
-    let Some(encoder) = text.encoder.frozen(model) else {
-        return Ok(None);
-    };
-    let captions = clips.flat_map(|clip| clip.captions.iter().cloned());
-    let captions: Vec<String> = captions.chain([String::new()]).collect();
-    let run = request.start.run;
-    let table = request
-        .text_encoder
-        .embeddings(run, &captions, encoder, session)?;
-    create_dir(run)?;
-    table.save(&run.join(EMBEDDINGS))?;
-    Ok(Some(table))
+    Ok(Trained::from_report(report, run))
 }

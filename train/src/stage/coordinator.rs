@@ -1,18 +1,15 @@
 //! Training of the body-part coordinator on a dataset.
 
-use compose::COMPOSED;
-use compose::ComposeConfig;
-use datasets_spec::{Dataset, Seed};
+use compose::{COMPOSED, ComposeConfig};
+use datasets_spec::Dataset;
 
 use super::Streams;
 use crate::checkpoint::Start;
-use crate::compose::ComposeRecord;
 use crate::coordinator::{self, CoordinatorConfig, Segments};
 use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
-/// The body-part coordinator.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: coordinator::KIND,
     about: "The body-part coordinator, on natural segments and composed ones",
@@ -33,32 +30,23 @@ pub fn train_coordinator<'a>(
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
     let start = start.into();
-    let seed = config.run.seed;
-    let compose = ComposeConfig {
-        mirrored_ratio: if compose.mirrored_ratio > 0.0 {
-            compose.mirrored_ratio
-        } else {
-            config.mirrored_ratio
-        },
-        ..compose.clone()
-    };
-    let streams = Streams::open(dataset, &compose, config.window, seed, start.range()?)?;
-    let record = ComposeRecord {
-        config: streams.compose,
-        seed: Seed(seed),
-    };
+    let mut compose = compose.clone();
+    if compose.mirrored_ratio <= 0.0 {
+        compose.mirrored_ratio = config.mirrored_ratio;
+    }
+    let (window, seed) = (config.window, config.run.seed);
+    let streams = Streams::open(dataset, &compose, window, seed, start.range()?)?;
     let segments = Segments {
         train: &streams.train,
         val: &streams.val,
         normalizer: streams.normalizer,
         skeleton: &dataset.skeleton()?,
         dataset_hash: &dataset.content_hash(&COMPOSED),
-        compose: &record,
+        compose: &streams.compose,
     };
     coordinator::train_coordinator(start, config, segments, session)
 }
 
-/// Trains the coordinator as a command line asks for it.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&CoordinatorConfig::preset(request.preset))?;
     request.change(&mut config.run);

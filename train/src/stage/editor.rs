@@ -2,26 +2,23 @@
 
 use std::path::Path;
 
-use compose::{COMPOSED, library};
-use compose::{ComposeConfig, ReadOrder, WindowLoader};
+use compose::{COMPOSED, ComposeConfig, ReadOrder, WindowLoader, library};
 use datasets_spec::record::{NormalizerRow, WindowRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};
 use kinematics::normalise::Normalizer;
 
-use super::{Streams, create_dir};
+use super::{Streams, kept};
 use crate::checkpoint::Start;
-use crate::compose::ComposeRecord;
 use crate::config::TrainConfig;
 use crate::edit;
 use crate::fit::{self, Corpus, train_motionrefit};
 use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::text::clip::ClipModel;
-use crate::text::source::{EMBEDDINGS, TextEncoderSource};
+use crate::text::source::TextEncoderSource;
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
-/// The MotionReFit editor.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: fit::KIND,
     about: "The MotionReFit editor, on triplets composed from motions and masks",
@@ -65,7 +62,7 @@ pub fn train_editor<'a>(
     } = &streams;
     let recorded = match inputs.windows {
         Some(folder) => {
-            let fitted = library(dataset, Split::Train)?.fit_normalizer(compose)?;
+            let fitted = library(dataset, Split::Train)?.fit_normalizer(&compose.config)?;
             Some(recorded_windows(folder, [&fitted, normalizer], Seed(seed))?)
         }
         None => None,
@@ -74,17 +71,13 @@ pub fn train_editor<'a>(
         Some(loader) => loader.instructions().to_vec(),
         None => train.instructions(),
     };
-    let vectors = match config.text.encoder.frozen(ClipModel::VitB32) {
-        None => None,
-        Some(encoder) => {
-            let all = [instructions.clone(), val.instructions()].concat();
-            let source = inputs.text_encoder;
-            let table = source.embeddings(start.run, &all, encoder, session)?;
-            create_dir(start.run)?;
-            table.save(&start.run.join(EMBEDDINGS))?;
-            Some(table)
-        }
-    };
+    let all = [instructions.clone(), val.instructions()].concat();
+    let encoder = (config.text.encoder, ClipModel::VitB32);
+    let source = inputs.text_encoder;
+    let vectors = kept(
+        source.embeddings(start.run, &all, encoder, session)?,
+        start.run,
+    )?;
     let corpus = Corpus {
         train: match &recorded {
             Some(loader) => loader,
@@ -92,19 +85,15 @@ pub fn train_editor<'a>(
         },
         val,
         instructions: &instructions,
-        vectors: vectors.as_ref().map(|table| table as _),
+        vectors: vectors.as_ref(),
         normalizer: *normalizer,
         skeleton: &dataset.skeleton()?,
         dataset_hash: &data_hash(dataset, inputs.windows)?,
-        compose: &ComposeRecord {
-            config: compose.clone(),
-            seed: Seed(seed),
-        },
+        compose,
     };
     train_motionrefit(start, config, corpus, session)
 }
 
-/// Trains the editor as a command line asks for it.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&TrainConfig::preset(request.preset))?;
     request.change(&mut config.run);
@@ -139,10 +128,7 @@ fn recorded_windows(
 ) -> Result<WindowLoader, Error> {
     let recorded = Dataset::open(folder)?;
     let rows: Vec<NormalizerRow> = recorded.read(None)?;
-    let misfit = |problem: &'static str| Error::RecordedWindows {
-        path: folder.to_owned(),
-        problem,
-    };
+    let misfit = |problem| Error::Refused(format!("the windows in {} {problem}", folder.display()));
     if used.hash() != fitted.hash() {
         return Err(misfit(
             "use the normaliser of their dataset, and the run keeps that of the weights it begins \

@@ -1,16 +1,17 @@
 //! Training of the evaluation encoder on a dataset.
 
 use datasets_spec::record::MotionRow;
-use datasets_spec::{Dataset, Motion, Split};
+use datasets_spec::{Dataset, Split};
 
 use super::MOTIONS;
+use crate::captioned::{CaptionedClip, CaptionedCorpus};
 use crate::checkpoint::Start;
+use crate::error::motion_error;
 use crate::kind::{ModelKind, TrainRequest, Trained, document};
-use crate::tmr::{self, CaptionedMotion, TmrConfig, TmrCorpus, train_tmr};
+use crate::tmr::{self, TmrConfig, train_tmr};
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
-/// The evaluation encoder.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: tmr::KIND,
     about: "The encoder of motions and texts that evaluation measures with",
@@ -18,17 +19,6 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     train,
     open: None,
 };
-
-/// A clip with its captions.
-#[derive(Clone, Debug)]
-pub struct CaptionedClip {
-    /// Its id.
-    pub id: String,
-    /// The motion.
-    pub motion: Motion,
-    /// At least one caption.
-    pub captions: Vec<String>,
-}
 
 /// The clips of a split that have a caption.
 ///
@@ -40,28 +30,13 @@ pub fn captioned_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedC
     clips
         .map(|row| {
             let id = row.id.to_string();
-            let motion = row.motion().map_err(|source| Error::Motion {
-                id: id.clone(),
-                source,
-            })?;
+            let motion = row.motion().map_err(motion_error(&id))?;
             let captions = row.captions.into_iter().map(|caption| caption.text);
             Ok(CaptionedClip {
                 id,
                 motion,
                 captions: captions.collect(),
             })
-        })
-        .collect()
-}
-
-/// Clips as models take them.
-pub(super) fn views(clips: &[CaptionedClip]) -> Vec<CaptionedMotion<'_>> {
-    clips
-        .iter()
-        .map(|clip| CaptionedMotion {
-            id: &clip.id,
-            motion: &clip.motion,
-            captions: &clip.captions,
         })
         .collect()
 }
@@ -76,20 +51,16 @@ pub fn train_encoder<'a>(
     config: &TmrConfig,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
-    let (train, val) = (
-        captioned_clips(dataset, Split::Train)?,
-        captioned_clips(dataset, Split::Val)?,
-    );
-    let corpus = TmrCorpus {
-        train: &views(&train),
-        val: &views(&val),
+    let corpus = CaptionedCorpus {
+        train: &captioned_clips(dataset, Split::Train)?,
+        val: &captioned_clips(dataset, Split::Val)?,
+        vectors: None,
         skeleton: &dataset.skeleton()?,
         dataset_hash: &dataset.content_hash(&MOTIONS),
     };
     train_tmr(start, config, corpus, session)
 }
 
-/// Trains the encoder as a command line asks for it.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&TmrConfig::preset(request.preset))?;
     request.change(&mut config.run);

@@ -6,7 +6,6 @@ use crate::mdm::{self, MdmConfig, train_mdm};
 use crate::mdm_bp;
 use crate::{Error, Session};
 
-/// MDM, which edits as MDM-BP.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: mdm::KIND,
     about: "MDM, on motions and their captions; it edits body parts as MDM-BP",
@@ -15,12 +14,12 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     open: Some(mdm_bp::open),
 };
 
-/// Trains MDM as a command line asks for it.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&MdmConfig::preset(request.preset))?;
     request.change(&mut config.run);
     request.split(&mut config.run, &config.model, 1 + config.max_frames);
-    train_on_captions(request, (&config.text, mdm::CLIP), session, |corpus| {
+    let encoder = (config.text.encoder, mdm::CLIP);
+    train_on_captions(request, encoder, session, |corpus| {
         train_mdm(request.start, &config, corpus, session)
     })
 }

@@ -5,7 +5,6 @@ use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::mld::{self, MldConfig, train_mld};
 use crate::{Error, Session};
 
-/// MLD, which makes variants of motions.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: mld::KIND,
     about: "MLD, an autoencoder of motions and a diffusion of its latents, for `stance variants`",
@@ -24,7 +23,8 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     let tokens = 2 * (2 + autoencoder.max_frames);
     request.split(&mut autoencoder.run, &autoencoder.model, tokens);
     request.split(&mut config.run, &config.model, 3);
-    train_on_captions(request, (&config.text, mld::CLIP), session, |corpus| {
+    let encoder = (config.text.encoder, mld::CLIP);
+    train_on_captions(request, encoder, session, |corpus| {
         train_mld(request.start, &config, corpus, session)
     })
 }

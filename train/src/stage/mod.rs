@@ -13,8 +13,7 @@ pub mod variants;
 
 use std::path::Path;
 
-use compose::{ComposeConfig, Stream};
-use compose::{library, train_stream};
+use compose::{ComposeConfig, Stream, library, train_stream};
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};
@@ -22,21 +21,25 @@ use kinematics::canonical::WINDOW_FRAMES;
 use kinematics::normalise::Normalizer;
 
 use crate::Error;
+use crate::compose::ComposeRecord;
+use crate::text::source::EMBEDDINGS;
+use crate::text::table::EmbeddingTable;
 
 /// Tables that models of motions alone follow from.
 const MOTIONS: [&str; 1] = [MotionRow::TABLE];
 
 /// Composed windows of the training and the validation split, in one normaliser.
 struct Streams {
-    compose: ComposeConfig,
+    compose: ComposeRecord,
     train: Stream,
     val: Stream,
     normalizer: Normalizer,
 }
 
 impl Streams {
-    /// Opens the streams of a dataset for windows of `window` frames. The normaliser is fitted to the
-    /// training split if none is given.
+    /// Opens the streams of a dataset for windows of `window` frames, unless the composer's settings set a window
+    /// themselves. Then the model refuses one that does not fit it. The normaliser is fitted to the training split if none
+    /// is given.
     fn open(
         dataset: &Dataset,
         compose: &ComposeConfig,
@@ -45,13 +48,17 @@ impl Streams {
         normalizer: Option<Normalizer>,
     ) -> Result<Self, Error> {
         let seed = Seed(seed);
-        let compose = with_window(compose, window);
+        let mut compose = compose.clone();
+        if compose.window == WINDOW_FRAMES {
+            compose.window = window;
+        }
         let (train, normalizer) = train_stream(dataset, &compose, seed, normalizer)?;
-        let val = library(dataset, Split::Val)?;
-        let val = Stream::new(val, unthinned(&compose), seed, &normalizer)
-            .map_err(|source| Error::Validation { source })?;
+        let val = validation_stream(dataset, &compose, seed, &normalizer)?;
         Ok(Self {
-            compose,
+            compose: ComposeRecord {
+                config: compose,
+                seed,
+            },
             train,
             val,
             normalizer,
@@ -61,7 +68,7 @@ impl Streams {
 
 /// The composer's settings without those that thin, fix or mirror the training data:
 /// validation data stay the same.
-pub(crate) fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
+fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
     ComposeConfig {
         mcm_ratio: 1.0,
         annotated_ratio: 1.0,
@@ -71,16 +78,25 @@ pub(crate) fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
     }
 }
 
-/// The composer's settings with the model's window, unless they set a window themselves. Then the model
-/// refuses one that does not fit it.
-fn with_window(compose: &ComposeConfig, window: usize) -> ComposeConfig {
-    let own = compose.window;
-    ComposeConfig {
-        window: if own == WINDOW_FRAMES { window } else { own },
-        ..compose.clone()
-    }
+pub(crate) fn validation_stream(
+    dataset: &Dataset,
+    compose: &ComposeConfig,
+    seed: Seed,
+    normalizer: &Normalizer,
+) -> Result<Stream, Error> {
+    let library = library(dataset, Split::Val)?;
+    let stream = Stream::new(library, unthinned(compose), seed, normalizer);
+    stream.map_err(|source| Error::Validation { source })
 }
 
-pub(crate) fn create_dir(dir: &Path) -> Result<(), Error> {
-    Ok(std::fs::create_dir_all(dir).map_err(datasets_spec::Error::io("create", dir))?)
+/// Keeps the vectors of a run's texts in its folder.
+pub(crate) fn kept(
+    table: Option<EmbeddingTable>,
+    run: &Path,
+) -> Result<Option<EmbeddingTable>, Error> {
+    if let Some(table) = &table {
+        std::fs::create_dir_all(run).map_err(datasets_spec::Error::io("create", run))?;
+        table.save(&run.join(EMBEDDINGS))?;
+    }
+    Ok(table)
 }

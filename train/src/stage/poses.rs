@@ -5,11 +5,11 @@ use datasets_spec::{Dataset, Motion, Split};
 
 use super::MOTIONS;
 use crate::checkpoint::Start;
+use crate::error::motion_error;
 use crate::j2s::{self, J2sConfig, J2sReport};
 use crate::kind::{ModelKind, TrainRequest, Trained, document};
 use crate::{Error, Session};
 
-/// The pose network.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: j2s::KIND,
     about: "The network from keypoints to rotations, measured beside the fits that follow it",
@@ -32,12 +32,7 @@ pub fn train_j2s<'a>(
     let motions = |split: Split| -> Result<Vec<Motion>, Error> {
         let rows: Vec<MotionRow> = dataset.read(Some(split))?;
         rows.iter()
-            .map(|row| {
-                row.motion().map_err(|source| Error::Motion {
-                    id: row.id.to_string(),
-                    source,
-                })
-            })
+            .map(|row| row.motion().map_err(motion_error(row.id.as_str())))
             .collect()
     };
     let (train, val) = (motions(Split::Train)?, motions(Split::Val)?);
@@ -45,7 +40,6 @@ pub fn train_j2s<'a>(
     j2s::train_j2s(start, config, [&train, &val], &skeleton, &hash, session)
 }
 
-/// Trains the pose network as a command line asks for it.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&J2sConfig::of(request.preset))?;
     request.change(&mut config.run);

@@ -2,8 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use compose::{ComposeConfig, Stream};
-use compose::{library, train_stream};
+use compose::{ComposeConfig, Stream, library, train_stream};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};

@@ -26,7 +26,6 @@ use crate::mld::{Base, Generator, LatentNoise};
 use crate::text::source::TextEncoderSource;
 use crate::{Error, Session};
 
-/// Motions whose latent vectors are sampled together.
 const BATCH: usize = 32;
 
 /// Lengths of generated motions are multiples of this number of frames.
@@ -135,7 +134,6 @@ pub fn make_variants(
     })
 }
 
-/// A generator with what it makes variants of.
 pub(crate) struct Making {
     generator: Generator,
     run: PathBuf,
@@ -190,7 +188,6 @@ impl Making {
         self.bases.chunks(BATCH).nth(batch).map_or(0, <[_]>::len)
     }
 
-    /// Prepares the generator for the texts.
     pub(crate) fn prepare(
         &mut self,
         text_encoder: &TextEncoderSource,
@@ -227,7 +224,6 @@ impl Making {
         Ok(candidates(groups, &self.config.filter, &self.skeleton)?)
     }
 
-    /// Commits all candidates.
     pub(crate) fn commit(
         &self,
         transaction: Transaction,
@@ -270,11 +266,7 @@ pub fn pair_variants(
         });
     }
     let groups = groups_of_motions(dataset.read(None)?);
-    if groups.is_empty() {
-        return Err(Error::Empty {
-            what: "dataset of variants (motions named base/variant)",
-        });
-    }
+    Error::if_empty(&groups, "dataset of variants (motions named base/variant)")?;
     let made: Candidates = candidates(groups, config, &skeleton)?;
     let facts = BTreeMap::from([variants_fact(config)]);
     let transaction = Transaction::begin(out, holder)?;
@@ -298,21 +290,20 @@ fn variants_fact(config: &impl Serialize) -> (String, String) {
 pub(crate) fn made_before(out: &Path, plan: &str) -> Result<Option<Dataset>, Error> {
     match Dataset::open_unverified(out) {
         Ok(done) if done.manifest().plan(MotionRow::TABLE) == plan => Ok(Some(Dataset::open(out)?)),
-        Ok(_) => Err(Error::OtherDataset {
-            path: out.to_owned(),
-        }),
+        Ok(_) => Err(Error::Refused(format!(
+            "{} holds another dataset; choose another folder",
+            out.display()
+        ))),
         Err(_) => Ok(None),
     }
 }
 
-/// A text to make variants of.
 struct Instruction {
     text: String,
     /// Frames at 20 fps and split of the clip it is a caption of.
     clip: Option<(usize, Split)>,
 }
 
-/// The motions to make variants of.
 fn bases(
     dataset: &Dataset,
     instructions: &Instructions,
@@ -341,11 +332,7 @@ fn bases(
         texts.shuffle(&mut seed.rng(&["instructions"]));
         texts.truncate(count);
     }
-    if texts.is_empty() {
-        return Err(Error::Empty {
-            what: "list of instructions",
-        });
-    }
+    Error::if_empty(&texts, "list of instructions")?;
     let bases = texts.into_iter().enumerate().map(|(place, instruction)| {
         let (batch, place) = (place / BATCH, place % BATCH);
         let id = format!("seed{}/batch{batch:04}/{place:02}", seed.0);
@@ -383,7 +370,6 @@ fn captions(dataset: &Dataset) -> Result<Vec<Instruction>, Error> {
     Ok(texts)
 }
 
-/// The variants of a base as motions on a body.
 fn group(
     base: &Base,
     split: Split,
@@ -398,10 +384,8 @@ fn group(
             let id = format!("{}/{number:02}", base.id);
             let joints = recover_joints(features);
             let posed = motion_of_joints(&joints, Fps::STORE, skeleton);
-            let (motion, fit_error_m) = posed.map_err(|error| Error::Item {
-                id: id.clone(),
-                problem: format!("cannot be posed: {error}"),
-            })?;
+            let (motion, fit_error_m) = posed
+                .map_err(|error| Error::item(id.clone(), format!("cannot be posed: {error}")))?;
             let by = ["mld", generator.hash()];
             let id = MotionId::parse(&id)?;
             let row = generated_row(id, split, &motion, &base.text, fit_error_m, by, skeleton);

@@ -10,13 +10,16 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use tokenizers::{Tokenizer, TruncationParams};
 
+use super::FrozenText;
 use super::bert_net::{BertConfig, BertText};
 use super::files::{WEIGHTS, file_in, first, read_weights};
-use super::tokens::{PROBE, batch_of, vocabulary_of};
+use super::tokens::{PROBE, vocabulary_of};
 use crate::Error;
 use crate::config::BertVectors;
+use crate::error::json_error;
 use crate::model::weights::to_safetensors;
 use crate::transfer::read;
+use crate::vocabulary::TokenBatch;
 
 const CONFIG: [&str; 1] = ["config.json"];
 const TOKENIZERS: [&str; 2] = ["tokenizer.json", "vocab.txt"];
@@ -100,7 +103,6 @@ impl BertFiles {
         Ok(hasher.finalize().to_hex().to_string())
     }
 
-    /// A document of the folder, if it is there.
     fn optional<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, Error> {
         let path = self.folder.join(name);
         if !path.is_file() {
@@ -111,13 +113,9 @@ impl BertFiles {
 }
 
 fn parse<T: DeserializeOwned>(document: &[u8], path: &Path) -> Result<T, Error> {
-    serde_json::from_slice(document).map_err(|source| Error::Json {
-        path: path.to_owned(),
-        source,
-    })
+    serde_json::from_slice(document).map_err(json_error(path))
 }
 
-/// A line of `modules.json`.
 #[derive(Deserialize)]
 struct SentenceModule {
     path: String,
@@ -133,14 +131,11 @@ impl SentenceModule {
     }
 }
 
-/// `tokenizer_config.json`.
 #[derive(Deserialize)]
+#[serde(default)]
 struct TokenizerConfig {
-    #[serde(default = "yes")]
     do_lower_case: bool,
-    #[serde(default)]
     strip_accents: Option<bool>,
-    #[serde(default = "yes")]
     tokenize_chinese_chars: bool,
     /// Some tokenizers without a limit record 10^30.
     model_max_length: Option<f64>,
@@ -157,26 +152,19 @@ impl Default for TokenizerConfig {
     }
 }
 
-fn yes() -> bool {
-    true
-}
-
-/// `sentence_bert_config.json`.
 #[derive(Default, Deserialize)]
+#[serde(default)]
 struct SentenceConfig {
     max_seq_length: Option<usize>,
-    #[serde(default)]
     do_lower_case: bool,
 }
 
-/// Which tokens a pooled vector is the mean of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Pooling {
     All,
     First,
 }
 
-/// What is done before and after the network.
 #[derive(Debug)]
 struct Rules {
     /// Longest row of tokens, start and end included; longer texts are cut.
@@ -184,7 +172,6 @@ struct Rules {
     /// Whether texts are put in lower case before they come to the tokenizer, which may do so itself.
     lowers: bool,
     pooling: Pooling,
-    /// Whether pooled vectors are brought to length 1.
     normalizes: bool,
 }
 
@@ -203,10 +190,11 @@ impl Rules {
             normalizes: false,
         };
         if rules.max_tokens < LEAST_TOKENS {
-            return Err(Error::TextModel {
-                path: files.folder.join(SENTENCE_CONFIG),
-                detail: format!("texts of {} tokens hold no word", rules.max_tokens),
-            });
+            let detail = format!("texts of {} tokens hold no word", rules.max_tokens);
+            return Err(Error::text_model(
+                &files.folder.join(SENTENCE_CONFIG),
+                detail,
+            ));
         }
         let modules: Vec<SentenceModule> = files.optional(MODULES)?.unwrap_or_default();
         for module in modules {
@@ -219,10 +207,8 @@ impl Rules {
                 }
                 "Normalize" => rules.normalizes = true,
                 _ => {
-                    return Err(Error::TextModel {
-                        path: files.folder.join(MODULES),
-                        detail: format!("module {} is not known", module.kind),
-                    });
+                    let detail = format!("module {} is not known", module.kind);
+                    return Err(Error::text_model(&files.folder.join(MODULES), detail));
                 }
             }
         }
@@ -265,10 +251,10 @@ fn pooling(modes: &BTreeMap<String, Value>, path: &Path) -> Result<Pooling, Erro
     match asked[..] {
         ["mean_tokens"] => Ok(Pooling::All),
         ["cls_token"] => Ok(Pooling::First),
-        _ => Err(Error::TextModel {
-            path: path.to_owned(),
-            detail: format!("it pools by {asked:?}; mean_tokens and cls_token are known"),
-        }),
+        _ => {
+            let detail = format!("it pools by {asked:?}; mean_tokens and cls_token are known");
+            Err(Error::text_model(path, detail))
+        }
     }
 }
 
@@ -298,14 +284,9 @@ impl BertEncoder {
         let tokenizer = read_tokenizer(&files.tokenizer, &settings, rules.max_tokens)?;
         let last = tokenizer.get_vocab(true).into_values().max();
         if last.is_some_and(|last| last as usize >= config.num_tokens) {
-            return Err(Error::Tokenizer {
-                path: files.tokenizer.clone(),
-                detail: format!(
-                    "it has tokens up to number {}, the network knows {}",
-                    last.unwrap_or_default(),
-                    config.num_tokens
-                ),
-            });
+            let (last, known) = (last.unwrap_or_default(), config.num_tokens);
+            let detail = format!("it has tokens up to number {last}, the network knows {known}");
+            return Err(Error::tokenizer(&files.tokenizer, detail));
         }
         let mut encoder = Self {
             network,
@@ -346,33 +327,38 @@ impl BertEncoder {
         Ok(hasher.finalize().to_hex().to_string())
     }
 
-    /// Identity of the encoder: BLAKE3 of its weights, its vocabulary and its rules, independent of the file formats
-    /// they came in.
-    pub fn identity(&self, vectors: BertVectors) -> String {
-        match vectors {
-            BertVectors::Pooled => self.identity.clone(),
-            BertVectors::States => format!("tokens-{}", self.identity),
+    fn tokens(&self, text: &str) -> Result<Vec<i32>, Error> {
+        let lowered = self.rules.lowers.then(|| text.to_lowercase());
+        let encoding = self
+            .tokenizer
+            .encode_fast(lowered.as_deref().unwrap_or(text).trim(), true)
+            .map_err(|error| Error::tokens(text, error))?;
+        let tokens: Vec<i32> = encoding.get_ids().iter().map(|&id| id as i32).collect();
+        if tokens.is_empty() {
+            return Err(Error::tokens(
+                text,
+                "the tokenizer adds no start and no end to it",
+            ));
         }
+        Ok(tokens)
+    }
+}
+
+/// A text of more tokens than the folder allows is cut, as sentence-transformers cut it (`max_seq_length` of
+/// `sentence_bert_config.json`, else the places that the network knows).
+///
+/// # Source
+/// Pooled vectors are those of `SentenceTransformer.encode`, states are `last_hidden_state` of the network.
+impl FrozenText for BertEncoder {
+    fn hash(&self) -> &str {
+        &self.identity
     }
 
-    /// Numbers of a vector, of a text as of a token.
-    pub fn width(&self) -> usize {
+    fn width(&self, _vectors: BertVectors) -> usize {
         self.config.width
     }
 
-    /// Encodes texts in one batch. A text of more tokens than the folder allows is cut, as sentence-transformers cut
-    /// it (`max_seq_length` of `sentence_bert_config.json`, else the places that the network knows).
-    ///
-    /// # Shapes
-    /// `N` texts give `N` vectors `[d]`, or with [`BertVectors::States`] `N` lists of `[T, d]`, row-major, start and end
-    /// included.
-    ///
-    /// # Errors
-    /// A text cannot be cut into tokens.
-    ///
-    /// # Source
-    /// Pooled vectors are those of `SentenceTransformer.encode`, states are `last_hidden_state` of the network.
-    pub fn encode(&self, texts: &[&str], vectors: BertVectors) -> Result<Vec<Vec<f32>>, Error> {
+    fn encode(&self, texts: &[&str], vectors: BertVectors) -> Result<Vec<Vec<f32>>, Error> {
         if texts.is_empty() {
             return Ok(Vec::new());
         }
@@ -381,7 +367,7 @@ impl BertEncoder {
             .map(|text| self.tokens(text))
             .collect::<Result<_, _>>()?;
         let lengths: Vec<usize> = rows.iter().map(Vec::len).collect();
-        let tokens = batch_of(rows);
+        let tokens = TokenBatch::of(&rows);
         let width = self.config.width;
         let values = read(self.network.hidden(&self.config, &tokens, &lengths));
         let rows = values.chunks_exact(tokens.width * width).zip(&lengths);
@@ -395,26 +381,6 @@ impl BertEncoder {
             })
             .collect())
     }
-
-    /// The tokens of a text, start and end included.
-    fn tokens(&self, text: &str) -> Result<Vec<i32>, Error> {
-        let failed = |detail: String| Error::TokenizedText {
-            text: text.to_owned(),
-            detail,
-        };
-        let lowered = self.rules.lowers.then(|| text.to_lowercase());
-        let encoding = self
-            .tokenizer
-            .encode_fast(lowered.as_deref().unwrap_or(text).trim(), true)
-            .map_err(|error| failed(error.to_string()))?;
-        let tokens: Vec<i32> = encoding.get_ids().iter().map(|&id| id as i32).collect();
-        if tokens.is_empty() {
-            return Err(failed(
-                "the tokenizer adds no start and no end to it".to_owned(),
-            ));
-        }
-        Ok(tokens)
-    }
 }
 
 /// Reads a `tokenizer.json` or a `vocab.txt`, which cuts texts after so many tokens.
@@ -423,17 +389,14 @@ fn read_tokenizer(
     settings: &TokenizerConfig,
     max_tokens: usize,
 ) -> Result<Tokenizer, Error> {
-    let failed = |detail: String| Error::Tokenizer {
-        path: path.to_owned(),
-        detail,
-    };
     let mut content = read_checked(path)?;
     if path.extension().is_some_and(|ending| ending == "txt") {
-        let text = String::from_utf8(content).map_err(|error| failed(error.to_string()))?;
-        content = document_of_vocabulary(&text, settings).map_err(failed)?;
+        let text = String::from_utf8(content).map_err(|error| Error::tokenizer(path, error))?;
+        let document = document_of_vocabulary(&text, settings);
+        content = document.map_err(|detail| Error::tokenizer(path, detail))?;
     }
     let tokenizer = Tokenizer::from_bytes(content.as_slice());
-    let mut tokenizer = tokenizer.map_err(|error| failed(error.to_string()))?;
+    let mut tokenizer = tokenizer.map_err(|error| Error::tokenizer(path, error))?;
     // The file's own limit is that of a training, and rows are filled up here.
     let truncation = TruncationParams {
         max_length: max_tokens,
@@ -441,7 +404,7 @@ fn read_tokenizer(
     };
     tokenizer
         .with_truncation(Some(truncation))
-        .map_err(|error| failed(error.to_string()))?;
+        .map_err(|error| Error::tokenizer(path, error))?;
     tokenizer.with_padding(None);
     Ok(tokenizer)
 }

@@ -7,20 +7,20 @@ use burn::nn::{Embedding, EmbeddingConfig, LayerNorm, LayerNormConfig, Linear, L
 use burn::tensor::activation::{gelu, gelu_approximate, relu};
 use burn::tensor::module::attention;
 use burn::tensor::ops::AttentionModuleOptions;
-use burn::tensor::{Bool, Device, Tensor};
+use burn::tensor::{Device, Tensor};
 use safetensors::SafeTensors;
 use serde::Deserialize;
 
 use crate::Error;
+use crate::error::json_error;
 use crate::model::text::token_tensor;
 use crate::model::torch::{StoredTensor, float_tensor, safetensors_of};
-use crate::model::transformer::padding_of;
+use crate::model::transformer::{Padding, join_heads, split_heads};
 use crate::model::weights::from_safetensors;
 use crate::vocabulary::TokenBatch;
 
 /// What names may begin with: the network alone has no prefix, one with a head has that of its kind.
 const PREFIXES: [&str; 4] = ["", "bert.", "distilbert.", "model."];
-/// The tensor that is looked for under each prefix.
 const WORDS: &str = "embeddings.word_embeddings.weight";
 /// Parts of a layer: our name, that of BERT, that of DistilBERT.
 const PARTS: [(&str, &str, &str); 8] = [
@@ -40,47 +40,36 @@ const PARTS: [(&str, &str, &str); 8] = [
 
 /// Kinds of network that differ in names, and in that DistilBERT has no segments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BertKind {
-    /// BERT, as which MiniLM is published too.
+pub(super) enum BertKind {
+    /// MiniLM is published as it too.
     Bert,
-    /// DistilBERT.
     DistilBert,
 }
 
 /// Activation of the feed-forward layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Activation {
-    /// The exact GELU.
+pub(super) enum Activation {
     Gelu,
-    /// GELU by the hyperbolic tangent.
     GeluTanh,
-    /// ReLU.
     Relu,
 }
 
 /// Sizes of a network, as its `config.json` says them.
 #[derive(Clone, Debug, PartialEq)]
-pub struct BertConfig {
-    /// Which network.
-    pub kind: BertKind,
-    /// Tokens of the vocabulary.
-    pub num_tokens: usize,
+pub(super) struct BertConfig {
+    kind: BertKind,
+    pub(super) num_tokens: usize,
     /// Longest row of tokens, start and end included.
-    pub context: usize,
+    pub(super) context: usize,
     /// Segments of a pair of texts; none of DistilBERT.
-    pub num_segments: usize,
-    /// Width of a token.
-    pub width: usize,
-    /// Transformer layers.
-    pub num_layers: usize,
-    /// Attention heads.
-    pub num_heads: usize,
-    /// Hidden width of the feed-forward layers.
-    pub feed_forward: usize,
-    /// Activation of the feed-forward layers.
-    pub activation: Activation,
+    num_segments: usize,
+    pub(super) width: usize,
+    num_layers: usize,
+    pub(super) num_heads: usize,
+    feed_forward: usize,
+    pub(super) activation: Activation,
     /// Added to the variance by the norms.
-    pub norm_epsilon: f64,
+    pub(super) norm_epsilon: f64,
 }
 
 /// The fields of `config.json`, under the names of either kind.
@@ -118,19 +107,13 @@ impl BertConfig {
     ///
     /// # Errors
     /// It is of another network than BERT and DistilBERT, or lacks a size.
-    pub fn parse(document: &[u8], path: &Path) -> Result<Self, Error> {
+    pub(super) fn parse(document: &[u8], path: &Path) -> Result<Self, Error> {
         #[derive(Deserialize)]
         struct Named {
             model_type: Option<String>,
         }
-        let json = |source| Error::Json {
-            path: path.to_owned(),
-            source,
-        };
-        let refused = |detail: String| Error::TextModel {
-            path: path.to_owned(),
-            detail,
-        };
+        let json = json_error(path);
+        let refused = |detail: String| Error::text_model(path, detail);
         let named: Named = serde_json::from_slice(document).map_err(json)?;
         let kind = match named.model_type.as_deref() {
             Some("bert") => BertKind::Bert,
@@ -225,7 +208,7 @@ impl BertConfig {
 /// Devlin et al. 2019, Sec. 3, and Sanh et al. 2019; parameters are those of Hugging Face's `BertModel` and
 /// `DistilBertModel`.
 #[derive(Module, Debug)]
-pub struct BertText {
+pub(super) struct BertText {
     words: Embedding,
     places: Embedding,
     segments: Option<Embedding>,
@@ -235,7 +218,7 @@ pub struct BertText {
 
 impl BertText {
     /// Builds the network with weights of no meaning.
-    pub fn new(config: &BertConfig, device: &Device) -> Self {
+    pub(super) fn new(config: &BertConfig, device: &Device) -> Self {
         let table = |rows| EmbeddingConfig::new(rows, config.width).init(device);
         Self {
             words: table(config.num_tokens),
@@ -254,7 +237,7 @@ impl BertText {
     ///
     /// # Errors
     /// The file is malformed, or a tensor is missing or of another shape.
-    pub fn from_safetensors(
+    pub(super) fn from_safetensors(
         config: &BertConfig,
         bytes: &[u8],
         path: &Path,
@@ -294,22 +277,22 @@ impl BertText {
     ///
     /// # Source
     /// `last_hidden_state` of the reference, whose texts are all of the first segment.
-    pub fn hidden(&self, config: &BertConfig, tokens: &TokenBatch, lengths: &[usize]) -> Tensor<3> {
+    pub(super) fn hidden(
+        &self,
+        config: &BertConfig,
+        tokens: &TokenBatch,
+        lengths: &[usize],
+    ) -> Tensor<3> {
         let device = self.words.weight.val().device();
         let words = self.words.forward(token_tensor(tokens, &device));
-        let [batch, length, _] = words.dims();
+        let [_, length, _] = words.dims();
         let places = self.places.weight.val().narrow(0, 0, length);
         let mut x = words + places.unsqueeze_dim::<3>(0);
         if let Some(segments) = &self.segments {
             let first = segments.weight.val().narrow(0, 0, 1);
             x = x + first.unsqueeze_dim::<3>(0);
         }
-        let is_padded = lengths.iter().any(|&own| own < length);
-        let padding: Option<Tensor<4, Bool>> = is_padded.then(|| {
-            padding_of(lengths, length, &device)
-                .reshape([batch, 1, 1, length])
-                .expand([batch, config.num_heads, length, length])
-        });
+        let padding = Padding::where_shorter(lengths, length);
         self.layers.iter().fold(self.norm.forward(x), |x, layer| {
             layer.forward(config, x, padding.as_ref())
         })
@@ -328,7 +311,6 @@ fn norm(config: &BertConfig, device: &Device) -> LayerNorm {
         .init(device)
 }
 
-/// A post-norm transformer layer.
 #[derive(Module, Debug)]
 struct BertLayer {
     query: Linear,
@@ -357,31 +339,18 @@ impl BertLayer {
         }
     }
 
-    fn forward(
-        &self,
-        config: &BertConfig,
-        x: Tensor<3>,
-        padding: Option<&Tensor<4, Bool>>,
-    ) -> Tensor<3> {
-        let [batch, length, width] = x.dims();
-        let heads = |layer: &Linear| {
-            layer
-                .forward(x.clone())
-                .reshape([batch, length, config.num_heads, width / config.num_heads])
-                .swap_dims(1, 2)
-        };
+    fn forward(&self, config: &BertConfig, x: Tensor<3>, padding: Option<&Padding>) -> Tensor<3> {
+        let heads = |layer: &Linear| split_heads(layer.forward(x.clone()), config.num_heads);
         let attended = attention(
             heads(&self.query),
             heads(&self.key),
             heads(&self.value),
-            padding.cloned(),
+            padding.map(|padding| padding.of_attention(config.num_heads, &x.device())),
             None,
             AttentionModuleOptions::default(),
         );
-        let attended = attended.swap_dims(1, 2).reshape([batch, length, width]);
-        let x = self
-            .attention_norm
-            .forward(x.clone() + self.attended.forward(attended));
+        let attended = self.attended.forward(join_heads(attended));
+        let x = self.attention_norm.forward(x.clone() + attended);
         let hidden = self.hidden.forward(x.clone());
         let hidden = match config.activation {
             Activation::Gelu => gelu(hidden),

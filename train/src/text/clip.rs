@@ -6,14 +6,15 @@ use burn::tensor::Device;
 use remote_store::hub::{Hub, HubCache};
 use serde::{Deserialize, Serialize};
 
+use super::FrozenText;
 use super::files::{WEIGHTS, file_in, first, read_weights};
 use super::tokens::ClipTokenizer;
 use crate::Error;
+use crate::config::BertVectors;
 use crate::model::clip::{ClipConfig, ClipText};
 use crate::model::weights::to_safetensors;
 use crate::transfer::read;
 
-/// Names the tokenizer may have.
 const TOKENIZERS: [&str; 3] = [
     "tokenizer.json",
     "bpe_simple_vocab_16e6.txt.gz",
@@ -105,17 +106,16 @@ impl ClipFiles {
         hub: &Hub,
         progress: &mut dyn FnMut(u64, Option<u64>),
     ) -> Result<Self, Error> {
-        let mut first = |what, names: &'static [&'static str]| {
+        let mut first = |what: &str, names: &[&str]| {
             for name in names {
                 if let Some(path) = cache.fetch(hub, model.repo(), name, progress)? {
                     return Ok(path);
                 }
             }
-            Err(Error::NotOnServer {
-                repo: model.repo(),
-                what,
-                names,
-            })
+            let (repo, names) = (model.repo(), names.join(", "));
+            Err(Error::Refused(format!(
+                "{repo} on the server has no {what}, looked for {names}"
+            )))
         };
         Ok(Self {
             weights: first("weights", &WEIGHTS)?,
@@ -145,14 +145,9 @@ impl ClipEncoder {
         drop(bytes);
         let tokenizer = ClipTokenizer::read(&files.tokenizer)?;
         if tokenizer.num_tokens() != config.num_tokens {
-            return Err(Error::Tokenizer {
-                path: files.tokenizer.clone(),
-                detail: format!(
-                    "it has {} tokens, expected {}",
-                    tokenizer.num_tokens(),
-                    config.num_tokens
-                ),
-            });
+            let (found, expected) = (tokenizer.num_tokens(), config.num_tokens);
+            let detail = format!("it has {found} tokens, expected {expected}");
+            return Err(Error::tokenizer(&files.tokenizer, detail));
         }
         Self::new(network, tokenizer)
     }
@@ -172,69 +167,41 @@ impl ClipEncoder {
             tokenizer,
         })
     }
+}
 
-    /// Identity of the encoder: BLAKE3 of its weights and vocabulary, independent of the file formats they
-    /// came in.
-    pub fn identity(&self) -> &str {
+/// Pooled vectors are projected and not normalised; the states are the last hidden ones.
+///
+/// # Source
+/// `encode_text` of OpenAI's CLIP, in single precision, and `last_hidden_state` of `CLIPTextModel`, without padding: a
+/// token does not see those after it.
+impl FrozenText for ClipEncoder {
+    fn hash(&self) -> &str {
         &self.identity
     }
 
-    /// Numbers of an encoded text.
-    pub fn width(&self) -> usize {
-        self.network.width()
+    fn width(&self, vectors: BertVectors) -> usize {
+        match vectors {
+            BertVectors::Pooled => self.network.width(),
+            BertVectors::States => self.network.token_width(),
+        }
     }
 
-    /// Identity of the encoder as one of tokens.
-    pub fn token_identity(&self) -> String {
-        format!("tokens-{}", self.identity)
-    }
-
-    /// Numbers of an encoded token.
-    pub fn token_width(&self) -> usize {
-        self.network.token_width()
-    }
-
-    /// Encodes every token of texts, start and end included, in one batch: the last hidden states.
-    ///
-    /// # Shapes
-    /// `N` texts give `N` lists of `[T, d]`, row-major.
-    ///
-    /// # Errors
-    /// A text cannot be cut into tokens.
-    ///
-    /// # Source
-    /// `last_hidden_state` of `CLIPTextModel`, without padding: a token does not see those after it.
-    pub fn encode_tokens(&self, texts: &[&str]) -> Result<Vec<Vec<f32>>, Error> {
+    fn encode(&self, texts: &[&str], vectors: BertVectors) -> Result<Vec<Vec<f32>>, Error> {
         if texts.is_empty() {
             return Ok(Vec::new());
         }
         let tokens = self.tokenizer.encode_batch(texts, self.network.context())?;
-        let values = read(self.network.hidden(&tokens, None));
-        let width = self.token_width();
-        let rows = values.chunks_exact(tokens.width * width);
-        let lengths = self.network.lengths(&tokens);
-        Ok(rows
-            .zip(lengths)
-            .map(|(row, length)| row[..length * width].to_vec())
-            .collect())
-    }
-
-    /// Encodes texts in one batch: pooled, projected and not normalised.
-    ///
-    /// # Shapes
-    /// `N` texts give `[N, d]`, row-major.
-    ///
-    /// # Errors
-    /// A text cannot be cut into tokens.
-    ///
-    /// # Source
-    /// `encode_text` of OpenAI's CLIP, in single precision.
-    pub fn encode(&self, texts: &[&str]) -> Result<Vec<f32>, Error> {
-        if texts.is_empty() {
-            return Ok(Vec::new());
-        }
-        let context = self.network.context();
-        let tokens = self.tokenizer.encode_batch(texts, context)?;
-        Ok(read(self.network.forward(&tokens)))
+        let width = self.width(vectors);
+        Ok(match vectors {
+            BertVectors::Pooled => read(self.network.forward(&tokens))
+                .chunks_exact(width)
+                .map(<[f32]>::to_vec)
+                .collect(),
+            BertVectors::States => read(self.network.hidden(&tokens, None))
+                .chunks_exact(tokens.width * width)
+                .zip(self.network.lengths(&tokens))
+                .map(|(row, length)| row[..length * width].to_vec())
+                .collect(),
+        })
     }
 }

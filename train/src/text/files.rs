@@ -12,7 +12,6 @@ pub(super) const WEIGHTS: [&str; 2] = ["model.safetensors", "pytorch_model.bin"]
 /// First bytes of the files `torch.save` writes: a zip archive, or before PyTorch 1.6 a pickle.
 const TORCH_MAGIC: [&[u8]; 2] = [b"PK\x03\x04", &[0x80, 0x02]];
 
-/// A file of a folder, if it is there.
 pub(super) fn file_in(folder: &Path) -> impl Fn(&str) -> Option<PathBuf> {
     move |name: &str| Some(folder.join(name)).filter(|path| path.is_file())
 }
@@ -22,19 +21,17 @@ pub(super) fn file_in(folder: &Path) -> impl Fn(&str) -> Option<PathBuf> {
 /// # Errors
 /// There is none.
 pub(super) fn first(
-    what: &'static str,
-    names: &'static [&'static str],
+    what: &str,
+    names: &[&str],
     folder: &Path,
     find: impl Fn(&str) -> Option<PathBuf>,
 ) -> Result<PathBuf, Error> {
-    names
-        .iter()
-        .find_map(|name| find(name))
-        .ok_or_else(|| Error::NoEncoderFile {
-            what,
-            names,
-            folder: folder.to_owned(),
-        })
+    names.iter().find_map(|name| find(name)).ok_or_else(|| {
+        let (folder, names) = (folder.display(), names.join(", "));
+        Error::Refused(format!(
+            "{folder} has no {what}: place one of {names} there, or have it downloaded"
+        ))
+    })
 }
 
 /// Weights as a safetensors file. Of a file of `torch.save`, the tensors whose names begin with one of `keep`, or

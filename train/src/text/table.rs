@@ -3,23 +3,17 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::store::replace_file;
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 
-use super::bert::BertEncoder;
-use super::clip::ClipEncoder;
+use super::FrozenText;
 use crate::Error;
 use crate::config::BertVectors;
-use crate::data::TextVectors;
 use crate::model::torch::StoredTensor;
 
-/// Texts encoded at a time.
 const BATCH_LEN: usize = 64;
-/// Missing texts that a message names.
 const NAMED_TEXTS: usize = 3;
-/// Version of the file.
 const FORMAT: u32 = 1;
 /// The only key of the file's metadata: several would be written in no fixed order.
 const METADATA_KEY: &str = "stance";
@@ -45,57 +39,45 @@ pub struct EmbeddingTable {
 #[serde(deny_unknown_fields)]
 struct Metadata {
     format: u32,
-    /// Identity of the encoder.
     encoder: String,
-    /// BLAKE3 of the texts and the vectors.
     blake3: String,
 }
 
 impl EmbeddingTable {
-    /// Encodes texts, each once. `progress` is told how many of how many are done.
+    /// Encodes texts, each once: their pooled vectors, or those of every token. `progress` is told how many of how many
+    /// are done.
     ///
     /// # Errors
     /// A text cannot be encoded.
     pub fn compute<'a>(
-        encoder: &ClipEncoder,
-        texts: impl IntoIterator<Item = &'a str>,
-        progress: &mut dyn FnMut(usize, usize),
-    ) -> Result<Self, Error> {
-        let (identity, width) = (encoder.identity().to_owned(), encoder.width());
-        let encode = |batch: &[&str]| {
-            let values = encoder.encode(batch)?;
-            Ok(values.chunks_exact(width).map(<[f32]>::to_vec).collect())
-        };
-        Self::of(identity, width, texts, encode, progress)
-    }
-
-    /// Encodes every token of texts, each text once.
-    ///
-    /// # Errors
-    /// A text cannot be encoded.
-    pub fn compute_tokens<'a>(
-        encoder: &ClipEncoder,
-        texts: impl IntoIterator<Item = &'a str>,
-        progress: &mut dyn FnMut(usize, usize),
-    ) -> Result<Self, Error> {
-        let identity = encoder.token_identity();
-        let encode = |batch: &[&str]| encoder.encode_tokens(batch);
-        Self::of(identity, encoder.token_width(), texts, encode, progress)
-    }
-
-    /// Encodes texts by BERT, each once: its pooled vectors, or those of every token.
-    ///
-    /// # Errors
-    /// A text cannot be encoded.
-    pub fn compute_bert<'a>(
-        encoder: &BertEncoder,
+        encoder: &impl FrozenText,
         vectors: BertVectors,
         texts: impl IntoIterator<Item = &'a str>,
         progress: &mut dyn FnMut(usize, usize),
     ) -> Result<Self, Error> {
-        let encode = |batch: &[&str]| encoder.encode(batch, vectors);
-        let identity = encoder.identity(vectors);
-        Self::of(identity, encoder.width(), texts, encode, progress)
+        let texts: Vec<&str> = BTreeSet::from_iter(texts).into_iter().collect();
+        let width = encoder.width(vectors);
+        let mut rows = vec![Vec::new(); texts.len()];
+        // Batches of texts of about one length, because a row costs what the longest one costs.
+        let mut order: Vec<usize> = (0..texts.len()).collect();
+        order.sort_by_key(|&index| texts[index].len());
+        let mut done = 0;
+        for places in order.chunks(BATCH_LEN) {
+            let batch: Vec<&str> = places.iter().map(|&place| texts[place]).collect();
+            for (&place, encoded) in places.iter().zip(encoder.encode(&batch, vectors)?) {
+                rows[place] = encoded;
+            }
+            done += places.len();
+            progress(done, texts.len());
+        }
+        let lengths = rows.iter().map(|row| row.len() / width);
+        Ok(Self {
+            encoder: encoder.identity(vectors),
+            texts: texts.into_iter().map(str::to_owned).collect(),
+            ends: ends_of(lengths),
+            width,
+            values: rows.concat(),
+        })
     }
 
     /// The table with every vector scaled so that its numbers have this root mean square. The name of its encoder says so:
@@ -115,37 +97,6 @@ impl EmbeddingTable {
         self
     }
 
-    fn of<'a>(
-        encoder: String,
-        width: usize,
-        texts: impl IntoIterator<Item = &'a str>,
-        encode: impl Fn(&[&str]) -> Result<Vec<Vec<f32>>, Error>,
-        progress: &mut dyn FnMut(usize, usize),
-    ) -> Result<Self, Error> {
-        let texts: Vec<&str> = BTreeSet::from_iter(texts).into_iter().collect();
-        let mut vectors = vec![Vec::new(); texts.len()];
-        // Batches of texts of about one length, because a row costs what the longest one costs.
-        let mut order: Vec<usize> = (0..texts.len()).collect();
-        order.sort_by_key(|&index| texts[index].len());
-        let mut done = 0;
-        for rows in order.chunks(BATCH_LEN) {
-            let batch: Vec<&str> = rows.iter().map(|&row| texts[row]).collect();
-            for (&row, encoded) in rows.iter().zip(encode(&batch)?) {
-                vectors[row] = encoded;
-            }
-            done += rows.len();
-            progress(done, texts.len());
-        }
-        let lengths = vectors.iter().map(|vector| vector.len() / width);
-        Ok(Self {
-            encoder,
-            texts: texts.into_iter().map(str::to_owned).collect(),
-            ends: ends_of(lengths),
-            width,
-            values: vectors.concat(),
-        })
-    }
-
     /// A table of vectors that another program computed, in the order of `texts`.
     ///
     /// # Shapes
@@ -154,22 +105,21 @@ impl EmbeddingTable {
     /// # Errors
     /// There are no texts, a text is listed twice, the numbers are not one row for each text, or a number is not finite.
     pub fn of_vectors(encoder: &str, texts: &[String], values: &[f32]) -> Result<Self, Error> {
-        let problem = |problem: String| Error::TextVectors { problem };
-        let width = values.len() / texts.len().max(1);
-        if width == 0 || width * texts.len() != values.len() {
-            return Err(problem(format!(
-                "{} numbers are no row for each of {} texts",
-                values.len(),
-                texts.len()
-            )));
+        let problem = |problem: String| {
+            Error::Refused(format!(
+                "no table can be made: {problem}; give one row for each text of `stance model texts`"
+            ))
+        };
+        let (numbers, count) = (values.len(), texts.len());
+        let width = numbers / count.max(1);
+        if width == 0 || width * count != numbers {
+            let detail = format!("{numbers} numbers are no row for each of {count} texts");
+            return Err(problem(detail));
         }
         let rows: BTreeMap<&String, &[f32]> = texts.iter().zip(values.chunks(width)).collect();
-        if rows.len() != texts.len() {
-            return Err(problem(format!(
-                "only {} of {} texts are different",
-                rows.len(),
-                texts.len()
-            )));
+        if rows.len() != count {
+            let detail = format!("only {} of {count} texts are different", rows.len());
+            return Err(problem(detail));
         }
         let is_broken = |(_, row): &(&&String, &&[f32])| row.iter().any(|value| !value.is_finite());
         if let Some((text, _)) = rows.iter().find(is_broken) {
@@ -219,28 +169,6 @@ impl EmbeddingTable {
             .ok()?;
         let first = row.checked_sub(1).map_or(0, |before| self.ends[before]);
         Some(&self.values[first * self.width..self.ends[row] * self.width])
-    }
-
-    /// The vectors of a batch of texts, which must have one each.
-    ///
-    /// # Shapes
-    /// `B` texts give `[B, d]`.
-    ///
-    /// # Errors
-    /// A text is not in the table.
-    ///
-    /// # Panics
-    /// If the table holds tokens.
-    pub fn batch(&self, texts: &[&str], device: &Device) -> Result<Tensor<2>, Error> {
-        self.check_texts(texts.iter().copied())?;
-        let values: Vec<f32> = texts
-            .iter()
-            .filter_map(|text| self.get(text))
-            .flatten()
-            .copied()
-            .collect();
-        let data = TensorData::new(values, [texts.len(), self.width]);
-        Ok(Tensor::from_data(data, device))
     }
 
     /// Checks that the table has every text, as a run does before it starts.
@@ -385,21 +313,6 @@ impl EmbeddingTable {
     }
 }
 
-impl TextVectors for EmbeddingTable {
-    fn width(&self) -> usize {
-        Self::width(self)
-    }
-
-    fn get(&self, text: &str) -> Option<&[f32]> {
-        Self::get(self, text)
-    }
-
-    fn encoder_hash(&self) -> &str {
-        self.encoder()
-    }
-}
-
-/// Running sums.
 fn ends_of(lengths: impl IntoIterator<Item = usize>) -> Vec<usize> {
     let lengths = lengths.into_iter();
     lengths

@@ -14,16 +14,12 @@ use crate::vocabulary::TokenBatch;
 /// Names of the start and end tokens in Hugging Face's and in open_clip's files.
 const START_NAMES: [&str; 2] = ["<|startoftext|>", "<start_of_text>"];
 const END_NAMES: [&str; 2] = ["<|endoftext|>", "<end_of_text>"];
-/// Suffix of the last piece of a word.
 const WORD_END: &str = "</w>";
 /// Merges of CLIP's vocabulary of 49,408: all but 512 bytes, the start and the end. OpenAI's list
 /// is longer.
 const NUM_MERGES: usize = 49_152 - 256 - 2;
 /// How a text is cut into words that are encoded one by one.
 const WORDS: &str = r"'s|'t|'re|'ve|'m|'ll|'d|[\p{L}]+|[\p{N}]|[^\s\p{L}\p{N}]+";
-/// Padding token, after a row's end token (as OpenAI pads).
-const PADDING: i32 = 0;
-/// Largest unpacked list of merges.
 const MAX_MERGES_LEN: u64 = 64 << 20;
 const GZIP_MAGIC: &[u8] = &[0x1f, 0x8b];
 /// Probe text for tokenizers that share a vocabulary: case, contractions, digits, punctuation, white
@@ -53,10 +49,7 @@ impl ClipTokenizer {
     /// # Errors
     /// As [`ClipTokenizer::read`].
     pub fn parse(content: &[u8], path: &Path) -> Result<Self, Error> {
-        let failed = |detail: String| Error::Tokenizer {
-            path: path.to_owned(),
-            detail,
-        };
+        let failed = |detail: String| Error::tokenizer(path, detail);
         let merges = if content.starts_with(GZIP_MAGIC) {
             let mut text = String::new();
             GzDecoder::new(content)
@@ -114,10 +107,7 @@ impl ClipTokenizer {
     pub fn encode(&self, text: &str, context: usize) -> Result<Vec<i32>, Error> {
         let clean = unescape(&unescape(text));
         let encoding = self.tokenizer.encode_fast(clean.trim(), false);
-        let encoding = encoding.map_err(|error| Error::TokenizedText {
-            text: text.to_owned(),
-            detail: error.to_string(),
-        })?;
+        let encoding = encoding.map_err(|error| Error::tokens(text, error))?;
         let room = context.saturating_sub(2);
         let words = encoding.get_ids().iter().take(room).map(|&id| id as i32);
         Ok([self.start]
@@ -127,7 +117,7 @@ impl ClipTokenizer {
             .collect())
     }
 
-    /// The tokens of several texts, padded to the longest of them and at most `context` long.
+    /// The tokens of several texts, padded to the longest of them by zeros, as OpenAI pads, and at most `context` long.
     ///
     /// # Shapes
     /// `B` texts give `[B, T]`.
@@ -139,7 +129,7 @@ impl ClipTokenizer {
             .iter()
             .map(|text| self.encode(text, context))
             .collect::<Result<_, _>>()?;
-        Ok(batch_of(rows))
+        Ok(TokenBatch::of(&rows))
     }
 
     /// Hashes what determines tokenisation. The same vocabulary as JSON or as a list of merges hashes
@@ -162,21 +152,6 @@ impl ClipTokenizer {
         }
         Ok(())
     }
-}
-
-/// Pads rows of tokens to the length of the longest.
-///
-/// # Shapes
-/// `B` rows give `[B, T]`.
-pub(super) fn batch_of(rows: Vec<Vec<i32>>) -> TokenBatch {
-    let width = rows.iter().map(Vec::len).max().unwrap_or(1);
-    let mut ids = Vec::with_capacity(rows.len() * width);
-    for row in rows {
-        let filled = ids.len() + width;
-        ids.extend(row);
-        ids.resize(filled, PADDING);
-    }
-    TokenBatch { ids, width }
 }
 
 /// The tokens of a vocabulary by their numbers.

@@ -6,14 +6,15 @@ use compose::{Library, Stream};
 use datasets_spec::{Fps, Motion, Seed, Skeleton};
 use rand::RngExt;
 use rand::seq::SliceRandom;
-use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
 use super::config::TmedConfig;
-use super::features::{FeatureFrame, FeatureStatistics, Moments, NUM_FEATURES, features_of_motion};
+use super::features::{FeatureFrame, FeatureStatistics, NUM_FEATURES, features_of_motion};
 use crate::Error;
-use crate::data::{Texts, Timesteps};
-use crate::vocabulary::{PADDING, TokenBatch};
+use crate::data::{TextBatch, Texts, Timesteps};
+use crate::error::motion_error;
+use crate::features::Moments;
+use crate::sample::noise::normal;
 
 /// Clips of both splits that statistics are taken of; more hardly change them.
 const STATISTICS_CLIPS: u64 = 4_096;
@@ -85,7 +86,7 @@ pub(crate) fn statistics(
     max_frames: usize,
     skeleton: &Skeleton,
 ) -> Result<FeatureStatistics, Error> {
-    let mut sum = Moments::none();
+    let mut sum = Moments::none(NUM_FEATURES);
     for source in sources {
         let count = source.num_clips();
         let taken = count.min(STATISTICS_CLIPS);
@@ -95,86 +96,19 @@ pub(crate) fn statistics(
                 let clip = source.clip(0, place * count / taken)?;
                 let of = |motion: &Motion| -> Result<Moments, Error> {
                     let features = features_of_motion(motion, fps, max_frames, skeleton);
-                    let features =
-                        features.map_err(|source| unusable(&clip.instruction, source))?;
-                    Ok(Moments::of(&features))
+                    let features = features.map_err(motion_error(&clip.instruction))?;
+                    let rows = features.iter().map(|row| row.as_slice());
+                    Ok(Moments::of(NUM_FEATURES, rows))
                 };
                 Ok(of(&clip.source)?.merge(&of(&clip.target)?))
             })
             .collect::<Result<Vec<_>, Error>>()?;
         sum = moments.iter().fold(sum, Moments::merge);
     }
-    sum.statistics().ok_or(Error::Empty {
-        what: "training split of TMED",
-    })
-}
-
-fn unusable(instruction: &str, source: kinematics::Error) -> Error {
-    Error::Motion {
-        id: instruction.to_owned(),
-        source: source.into(),
+    if sum.is_empty() {
+        return Err(Error::empty("training split of TMED"));
     }
-}
-
-/// Texts as the network is given them.
-#[derive(Clone, Debug, PartialEq)]
-pub enum TextTokens {
-    /// Numbers of words.
-    Words(TokenBatch),
-    /// Vectors of tokens, `[B, N, d]`, zero past the end of a text, and their numbers `[B]`.
-    Vectors {
-        /// `[B, N, d]`
-        values: Vec<f32>,
-        /// Tokens of each text, `[B]`.
-        lengths: Vec<usize>,
-    },
-}
-
-impl TextTokens {
-    /// The tokens of texts.
-    ///
-    /// # Errors
-    /// A text has no vectors.
-    pub fn of(texts: &Texts<'_>, asked: &[&str]) -> Result<Self, Error> {
-        let vectors = match texts {
-            Texts::Words(vocabulary) => {
-                let tokens = vocabulary.encode_batch(asked.iter().copied());
-                return Ok(Self::Words(tokens));
-            }
-            Texts::Vectors(vectors) => vectors,
-        };
-        let width = vectors.width();
-        let rows: Vec<&[f32]> = asked
-            .iter()
-            .map(|text| {
-                vectors.get(text).ok_or_else(|| Error::NotEmbedded {
-                    count: 1,
-                    examples: vec![(*text).to_owned()],
-                })
-            })
-            .collect::<Result<_, _>>()?;
-        let lengths: Vec<usize> = rows.iter().map(|row| row.len() / width).collect();
-        let longest = lengths.iter().copied().max().unwrap_or(0) * width;
-        let mut values = Vec::with_capacity(rows.len() * longest);
-        for row in rows {
-            let filled = values.len() + longest;
-            values.extend_from_slice(row);
-            values.resize(filled, 0.0);
-        }
-        Ok(Self::Vectors { values, lengths })
-    }
-
-    /// Tokens of each text, `[B]`.
-    pub fn lengths(&self) -> Vec<usize> {
-        match self {
-            Self::Words(tokens) => tokens
-                .ids
-                .chunks_exact(tokens.width)
-                .map(|row| row.iter().filter(|&&id| id != PADDING).count())
-                .collect(),
-            Self::Vectors { lengths, .. } => lengths.clone(),
-        }
-    }
+    Ok(FeatureStatistics::of(&sum))
 }
 
 /// `B` clips with everything a training step draws.
@@ -195,7 +129,7 @@ pub struct ClipBatch {
     /// Diffusion step of each clip, `[B]`.
     pub timesteps: Vec<usize>,
     /// Instructions; a hidden one is the empty text.
-    pub texts: TextTokens,
+    pub texts: TextBatch,
 }
 
 impl ClipBatch {
@@ -221,7 +155,6 @@ pub(crate) struct ClipSampler<'a> {
     pub(crate) hides: bool,
 }
 
-/// A clip as drawn.
 struct Drawn {
     instruction: String,
     source: Vec<FeatureFrame>,
@@ -236,9 +169,7 @@ impl ClipSampler<'_> {
     pub(crate) fn draw(&self, first: u64, count: usize) -> Result<ClipBatch, Error> {
         let num_clips = self.source.num_clips();
         if num_clips == 0 {
-            return Err(Error::Empty {
-                what: "source of training clips",
-            });
+            return Err(Error::empty("source of training clips"));
         }
         let places = first..first + count as u64;
         let epochs = places.start / num_clips..=(places.end - 1) / num_clips;
@@ -251,7 +182,7 @@ impl ClipSampler<'_> {
                 self.draw_one(place, epoch, order[(place % num_clips) as usize])
             })
             .collect::<Result<Vec<Drawn>, Error>>()?;
-        let texts: Vec<&str> = drawn.iter().map(|clip| clip.instruction.as_str()).collect();
+        let texts = drawn.iter().map(|clip| clip.instruction.as_str());
         let (source, source_frames) = padded(drawn.iter().map(|clip| clip.source.as_slice()));
         let (target, target_frames) = padded(drawn.iter().map(|clip| clip.target.as_slice()));
         let frames = target.len() / (count * NUM_FEATURES);
@@ -260,7 +191,7 @@ impl ClipSampler<'_> {
             row[..clip.noise.len()].copy_from_slice(&clip.noise);
         }
         Ok(ClipBatch {
-            texts: TextTokens::of(&self.texts, &texts)?,
+            texts: self.texts.batch(texts)?,
             source,
             source_frames,
             source_is_shown: drawn.iter().map(|clip| clip.source_is_shown).collect(),
@@ -286,26 +217,18 @@ impl ClipSampler<'_> {
         let clip = self.source.clip(epoch, number)?;
         let features = |motion: &Motion| -> Result<Vec<FeatureFrame>, Error> {
             let features = features_of_motion(motion, config.fps, config.max_frames, skeleton);
-            let mut features = features.map_err(|source| unusable(&clip.instruction, source))?;
+            let mut features = features.map_err(motion_error(&clip.instruction))?;
             self.statistics.normalize(&mut features);
             Ok(features)
         };
         let (source, target) = (features(&clip.source)?, features(&clip.target)?);
         let mut rng = self.seed.rng(&["clip", &place.to_string()]);
-        let timestep = match self.timesteps {
-            Timesteps::Random => rng.random_range(0..diffusion.num_steps),
-            Timesteps::Spread(total) => {
-                let place = place as usize % total;
-                (2 * place + 1) * diffusion.num_steps / (2 * total)
-            }
-        };
+        let timestep = self.timesteps.of(place, diffusion.num_steps, &mut rng);
         let mut hides = |share: f64| self.hides && rng.random_bool(share);
         let hides_source = hides(diffusion.source_dropout);
         let hides_text = hides(diffusion.text_dropout);
         let hides_both = hides(diffusion.both_dropout);
-        let noise = (0..target.len() * NUM_FEATURES)
-            .map(|_| rng.sample(StandardNormal))
-            .collect();
+        let noise = normal(&mut rng, target.len() * NUM_FEATURES);
         Ok(Drawn {
             instruction: if hides_text || hides_both {
                 String::new()

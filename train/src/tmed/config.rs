@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::config::{
-    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TextEncoder,
-    TrainConfig, WordsConfig, positive, share,
+    NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, TextConfig, TextEncoder,
+    TrainConfig, ensure, finite, positive, share,
 };
 use crate::gaussian::{Respacing, SampleSteps};
 
@@ -142,14 +142,7 @@ impl TmedConfig {
                 feed_forward: 1024,
                 dropout: 0.1,
             },
-            text: TextConfig {
-                encoder: TextEncoder::Clip,
-                vectors: None,
-                words: WordsConfig {
-                    num_buckets: 64,
-                    max_words: 32,
-                },
-            },
+            text: TextConfig::clip(),
             data: ClipData::Pairs,
             fps: Fps::new(30.0).expect("a rate"),
             max_frames: 300,
@@ -169,14 +162,7 @@ impl TmedConfig {
             },
             val_clips: 256,
             run: RunSettings {
-                optimizer: OptimizerConfig {
-                    learning_rate: 1e-4,
-                    decay: Decay::Constant,
-                    warmup_steps: 0,
-                    weight_decay: 0.01,
-                    max_gradient_norm: None,
-                    ema_decay: None,
-                },
+                optimizer: OptimizerConfig::of_rate(1e-4),
                 batch_size: 128,
                 micro_batch_size: Some(32),
                 length: RunLength {
@@ -244,24 +230,19 @@ impl TmedConfig {
         self.run.check()?;
         self.diffusion.check()?;
         self.text.check()?;
-        if self.text.encoder == TextEncoder::Table {
-            return Err(Error::Config {
-                field: "text.encoder",
-                problem: "a table holds one vector for each text, and TMED reads tokens; set it to learned, clip or bert"
-                    .to_owned(),
-            });
-        }
+        ensure(
+            self.text.encoder != TextEncoder::Table,
+            "text.encoder",
+            "a table holds one vector for each text, and TMED reads tokens; set it to learned, clip or bert",
+        )?;
         positive("max_frames", self.max_frames as u64)?;
         positive("val_clips", self.val_clips as u64)?;
-        positive("text.words.num_buckets", self.text.words.num_buckets as u64)?;
-        positive("text.words.max_words", self.text.words.max_words as u64)
+        self.text.check_words()
     }
 
     /// Places of the position table that are kept for a text.
     pub(crate) fn text_places(&self) -> usize {
-        /// The context of CLIP.
         const CLIP_TOKENS: usize = 77;
-        /// The context of BERT.
         const BERT_TOKENS: usize = 512;
         match self.text.encoder {
             TextEncoder::Clip | TextEncoder::Table => CLIP_TOKENS,
@@ -276,17 +257,8 @@ impl TmedDiffusion {
         share("diffusion.text_dropout", self.text_dropout)?;
         share("diffusion.source_dropout", self.source_dropout)?;
         share("diffusion.both_dropout", self.both_dropout)?;
-        for (field, value) in [
-            ("diffusion.guidance", self.guidance),
-            ("diffusion.source_guidance", self.source_guidance),
-        ] {
-            if !value.is_finite() {
-                return Err(Error::Config {
-                    field,
-                    problem: format!("it is {value}"),
-                });
-            }
-        }
+        finite("diffusion.guidance", self.guidance)?;
+        finite("diffusion.source_guidance", self.source_guidance)?;
         self.steps(self.edit_steps).map(|_| ())
     }
 

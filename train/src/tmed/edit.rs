@@ -2,33 +2,35 @@
 
 use std::collections::BTreeMap;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::Device;
 use datasets_spec::{Fps, Motion, Pose, Rng, Seed, Skeleton};
 use kinematics::resample::{grid, interpolate_all};
 use rayon::prelude::*;
 
-use super::clips::TextTokens;
 use super::config::{ClipData, EditStart, NoSource, TmedConfig};
 use super::features::{FeatureFrame, NUM_FEATURES, features_of_motion, poses_from};
 use super::guidance::{Branch, branches, guided};
 use super::objective::{places, text_tokens};
-use super::task::{DENOISER, KIND, TmedRecord, WORDS, load_weights};
-use crate::checkpoint::{self, RunRecord, Slot, check_skeleton, read_for_use, weights_hash};
+use super::task::{KIND, TmedRecord};
+use crate::checkpoint::{Slot, check_skeleton, open_for_use};
 use crate::config::Preset;
-use crate::fit::TextRecord;
+use crate::error::motion_error;
 use crate::gaussian::SampleSteps;
+use crate::model::pass::Pass;
+use crate::model::text::TextBatch;
 use crate::model::tmed::{Condition, TmedModel};
+use crate::model::weights::Networks;
 use crate::sample::EditTimes;
 use crate::sample::noise::Noise;
+use crate::system::Setting::{Count, Flag, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, Setting, SystemIdentity,
+    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
     SystemSource, named_with,
 };
 use crate::text::table::EmbeddingTable;
-use crate::transfer::read;
+use crate::transfer::{read, send};
 use crate::{Error, Session};
 
-/// TMED as a system.
 struct TmedSystem {
     model: TmedModel,
     record: TmedRecord,
@@ -40,7 +42,6 @@ struct TmedSystem {
     device: Device,
 }
 
-/// How motions are edited.
 struct TmedSettings {
     steps: SampleSteps,
     guidance: f64,
@@ -50,7 +51,6 @@ struct TmedSettings {
     max_batch: usize,
 }
 
-/// Opens a run of TMED.
 pub(crate) fn open(
     source: &SystemSource,
     config: &EditConfig,
@@ -63,24 +63,17 @@ pub(crate) fn open(
         (&source.poses, "the pose network"),
     ] {
         if helper.is_some() {
-            return Err(Error::Misfit {
+            return Err(Error::misfit(
                 what,
-                problem: "TMED makes whole motions of rotations and uses no other network"
-                    .to_owned(),
-            });
+                "TMED makes whole motions of rotations and uses no other network",
+            ));
         }
     }
-    let RunRecord { config: record, .. } =
-        checkpoint::read_record::<TmedRecord>(&source.run, KIND)?;
+    let mut opened = open_for_use::<TmedRecord>(&source.run, source.slot, KIND)?;
+    let record = opened.record.config;
     record.check()?;
-    let mut files = read_for_use(&source.run, source.slot, KIND)?;
-    let weights: Vec<&[u8]> = [DENOISER, WORDS]
-        .iter()
-        .filter_map(|&name| files.get(name).map(Vec::as_slice))
-        .collect();
-    let checkpoint_hash = weights_hash(&record, &weights);
     let mut model = record.model(device);
-    load_weights(&mut model, &mut files, &source.run)?;
+    model.take_files(&mut opened.files, &source.run)?;
     let trained = &record.train.diffusion;
     let settings = TmedSettings {
         steps: trained.steps(config.steps.or(trained.edit_steps))?,
@@ -111,7 +104,7 @@ pub(crate) fn open(
                 Some(name) => name.clone(),
                 None => system_name(&record, source.slot, &settings)?,
             },
-            checkpoint_hash,
+            checkpoint_hash: opened.hash,
             settings: document.to_string(),
         },
         model,
@@ -139,40 +132,30 @@ fn system_name(record: &TmedRecord, slot: Slot, settings: &TmedSettings) -> Resu
         name += " w/ MCM";
     }
     let trained = &record.train;
-    let usual = [Preset::Paper, Preset::Official, Preset::Tiny]
+    let usual = Preset::ALL
         .map(TmedConfig::preset)
         .into_iter()
         .find(|preset| preset.model == trained.model);
     let usual = &usual.as_ref().unwrap_or(trained).diffusion;
     let steps = usual.steps(usual.edit_steps)?.timesteps().len();
+    let from_source = settings.start == EditStart::Source && usual.start == EditStart::Noise;
     let changes = [
-        (
-            "guidance",
-            Setting::Number(settings.guidance, usual.guidance),
-        ),
+        ("guidance", Number(settings.guidance, usual.guidance)),
         (
             "source guidance",
-            Setting::Number(settings.source_guidance, usual.source_guidance),
+            Number(settings.source_guidance, usual.source_guidance),
         ),
-        ("temperature", Setting::Number(settings.temperature, 1.0)),
-        (
-            "steps",
-            Setting::Count(settings.steps.timesteps().len(), steps),
-        ),
-        (
-            "from source",
-            Setting::Flag(settings.start == EditStart::Source && usual.start == EditStart::Noise),
-        ),
+        ("temperature", Number(settings.temperature, 1.0)),
+        ("steps", Count(settings.steps.timesteps().len(), steps)),
+        ("from source", Flag(from_source)),
     ];
     Ok(named_with(name, slot, &changes))
 }
 
-/// A motion to edit, as the network takes it.
 struct Question<'a> {
     id: &'a str,
     text: &'a str,
     source: Vec<FeatureFrame>,
-    /// Where the edit begins.
     first: Pose,
     /// Frames of the edit at the network's rate.
     frames: usize,
@@ -192,10 +175,8 @@ impl TmedSystem {
             ..
         } = *request;
         let [asked] = instructions else {
-            return Err(Error::Item {
-                id: id.to_owned(),
-                problem: "asks for several edits; TMED follows one instruction".to_owned(),
-            });
+            let problem = "asks for several edits; TMED follows one instruction";
+            return Err(Error::item(id, problem));
         };
         let own = self.record.train.fps;
         let mut source = features_of_motion(motion, own, usize::MAX, &self.skeleton)
@@ -224,10 +205,9 @@ impl TmedSystem {
         })
     }
 
-    /// Tokens of texts.
-    fn tokens(&self, texts: &[&str]) -> Result<TextTokens, Error> {
-        let vectors = self.vectors.as_ref().map(|table| table as _);
-        TextTokens::of(&self.record.text.texts(vectors)?, texts)
+    fn tokens(&self, texts: &[&str]) -> Result<TextBatch, Error> {
+        let known = self.record.text.texts(self.vectors.as_ref())?;
+        known.batch(texts.iter().copied())
     }
 
     /// Generates the edits of questions whose sources, edits and texts have one length each.
@@ -235,6 +215,7 @@ impl TmedSystem {
         &self,
         questions: &[&Question<'_>],
         seed: Seed,
+        session: &Session<'_>,
     ) -> Result<Vec<FeatureFrame>, Error> {
         let (settings, device) = (&self.settings, &self.device);
         let batch = questions.len();
@@ -262,14 +243,19 @@ impl TmedSystem {
                     row[..shared * NUM_FEATURES]
                         .copy_from_slice(question.source[..shared].as_flattened());
                 }
-                let data = TensorData::new(values, [batch, frames, NUM_FEATURES]);
-                Tensor::from_data(data, device)
+                send(values, [batch, frames, NUM_FEATURES], device)
             }
         };
         let denoiser = &self.model.denoiser;
+        let pass = Pass::new(session.arithmetic);
         let clean = settings.steps.sample(
             start,
-            |x, step| guided(denoiser, &branches, &condition, x, &lengths, step.timestep),
+            |x, step| {
+                let timestep = step.timestep;
+                guided(
+                    denoiser, &branches, &condition, x, &lengths, timestep, &pass,
+                )
+            },
             |_| noise.step(),
             |_, _| {},
         );
@@ -302,11 +288,10 @@ impl TmedSystem {
             }
         }
         let texts = self.tokens(&texts)?;
-        let data = TensorData::new(values, [rows, source_frames, NUM_FEATURES]);
         Ok(Condition {
             text: text_tokens(&self.model, &texts, &self.device),
             text_lengths: texts.lengths(),
-            source: Tensor::from_data(data, &self.device),
+            source: send(values, [rows, source_frames, NUM_FEATURES], &self.device),
             source_lengths,
             places: places(
                 &self.record.train,
@@ -345,24 +330,17 @@ impl EditSystem for TmedSystem {
     }
 
     fn remarks(&self, _motions: &[(usize, Fps)], texts: &[&str]) -> Remarks {
-        let texts = texts.iter();
         Remarks {
-            num_short: 0,
-            unknown_words: texts
-                .flat_map(|text| self.record.text.unknown_words(text))
-                .collect(),
+            unknown_words: self.record.text.unknown_words(texts),
+            ..Remarks::default()
         }
     }
 
     fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error> {
-        if let TextRecord::Frozen { .. } = self.record.text {
-            let texts = [texts, &[String::new()]].concat();
-            let (encoder, run) = (&self.source.text_encoder, &self.source.run);
-            let table = encoder.token_embeddings(run, &texts, &self.record.train.text, session)?;
-            self.record.text.texts(Some(&table))?;
-            self.vectors = Some(table);
-        }
-        Ok(())
+        let texts = [texts, &[String::new()]].concat();
+        let (encoder, run) = (&self.source.text_encoder, &self.source.run);
+        self.vectors = encoder.token_embeddings(run, &texts, &self.record.train.text, session)?;
+        self.record.text.texts(self.vectors.as_ref()).map(|_| ())
     }
 
     fn edit(
@@ -389,12 +367,10 @@ impl EditSystem for TmedSystem {
         progress.begin("edit", Some(questions.len() as u64));
         for (key, members) in &groups {
             for chunk in members.chunks(self.settings.max_batch.max(1)) {
-                if session.is_stopped() {
-                    return Err(Error::Stopped { what: "editing" });
-                }
+                session.go_on("editing")?;
                 let asked: Vec<&Question<'_>> =
                     chunk.iter().map(|&index| &questions[index]).collect();
-                let features = self.generate(&asked, seed)?;
+                let features = self.generate(&asked, seed, session)?;
                 for (&index, frames) in chunk.iter().zip(features.chunks_exact(key[1])) {
                     let motion = questions[index].motion(&self.record, frames.to_vec())?;
                     motions[index] = Some((motion, Misfit::default()));
@@ -414,12 +390,5 @@ impl EditSystem for TmedSystem {
             motions: motions.collect(),
             times,
         })
-    }
-}
-
-fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error {
-    move |source| Error::Motion {
-        id: id.to_owned(),
-        source: source.into(),
     }
 }

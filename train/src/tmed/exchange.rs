@@ -8,11 +8,10 @@ use safetensors::SafeTensors;
 
 use super::config::TmedConfig;
 use super::features::{FeatureStatistics, NUM_FEATURES};
-use super::task::{DENOISER, KIND, TmedRecord};
+use super::task::{KIND, TmedRecord};
 use crate::Error;
-use crate::checkpoint::{Run, RunRecord, Slot};
 use crate::config::{NetworkConfig, Preset};
-use crate::exchange::read_numpy_object;
+use crate::exchange::{encoder_sizes, read_numpy_object, write_imported};
 use crate::fit::TextRecord;
 use crate::model::weights::{from_safetensors, to_safetensors};
 
@@ -58,42 +57,23 @@ pub fn import_tmed(
     let mut model = record.model(device);
     check_names(&to_safetensors(&model.denoiser, path)?, &weights, path)?;
     from_safetensors(&mut model.denoiser, weights, "", path)?;
-    let denoiser = to_safetensors(&model.denoiser, run_dir)?;
     // MotionFix has a body of its own; motions are posed for it on the skeleton of this program.
     let skeleton = Skeleton::smplx_neutral();
-    let run = Run::open(
-        run_dir,
-        &RunRecord::new(KIND, "imported", &skeleton, record),
-    )?;
-    run.write(Slot::Best, &[(DENOISER.to_owned(), denoiser)].into())
+    write_imported(run_dir, &skeleton, (KIND, record), &model.denoiser)
 }
 
-/// Sizes of the network whose tensors these are.
 fn sizes(weights: &[u8], num_heads: usize, path: &Path) -> Result<NetworkConfig, Error> {
-    let file = SafeTensors::deserialize(weights).map_err(|error| Error::weights(path, error))?;
-    let matrix = |name: &str| -> Result<[usize; 2], Error> {
-        let tensor = file.tensor(name);
-        let tensor = tensor.map_err(|problem| Error::weights(path, problem))?;
-        <[usize; 2]>::try_from(tensor.shape())
-            .map_err(|_| Error::weights(path, format!("{name} is no matrix")))
-    };
-    let [num_features, width] = matrix("pose_proj_out.weight")?;
+    let source = "pose_proj_in_source.weight";
+    let (model, num_features) = encoder_sizes(weights, source, "encoder", num_heads, path)?;
     if num_features != NUM_FEATURES {
         return Err(Error::weights(
             path,
-            format!("it makes {num_features} numbers a frame, expected {NUM_FEATURES}"),
+            format!("it takes {num_features} numbers a frame, expected {NUM_FEATURES}"),
         ));
     }
-    let layer = |index: usize| format!("encoder.layers.{index}.linear1.weight");
-    let [feed_forward, _] = matrix(&layer(0))?;
     Ok(NetworkConfig {
-        width,
-        num_layers: (0..)
-            .take_while(|&index| file.tensor(&layer(index)).is_ok())
-            .count(),
-        num_heads,
-        feed_forward,
         dropout: TmedConfig::preset(Preset::Official).model.dropout,
+        ..model
     })
 }
 

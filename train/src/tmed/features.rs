@@ -9,6 +9,8 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::config::ensure;
+use crate::features::Moments;
 
 /// Numbers of a frame.
 pub const NUM_FEATURES: usize = 207;
@@ -52,7 +54,6 @@ fn heading(root: DQuat) -> DQuat {
     DQuat::from_rotation_z(m.x_axis.y.atan2(m.x_axis.x))
 }
 
-/// Turns y up into z up.
 fn upright() -> DQuat {
     DQuat::from_rotation_x(FRAC_PI_2)
 }
@@ -189,73 +190,14 @@ pub struct FeatureStatistics {
     pub std: Vec<f32>,
 }
 
-/// Sums of which statistics are made; those of several motions can be merged.
-#[derive(Clone, Debug)]
-pub(crate) struct Moments {
-    count: f64,
-    mean: Vec<f64>,
-    /// Sums of squared deviations from the mean.
-    squares: Vec<f64>,
-}
-
-impl Moments {
-    pub(crate) fn none() -> Self {
-        Self {
-            count: 0.0,
-            mean: vec![0.0; NUM_FEATURES],
-            squares: vec![0.0; NUM_FEATURES],
-        }
-    }
-
-    pub(crate) fn of(frames: &[FeatureFrame]) -> Self {
-        let mut moments = Self::none();
-        for frame in frames {
-            moments.count += 1.0;
-            for ((mean, squares), &value) in
-                moments.mean.iter_mut().zip(&mut moments.squares).zip(frame)
-            {
-                let away = f64::from(value) - *mean;
-                *mean += away / moments.count;
-                *squares += away * (f64::from(value) - *mean);
-            }
-        }
-        moments
-    }
-
-    /// Moments of the frames of both.
-    ///
-    /// # Source
-    /// Chan, Golub and LeVeque 1983.
-    pub(crate) fn merge(mut self, other: &Self) -> Self {
-        let count = self.count + other.count;
-        if other.count == 0.0 {
-            return self;
-        }
-        let columns = self.mean.iter_mut().zip(&mut self.squares);
-        for ((mean, squares), (theirs, more)) in columns.zip(other.mean.iter().zip(&other.squares))
-        {
-            let apart = theirs - *mean;
-            *mean += apart * other.count / count;
-            *squares += more + apart * apart * self.count * other.count / count;
-        }
-        self.count = count;
-        self
-    }
-
-    /// The statistics; none if there was no frame.
-    pub(crate) fn statistics(&self) -> Option<FeatureStatistics> {
-        (self.count > 0.0).then(|| FeatureStatistics {
-            mean: self.mean.iter().map(|&mean| mean as f32).collect(),
-            std: self
-                .squares
-                .iter()
-                .map(|squares| (squares / self.count).sqrt() as f32)
-                .collect(),
-        })
-    }
-}
-
 impl FeatureStatistics {
+    pub(crate) fn of(moments: &Moments) -> Self {
+        Self {
+            mean: moments.means(),
+            std: moments.deviations().map(|std| std as f32).collect(),
+        }
+    }
+
     /// Checks statistics that were read.
     ///
     /// # Errors
@@ -264,13 +206,11 @@ impl FeatureStatistics {
         let fits = |values: &[f32]| {
             values.len() == NUM_FEATURES && values.iter().all(|value| value.is_finite())
         };
-        if fits(&self.mean) && fits(&self.std) && self.std.iter().all(|&std| std >= 0.0) {
-            return Ok(());
-        }
-        Err(Error::Config {
-            field: "statistics",
-            problem: format!("they are not {NUM_FEATURES} finite means and standard deviations"),
-        })
+        ensure(
+            fits(&self.mean) && fits(&self.std) && self.std.iter().all(|&std| std >= 0.0),
+            "statistics",
+            format!("they are not {NUM_FEATURES} finite means and standard deviations"),
+        )
     }
 
     /// `(x - mean) / (2 (std + 1e-5))`, as released.
@@ -366,12 +306,15 @@ mod tests {
         let motion = motion();
         let frames = features_of_motion(&motion, Fps::STORE, 1_000, &Skeleton::smplx_neutral())
             .expect("resampled");
-        let whole = Moments::of(&frames).statistics().expect("frames");
+        let moments = |frames: &[FeatureFrame]| {
+            Moments::of(NUM_FEATURES, frames.iter().map(|frame| frame.as_slice()))
+        };
+        let whole = FeatureStatistics::of(&moments(&frames));
+        let none = Moments::none(NUM_FEATURES);
         let parts = [&frames[..5], &frames[5..5], &frames[5..]]
-            .iter()
-            .fold(Moments::none(), |sum, part| sum.merge(&Moments::of(part)))
-            .statistics()
-            .expect("frames");
+            .into_iter()
+            .fold(none, |sum, part| sum.merge(&moments(part)));
+        let parts = FeatureStatistics::of(&parts);
         for (a, b) in whole.std.iter().zip(&parts.std) {
             assert!((a - b).abs() < 1e-6, "{a} {b}");
         }

@@ -2,6 +2,7 @@
 
 use burn::tensor::Tensor;
 
+use crate::model::pass::Pass;
 use crate::model::tmed::{Condition, Tmed};
 
 /// A question to the network, and its weight in the estimate of the clean motion.
@@ -48,6 +49,7 @@ pub fn guided(
     x: &Tensor<3>,
     lengths: &[usize],
     timestep: usize,
+    pass: &Pass,
 ) -> Tensor<3> {
     let [batch, frames, num_features] = x.dims();
     let count = branches.len();
@@ -56,6 +58,7 @@ pub fn guided(
         &lengths.repeat(count),
         &vec![timestep; count * batch],
         condition,
+        pass,
     );
     let mut sum = Tensor::zeros([batch, frames, num_features], &x.device());
     for (index, branch) in branches.iter().enumerate() {

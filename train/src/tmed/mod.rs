@@ -13,7 +13,7 @@ mod objective;
 mod stage;
 mod task;
 
-pub use self::clips::{CapturedPairs, ClipBatch, ClipEdit, ClipSource, TextTokens};
+pub use self::clips::{CapturedPairs, ClipBatch, ClipEdit, ClipSource};
 pub use self::config::{
     ClipData, EditStart, NoSource, StatisticsSplits, TargetPlaces, TmedConfig, TmedDiffusion,
 };
@@ -21,5 +21,4 @@ pub use self::exchange::{TmedImport, import_tmed, read_released_statistics};
 pub use self::guidance::{Branch, branches, guided};
 pub use self::objective::{group_loss, loss};
 pub(crate) use self::stage::MODEL;
-pub use self::stage::train_on_dataset;
-pub use self::task::{TmedCorpus, TmedRecord, train_tmed};
+pub use self::task::{TmedCorpus, train_tmed};

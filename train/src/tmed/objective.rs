@@ -1,13 +1,15 @@
 //! The training loss of TMED.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
-use super::clips::{ClipBatch, TextTokens};
+use super::clips::ClipBatch;
 use super::config::{TargetPlaces, TmedConfig};
 use super::features::{GROUPS, NUM_FEATURES};
-use crate::model::text::token_tensor;
+use crate::model::pass::Pass;
+use crate::model::text::{TextBatch, token_tensor};
 use crate::model::tmed::{Condition, Places, TmedModel};
 use crate::schedule::Schedule;
+use crate::transfer::send;
 
 /// The squared error of each group of features over the frames of each motion, averaged over the groups.
 /// Changes since the frame before are not asked of the first frame.
@@ -40,8 +42,7 @@ pub fn group_loss(
             }
         }
     }
-    let weights = TensorData::new(weights, [batch, length, NUM_FEATURES]);
-    let weights = Tensor::<3>::from_data(weights, &device);
+    let weights = send(weights, [batch, length, NUM_FEATURES], &device);
     let errors = (predicted - target).square() * weights;
     let sums: Vec<Tensor<1>> = GROUPS
         .iter()
@@ -58,18 +59,17 @@ pub fn group_loss(
 ///
 /// # Panics
 /// If words are given to a model without word vectors.
-pub(crate) fn text_tokens(model: &TmedModel, texts: &TextTokens, device: &Device) -> Tensor<3> {
+pub(crate) fn text_tokens(model: &TmedModel, texts: &TextBatch, device: &Device) -> Tensor<3> {
     match texts {
-        TextTokens::Words(tokens) => model
+        TextBatch::Words(tokens) => model
             .words
             .as_ref()
             .expect("words are given to a model that learns them")
             .forward(token_tensor(tokens, device)),
-        TextTokens::Vectors { values, lengths } => {
+        TextBatch::Vectors { values, lengths } => {
             let longest = lengths.iter().copied().max().unwrap_or(0);
             let width = values.len() / (lengths.len() * longest).max(1);
-            let data = TensorData::new(values.clone(), [lengths.len(), longest, width]);
-            Tensor::from_data(data, device)
+            send(values.clone(), [lengths.len(), longest, width], device)
         }
     }
 }
@@ -95,12 +95,12 @@ pub fn loss(
     config: &TmedConfig,
     schedule: &Schedule,
     device: &Device,
+    pass: &Pass,
 ) -> Tensor<1> {
     let rows = batch.len();
     let motions = |values: &[f32]| -> Tensor<3> {
         let frames = values.len() / (rows * NUM_FEATURES);
-        let data = TensorData::new(values.to_vec(), [rows, frames, NUM_FEATURES]);
-        Tensor::from_data(data, device)
+        send(values.to_vec(), [rows, frames, NUM_FEATURES], device)
     };
     let source = motions(&batch.source);
     let shown = batch.source_frames.iter().zip(&batch.source_is_shown);
@@ -115,9 +115,12 @@ pub fn loss(
     };
     let target = motions(&batch.target);
     let noisy = schedule.q_sample(target.clone(), &batch.timesteps, motions(&batch.noise));
-    let predicted =
-        model
-            .denoiser
-            .forward(noisy, &batch.target_frames, &batch.timesteps, &condition);
+    let predicted = model.denoiser.forward(
+        noisy,
+        &batch.target_frames,
+        &batch.timesteps,
+        &condition,
+        pass,
+    );
     group_loss(predicted, target, &batch.target_frames).0
 }

@@ -1,7 +1,6 @@
 //! Training of TMED on a dataset.
 
-use compose::{COMPOSED, library, train_stream};
-use compose::{ComposeConfig, Stream};
+use compose::{COMPOSED, ComposeConfig, library, train_stream};
 use datasets_spec::record::{MotionRow, PairRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Seed, Split};
@@ -10,16 +9,12 @@ use super::clips::{CapturedPairs, ClipSource};
 use super::config::{ClipData, TmedConfig};
 use super::edit;
 use super::task::{KIND, TmedCorpus, train_tmed};
-use crate::checkpoint::Start;
 use crate::compose::ComposeRecord;
-use crate::config::TextEncoder;
+use crate::config::ensure;
 use crate::kind::{ModelKind, TrainRequest, Trained, document};
-use crate::stage::{create_dir, unthinned};
-use crate::text::source::{EMBEDDINGS, TextEncoderSource};
-use crate::trainer::TrainReport;
+use crate::stage::{kept, validation_stream};
 use crate::{Error, Session};
 
-/// TMED.
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: KIND,
     about: "TMED, a diffusion over whole motions, on composed clips or on captured pairs",
@@ -29,25 +24,20 @@ pub(crate) const MODEL: ModelKind = ModelKind {
 };
 
 /// Trains TMED on the composer's whole clips or on the pairs of a dataset, as its settings say, or
-/// continues its run.
-///
-/// # Errors
-/// As [`train_tmed`], or the dataset or the text encoder cannot be read.
-pub fn train_on_dataset<'a>(
-    dataset: &Dataset,
-    start: impl Into<Start<'a>>,
-    config: &TmedConfig,
-    compose: &ComposeConfig,
-    text_encoder: &TextEncoderSource,
-    session: &Session<'_>,
-) -> Result<TrainReport, Error> {
+/// continues its run, as a command line asks for it.
+fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
+    let mut config = request.settings(&TmedConfig::preset(request.preset))?;
+    request.change(&mut config.run);
+    // Step, text, source, separator and target.
+    let tokens = 2 + config.text.words.max_words + 2 * config.max_frames;
+    request.split(&mut config.run, &config.model, tokens);
     // Before texts are encoded.
     config.check()?;
-    let start = start.into();
+    let (dataset, run) = (request.dataset, request.start.run);
     let skeleton = dataset.skeleton()?;
     let seed = Seed(config.run.seed);
     let record = ComposeRecord {
-        config: compose.clone(),
+        config: request.compose.clone(),
         seed,
     };
     let ([(train, texts), (val, val_texts)], dataset_hash) = match config.data {
@@ -59,44 +49,33 @@ pub fn train_on_dataset<'a>(
             dataset.content_hash(&[MotionRow::TABLE, PairRow::TABLE]),
         ),
         ClipData::Composed => (
-            composed(dataset, compose, seed)?,
+            composed(dataset, request.compose, seed)?,
             dataset.content_hash(&COMPOSED),
         ),
     };
-    let vectors = match config.text.encoder {
-        TextEncoder::Learned => None,
-        TextEncoder::Clip | TextEncoder::Bert | TextEncoder::Table => {
-            let all = [texts.as_slice(), &val_texts, &[String::new()]].concat();
-            let table = text_encoder.token_embeddings(start.run, &all, &config.text, session)?;
-            create_dir(start.run)?;
-            table.save(&start.run.join(EMBEDDINGS))?;
-            Some(table)
-        }
-    };
+    let all = [texts.as_slice(), &val_texts, &[String::new()]].concat();
+    let encoder = request.text_encoder;
+    let vectors = encoder.token_embeddings(run, &all, &config.text, session)?;
+    let vectors = kept(vectors, run)?;
     let corpus = TmedCorpus {
         train: &*train,
         val: &*val,
         instructions: &texts,
-        vectors: vectors.as_ref().map(|table| table as _),
+        vectors: vectors.as_ref(),
         skeleton: &skeleton,
         dataset_hash: &dataset_hash,
         compose: (config.data == ClipData::Composed).then_some(&record),
     };
-    train_tmed(start, config, corpus, session)
+    let report = train_tmed(request.start, &config, corpus, session)?;
+    Ok(Trained::from_report(report, run))
 }
 
-/// Clips of a split, and their instructions.
 type Clips = (Box<dyn ClipSource>, Vec<String>);
 
-/// The captured pairs of a split.
 fn captured(dataset: &Dataset, split: Split) -> Result<Clips, Error> {
     let library = library(dataset, split)?;
-    if library.num_pairs() == 0 {
-        return Err(Error::Config {
-            field: "data",
-            problem: format!("it is pairs, and the {split} split has none; set it to composed"),
-        });
-    }
+    let problem = format!("it is pairs, and the {split} split has none; set it to composed");
+    ensure(library.num_pairs() > 0, "data", problem)?;
     let texts = (0..library.num_pairs()).map(|pair| library.instruction_of_pair(pair).to_owned());
     let texts = texts.collect();
     Ok((Box::new(CapturedPairs(library)), texts))
@@ -105,29 +84,9 @@ fn captured(dataset: &Dataset, split: Split) -> Result<Clips, Error> {
 /// The composer's whole clips of the training and the validation split.
 fn composed(dataset: &Dataset, compose: &ComposeConfig, seed: Seed) -> Result<[Clips; 2], Error> {
     let (train, normalizer) = train_stream(dataset, compose, seed, None)?;
-    let val = library(dataset, Split::Val)?;
-    let val = Stream::new(val, unthinned(compose), seed, &normalizer)
-        .map_err(|source| Error::Validation { source })?;
+    let val = validation_stream(dataset, compose, seed, &normalizer)?;
     Ok([train, val].map(|stream| -> Clips {
         let texts = stream.instructions();
         (Box::new(stream), texts)
     }))
-}
-
-/// Trains TMED as a command line asks for it.
-fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
-    let mut config = request.settings(&TmedConfig::preset(request.preset))?;
-    request.change(&mut config.run);
-    // Step, text, source, separator and target.
-    let tokens = 2 + config.text.words.max_words + 2 * config.max_frames;
-    request.split(&mut config.run, &config.model, tokens);
-    let report = train_on_dataset(
-        request.dataset,
-        request.start,
-        &config,
-        request.compose,
-        request.text_encoder,
-        session,
-    )?;
-    Ok(Trained::from_report(report, request.start.run))
 }

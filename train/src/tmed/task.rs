@@ -1,8 +1,6 @@
 //! The training of TMED.
 
-use std::path::Path;
-
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 use datasets_spec::{Seed, Skeleton};
 use serde::{Deserialize, Serialize};
 
@@ -10,22 +8,18 @@ use super::clips::{ClipBatch, ClipSampler, ClipSource, statistics};
 use super::config::{ClipData, StatisticsSplits, TmedConfig};
 use super::features::{FeatureStatistics, NUM_FEATURES};
 use super::objective;
-use crate::checkpoint::{Files, Run, RunRecord, Start, take};
+use crate::checkpoint::{Run, RunRecord, Start};
 use crate::compose::ComposeRecord;
-use crate::data::{TextVectors, Timesteps};
+use crate::config::ensure;
+use crate::data::Timesteps;
 use crate::fit::TextRecord;
 use crate::model::tmed::TmedModel;
-use crate::model::weights::{draw, from_safetensors, to_safetensors};
 use crate::schedule::Schedule;
-use crate::trainer::{Task, TrainReport, TrainerConfig, train};
-use crate::transfer::weighted_mean;
+use crate::text::table::EmbeddingTable;
+use crate::trainer::{Task, TrainReport, train};
 use crate::{Error, Session};
 
-/// Kind of run.
 pub(crate) const KIND: &str = "tmed";
-
-pub(crate) const DENOISER: &str = "denoiser.safetensors";
-pub(crate) const WORDS: &str = "words.safetensors";
 
 /// What TMED learns from.
 #[derive(Clone, Copy)]
@@ -37,7 +31,7 @@ pub struct TmedCorpus<'a> {
     /// Instructions of the training split, whose words are the vocabulary of learned word vectors.
     pub instructions: &'a [String],
     /// Token vectors of the instructions of both splits and of the empty text, of a frozen encoder.
-    pub vectors: Option<&'a dyn TextVectors>,
+    pub vectors: Option<&'a EmbeddingTable>,
     /// The skeleton the motions drive.
     pub skeleton: &'a Skeleton,
     /// Hash of the tables the clips are made of.
@@ -49,16 +43,13 @@ pub struct TmedCorpus<'a> {
 /// What is recorded of a run of TMED: its settings and what was fitted to the training split.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct TmedRecord {
-    /// The resolved settings.
-    pub train: TmedConfig,
-    /// What the features are normalised by.
-    pub statistics: FeatureStatistics,
-    /// What the network is told instructions by.
-    pub text: TextRecord,
+pub(crate) struct TmedRecord {
+    pub(crate) train: TmedConfig,
+    pub(crate) statistics: FeatureStatistics,
+    pub(crate) text: TextRecord,
     /// How the clips were composed; none of captured pairs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub compose: Option<ComposeRecord>,
+    pub(crate) compose: Option<ComposeRecord>,
 }
 
 impl TmedRecord {
@@ -71,7 +62,6 @@ impl TmedRecord {
         self.statistics.check()
     }
 
-    /// The network of the record, with weights of no meaning.
     pub(crate) fn model(&self, device: &Device) -> TmedModel {
         TmedModel::new(&self.train.model, self.text.source(), NUM_FEATURES, device)
     }
@@ -89,18 +79,14 @@ pub fn train_tmed<'a>(
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
     config.check()?;
-    if corpus.compose.is_some() != (config.data == ClipData::Composed) {
-        return Err(Error::Config {
-            field: "data",
-            problem: "composed clips come with the composer's settings, pairs with none".to_owned(),
-        });
-    }
+    ensure(
+        corpus.compose.is_some() == (config.data == ClipData::Composed),
+        "data",
+        "composed clips come with the composer's settings, pairs with none",
+    )?;
     let start = start.into();
     let fitted: Option<TmedRecord> = start.fitted(KIND)?;
-    let (known_text, known_statistics) = match fitted {
-        Some(record) => (Some(record.text), Some(record.statistics)),
-        None => (None, None),
-    };
+    let (known_text, known_statistics) = fitted.map(|known| (known.text, known.statistics)).unzip();
     let statistics = match known_statistics {
         Some(known) => known,
         None => statistics_of(&corpus, config)?,
@@ -113,10 +99,8 @@ pub fn train_tmed<'a>(
         text,
         compose: corpus.compose.cloned(),
     };
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(start, &document)?;
     let seed = Seed(config.run.seed);
     let sampler = ClipSampler {
         source: corpus.train,
@@ -135,30 +119,26 @@ pub fn train_tmed<'a>(
         hides: false,
         ..sampler
     };
-    let part = config.run.micro_batch();
-    let val_batches = (0..config.val_clips)
-        .step_by(part)
-        .map(|first| val_sampler.draw(first as u64, part.min(config.val_clips - first)))
-        .collect::<Result<Vec<_>, _>>()?;
-    let device = session.device.clone().autodiff();
-    let model = draw(record.model(&device), seed.derive(&["weights"]))?;
-    let trainer = TrainerConfig {
+    let schedule = Schedule::cosine(config.diffusion.num_steps)?;
+    let validation = |first, count| val_sampler.draw(first, count);
+    let task = Task::<TmedModel, ClipBatch> {
         kind: KIND,
         samples: "clips",
         run: config.run,
         epoch_len: corpus.train.num_clips(),
+        draw: &|step| {
+            let run = &config.run;
+            run.batches(step, |first, count| sampler.draw(first, count))
+        },
+        loss: &|model, batch, device, pass| {
+            objective::loss(model, batch, config, &schedule, device, pass)
+        },
+        validation: config.run.validation(config.val_clips, validation)?,
     };
-    let task = TmedTask {
-        config,
-        schedule: Schedule::cosine(config.diffusion.num_steps)?,
-        sampler,
-        val_batches,
-    };
-    let (_, report) = train(&task, model, &trainer, &run, session)?;
-    Ok(report)
+    let network = |device: &Device| record.model(device);
+    Ok(train(&task, network, &run, session)?.1)
 }
 
-/// The statistics of the splits that the settings name.
 fn statistics_of(corpus: &TmedCorpus<'_>, config: &TmedConfig) -> Result<FeatureStatistics, Error> {
     let both = [corpus.train, corpus.val];
     let sources = match config.statistics {
@@ -166,63 +146,4 @@ fn statistics_of(corpus: &TmedCorpus<'_>, config: &TmedConfig) -> Result<Feature
         StatisticsSplits::TrainAndVal => &both[..],
     };
     statistics(sources, config.fps, config.max_frames, corpus.skeleton)
-}
-
-struct TmedTask<'a> {
-    config: &'a TmedConfig,
-    schedule: Schedule,
-    sampler: ClipSampler<'a>,
-    val_batches: Vec<ClipBatch>,
-}
-
-impl Task for TmedTask<'_> {
-    type Model = TmedModel;
-    type Batch = ClipBatch;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
-        let run = &self.config.run;
-        run.batches(step, |first, count| self.sampler.draw(first, count))
-    }
-
-    fn loss(&self, model: &TmedModel, batch: &ClipBatch, device: &Device) -> Tensor<1> {
-        objective::loss(model, batch, self.config, &self.schedule, device)
-    }
-
-    fn validate(&self, model: &TmedModel, device: &Device) -> f32 {
-        weighted_mean(
-            self.val_batches
-                .iter()
-                .map(|batch| (batch.len(), self.loss(model, batch, device))),
-        )
-    }
-
-    fn save(&self, model: &TmedModel, run_dir: &Path) -> Result<Files, Error> {
-        let denoiser = to_safetensors(&model.denoiser, run_dir)?;
-        let mut files: Files = [(DENOISER.to_owned(), denoiser)].into();
-        if let Some(words) = &model.words {
-            files.insert(WORDS.to_owned(), to_safetensors(words, run_dir)?);
-        }
-        Ok(files)
-    }
-
-    fn load(&self, model: &mut TmedModel, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
-        load_weights(model, files, run_dir)
-    }
-}
-
-/// Loads the networks of a run.
-pub(crate) fn load_weights(
-    model: &mut TmedModel,
-    files: &mut Files,
-    run_dir: &Path,
-) -> Result<(), Error> {
-    let bytes = take(files, DENOISER, run_dir)?;
-    from_safetensors(&mut model.denoiser, bytes, "", &run_dir.join(DENOISER))?;
-    match &mut model.words {
-        Some(words) => {
-            let bytes = take(files, WORDS, run_dir)?;
-            from_safetensors(words, bytes, "", &run_dir.join(WORDS))
-        }
-        None => Ok(()),
-    }
 }

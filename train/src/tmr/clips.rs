@@ -2,35 +2,23 @@
 
 use std::ops::Range;
 
-use datasets_spec::{Motion, Seed};
+use datasets_spec::Seed;
 use rand::RngExt;
 use rand::seq::SliceRandom;
-use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
 use super::config::TmrConfig;
 use crate::Error;
+use crate::captioned::{CaptionedClip, Crop};
 use crate::features::{FeatureRecipe, FeatureStats, Prepared};
-use crate::vocabulary::{PADDING, TokenBatch, Vocabulary};
+use crate::sample::noise::normal;
+use crate::vocabulary::{TokenBatch, Vocabulary};
 
-/// A motion and its captions.
-#[derive(Clone, Copy, Debug)]
-pub struct CaptionedMotion<'a> {
-    /// Names the motion in errors.
-    pub id: &'a str,
-    /// The motion.
-    pub motion: &'a Motion,
-    /// Its captions, at least one.
-    pub captions: &'a [String],
-}
-
-/// Features and tokenised captions of a clip.
 pub(super) struct Clip {
     pub(super) motion: Prepared,
     captions: Vec<Vec<i32>>,
 }
 
-/// A batch of clips with everything a step draws.
 pub(super) struct ClipBatch {
     pub(super) features: Vec<f32>,
     pub(super) lengths: Vec<usize>,
@@ -43,30 +31,23 @@ pub(super) struct ClipBatch {
 }
 
 pub(super) fn clips(
-    motions: &[CaptionedMotion<'_>],
+    motions: &[CaptionedClip],
     what: &'static str,
     vocabulary: &Vocabulary,
     config: &TmrConfig,
 ) -> Result<Vec<Clip>, Error> {
-    if motions.is_empty() {
-        return Err(Error::Empty { what });
-    }
+    Error::if_empty(motions, what)?;
     motions
         .par_iter()
         .map(|clip| {
             if clip.captions.is_empty() {
-                return Err(Error::Item {
-                    id: clip.id.to_owned(),
-                    problem: "has no caption".to_owned(),
-                });
+                return Err(Error::item(&clip.id, "has no caption"));
             }
+            let (recipe, stride) = (config.features, config.frame_stride);
+            let captions = clip.captions.iter();
             Ok(Clip {
-                motion: Prepared::new(clip.motion, config.features, config.frame_stride, clip.id)?,
-                captions: clip
-                    .captions
-                    .iter()
-                    .map(|caption| vocabulary.encode(caption))
-                    .collect(),
+                motion: Prepared::new(&clip.motion, recipe, stride, &clip.id)?,
+                captions: captions.map(|caption| vocabulary.encode(caption)).collect(),
             })
         })
         .collect()
@@ -119,23 +100,15 @@ impl ClipSampler<'_> {
                 }
             })
             .collect();
-        let noise = (0..2 * crops.len() * self.config.model.width)
-            .map(|_| rng.sample(StandardNormal))
-            .collect();
+        let noise = normal(&mut rng, 2 * crops.len() * self.config.model.width);
         self.batch(&crops, noise)
     }
 
     /// The validation batch: all clips from their first frame, with their first caption and the mean
     /// latents.
     pub(super) fn whole(&self) -> Vec<ClipBatch> {
-        let crops: Vec<Crop> = (0..self.clips.len())
-            .map(|clip| Crop {
-                clip,
-                caption: 0,
-                start: 0,
-                frames: self.clips[clip].motion.len().min(self.config.max_frames),
-            })
-            .collect();
+        let frames = self.clips.iter().map(|clip| clip.motion.len());
+        let crops = Crop::firsts(frames, self.config.max_frames);
         crops
             .chunks(self.config.run.batch_size)
             .map(|crops| {
@@ -150,13 +123,6 @@ impl ClipSampler<'_> {
             .iter()
             .map(|crop| self.clips[crop.clip].captions[crop.caption].as_slice())
             .collect();
-        let width = texts.iter().map(|text| text.len()).max().unwrap_or(1);
-        let mut ids = Vec::with_capacity(texts.len() * width);
-        for text in &texts {
-            let filled = ids.len() + width;
-            ids.extend_from_slice(text);
-            ids.resize(filled, PADDING);
-        }
         let same_text = (0..texts.len())
             .flat_map(|i| {
                 let texts = &texts;
@@ -165,29 +131,18 @@ impl ClipSampler<'_> {
             .collect();
         let segments: Vec<(&Prepared, Range<usize>)> = crops
             .iter()
-            .map(|crop| {
-                let range = crop.start..crop.start + crop.frames;
-                (&self.clips[crop.clip].motion, range)
-            })
+            .map(|crop| (&self.clips[crop.clip].motion, crop.range()))
             .collect();
         let (features, lengths, steps) = feature_rows(&segments, self.features);
         ClipBatch {
             features,
             lengths,
             steps,
-            tokens: TokenBatch { ids, width },
+            tokens: TokenBatch::of(&texts),
             same_text,
             noise,
         }
     }
-}
-
-#[derive(Clone, Copy)]
-struct Crop {
-    clip: usize,
-    caption: usize,
-    start: usize,
-    frames: usize,
 }
 
 /// Normalised features of segments, padded with zeros to the longest: values `[B, T, F]`, lengths and

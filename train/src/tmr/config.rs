@@ -1,13 +1,15 @@
 //! Settings of the evaluation encoder.
 
+use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::config::{
-    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, WordsConfig, positive,
+    Decay, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, WordsConfig, above_zero,
+    check_lengths, positive,
 };
 use crate::features::FeatureRecipe;
-use crate::model::tmr::TmrSizes;
+use crate::model::tmr::Tmr;
 use crate::vocabulary::Vocabulary;
 
 /// Settings of the encoder's training.
@@ -94,14 +96,7 @@ impl TmrConfig {
             },
             temperature: 0.1,
             run: RunSettings {
-                optimizer: OptimizerConfig {
-                    learning_rate: 1e-4,
-                    decay: Decay::Constant,
-                    warmup_steps: 0,
-                    weight_decay: 0.01,
-                    max_gradient_norm: None,
-                    ema_decay: None,
-                },
+                optimizer: OptimizerConfig::of_rate(1e-4),
                 batch_size: 32,
                 micro_batch_size: None,
                 length: RunLength::of_steps(365_000),
@@ -114,6 +109,7 @@ impl TmrConfig {
     }
 
     fn tiny() -> Self {
+        let official = Self::official();
         Self {
             features: FeatureRecipe::Smpl135,
             model: NetworkConfig {
@@ -132,28 +128,20 @@ impl TmrConfig {
             min_frames: 16,
             max_frames: 100,
             weights: LossWeights {
-                reconstruction: 1.0,
-                kl: 1e-5,
-                latent: 1e-5,
                 contrastive: 1.0,
+                ..official.weights
             },
-            temperature: 0.1,
+            temperature: official.temperature,
             run: RunSettings {
                 optimizer: OptimizerConfig {
-                    learning_rate: 1e-3,
                     decay: Decay::Linear,
                     warmup_steps: 20,
-                    weight_decay: 0.01,
-                    max_gradient_norm: None,
-                    ema_decay: None,
+                    ..OptimizerConfig::of_rate(1e-3)
                 },
-                batch_size: 32,
-                micro_batch_size: None,
                 length: RunLength::of_steps(300),
                 log_every: 10,
                 val_every: 50,
-                keep_epochs: 0,
-                seed: 0,
+                ..official.run
             },
         }
     }
@@ -169,32 +157,12 @@ impl TmrConfig {
             .check_whole("every pair of a batch is contrasted with every other")?;
         positive("word_width", self.word_width as u64)?;
         positive("frame_stride", self.frame_stride as u64)?;
-        positive("min_frames", self.min_frames as u64)?;
-        if self.max_frames < self.min_frames {
-            return Err(Error::Config {
-                field: "max_frames",
-                problem: format!(
-                    "it is {}, less than min_frames {}",
-                    self.max_frames, self.min_frames
-                ),
-            });
-        }
-        if !(self.temperature.is_finite() && self.temperature > 0.0) {
-            return Err(Error::Config {
-                field: "temperature",
-                problem: format!("it is {}, and must be positive", self.temperature),
-            });
-        }
-        Ok(())
+        check_lengths(self.min_frames, self.max_frames)?;
+        above_zero("temperature", self.temperature)
     }
 
-    /// Sizes of the network for the words of a vocabulary.
-    pub(super) fn sizes(&self, vocabulary: &Vocabulary) -> TmrSizes {
-        TmrSizes {
-            motion_features: self.features.width(),
-            num_tokens: vocabulary.num_tokens(),
-            word_width: self.word_width,
-            network: self.model,
-        }
+    pub(super) fn network(&self, vocabulary: &Vocabulary, device: &Device) -> Tmr {
+        let words = [vocabulary.num_tokens(), self.word_width];
+        Tmr::new(&self.model, self.features.width(), words, device)
     }
 }

@@ -3,61 +3,55 @@
 use std::ops::Range;
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use datasets_spec::Motion;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::clips::feature_rows;
-use super::task::{KIND, TmrRecord, WEIGHTS, load};
+use super::task::{KIND, TmrRecord};
 use crate::Error;
-use crate::checkpoint::{
-    self, Files, MOTION_KIND, RunRecord, Slot, read_for_use, read_kind, take, weights_hash,
-};
+use crate::checkpoint::{Files, MOTION_KIND, Opened, Slot, open_for_use, read_kind, record_of};
 use crate::config::{BertVectors, NetworkConfig};
 use crate::features::{FeatureRecipe, FeatureStats, Prepared};
+use crate::model::pass::{Arithmetic, Pass};
 use crate::model::tmr::{SequenceEncoder, Tmr};
-use crate::model::weights::from_safetensors;
+use crate::model::weights::{Networks, load_network};
+use crate::text::FrozenText;
 use crate::text::bert::{BertEncoder, BertFiles};
-use crate::transfer::read;
+use crate::transfer::{read, send};
 use crate::vocabulary::Vocabulary;
 
-/// Weights of a motion encoder trained elsewhere.
 pub(crate) const MOTION_WEIGHTS: &str = "motion_encoder.safetensors";
 
 /// Weights of a text side trained elsewhere, and the folder of the network whose states it reads.
 pub(crate) const TEXT_WEIGHTS: &str = "text_encoder.safetensors";
 pub(crate) const TEXT_FOLDER: &str = "text_encoder";
 
-/// Motions or texts encoded at a time.
 const ENCODE_BATCH: usize = 32;
 
 /// Record of a motion encoder trained elsewhere.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct MotionEncoderRecord {
-    /// Size of the transformer.
-    pub model: NetworkConfig,
-    /// Features of a motion, and their normaliser.
-    pub features: FeatureStats,
+pub(crate) struct MotionEncoderRecord {
+    pub(crate) model: NetworkConfig,
+    pub(crate) features: FeatureStats,
     /// Its text side, if that was imported too.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub text: Option<ImportedText>,
+    pub(crate) text: Option<ImportedText>,
 }
 
 /// Record of a text side trained elsewhere.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ImportedText {
-    /// Size of the transformer.
-    pub model: NetworkConfig,
+pub(crate) struct ImportedText {
+    pub(crate) model: NetworkConfig,
     /// Identity of the frozen network whose states it reads.
-    pub encoder_hash: String,
+    pub(crate) encoder_hash: String,
     /// Numbers of a state.
-    pub width: usize,
+    pub(crate) width: usize,
 }
 
-/// What encodes texts.
 #[derive(Debug)]
 enum TextEncoding {
     /// Words that were learned with the motion encoder.
@@ -70,7 +64,6 @@ enum TextEncoding {
 #[derive(Debug)]
 pub struct TmrEncoder {
     motion_encoder: SequenceEncoder,
-    /// The text encoder, if there is one.
     texts: Option<TextEncoding>,
     features: FeatureStats,
     frame_stride: usize,
@@ -79,6 +72,7 @@ pub struct TmrEncoder {
     dataset_hash: String,
     hash: String,
     device: Device,
+    arithmetic: Arithmetic,
 }
 
 impl TmrEncoder {
@@ -90,8 +84,7 @@ impl TmrEncoder {
         if read_kind(run_dir)? == MOTION_KIND {
             return Self::load_motion(run_dir, device);
         }
-        let record = checkpoint::read_record(run_dir, KIND)?;
-        Self::of_files(record, read_for_use(run_dir, slot, KIND)?, run_dir, device)
+        Self::of_run(open_for_use(run_dir, slot, KIND)?, run_dir, device)
     }
 
     /// Loads an encoder from the document `config.json` of its run and the weights of its checkpoint. `name` stands for the
@@ -105,24 +98,17 @@ impl TmrEncoder {
         name: &Path,
         device: &Device,
     ) -> Result<Self, Error> {
-        let files = [(WEIGHTS.to_owned(), weights.to_owned())].into();
-        let record = checkpoint::record_of(config, name, KIND)?;
-        Self::of_files(record, files, name, device)
+        let files = [(Tmr::FILE.to_owned(), weights.to_owned())].into();
+        let opened = Opened::new(record_of(config, name, KIND)?, files);
+        Self::of_run(opened, name, device)
     }
 
-    fn of_files(
-        record: RunRecord<TmrRecord>,
-        mut files: Files,
-        run_dir: &Path,
-        device: &Device,
-    ) -> Result<Self, Error> {
+    fn of_run(opened: Opened<TmrRecord>, run_dir: &Path, device: &Device) -> Result<Self, Error> {
+        let (record, hash, mut files) = (opened.record, opened.hash, opened.files);
         let config = &record.config.train;
         config.check()?;
-        let weights = files.get(WEIGHTS).map_or(&[][..], Vec::as_slice);
-        let hash = weights_hash(&record.config, &[weights]);
-        let sizes = config.sizes(&record.config.vocabulary);
-        let mut model = Tmr::new(&sizes, device);
-        load(&mut model, &mut files, run_dir)?;
+        let mut model = config.network(&record.config.vocabulary, device);
+        model.take_files(&mut files, run_dir)?;
         Ok(Self {
             motion_encoder: model.motion_encoder.clone(),
             frame_stride: config.frame_stride,
@@ -135,37 +121,24 @@ impl TmrEncoder {
             dataset_hash: record.dataset_hash,
             hash,
             device: device.clone(),
+            arithmetic: Arithmetic::default(),
         })
     }
 
     fn load_motion(run_dir: &Path, device: &Device) -> Result<Self, Error> {
-        let record: RunRecord<MotionEncoderRecord> = checkpoint::read_record(run_dir, MOTION_KIND)?;
+        let opened = open_for_use::<MotionEncoderRecord>(run_dir, Slot::Best, MOTION_KIND)?;
+        let (record, hash, mut files) = (opened.record, opened.hash, opened.files);
         let MotionEncoderRecord {
             model,
             features,
             text,
-        } = record.config.clone();
+        } = record.config;
         model.check()?;
-        let mut files = read_for_use(run_dir, Slot::Best, MOTION_KIND)?;
-        let bytes = take(&mut files, MOTION_WEIGHTS, run_dir)?;
-        let text_bytes = match &text {
-            Some(_) => take(&mut files, TEXT_WEIGHTS, run_dir)?,
-            None => Vec::new(),
-        };
-        let hash = match &text {
-            Some(_) => weights_hash(&record.config, &[&bytes, &text_bytes]),
-            None => weights_hash(&record.config, &[&bytes]),
-        };
         let texts = text
-            .map(|text| load_texts(&text, text_bytes, run_dir, device))
+            .map(|text| load_texts(&text, &mut files, run_dir, device))
             .transpose()?;
         let mut motion_encoder = SequenceEncoder::new(features.recipe.width(), &model, device);
-        from_safetensors(
-            &mut motion_encoder,
-            bytes,
-            "",
-            &run_dir.join(MOTION_WEIGHTS),
-        )?;
+        load_network(&mut motion_encoder, &mut files, MOTION_WEIGHTS, run_dir)?;
         Ok(Self {
             motion_encoder,
             texts,
@@ -175,7 +148,15 @@ impl TmrEncoder {
             dataset_hash: record.dataset_hash,
             hash,
             device: device.clone(),
+            arithmetic: Arithmetic::default(),
         })
+    }
+
+    /// The same encoder by other operations.
+    #[must_use]
+    pub fn with_arithmetic(mut self, arithmetic: Arithmetic) -> Self {
+        self.arithmetic = arithmetic;
+        self
     }
 
     /// What it sees and was trained on, in words.
@@ -247,8 +228,9 @@ impl TmrEncoder {
         steps: usize,
     ) -> Vec<Vec<f32>> {
         let shape = [lengths.len(), steps, self.features.recipe.width()];
-        let features = Tensor::<3>::from_data(TensorData::new(features, shape), &self.device);
-        rows(self.motion_encoder.forward(features, lengths).mu)
+        let features = send(features, shape, &self.device);
+        let pass = Pass::new(self.arithmetic);
+        rows(self.motion_encoder.forward(features, lengths, &pass).mu)
     }
 
     /// The mean latent vector of each text, `[d]`.
@@ -257,25 +239,26 @@ impl TmrEncoder {
     /// The encoder was imported without its text side, or a text cannot be cut into tokens.
     pub fn encode_texts(&self, texts: &[&str]) -> Result<Vec<Vec<f32>>, Error> {
         let Some(encoding) = &self.texts else {
-            return Err(Error::Encoder {
-                problem:
-                    "was imported without its text side and knows motions alone; import it with \
-                          --text-encoder, the folder of DistilBERT"
-                        .to_owned(),
-            });
+            return Err(Error::encoder(
+                "was imported without its text side and knows motions alone; import it with --text-encoder, the \
+                 folder of DistilBERT",
+            ));
         };
+        let pass = Pass::new(self.arithmetic);
         let mut codes = Vec::with_capacity(texts.len());
         for chunk in texts.chunks(ENCODE_BATCH) {
             let latent = match encoding {
                 TextEncoding::Words(words) => {
                     let (model, vocabulary) = &**words;
-                    model.encode_text(&vocabulary.encode_batch(chunk.iter().copied()))
+                    let tokens = vocabulary.encode_batch(chunk.iter().copied());
+                    model.encode_text(&tokens, &pass)
                 }
                 TextEncoding::States(states) => {
                     let (network, encoder) = &**states;
                     let states = encoder.encode(chunk, BertVectors::States)?;
-                    let (values, lengths) = padded(&states, encoder.width());
-                    network.forward(Tensor::from_data(values, &self.device), &lengths)
+                    let (states, lengths) =
+                        padded(&states, encoder.width(BertVectors::States), &self.device);
+                    network.forward(states, &lengths, &pass)
                 }
             };
             codes.extend(rows(latent.mu));
@@ -284,10 +267,9 @@ impl TmrEncoder {
     }
 }
 
-/// Loads the text side of an imported encoder.
 fn load_texts(
     record: &ImportedText,
-    weights: Vec<u8>,
+    files: &mut Files,
     run_dir: &Path,
     device: &Device,
 ) -> Result<TextEncoding, Error> {
@@ -300,12 +282,12 @@ fn load_texts(
         });
     }
     let mut network = SequenceEncoder::new(record.width, &record.model, device);
-    from_safetensors(&mut network, weights, "", &run_dir.join(TEXT_WEIGHTS))?;
+    load_network(&mut network, files, TEXT_WEIGHTS, run_dir)?;
     Ok(TextEncoding::States(Box::new((network, encoder))))
 }
 
 /// States of texts as one array `[B, T, d]`, zero past the end of a text, and the tokens of each.
-fn padded(states: &[Vec<f32>], width: usize) -> (TensorData, Vec<usize>) {
+fn padded(states: &[Vec<f32>], width: usize, device: &Device) -> (Tensor<3>, Vec<usize>) {
     let longest = states.iter().map(Vec::len).max().unwrap_or(0);
     let mut values = Vec::with_capacity(states.len() * longest);
     for row in states {
@@ -315,7 +297,7 @@ fn padded(states: &[Vec<f32>], width: usize) -> (TensorData, Vec<usize>) {
     }
     let lengths = states.iter().map(|row| row.len() / width).collect();
     let shape = [states.len(), longest / width, width];
-    (TensorData::new(values, shape), lengths)
+    (send(values, shape, device), lengths)
 }
 
 fn rows(tensor: Tensor<2>) -> Vec<Vec<f32>> {

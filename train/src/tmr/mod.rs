@@ -5,9 +5,10 @@ mod config;
 mod encoder;
 mod task;
 
-pub use self::clips::CaptionedMotion;
 pub use self::config::{LossWeights, TmrConfig};
-pub use self::encoder::{ImportedText, MotionEncoderRecord, TmrEncoder};
-pub(crate) use self::encoder::{MOTION_WEIGHTS, TEXT_FOLDER, TEXT_WEIGHTS};
+pub use self::encoder::TmrEncoder;
+pub(crate) use self::encoder::{
+    ImportedText, MOTION_WEIGHTS, MotionEncoderRecord, TEXT_FOLDER, TEXT_WEIGHTS,
+};
 pub(crate) use self::task::KIND;
-pub use self::task::{TmrCorpus, TmrRecord, train_tmr};
+pub use self::task::train_tmr;

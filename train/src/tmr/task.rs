@@ -1,49 +1,31 @@
 //! The training of the evaluation encoder.
 
-use std::path::Path;
-
-use burn::tensor::{Device, Tensor, TensorData};
-use datasets_spec::{Seed, Skeleton};
+use burn::tensor::{Device, Tensor};
+use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
 
-use super::clips::{CaptionedMotion, ClipBatch, ClipSampler, clips, fit_features};
+use super::clips::{ClipBatch, ClipSampler, clips, fit_features};
 use super::config::TmrConfig;
-use crate::checkpoint::{Files, Run, RunRecord, Start, take};
-use crate::config::{Loss, WordsConfig};
+use crate::captioned::CaptionedCorpus;
+use crate::checkpoint::{Run, RunRecord, Start};
+use crate::config::Loss;
 use crate::features::FeatureStats;
+use crate::model::pass::Pass;
 use crate::model::tmr::{Tmr, info_nce};
-use crate::model::weights::{draw, from_safetensors, to_safetensors};
-use crate::trainer::{self, Task, TrainReport, TrainerConfig};
-use crate::transfer::weighted_mean;
+use crate::trainer::{self, Task, TrainReport};
+use crate::transfer::send;
 use crate::vocabulary::Vocabulary;
 use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "tmr";
-pub(super) const WEIGHTS: &str = "tmr.safetensors";
-
-/// What the encoder learns from.
-#[derive(Clone, Copy, Debug)]
-pub struct TmrCorpus<'a> {
-    /// Training clips.
-    pub train: &'a [CaptionedMotion<'a>],
-    /// Validation clips.
-    pub val: &'a [CaptionedMotion<'a>],
-    /// The skeleton the motions drive.
-    pub skeleton: &'a Skeleton,
-    /// Hash of the table of motions.
-    pub dataset_hash: &'a str,
-}
 
 /// Record of an encoder's run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct TmrRecord {
-    /// The resolved settings.
-    pub train: TmrConfig,
-    /// Mean and spread of the features over the training split.
-    pub features: FeatureStats,
-    /// Words the encoder knows.
-    pub vocabulary: Vocabulary,
+pub(crate) struct TmrRecord {
+    pub(crate) train: TmrConfig,
+    pub(crate) features: FeatureStats,
+    pub(crate) vocabulary: Vocabulary,
 }
 
 /// Trains the encoder, or continues where the run folder left off, exactly as
@@ -56,25 +38,16 @@ pub struct TmrRecord {
 pub fn train_tmr<'a>(
     start: impl Into<Start<'a>>,
     config: &TmrConfig,
-    corpus: TmrCorpus<'_>,
+    corpus: CaptionedCorpus<'_>,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
     config.check()?;
     let start = start.into();
     let fitted: Option<TmrRecord> = start.fitted(KIND)?;
     let (vocabulary, features) = taken_over(fitted, config, &corpus)?;
-    let train = clips(
-        corpus.train,
-        "training split of the encoder",
-        &vocabulary,
-        config,
-    )?;
-    let val = clips(
-        corpus.val,
-        "validation split of the encoder",
-        &vocabulary,
-        config,
-    )?;
+    let prepared = |split, what| clips(split, what, &vocabulary, config);
+    let train = prepared(corpus.train, "training split of the encoder")?;
+    let val = prepared(corpus.val, "validation split of the encoder")?;
     let record = TmrRecord {
         train: config.clone(),
         features: match features {
@@ -83,40 +56,37 @@ pub fn train_tmr<'a>(
         },
         vocabulary,
     };
-    let run = Run::open(
-        start,
-        &RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone()),
-    )?;
+    let document = RunRecord::new(KIND, corpus.dataset_hash, corpus.skeleton, record.clone());
+    let run = Run::open(start, &document)?;
 
     let seed = Seed(config.run.seed);
-    let device = session.device.clone().autodiff();
-    let sizes = config.sizes(&record.vocabulary);
-    let model = draw(Tmr::new(&sizes, &device), seed.derive(&["weights"]))?;
     let sampler = ClipSampler {
         clips: &train,
         features: &record.features,
         config,
         seed: seed.derive(&["train"]),
     };
-    let val_batches: Vec<ClipBatch> = ClipSampler {
+    let val_batches = ClipSampler {
         clips: &val,
         seed: seed.derive(&["val"]),
         ..sampler
     }
     .whole();
-    let trainer = TrainerConfig {
+    let task = Task::<Tmr, ClipBatch> {
         kind: KIND,
         samples: "clips",
         run: config.run,
         epoch_len: train.len() as u64,
+        // The contrastive loss compares all pairs of a batch, so a batch is not split.
+        draw: &|step| Ok(vec![(1.0, sampler.draw(step))]),
+        loss: &|model, batch, device, pass| batch_loss(model, batch, config, device, pass),
+        validation: val_batches
+            .into_iter()
+            .map(|batch| (batch.lengths.len(), batch))
+            .collect(),
     };
-    let task = TmrTask {
-        config,
-        sampler,
-        val_batches,
-    };
-    let (_, report) = trainer::train(&task, model, &trainer, &run, session)?;
-    Ok(report)
+    let network = |device: &Device| config.network(&record.vocabulary, device);
+    Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
 /// The vocabulary and the feature statistics of the run whose weights are taken over; without one, the words of
@@ -124,63 +94,24 @@ pub fn train_tmr<'a>(
 fn taken_over(
     fitted: Option<TmrRecord>,
     config: &TmrConfig,
-    corpus: &TmrCorpus<'_>,
+    corpus: &CaptionedCorpus<'_>,
 ) -> Result<(Vocabulary, Option<FeatureStats>), Error> {
     match fitted {
         Some(fitted) if fitted.features.recipe == config.features => {
             Ok((fitted.vocabulary, Some(fitted.features)))
         }
-        Some(fitted) => Err(Error::Config {
-            field: "features",
-            problem: format!(
-                "it is {}, and the run whose weights are to be taken over sees {}",
-                config.features.name(),
-                fitted.features.recipe.name()
-            ),
-        }),
-        None => {
-            let captions = corpus
-                .train
-                .iter()
-                .flat_map(|clip| clip.captions.iter().map(String::as_str));
-            let WordsConfig {
-                num_buckets,
-                max_words,
-            } = config.text;
-            Ok((Vocabulary::build(captions, num_buckets, max_words)?, None))
+        Some(fitted) => {
+            let (own, seen) = (config.features.name(), fitted.features.recipe.name());
+            let problem =
+                format!("it is {own}, and the run whose weights are to be taken over sees {seen}");
+            Err(Error::config("features", problem))
         }
-    }
-}
-
-struct TmrTask<'a> {
-    config: &'a TmrConfig,
-    sampler: ClipSampler<'a>,
-    val_batches: Vec<ClipBatch>,
-}
-
-impl Task for TmrTask<'_> {
-    type Model = Tmr;
-    type Batch = ClipBatch;
-
-    fn draw(&self, step: u64) -> Result<Vec<(f64, ClipBatch)>, Error> {
-        // The contrastive loss compares all pairs of a batch, so a batch is not split.
-        Ok(vec![(1.0, self.sampler.draw(step))])
-    }
-
-    fn loss(&self, model: &Tmr, batch: &ClipBatch, device: &Device) -> Tensor<1> {
-        batch_loss(model, batch, self.config, device)
-    }
-
-    fn validate(&self, model: &Tmr, device: &Device) -> f32 {
-        validate(model, &self.val_batches, self.config, device)
-    }
-
-    fn save(&self, model: &Tmr, run_dir: &Path) -> Result<Files, Error> {
-        Ok([(WEIGHTS.to_owned(), to_safetensors(model, run_dir)?)].into())
-    }
-
-    fn load(&self, model: &mut Tmr, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
-        load(model, files, run_dir)
+        None => {
+            let words = &config.text;
+            let vocabulary =
+                Vocabulary::build(corpus.captions(), words.num_buckets, words.max_words)?;
+            Ok((vocabulary, None))
+        }
     }
 }
 
@@ -188,33 +119,33 @@ impl Task for TmrTask<'_> {
 ///
 /// # Source
 /// Petrovich et al. 2023, Eq. 4 (`algorithms` section 15).
-fn batch_loss(model: &Tmr, batch: &ClipBatch, config: &TmrConfig, device: &Device) -> Tensor<1> {
+fn batch_loss(
+    model: &Tmr,
+    batch: &ClipBatch,
+    config: &TmrConfig,
+    device: &Device,
+    pass: &Pass,
+) -> Tensor<1> {
     let num_clips = batch.lengths.len();
-    let features = Tensor::<3>::from_data(
-        TensorData::new(
-            batch.features.clone(),
-            [num_clips, batch.steps, config.features.width()],
-        ),
-        device,
-    );
-    let noise = Tensor::<3>::from_data(
-        TensorData::new(batch.noise.clone(), [2, num_clips, config.model.width]),
-        device,
-    );
+    let shape = [num_clips, batch.steps, config.features.width()];
+    let features = send(batch.features.clone(), shape, device);
+    let shape = [2, num_clips, config.model.width];
+    let noise = send(batch.noise.clone(), shape, device);
     let noise = |side: usize| noise.clone().narrow(0, side, 1).squeeze_dim::<2>(0);
 
-    let text = model.encode_text(&batch.tokens);
+    let text = model.encode_text(&batch.tokens, pass);
     let motion = model
         .motion_encoder
-        .forward(features.clone(), &batch.lengths);
+        .forward(features.clone(), &batch.lengths, pass);
     let text_latent = text.sample(noise(0));
     let motion_latent = motion.sample(noise(1));
 
     // Both latents are decoded in one batch.
     let latents = Tensor::cat(vec![text_latent.clone(), motion_latent.clone()], 0);
-    let decoded = model
-        .motion_decoder
-        .forward(latents, &batch.lengths.repeat(2), batch.steps);
+    let decoded =
+        model
+            .motion_decoder
+            .forward(latents, &batch.lengths.repeat(2), batch.steps, pass);
     let reconstruction = Loss::SmoothL1
         .mean(decoded, Tensor::cat(vec![features.clone(), features], 0))
         .mul_scalar(2.0);
@@ -235,16 +166,4 @@ fn batch_loss(model: &Tmr, batch: &ClipBatch, config: &TmrConfig, device: &Devic
         + kl.mul_scalar(weights.kl)
         + latent.mul_scalar(weights.latent)
         + contrastive.mul_scalar(weights.contrastive)
-}
-
-fn validate(model: &Tmr, batches: &[ClipBatch], config: &TmrConfig, device: &Device) -> f32 {
-    weighted_mean(batches.iter().map(|batch| {
-        let loss = batch_loss(model, batch, config, device);
-        (batch.lengths.len(), loss)
-    }))
-}
-
-pub(super) fn load(model: &mut Tmr, files: &mut Files, run_dir: &Path) -> Result<(), Error> {
-    let bytes = take(files, WEIGHTS, run_dir)?;
-    from_safetensors(model, bytes, "", &run_dir.join(WEIGHTS))
 }

@@ -1,22 +1,20 @@
 //! Edits of test items as a job in pieces.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use datasets_spec::dataset::{ShardName, Staging, table_facts};
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::store::ByPath;
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Dataset, Progress, Seed, Skeleton};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use work::commit_edits_in;
 use work::{
-    self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, Quarantine,
-    absolute,
+    self, CommitOptions, Committed, Failed, Finished, Job, Made, Piece, Plan, Quarantine, absolute,
+    commit_edits_in,
 };
 
-use super::{Surroundings, of_commit};
+use super::{Surroundings, changed, in_turn, of_commit, write_plan};
 use crate::checkpoint::Slot;
 use crate::registry::open_system;
 use crate::sample::EditTimes;
@@ -31,7 +29,6 @@ pub const JOB: &str = "edit";
 /// Items of a piece: as many windows as are generated at a time by default.
 const PIECE_ITEMS: usize = 64;
 
-/// The settings of a plan.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -47,7 +44,6 @@ struct Stored {
     device: Value,
 }
 
-/// What a piece edits.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Detail {
@@ -57,14 +53,12 @@ struct Detail {
     of: usize,
 }
 
-/// What a piece notes for the commit.
 #[derive(Serialize, Deserialize)]
 struct Notes {
     times: EditTimes,
     remarks: Remarks,
 }
 
-/// A system with the items it answers.
 struct Editing {
     system: Mutex<Box<dyn EditSystem>>,
     rows: Vec<ItemRow>,
@@ -102,17 +96,8 @@ pub fn plan_edits(
         device,
     };
     let editing = Editing::open(&stored, surroundings)?;
-    let newest = Staging::newest(&ByPath, destination)?;
-    let draft = Draft {
-        job: JOB,
-        settings: serde_json::to_value(&stored).expect("settings are numbers and texts"),
-        destination: destination.to_owned(),
-        is_dataset: true,
-        pieces: editing.pieces(),
-        plan_hash: editing.plan_hash,
-        base: Staging::base(&ByPath, destination, newest.as_ref())?,
-    };
-    Ok(draft.write(out, |_| Ok(()))?)
+    let pieces = editing.pieces();
+    write_plan(JOB, &stored, destination, pieces, editing.plan_hash, out)
 }
 
 /// Opens the job of a plan.
@@ -123,37 +108,29 @@ pub fn open_job(plan: &Plan, surroundings: Surroundings) -> Result<Box<dyn Job>,
     let stored: Stored = plan.settings()?;
     let editing = Editing::open(&stored, surroundings)?;
     if editing.plan_hash != plan.hash() {
-        return Err(Failed::new(
-            "E-SOURCE-CHANGED",
-            format!(
-                "the items in {} or the run in {} changed since they were planned; plan again",
-                stored.items.display(),
-                stored.run.display()
-            ),
-        ));
+        let (items, run) = (stored.items.display(), stored.run.display());
+        return Err(changed(&format!(
+            "the items in {items} or the run in {run}"
+        )));
     }
     let texts: Vec<String> = editing
         .rows
         .iter()
         .map(|row| row.instruction.clone())
         .collect();
-    editing.surroundings.with_session(|session| {
-        let mut system = editing
-            .system
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        system.prepare(&texts, session)
-    })?;
+    editing
+        .surroundings
+        .with_session(|session| in_turn(&editing.system).prepare(&texts, session))?;
     Ok(Box::new(editing))
 }
 
 impl Editing {
     fn open(stored: &Stored, surroundings: Surroundings) -> Result<Self, Error> {
         let items = Dataset::open(&stored.items)?;
-        let slot: Slot = stored.checkpoint.parse().map_err(|problem| Error::Config {
-            field: "checkpoint",
-            problem,
-        })?;
+        let slot: Slot = stored
+            .checkpoint
+            .parse()
+            .map_err(|problem| Error::config("checkpoint", problem))?;
         let source = SystemSource {
             run: stored.run.clone(),
             slot,
@@ -212,7 +189,7 @@ impl Editing {
             )
         })?;
         let seed = Seed(self.seed.0.wrapping_add(detail.take));
-        let system = self.system.lock().unwrap_or_else(PoisonError::into_inner);
+        let system = in_turn(&self.system);
         let edit = |session: &Session<'_>| edit_items(&**system, rows, seed, session);
         Ok(self.surroundings.with_session(edit)?)
     }
@@ -224,7 +201,7 @@ impl Job for Editing {
         let (edits, times) = self.edited(&detail, detail.end)?;
         let remarks = match detail.take {
             0 => {
-                let system = self.system.lock().unwrap_or_else(PoisonError::into_inner);
+                let system = in_turn(&self.system);
                 remarks_of(&**system, &self.rows[detail.first..detail.end])?
             }
             // They are of the items, whatever the take.

@@ -3,16 +3,21 @@
 pub mod edits;
 pub mod variants;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use burn::tensor::Device;
 use datasets_spec::NoProgress;
+use datasets_spec::dataset::Staging;
+use datasets_spec::store::ByPath;
 use remote_store::hub::HubCache;
+use serde::Serialize;
 use serde_json::Value;
-use work::{Failed, Plan};
+use work::{Draft, Failed, Piece, Plan};
 
+use crate::model::pass::Arithmetic;
 use crate::text::source::TextEncoderSource;
 use crate::{Error, Session};
 
@@ -21,6 +26,8 @@ use crate::{Error, Session};
 pub struct Surroundings {
     /// Device that models run on.
     pub device: Device,
+    /// The operations that they are computed by.
+    pub arithmetic: Arithmetic,
     /// Where text encoders are found that the plan names no folder of.
     pub cache: Option<HubCache>,
 }
@@ -33,13 +40,13 @@ impl Surroundings {
         }
     }
 
-    /// Runs a part of a piece.
     fn with_session<T>(&self, act: impl FnOnce(&Session<'_>) -> T) -> T {
         let begun = Instant::now();
         let clock = move || -> Duration { begun.elapsed() };
         act(&Session {
             device: &self.device,
             more_devices: &[],
+            arithmetic: self.arithmetic,
             progress: &NoProgress,
             stop: &AtomicBool::new(false),
             clock: &clock,
@@ -55,10 +62,42 @@ pub fn device_of(plan: &Plan) -> Result<Value, work::Error> {
     Ok(plan.settings::<Value>()?["device"].take())
 }
 
+/// Writes the plan of a job, which makes a dataset in `destination`.
+fn write_plan(
+    job: &'static str,
+    settings: &impl Serialize,
+    destination: &Path,
+    pieces: Vec<Piece>,
+    plan_hash: String,
+    out: &Path,
+) -> Result<Plan, Error> {
+    let newest = Staging::newest(&ByPath, destination)?;
+    let draft = Draft {
+        job,
+        settings: serde_json::to_value(settings).expect("settings are numbers and texts"),
+        destination: destination.to_owned(),
+        is_dataset: true,
+        pieces,
+        plan_hash,
+        base: Staging::base(&ByPath, destination, newest.as_ref())?,
+    };
+    Ok(draft.write(out, |_| Ok(()))?)
+}
+
+/// What pieces take turns at.
+fn in_turn<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 impl From<Error> for Failed {
     fn from(error: Error) -> Self {
         Self::of(error.code(), &error)
     }
+}
+
+fn changed(what: &str) -> Failed {
+    let problem = format!("{what} changed since they were planned; plan again");
+    Failed::new("E-SOURCE-CHANGED", problem)
 }
 
 /// The error of a commit, which is one of work in pieces.

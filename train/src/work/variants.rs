@@ -1,29 +1,26 @@
 //! Candidates of fine-grained pairs as a job in pieces.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use crate::candidates::{Candidates, VariantCounts};
 use datasets_spec::dataset::{ShardName, Staging, table_facts};
 use datasets_spec::record::{MotionRow, PairRow};
-use datasets_spec::store::ByPath;
 use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{Progress, Seed};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use work::{
-    self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece, Plan, Quarantine,
-    absolute,
+    self, CommitOptions, Committed, Failed, Finished, Job, Made, Piece, Plan, Quarantine, absolute,
 };
 
-use super::{Surroundings, of_commit};
+use super::{Surroundings, changed, in_turn, of_commit, write_plan};
 use crate::Error;
 use crate::stage::variants::{Instructions, MakeVariants, Making, made_before};
 
 /// Name of the job.
 pub const JOB: &str = "variants";
 
-/// The settings of a plan.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -37,14 +34,26 @@ struct Stored {
     device: Value,
 }
 
-/// The batch that a piece makes.
+impl Stored {
+    fn open(&self, surroundings: &Surroundings) -> Result<Making, Error> {
+        let folders = [self.dataset.as_path(), self.generator.as_path()];
+        let (instructions, config) = (&self.instructions, &self.config);
+        Making::open(
+            folders,
+            instructions,
+            config,
+            self.seed,
+            &surroundings.device,
+        )
+    }
+}
+
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Detail {
     batch: usize,
 }
 
-/// What all batches share.
 struct Variants {
     making: Mutex<Making>,
     surroundings: Surroundings,
@@ -72,31 +81,16 @@ pub fn plan_variants(
         seed,
         device,
     };
-    let making = Making::open(
-        [root, run],
-        instructions,
-        config,
-        seed,
-        &surroundings.device,
-    )?;
+    let making = stored.open(surroundings)?;
     made_before(destination, making.plan_hash())?;
-    let newest = Staging::newest(&ByPath, destination)?;
     let pieces = (0..making.num_batches()).map(|batch| {
         let name = format!("variants/batch-{batch}-of-{}", making.num_batches());
         let items = making.batch_len(batch) as u64;
         let none = std::iter::empty();
         Piece::new(making.plan_hash(), batch, name, items, none).with(0, &Detail { batch })
     });
-    let draft = Draft {
-        job: JOB,
-        settings: serde_json::to_value(&stored).expect("settings are numbers and texts"),
-        destination: destination.to_owned(),
-        is_dataset: true,
-        pieces: pieces.collect(),
-        plan_hash: making.plan_hash().to_owned(),
-        base: Staging::base(&ByPath, destination, newest.as_ref())?,
-    };
-    Ok(draft.write(out, |_| Ok(()))?)
+    let (pieces, plan_hash) = (pieces.collect(), making.plan_hash().to_owned());
+    write_plan(JOB, &stored, destination, pieces, plan_hash, out)
 }
 
 /// Opens the job of a plan.
@@ -105,24 +99,11 @@ pub fn plan_variants(
 /// The generator or the dataset cannot be read, or changed since they were planned.
 pub fn open_job(plan: &Plan, surroundings: Surroundings) -> Result<Box<dyn Job>, Failed> {
     let stored: Stored = plan.settings()?;
-    let folders = [stored.dataset.as_path(), stored.generator.as_path()];
-    let (config, seed) = (&stored.config, stored.seed);
-    let mut making = Making::open(
-        folders,
-        &stored.instructions,
-        config,
-        seed,
-        &surroundings.device,
-    )?;
+    let mut making = stored.open(&surroundings)?;
     if making.plan_hash() != plan.hash() {
-        return Err(Failed::new(
-            "E-SOURCE-CHANGED",
-            format!(
-                "the dataset {} or the generator {} changed since they were planned; plan again",
-                stored.dataset.display(),
-                stored.generator.display()
-            ),
-        ));
+        let (dataset, generator) = (stored.dataset.display(), stored.generator.display());
+        let what = format!("the dataset {dataset} or the generator {generator}");
+        return Err(changed(&what));
     }
     let encoder = surroundings.text_encoder(stored.text_encoder.clone());
     surroundings.with_session(|session| making.prepare(&encoder, session))?;
@@ -135,7 +116,7 @@ pub fn open_job(plan: &Plan, surroundings: Surroundings) -> Result<Box<dyn Job>,
 impl Job for Variants {
     fn make(&self, piece: &Piece, staging: &Staging) -> Result<Made, Failed> {
         let Detail { batch } = piece.detail()?;
-        let making = self.making.lock().unwrap_or_else(PoisonError::into_inner);
+        let making = in_turn(&self.making);
         let made = self
             .surroundings
             .with_session(|session| making.batch(batch, usize::MAX, session))?;
@@ -153,7 +134,7 @@ impl Job for Variants {
 
     fn sample(&self, piece: &Piece, count: u64) -> Result<u64, Failed> {
         let Detail { batch } = piece.detail()?;
-        let making = self.making.lock().unwrap_or_else(PoisonError::into_inner);
+        let making = in_turn(&self.making);
         let count = usize::try_from(count).unwrap_or(usize::MAX);
         let made = self
             .surroundings
@@ -185,7 +166,7 @@ impl Job for Variants {
                 .extend(read_rows::<PairRow>(&staging.path(pairs))?);
             all.counts += work::notes::<VariantCounts>(plan, &piece, notes)?;
         }
-        let making = self.making.lock().unwrap_or_else(PoisonError::into_inner);
+        let making = in_turn(&self.making);
         let dataset = making
             .commit(transaction, &all, &quarantine)
             .map_err(of_commit)?;

@@ -10,6 +10,7 @@ use train::humanml3d::feature_mask;
 use train::mdm::masked_l2;
 use train::mdm_bp::keep_source;
 use train::model::mdm::Mdm;
+use train::model::pass::{Arithmetic, Pass};
 use train::schedule::Schedule;
 
 use super::{Golden, check};
@@ -47,7 +48,7 @@ fn predictions(golden: &Golden, x: &Tensor<3>, timesteps: &[usize]) -> [Tensor<3
     let lengths = masks_frames(golden).then_some(lengths.as_slice());
     let (network, text) = (network(golden), text(golden));
     [text.clone(), text.zeros_like()]
-        .map(|text| network.forward(x.clone(), timesteps, text, lengths))
+        .map(|text| network.forward(x.clone(), timesteps, text, lengths, &Pass::default()))
 }
 
 #[test]
@@ -69,7 +70,8 @@ fn golden_mdm_denoiser() {
     check(recorded(guided), &golden, "out.x0_cfg", 5e-5);
     if !masks_frames(&golden) {
         let network = network(&golden);
-        let inferred = network.infer(&network.prepare(), x, &timesteps, text(&golden));
+        let weights = network.prepare(Arithmetic::default());
+        let inferred = network.infer(&weights, x, &timesteps, text(&golden));
         check(recorded(inferred), &golden, "out.x0", 5e-5);
     }
 }

@@ -4,6 +4,7 @@ use burn::tensor::{Device, Tensor};
 use train::ddim::Ddim;
 use train::diffusion::guide;
 use train::model::mld::{LatentDenoiser, MotionVae, step_sinusoid};
+use train::model::pass::Pass;
 use train::schedule::Schedule;
 
 use super::{Golden, check};
@@ -30,13 +31,14 @@ fn golden_mld_vae() {
     let features: Tensor<3> = golden.tensor("in.features");
     let [_, frames, _] = features.dims();
     let lengths = golden.indices("in.lengths");
-    let encoded = vae.encode(features, &lengths);
+    let pass = Pass::default();
+    let encoded = vae.encode(features, &lengths, &pass);
     check(encoded.mu.clone(), &golden, "out.mu", 5e-5);
     check(encoded.logvar.clone(), &golden, "out.logvar", 5e-5);
     let latent = encoded.sample(golden.tensor::<3>("in.eps").squeeze_dim::<2>(0));
     check(latent, &golden, "out.z", 5e-5);
     check(encoded.kl(&encoded.standard()), &golden, "out.kl", 5e-5);
-    let decoded = vae.decode(golden.tensor("out.z"), &lengths, frames);
+    let decoded = vae.decode(golden.tensor("out.z"), &lengths, frames, &pass);
     check(decoded, &golden, "out.decoded", 5e-5);
 }
 
@@ -50,7 +52,8 @@ fn golden_mld_denoiser() {
     let time = step_sinusoid(&timesteps, width, &Device::flex());
     check(time, &golden, "out.time_proj", 5e-5);
     let single = |name: &str| golden.tensor::<3>(name).squeeze_dim::<2>(1);
-    let noise = denoiser(&golden).forward(single("in.x"), &timesteps, single("in.text"));
+    let text = single("in.text");
+    let noise = denoiser(&golden).forward(single("in.x"), &timesteps, text, &Pass::default());
     check(noise.unsqueeze_dim::<3>(1), &golden, "out.eps", 5e-5);
 }
 
@@ -93,7 +96,8 @@ fn golden_mld_schedule() {
     ddim.sample(
         single("in.init"),
         |z, timestep| {
-            let predict = |text| denoiser.forward(z.clone(), &[timestep], single(text));
+            let predict =
+                |text| denoiser.forward(z.clone(), &[timestep], single(text), &Pass::default());
             Ok(guide(
                 predict("in.text_cond"),
                 predict("in.text_uncond"),

@@ -11,6 +11,7 @@ use safetensors::SafeTensors;
 use train::config::Preset;
 use train::fit::TextRecord;
 use train::gaussian::{Respacing, SampleSteps};
+use train::model::pass::Pass;
 use train::model::tmed::{Condition, Places, Tmed};
 use train::registry::open_system;
 use train::system::{EditConfig, SystemSource};
@@ -68,6 +69,7 @@ fn golden_tmed_denoiser() {
             &lengths(&golden, "in.target_mask"),
             &golden.indices("in.t"),
             condition,
+            &Pass::default(),
         )
     };
     let whole = condition(&golden);
@@ -131,7 +133,8 @@ fn golden_tmed_guidance() {
         let condition = guided_condition(&golden, text, source);
         let x = golden.tensor("in.guide.x");
         let all = branches(text, source);
-        let found = guided(&network, &all, &condition, &x, &frames, 150);
+        let pass = Pass::default();
+        let found = guided(&network, &all, &condition, &x, &frames, 150, &pass);
         check(found, &golden, &name, 2e-4);
     }
 }
@@ -156,7 +159,8 @@ fn golden_tmed_sampling() {
         case.tensor("in.init"),
         |x, step| {
             let all = branches(2.0, 2.0);
-            guided(&network, &all, &condition, x, &frames, step.timestep)
+            let (timestep, pass) = (step.timestep, Pass::default());
+            guided(&network, &all, &condition, x, &frames, timestep, &pass)
         },
         |step| noise.clone().narrow(0, count - 1 - step.index, 1),
         |_, x| {

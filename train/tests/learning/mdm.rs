@@ -5,7 +5,6 @@ use datasets_spec::JointSet;
 use features::humanml3d::{Features, features_of_joints, joints_of_motion};
 use features::{Statistics, smpl_body};
 use kinematics::skeleton::NUM_BODY_JOINTS;
-use train::captioned::CaptionedCorpus;
 use train::mdm::{MdmConfig, masked_l2, train_mdm};
 use train::model::conditioned::Conditioned;
 use train::model::mdm::Mdm;
@@ -17,7 +16,7 @@ use train::text::source::TextEncoderSource;
 use super::*;
 
 /// Walks of several speeds, in which every second has raised arms.
-pub(super) fn clips(count: usize) -> Vec<(String, Motion, Vec<String>)> {
+pub(super) fn clips(count: usize) -> Vec<CaptionedClip> {
     (0..count)
         .map(|index| {
             let mut motion = walk(41, 0.3 + 0.2 * index as f64, index as f64);
@@ -34,7 +33,7 @@ pub(super) fn clips(count: usize) -> Vec<(String, Motion, Vec<String>)> {
             } else {
                 "walk"
             };
-            (index.to_string(), motion, vec![caption.to_owned()])
+            captioned(index, motion, caption)
         })
         .collect()
 }
@@ -58,16 +57,15 @@ fn config(num_steps: u64) -> MdmConfig {
 }
 
 /// Trains on clips and validates on the same.
-fn trained(
-    run: &Path,
-    config: &MdmConfig,
+pub(super) fn trained_by(
     progress: &dyn Progress,
     stop: &AtomicBool,
+    train: impl FnOnce(CaptionedCorpus<'_>, &Session<'_>) -> Result<TrainReport, Error>,
 ) -> TrainReport {
     let clips = clips(6);
     let corpus = CaptionedCorpus {
-        train: &views(&clips),
-        val: &views(&clips),
+        train: &clips,
+        val: &clips,
         vectors: None,
         skeleton: &SKELETON,
         dataset_hash: "0",
@@ -75,11 +73,23 @@ fn trained(
     let session = Session {
         device: &Device::flex(),
         more_devices: &[],
+        arithmetic: Arithmetic::default(),
         progress,
         stop,
         clock: &|| Duration::ZERO,
     };
-    train_mdm(run, config, corpus, &session).expect("trains")
+    train(corpus, &session).expect("trains")
+}
+
+fn trained(
+    run: &Path,
+    config: &MdmConfig,
+    progress: &dyn Progress,
+    stop: &AtomicBool,
+) -> TrainReport {
+    trained_by(progress, stop, |corpus, session| {
+        train_mdm(run, config, corpus, session)
+    })
 }
 
 pub(super) fn features(motion: &Motion) -> Vec<Features> {
@@ -94,10 +104,7 @@ fn the_first_loss_of_mdm_is_that_of_an_untrained_network() {
     let stop = AtomicBool::new(false);
     let report = trained(dir.path(), &config, &NoProgress, &stop);
 
-    let all: Vec<Vec<Features>> = clips(6)
-        .iter()
-        .map(|(_, motion, _)| features(motion))
-        .collect();
+    let all: Vec<Vec<Features>> = clips(6).iter().map(|clip| features(&clip.motion)).collect();
     let mut statistics = Statistics::default();
     for clip in &all {
         statistics.take(clip);
@@ -147,12 +154,13 @@ fn one_batch_of_mdm_is_overfitted() {
     let (x0, noise) = (normal(), normal());
     let x_t = schedule.q_sample(x0.clone(), &timesteps, noise);
     let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
+    let pass = Pass::default();
     let mut losses = Vec::new();
     for step in 0..300 {
         let text = model.text_vectors(&texts, 2, &device);
         let x = model
             .network
-            .forward(x_t.clone(), &timesteps, text, Some(&lengths));
+            .forward(x_t.clone(), &timesteps, text, Some(&lengths), &pass);
         let loss = masked_l2(x, x0.clone(), &lengths).mean();
         losses.push(loss.clone().into_scalar::<f32>());
         let gradients = GradientsParams::from_grads(loss.backward(), &model);

@@ -3,11 +3,10 @@
 use burn::tensor::TensorData;
 use features::Statistics;
 use features::humanml3d::Features;
-use train::captioned::CaptionedCorpus;
 use train::mld::{Base, Generator, LatentNoise, MldConfig, train_mld};
 use train::model::mld::{LatentDenoiser, MotionVae};
 
-use super::mdm::{clips, features};
+use super::mdm::{clips, features, trained_by};
 use super::*;
 
 fn config(steps: [u64; 2]) -> MldConfig {
@@ -35,29 +34,15 @@ fn config(steps: [u64; 2]) -> MldConfig {
     config
 }
 
-/// Trains on clips and validates on the same.
 fn trained(
     run: &Path,
     config: &MldConfig,
     progress: &dyn Progress,
     stop: &AtomicBool,
 ) -> TrainReport {
-    let clips = clips(6);
-    let corpus = CaptionedCorpus {
-        train: &views(&clips),
-        val: &views(&clips),
-        vectors: None,
-        skeleton: &SKELETON,
-        dataset_hash: "0",
-    };
-    let session = Session {
-        device: &Device::flex(),
-        more_devices: &[],
-        progress,
-        stop,
-        clock: &|| Duration::ZERO,
-    };
-    train_mld(run, config, corpus, &session).expect("trains")
+    trained_by(progress, stop, |corpus, session| {
+        train_mld(run, config, corpus, session)
+    })
 }
 
 fn best_loss(run: &Path) -> f64 {
@@ -76,10 +61,7 @@ fn the_first_losses_of_mld_are_those_of_untrained_networks() {
     config.run.optimizer.learning_rate = 0.0;
     trained(dir.path(), &config, &NoProgress, &AtomicBool::new(false));
 
-    let all: Vec<Vec<Features>> = clips(6)
-        .iter()
-        .map(|(_, motion, _)| features(motion))
-        .collect();
+    let all: Vec<Vec<Features>> = clips(6).iter().map(|clip| features(&clip.motion)).collect();
     let mut statistics = Statistics::default();
     for clip in &all {
         statistics.take(clip);
@@ -149,9 +131,10 @@ fn one_batch_of_mld_is_overfitted() {
     };
     let motions = normal([2, 6, 12]);
     let vae = draw(MotionVae::new(&network, 12, 16, &device), Seed(5)).expect("known layers");
+    let pass = Pass::default();
     let [first, last] = overfitted(vae, 200, |vae| {
-        let latent = vae.encode(motions.clone(), &[6, 6]).mu;
-        let decoded = vae.decode(latent, &[6, 6], 6);
+        let latent = vae.encode(motions.clone(), &[6, 6], &pass).mu;
+        let decoded = vae.decode(latent, &[6, 6], 6, &pass);
         (decoded - motions.clone()).square().mean()
     });
     assert!(last < 0.01 * first, "autoencoder: {first} fell to {last}");
@@ -162,7 +145,7 @@ fn one_batch_of_mld_is_overfitted() {
     let denoiser = LatentDenoiser::new(&network, 16, 8, &device);
     let denoiser = draw(denoiser, Seed(6)).expect("known layers");
     let [first, last] = overfitted(denoiser, 200, |denoiser| {
-        let predicted = denoiser.forward(z.clone(), &[1, 20, 30], text.clone());
+        let predicted = denoiser.forward(z.clone(), &[1, 20, 30], text.clone(), &pass);
         (predicted - noise.clone()).square().mean()
     });
     assert!(last < 0.01 * first, "denoiser: {first} fell to {last}");

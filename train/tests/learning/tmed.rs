@@ -12,7 +12,9 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use train::Session;
 use train::config::{NetworkConfig, Preset, RunLength};
+use train::data::TextBatch;
 use train::model::motionrefit::TextSource;
+use train::model::pass::{Arithmetic, Pass};
 use train::model::tmed::TmedModel;
 use train::model::weights::draw;
 use train::registry::open_system;
@@ -21,7 +23,7 @@ use train::system::{EditConfig, EditRequest, EditSystem, SystemSource, whole};
 use train::text::source::TextEncoderSource;
 use train::tmed::features::NUM_FEATURES;
 use train::tmed::{
-    ClipBatch, ClipData, ClipEdit, ClipSource, TextTokens, TmedConfig, TmedCorpus, loss, train_tmed,
+    ClipBatch, ClipData, ClipEdit, ClipSource, TmedConfig, TmedCorpus, loss, train_tmed,
 };
 use train::vocabulary::Vocabulary;
 
@@ -100,6 +102,7 @@ fn train(run: &Path, config: &TmedConfig, progress: &dyn Progress, stop: &Atomic
     let session = Session {
         device: &Device::flex(),
         more_devices: &[],
+        arithmetic: Arithmetic::default(),
         progress,
         stop,
         clock: &|| begun.elapsed(),
@@ -122,7 +125,7 @@ fn batch(vocabulary: &Vocabulary, target: impl FnMut(usize) -> f32) -> ClipBatch
         target_frames: (0..ROWS).map(|row| FRAMES - row % 2).collect(),
         noise: normal(),
         timesteps: (0..ROWS).map(|row| 40 * row).collect(),
-        texts: TextTokens::Words(
+        texts: TextBatch::Words(
             vocabulary.encode_batch((0..ROWS).map(|row| INSTRUCTIONS[row % 2])),
         ),
     }
@@ -156,7 +159,15 @@ fn the_first_loss_of_tmed_is_that_of_an_untrained_network() {
     let schedule = Schedule::cosine(300).expect("steps");
     let config = TmedConfig::preset(Preset::Paper);
     let device = Device::flex().autodiff();
-    let first: f32 = loss(&model, &batch, &config, &schedule, &device).into_scalar();
+    let first = loss(
+        &model,
+        &batch,
+        &config,
+        &schedule,
+        &device,
+        &Pass::default(),
+    );
+    let first: f32 = first.into_scalar();
     // The output layer maps tokens of unit variance by weights of variance 1/3 over the width. Groups of
     // three features weigh as much as those of 126, and tokens resemble each other.
     let expected = 0.25 + 1.0 / 3.0;
@@ -176,9 +187,10 @@ fn one_batch_is_overfitted_by_tmed() {
     let device = Device::flex().autodiff();
     const STEPS: u32 = 400;
     let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
+    let pass = Pass::default();
     let mut losses = Vec::new();
     for step in 0..STEPS {
-        let loss = loss(&model, &batch, &config, &schedule, &device);
+        let loss = loss(&model, &batch, &config, &schedule, &device, &pass);
         losses.push(loss.clone().into_scalar::<f32>());
         let gradients = GradientsParams::from_grads(loss.backward(), &model);
         let rate = 3e-3 * (1.0 - f64::from(step) / f64::from(STEPS));

@@ -15,6 +15,7 @@ use train::Session;
 use train::checkpoint::Start;
 use train::config::{Preset, RunLength, TrainConfig};
 use train::kind::TrainRequest;
+use train::model::pass::Arithmetic;
 use train::registry;
 use train::text::source::TextEncoderSource;
 
@@ -73,6 +74,7 @@ pub(crate) fn on<T>(
     act(&Session {
         device,
         more_devices: &[],
+        arithmetic: Arithmetic::default(),
         progress,
         stop,
         clock: &|| begun.elapsed(),

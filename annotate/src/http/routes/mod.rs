@@ -12,6 +12,8 @@ mod review;
 mod session;
 mod tasks;
 
+use axum::routing::MethodFilter;
+
 use super::app::{Route, empty, json};
 use super::stream;
 use crate::body::skeleton_info;
@@ -30,6 +32,7 @@ macro_rules! routes {
     ($($method:ident $path:literal $role:ident $handler:expr $(, up to $max:ident)?;)*) => {
         &[$(Route {
             method: stringify!($method),
+            filter: MethodFilter::$method,
             path: $path,
             role: $role,
             // The given limit stands before the usual one.

@@ -1,10 +1,9 @@
 //! What all layouts share: the settings, the result, and reading tasks batch by batch.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use datasets_spec::store::{Disk, NewFile, Store as _};
+use datasets_spec::store::replace_file;
 use serde::Serialize;
 
 use crate::Error;
@@ -126,13 +125,12 @@ impl<'a> Exporter<'a> {
             .get(hash)
             .ok_or_else(|| Error::not_found("motion"))?;
         if motion.split != split {
-            return Err(Error::Import {
-                what: format!("motion {} into split {split}", motion.id),
-                problem: format!(
-                    "its split is {}; correct the pair in the dataset",
-                    motion.split
-                ),
-            });
+            let what = format!("motion {} into split {split}", motion.id);
+            let problem = format!(
+                "its split is {}; correct the pair in the dataset",
+                motion.split
+            );
+            return Err(Error::import(what, problem));
         }
         Ok(motion)
     }
@@ -189,6 +187,15 @@ impl<'a> Exporter<'a> {
         Ok(())
     }
 
+    /// Writes a file of text.
+    pub(super) fn write(&mut self, folder: &Path, name: &str, text: &str) -> Result<(), Error> {
+        let path = folder.join(name);
+        let written = replace_file(&path, text.as_bytes());
+        written.map_err(datasets_spec::Error::io("write", path))?;
+        self.done.files.push(name.to_owned());
+        Ok(())
+    }
+
     /// Visits the accepted answers of the splits, by the key of their task.
     pub(super) fn each_accepted(
         &mut self,
@@ -200,42 +207,5 @@ impl<'a> Exporter<'a> {
             }
             Ok(())
         })
-    }
-}
-
-/// Begins a file in a folder. It appears once it is published, in place of any file of that name.
-pub(super) fn new_file(folder: &Path, name: &str) -> Result<(PathBuf, Box<dyn NewFile>), Error> {
-    std::fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?;
-    let path = folder.join(name);
-    let file = Disk
-        .create(&path)
-        .map_err(datasets_spec::Error::io("create", &path))?;
-    Ok((path, file))
-}
-
-/// A file of text. It appears once it is finished.
-pub(super) struct TextFile {
-    path: PathBuf,
-    file: BufWriter<Box<dyn NewFile>>,
-}
-
-impl TextFile {
-    pub(super) fn begin(folder: &Path, name: &str) -> Result<Self, Error> {
-        let (path, file) = new_file(folder, name)?;
-        let file = BufWriter::new(file);
-        Ok(Self { path, file })
-    }
-
-    pub(super) fn put(&mut self, text: &str) -> Result<(), Error> {
-        let written = self.file.write_all(text.as_bytes());
-        Ok(written.map_err(datasets_spec::Error::io("write", &self.path))?)
-    }
-
-    pub(super) fn finish(self) -> Result<(), Error> {
-        let file = self.file.into_inner();
-        let published = file
-            .map_err(std::io::Error::from)
-            .and_then(|file| file.publish());
-        Ok(published.map_err(datasets_spec::Error::io("write", self.path))?)
     }
 }

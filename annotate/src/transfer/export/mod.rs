@@ -1,6 +1,5 @@
 //! Export of answers into files and into the dataset, a file for each layout.
 
-mod csv;
 mod dataset;
 mod exporter;
 mod release;
@@ -51,6 +50,7 @@ pub fn export(
     }
     let now = store.snapshot()?;
     let mut exporter = Exporter::new(&now, &selection.splits)?;
+    std::fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?;
     // Files without a stamp are those of an export that did not end.
     let path = folder.join(STAMP);
     if let Err(error) = std::fs::remove_file(&path)
@@ -101,10 +101,8 @@ pub fn check_files(folder: &Path) -> Result<(), Error> {
         return Ok(());
     }
     let bytes = std::fs::read(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    let refused = |problem: String| Error::Import {
-        what: format!("the export in {}", folder.display()),
-        problem,
-    };
+    let what = format!("the export in {}", folder.display());
+    let refused = |problem: String| Error::import(&what, problem);
     let stamp: Value =
         serde_json::from_slice(&bytes).map_err(|error| refused(format!("{STAMP}: {error}")))?;
     let written = stamp["blake3"].as_object().into_iter().flatten();

@@ -1,11 +1,11 @@
-//! Layout `stance`: the JSON files of the STANCE release, written value by value, and the table `annotations`, which holds
-//! what they have no place for.
+//! Layout `stance`: the JSON files of the STANCE release, and the table `annotations`, which holds what they have no place
+//! for.
 
 use std::path::Path;
 
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
-use super::exporter::{Exporter, TextFile};
+use super::exporter::Exporter;
 use crate::Error;
 use crate::transfer::import::pair_id;
 use crate::transfer::release;
@@ -21,47 +21,11 @@ const FILES: [&str; 4] = [
     "pairs.json",
 ];
 
-/// A file of a JSON object or list, written entry by entry.
-struct JsonFile {
-    file: TextFile,
-    is_empty: bool,
-}
-
-impl JsonFile {
-    fn begin(folder: &Path, name: &str, bracket: &str) -> Result<Self, Error> {
-        let mut file = TextFile::begin(folder, name)?;
-        file.put(bracket)?;
-        let is_empty = true;
-        Ok(Self { file, is_empty })
-    }
-
-    /// Adds a value, with its key in an object.
-    fn put(&mut self, key: Option<&str>, value: &Value) -> Result<(), Error> {
-        let comma = if self.is_empty { "" } else { "," };
-        self.is_empty = false;
-        let key = key.map(|key| format!("{}: ", Value::from(key)));
-        // Line breaks inside texts are escaped in JSON, so all that are left belong to the layout.
-        let value = format!("{value:#}").replace('\n', "\n  ");
-        let key = key.unwrap_or_default();
-        self.file.put(&format!("{comma}\n  {key}{value}"))
-    }
-
-    fn finish(mut self, bracket: &str) -> Result<(), Error> {
-        let line = if self.is_empty { "" } else { "\n" };
-        self.file.put(&format!("{line}{bracket}\n"))?;
-        self.file.finish()
-    }
-}
-
 impl Exporter<'_> {
     /// Writes [`FILES`] in one pass. The table holds all of it, and what is counted as left out of them.
     pub(super) fn stance(&mut self, folder: &Path) -> Result<(), Error> {
-        let [mut masks, mut texts, mut marks] = [
-            JsonFile::begin(folder, FILES[0], "{")?,
-            JsonFile::begin(folder, FILES[1], "{")?,
-            JsonFile::begin(folder, FILES[2], "{")?,
-        ];
-        let mut pairs = JsonFile::begin(folder, FILES[3], "[")?;
+        let (mut masks, mut texts, mut marks) = (Map::new(), Map::new(), Map::new());
+        let mut pairs = Vec::new();
         for what in ["motions", "pairs"] {
             self.done.count(what, 0);
         }
@@ -74,9 +38,9 @@ impl Exporter<'_> {
                     exporter.done.lose(name, count);
                 }
                 let (parts, said) = release::entries(said.masks, task.extra.as_ref());
-                masks.put(Some(&motion), &parts)?;
-                texts.put(Some(&motion), &said)?;
-                marks.put(Some(&motion), &json!(accepted_by))?;
+                masks.insert(motion.clone(), parts);
+                texts.insert(motion.clone(), said);
+                marks.insert(motion, json!(accepted_by));
                 exporter.done.count("motions", 1);
                 return Ok(());
             }
@@ -99,15 +63,14 @@ impl Exporter<'_> {
             } else {
                 pair["edit_type"] = json!(said.edit_type);
             }
-            pairs.put(None, &pair)?;
+            pairs.push(pair);
             exporter.done.count("pairs", 1);
             Ok(())
         })?;
-        for file in [masks, texts, marks] {
-            file.finish("}")?;
+        let contents: [Value; 4] = [masks.into(), texts.into(), marks.into(), pairs.into()];
+        for (name, content) in FILES.into_iter().zip(contents) {
+            self.write(folder, name, &format!("{content:#}\n"))?;
         }
-        pairs.finish("]")?;
-        self.done.files.extend(FILES.map(str::to_owned));
         for (name, what) in LOST {
             if let Some(count) = self.done.counts.get(name) {
                 self.done.messages.push(format!(

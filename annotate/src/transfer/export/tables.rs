@@ -1,18 +1,22 @@
-//! Layout `parquet`: one table each of annotations, labels, rejects, agreement and events.
+//! Layout `parquet`: one table each of annotations, labels, rejects, agreement and events. And layout `csv`, of labels.
 
 use std::path::Path;
 
 use datasets_spec::MASK_DEF_VERSION;
+use datasets_spec::store::{Disk, Store as _};
 use datasets_spec::table::{Row, RowWriter};
 use serde_json::Value;
 
-use super::exporter::{BATCH, Exporter, new_file};
+use super::exporter::{BATCH, Exporter};
 use crate::Error;
 use crate::mask::mask_of;
 use crate::quality::{Figures, draft_distance};
 use crate::store::{AcceptedAnswer, KeyRange, Reject, TaskRecord};
 use crate::transfer::tables::{AgreementRow, AnnotationRow, EventRow, LabelRow, RejectRow};
-use crate::wire::{Agreement, Answer, Estimate, TaskKind};
+use crate::wire::{Agreement, Estimate, TaskKind};
+
+/// The first line of layout `csv`.
+const HEAD: &str = "task,kind,motion_id,target_id,split,author,state,secs,draft_distance,at,accepted_by,answer\r\n";
 
 /// Receives the next row of a table.
 type Put<'a, R> = &'a mut dyn FnMut(R) -> Result<(), Error>;
@@ -42,7 +46,9 @@ impl Exporter<'_> {
             ("mask_def_version", MASK_DEF_VERSION.to_string()),
         ];
         let mut count = 0;
-        let (path, file) = new_file(folder, &name)?;
+        let path = folder.join(&name);
+        let file = Disk.create(&path);
+        let file = file.map_err(datasets_spec::Error::io("create", &path))?;
         let mut writer = RowWriter::new(file, &path, &facts)?;
         fill(self, &mut |row| {
             count += 1;
@@ -59,6 +65,7 @@ impl Exporter<'_> {
         self.each_accepted(|exporter, accepted| exporter.annotation(accepted, put))
     }
 
+    /// Writes an answer as one row, or as a row for each of its masks.
     fn annotation(
         &mut self,
         accepted: AcceptedAnswer,
@@ -66,8 +73,9 @@ impl Exporter<'_> {
     ) -> Result<(), Error> {
         let (motion_id, target_id) = self.ids(&accepted.task)?;
         let author = self.author(&accepted);
-        let task = &accepted.task;
-        let empty = AnnotationRow {
+        let (task, said) = (&accepted.task, accepted.answer.fields());
+        let joints = mask_of(said.parts, true, &[]);
+        let row = AnnotationRow {
             task: task.key.clone(),
             kind: task.kind.to_string(),
             motion_id,
@@ -77,29 +85,48 @@ impl Exporter<'_> {
             hint: task.hint.clone(),
             source_style: task.style.clone(),
             number: 0,
-            count: 1,
-            verdict: None,
-            parts: Vec::new(),
-            hard_joints: Vec::new(),
-            soft_joints: Vec::new(),
+            count: match task.kind {
+                TaskKind::MaskText => said.masks.len() as u32,
+                TaskKind::Pair | TaskKind::Style => 1,
+            },
+            verdict: said.verdict.map(|verdict| verdict.to_string()),
+            parts: said.parts.to_vec(),
+            hard_joints: joints.hard().names(),
+            soft_joints: joints.soft().names(),
             start: None,
             end: None,
             mask_def_version: MASK_DEF_VERSION,
-            text: String::new(),
-            edit_type: None,
-            style: None,
-            extent: None,
-            count_reason: None,
-            note: String::new(),
+            text: said.text.to_owned(),
+            edit_type: said.edit_type.map(|kind| kind.to_string()),
+            style: said.style.map(str::to_owned),
+            extent: said.extent.map(|extent| extent.to_string()),
+            count_reason: said.count_reason.map(|reason| reason.to_string()),
+            note: said.note.to_owned(),
             author,
             merged: u32::from(accepted.merged),
             extra: task.extra.as_ref().map(ToString::to_string),
-            accepted_by: Some(accepted.accepted_by),
+            accepted_by: Some(accepted.accepted_by.clone()),
         };
-        put_answer(&accepted.answer, empty, put)
+        if said.masks.is_empty() {
+            return put(row);
+        }
+        for (number, mask) in said.masks.iter().enumerate() {
+            let joints = mask.mask();
+            put(AnnotationRow {
+                number: number as u32,
+                parts: mask.parts.clone(),
+                hard_joints: joints.hard().names(),
+                soft_joints: joints.soft().names(),
+                start: mask.range.map(|[start, _]| start),
+                end: mask.range.map(|[_, end]| end),
+                text: mask.text.clone(),
+                ..row.clone()
+            })?;
+        }
+        Ok(())
     }
 
-    pub(super) fn labels(&mut self, put: Put<'_, LabelRow>) -> Result<(), Error> {
+    fn labels(&mut self, put: Put<'_, LabelRow>) -> Result<(), Error> {
         self.each_range(|exporter, keys| {
             let mut rows = Vec::new();
             let labels = exporter.store.labels_of(keys)?;
@@ -130,6 +157,48 @@ impl Exporter<'_> {
             rows.sort_by(|a, b| (&a.task, &a.author).cmp(&(&b.task, &b.author)));
             rows.into_iter().try_for_each(&mut *put)
         })
+    }
+
+    /// Layout `csv`: all labels for spreadsheets.
+    pub(super) fn csv(&mut self, folder: &Path) -> Result<(), Error> {
+        let mut count = 0;
+        let mut text = HEAD.to_owned();
+        self.labels(&mut |row| {
+            count += 1;
+            let distance = row.draft_distance.map(|distance| distance.to_string());
+            let cells = [
+                row.task,
+                row.kind,
+                row.motion_id,
+                row.target_id.unwrap_or_default(),
+                row.split,
+                row.author,
+                row.state,
+                row.secs.to_string(),
+                distance.unwrap_or_default(),
+                row.at.to_string(),
+                row.accepted_by.unwrap_or_default(),
+                row.answer,
+            ];
+            let cells = cells.map(|cell| csv_cell(&cell));
+            text += &format!("{}\r\n", cells.join(","));
+            Ok(())
+        })?;
+        self.write(folder, "labels.csv", &text)?;
+        self.done.count("labels", count);
+        let mut others = 0;
+        self.each_accepted(|_, accepted| {
+            others += usize::from(accepted.merged || accepted.author == 0);
+            Ok(())
+        })?;
+        if others > 0 {
+            self.done.count("merged_or_imported", others);
+            self.done.messages.push(format!(
+                "{others} accepted answers were merged by a reviewer or imported: they are no label of a person, and \
+                 layout parquet alone has them"
+            ));
+        }
+        Ok(())
     }
 
     fn rejects(&mut self, put: Put<'_, RejectRow>) -> Result<(), Error> {
@@ -211,58 +280,7 @@ impl Exporter<'_> {
             }
         }
     }
-}
 
-/// Writes an answer as one row, or as a row for each of its masks, from the row of its task.
-fn put_answer(
-    answer: &Answer,
-    empty: AnnotationRow,
-    put: Put<'_, AnnotationRow>,
-) -> Result<(), Error> {
-    let said = answer.fields();
-    let base = AnnotationRow {
-        count_reason: said.count_reason.map(|reason| reason.to_string()),
-        note: said.note.to_owned(),
-        ..empty
-    };
-    if answer.kind() != TaskKind::MaskText {
-        let joints = mask_of(said.parts, true, &[]);
-        return put(AnnotationRow {
-            verdict: said.verdict.map(|verdict| verdict.to_string()),
-            parts: said.parts.to_vec(),
-            hard_joints: joints.hard().names(),
-            soft_joints: joints.soft().names(),
-            text: said.text.to_owned(),
-            edit_type: said.edit_type.map(|kind| kind.to_string()),
-            style: said.style.map(str::to_owned),
-            extent: said.extent.map(|extent| extent.to_string()),
-            ..base
-        });
-    }
-    let base = AnnotationRow {
-        count: said.masks.len() as u32,
-        ..base
-    };
-    if said.masks.is_empty() {
-        put(base.clone())?;
-    }
-    for (number, mask) in said.masks.iter().enumerate() {
-        let joints = mask.mask();
-        put(AnnotationRow {
-            number: number as u32,
-            parts: mask.parts.clone(),
-            hard_joints: joints.hard().names(),
-            soft_joints: joints.soft().names(),
-            start: mask.range.map(|[start, _]| start),
-            end: mask.range.map(|[_, end]| end),
-            text: mask.text.clone(),
-            ..base.clone()
-        })?;
-    }
-    Ok(())
-}
-
-impl Exporter<'_> {
     /// The body of a log entry with pseudonyms instead of the ids and names of people.
     fn without_people(&self, body: Value) -> Value {
         let Value::Object(fields) = body else {
@@ -302,4 +320,35 @@ fn agreement_rows(agreement: &Agreement) -> Vec<AgreementRow> {
         .map(|part| row(&part.part, "gwet_ac1", part.gwet_ac1, part.items))
         .chain([row("masks", "jaccard", jaccard, items)])
         .collect()
+}
+
+/// Escapes a CSV cell, so that no spreadsheet interprets it as a formula.
+fn csv_cell(text: &str) -> String {
+    let formula =
+        text.starts_with(['=', '+', '-', '@', '\t', '\r']) && text.parse::<f64>().is_err();
+    let guard = if formula { "'" } else { "" };
+    match text.contains(['"', ',', '\n', '\r']) {
+        true => format!("\"{guard}{}\"", text.replace('"', "\"\"")),
+        false => format!("{guard}{text}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::csv_cell;
+
+    #[test]
+    fn cells_are_no_formulas() {
+        for (text, cell) in [
+            ("=1+1", "'=1+1"),
+            ("@x", "'@x"),
+            ("-0.5", "-0.5"),
+            ("-x", "'-x"),
+            ("a,b", "\"a,b\""),
+            ("=\"a\"", "\"'=\"\"a\"\"\""),
+            ("plain", "plain"),
+        ] {
+            assert_eq!(csv_cell(text), cell);
+        }
+    }
 }

@@ -1,0 +1,34 @@
+//! What a model is to the trainer.
+
+use burn::tensor::{Device, Tensor};
+
+use crate::Error;
+use crate::config::RunSettings;
+use crate::model::pass::Pass;
+
+/// What the trainer needs to know of a training of networks `M` on micro-batches `B`.
+pub(crate) struct Task<'a, M, B> {
+    /// Kind of model, shown with the progress.
+    pub(crate) kind: &'static str,
+    /// What a sample is called, in the plural.
+    pub(crate) samples: &'static str,
+    pub(crate) run: RunSettings,
+    pub(crate) epoch_len: u64,
+    /// The micro-batches of a step, each with its share of the step's loss. The shares add up to
+    /// one. The data depend on the seed of the run and on the step alone.
+    pub(crate) draw: &'a (dyn Fn(u64) -> Result<Vec<(f64, B)>, Error> + Sync),
+    /// The mean loss of a micro-batch.
+    pub(crate) loss: &'a (dyn Fn(&M, &B, &Device, &Pass) -> Tensor<1> + Sync),
+    /// The micro-batches of a validation, and the number of samples that each counts for.
+    pub(crate) validation: Vec<(usize, B)>,
+}
+
+impl<M, B> Task<'_, M, B> {
+    pub(super) fn steps_per_epoch(&self) -> u64 {
+        self.epoch_len.div_ceil(self.run.batch_size as u64).max(1)
+    }
+
+    pub(super) fn num_steps(&self) -> u64 {
+        self.run.length.num_steps(self.steps_per_epoch())
+    }
+}
