@@ -14,7 +14,7 @@
 //! Read [`store::Store`] and [`wire`] first.
 //!
 //! ```
-//! use annotate::store::{Claimed, NewTask, open_sqlite};
+//! use annotate::store::{NewTask, open_sqlite};
 //! use annotate::wire::{NewEvent, Role, TaskKind};
 //! use serde_json::{from_value, json};
 //!
@@ -28,7 +28,7 @@
 //!     "bundle_index": 0, "priority": 0, "suggestions": [],
 //! }))?;
 //! store.import(None, vec![task], now)?;
-//! let Claimed::Task { detail, .. } = store.claim(ann.id, TaskKind::MaskText, 0, now)? else {
+//! let Ok((detail, _)) = store.claim(ann.id, TaskKind::MaskText, 0, now)? else {
 //!     panic!("there is a task");
 //! };
 //! let lease = detail.lease.expect("a claim gives a lease");

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use annotate::store::{Claimed, NewTask, ReviewClaimed, Store, open_sqlite};
+use annotate::store::{NewTask, Store, open_sqlite};
 use annotate::transfer::AnnotationRow;
 use annotate::wire::{
     Answer, EditType, EventResults, MaskAnswer, Next, ReviewNext, ReviewQueue, Role, Settings,
@@ -304,7 +304,7 @@ pub(crate) fn accept(
     answer: Answer,
 ) {
     let claimed = store.claim(author, kind, 0, 0).expect("claims");
-    let Claimed::Task { detail, .. } = claimed else {
+    let Ok((detail, _)) = claimed else {
         panic!("a task of kind {kind}")
     };
     let epoch = detail.lease.map_or(0, |lease| lease.epoch);
@@ -318,7 +318,7 @@ pub(crate) fn accept(
     let next = store
         .review_next(reviewer, ReviewQueue::Sample, None, 0)
         .expect("claims");
-    let ReviewClaimed::Task(review) = next else {
+    let Ok(review) = next else {
         panic!("a task to review")
     };
     let accept = json!({ "idem_key": format!("accept-{}", review.task.id), "task": review.task.id,

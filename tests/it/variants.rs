@@ -1,6 +1,6 @@
 //! Candidates of fine-grained pairs: made by a generator or elsewhere, and shown to annotators.
 
-use annotate::store::{Claimed, NewTask, open_sqlite};
+use annotate::store::{NewTask, open_sqlite};
 use annotate::wire::{Answer, TaskKind, Verdict};
 use datasets_spec::Dataset;
 use datasets_spec::record::{MotionRow, PairRow};
@@ -121,7 +121,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     stance(&["annotate", arg(&out), "import"]).expect_code(0);
     let store = open_sqlite(&out.join("annotate").join("store.sqlite")).expect("a store");
     let claimed = store.claim(1, TaskKind::Pair, 0, 0).expect("claimed");
-    let Claimed::Task { detail, .. } = claimed else {
+    let Ok((detail, _)) = claimed else {
         panic!("the candidates are tasks");
     };
     let hint = detail.task.hint.as_deref();
@@ -130,10 +130,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     assert!((1..=8).contains(&expected), "{expected}");
     assert_eq!(detail.bundle.len(), expected);
     let masks = store.claim(1, TaskKind::MaskText, 0, 0).expect("an answer");
-    assert!(
-        matches!(masks, Claimed::Nothing(_)),
-        "variants are no mask tasks"
-    );
+    assert!(masks.is_err(), "variants are no mask tasks");
 
     // Nor are they once all their pairs were judged unusable and left the dataset.
     let import = |store: &str| -> Value {

@@ -2,7 +2,7 @@
 
 use super::db::{Result, Tx, params};
 use super::entry::{Body, Entry};
-use super::leases::{MINUTE, lease_end};
+use super::leases::{MINUTE, Turn};
 use super::log::{self, Request};
 use super::records::{Millis, TaskRecord};
 use super::settings::{has_up_to, require};
@@ -43,10 +43,10 @@ impl Store {
             if !tx.has(known, params![task, user])? {
                 return Err(Error::not_found("task"));
             }
-            let settings = project::settings(tx)?;
+            let turn = Turn::of(tx, user, now)?;
             let mut results = Vec::new();
             for event in &events {
-                let result = match take(tx, user, task, event, &settings, now) {
+                let result = match take(tx, &turn, task, event) {
                     Err(Error::Refused(problem)) => {
                         told(tx, user, task, event, None, Some(*problem), None)?
                     }
@@ -98,28 +98,19 @@ fn rev_of(mine: Option<&Revision>) -> i64 {
 }
 
 /// Applies an event, or returns the reply that it got before.
-fn take(
-    tx: &mut dyn Tx,
-    user: i64,
-    id: i64,
-    event: &NewEvent,
-    settings: &Settings,
-    now: Millis,
-) -> Result<EventResult> {
-    let request = Request::new(user, &event.idem_key, &(id, event))?;
+fn take(tx: &mut dyn Tx, turn: &Turn, id: i64, event: &NewEvent) -> Result<EventResult> {
+    let request = Request::new(turn.user, &event.idem_key, &(id, event))?;
     if let Some(result) = request.replay(tx)? {
         return Ok(result);
     }
     let is_short = has_up_to(&event.note, MAX_TEXT_CHARS);
     require(is_short, "note", "the note is too long")?;
     let taking = Taking {
-        user,
+        turn,
         task: rows::task(tx, id)?,
-        settings,
         event,
         request,
-        mine: rows::revision(tx, id, user)?,
-        now,
+        mine: rows::revision(tx, id, turn.user)?,
     };
     match event.kind {
         EventKind::Draft | EventKind::Submit => taking.answer(tx),
@@ -131,14 +122,12 @@ fn take(
 
 /// An event with its author, its task and all else that its entry depends on.
 struct Taking<'a> {
-    user: i64,
+    turn: &'a Turn,
     task: TaskRecord,
-    settings: &'a Settings,
     event: &'a NewEvent,
     request: Request,
     /// The author's current answer.
     mine: Option<Revision>,
-    now: Millis,
 }
 
 impl Taking<'_> {
@@ -151,14 +140,8 @@ impl Taking<'_> {
         problem: Option<Problem>,
         feedback: Option<Feedback>,
     ) -> Result<EventResult> {
-        let (user, id, event) = (self.user, self.task.id, self.event);
-        let entry = Entry {
-            at: self.now,
-            actor: Some(user),
-            task: Some(id),
-            epoch,
-            body,
-        };
+        let (user, id, event) = (self.turn.user, self.task.id, self.event);
+        let entry = Entry::new(self.turn.now, Some(user), Some(id), epoch, body);
         self.request.log(tx, &entry, event.base_rev, |tx, seq| {
             told(tx, user, id, event, Some(seq), problem, feedback)
         })
@@ -166,7 +149,7 @@ impl Taking<'_> {
 
     /// The user's lease on the task, if the event was made under it.
     fn held(&self, tx: &mut dyn Tx) -> Result<Option<Lease>> {
-        let held = annotate_lease(tx, self.task.id, self.user)?;
+        let held = annotate_lease(tx, self.task.id, self.turn.user)?;
         Ok(held.filter(|held| held.epoch == self.event.lease_epoch))
     }
 
@@ -199,7 +182,7 @@ impl Taking<'_> {
         }
         if event.kind == EventKind::Submit {
             let frames = project::frames(tx, &self.task.source)?;
-            answer::check_submission(&answer, self.task.kind, self.settings, frames)?;
+            answer::check_submission(&answer, self.task.kind, &self.turn.settings, frames)?;
         }
         let held = self.held(tx)?;
         let rev = rev_of(self.mine.as_ref());
@@ -251,7 +234,7 @@ impl Taking<'_> {
 
     /// Hands an answer in, scores it if the right one is known, and lets the rules decide about it.
     fn submit(&self, tx: &mut dyn Tx, answer: Answer, rev: i64, epoch: i64) -> Result<EventResult> {
-        let mut answers = others(tx, self.task.id, self.user)?;
+        let mut answers = others(tx, self.task.id, self.turn.user)?;
         answers.push(answer.clone());
         let frames = project::frames(tx, &self.task.source)?;
         let score = |known: &Answer| 1.0 - answer::distance(known, &answer, frames);
@@ -270,10 +253,10 @@ impl Taking<'_> {
         let feedback = scored.filter(|_| self.task.practice);
         let result = self.log(tx, Some(epoch), body, None, feedback)?;
         if let Some(score) = score {
-            let (user, task) = (Some(self.user), Some(self.task.id));
-            log::note(tx, self.now, user, task, Body::GoldScored { score })?;
+            let (user, task) = (Some(self.turn.user), Some(self.task.id));
+            log::note(tx, self.turn.now, user, task, Body::GoldScored { score })?;
         }
-        rules::on_answer(tx, self.settings, self.task.id, self.now)?;
+        rules::on_answer(tx, self.turn, self.task.id)?;
         Ok(result)
     }
 
@@ -282,7 +265,7 @@ impl Taking<'_> {
         tx.has(
             "SELECT 1 FROM task t WHERE t.id = ?1 AND t.claimable = 0
                AND EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr <> ?2)",
-            params![self.task.id, self.user],
+            params![self.task.id, self.turn.user],
         )
     }
 
@@ -326,10 +309,17 @@ impl Taking<'_> {
         };
         // No person has decided yet: the rule's acceptance goes first.
         if let Some((rule, at)) = rules::accepted_by_rule(tx, self.task.id)?
-            && self.now - at <= take_back_window(self.settings)
+            && self.turn.now - at <= take_back_window(&self.turn.settings)
         {
             let comment = "taken back by its author";
-            rules::reopen(tx, self.user, self.task.id, &rule, comment, self.now)?;
+            rules::reopen(
+                tx,
+                self.turn.user,
+                self.task.id,
+                &rule,
+                comment,
+                self.turn.now,
+            )?;
             state = TaskState::Submitted;
         }
         apply::check_move(state, LogKind::Undone, "taken back")?;
@@ -337,7 +327,7 @@ impl Taking<'_> {
         let epoch = 1 + tx.number(sql, params![self.task.id])?;
         let body = Body::Undone {
             rev: mine.rev + 1,
-            expires: lease_end(self.settings, self.now),
+            expires: self.turn.lease_end(),
             request: self.request.hash.clone(),
         };
         self.log(tx, Some(epoch), body, None, None)
@@ -369,6 +359,5 @@ fn others(tx: &mut dyn Tx, task: i64, but: i64) -> Result<Vec<Answer>> {
         "SELECT answer FROM revision WHERE task = ?1 AND author <> ?2
            AND state IN ('submitted', 'accepted', 'superseded') ORDER BY author",
         params![task, but],
-        |row| row.json(0),
     )
 }

@@ -1,16 +1,16 @@
 //! Projections: applies log entries to the derived tables.
 
-use super::db::{Result, Tx, Value, json, params, unreadable};
+use super::db::{Result, ToSql, Tx, json, params, unreadable};
 use super::entry::{Body, Entry, LoggedTask};
 use super::projections::{
-    Acceptance, IMPORTED, end_leases, is_kept_pair, kept_type, part_list, put_lease, refresh,
-    set_state, words,
+    Acceptance, end_leases, is_kept_pair, kept_type, part_list, put_lease, refresh, set_state,
+    words,
 };
-use super::records::{Credit, Millis};
+use super::records::Millis;
 use super::rows;
 use crate::Error;
 use crate::state::{LogKind, Purpose, targets};
-use crate::wire::{Answer, EditType, Lease, RevisionState, SkipReason, TaskState, Verdict};
+use crate::wire::{Answer, Lease, RevisionState, TaskState, Verdict};
 
 /// Maximum number of leases of one entry. The id of a lease is the sequence number of its entry times this,
 /// plus its index.
@@ -40,7 +40,10 @@ pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<()> {
         task,
         actor: entry.actor.unwrap_or(0),
     };
-    change.apply(tx)?;
+    change.apply_lease(tx)?;
+    change.apply_answer(tx)?;
+    change.apply_import(tx)?;
+    change.apply_decision(tx)?;
     if matches!(
         kind,
         LogKind::Submitted
@@ -97,7 +100,7 @@ fn count_work(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<()>
 
 fn state_of(tx: &mut dyn Tx, task: i64) -> Result<TaskState> {
     let sql = "SELECT state FROM task WHERE id = ?1";
-    let state = tx.find(sql, params![task], |row| row.named(0, TaskState::parse))?;
+    let state = tx.find(sql, params![task])?;
     state.ok_or_else(|| Error::not_found("task"))
 }
 
@@ -119,49 +122,34 @@ fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result
            NULL, 0, ?20, ?21, ?22)",
         params![
             id,
-            &task.key,
-            task.kind.as_str(),
-            &task.source,
-            task.target.clone(),
-            &task.split,
+            task.key,
+            task.kind,
+            task.source,
+            task.target,
+            task.split,
             task.bundle,
             task.bundle_index,
-            task.category.clone(),
-            task.hint.clone(),
-            task.style.clone(),
+            task.category,
+            task.hint,
+            task.style,
             task.priority,
             task.shuffle,
             task.wanted,
             task.gold.as_ref().map(json).transpose()?,
             task.extra.as_ref().map(json).transpose()?,
-            state.as_str(),
+            state,
             claimable,
             task.accepted.as_ref().is_some_and(is_kept_pair),
             task.practice,
-            task.edit_type.map(EditType::as_str),
+            task.edit_type,
             task.accepted.as_ref().and_then(kept_type)
         ],
     )?;
     match &task.accepted {
-        Some(answer) => imported(answer, task.credit.as_ref(), entry).put(tx, seq, id, entry.at),
+        Some(answer) => {
+            Acceptance::imported(answer, task.credit.as_ref(), entry).put(tx, seq, id, entry.at)
+        }
         None => Ok(()),
-    }
-}
-
-/// The acceptance of an imported answer.
-fn imported<'a>(answer: &'a Answer, credit: Option<&'a Credit>, entry: &Entry) -> Acceptance<'a> {
-    let actor = entry.actor.unwrap_or(0);
-    Acceptance {
-        author: actor,
-        reviewer: actor,
-        answer,
-        merged: credit.is_some_and(|credit| credit.merged),
-        credit: credit.and_then(|credit| credit.author.as_deref()),
-        keeps: is_kept_pair(answer),
-        basis: match credit.and_then(|credit| credit.accepted_by.as_deref()) {
-            Some(basis) => format!("{IMPORTED}:{basis}"),
-            None => IMPORTED.to_owned(),
-        },
     }
 }
 
@@ -180,37 +168,6 @@ struct Change<'a> {
 }
 
 impl Change<'_> {
-    fn apply(&self, tx: &mut dyn Tx) -> Result<()> {
-        match &self.entry.body {
-            Body::Claimed { .. }
-            | Body::Renewed { .. }
-            | Body::Released { .. }
-            | Body::Assigned { .. }
-            | Body::Retargeted { .. } => self.apply_lease(tx),
-            Body::DraftSaved { .. }
-            | Body::Submitted { .. }
-            | Body::Skipped { .. }
-            | Body::Undone { .. }
-            | Body::SuggestionUsed { .. }
-            | Body::GoldScored { .. } => self.apply_answer(tx),
-            Body::Filled { .. } | Body::ClipChanged { .. } | Body::ClipKept => {
-                self.apply_import(tx)
-            }
-            Body::Returned { .. }
-            | Body::Accepted { .. }
-            | Body::Merged { .. }
-            | Body::Dropped { .. }
-            | Body::Reopened { .. } => self.apply_decision(tx),
-            Body::Imported { .. }
-            | Body::RoleChanged { .. }
-            | Body::SettingsChanged { .. }
-            | Body::CapturesPlanned { .. }
-            | Body::GuidePicture { .. }
-            | Body::ParaphraseJudged { .. }
-            | Body::Exported { .. } => Ok(()),
-        }
-    }
-
     /// Applies what changes who holds the task, or how many may.
     fn apply_lease(&self, tx: &mut dyn Tx) -> Result<()> {
         let task = self.task;
@@ -234,7 +191,7 @@ impl Change<'_> {
             }
             Body::Renewed { lease, expires } => {
                 let sql = "UPDATE lease SET expires = ?2 WHERE id = ?1";
-                tx.run(sql, params![*lease, *expires])
+                tx.run(sql, params![lease, expires])
             }
             Body::Released {
                 lease,
@@ -243,7 +200,7 @@ impl Change<'_> {
                 reserved,
                 ..
             } => {
-                tx.run("DELETE FROM lease WHERE id = ?1", params![*lease])?;
+                tx.run("DELETE FROM lease WHERE id = ?1", params![lease])?;
                 if let Some(until) = reserved {
                     self.reserve(tx, &[*user], *until, Purpose::Returned)?;
                 }
@@ -258,7 +215,7 @@ impl Change<'_> {
                 refresh(tx, task)
             }
             Body::Retargeted { wanted } => {
-                self.set(tx, "wanted", *wanted)?;
+                self.set(tx, "wanted", wanted)?;
                 refresh(tx, task)
             }
             _ => Ok(()),
@@ -291,7 +248,7 @@ impl Change<'_> {
                     "UPDATE task SET distance = ?2, changed = CASE WHEN EXISTS (
                        SELECT 1 FROM revision WHERE task = ?1 AND author <> ?3) THEN changed ELSE 0 END
                      WHERE id = ?1",
-                    params![task, *distance, actor],
+                    params![task, distance, actor],
                 )?;
                 refresh(tx, task)
             }
@@ -302,18 +259,17 @@ impl Change<'_> {
                 ..
             } => {
                 self.forget(tx, "lease")?;
-                let reason = reason.map(SkipReason::as_str);
                 tx.run(
                     "INSERT INTO skip (task, usr, postponed, reason, note, at) VALUES (?1, ?2, ?3, ?4, ?5, ?6)
                      ON CONFLICT (task, usr) DO UPDATE SET postponed = excluded.postponed,
                        reason = excluded.reason, note = excluded.note, at = excluded.at",
-                    params![task, actor, *postponed, reason, note, at],
+                    params![task, actor, postponed, reason, note, at],
                 )?;
                 refresh(tx, task)
             }
             Body::Undone { rev, expires, .. } => {
                 let sql = "UPDATE revision SET state = 'draft', rev = ?3, at = ?4 WHERE task = ?1 AND author = ?2";
-                tx.run(sql, params![task, actor, *rev, at])?;
+                tx.run(sql, params![task, actor, rev, at])?;
                 let blind = "SELECT blind FROM revision WHERE task = ?1 AND author = ?2";
                 let blind = tx.number(blind, params![task, actor])? != 0;
                 self.lease_to_actor(tx, Purpose::Annotate, *expires, blind)?;
@@ -324,12 +280,12 @@ impl Change<'_> {
                 suggestion, used, ..
             } => tx.run(
                 "INSERT INTO suggestion_use (seq, task, usr, suggestion, used) VALUES (?1, ?2, ?3, ?4, ?5)",
-                params![self.seq, task, actor, *suggestion, used.as_str()],
+                params![self.seq, task, actor, suggestion, used],
             ),
             Body::GoldScored { score } => tx.run(
                 "INSERT INTO gold_score (task, usr, score, at) VALUES (?1, ?2, ?3, ?4)
                  ON CONFLICT (task, usr) DO UPDATE SET score = excluded.score, at = excluded.at",
-                params![task, actor, *score, at],
+                params![task, actor, score, at],
             ),
             _ => Ok(()),
         }
@@ -346,7 +302,10 @@ impl Change<'_> {
                 if let Some(extra) = extra {
                     self.set(tx, "extra", json(extra)?)?;
                 }
-                self.accept(tx, &imported(answer, credit.as_ref(), self.entry))
+                self.accept(
+                    tx,
+                    &Acceptance::imported(answer, credit.as_ref(), self.entry),
+                )
             }
             // Nobody has to be asked about a task without an answer.
             Body::ClipChanged { source, target } => tx.run(
@@ -354,7 +313,7 @@ impl Change<'_> {
                    OR EXISTS (SELECT 1 FROM revision WHERE task = ?1)
                    OR EXISTS (SELECT 1 FROM accepted WHERE task = ?1) THEN 1 ELSE 0 END
                  WHERE id = ?1",
-                params![self.task, source, target.as_deref()],
+                params![self.task, source, target],
             ),
             Body::ClipKept => self.set(tx, "changed", false),
             _ => Ok(()),
@@ -374,7 +333,7 @@ impl Change<'_> {
                 end_leases(tx, task)?;
                 let sql = "UPDATE revision SET state = 'returned' WHERE task = ?1 AND author = ?2";
                 for author in authors {
-                    tx.run(sql, params![task, *author])?;
+                    tx.run(sql, params![task, author])?;
                 }
                 self.reserve(tx, authors, *until, Purpose::Returned)?;
                 self.set(tx, "came_back", true)?;
@@ -395,12 +354,8 @@ impl Change<'_> {
                 self.settle(tx, Some(*author), comment, rule.as_deref())?;
                 let acceptance = Acceptance {
                     author: *author,
-                    reviewer: self.actor,
-                    answer: &answer,
-                    merged: false,
-                    credit: None,
                     keeps: answer.verdict() == Some(Verdict::Keep),
-                    basis: basis(rule.as_deref(), *own),
+                    ..Acceptance::by(self.actor, &answer, basis(rule.as_deref(), *own))
                 };
                 self.accept(tx, &acceptance)
             }
@@ -414,13 +369,8 @@ impl Change<'_> {
                 self.decide_on_answers(tx, 0)?;
                 self.settle(tx, None, comment, None)?;
                 let acceptance = Acceptance {
-                    author: self.actor,
-                    reviewer: self.actor,
-                    answer,
                     merged: true,
-                    credit: None,
-                    keeps: is_kept_pair(answer),
-                    basis: basis(None, *own),
+                    ..Acceptance::by(self.actor, answer, basis(None, *own))
                 };
                 self.accept(tx, &acceptance)
             }
@@ -442,9 +392,9 @@ impl Change<'_> {
     }
 
     /// Sets a column of the task.
-    fn set(&self, tx: &mut dyn Tx, column: &str, value: impl Into<Value>) -> Result<()> {
+    fn set(&self, tx: &mut dyn Tx, column: &str, value: impl ToSql) -> Result<()> {
         let sql = format!("UPDATE task SET {column} = ?2 WHERE id = ?1");
-        tx.run(&sql, params![self.task, value.into()])
+        tx.run(&sql, params![self.task, value])
     }
 
     /// Deletes the row of the task and the actor.
@@ -551,13 +501,13 @@ impl Change<'_> {
                 self.task,
                 self.actor,
                 rev,
-                state.as_str(),
+                state,
                 json(answer)?,
                 self.entry.at,
                 secs,
                 blind,
-                answer.verdict().map(Verdict::as_str),
-                answer.fields().edit_type.map(EditType::as_str),
+                answer.verdict(),
+                answer.fields().edit_type,
                 words(answer),
                 part_list(answer)
             ],
@@ -578,7 +528,7 @@ impl Change<'_> {
                 self.seq,
                 self.task,
                 self.actor,
-                self.entry.body.kind().as_str(),
+                self.entry.body.kind(),
                 author,
                 comment,
                 self.entry.at,

@@ -2,16 +2,16 @@
 
 use std::collections::BTreeMap;
 
-use super::db::{Result, Row, Tx, Value, params};
+use serde::de::DeserializeOwned;
+
+use super::db::{Params, Result, ToSql, Tx, params};
 use super::filter::{self, Values, condition};
-use super::projections::IMPORTED;
 use super::records::TaskRecord;
-use super::rows::{self, NUM_TASK_COLUMNS};
+use super::rows::{self, REVISION, TASK};
 use super::store::Store;
 use crate::Error;
 use crate::wire::{
-    AnswerBrief, DecisionRow, Decisions, Holder, SkipBrief, SkipReason, TaskFilter, TaskPage,
-    TaskRow, TaskSort, TaskState,
+    AnswerBrief, DecisionRow, Decisions, Revision, TaskFilter, TaskPage, TaskRow, TaskSort,
 };
 
 /// Which page of the browser.
@@ -71,10 +71,9 @@ impl Store {
         place += &values.equal("v.decision", query.decision);
         let limit = values.put(query.limit as i64);
         place += &format!(" ORDER BY v.seq DESC LIMIT {limit}");
-        let items = self.read(|tx| decisions(tx, &place, &values.0))?;
-        let next = (items.len() == query.limit)
-            .then(|| items.last().map(|item| item.seq))
-            .flatten();
+        let items = self.read(|tx| decisions(tx, &place, &values.all()))?;
+        let last = items.last().map(|item| item.seq);
+        let next = last.filter(|_| items.len() == query.limit);
         Ok(Decisions { items, next })
     }
 }
@@ -100,11 +99,13 @@ fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage> {
         let bad = || Error::invalid("after", "this is no cursor of a page; begin at the first");
         let (value, id) = cursor.split_once(':').ok_or_else(bad)?;
         let id: i64 = id.parse().map_err(|_| bad())?;
-        let value: Value = match sort {
-            TaskSort::Distance => value.parse::<f64>().map_err(|_| bad())?.into(),
-            TaskSort::Id | TaskSort::Touched => value.parse::<i64>().map_err(|_| bad())?.into(),
+        let value = match sort {
+            TaskSort::Distance => values.put(value.parse::<f64>().map_err(|_| bad())?),
+            TaskSort::Id | TaskSort::Touched => {
+                values.put(value.parse::<i64>().map_err(|_| bad())?)
+            }
         };
-        let (value, id) = (values.put(value), values.put(id));
+        let id = values.put(id);
         place += &format!(" AND ({column}, t.id) {comparison} ({value}, {id})");
     }
     let limit = values.put(query.limit as i64 + 1);
@@ -113,36 +114,23 @@ fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage> {
     } else {
         format!("{column} {direction}, t.id {direction}")
     };
-    let sql = format!(
-        "SELECT {}, {column} FROM task t WHERE {place} ORDER BY {order} LIMIT {limit}",
-        rows::TASK_COLUMNS
-    );
-    let mut found = tx.query(&sql, &values.0)?;
+    let sql =
+        format!("SELECT {TASK}, {column} FROM task t WHERE {place} ORDER BY {order} LIMIT {limit}");
+    let mut found: Vec<(TaskRecord, f64)> = tx.list(&sql, &values.all())?;
     let more = found.len() > query.limit;
     found.truncate(query.limit);
-    let next = match found.last() {
-        Some(last) if more => {
-            let value = match sort {
-                TaskSort::Distance => last.real(NUM_TASK_COLUMNS)?.to_string(),
-                TaskSort::Id | TaskSort::Touched => last.int(NUM_TASK_COLUMNS)?.to_string(),
-            };
-            Some(format!("{value}:{}", last.int(0)?))
-        }
-        _ => None,
-    };
+    let last = found.last().filter(|_| more);
+    let next = last.map(|(task, value)| format!("{value}:{}", task.id));
     let total = match query.after {
         Some(_) => None,
         None => {
             let mut values = Values::default();
             let place = condition(&query.filter, &mut values);
             let sql = format!("SELECT COUNT(*) FROM task t WHERE {place}");
-            Some(tx.number(&sql, &values.0)?)
+            Some(tx.number(&sql, &values.all())?)
         }
     };
-    let tasks = found
-        .iter()
-        .map(rows::read_task)
-        .collect::<Result<_, _>>()?;
+    let tasks = found.into_iter().map(|(task, _)| task).collect();
     Ok(TaskPage {
         rows: task_rows(tx, tasks)?,
         next,
@@ -155,16 +143,16 @@ fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage> {
 type ByTask<T> = BTreeMap<i64, Vec<T>>;
 
 /// What a query says about several tasks, by the task in its first column. The query reads the tasks of `{}`.
-fn by_task<T>(
+fn by_task<T: DeserializeOwned>(
     tx: &mut dyn Tx,
     sql: &str,
-    ids: &Values,
-    read: impl Fn(&Row) -> Result<T>,
+    tasks: &[TaskRecord],
 ) -> Result<ByTask<T>> {
-    let places: Vec<String> = (1..=ids.0.len()).map(|place| format!("?{place}")).collect();
+    let places: Vec<String> = (1..=tasks.len()).map(|place| format!("?{place}")).collect();
+    let ids: Vec<_> = tasks.iter().map(|task| &task.id as &dyn ToSql).collect();
     let mut all = ByTask::new();
-    for row in tx.query(&sql.replace("{}", &places.join(", ")), &ids.0)? {
-        all.entry(row.int(0)?).or_default().push(read(&row)?);
+    for (task, one) in tx.list(&sql.replace("{}", &places.join(", ")), &ids)? {
+        all.entry(task).or_default().push(one);
     }
     Ok(all)
 }
@@ -174,32 +162,41 @@ fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>> {
     if tasks.is_empty() {
         return Ok(Vec::new());
     }
-    let ids = Values(tasks.iter().map(|task| task.id.into()).collect());
-    let mut facts = by_task(
+    // How it was accepted elsewhere cannot be undone here.
+    let mut facts = by_task::<(Option<String>, Option<String>, i64, Option<String>)>(
         tx,
-        "SELECT t.id, s.id, o.id, t.touched, a.basis FROM task t LEFT JOIN motion s ON s.hash = t.source
-         LEFT JOIN motion o ON o.hash = t.target LEFT JOIN accepted a ON a.task = t.id WHERE t.id IN ({})",
-        &ids,
-        |row| {
-            // How it was accepted elsewhere cannot be undone here.
-            let basis = row.opt_text(4)?.map(|basis| {
-                let is_imported = basis.split(':').next() == Some(IMPORTED);
-                if is_imported { IMPORTED.to_owned() } else { basis }
-            });
-            Ok((row.opt_text(1)?, row.opt_text(2)?, row.int(3)?, basis))
-        },
+        "SELECT t.id, s.id, o.id, t.touched, CASE WHEN a.basis LIKE 'import%' THEN 'import' ELSE a.basis END
+         FROM task t LEFT JOIN motion s ON s.hash = t.source LEFT JOIN motion o ON o.hash = t.target
+         LEFT JOIN accepted a ON a.task = t.id WHERE t.id IN ({})",
+        &tasks,
     )?;
-    let mut answers = answers(tx, &ids)?;
-    let mut holders = holders(tx, &ids)?;
-    let mut skips = skips(tx, &ids)?;
+    // Those that were handed in, in the order of time.
+    let sql = format!(
+        "SELECT r.task, {REVISION}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
+         WHERE r.task IN ({{}}) AND r.state <> 'draft' ORDER BY r.at, r.author"
+    );
+    let mut answers = by_task(tx, &sql, &tasks)?;
+    let mut holders = by_task(
+        tx,
+        "SELECT l.task, l.id, l.usr, COALESCE(u.name, ''), l.purpose, l.expires
+         FROM lease l LEFT JOIN usr u ON u.id = l.usr WHERE l.task IN ({}) ORDER BY l.id",
+        &tasks,
+    )?;
+    let mut skips = by_task(
+        tx,
+        "SELECT s.task, s.usr, COALESCE(u.name, ''), s.postponed, s.reason, s.note, s.at
+         FROM skip s LEFT JOIN usr u ON u.id = s.usr WHERE s.task IN ({}) ORDER BY s.at, s.usr",
+        &tasks,
+    )?;
     Ok(tasks
         .into_iter()
         .map(|task| {
             let id = &task.id;
             let facts = facts.remove(id).and_then(|mut one| one.pop());
             let (source, target, touched, accepted_by) = facts.unwrap_or_default();
+            let answers = answers.remove(id).unwrap_or_default();
             TaskRow {
-                answers: answers.remove(id).unwrap_or_default(),
+                answers: answers.into_iter().map(brief).collect(),
                 holders: holders.remove(id).unwrap_or_default(),
                 skips: skips.remove(id).unwrap_or_default(),
                 accepted_by,
@@ -222,102 +219,35 @@ fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>> {
         .collect())
 }
 
-/// Answers that were handed in, in the order of time.
-fn answers(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<AnswerBrief>> {
-    let sql = format!(
-        "SELECT {}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
-         WHERE r.task IN ({{}}) AND r.state <> 'draft' ORDER BY r.at, r.author",
-        rows::REVISION_COLUMNS
-    );
-    by_task(tx, &sql, ids, |row| {
-        let own = rows::read_revision(row, 0)?;
-        let texts: Vec<&str> = own.answer.texts().iter().map(|(text, _)| *text).collect();
-        Ok(AnswerBrief {
-            author: own.author,
-            name: row.string(7)?,
-            state: own.state,
-            text: texts.join(" · "),
-            parts: own
-                .answer
-                .part_names()
-                .into_iter()
-                .map(str::to_owned)
-                .collect(),
-            verdict: own.answer.verdict(),
-            edit_type: own.answer.fields().edit_type,
-            at: own.at,
-        })
-    })
-}
-
-fn holders(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<Holder>> {
-    by_task(
-        tx,
-        "SELECT l.task, l.id, l.usr, COALESCE(u.name, ''), l.purpose, l.expires
-         FROM lease l LEFT JOIN usr u ON u.id = l.usr WHERE l.task IN ({}) ORDER BY l.id",
-        ids,
-        |row| {
-            Ok(Holder {
-                lease: row.int(1)?,
-                user: row.int(2)?,
-                name: row.string(3)?,
-                purpose: row.string(4)?,
-                until: row.int(5)?,
-            })
-        },
-    )
-}
-
-fn skips(tx: &mut dyn Tx, ids: &Values) -> Result<ByTask<SkipBrief>> {
-    by_task(
-        tx,
-        "SELECT s.task, s.usr, COALESCE(u.name, ''), s.postponed, s.reason, s.note, s.at
-         FROM skip s LEFT JOIN usr u ON u.id = s.usr WHERE s.task IN ({}) ORDER BY s.at, s.usr",
-        ids,
-        |row| {
-            Ok(SkipBrief {
-                user: row.int(1)?,
-                name: row.string(2)?,
-                postponed: row.flag(3)?,
-                reason: row.opt_text(4)?.and_then(|text| SkipReason::parse(&text)),
-                note: row.string(5)?,
-                at: row.int(6)?,
-            })
-        },
-    )
-}
-
-fn decision(tx: &mut dyn Tx, row: &Row) -> Result<DecisionRow> {
-    let (task, author) = (row.int(1)?, row.opt_int(6)?);
-    let authors = tx.list(
-        "SELECT COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
-         WHERE r.task = ?1 AND r.state <> 'draft' AND (?2 = -1 OR r.author = ?2) ORDER BY r.author",
-        params![task, author.unwrap_or(-1)],
-        |row| row.string(0),
-    )?;
-    Ok(DecisionRow {
-        seq: row.int(0)?,
-        task,
-        key: row.string(2)?,
-        decision: row.string(3)?,
-        reviewer: row.int(4)?,
-        reviewer_name: row.string(5)?,
-        author,
-        authors,
-        rule: row.opt_text(7)?,
-        comment: row.string(8)?,
-        at: row.int(9)?,
-        state: row.named(10, TaskState::parse)?,
-    })
+fn brief((own, name): (Revision, String)) -> AnswerBrief {
+    let texts: Vec<&str> = own.answer.texts().iter().map(|(text, _)| *text).collect();
+    let parts = own.answer.part_names().into_iter();
+    AnswerBrief {
+        author: own.author,
+        name,
+        state: own.state,
+        text: texts.join(" · "),
+        parts: parts.map(str::to_owned).collect(),
+        verdict: own.answer.verdict(),
+        edit_type: own.answer.fields().edit_type,
+        at: own.at,
+    }
 }
 
 /// Decisions `v` that fit what follows `WHERE` in a query.
-fn decisions(tx: &mut dyn Tx, condition: &str, params: &[Value]) -> Result<Vec<DecisionRow>> {
+fn decisions(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<DecisionRow>> {
     let sql = format!(
-        "SELECT v.seq, v.task, t.key, v.decision, v.reviewer, COALESCE(u.name, ''), v.author, v.rule, v.comment, v.at,
-           t.state
+        "SELECT v.seq, v.task, t.key, v.decision, v.reviewer, COALESCE(u.name, ''), v.author, '[]', v.rule, v.comment,
+           v.at, t.state
          FROM review v JOIN task t ON t.id = v.task LEFT JOIN usr u ON u.id = v.reviewer WHERE {condition}"
     );
-    let found = tx.query(&sql, params)?;
-    found.iter().map(|row| decision(tx, row)).collect()
+    let mut found: Vec<DecisionRow> = tx.list(&sql, params)?;
+    for row in &mut found {
+        row.authors = tx.list(
+            "SELECT COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
+             WHERE r.task = ?1 AND r.state <> 'draft' AND (?2 = -1 OR r.author = ?2) ORDER BY r.author",
+            params![row.task, row.author.unwrap_or(-1)],
+        )?;
+    }
+    Ok(found)
 }

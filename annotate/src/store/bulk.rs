@@ -1,22 +1,22 @@
 //! Actions on all tasks of a filter.
 
+use serde::Deserialize;
+
 use super::db::{Result, Tx, params};
 use super::entry::Body;
 use super::filter::{self, Values, condition};
-use super::leases::MINUTE;
+use super::leases::Turn;
 use super::records::{Millis, TaskRecord, Who};
-use super::rows::NUM_TASK_COLUMNS;
 use super::settings::require;
 use super::store::Store;
 use super::{log, project, review, rows, rules};
 use crate::Error;
 use crate::answer;
 use crate::state::{LogKind, targets};
-use crate::wire::{BulkAction, BulkDone, BulkRequest, Settings};
+use crate::wire::{BulkAction, BulkDone, BulkRequest};
 
 /// Tasks that one bulk request looks at.
 const BULK_AT_ONCE: i64 = 2000;
-const DAY: Millis = 24 * 60 * MINUTE;
 
 impl Store {
     /// Counts what a bulk action would change. Refused with `invalid`.
@@ -65,7 +65,7 @@ fn bulk(
     now: Millis,
 ) -> Result<BulkDone> {
     check_bulk(tx, request, act)?;
-    let settings = project::settings(tx)?;
+    let turn = Turn::of(tx, who, now)?;
     let mut values = Values::default();
     let place = condition(&request.filter, &mut values);
     let after = values.put(request.after.unwrap_or(0));
@@ -75,37 +75,31 @@ fn bulk(
         "SELECT {}, (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.purpose = 'review' AND l.usr <> {me}),
            (SELECT COUNT(*) FROM revision r WHERE r.task = t.id AND r.author = {me} AND r.state <> 'draft')
          FROM task t WHERE {place} AND t.id > {after} ORDER BY t.id LIMIT {limit}",
-        rows::TASK_COLUMNS
+        rows::TASK
     );
-    let found = tx.query(&sql, &values.0)?;
+    let found: Vec<One> = tx.list(&sql, &values.all())?;
     let mut done = BulkDone {
         looked_at: found.len() as i64,
         ..BulkDone::default()
     };
-    let mut last = None;
-    for row in &found {
-        let one = One {
-            task: rows::read_task(row)?,
-            held: row.flag(NUM_TASK_COLUMNS)?,
-            own: row.flag(NUM_TASK_COLUMNS + 1)?,
-        };
-        let id = one.task.id;
-        match planned(tx, who, request, &settings, &one, now)? {
+    for one in &found {
+        match planned(tx, &turn, request, one)? {
             Ok(body) => {
                 done.done += 1;
                 if act {
-                    log::note(tx, now, Some(who), Some(id), body)?;
+                    log::note(tx, now, Some(who), Some(one.task.id), body)?;
                 }
             }
             Err(reason) => *done.left_alone.entry(reason.to_owned()).or_default() += 1,
         }
-        last = Some(id);
     }
+    let last = found.last().map(|one| one.task.id);
     done.next = last.filter(|_| act && done.looked_at == BULK_AT_ONCE);
     Ok(done)
 }
 
 /// A task of a bulk action.
+#[derive(Deserialize)]
 struct One {
     task: TaskRecord,
     /// Whether another reviewer looks at it.
@@ -118,14 +112,7 @@ struct One {
 type Planned = Result<Body, &'static str>;
 
 /// What a bulk action does to a task.
-fn planned(
-    tx: &mut dyn Tx,
-    who: i64,
-    request: &BulkRequest,
-    settings: &Settings,
-    one: &One,
-    now: Millis,
-) -> Result<Planned> {
+fn planned(tx: &mut dyn Tx, turn: &Turn, request: &BulkRequest, one: &One) -> Result<Planned> {
     let One { task, held, own } = one;
     let comment = request.comment.trim().to_owned();
     let kind = match request.action {
@@ -141,12 +128,12 @@ fn planned(
     if *held {
         return Ok(Err("held"));
     }
-    if *own && !settings.solo && request.action != BulkAction::Assign {
+    if *own && !turn.settings.solo && request.action != BulkAction::Assign {
         return Ok(Err("own_work"));
     }
-    let until = now + Millis::from(settings.returned_days) * DAY;
+    let until = turn.until_returned();
     let body = match request.action {
-        BulkAction::Accept => return accepted(tx, who, one, settings, comment),
+        BulkAction::Accept => return accepted(tx, turn, one, comment),
         BulkAction::Return => {
             let answers = rules::waiting_answers(tx, task.id)?;
             Body::Returned {
@@ -176,13 +163,7 @@ fn planned(
 }
 
 /// Accepts the first of answers that agree.
-fn accepted(
-    tx: &mut dyn Tx,
-    who: i64,
-    one: &One,
-    settings: &Settings,
-    comment: String,
-) -> Result<Planned> {
+fn accepted(tx: &mut dyn Tx, turn: &Turn, one: &One, comment: String) -> Result<Planned> {
     let answers = rules::waiting_answers(tx, one.task.id)?;
     let all: Vec<_> = answers.iter().map(|own| own.answer.clone()).collect();
     let frames = project::frames(tx, &one.task.source)?;
@@ -192,7 +173,7 @@ fn accepted(
     let Some(first) = answers.first() else {
         return Ok(Err("wrong_state"));
     };
-    if first.answer.new_style(settings).is_some() {
+    if first.answer.new_style(&turn.settings).is_some() {
         return Ok(Err("new_style"));
     }
     Ok(Ok(Body::Accepted {
@@ -201,13 +182,13 @@ fn accepted(
         secs: 0.0,
         request: String::new(),
         rule: None,
-        own: one.own && first.author == who,
+        own: one.own && first.author == turn.user,
     }))
 }
 
 /// Keeps a task for a person who neither holds nor answered it.
 fn assigned(tx: &mut dyn Tx, task: i64, person: i64, until: Millis) -> Result<Planned> {
-    let row = tx.one(
+    let found = tx.find(
         "SELECT t.wanted - t.submitted - (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.purpose = 'annotate'),
                    (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.usr = ?2),
                    (SELECT COUNT(*) FROM revision r WHERE r.task = t.id AND r.author = ?2
@@ -215,18 +196,15 @@ fn assigned(tx: &mut dyn Tx, task: i64, person: i64, until: Millis) -> Result<Pl
                  FROM task t WHERE t.id = ?1",
         params![task, person],
     )?;
-    let row = row.ok_or_else(|| Error::not_found("task"))?;
-    if row.int(1)? > 0 {
-        return Ok(Err("held"));
-    }
-    if row.int(2)? > 0 {
-        return Ok(Err("answered"));
-    }
-    if row.int(0)? <= 0 {
-        return Ok(Err("task_full"));
-    }
-    Ok(Ok(Body::Assigned {
-        user: person,
-        until,
-    }))
+    let (room, held, answered): (i64, bool, bool) =
+        found.ok_or_else(|| Error::not_found("task"))?;
+    Ok(match (held, answered, room > 0) {
+        (true, ..) => Err("held"),
+        (_, true, _) => Err("answered"),
+        (.., false) => Err("task_full"),
+        _ => Ok(Body::Assigned {
+            user: person,
+            until,
+        }),
+    })
 }

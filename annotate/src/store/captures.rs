@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::MotionId;
 
-use super::db::{Result, Row, Tx, json, params};
+use super::db::{Result, Tx, json, params};
 use super::entry::Body;
 use super::records::Millis;
 use super::settings::require;
@@ -95,14 +95,13 @@ fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<()> {
 
 fn captures(tx: &mut dyn Tx) -> Result<Captures> {
     let sql = "SELECT body FROM setting WHERE name = ?1";
-    let plan: Option<Vec<PlannedCapture>> = tx.find(sql, params![PLAN], |row| row.json(0))?;
+    let plan: Option<Vec<PlannedCapture>> = tx.find(sql, params![PLAN])?;
     let plan = plan.unwrap_or_default();
     if plan.is_empty() {
         return Ok(Captures::default());
     }
-    let known = "SELECT id FROM motion WHERE current = 1";
-    let known = tx.list(known, &[], |row| row.string(0))?;
-    let known: BTreeSet<String> = known.into_iter().collect();
+    let known: Vec<String> = tx.list("SELECT id FROM motion WHERE current = 1", &[])?;
+    let known = BTreeSet::from_iter(known);
     let (mut takes, without_style) = takes(tx)?;
     let cells = plan
         .into_iter()
@@ -133,11 +132,11 @@ fn takes(tx: &mut dyn Tx) -> Result<(BTreeMap<Place, Takes>, u32)> {
     let sql = "SELECT m.id, t.style, t.state, t.changed, a.answer FROM task t JOIN motion m ON m.hash = t.source
          LEFT JOIN accepted a ON a.task = t.id WHERE t.kind = 'style' AND t.gold IS NULL";
     let (mut all, mut without_style) = (BTreeMap::<Place, Takes>::new(), 0);
-    for row in tx.query(sql, &[])? {
-        let (style, rejected) = judged(&row)?;
+    for (motion, label, state, changed, answer) in tx.list(sql, &[])? {
+        let (style, rejected) = judged(label, state, changed, answer);
         match (style, rejected) {
-            (Some(style), true) => all.entry((row.string(0)?, style)).or_default().rejected += 1,
-            (Some(style), false) => all.entry((row.string(0)?, style)).or_default().arrived += 1,
+            (Some(style), true) => all.entry((motion, style)).or_default().rejected += 1,
+            (Some(style), false) => all.entry((motion, style)).or_default().arrived += 1,
             (None, true) => {}
             (None, false) => without_style += 1,
         }
@@ -147,11 +146,13 @@ fn takes(tx: &mut dyn Tx) -> Result<(BTreeMap<Place, Takes>, u32)> {
 
 /// The style of a pair, and whether the pair was rejected. An accepted answer that keeps the pair says its style, as in
 /// an export; before that the label of the dataset does. A rejection does not hold for a clip that was ingested anew.
-fn judged(row: &Row) -> Result<(Option<String>, bool)> {
-    let label = row.opt_text(1)?;
-    let (state, changed) = (row.named(2, TaskState::parse)?, row.flag(3)?);
-    let answer: Option<Answer> = row.opt(4, Row::json)?;
-    Ok(match answer {
+fn judged(
+    label: Option<String>,
+    state: TaskState,
+    changed: bool,
+    answer: Option<Answer>,
+) -> (Option<String>, bool) {
+    match answer {
         Some(Answer::Style {
             verdict: Verdict::Keep,
             style,
@@ -159,5 +160,5 @@ fn judged(row: &Row) -> Result<(Option<String>, bool)> {
         }) => (style.or(label), false),
         Some(_) => (label, !changed),
         None => (label, state == TaskState::Dropped && !changed),
-    })
+    }
 }

@@ -2,19 +2,18 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::db::{Result, Row, Tx, Value, params};
+use super::db::{Result, ToSql, Tx, params};
 use super::draw::percent;
 use super::entry::Place;
 use super::import::GOLD_KEY;
-use super::leases::{
-    MINUTE, PLACED, expire, lease_end, prolong, prolong_bundle, reserved_after, take,
-};
-use super::records::{Claimed, Millis, TaskDetail};
+use super::leases::{PLACED, Turn, expire, reserved_after};
+use super::records::{Millis, TaskDetail};
+use super::rows::{self, LEASE, LeaseRow};
 use super::store::Store;
-use super::{apply, project, read, rows};
+use super::{apply, read};
 use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
-use crate::wire::{Code, EditType, Empty, Practice, RevisionState, Settings, TaskKind, TaskState};
+use crate::wire::{Code, EditType, Empty, Practice, RevisionState, TaskKind, TaskState};
 
 /// SQL condition: user `?2` can get task `t` as new work. Whoever has a returned answer can, once it is no longer
 /// kept for them alone.
@@ -27,26 +26,33 @@ const IN_BUNDLES: &str =
     "COALESCE(g.bundle, t.bundle, 0), COALESCE(g.bundle_index, t.bundle_index), l.id";
 
 impl Store {
-    /// Claims the next task of a kind, or returns the one that the user holds, with the
-    /// motions of the next `ahead` tasks.
-    pub fn claim(&self, user: i64, kind: TaskKind, ahead: usize, now: Millis) -> Result<Claimed> {
+    /// Claims the next task of a kind, or returns the one that the user holds, with the hashes of the
+    /// motions of the next `ahead` tasks; or says why there is none.
+    pub fn claim(
+        &self,
+        user: i64,
+        kind: TaskKind,
+        ahead: usize,
+        now: Millis,
+    ) -> Result<Result<(TaskDetail, Vec<String>), Empty>> {
         // The writer does both in one transaction: its page cache is warm, a reader's is invalid after
         // every commit.
         self.write(move |tx| {
-            Ok(match claim(tx, user, kind, now)? {
-                Ok(task) => Claimed::Task {
-                    detail: Box::new(read::detail(tx, user, task)?),
-                    upcoming: upcoming(tx, user, kind, task, ahead)?,
-                },
-                Err(empty) => Claimed::Nothing(empty),
-            })
+            let turn = Turn::begin(tx, user, now)?;
+            let task = match claim(tx, &turn, kind)? {
+                Ok(task) => task,
+                Err(empty) => return Ok(Err(empty)),
+            };
+            let upcoming = upcoming(tx, &turn, kind, task, ahead)?;
+            Ok(Ok((read::detail(tx, user, task)?, upcoming)))
         })
     }
 
     /// Claims a given task. Refused with `task_full`, `not_found`, `wrong_state`.
     pub fn claim_task(&self, user: i64, task: i64, now: Millis) -> Result<TaskDetail> {
         self.write(move |tx| {
-            claim_task(tx, user, task, now)?;
+            let turn = Turn::begin(tx, user, now)?;
+            claim_task(tx, &turn, task)?;
             read::detail(tx, user, task)
         })
     }
@@ -54,11 +60,10 @@ impl Store {
     /// A user's practice of each kind.
     pub fn practice(&self, user: i64) -> Result<Vec<Practice>> {
         self.read(|tx| {
-            let settings = project::settings(tx)?;
+            // The time is of no matter.
+            let turn = Turn::of(tx, user, 0)?;
             let kinds = TaskKind::ALL.iter();
-            kinds
-                .map(|&kind| standing(tx, user, kind, &settings))
-                .collect()
+            kinds.map(|&kind| standing(tx, &turn, kind)).collect()
         })
     }
 }
@@ -76,48 +81,35 @@ struct Offer {
 
 /// Number of new and postponed tasks that claims would give a user now. Pairs that the quota of their category holds
 /// back are left out.
-pub(super) fn on_offer(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    settings: &Settings,
-    now: Millis,
-) -> Result<i64> {
-    let quota = (kind == TaskKind::Pair && settings.category_quota > 0)
-        .then(|| i64::from(settings.category_quota));
+pub(super) fn on_offer(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<i64> {
+    let quota = quota(turn, kind);
     let (columns, group) = match quota {
         Some(_) => ("t.category, t.counted", "GROUP BY t.category, t.counted"),
         None => ("CAST(NULL AS TEXT), 0", ""),
     };
     let mut offers: BTreeMap<Option<String>, Offer> = BTreeMap::new();
-    let mut add = |row: &Row, sign: i64| -> Result<()> {
-        let offer = offers.entry(row.opt_text(0)?).or_default();
-        let count = sign * row.int(2)?;
-        if row.flag(1)? {
-            offer.counted += count;
-        } else {
-            offer.others += count;
-        }
-        Ok(())
-    };
     let claimable = format!(
         "SELECT {columns}, COUNT(*) FROM task t WHERE t.kind = ?1 AND t.claimable = 1 {group}"
     );
-    for row in tx.query(&claimable, params![kind.as_str()])? {
-        add(&row, 1)?;
-    }
     // From the user's side, which is short, rather than for each of the open tasks.
     let not_for_me = format!(
-        "SELECT {columns}, COUNT(*) FROM (
+        "SELECT {columns}, -COUNT(*) FROM (
            SELECT task FROM revision WHERE author = ?2 AND state NOT IN ('draft', 'returned')
            UNION SELECT task FROM skip WHERE usr = ?2 AND postponed = 0
            UNION SELECT task FROM lease WHERE usr = ?2
          ) m JOIN task t ON t.id = m.task WHERE t.kind = ?1 AND t.claimable = 1 {group}"
     );
-    for row in tx.query(&not_for_me, params![kind.as_str(), user])? {
-        add(&row, -1)?;
+    let mut counts: Vec<(Option<String>, bool, i64)> = tx.list(&claimable, params![kind])?;
+    counts.append(&mut tx.list(&not_for_me, params![kind, turn.user])?);
+    for (category, is_counted, count) in counts {
+        let offer = offers.entry(category).or_default();
+        if is_counted {
+            offer.counted += count;
+        } else {
+            offer.others += count;
+        }
     }
-    expired_offers(tx, user, kind, quota.is_some(), now, &mut offers)?;
+    expired_offers(tx, turn, kind, &mut offers)?;
     let Some(quota) = quota else {
         return Ok(offers.values().map(|offer| offer.others).sum());
     };
@@ -134,14 +126,13 @@ pub(super) fn on_offer(
 /// Adds the tasks that the next claim of a user would free of expired leases.
 fn expired_offers(
     tx: &mut dyn Tx,
-    user: i64,
+    turn: &Turn,
     kind: TaskKind,
-    by_category: bool,
-    now: Millis,
     offers: &mut BTreeMap<Option<String>, Offer>,
 ) -> Result<()> {
+    let by_category = quota(turn, kind).is_some();
     let sql = format!(
-        "SELECT {}, CASE WHEN t.claimable = 0
+        "SELECT {LEASE}, l.purpose, l.blind, CASE WHEN t.claimable = 0
              AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state NOT IN ('draft', 'returned'))
              AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2 AND s.postponed = 0)
              AND NOT EXISTS (SELECT 1 FROM lease m WHERE m.task = t.id AND m.usr = ?2) THEN 1 ELSE 0 END,
@@ -149,19 +140,17 @@ fn expired_offers(
              OR EXISTS (SELECT 1 FROM lease m WHERE m.task = t.id AND m.purpose <> 'review' AND (m.expires > ?1 OR m.usr = ?2))
              THEN 1 ELSE 0 END, t.category
          FROM lease l JOIN task t ON t.id = l.task
-         WHERE l.expires <= ?1 AND l.usr <> ?2 AND l.purpose <> 'review' AND t.kind = ?3 AND t.gold IS NULL",
-        rows::LEASE_COLUMNS
+         WHERE l.expires <= ?1 AND l.usr <> ?2 AND l.purpose <> 'review' AND t.kind = ?3 AND t.gold IS NULL"
     );
     let mut seen = BTreeSet::new();
-    for row in tx.query(&sql, params![now, user, kind.as_str()])? {
-        let held = rows::read_lease(&row)?;
-        let reserved = reserved_after(tx, &held, ReleaseReason::Expired, now)?.is_some();
+    let expired: Vec<(LeaseRow, bool, bool, Option<String>)> =
+        tx.list(&sql, params![turn.now, turn.user, kind])?;
+    for (held, for_me, counts, category) in expired {
+        let reserved = reserved_after(tx, &held, ReleaseReason::Expired, turn.now)?.is_some();
         if reserved || !seen.insert(held.lease.task) {
             continue;
         }
-        let (for_me, counts) = (row.flag(7)?, row.flag(8)?);
-        let category = if by_category { row.opt_text(9)? } else { None };
-        let offer = offers.entry(category).or_default();
+        let offer = offers.entry(category.filter(|_| by_category)).or_default();
         if by_category && counts {
             offer.counted += i64::from(for_me);
         } else {
@@ -173,70 +162,58 @@ fn expired_offers(
 }
 
 /// The next task of a user, or why there is none.
-fn claim(tx: &mut dyn Tx, user: i64, kind: TaskKind, now: Millis) -> Result<Result<i64, Empty>> {
-    let mut expired = expire(tx, user, now)?;
-    let settings = project::settings(tx)?;
-    if let Some(task) = due(tx, user, kind, &settings, now)? {
+fn claim(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Result<i64, Empty>> {
+    if let Some(task) = due(tx, turn, kind)? {
         return Ok(Ok(task));
     }
     let (first, bundle, room) = loop {
-        let room = room(tx, kind, &settings)?;
-        if let Some((first, bundle)) = candidate(tx, user, kind, room.as_ref(), &settings)? {
+        let room = room(tx, turn, kind)?;
+        if let Some((first, bundle)) = candidate(tx, turn, kind, room.as_ref())? {
             break (first, bundle, room);
         }
-        if expired == 0 {
-            let mut empty = empty(tx, user, kind)?;
+        // One request does not end all leases that have expired.
+        if expire(tx, turn.user, turn.now)? == 0 {
+            let mut empty = empty(tx, turn.user, kind)?;
             if let Some(room) = &room {
                 empty.quota_full = room.values().map(|category| category.held_back).sum();
             }
             return Ok(Err(empty));
         }
-        expired = expire(tx, user, now)?;
     };
     let places = match bundle {
         None => vec![(first, None)],
-        Some(bundle) => places(tx, user, first, bundle, room)?,
+        Some(bundle) => places(tx, turn.user, first, bundle, room)?,
     };
-    let golds = gold_tasks(tx, user, kind, places.len(), &settings)?;
+    let golds = gold_tasks(tx, turn, kind, places.len())?;
     let mut taken = Vec::with_capacity(places.len());
     for ((task, place), gold) in places.into_iter().zip(golds) {
         // A gold task stands in for one of the tasks, which is left for a later claim.
         let (task, place) = gold.map_or((task, None), |gold| (gold, place));
-        take(tx, user, task, Purpose::Annotate, place, &settings, now)?;
+        turn.take(tx, task, Purpose::Annotate, place)?;
         taken.push(task);
     }
     Ok(Ok(taken.first().copied().unwrap_or(first)))
 }
 
 /// The task that comes before new ones: one that the user holds, one kept for them, or practice.
-fn due(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    settings: &Settings,
-    now: Millis,
-) -> Result<Option<i64>> {
+fn due(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<i64>> {
     let from = format!(
         "{PLACED} WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2 ORDER BY {IN_BUNDLES} LIMIT 1"
     );
-    if let Some(held) = rows::leases(tx, &from, params![user, kind.as_str()])?.pop() {
-        if held.lease.expires < lease_end(settings, now) - MINUTE {
-            prolong_bundle(tx, &held, settings, now)?;
-        }
-        return Ok(Some(held.lease.task));
+    if let Some(held) = rows::leases(tx, &from, params![turn.user, kind])?.pop() {
+        return turn.resume(tx, &held).map(Some);
     }
     let back = tx.find(
         "SELECT t.id FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr = ?1 AND l.purpose IN ('returned', 'assigned') AND t.kind = ?2 ORDER BY l.id LIMIT 1",
-        params![user, kind.as_str()],
-        |row| row.int(0),
+        params![turn.user, kind],
     )?;
     let task = match back {
         Some(task) => Some(task),
-        None => next_practice(tx, user, kind, settings)?,
+        None => next_practice(tx, turn, kind)?,
     };
     if let Some(task) = task {
-        take(tx, user, task, Purpose::Annotate, None, settings, now)?;
+        turn.take(tx, task, Purpose::Annotate, None)?;
     }
     Ok(task)
 }
@@ -254,21 +231,14 @@ fn places(
                    AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2 AND s.postponed = 0)
                  ORDER BY t.bundle_index, t.id"
     );
-    let mut has_room = |row: &Row| -> Result<bool> {
-        let name = row.opt_text(2)?;
-        let category = room.as_mut().and_then(|room| room.get_mut(&name));
-        Ok(row.flag(3)? || category.is_none_or(Category::use_one))
-    };
-    let (mine, others): (Vec<Row>, Vec<Row>) = tx
-        .query(&sql, params![bundle, user])?
-        .into_iter()
-        .partition(|row| row.int(0).is_ok_and(|id| id == first));
-    let mut places = Vec::new();
+    let mut found: Vec<(i64, i64, Option<String>, bool)> = tx.list(&sql, params![bundle, user])?;
     // The task that was found uses the room first.
-    for row in mine.iter().chain(&others) {
-        if has_room(row)? {
-            let index = row.int(1)?;
-            places.push((row.int(0)?, Some(Place { bundle, index })));
+    found.sort_by_key(|(task, ..)| *task != first);
+    let mut places = Vec::new();
+    for (task, index, category, counted) in found {
+        let category = room.as_mut().and_then(|room| room.get_mut(&category));
+        if counted || category.is_none_or(Category::use_one) {
+            places.push((task, Some(Place { bundle, index })));
         }
     }
     places.sort_by_key(|(task, place)| (place.as_ref().map(|place| place.index), *task));
@@ -309,23 +279,28 @@ fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>> {
 
 /// A query for names and their counts.
 fn counts(tx: &mut dyn Tx, sql: &str) -> Result<BTreeMap<Option<String>, i64>> {
-    let counts = tx.list(sql, &[], |row| Ok((row.opt_text(0)?, row.int(1)?)))?;
-    Ok(counts.into_iter().collect())
+    let counts: Vec<(Option<String>, i64)> = tx.list(sql, &[])?;
+    Ok(BTreeMap::from_iter(counts))
 }
 
-/// The room in each category, if the project has a quota for tasks of this kind.
-fn room(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Option<Room>> {
-    if kind != TaskKind::Pair || settings.category_quota == 0 {
+/// Pairs that are wanted of each category, if the project has a quota for tasks of this kind.
+fn quota(turn: &Turn, kind: TaskKind) -> Option<i64> {
+    let wanted = i64::from(turn.settings.category_quota);
+    (kind == TaskKind::Pair && wanted > 0).then_some(wanted)
+}
+
+/// The room in each category, if they have a quota.
+fn room(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<Room>> {
+    let Some(quota) = quota(turn, kind) else {
         return Ok(None);
-    }
+    };
     let counted = counted(tx)?;
     let sql = "SELECT category, CAST(SUM(1 - counted) AS BIGINT) FROM task WHERE kind = 'pair' AND claimable = 1 GROUP BY category";
     let mut room = Room::new();
-    for row in tx.query(sql, &[])? {
-        let category = row.opt_text(0)?;
+    for (category, others) in tx.list::<(Option<String>, i64)>(sql, &[])? {
         let counted = counted.get(&category).copied().unwrap_or(0);
-        let left = (i64::from(settings.category_quota) - counted).max(0);
-        let held_back = if left == 0 { row.int(1)? } else { 0 };
+        let left = (quota - counted).max(0);
+        let held_back = if left == 0 { others } else { 0 };
         room.insert(
             category,
             Category {
@@ -363,10 +338,9 @@ fn category_limits(room: Option<&Room>) -> Vec<(&'static str, Option<&String>)> 
 /// The conditions under which pairs are looked for within a category: those that are stated to be of the edit type
 /// whose quota is furthest behind first, then all but those of a type of which there is enough, and these last. None is
 /// held back. Without quotas, one condition that holds for all.
-fn type_limits(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<Vec<String>> {
-    let quotas: Vec<(EditType, i64)> = settings
-        .edit_type_quota
-        .iter()
+fn type_limits(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Vec<String>> {
+    let quotas = turn.settings.edit_type_quota.iter();
+    let quotas: Vec<(EditType, i64)> = quotas
         .map(|(edit_type, wanted)| (*edit_type, i64::from(*wanted)))
         .filter(|(_, wanted)| *wanted > 0)
         .collect();
@@ -409,12 +383,11 @@ fn type_limits(tx: &mut dyn Tx, kind: TaskKind, settings: &Settings) -> Result<V
 /// [`category_limits`], and within a category of [`type_limits`].
 fn candidate(
     tx: &mut dyn Tx,
-    user: i64,
+    turn: &Turn,
     kind: TaskKind,
     room: Option<&Room>,
-    settings: &Settings,
 ) -> Result<Option<(i64, Option<i64>)>> {
-    let (categories, types) = (category_limits(room), type_limits(tx, kind, settings)?);
+    let (categories, types) = (category_limits(room), type_limits(tx, turn, kind)?);
     let fresh = |limit: &str| {
         format!(
             "SELECT t.id, t.bundle FROM task t WHERE t.kind = ?1 AND {FOR_ME} {limit}
@@ -433,11 +406,11 @@ fn candidate(
     for sql in sorts {
         for (of_category, category) in &categories {
             for of_type in &types {
-                let mut values = vec![Value::from(kind.as_str()), Value::from(user)];
-                values.extend(category.map(Value::from));
+                let mut values: Vec<&dyn ToSql> = vec![&kind, &turn.user];
+                values.extend(category.map(|category| category as &dyn ToSql));
                 let sql = sql(&format!("{of_category} {of_type}"));
-                if let Some(row) = tx.one(&sql, &values)? {
-                    return Ok(Some((row.int(0)?, row.opt_int(1)?)));
+                if let Some(found) = tx.find(&sql, &values)? {
+                    return Ok(Some(found));
                 }
             }
         }
@@ -449,7 +422,7 @@ fn candidate(
 /// otherwise come later than those of others, and new ones.
 fn upcoming(
     tx: &mut dyn Tx,
-    user: i64,
+    turn: &Turn,
     kind: TaskKind,
     present: i64,
     limit: usize,
@@ -463,43 +436,35 @@ fn upcoming(
            AND NOT EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.usr = ?2)
          ORDER BY t.priority DESC, t.id LIMIT ?3"
     );
-    let params = params![kind.as_str(), user, limit as i64 + 1];
-    let mut tasks = tx.query(&held, params)?;
-    if project::settings(tx)?.gold_percent > 0 {
-        for gold in known_tasks(tx, user, kind, 1)? {
+    let params = params![kind, turn.user, limit as i64 + 1];
+    let mut tasks: Vec<(String, Option<String>, i64)> = tx.list(&held, params)?;
+    if turn.settings.gold_percent > 0 {
+        for gold in known_tasks(tx, turn.user, kind, 1)? {
             let sql = "SELECT source, target, id FROM task WHERE id = ?1";
-            tasks.extend(tx.one(sql, params![gold])?);
+            tasks.push(tx.get(sql, params![gold])?);
         }
     }
     if tasks.len() <= limit {
-        tasks.extend(tx.query(&new, params)?);
+        tasks.append(&mut tx.list(&new, params)?);
     }
-    let mut hashes = Vec::new();
-    let mut left = limit;
-    for row in tasks {
-        if left == 0 {
-            break;
-        }
-        if row.int(2)? != present {
-            hashes.push(row.string(0)?);
-            hashes.extend(row.opt_text(1)?);
-            left -= 1;
-        }
-    }
-    Ok(hashes)
+    tasks.retain(|(.., task)| *task != present);
+    tasks.truncate(limit);
+    let hashes = tasks.into_iter();
+    let hashes = hashes.flat_map(|(source, target, _)| std::iter::once(source).chain(target));
+    Ok(hashes.collect())
 }
 
 /// For each of the next `count` answers of a user: the gold task that takes its place, if one is due. Each draw
 /// depends on the user and the number of the answer, so that asking again changes nothing.
 fn gold_tasks(
     tx: &mut dyn Tx,
-    user: i64,
+    turn: &Turn,
     kind: TaskKind,
     count: usize,
-    settings: &Settings,
 ) -> Result<Vec<Option<i64>>> {
+    let (user, share) = (turn.user, turn.settings.gold_percent);
     let mut places = vec![None; count];
-    if settings.gold_percent == 0 {
+    if share == 0 {
         return Ok(places);
     }
     let done = tx.number(
@@ -509,7 +474,7 @@ fn gold_tasks(
     )?;
     let is_due = |index: usize| {
         let number = (done + index as i64).to_string();
-        percent(&["gold", &user.to_string(), &number]) < settings.gold_percent
+        percent(&["gold", &user.to_string(), &number]) < share
     };
     let due: Vec<usize> = (0..count).filter(|&index| is_due(index)).collect();
     if due.is_empty() {
@@ -536,25 +501,27 @@ fn known_tasks(tx: &mut dyn Tx, user: i64, kind: TaskKind, count: usize) -> Resu
              OR EXISTS (SELECT 1 FROM review v WHERE v.task = o.id AND v.reviewer = ?2)
              OR EXISTS (SELECT 1 FROM accepted a WHERE a.task = o.id AND a.author = ?2)))
          ORDER BY t.shuffle, t.id LIMIT ?4",
-        params![kind.as_str(), user, prefix, count as i64],
-        |row| row.int(0),
+        params![kind, user, prefix, count as i64],
     )
 }
 
 fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty> {
     let mut empty = Empty::default();
     let sql = "SELECT state, COUNT(*) FROM task WHERE kind = ?1 AND gold IS NULL GROUP BY state";
-    let counts = tx.query(sql, params![kind.as_str()])?;
-    for row in counts {
-        let count = row.int(1)?;
+    for (state, count) in tx.list::<(TaskState, i64)>(sql, params![kind])? {
         empty.total += count;
-        match row.named(0, TaskState::parse)? {
+        match state {
             TaskState::Submitted | TaskState::InReview | TaskState::Accepted => empty.done += count,
             TaskState::Dropped => empty.dropped += count,
             TaskState::Open | TaskState::Leased | TaskState::Returned => {}
         }
     }
-    let others = tx.one(
+    (
+        empty.leased_by_others,
+        empty.soonest_expiry,
+        empty.waiting_for_others,
+        empty.skipped_by_me,
+    ) = tx.get(
         "SELECT COUNT(DISTINCT l.task), MIN(l.expires),
            (SELECT COUNT(*) FROM revision r JOIN task t ON t.id = r.task
             WHERE r.author = ?2 AND r.state <> 'draft' AND t.kind = ?1 AND t.gold IS NULL
@@ -563,28 +530,20 @@ fn empty(tx: &mut dyn Tx, user: i64, kind: TaskKind) -> Result<Empty> {
             WHERE s.usr = ?2 AND t.kind = ?1 AND t.state IN ('open', 'leased', 'returned'))
          FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr <> ?2 AND l.purpose <> 'review' AND t.kind = ?1 AND t.gold IS NULL",
-        params![kind.as_str(), user],
+        params![kind, user],
     )?;
-    if let Some(row) = others {
-        empty.leased_by_others = row.int(0)?;
-        empty.soonest_expiry = row.opt_int(1)?;
-        empty.waiting_for_others = row.int(2)?;
-        empty.skipped_by_me = row.int(3)?;
-    }
     Ok(empty)
 }
 
-fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
-    expire(tx, user, now)?;
-    let settings = project::settings(tx)?;
+fn claim_task(tx: &mut dyn Tx, turn: &Turn, id: i64) -> Result<()> {
+    let user = turn.user;
     let task = rows::task(tx, id)?;
     match rows::lease_of(tx, id, user)? {
         Some(held) if held.purpose == Purpose::Annotate => {
-            prolong(tx, &held, &settings, now)?;
-            return Ok(());
+            return turn.prolong(tx, &held).map(|_| ());
         }
         Some(held) if matches!(held.purpose, Purpose::Returned | Purpose::Assigned) => {
-            return take(tx, user, id, Purpose::Annotate, None, &settings, now);
+            return turn.take(tx, id, Purpose::Annotate, None);
         }
         Some(_) => return Err(Error::wrong_state(task.state, "answered by its reviewer")),
         None => {}
@@ -603,39 +562,32 @@ fn claim_task(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
     }
     apply::check_move(task.state, LogKind::Claimed, "taken")?;
     let sql = "SELECT claimable, counted FROM task WHERE id = ?1";
-    let row = tx
-        .one(sql, params![id])?
-        .ok_or_else(|| Error::not_found("task"))?;
-    if !row.flag(0)? && task.gold.is_none() {
+    let (claimable, counted): (bool, bool) = tx.get(sql, params![id])?;
+    if !claimable && task.gold.is_none() {
         let problem = "the task has enough annotators by now; your text is kept as a draft";
         return Err(Error::refused(Code::TaskFull, problem));
     }
-    let room = room(tx, task.kind, &settings)?;
+    let room = room(tx, turn, task.kind)?;
     let category = room.as_ref().and_then(|room| room.get(&task.category));
     let is_full = category.is_some_and(|category| category.room == 0);
-    if is_full && !row.flag(1)? && task.gold.is_none() {
+    if is_full && !counted && task.gold.is_none() {
         let problem =
             "its category has as many pairs as the project wants; your text is kept as a draft";
         return Err(Error::refused(Code::TaskFull, problem));
     }
-    take(tx, user, id, Purpose::Annotate, None, &settings, now)
+    turn.take(tx, id, Purpose::Annotate, None)
 }
 
 /// Where a user stands with the practice tasks of a kind. Reviewers and admins need no practice.
-pub(super) fn standing(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    settings: &Settings,
-) -> Result<Practice> {
+pub(super) fn standing(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Practice> {
+    let (user, settings) = (turn.user, &turn.settings);
     let sql = "SELECT COUNT(*) FROM task WHERE practice = 1 AND kind = ?1 AND state IN ('open', 'leased')";
-    let there = tx.number(sql, params![kind.as_str()])?;
+    let there = tx.number(sql, params![kind])?;
     let needed = there.min(settings.practice_tasks.into());
-    let scores = tx.list(
+    let scores: Vec<f64> = tx.list(
         "SELECT g.score FROM gold_score g JOIN task t ON t.id = g.task
          WHERE g.usr = ?1 AND t.practice = 1 AND t.kind = ?2 ORDER BY g.at DESC, g.task DESC LIMIT ?3",
-        params![user, kind.as_str(), needed],
-        |row| row.real(0),
+        params![user, kind, needed],
     )?;
     let done = scores.len() as i64;
     let score = (done > 0).then(|| scores.iter().sum::<f64>() / done as f64);
@@ -655,13 +607,8 @@ pub(super) fn standing(
 
 /// The practice task that a user has to do next, if real work of the kind is not open to them yet. New tasks come
 /// first, then the one answered longest ago.
-fn next_practice(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    settings: &Settings,
-) -> Result<Option<i64>> {
-    if settings.practice_tasks == 0 || standing(tx, user, kind, settings)?.passed {
+fn next_practice(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<i64>> {
+    if turn.settings.practice_tasks == 0 || standing(tx, turn, kind)?.passed {
         return Ok(None);
     }
     tx.find(
@@ -669,7 +616,6 @@ fn next_practice(
          WHERE t.practice = 1 AND t.kind = ?1 AND t.state IN ('open', 'leased')
          ORDER BY CASE WHEN g.at IS NULL THEN 0 ELSE 1 END,
            (SELECT COUNT(*) FROM skip s WHERE s.task = t.id AND s.usr = ?2), g.at, t.shuffle, t.id LIMIT 1",
-        params![kind.as_str(), user],
-        |row| row.int(0),
+        params![kind, turn.user],
     )
 }

@@ -3,80 +3,18 @@
 //! Both databases share the SQL statements. Parameters are `?1`, `?2` …; integers are `BIGINT`, booleans are
 //! 0 and 1, other columns are `TEXT`, `BYTEA` or double precision.
 
-use super::records::Millis;
+use std::path::Path;
+
+pub(crate) use rusqlite::types::Value;
+pub(crate) use rusqlite::{ToSql, params};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use super::columns::Columns;
 use crate::Error;
 
 /// The result of work in a transaction.
 pub(crate) type Result<T, E = Error> = std::result::Result<T, E>;
-
-/// A value of a parameter or a column.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Value {
-    /// NULL.
-    Null,
-    /// An integer.
-    Int(i64),
-    /// A floating-point number.
-    Real(f64),
-    /// Text.
-    Text(String),
-    /// Bytes.
-    Blob(Vec<u8>),
-}
-
-impl From<i64> for Value {
-    fn from(value: i64) -> Self {
-        Self::Int(value)
-    }
-}
-
-impl From<u32> for Value {
-    fn from(value: u32) -> Self {
-        Self::Int(value.into())
-    }
-}
-
-impl From<bool> for Value {
-    fn from(value: bool) -> Self {
-        Self::Int(value.into())
-    }
-}
-
-impl From<f64> for Value {
-    fn from(value: f64) -> Self {
-        Self::Real(value)
-    }
-}
-
-impl From<&str> for Value {
-    fn from(value: &str) -> Self {
-        Self::Text(value.to_owned())
-    }
-}
-
-impl From<String> for Value {
-    fn from(value: String) -> Self {
-        Self::Text(value)
-    }
-}
-
-impl From<Vec<u8>> for Value {
-    fn from(value: Vec<u8>) -> Self {
-        Self::Blob(value)
-    }
-}
-
-impl From<&String> for Value {
-    fn from(value: &String) -> Self {
-        Self::Text(value.clone())
-    }
-}
-
-impl<T: Into<Value>> From<Option<T>> for Value {
-    fn from(value: Option<T>) -> Self {
-        value.map_or(Self::Null, Into::into)
-    }
-}
 
 /// The error of a row that cannot be read, or of a value that cannot be stored.
 pub(crate) fn unreadable(table: &'static str, problem: impl std::fmt::Display) -> Error {
@@ -106,185 +44,111 @@ pub(crate) fn json<T: serde::Serialize>(value: &T) -> Result<String> {
     serde_json::to_string(value).map_err(|error| unreadable("of a request", error))
 }
 
-/// Values for the parameters of a statement.
-macro_rules! params {
-    ($($value:expr),* $(,)?) => { &[$( $crate::store::db::Value::from($value), )*] };
-}
-pub(crate) use params;
-
 /// A row of a result.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Row(pub(crate) Vec<Value>);
 
 impl Row {
-    fn wrong(&self, column: usize, expected: &str) -> Error {
-        unreadable(
-            "of an answer",
-            format!(
-                "column {column} is {:?}, expected {expected}",
-                self.0.get(column)
-            ),
-        )
-    }
-
-    pub(crate) fn int(&self, column: usize) -> Result<i64> {
-        match self.0.get(column) {
-            Some(Value::Int(value)) => Ok(*value),
-            _ => Err(self.wrong(column, "a whole number")),
-        }
-    }
-
-    pub(crate) fn flag(&self, column: usize) -> Result<bool> {
-        Ok(self.int(column)? != 0)
-    }
-
-    pub(crate) fn count(&self, column: usize) -> Result<u32> {
-        u32::try_from(self.int(column)?).map_err(|_| self.wrong(column, "a count"))
-    }
-
-    pub(crate) fn real(&self, column: usize) -> Result<f64> {
-        match self.0.get(column) {
-            Some(Value::Real(value)) => Ok(*value),
-            Some(Value::Int(value)) => Ok(*value as f64),
-            _ => Err(self.wrong(column, "a number")),
-        }
-    }
-
-    pub(crate) fn text(&self, column: usize) -> Result<&str> {
-        match self.0.get(column) {
-            Some(Value::Text(value)) => Ok(value),
-            _ => Err(self.wrong(column, "text")),
-        }
-    }
-
-    pub(crate) fn bytes(&self, column: usize) -> Result<&[u8]> {
-        match self.0.get(column) {
-            Some(Value::Blob(value)) => Ok(value),
-            _ => Err(self.wrong(column, "bytes")),
-        }
-    }
-
-    pub(crate) fn string(&self, column: usize) -> Result<String> {
-        self.text(column).map(str::to_owned)
-    }
-
-    /// A column that may be NULL.
-    pub(crate) fn opt<T>(
-        &self,
-        column: usize,
-        read: impl FnOnce(&Self, usize) -> Result<T>,
-    ) -> Result<Option<T>> {
-        match self.0.get(column) {
-            Some(Value::Null) => Ok(None),
-            _ => read(self, column).map(Some),
-        }
-    }
-
-    pub(crate) fn opt_int(&self, column: usize) -> Result<Option<i64>> {
-        self.opt(column, Self::int)
-    }
-
-    pub(crate) fn opt_text(&self, column: usize) -> Result<Option<String>> {
-        self.opt(column, Self::string)
-    }
-
-    /// A column with one of a list of names.
-    pub(crate) fn named<T>(
-        &self,
-        column: usize,
-        parse: impl FnOnce(&str) -> Option<T>,
-    ) -> Result<T> {
-        parse(self.text(column)?).ok_or_else(|| self.wrong(column, "a name that is known"))
-    }
-
-    /// A column of JSON.
-    pub(crate) fn json<T: serde::de::DeserializeOwned>(&self, column: usize) -> Result<T> {
-        serde_json::from_str(self.text(column)?).map_err(|error| unreadable("of an answer", error))
+    /// Reads the row; [`super::columns`] says how. Further columns are left out.
+    pub(crate) fn read<'a, T: Deserialize<'a>>(&'a self) -> Result<T> {
+        let mut columns = Columns(self.0.iter());
+        T::deserialize(&mut columns).map_err(|error| {
+            let column = self.0.len() - columns.0.len();
+            unreadable("of an answer", format!("column {column}: {error}"))
+        })
     }
 }
+
+/// Values for the parameters of a statement.
+pub(crate) type Params<'a> = &'a [&'a dyn ToSql];
 
 /// An open transaction.
 pub(crate) trait Tx {
     /// Runs a statement and returns the number of changed rows.
-    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64>;
+    fn execute(&mut self, sql: &str, params: Params) -> Result<u64>;
     /// Runs a query.
-    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>>;
+    fn query(&mut self, sql: &str, params: Params) -> Result<Vec<Row>>;
 
+    /// Runs statements; an error says that the store cannot do the action.
+    fn batch(&mut self, sql: &str, action: &'static str) -> Result<()>;
     /// Runs statements that define tables, each database with its own word for what `schema.sql` writes once.
     fn define(&mut self, sql: &str) -> Result<()>;
-
-    /// Runs a query with at most one row.
-    fn one(&mut self, sql: &str, params: &[Value]) -> Result<Option<Row>> {
-        Ok(self.query(sql, params)?.into_iter().next())
-    }
-
-    /// Runs a query for one integer; 0 without rows.
-    fn number(&mut self, sql: &str, params: &[Value]) -> Result<i64> {
-        self.one(sql, params)?.map_or(Ok(0), |row| row.int(0))
-    }
 }
 
 impl dyn Tx + '_ {
     /// Runs a statement whose number of changed rows does not matter.
-    pub(crate) fn run(&mut self, sql: &str, params: &[Value]) -> Result<()> {
+    pub(crate) fn run(&mut self, sql: &str, params: Params) -> Result<()> {
         self.execute(sql, params).map(|_| ())
     }
 
-    /// Runs a query and reads each of its rows.
-    pub(crate) fn list<T>(
+    /// Runs a query and reads its rows.
+    pub(crate) fn list<T: DeserializeOwned>(
         &mut self,
         sql: &str,
-        params: &[Value],
-        read: impl FnMut(&Row) -> Result<T>,
+        params: Params,
     ) -> Result<Vec<T>> {
-        self.query(sql, params)?.iter().map(read).collect()
+        let rows = self.query(sql, params)?;
+        rows.iter().map(|row| row.read()).collect()
     }
 
-    /// Runs a query with at most one row and reads it.
-    pub(crate) fn find<T>(
+    /// Runs a query and reads its first row.
+    pub(crate) fn find<T: DeserializeOwned>(
         &mut self,
         sql: &str,
-        params: &[Value],
-        read: impl FnOnce(&Row) -> Result<T>,
+        params: Params,
     ) -> Result<Option<T>> {
-        self.one(sql, params)?.as_ref().map(read).transpose()
+        let rows = self.query(sql, params)?;
+        rows.first().map(|row| row.read()).transpose()
+    }
+
+    /// [`Self::find`] for a query that always has a row.
+    pub(crate) fn get<T: DeserializeOwned>(&mut self, sql: &str, params: Params) -> Result<T> {
+        self.find(sql, params)?.ok_or(Error::Closed)
+    }
+
+    /// Runs a query for one integer; 0 without rows.
+    pub(crate) fn number(&mut self, sql: &str, params: Params) -> Result<i64> {
+        Ok(self.find(sql, params)?.unwrap_or(0))
     }
 
     /// Whether a query has rows.
-    pub(crate) fn has(&mut self, sql: &str, params: &[Value]) -> Result<bool> {
-        Ok(self.one(sql, params)?.is_some())
+    pub(crate) fn has(&mut self, sql: &str, params: Params) -> Result<bool> {
+        Ok(!self.query(sql, params)?.is_empty())
+    }
+
+    /// The next id of a table.
+    pub(crate) fn next_id(&mut self, table: &str) -> Result<i64> {
+        let sql = format!("SELECT COALESCE(MAX(id), 0) + 1 FROM {table}");
+        self.get(&sql, &[])
     }
 }
 
 /// Closure run in a transaction.
 pub(crate) type Work<'a> = Box<dyn FnOnce(&mut dyn Tx) -> Result<()> + Send + 'a>;
 
-/// What a copy of a store holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Content {
-    /// Everything.
-    All,
-    /// All but tokens and sessions, which open the store on this machine alone.
-    WithoutTokens,
-}
-
-/// A database: write transactions run one after the other, read transactions beside them.
+/// A database: write transactions run one after the other, read transactions beside them. A snapshot can only be read.
 pub(crate) trait Database: Send + Sync {
-    /// Runs work in a transaction and returns once it is durable. Failed work is rolled back.
-    fn write(&self, work: Work<'static>) -> Result<()>;
     /// Runs read-only work on a consistent snapshot.
     fn read(&self, work: Work<'_>) -> Result<()>;
-    /// The database as it is now, whatever is written later.
-    fn snapshot(&self) -> Result<Box<dyn Database>>;
-    /// Writes a backup to a new file without blocking others.
-    fn backup(&self, path: &std::path::Path, content: Content) -> Result<()>;
-    /// Whether servers on several machines can share it.
-    fn is_shared(&self) -> bool {
-        false
+
+    /// Runs work in a transaction and returns once it is durable. Failed work is rolled back.
+    fn write(&self, _: Work<'static>) -> Result<()> {
+        Err(Error::Closed)
     }
-    /// The time of the database's own clock, if it is shared.
-    fn time(&self) -> Result<Option<Millis>> {
-        Ok(None)
+
+    /// The database as it is now, whatever is written later.
+    fn snapshot(&self) -> Result<Box<dyn Database>> {
+        Err(Error::Closed)
+    }
+
+    /// As [`Backend::backup`](super::pool::Backend::backup).
+    fn backup(&self, _path: &Path, _with_tokens: bool) -> Result<()> {
+        Err(Error::Closed)
+    }
+
+    /// The query for its own time, if servers on several machines can share it.
+    fn time(&self) -> Option<&'static str> {
+        None
     }
 }
 

@@ -21,18 +21,16 @@ pub(super) const PROJECTIONS: [Projection; 10] = [
     ("gold_place", "task", "task, usr"),
 ];
 
+/// What creates the projections.
+pub(super) const SCHEMA: &str = include_str!("projections.sql");
 /// Entries read at a time.
 const BATCH: i64 = 1000;
-
-/// Creates the projections.
-pub(super) fn define_projections(tx: &mut dyn Tx) -> Result<()> {
-    tx.define(include_str!("projections.sql"))
-}
 
 /// Entries of the log after a sequence number, up to [`BATCH`].
 pub(super) fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>> {
     let sql = format!("SELECT {ENTRY_COLUMNS} FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2");
-    tx.list(&sql, params![after, BATCH], read_entry)
+    let rows = tx.query(&sql, params![after, BATCH])?;
+    rows.iter().map(read_entry).collect()
 }
 
 /// Fills the empty projections of a store from its log.

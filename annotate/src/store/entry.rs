@@ -295,31 +295,38 @@ pub(crate) struct Entry {
     pub(crate) body: Body,
 }
 
+impl Entry {
+    pub(crate) fn new(
+        at: Millis,
+        actor: Option<i64>,
+        task: Option<i64>,
+        epoch: Option<i64>,
+        body: Body,
+    ) -> Self {
+        Self {
+            at,
+            actor,
+            task,
+            epoch,
+            body,
+        }
+    }
+}
+
 /// Columns of [`read_entry`].
 pub(crate) const ENTRY_COLUMNS: &str = "seq, at, actor, task, epoch, body, version";
 
 /// Reads an entry of [`ENTRY_COLUMNS`] with its sequence number.
 pub(crate) fn read_entry(row: &Row) -> Result<(i64, Entry)> {
-    let seq = row.int(0)?;
-    if row.int(6)? != VERSION {
-        return Err(unreadable(
-            "event",
-            format!(
-                "entry {seq} is of version {}, this program knows {VERSION}",
-                row.int(6)?
-            ),
-        ));
+    let (seq, at, actor, task, epoch, body, version): (i64, _, _, _, _, String, i64) =
+        row.read()?;
+    if version != VERSION {
+        let problem = format!("entry {seq} is of version {version}, this program knows {VERSION}");
+        return Err(unreadable("event", problem));
     }
-    let body = serde_json::from_str(row.text(5)?)
+    let body = serde_json::from_str(&body)
         .map_err(|error| unreadable("event", format!("entry {seq}: {error}")))?;
-    let entry = Entry {
-        at: row.int(1)?,
-        actor: row.opt_int(2)?,
-        task: row.opt_int(3)?,
-        epoch: row.opt_int(4)?,
-        body,
-    };
-    Ok((seq, entry))
+    Ok((seq, Entry::new(at, actor, task, epoch, body)))
 }
 
 #[cfg(test)]

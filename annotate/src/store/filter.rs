@@ -1,23 +1,33 @@
 //! Filters of tasks, as conditions in SQL.
 
-use super::db::{Result, Value};
+use super::db::{Result, ToSql};
 use super::settings::{has_up_to, require};
 use crate::Error;
-use crate::wire::{SkipFilter, TaskFilter, TaskKind, TaskState};
+use crate::wire::{SkipFilter, TaskFilter};
 
 /// Parameters of a query that is put together.
 #[derive(Default)]
-pub(super) struct Values(pub(super) Vec<Value>);
+pub(super) struct Values(Vec<Box<dyn ToSql + Send + Sync>>);
 
 impl Values {
     /// Adds a value and returns its place in the query.
-    pub(super) fn put(&mut self, value: impl Into<Value>) -> String {
-        self.0.push(value.into());
+    pub(super) fn put(&mut self, value: impl ToSql + Send + Sync + 'static) -> String {
+        self.0.push(Box::new(value));
         format!("?{}", self.0.len())
     }
 
+    /// All values, for the query.
+    pub(super) fn all(&self) -> Vec<&dyn ToSql> {
+        let all = self.0.iter();
+        all.map(|value| &**value as &dyn ToSql).collect()
+    }
+
     /// ` AND column = value` for a `WHERE`; empty without a value.
-    pub(super) fn equal(&mut self, column: &str, value: Option<impl Into<Value>>) -> String {
+    pub(super) fn equal(
+        &mut self,
+        column: &str,
+        value: Option<impl ToSql + Send + Sync + 'static>,
+    ) -> String {
         value.map_or(String::new(), |value| {
             format!(" AND {column} = {}", self.put(value))
         })
@@ -27,10 +37,10 @@ impl Values {
 /// The SQL condition of a filter on task `t`.
 pub(super) fn condition(filter: &TaskFilter, values: &mut Values) -> String {
     let mut equal = "t.gold IS NULL".to_owned();
-    equal += &values.equal("t.kind", filter.kind.map(TaskKind::as_str));
-    equal += &values.equal("t.state", filter.state.map(TaskState::as_str));
-    equal += &values.equal("t.category", filter.category.as_deref());
-    equal += &values.equal("t.split", filter.split.as_deref());
+    equal += &values.equal("t.kind", filter.kind);
+    equal += &values.equal("t.state", filter.state);
+    equal += &values.equal("t.category", filter.category.clone());
+    equal += &values.equal("t.split", filter.split.clone());
     equal += &values.equal("t.id", filter.task);
     let mut all = vec![equal];
     if let Some(person) = filter.person {
@@ -53,11 +63,11 @@ pub(super) fn condition(filter: &TaskFilter, values: &mut Values) -> String {
         ));
     }
     if let Some(edit_type) = filter.edit_type {
-        let value = values.put(edit_type.as_str());
+        let value = values.put(edit_type);
         all.push(answered(format!("r.edit_type = {value}")));
     }
     if let Some(verdict) = filter.verdict {
-        let value = values.put(verdict.as_str());
+        let value = values.put(verdict);
         all.push(answered(format!("r.verdict = {value}")));
     }
     if let Some(least) = filter.min_distance {

@@ -3,12 +3,12 @@
 use datasets_spec::quantile;
 
 use super::db::{Result, Tx, params};
+use super::leases::Turn;
 use super::records::Millis;
 use super::store::Store;
-use super::{claim, project, rows};
-use crate::Error;
+use super::{claim, rows};
 use crate::clock;
-use crate::wire::{Home, QueueInfo, ReturnedTask, Settings, TaskKind};
+use crate::wire::{Home, QueueInfo, ReturnedTask, TaskKind};
 
 impl Store {
     /// Contents of a user's home page.
@@ -18,33 +18,29 @@ impl Store {
 }
 
 fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home> {
-    let settings = project::settings(tx)?;
-    let midnight = clock::midnight(&settings.time_zone, now);
+    let turn = Turn::of(tx, user, now)?;
+    let midnight = clock::midnight(&turn.settings.time_zone, now);
     let mut queues = Vec::new();
     for &kind in TaskKind::ALL {
-        queues.push(queue(tx, user, kind, &settings, now)?);
+        queues.push(queue(tx, &turn, kind)?);
     }
     let held = "lease l WHERE l.usr = ?1 AND l.purpose = 'annotate' ORDER BY l.expires DESC, l.id";
     let held = rows::leases(tx, held, params![user])?;
     let handed_in = "JOIN task t ON t.id = r.task
          WHERE r.state IN ('submitted', 'accepted', 'superseded', 'returned') AND t.practice = 0";
-    let mut secs = tx.list(
-        &format!("SELECT r.secs FROM revision r {handed_in} AND r.author = ?1 AND r.at >= ?2"),
-        params![user, midnight],
-        |row| row.real(0),
-    )?;
+    let sql = format!("SELECT r.secs FROM revision r {handed_in} AND r.author = ?1 AND r.at >= ?2");
+    let mut secs: Vec<f64> = tx.list(&sql, params![user, midnight])?;
     let today_all = tx.number(
         &format!("SELECT COUNT(*) FROM revision r {handed_in} AND r.at >= ?1"),
         params![midnight],
     )?;
     let sql = "SELECT COALESCE(SUM(secs), 0.0) FROM work WHERE usr = ?1 AND at >= ?2";
-    let worked = tx.find(sql, params![user, midnight], |row| row.real(0))?;
     Ok(Home {
         queues,
         returned: returned(tx, user)?,
         held: held.into_iter().map(|held| held.lease).collect(),
         today: secs.len() as i64,
-        today_secs: worked.unwrap_or(0.0),
+        today_secs: tx.get(sql, params![user, midnight])?,
         median_secs: quantile::median(&mut secs),
         agreement: None,
         today_all,
@@ -52,61 +48,47 @@ fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home> {
 }
 
 /// Counts of a kind, as a person sees them.
-fn queue(
-    tx: &mut dyn Tx,
-    user: i64,
-    kind: TaskKind,
-    settings: &Settings,
-    now: Millis,
-) -> Result<QueueInfo> {
-    let counts = tx.one(
+fn queue(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<QueueInfo> {
+    let (total, done, mine) = tx.get(
         "SELECT COUNT(*), COUNT(CASE WHEN state IN ('submitted', 'in_review', 'accepted') THEN 1 END),
            (SELECT COUNT(*) FROM (
                SELECT task FROM revision WHERE author = ?2 AND state IN ('submitted', 'accepted', 'superseded')
                UNION SELECT task FROM lease WHERE usr = ?2 AND purpose <> 'review'
              ) m JOIN task t ON t.id = m.task WHERE t.kind = ?1 AND t.practice = 0)
          FROM task WHERE kind = ?1 AND gold IS NULL AND state <> 'dropped'",
-        params![kind.as_str(), user],
+        params![kind, turn.user],
     )?;
     // Practice that is begun is counted with the practice that is left.
-    let leases = tx.one(
+    let (kept, held, held_until): (i64, _, _) = tx.get(
         "SELECT COUNT(*), COUNT(CASE WHEN l.purpose = 'annotate' THEN 1 END),
            MIN(CASE WHEN l.purpose = 'annotate' THEN l.expires END)
          FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr = ?2 AND l.purpose <> 'review' AND t.kind = ?1 AND t.practice = 0",
-        params![kind.as_str(), user],
+        params![kind, turn.user],
     )?;
-    let (counts, leases) = counts.zip(leases).ok_or(Error::Closed)?;
-    let practice = claim::standing(tx, user, kind, settings)?;
+    let practice = claim::standing(tx, turn, kind)?;
     let new = if practice.passed {
-        claim::on_offer(tx, user, kind, settings, now)?
+        claim::on_offer(tx, turn, kind)?
     } else {
         // After the last one, those with a low score are given again.
         (practice.needed - practice.done).max(1)
     };
     Ok(QueueInfo {
         kind,
-        total: counts.int(0)?,
-        done: counts.int(1)?,
-        mine: counts.int(2)?,
-        held: leases.int(1)?,
-        held_until: leases.opt_int(2)?,
-        open: leases.int(0)? + new,
+        total,
+        done,
+        mine,
+        held,
+        held_until,
+        open: kept + new,
     })
 }
 
 /// Tasks whose answers were sent back to a person.
 fn returned(tx: &mut dyn Tx, user: i64) -> Result<Vec<ReturnedTask>> {
-    let sql = "SELECT t.id, t.kind, l.expires,
-           (SELECT v.comment FROM review v WHERE v.task = t.id AND v.decision = 'returned' ORDER BY v.seq DESC LIMIT 1)
+    let sql = "SELECT t.id, t.kind, COALESCE((SELECT v.comment FROM review v
+             WHERE v.task = t.id AND v.decision = 'returned' ORDER BY v.seq DESC LIMIT 1), ''), l.expires
          FROM lease l JOIN task t ON t.id = l.task
          WHERE l.usr = ?1 AND l.purpose = 'returned' ORDER BY l.id";
-    tx.list(sql, params![user], |row| {
-        Ok(ReturnedTask {
-            task: row.int(0)?,
-            kind: row.named(1, TaskKind::parse)?,
-            until: row.int(2)?,
-            comment: row.opt_text(3)?.unwrap_or_default(),
-        })
-    })
+    tx.list(sql, params![user])
 }

@@ -3,6 +3,7 @@
 use super::db::{Result, Tx, params};
 use super::draw::{draw, percent};
 use super::entry::{Body, LoggedTask};
+use super::leases::Turn;
 use super::records::{Imported, Millis, NewTask};
 use super::store::Store;
 use super::{log, project, read, rows, rules};
@@ -55,9 +56,9 @@ fn import(tx: &mut dyn Tx, actor: Option<i64>, tasks: &[NewTask], now: Millis) -
     project::add_styles(tx, actor, tasks.iter().flat_map(styles), now)?;
     let settings = project::settings(tx)?;
     let mut done = Imported::default();
-    let mut next = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM task", &[])?;
+    let mut next = tx.next_id("task")?;
     for task in tasks {
-        let known = tx.one("SELECT id FROM task WHERE key = ?1", params![&task.key])?;
+        let known = tx.find("SELECT id FROM task WHERE key = ?1", params![task.key])?;
         match (known, &task.accepted) {
             (None, _) => {
                 put_task(tx, actor, next, task, false, &settings, now)?;
@@ -65,9 +66,7 @@ fn import(tx: &mut dyn Tx, actor: Option<i64>, tasks: &[NewTask], now: Millis) -
                 next += 1;
             }
             (Some(_), None) => done.known += 1,
-            (Some(row), Some(answer)) => {
-                fill(tx, actor, row.int(0)?, task, answer, &mut done, now)?;
-            }
+            (Some(id), Some(answer)) => fill(tx, actor, id, task, answer, &mut done, now)?,
         }
     }
     Ok(done)
@@ -192,24 +191,23 @@ pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool>
         return Ok(true);
     };
     let after: i64 = after.parse().unwrap_or(0);
-    let settings = project::settings(tx)?;
-    let found = tx.query(
+    let turn = Turn::of(tx, actor, now)?;
+    let found: Vec<(i64, String, Option<i64>, u32, u32)> = tx.list(
         "SELECT id, key, bundle, wanted, submitted + leases FROM task
          WHERE id > ?1 AND gold IS NULL AND state IN ('open', 'leased', 'returned') ORDER BY id LIMIT ?2",
         params![after, RETARGETED_AT_ONCE],
     )?;
-    for row in &found {
-        let task = row.int(0)?;
-        let wanted = wanted(&settings, row.text(1)?, row.opt_int(2)?).max(row.count(4)?);
-        if wanted == row.count(3)? {
+    for (task, key, bundle, before, taken) in &found {
+        let wanted = wanted(&turn.settings, key, *bundle).max(*taken);
+        if wanted == *before {
             continue;
         }
         let body = Body::Retargeted { wanted };
-        log::note(tx, now, Some(actor), Some(task), body)?;
-        rules::on_answer(tx, &settings, task, now)?;
+        log::note(tx, now, Some(actor), Some(*task), body)?;
+        rules::on_answer(tx, &turn, *task)?;
     }
-    if let Some(last) = found.last() {
-        project::put(tx, project::RETARGETING, &last.int(0)?.to_string())?;
+    if let Some((last, ..)) = found.last() {
+        project::put(tx, project::RETARGETING, &last.to_string())?;
         return Ok(false);
     }
     let sql = "DELETE FROM setting WHERE name = ?1";
@@ -254,7 +252,7 @@ fn copy_known(tx: &mut dyn Tx, actor: i64, id: i64, practice: bool, now: Millis)
         accepted: None,
         credit: None,
     };
-    let next = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM task", &[])?;
+    let next = tx.next_id("task")?;
     let settings = project::settings(tx)?;
     put_task(tx, Some(actor), next, &copy, practice, &settings, now)?;
     Ok(next)

@@ -2,7 +2,7 @@
 
 use std::io::Read;
 
-use super::db::{Result, Row, Tx, json, params};
+use super::db::{Result, Tx, Value, json, params};
 use super::entry::{Body, read_stored};
 use super::log;
 use super::records::Millis;
@@ -57,13 +57,15 @@ impl Store {
     /// A file of a job, if the store keeps it.
     pub(crate) fn file(&self, job: i64, name: &str) -> Result<Option<Vec<u8>>> {
         let sql = "SELECT bytes FROM job_file WHERE job = ?1 AND name = ?2 AND part = ?3";
-        let read = |row: &Row| Ok(row.bytes(0)?.to_vec());
         let mut content = None;
         for number in 0_i64.. {
-            match self.read(|tx| tx.find(sql, params![job, name, number], read))? {
-                Some(part) => content.get_or_insert_with(Vec::new).extend(part),
-                None => break,
-            }
+            let part = self
+                .read(|tx| tx.query(sql, params![job, name, number]))?
+                .pop();
+            let Some(Value::Blob(part)) = part.and_then(|mut part| part.0.pop()) else {
+                break;
+            };
+            content.get_or_insert_with(Vec::new).extend(part);
         }
         Ok(content)
     }
@@ -71,12 +73,9 @@ impl Store {
     /// Records that a job runs.
     pub fn beat(&self, job: i64, now: Millis) -> Result<()> {
         let sql = "SELECT body FROM job WHERE id = ?1";
-        self.write(move |tx| {
-            let job: Option<Job> = tx.find(sql, params![job], |row| row.json(0))?;
-            match job {
-                Some(job) if job.state == "running" => put_job(tx, job, now).map(|_| ()),
-                _ => Ok(()),
-            }
+        self.write(move |tx| match read_jobs(tx, sql, job)?.pop() {
+            Some(job) if job.state == "running" => put_job(tx, job, now).map(|_| ()),
+            _ => Ok(()),
         })
     }
 
@@ -118,7 +117,7 @@ impl Store {
 fn put_job(tx: &mut dyn Tx, mut job: Job, now: Millis) -> Result<Job> {
     job.heartbeat = now;
     if job.id == 0 {
-        job.id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM job", &[])?;
+        job.id = tx.next_id("job")?;
     }
     let sql = "INSERT INTO job (id, body) VALUES (?1, ?2) ON CONFLICT (id) DO UPDATE SET body = excluded.body";
     tx.run(sql, params![job.id, json(&job)?])?;
@@ -126,6 +125,11 @@ fn put_job(tx: &mut dyn Tx, mut job: Job, now: Millis) -> Result<Job> {
 }
 
 fn jobs(tx: &mut dyn Tx) -> Result<Vec<Job>> {
-    let sql = "SELECT body FROM job ORDER BY id DESC LIMIT ?1";
-    tx.list(sql, params![JOBS], |row| read_stored("job", row.text(0)?))
+    read_jobs(tx, "SELECT body FROM job ORDER BY id DESC LIMIT ?1", JOBS)
+}
+
+fn read_jobs(tx: &mut dyn Tx, sql: &str, value: i64) -> Result<Vec<Job>> {
+    let stored: Vec<String> = tx.list(sql, params![value])?;
+    let stored = stored.iter();
+    stored.map(|body| read_stored("job", body)).collect()
 }

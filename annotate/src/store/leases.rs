@@ -3,11 +3,12 @@
 use super::db::{Result, Tx, params};
 use super::draw::percent;
 use super::entry::{Body, ENTRY_COLUMNS, Entry, Place, read_entry};
-use super::log;
 use super::records::{Millis, Who};
 use super::rows::{self, LeaseRow};
 use super::store::Store;
+use super::{log, project};
 use crate::Error;
+use crate::clock::DAY;
 use crate::state::{Purpose, ReleaseReason};
 use crate::wire::{Code, Lease, Role, Settings, TaskState};
 
@@ -23,8 +24,7 @@ impl Store {
     /// Renews a lease. Refused with `lease_lost`.
     pub fn renew(&self, user: i64, lease: i64, now: Millis) -> Result<Lease> {
         self.write(move |tx| {
-            let settings = super::project::settings(tx)?;
-            let held = rows::lease(tx, lease)?.filter(|held| held.lease.user == user);
+            let held = lease_of_id(tx, lease)?.filter(|held| held.lease.user == user);
             let held = held.ok_or_else(|| {
                 Error::refused(
                     Code::LeaseLost,
@@ -35,7 +35,7 @@ impl Store {
             if matches!(held.purpose, Purpose::Returned | Purpose::Assigned) {
                 return Err(Error::wrong_state(TaskState::Returned, "renewed; claim it"));
             }
-            prolong_bundle(tx, &held, &settings, now)
+            Turn::of(tx, user, now)?.prolong_bundle(tx, &held)
         })
     }
 
@@ -43,7 +43,7 @@ impl Store {
     pub fn release(&self, who: &Who, lease: i64, now: Millis) -> Result<()> {
         let (user, role) = (who.id, who.role);
         self.write(move |tx| {
-            let held = rows::lease(tx, lease)?
+            let held = lease_of_id(tx, lease)?
                 .filter(|held| held.lease.user == user || role >= Role::Reviewer)
                 .ok_or_else(|| Error::not_found("lease"))?;
             let reason = if held.lease.user == user {
@@ -54,6 +54,10 @@ impl Store {
             end(tx, &held, Some(user), reason, now)
         })
     }
+}
+
+fn lease_of_id(tx: &mut dyn Tx, id: i64) -> Result<Option<LeaseRow>> {
+    Ok(rows::leases(tx, "lease l WHERE l.id = ?1", params![id])?.pop())
 }
 
 /// Ends leases past their deadline, except those of `keep`, who may renew a lease that nobody has
@@ -90,8 +94,8 @@ pub(super) fn reserved_after(
     let sql = format!(
         "SELECT {ENTRY_COLUMNS} FROM event WHERE task = ?1 AND kind = 'returned' ORDER BY seq DESC"
     );
-    for (_, entry) in tx.list(&sql, params![task], read_entry)? {
-        if let Body::Returned { authors, until, .. } = entry.body
+    for row in tx.query(&sql, params![task])? {
+        if let Body::Returned { authors, until, .. } = read_entry(&row)?.1.body
             && authors.contains(&user)
         {
             return Ok((until > now).then_some(until));
@@ -108,14 +112,8 @@ fn note(
     now: Millis,
     body: Body,
 ) -> Result<()> {
-    let entry = Entry {
-        at: now,
-        actor,
-        task: Some(held.lease.task),
-        epoch: Some(held.lease.epoch),
-        body,
-    };
-    log::write(tx, &entry)
+    let (task, epoch) = (Some(held.lease.task), Some(held.lease.epoch));
+    log::write(tx, &Entry::new(now, actor, task, epoch, body))
 }
 
 pub(super) fn end(
@@ -135,73 +133,94 @@ pub(super) fn end(
     note(tx, held, actor, now, body)
 }
 
-pub(super) fn lease_end(settings: &Settings, now: Millis) -> Millis {
-    now + Millis::from(settings.lease_minutes) * MINUTE
+/// A person who works at a time, under the settings of the project.
+pub(super) struct Turn {
+    pub(super) user: i64,
+    pub(super) settings: Settings,
+    pub(super) now: Millis,
 }
 
-/// Leases a task that the caller has checked to be free. A gold task may have a place in a bundle.
-pub(super) fn take(
-    tx: &mut dyn Tx,
-    user: i64,
-    task: i64,
-    purpose: Purpose,
-    place: Option<Place>,
-    settings: &Settings,
-    now: Millis,
-) -> Result<()> {
-    let row = tx
-        .one("SELECT epoch, key FROM task WHERE id = ?1", params![task])?
-        .ok_or_else(|| Error::not_found("task"))?;
-    let blind = purpose == Purpose::Annotate
-        && percent(&["blind", row.text(1)?, &user.to_string()]) < settings.blind_percent;
-    let entry = Entry {
-        at: now,
-        actor: Some(user),
-        task: Some(task),
-        epoch: Some(row.int(0)? + 1),
-        body: Body::Claimed {
+impl Turn {
+    pub(super) fn of(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Self> {
+        let settings = project::settings(tx)?;
+        Ok(Self {
+            user,
+            settings,
+            now,
+        })
+    }
+
+    /// Ends expired leases of others first.
+    pub(super) fn begin(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Self> {
+        expire(tx, user, now)?;
+        Self::of(tx, user, now)
+    }
+
+    pub(super) fn lease_end(&self) -> Millis {
+        self.now + Millis::from(self.settings.lease_minutes) * MINUTE
+    }
+
+    /// Until when a task is kept for the author of an answer that is sent back, or for whom it is given to.
+    pub(super) fn until_returned(&self) -> Millis {
+        self.now + Millis::from(self.settings.returned_days) * DAY
+    }
+
+    /// Leases a task that the caller has checked to be free. A gold task may have a place in a bundle.
+    pub(super) fn take(
+        &self,
+        tx: &mut dyn Tx,
+        task: i64,
+        purpose: Purpose,
+        place: Option<Place>,
+    ) -> Result<()> {
+        let user = self.user;
+        let found = tx.find("SELECT epoch, key FROM task WHERE id = ?1", params![task])?;
+        let (epoch, key): (i64, String) = found.ok_or_else(|| Error::not_found("task"))?;
+        let blind = purpose == Purpose::Annotate
+            && percent(&["blind", &key, &user.to_string()]) < self.settings.blind_percent;
+        let body = Body::Claimed {
             purpose,
-            expires: lease_end(settings, now),
+            expires: self.lease_end(),
             blind,
             place,
-        },
-    };
-    log::write(tx, &entry)
-}
-
-pub(super) fn prolong(
-    tx: &mut dyn Tx,
-    held: &LeaseRow,
-    settings: &Settings,
-    now: Millis,
-) -> Result<Lease> {
-    let expires = lease_end(settings, now);
-    let lease = held.lease.id;
-    let body = Body::Renewed { lease, expires };
-    note(tx, held, Some(held.lease.user), now, body)?;
-    Ok(Lease {
-        expires,
-        ..held.lease.clone()
-    })
-}
-
-/// [`prolong`] for a lease and all leases of its bundle, since a bundle takes longer than one task.
-pub(super) fn prolong_bundle(
-    tx: &mut dyn Tx,
-    held: &LeaseRow,
-    settings: &Settings,
-    now: Millis,
-) -> Result<Lease> {
-    let from = format!(
-        "{PLACED}
-         WHERE l.usr = ?1 AND l.purpose = 'annotate' AND l.id <> ?2 AND COALESCE(g.bundle, t.bundle) = (
-           SELECT COALESCE(p.bundle, x.bundle) FROM task x
-             LEFT JOIN gold_place p ON p.task = x.id AND p.usr = ?1 WHERE x.id = ?3)
-         ORDER BY l.id"
-    );
-    let lease = &held.lease;
-    for other in rows::leases(tx, &from, params![lease.user, lease.id, lease.task])? {
-        prolong(tx, &other, settings, now)?;
+        };
+        let entry = Entry::new(self.now, Some(user), Some(task), Some(epoch + 1), body);
+        log::write(tx, &entry)
     }
-    prolong(tx, held, settings, now)
+
+    pub(super) fn prolong(&self, tx: &mut dyn Tx, held: &LeaseRow) -> Result<Lease> {
+        let expires = self.lease_end();
+        let lease = held.lease.id;
+        let body = Body::Renewed { lease, expires };
+        note(tx, held, Some(held.lease.user), self.now, body)?;
+        Ok(Lease {
+            expires,
+            ..held.lease.clone()
+        })
+    }
+
+    /// [`Self::prolong`] for a lease and all leases of its bundle, since a bundle takes longer than one task.
+    pub(super) fn prolong_bundle(&self, tx: &mut dyn Tx, held: &LeaseRow) -> Result<Lease> {
+        let from = format!(
+            "{PLACED}
+             WHERE l.usr = ?1 AND l.purpose = 'annotate' AND l.id <> ?2 AND COALESCE(g.bundle, t.bundle) = (
+               SELECT COALESCE(p.bundle, x.bundle) FROM task x
+                 LEFT JOIN gold_place p ON p.task = x.id AND p.usr = ?1 WHERE x.id = ?3)
+             ORDER BY l.id"
+        );
+        let lease = &held.lease;
+        for other in rows::leases(tx, &from, params![lease.user, lease.id, lease.task])? {
+            self.prolong(tx, &other)?;
+        }
+        self.prolong(tx, held)
+    }
+
+    /// The task of a lease that the person goes on with. The lease, with those of its bundle, is prolonged, but not at
+    /// every request.
+    pub(super) fn resume(&self, tx: &mut dyn Tx, held: &LeaseRow) -> Result<i64> {
+        if held.lease.expires < self.lease_end() - MINUTE {
+            self.prolong_bundle(tx, held)?;
+        }
+        Ok(held.lease.task)
+    }
 }

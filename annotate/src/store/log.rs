@@ -4,8 +4,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::apply::apply;
-use super::db::{Result, Row, Tx, json, params};
-use super::entry::{self, Body, Entry, VERSION};
+use super::db::{Result, Tx, json, params, unreadable};
+use super::entry::{Body, Entry, VERSION};
 use super::records::Millis;
 use super::settings::{is_word, require};
 use crate::Error;
@@ -19,20 +19,13 @@ pub(crate) fn note(
     task: Option<i64>,
     body: Body,
 ) -> Result<()> {
-    let entry = Entry {
-        at,
-        actor,
-        task,
-        epoch: None,
-        body,
-    };
-    write(tx, &entry)
+    write(tx, &Entry::new(at, actor, task, None, body))
 }
 
 /// Writes an entry and applies it.
 pub(crate) fn write(tx: &mut dyn Tx, entry: &Entry) -> Result<()> {
     let seq = apply_next(tx, entry)?;
-    put(tx, seq, entry, None)
+    put(tx, seq, entry, None, None)
 }
 
 fn apply_next(tx: &mut dyn Tx, entry: &Entry) -> Result<i64> {
@@ -41,13 +34,15 @@ fn apply_next(tx: &mut dyn Tx, entry: &Entry) -> Result<i64> {
     Ok(seq)
 }
 
-/// Key of a request, the revision that it is based on, and its reply.
-type Reply<'a> = (&'a str, i64, String);
-
-fn put(tx: &mut dyn Tx, seq: i64, entry: &Entry, reply: Option<Reply<'_>>) -> Result<()> {
-    let (key, base_rev, result) = reply.map_or((None, None, None), |(key, base_rev, result)| {
-        (Some(key), Some(base_rev), Some(result))
-    });
+/// Stores an entry; one of a request with its key, the revision that it is based on, and its reply.
+fn put(
+    tx: &mut dyn Tx,
+    seq: i64,
+    entry: &Entry,
+    request: Option<(&str, i64)>,
+    reply: Option<String>,
+) -> Result<()> {
+    let (key, base_rev) = request.unzip();
     tx.run(
         "INSERT INTO event (seq, at, actor, kind, task, idem_key, epoch, base_rev, body, result, version)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
@@ -55,13 +50,13 @@ fn put(tx: &mut dyn Tx, seq: i64, entry: &Entry, reply: Option<Reply<'_>>) -> Re
             seq,
             entry.at,
             entry.actor,
-            entry.body.kind().as_str(),
+            entry.body.kind(),
             entry.task,
             key,
             entry.epoch,
             base_rev,
             json(&entry.body)?,
-            result,
+            reply,
             VERSION
         ],
     )
@@ -90,19 +85,18 @@ impl Request {
 
     /// The reply that was given to this request before.
     pub(super) fn replay<T: DeserializeOwned>(&self, tx: &mut dyn Tx) -> Result<Option<T>> {
-        let sql = format!(
-            "SELECT {}, result FROM event WHERE idem_key = ?1",
-            entry::ENTRY_COLUMNS
-        );
-        let Some(row) = tx.one(&sql, params![&self.key])? else {
+        let sql = "SELECT result, body FROM event WHERE idem_key = ?1";
+        let found: Option<(Option<String>, serde_json::Value)> = tx.find(sql, params![self.key])?;
+        let Some((result, body)) = found else {
             return Ok(None);
         };
-        let (_, entry) = entry::read_entry(&row)?;
-        if entry.body.work().1 != Some(self.hash.as_str()) {
+        if body["request"] != self.hash.as_str() {
             let problem = "this key was used for another request; use a new one";
             return Err(Error::refused(Code::KeyReused, problem));
         }
-        row.opt(7, Row::json)
+        let result = result.map(|result| serde_json::from_str(&result));
+        let result = result.transpose();
+        result.map_err(|error| unreadable("event", error))
     }
 
     /// Writes the entry of the request and returns the reply, which is computed from the projections after the entry
@@ -116,12 +110,8 @@ impl Request {
     ) -> Result<T> {
         let seq = apply_next(tx, entry)?;
         let reply = reply(tx, seq)?;
-        put(
-            tx,
-            seq,
-            entry,
-            Some((self.key.as_str(), base_rev, json(&reply)?)),
-        )?;
+        let request = (self.key.as_str(), base_rev);
+        put(tx, seq, entry, Some(request), Some(json(&reply)?))?;
         Ok(reply)
     }
 }

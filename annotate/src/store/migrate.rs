@@ -14,7 +14,7 @@
 //! (`tests/stores`) and compares their tables with those of a new store.
 
 use super::db::{Result, Tx, not_opened, params};
-use super::store::Store;
+use super::store::{Store, Upgrade};
 use super::{derived, people, project};
 use crate::Error;
 
@@ -91,54 +91,52 @@ impl Store {
     }
 }
 
-/// What opening a store has to do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Plan {
-    /// Create all tables.
-    Create,
-    /// Upgrade the tables of this version.
-    Upgrade(i64),
-    /// Nothing.
-    Nothing,
-}
+/// What creating or upgrading tables does, for errors.
+pub(super) const MAKE: &str = "make its tables";
 
-/// Compares the version of a store's tables with that of this program; 0 is a store without tables.
-pub(super) fn plan(place: &str, found: i64) -> Result<Plan> {
+/// Creates the tables of a store and `triggers` if its version is 0, or upgrades tables of an older version after
+/// `copy` made a copy and said where it is.
+pub(super) fn prepare(
+    tx: &mut dyn Tx,
+    place: &str,
+    found: i64,
+    triggers: &str,
+    copy: impl FnOnce(&mut dyn Tx) -> Result<String>,
+) -> Result<Option<Upgrade>> {
+    let mut upgrade = None;
     match found {
-        0 => Ok(Plan::Create),
-        VERSION => Ok(Plan::Nothing),
-        older if (1..VERSION).contains(&older) => Ok(Plan::Upgrade(older)),
-        newer => {
-            let reason = format!(
-                "its tables have version {newer}, this program knows versions up to {VERSION}; use the stance that \
-                 wrote it, or a newer one"
-            );
-            Err(not_opened(place, reason))
+        VERSION => return Ok(None),
+        0 => {
+            for sql in [SCHEMA, derived::SCHEMA, triggers] {
+                tx.define(sql)?;
+            }
         }
-    }
-}
-
-/// Creates all tables, or upgrades them.
-pub(super) fn apply(tx: &mut dyn Tx, plan: Plan) -> Result<()> {
-    match plan {
-        Plan::Nothing => return Ok(()),
-        Plan::Create => {
-            tx.define(SCHEMA)?;
-            derived::define_projections(tx)?;
-        }
-        Plan::Upgrade(from) => {
-            let done = usize::try_from(from - 1).unwrap_or(0);
-            for step in STEPS.iter().skip(done) {
+        1..VERSION => {
+            upgrade = Some(Upgrade {
+                from: found,
+                to: VERSION,
+                copy: copy(tx)?,
+            });
+            let done = usize::try_from(found - 1).unwrap_or(0);
+            for step in &STEPS[done..] {
                 tx.define(step)?;
             }
             for (table, ..) in derived::PROJECTIONS {
                 tx.define(&format!("DROP TABLE IF EXISTS {table}"))?;
             }
-            derived::define_projections(tx)?;
+            tx.define(derived::SCHEMA)?;
             derived::derive(tx)?;
+        }
+        newer => {
+            let reason = format!(
+                "its tables have version {newer}, this program knows versions up to {VERSION}; use the stance that \
+                 wrote it, or a newer one"
+            );
+            return Err(not_opened(place, reason));
         }
     }
     // An id, if it has none.
     let sql = "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO NOTHING";
-    tx.run(sql, params![ID, people::random::<ID_BYTES>()?])
+    tx.run(sql, params![ID, people::random::<ID_BYTES>()?])?;
+    Ok(upgrade)
 }

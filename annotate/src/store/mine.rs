@@ -1,16 +1,15 @@
 //! What a person handed in, and where it stands.
 
+use serde::Deserialize;
+
 use super::append::take_back_window;
-use super::db::{Result, Row, Tx, params};
-use super::records::{Millis, MineQuery, OwnAnswer, TaskRecord};
-use super::rows::{self, NUM_TASK_COLUMNS};
+use super::db::{Result, Tx, params};
+use super::records::{Millis, MineQuery, TaskRecord};
+use super::rows::{self, REVISION, TASK};
 use super::store::Store;
 use super::{project, read};
 use crate::Error;
-use crate::wire::{Feedback, RevisionState, Standing, TaskState};
-
-/// Columns of a revision, after those of its task.
-const AFTER_REVISION: usize = NUM_TASK_COLUMNS + 7;
+use crate::wire::{Answer, Feedback, MyAnswer, Revision, RevisionState, Standing, TaskState};
 
 impl Store {
     /// A person's answers, newest first, with the cursor of the next page. Refused with `invalid`.
@@ -19,7 +18,7 @@ impl Store {
         user: i64,
         query: MineQuery,
         now: Millis,
-    ) -> Result<(Vec<OwnAnswer>, Option<String>)> {
+    ) -> Result<(Vec<MyAnswer>, Option<String>)> {
         self.read(|tx| {
             let bad =
                 || Error::invalid("before", "this is no cursor of a page; begin at the first");
@@ -35,39 +34,33 @@ impl Store {
             };
             let window = take_back_window(&project::settings(tx)?);
             let sql = format!(
-                "SELECT {}, {}, a.author, a.merged, a.answer, a.at, a.basis FROM revision r
+                "SELECT {TASK}, {REVISION}, a.author, COALESCE(a.merged, 0), a.answer, a.at, a.basis FROM revision r
                  JOIN task t ON t.id = r.task LEFT JOIN accepted a ON a.task = r.task
                  WHERE r.author = ?1 AND (r.at, r.task) < (?2, ?3) AND (?4 = '' OR t.kind = ?4)
                    AND (CAST(?6 AS BIGINT) = 0 OR r.task = ?6)
-                 ORDER BY r.at DESC, r.task DESC LIMIT ?5",
-                rows::TASK_COLUMNS,
-                rows::REVISION_COLUMNS
+                 ORDER BY r.at DESC, r.task DESC LIMIT ?5"
             );
             let kind = query.kind.map_or("", |kind| kind.as_str());
-            let batch = query.limit as i64 + 1;
+            let (batch, only) = (query.limit as i64 + 1, query.task.unwrap_or(0));
             let mut found = Vec::new();
             // The standing is not a column, so rows of another standing are read and passed over.
             loop {
-                let rows = tx.query(
-                    &sql,
-                    params![user, at, task, kind, batch, query.task.unwrap_or(0)],
-                )?;
-                let read = rows.len() as i64;
-                for row in &rows {
+                let rows: Vec<Found> = tx.list(&sql, params![user, at, task, kind, batch, only])?;
+                let is_last = (rows.len() as i64) < batch;
+                for row in rows {
+                    (at, task) = (row.mine.at, row.mine.task);
                     let own = own_answer(tx, user, row, window, now)?;
-                    (at, task) = (own.mine.at, own.mine.task);
                     if query.standing.is_none_or(|wanted| wanted == own.standing) {
                         found.push(own);
                     }
                     if found.len() > query.limit {
                         found.truncate(query.limit);
-                        let cursor = found
-                            .last()
-                            .map(|last| format!("{}:{}", last.mine.at, last.mine.task));
+                        let last = found.last().map(|last| &last.mine);
+                        let cursor = last.map(|mine| format!("{}:{}", mine.at, mine.task));
                         return Ok((found, cursor));
                     }
                 }
-                if read < batch {
+                if is_last {
                     return Ok((found, None));
                 }
             }
@@ -75,20 +68,27 @@ impl Store {
     }
 }
 
+/// An answer with its task, and what was accepted.
+#[derive(Deserialize)]
+struct Found {
+    task: TaskRecord,
+    mine: Revision,
+    author: Option<i64>,
+    merged: bool,
+    accepted: Option<Answer>,
+    at: Option<Millis>,
+    basis: Option<String>,
+}
+
 fn own_answer(
     tx: &mut dyn Tx,
     user: i64,
-    row: &Row,
+    found: Found,
     window: Millis,
     now: Millis,
-) -> Result<OwnAnswer> {
-    let task = rows::read_task(row)?;
-    let mine = rows::read_revision(row, NUM_TASK_COLUMNS)?;
-    let accepted_author = row.opt_int(AFTER_REVISION)?;
-    let accepted_at = row.opt_int(AFTER_REVISION + 3)?;
-    let accepted_by = row.opt_text(AFTER_REVISION + 4)?;
-    let merged = row.opt_int(AFTER_REVISION + 1)? == Some(1);
-    let task = read::shown(tx, task, user)?;
+) -> Result<MyAnswer> {
+    let mine = found.mine;
+    let task = read::shown(tx, found.task, user)?;
     let feedback = if task.practice && mine.state != RevisionState::Draft {
         feedback(tx, user, &task)?
     } else {
@@ -98,25 +98,18 @@ fn own_answer(
         Some(_) => Standing::Practice,
         None => standing(task.state, mine.state),
     };
-    let by_rule = accepted_by
-        .as_deref()
-        .is_some_and(|basis| basis.starts_with("rule:"));
+    let basis = found.basis.as_deref();
+    let by_rule = basis.is_some_and(|basis| basis.starts_with("rule:"));
     let can_take_back = match standing {
         Standing::WaitsForOthers | Standing::WaitsForReview | Standing::Practice => true,
         Standing::Accepted | Standing::Superseded => {
-            by_rule && accepted_at.is_some_and(|at| now - at <= window)
+            by_rule && found.at.is_some_and(|at| now - at <= window)
         }
         Standing::Draft | Standing::InReview | Standing::Returned | Standing::Dropped => false,
     };
     let comment = match standing {
-        Standing::Returned | Standing::Draft | Standing::Dropped => {
-            let decision = if standing == Standing::Dropped {
-                "dropped"
-            } else {
-                "returned"
-            };
-            read::comment_to(tx, task.id, user, decision)?
-        }
+        Standing::Returned | Standing::Draft => read::comment_to(tx, task.id, user, "returned")?,
+        Standing::Dropped => read::comment_to(tx, task.id, user, "dropped")?,
         _ => None,
     };
     let until = if standing == Standing::Returned {
@@ -124,17 +117,22 @@ fn own_answer(
     } else {
         None
     };
-    let other = accepted_author.is_some() && (merged || accepted_author != Some(user));
-    Ok(OwnAnswer {
+    let other = found.merged || found.author != Some(user);
+    let missing = match standing {
+        Standing::WaitsForOthers => task.wanted.saturating_sub(task.submitted),
+        _ => 0,
+    };
+    Ok(MyAnswer {
         standing,
+        missing,
         comment,
-        accepted: other.then(|| row.json(AFTER_REVISION + 2)).transpose()?,
+        accepted: found.accepted.filter(|_| other),
         // Names of rules and reviewers' ways are the project's own facts; the author may know them.
-        accepted_by,
+        accepted_by: found.basis,
         can_take_back,
         until,
         feedback,
-        task,
+        task: read::view(tx, task, None)?,
         mine,
     })
 }
@@ -142,7 +140,7 @@ fn own_answer(
 /// What a practice task teaches a user who handed it in.
 fn feedback(tx: &mut dyn Tx, user: i64, task: &TaskRecord) -> Result<Option<Feedback>> {
     let sql = "SELECT score FROM gold_score WHERE task = ?1 AND usr = ?2";
-    let score = tx.find(sql, params![task.id, user], |row| row.real(0))?;
+    let score = tx.find(sql, params![task.id, user])?;
     let known = score.zip(task.gold.clone());
     Ok(known.map(|(score, known)| Feedback { score, known }))
 }

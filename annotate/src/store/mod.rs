@@ -8,7 +8,7 @@
 //! (drafts, submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser) with
 //! `filter`, `bulk` (actions on many tasks), `home`, `mine`, `work`, `captures` (the capture plan), `import`, `people`,
 //! `jobs` and `pictures`; `read` holds queries, `project` the tables beside the log. `apply` writes the projections,
-//! `db` abstracts from the database.
+//! `db` abstracts from the database, whose connections `pool` holds.
 
 mod append;
 mod apply;
@@ -17,12 +17,12 @@ mod browse;
 mod bulk;
 mod captures;
 mod claim;
+mod columns;
 pub(crate) mod db;
 mod derived;
 mod draw;
 mod entry;
 mod filter;
-mod group;
 mod home;
 mod import;
 mod jobs;
@@ -32,6 +32,7 @@ mod migrate;
 mod mine;
 mod people;
 mod pictures;
+mod pool;
 #[cfg(feature = "postgres")]
 mod postgres;
 #[cfg(feature = "postgres")]
@@ -39,7 +40,6 @@ mod postgres_address;
 mod project;
 mod projections;
 mod read;
-mod readers;
 mod rebuild;
 mod records;
 mod review;
@@ -52,7 +52,6 @@ mod sqlite;
     reason = "the type the module is named after"
 )]
 mod store;
-mod tokens;
 mod work;
 
 use std::path::Path;
@@ -63,10 +62,9 @@ use db::Result;
 pub use backup::{back_up, backup_is_due};
 pub use browse::{DecisionQuery, PageQuery};
 pub use records::{
-    AcceptedAnswer, AuditFilter, BundleEntry, Claimed, Credit, Imported, IssuedToken, KeyRange,
-    Label, Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, OwnAnswer, PersonCounts,
-    Picture, Reject, ReviewClaimed, ReviewDetail, ShelfFilter, TaskDetail, TaskRecord, TokenUse,
-    WeekCounts, Who,
+    AcceptedAnswer, AuditFilter, BundleEntry, Credit, Imported, IssuedToken, KeyRange, Label,
+    Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, Reject, ReviewDetail, ShelfFilter,
+    TaskDetail, TaskRecord, TokenUse, Who,
 };
 pub use store::{Store, Upgrade};
 
@@ -76,7 +74,7 @@ pub use store::{Store, Upgrade};
 /// # Errors
 /// The file cannot be opened, is of a newer version, or lies on a network file system.
 pub fn open_sqlite(path: &Path) -> Result<Arc<Store>> {
-    let (db, upgrade) = sqlite::Sqlite::open(path)?;
+    let (db, upgrade) = sqlite::open(path)?;
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }
 
@@ -87,6 +85,6 @@ pub fn open_sqlite(path: &Path) -> Result<Arc<Store>> {
 /// The server cannot be reached, or its tables are of a newer version.
 #[cfg(feature = "postgres")]
 pub fn open_postgres(url: &str, schema: &str) -> Result<Arc<Store>> {
-    let (db, upgrade) = postgres::Postgres::open(url, schema)?;
+    let (db, upgrade) = postgres::open(url, schema)?;
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }

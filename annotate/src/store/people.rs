@@ -1,16 +1,15 @@
 //! Users, tokens and sessions. Tokens are stored as hashes.
 
+use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
-use super::db::{Result, Row, Tx, params};
+use super::db::{Result, Tx, params};
 use super::entry::Body;
 use super::records::{IssuedToken, Millis, TokenUse, Who};
 use super::settings::{has_up_to, require};
 use super::store::Store;
-use super::tokens::Found;
 use super::{leases, log, rows};
 use crate::Error;
-use crate::lock::lock;
 use crate::state::ReleaseReason;
 use crate::wire::{Code, Role, TokenInfo, User};
 
@@ -20,19 +19,9 @@ const TOKEN_BYTES: usize = 32;
 const NOTE_EVERY: Millis = 60_000;
 
 impl Store {
-    /// [`Self::write`] of users or tokens; clears the token cache.
-    fn write_people<T: Send + 'static>(
-        &self,
-        work: impl FnOnce(&mut dyn Tx) -> Result<T> + Send + 'static,
-    ) -> Result<T> {
-        let outcome = self.write(work);
-        lock(&self.known).clear();
-        outcome
-    }
-
     /// All users.
     pub fn users(&self) -> Result<Vec<User>> {
-        self.read(users)
+        self.read(|tx| tx.list("SELECT id, name, role, active FROM usr ORDER BY id", &[]))
     }
 
     /// Adds many users, each with a token, or none if a line is wrong. Refused with `invalid`, which names the line.
@@ -44,7 +33,7 @@ impl Store {
         now: Millis,
     ) -> Result<Vec<IssuedToken>> {
         let new = parse_lines(lines)?;
-        self.write_people(move |tx| {
+        self.write(move |tx| {
             new.iter()
                 .map(|(number, name, role)| {
                     let user = add(tx, actor, name, *role, now).map_err(|error| match error {
@@ -69,7 +58,7 @@ impl Store {
         now: Millis,
     ) -> Result<User> {
         let name = name.to_owned();
-        self.write_people(move |tx| add(tx, actor, &name, role, now))
+        self.write(move |tx| add(tx, actor, &name, role, now))
     }
 
     /// Changes a user. The last active admin cannot be demoted or disabled. Refused with `invalid`, `not_found`.
@@ -81,7 +70,7 @@ impl Store {
         active: Option<bool>,
         now: Millis,
     ) -> Result<User> {
-        self.write_people(move |tx| {
+        self.write(move |tx| {
             let before = self::user(tx, user)?;
             let after = User {
                 role: role.unwrap_or(before.role),
@@ -95,7 +84,7 @@ impl Store {
                 require(tx.has(others, params![user])?, "role", problem)?;
             }
             let sql = "UPDATE usr SET role = ?2, active = ?3 WHERE id = ?1";
-            tx.run(sql, params![user, after.role.as_str(), after.active])?;
+            tx.run(sql, params![user, after.role, after.active])?;
             if !after.active {
                 tx.run("UPDATE token SET revoked = 1 WHERE usr = ?1", params![user])?;
                 // Others can take the tasks.
@@ -117,28 +106,20 @@ impl Store {
         expires: Millis,
         now: Millis,
     ) -> Result<IssuedToken> {
-        self.write_people(move |tx| issue(tx, user, purpose, expires, now))
+        self.write(move |tx| issue(tx, user, purpose, expires, now))
     }
 
     /// The user of a token, if it is valid for this purpose. A one-time token becomes invalid.
     /// Refused with `unauthenticated`.
     pub fn authenticate(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
         let hash = hash(token);
-        let changes = {
-            let known = lock(&self.known);
-            if let Some(who) = known.find(&hash, purposes, now) {
-                return Ok(who);
-            }
-            known.changes
-        };
         let found = self.read(|tx| find(tx, &hash, purposes, now))?;
-        if found.needs_note {
+        let is_old = |at: Millis| now - at > NOTE_EVERY;
+        if found.purpose == TokenUse::Once || found.last_used.is_none_or(is_old) {
             let purposes = purposes.to_vec();
             return self.write(move |tx| used(tx, &hash, &purposes, now));
         }
-        let who = found.who.clone();
-        lock(&self.known).put(hash, found, changes, now);
-        Ok(who)
+        Ok(found.who)
     }
 
     /// [`Self::authenticate`] without a record of the use. Refused with `unauthenticated`.
@@ -151,7 +132,7 @@ impl Store {
     /// token does not shorten its session. Refused with `unauthenticated`.
     pub fn log_in(&self, token: &str, until: Millis, now: Millis) -> Result<(Who, IssuedToken)> {
         let hash = hash(token);
-        self.write_people(move |tx| {
+        self.write(move |tx| {
             let purposes = [TokenUse::Token, TokenUse::Once];
             let found = find(tx, &hash, &purposes, now)?;
             let until = if found.purpose == TokenUse::Once {
@@ -169,25 +150,15 @@ impl Store {
     pub fn tokens(&self, user: i64) -> Result<Vec<TokenInfo>> {
         let sql = "SELECT id, usr, created, expires, last_used, revoked FROM token
              WHERE usr = ?1 AND purpose <> 'session' ORDER BY id";
-        let read = |row: &Row| {
-            Ok(TokenInfo {
-                id: row.int(0)?,
-                user: row.int(1)?,
-                created: row.int(2)?,
-                expires: row.int(3)?,
-                last_used: row.opt_int(4)?,
-                revoked: row.flag(5)?,
-            })
-        };
-        self.read(|tx| tx.list(sql, params![user], read))
+        self.read(|tx| tx.list(sql, params![user]))
     }
 
     /// Revokes a token and all sessions of its owner: a thief of the token may have opened some.
     /// Refused with `not_found`.
     pub fn revoke(&self, token: i64) -> Result<()> {
-        self.write_people(move |tx| {
+        self.write(move |tx| {
             let sql = "SELECT usr FROM token WHERE id = ?1";
-            let user = tx.find(sql, params![token], |row| row.int(0))?;
+            let user: Option<i64> = tx.find(sql, params![token])?;
             let user = user.ok_or_else(|| Error::not_found("token"))?;
             let sql =
                 "UPDATE token SET revoked = 1 WHERE id = ?1 OR (usr = ?2 AND purpose = 'session')";
@@ -198,7 +169,7 @@ impl Store {
     /// Revokes a session.
     pub fn log_out(&self, token: &str) -> Result<()> {
         let hash = hash(token);
-        self.write_people(move |tx| {
+        self.write(move |tx| {
             let sql = "UPDATE token SET revoked = 1 WHERE hash = ?1";
             tx.run(sql, params![&hash])
         })
@@ -226,23 +197,9 @@ pub(super) fn random<const BYTES: usize>() -> Result<String> {
     Ok(hex(&bytes))
 }
 
-fn read_user(row: &Row) -> Result<User> {
-    Ok(User {
-        id: row.int(0)?,
-        name: row.string(1)?,
-        role: row.named(2, Role::parse)?,
-        active: row.flag(3)?,
-    })
-}
-
-pub(super) fn users(tx: &mut dyn Tx) -> Result<Vec<User>> {
-    let sql = "SELECT id, name, role, active FROM usr ORDER BY id";
-    tx.list(sql, &[], read_user)
-}
-
 fn user(tx: &mut dyn Tx, id: i64) -> Result<User> {
     let sql = "SELECT id, name, role, active FROM usr WHERE id = ?1";
-    let user = tx.find(sql, params![id], read_user)?;
+    let user = tx.find(sql, params![id])?;
     user.ok_or_else(|| Error::not_found("user"))
 }
 
@@ -269,9 +226,9 @@ fn add(tx: &mut dyn Tx, actor: Option<i64>, name: &str, role: Role, now: Millis)
         "name",
         format!("there is a user {name:?} already; choose another name"),
     )?;
-    let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM usr", &[])?;
+    let id = tx.next_id("usr")?;
     let sql = "INSERT INTO usr (id, name, role, active, created) VALUES (?1, ?2, ?3, 1, ?4)";
-    tx.run(sql, params![id, name, role.as_str(), now])?;
+    tx.run(sql, params![id, name, role, now])?;
     let user = User {
         id,
         name: name.to_owned(),
@@ -293,11 +250,11 @@ fn issue(
     let problem = "this user is not active; activate them first";
     require(user.active, "user", problem)?;
     let token = format!("ann_{}", random::<TOKEN_BYTES>()?);
-    let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM token", &[])?;
-    tx.execute(
+    let id = tx.next_id("token")?;
+    tx.run(
         "INSERT INTO token (id, usr, hash, purpose, created, expires, last_used, revoked)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, NULL, 0)",
-        params![id, user.id, hash(&token), purpose.as_str(), now, expires],
+        params![id, user.id, hash(&token), purpose, now, expires],
     )?;
     Ok(IssuedToken {
         user,
@@ -343,37 +300,29 @@ fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
     Ok(users)
 }
 
+/// A token and its owner.
+#[derive(Deserialize)]
+struct Found {
+    token: i64,
+    purpose: TokenUse,
+    expires: Millis,
+    last_used: Option<Millis>,
+    who: Who,
+}
+
 fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Found> {
-    let refused = || {
+    let found: Option<Found> = tx.find(
+        "SELECT k.id, k.purpose, k.expires, k.last_used, u.id, u.name, u.role
+         FROM token k JOIN usr u ON u.id = k.usr
+         WHERE k.hash = ?1 AND k.revoked = 0 AND u.active = 1",
+        params![hash],
+    )?;
+    let fits = |found: &Found| purposes.contains(&found.purpose) && found.expires > now;
+    found.filter(fits).ok_or_else(|| {
         Error::refused(
             Code::Unauthenticated,
             "this token is unknown, revoked or expired; ask an admin for a new one",
         )
-    };
-    let row = tx
-        .one(
-            "SELECT k.id, k.purpose, k.expires, k.last_used, u.id, u.name, u.role
-             FROM token k JOIN usr u ON u.id = k.usr
-             WHERE k.hash = ?1 AND k.revoked = 0 AND u.active = 1",
-            params![hash],
-        )?
-        .ok_or_else(refused)?;
-    let purpose = row.named(1, TokenUse::parse)?;
-    let fits = purposes.contains(&purpose);
-    if !fits || row.int(2)? <= now {
-        return Err(refused());
-    }
-    let last_used = row.opt_int(3)?;
-    Ok(Found {
-        who: Who {
-            id: row.int(4)?,
-            name: row.string(5)?,
-            role: row.named(6, Role::parse)?,
-        },
-        purpose,
-        expires: row.int(2)?,
-        token: row.int(0)?,
-        needs_note: purpose == TokenUse::Once || last_used.is_none_or(|at| now - at > NOTE_EVERY),
     })
 }
 

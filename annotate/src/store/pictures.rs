@@ -3,10 +3,10 @@
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use super::db::{Result, Row, Tx, params, unreadable};
+use super::db::{Result, Tx, params, unreadable};
 use super::entry::Body;
 use super::log;
-use super::records::{Millis, Picture};
+use super::records::Millis;
 use super::settings::{check_picture_name, require};
 use super::store::Store;
 use crate::Error;
@@ -26,27 +26,21 @@ impl Store {
     /// Pictures of the guide, without their content.
     pub fn pictures(&self) -> Result<Vec<PictureInfo>> {
         let sql = "SELECT name, mime, bytes FROM picture ORDER BY name";
-        let read = |row: &Row| {
-            Ok(PictureInfo {
-                name: row.string(0)?,
-                mime: row.string(1)?,
-                bytes: decoded(row.text(2)?)?.len(),
-            })
-        };
-        self.read(|tx| tx.list(sql, &[], read))
+        let found: Vec<(String, String, String)> = self.read(|tx| tx.list(sql, &[]))?;
+        let found = found.into_iter();
+        let infos = found.map(|(name, mime, text)| {
+            let bytes = decoded(&text)?.len();
+            Ok(PictureInfo { name, mime, bytes })
+        });
+        infos.collect()
     }
 
-    /// A picture of the guide. Refused with `not_found`.
-    pub fn picture(&self, name: &str) -> Result<Picture> {
+    /// Type and content of a picture of the guide. Refused with `not_found`.
+    pub fn picture(&self, name: &str) -> Result<(String, Vec<u8>)> {
         let sql = "SELECT mime, bytes FROM picture WHERE name = ?1";
-        let read = |row: &Row| {
-            Ok(Picture {
-                mime: row.string(0)?,
-                bytes: decoded(row.text(1)?)?,
-            })
-        };
-        let found = self.read(|tx| tx.find(sql, params![name], read))?;
-        found.ok_or_else(|| Error::not_found("picture"))
+        let found = self.read(|tx| tx.find(sql, params![name]))?;
+        let (mime, text): (String, String) = found.ok_or_else(|| Error::not_found("picture"))?;
+        Ok((mime, decoded(&text)?))
     }
 
     /// Stores a picture of the guide, in place of one of the same name. Refused with `invalid`.
@@ -107,7 +101,7 @@ fn put(
     let others = tx.number(sql, params![&name])?;
     let problem = format!("there are {MAX_PICTURES} pictures already; delete one");
     require(others < MAX_PICTURES, "name", problem)?;
-    tx.execute(
+    tx.run(
         "INSERT INTO picture (name, mime, bytes, at) VALUES (?1, ?2, ?3, ?4)
          ON CONFLICT (name) DO UPDATE SET mime = excluded.mime, bytes = excluded.bytes, at = excluded.at",
         params![&name, mime, STANDARD.encode(bytes), now],

@@ -19,7 +19,6 @@ fn refused(reason: impl std::fmt::Display) -> Error {
 }
 
 /// The address of a PostgreSQL database, with its TLS settings.
-#[derive(Clone)]
 pub(super) struct Address {
     config: Config,
     tls: MakeRustlsConnect,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::db::{Result, Tx, Value, json, params};
+use super::db::{Params, Result, Tx, json, params};
 use super::entry::{Body, read_stored};
 use super::records::{Millis, MotionRecord, NewSuggestion};
 use super::settings::{check, is_name, require};
@@ -10,8 +10,7 @@ use super::store::Store;
 use super::{log, rows};
 use crate::Error;
 use crate::wire::{
-    Action, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Style, Suggestion, SuggestionSource,
-    TaskState,
+    Action, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Style, Suggestion, TaskState,
 };
 
 /// Characters of the write test: more than any answer has, so that a nearly full disk fails the test.
@@ -42,8 +41,7 @@ impl Store {
     /// A user's preferences.
     pub fn prefs(&self, user: i64) -> Result<Prefs> {
         let sql = "SELECT body FROM pref WHERE usr = ?1";
-        let stored: Option<serde_json::Value> =
-            self.read(|tx| tx.find(sql, params![user], |row| row.json(0)))?;
+        let stored: Option<serde_json::Value> = self.read(|tx| tx.find(sql, params![user]))?;
         let Some(mut stored) = stored else {
             return Ok(Prefs::default());
         };
@@ -101,11 +99,9 @@ impl Store {
             let mut replaced: BTreeMap<String, String> = BTreeMap::new();
             for motion in &motions {
                 let sql = "SELECT hash FROM motion WHERE id = ?1 AND current = 1";
-                let before = tx.one(sql, params![&motion.id])?;
-                if let Some(row) = before
-                    && row.text(0)? != motion.hash
-                {
-                    replaced.insert(row.string(0)?, motion.hash.clone());
+                let before: Option<String> = tx.find(sql, params![motion.id])?;
+                if let Some(before) = before.filter(|before| *before != motion.hash) {
+                    replaced.insert(before, motion.hash.clone());
                 }
             }
             // Two clips may have changed places, so all earlier contents go before the first new one comes.
@@ -117,18 +113,16 @@ impl Store {
                 put_motion(tx, motion, ANEW)?;
             }
             let mut count = 0;
-            for row in tx.query("SELECT id, source, target FROM task ORDER BY id", &[])? {
-                let (source, target) = (row.string(1)?, row.opt_text(2)?);
+            let sql = "SELECT id, source, target FROM task ORDER BY id";
+            for (task, source, target) in tx.list::<(i64, String, Option<String>)>(sql, &[])? {
                 let now_of = |hash: &String| replaced.get(hash).unwrap_or(hash).clone();
                 let new = (now_of(&source), target.as_ref().map(now_of));
                 if new == (source, target) {
                     continue;
                 }
-                let body = Body::ClipChanged {
-                    source: new.0,
-                    target: new.1,
-                };
-                log::note(tx, now, actor, Some(row.int(0)?), body)?;
+                let (source, target) = new;
+                let body = Body::ClipChanged { source, target };
+                log::note(tx, now, actor, Some(task), body)?;
                 count += 1;
             }
             Ok(count)
@@ -234,7 +228,7 @@ pub(super) fn settings(tx: &mut dyn Tx) -> Result<Settings> {
 /// A stored value.
 pub(super) fn get(tx: &mut dyn Tx, name: &str) -> Result<Option<String>> {
     let sql = "SELECT body FROM setting WHERE name = ?1";
-    tx.find(sql, params![name], |row| row.string(0))
+    tx.find(sql, params![name])
 }
 
 /// Note that holds the last task whose number of people was brought up to date, while that goes on.
@@ -316,14 +310,14 @@ fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord, on_conflict: &str) -> Resu
     tx.run(
         &sql,
         params![
-            &motion.hash,
-            &motion.id,
-            &motion.split,
+            motion.hash,
+            motion.id,
+            motion.split,
             motion.frames,
             motion.fps,
             json(&motion.captions)?,
-            motion.style.clone(),
-            motion.action.clone()
+            motion.style,
+            motion.action
         ],
     )
 }
@@ -352,46 +346,27 @@ fn settle_changed(
 }
 
 /// Motions that fit what follows `WHERE` in a query.
-fn motions_where(tx: &mut dyn Tx, condition: &str, params: &[Value]) -> Result<Vec<MotionRecord>> {
+pub(super) fn motions_where(
+    tx: &mut dyn Tx,
+    condition: &str,
+    params: Params,
+) -> Result<Vec<MotionRecord>> {
     let columns = "hash, id, split, frames, fps, captions, style, action";
     let sql = format!("SELECT {columns} FROM motion WHERE {condition}");
-    tx.list(&sql, params, |row| {
-        Ok(MotionRecord {
-            hash: row.string(0)?,
-            id: row.string(1)?,
-            split: row.string(2)?,
-            frames: row.int(3)?,
-            fps: row.real(4)?,
-            captions: row.json(5)?,
-            style: row.opt_text(6)?,
-            action: row.opt_text(7)?,
-        })
-    })
+    tx.list(&sql, params)
 }
 
 /// Frames of a motion; 1 for one that the store does not know, of which no range of frames can be chosen.
 pub(super) fn frames(tx: &mut dyn Tx, hash: &str) -> Result<i64> {
     let sql = "SELECT frames FROM motion WHERE hash = ?1";
-    let frames = tx.find(sql, params![hash], |row| row.int(0))?;
+    let frames = tx.find(sql, params![hash])?;
     Ok(frames.unwrap_or(1))
 }
 
 /// Suggestions that fit what follows `WHERE` in a query.
-fn suggestions_where(
-    tx: &mut dyn Tx,
-    condition: &str,
-    params: &[Value],
-) -> Result<Vec<Suggestion>> {
+fn suggestions_where(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<Suggestion>> {
     let sql = format!("SELECT id, source, parts, text, model FROM suggestion WHERE {condition}");
-    tx.list(&sql, params, |row| {
-        Ok(Suggestion {
-            id: row.int(0)?,
-            source: row.named(1, SuggestionSource::parse)?,
-            parts: row.json(2)?,
-            text: row.string(3)?,
-            model: row.string(4)?,
-        })
-    })
+    tx.list(&sql, params)
 }
 
 pub(super) fn suggestions_of(tx: &mut dyn Tx, task: i64) -> Result<Vec<Suggestion>> {
@@ -404,21 +379,21 @@ pub(super) fn put_suggestion(
     new: &NewSuggestion,
     now: Millis,
 ) -> Result<Suggestion> {
-    let id = 1 + tx.number("SELECT COALESCE(MAX(id), 0) FROM suggestion", &[])?;
-    tx.execute(
+    let id = tx.next_id("suggestion")?;
+    tx.run(
         "INSERT INTO suggestion (id, task, source, parts, text, model, prompt_hash, params, tokens, response_hash, at)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
         params![
             id,
             task,
-            new.source.as_str(),
+            new.source,
             json(&new.parts)?,
-            &new.text,
-            &new.model,
-            &new.prompt_hash,
-            &new.params,
+            new.text,
+            new.model,
+            new.prompt_hash,
+            new.params,
             new.tokens,
-            &new.response_hash,
+            new.response_hash,
             now
         ],
     )?;
@@ -435,22 +410,11 @@ pub(super) fn put_suggestion(
 pub(super) fn drafts_where(
     tx: &mut dyn Tx,
     condition: &str,
-    params: &[Value],
+    params: Params,
 ) -> Result<Vec<NewSuggestion>> {
     let columns = "source, parts, text, model, prompt_hash, params, tokens, response_hash";
     let sql = format!("SELECT {columns} FROM suggestion WHERE {condition}");
-    tx.list(&sql, params, |row| {
-        Ok(NewSuggestion {
-            source: row.named(0, SuggestionSource::parse)?,
-            parts: row.json(1)?,
-            text: row.string(2)?,
-            model: row.string(3)?,
-            prompt_hash: row.string(4)?,
-            params: row.string(5)?,
-            tokens: row.opt_int(6)?,
-            response_hash: row.string(7)?,
-        })
-    })
+    tx.list(&sql, params)
 }
 
 #[cfg(test)]

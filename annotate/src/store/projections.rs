@@ -1,13 +1,11 @@
 //! Rows that entries of several kinds write, and the state of a task, which follows from these rows.
 
 use super::db::{Result, Tx, json, params};
-use super::records::Millis;
+use super::entry::Entry;
+use super::records::{Credit, Millis};
 use crate::Error;
 use crate::state::Purpose;
 use crate::wire::{Answer, EditType, Lease, TaskState, Verdict};
-
-/// Column `accepted.basis` of an imported answer; behind a colon follows how it was accepted elsewhere.
-pub(super) const IMPORTED: &str = "import";
 
 /// Whether an answer keeps a fine-grained pair, which counts toward the quota of its category.
 pub(super) fn is_kept_pair(answer: &Answer) -> bool {
@@ -21,13 +19,13 @@ pub(super) fn is_kept_pair(answer: &Answer) -> bool {
 }
 
 /// Edit type that an answer keeps a pair as, if it says it.
-pub(super) fn kept_type(answer: &Answer) -> Option<&'static str> {
+pub(super) fn kept_type(answer: &Answer) -> Option<EditType> {
     match answer {
         Answer::Pair {
             verdict: Verdict::Keep,
             edit_type,
             ..
-        } => edit_type.map(EditType::as_str),
+        } => *edit_type,
         _ => None,
     }
 }
@@ -42,11 +40,35 @@ pub(super) struct Acceptance<'a> {
     pub(super) credit: Option<&'a str>,
     /// Whether it keeps a pair.
     pub(super) keeps: bool,
-    /// How it was accepted: column `accepted.basis`.
+    /// How it was accepted: `review`, `own`, `rule:NAME`, or `import`; behind that and a colon, how it was elsewhere.
     pub(super) basis: String,
 }
 
-impl Acceptance<'_> {
+impl<'a> Acceptance<'a> {
+    /// The acceptance of an answer by its author.
+    pub(super) fn by(author: i64, answer: &'a Answer, basis: String) -> Self {
+        Self {
+            author,
+            reviewer: author,
+            answer,
+            merged: false,
+            credit: None,
+            keeps: is_kept_pair(answer),
+            basis,
+        }
+    }
+
+    /// The acceptance of an imported answer.
+    pub(super) fn imported(answer: &'a Answer, credit: Option<&'a Credit>, entry: &Entry) -> Self {
+        let elsewhere = credit.and_then(|credit| credit.accepted_by.as_deref());
+        let basis = elsewhere.map_or("import".to_owned(), |basis| format!("import:{basis}"));
+        Self {
+            merged: credit.is_some_and(|credit| credit.merged),
+            credit: credit.and_then(|credit| credit.author.as_deref()),
+            ..Self::by(entry.actor.unwrap_or(0), answer, basis)
+        }
+    }
+
     /// Stores it as the accepted answer to a task.
     pub(super) fn put(&self, tx: &mut dyn Tx, seq: i64, task: i64, at: Millis) -> Result<()> {
         tx.run(
@@ -64,7 +86,7 @@ impl Acceptance<'_> {
                 kept_type(self.answer),
                 at,
                 seq,
-                &self.basis,
+                self.basis,
                 words(self.answer),
                 part_list(self.answer)
             ],
@@ -88,7 +110,7 @@ pub(super) fn put_lease(
             lease.user,
             lease.epoch,
             lease.expires,
-            purpose.as_str(),
+            purpose,
             blind
         ],
     )?;
@@ -123,10 +145,10 @@ pub(super) fn part_list(answer: &Answer) -> String {
 }
 
 pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<()> {
-    tx.execute(
+    tx.run(
         "UPDATE task SET state = ?2, claimable = 0,
            leases = (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose <> 'review') WHERE id = ?1",
-        params![task, state.as_str()],
+        params![task, state],
     )?;
     count(tx, task)
 }
@@ -154,18 +176,16 @@ fn count(tx: &mut dyn Tx, task: i64) -> Result<()> {
 
 /// Counts the answers and leases of an undecided task and derives its state.
 pub(super) fn refresh(tx: &mut dyn Tx, task: i64) -> Result<()> {
-    let row = tx
-        .one(
-            "SELECT wanted, CASE WHEN gold IS NULL THEN 0 ELSE 1 END,
-               (SELECT COUNT(*) FROM revision WHERE task = ?1 AND state IN ('submitted', 'accepted', 'superseded')),
-               (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose IN ('annotate', 'assigned')),
-               (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose = 'returned')
-             FROM task WHERE id = ?1",
-            params![task],
-        )?
-        .ok_or_else(|| Error::not_found("task"))?;
-    let (wanted, gold) = (row.int(0)?, row.flag(1)?);
-    let (submitted, active, kept) = (row.int(2)?, row.int(3)?, row.int(4)?);
+    let counts = tx.find(
+        "SELECT wanted, CASE WHEN gold IS NULL THEN 0 ELSE 1 END,
+           (SELECT COUNT(*) FROM revision WHERE task = ?1 AND state IN ('submitted', 'accepted', 'superseded')),
+           (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose IN ('annotate', 'assigned')),
+           (SELECT COUNT(*) FROM lease WHERE task = ?1 AND purpose = 'returned')
+         FROM task WHERE id = ?1",
+        params![task],
+    )?;
+    let (wanted, gold, submitted, active, kept): (i64, bool, i64, i64, i64) =
+        counts.ok_or_else(|| Error::not_found("task"))?;
     let state = if submitted >= wanted {
         TaskState::Submitted
     } else if active > 0 {
@@ -178,9 +198,7 @@ pub(super) fn refresh(tx: &mut dyn Tx, task: i64) -> Result<()> {
     let claimable = !gold && submitted + active + kept < wanted;
     let sql =
         "UPDATE task SET state = ?2, submitted = ?3, leases = ?4, claimable = ?5 WHERE id = ?1";
-    tx.run(
-        sql,
-        params![task, state.as_str(), submitted, active + kept, claimable],
-    )?;
+    let values = params![task, state, submitted, active + kept, claimable];
+    tx.run(sql, values)?;
     count(tx, task)
 }

@@ -1,19 +1,19 @@
 //! Queries on tasks and answers, for people, figures, exports and the log.
 
-use super::db::{Result, Row, Tx, Value, params};
+use super::db::{Params, Result, Tx, params};
 use super::filter::{Values, like};
-use super::projections::IMPORTED;
+use super::project;
 use super::records::{
-    AcceptedAnswer, AuditFilter, BundleEntry, KeyRange, Label, Millis, PersonCounts, Reject,
-    ShelfFilter, TaskDetail, TaskRecord, WeekCounts, Who,
+    AcceptedAnswer, AuditFilter, BundleEntry, KeyRange, Label, Millis, Reject, ShelfFilter,
+    TaskDetail, TaskRecord, Who,
 };
-use super::rows::{self, NUM_TASK_COLUMNS, REVISION_COLUMNS, TASK_COLUMNS};
+use super::rows::{self, LEASE, REVISION, TASK};
 use super::store::Store;
-use super::{people, project};
 use crate::Error;
-use crate::state::{LogKind, Purpose};
+use crate::state::Purpose;
 use crate::wire::{
-    Answer, Audit, AuditEntry, HeldLease, RevisionState, Role, TaskKind, TaskState, User, Verdict,
+    Answer, Audit, AuditEntry, Bundle, HeldLease, MotionInfo, Person, RevisionState, Role, Task,
+    TaskKind, TaskState, Week,
 };
 
 impl Store {
@@ -37,11 +37,15 @@ impl Store {
         self.read(|tx| rows::task(tx, task))
     }
 
+    /// A task as the page shows it.
+    pub(crate) fn view(&self, task: TaskRecord, bundle: Option<Bundle>) -> Result<Task> {
+        self.read(|tx| view(tx, task, bundle))
+    }
+
     /// Key, source and target of each task about two motions, without gold tasks.
     pub fn pairs(&self) -> Result<Vec<(String, String, String)>> {
         let sql = "SELECT key, source, target FROM task WHERE target IS NOT NULL AND gold IS NULL ORDER BY id";
-        let read = |row: &Row| Ok((row.string(0)?, row.string(1)?, row.string(2)?));
-        self.read(|tx| tx.list(sql, &[], read))
+        self.read(|tx| tx.list(sql, &[]))
     }
 
     /// Tasks with an answer about a clip that was ingested anew since, with other content.
@@ -81,23 +85,25 @@ impl Store {
            AND NOT EXISTS (SELECT 1 FROM lease l JOIN task h ON h.id = l.task WHERE l.usr = ?5
              AND (h.source = t.source OR h.target = t.source OR h.source = t.target OR h.target = t.target))
          ORDER BY a.seq DESC LIMIT ?6";
-        let values = params![
-            filter.before.unwrap_or(i64::MAX),
-            filter.kind.map_or("", TaskKind::as_str),
-            part.unwrap_or_default(),
-            text.unwrap_or_default(),
-            user,
-            filter.limit as i64
-        ];
-        self.read(|tx| accepted(tx, from, values))
+        self.read(|tx| {
+            let values = params![
+                filter.before.unwrap_or(i64::MAX),
+                filter.kind.map_or("", TaskKind::as_str),
+                part.unwrap_or_default(),
+                text.unwrap_or_default(),
+                user,
+                filter.limit as i64
+            ];
+            accepted(tx, from, values)
+        })
     }
 
     /// The range of the next keys after a key, or `None` after the last.
     pub fn next_keys(&self, after: &str, count: usize) -> Result<Option<KeyRange>> {
         let sql =
             "SELECT MAX(n.key) FROM (SELECT key FROM task WHERE key > ?1 ORDER BY key LIMIT ?2) n";
-        let last =
-            self.read(|tx| tx.find(sql, params![after, count as i64], |row| row.opt_text(0)))?;
+        let last: Option<Option<String>> =
+            self.read(|tx| tx.find(sql, params![after, count as i64]))?;
         Ok(last.flatten().map(|up_to| KeyRange {
             after: after.to_owned(),
             up_to,
@@ -107,13 +113,13 @@ impl Store {
     /// Accepted answers to a range of tasks, sorted by task key.
     pub fn accepted(&self, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>> {
         let from = "task t JOIN accepted a ON a.task = t.id WHERE t.key > ?1 AND t.key <= ?2 ORDER BY t.key";
-        self.read(|tx| accepted(tx, from, params![&keys.after, &keys.up_to]))
+        self.read(|tx| accepted(tx, from, params![keys.after, keys.up_to]))
     }
 
     /// Number of accepted answers by how they were accepted: `review`, `own`, `rule:NAME` or `import`.
     pub fn accepted_by(&self) -> Result<Vec<(String, i64)>> {
         let sql = "SELECT basis, COUNT(*) FROM accepted GROUP BY basis ORDER BY basis";
-        self.read(|tx| tx.list(sql, &[], |row| Ok((row.string(0)?, row.int(1)?))))
+        self.read(|tx| tx.list(sql, &[]))
     }
 
     /// Tasks whose answers changed after a place in the log, and the last place of the log.
@@ -125,7 +131,6 @@ impl Store {
                    AND kind IN ('submitted', 'undone', 'draft_saved', 'accepted', 'merged', 'returned', 'reopened')
                  ORDER BY task",
                 params![after],
-                |row| row.int(0),
             )?;
             Ok((tasks, last))
         })
@@ -133,26 +138,11 @@ impl Store {
 
     /// Submitted answers to these tasks, by task.
     pub fn labels_to(&self, tasks: Vec<i64>) -> Result<Vec<Label>> {
-        let sql = format!(
-            "SELECT {REVISION_COLUMNS}, t.kind, CASE WHEN t.gold IS NULL THEN 0 ELSE 1 END, t.source, r.blind
-             FROM revision r JOIN task t ON t.id = r.task
-             WHERE r.state <> 'draft' AND r.task = ?1 ORDER BY r.author"
-        );
-        let read = |row: &Row| {
-            Ok(Label {
-                revision: rows::read_revision(row, 0)?,
-                task: row.int(0)?,
-                kind: row.named(7, TaskKind::parse)?,
-                gold: row.flag(8)?,
-                source: row.string(9)?,
-                blind: row.flag(10)?,
-                accepted_by: None,
-            })
-        };
+        let sql = labels("", "r.task = ?1 ORDER BY r.author");
         self.read(|tx| {
             let mut labels = Vec::new();
             for task in tasks {
-                labels.extend(tx.list(&sql, params![task], read)?);
+                labels.extend(tx.list::<Label>(&sql, params![task])?);
             }
             Ok(labels)
         })
@@ -160,51 +150,27 @@ impl Store {
 
     /// Submitted answers to a range of tasks, sorted by task key and author.
     pub fn labels_of(&self, keys: &KeyRange) -> Result<Vec<(TaskRecord, Label)>> {
-        let sql = format!(
-            "SELECT {TASK_COLUMNS}, r.blind, {REVISION_COLUMNS}, a.basis FROM task t JOIN revision r ON r.task = t.id
-             LEFT JOIN accepted a ON a.task = r.task AND a.author = r.author AND a.merged = 0 AND r.state = 'accepted'
-             WHERE r.state <> 'draft' AND t.key > ?1 AND t.key <= ?2 ORDER BY t.key, r.author"
-        );
-        let read = |row: &Row| {
-            let task = rows::read_task(row)?;
-            let label = Label {
-                revision: rows::read_revision(row, NUM_TASK_COLUMNS + 1)?,
-                task: task.id,
-                kind: task.kind,
-                gold: task.gold.is_some(),
-                source: task.source.clone(),
-                blind: row.flag(NUM_TASK_COLUMNS)?,
-                accepted_by: row.opt_text(NUM_TASK_COLUMNS + 8)?,
-            };
-            Ok((task, label))
-        };
-        self.read(|tx| tx.list(&sql, params![&keys.after, &keys.up_to], read))
+        let range = "t.key > ?1 AND t.key <= ?2 ORDER BY t.key, r.author";
+        let sql = labels(&format!("{TASK},"), range);
+        self.read(|tx| tx.list(&sql, params![keys.after, keys.up_to]))
     }
 
     /// Dropped and skipped tasks of a range.
     pub fn rejects(&self, keys: &KeyRange) -> Result<Vec<Reject>> {
-        let skipped = format!(
-            "SELECT {TASK_COLUMNS}, s.usr, COALESCE(s.reason, ''), s.note FROM skip s JOIN task t ON t.id = s.task
-             WHERE s.postponed = 0 AND t.key > ?1 AND t.key <= ?2 ORDER BY t.key, s.usr"
-        );
         let dropped = format!(
-            "SELECT {TASK_COLUMNS}, v.reviewer, 'dropped', v.comment FROM task t JOIN review v ON v.task = t.id
+            "SELECT {TASK}, v.reviewer, 'dropped', v.comment FROM task t JOIN review v ON v.task = t.id
              WHERE t.state = 'dropped' AND t.key > ?1 AND t.key <= ?2 AND v.seq = (
                SELECT MAX(w.seq) FROM review w WHERE w.task = t.id AND w.decision = 'dropped')
              ORDER BY t.key"
         );
-        let read = |row: &Row| {
-            Ok(Reject {
-                task: rows::read_task(row)?,
-                user: row.opt_int(NUM_TASK_COLUMNS)?,
-                reason: row.string(NUM_TASK_COLUMNS + 1)?,
-                note: row.string(NUM_TASK_COLUMNS + 2)?,
-            })
-        };
+        let skipped = format!(
+            "SELECT {TASK}, s.usr, COALESCE(s.reason, ''), s.note FROM skip s JOIN task t ON t.id = s.task
+             WHERE s.postponed = 0 AND t.key > ?1 AND t.key <= ?2 ORDER BY t.key, s.usr"
+        );
         self.read(|tx| {
-            let range = params![&keys.after, &keys.up_to];
-            let mut all = tx.list(&dropped, range, read)?;
-            all.extend(tx.list(&skipped, range, read)?);
+            let range = params![keys.after, keys.up_to];
+            let mut all: Vec<Reject> = tx.list(&dropped, range)?;
+            all.extend(tx.list::<Reject>(&skipped, range)?);
             Ok(all)
         })
     }
@@ -214,65 +180,50 @@ impl Store {
         let sql = "SELECT category, kept_type, COUNT(*) FROM task
              WHERE kind = 'pair' AND counted = 1 AND kept_type IS NOT NULL
              GROUP BY category, kept_type ORDER BY category, kept_type";
-        let read = |row: &Row| Ok((row.opt_text(0)?, row.string(1)?, row.int(2)?));
-        self.read(|tx| tx.list(sql, &[], read))
+        self.read(|tx| tx.list(sql, &[]))
     }
 
     /// Tasks by kind and state.
     pub fn funnel(&self) -> Result<Vec<(TaskKind, TaskState, i64)>> {
         let sql = "SELECT kind, state, COUNT(*) FROM task WHERE gold IS NULL
              GROUP BY kind, state ORDER BY kind, state";
-        let read = |row: &Row| {
-            let kind = row.named(0, TaskKind::parse)?;
-            Ok((kind, row.named(1, TaskState::parse)?, row.int(2)?))
-        };
-        self.read(|tx| tx.list(sql, &[], read))
+        self.read(|tx| tx.list(sql, &[]))
     }
 
-    /// Counts per week; `bounds` holds the starts of the weeks and the end of the last one.
-    pub fn weeks(&self, bounds: Vec<Millis>) -> Result<Vec<WeekCounts>> {
-        let sql = "SELECT COUNT(CASE WHEN kind = 'submitted' THEN 1 END),
-               COUNT(CASE WHEN kind IN ('accepted', 'merged') THEN 1 END), COUNT(CASE WHEN kind = 'returned' THEN 1 END)
+    /// Weeks with their counts, without figures; `bounds` holds their starts and the end of the last one.
+    pub fn weeks(&self, bounds: &[Millis]) -> Result<Vec<Week>> {
+        let sql = "SELECT CAST(?1 AS BIGINT), COUNT(CASE WHEN kind = 'submitted' THEN 1 END),
+               COUNT(CASE WHEN kind IN ('accepted', 'merged') THEN 1 END), COUNT(CASE WHEN kind = 'returned' THEN 1 END),
+               NULL, NULL, 0
              FROM event WHERE at >= ?1 AND at < ?2 AND kind IN ('submitted', 'accepted', 'merged', 'returned')";
-        let read = |row: &Row| {
-            Ok(WeekCounts {
-                submitted: row.int(0)?,
-                accepted: row.int(1)?,
-                returned: row.int(2)?,
-            })
-        };
         self.read(|tx| {
             let weeks = bounds.windows(2);
-            let counts = weeks.map(|week| tx.find(sql, params![week[0], week[1]], read));
-            counts.filter_map(Result::transpose).collect()
+            let counts = weeks.map(|week| tx.get(sql, params![week[0], week[1]]));
+            counts.collect()
         })
     }
 
-    /// Totals of every person.
-    pub fn people(&self) -> Result<Vec<PersonCounts>> {
-        self.read(|tx| {
-            let users = people::users(tx)?;
-            users.into_iter().map(|user| totals(tx, user)).collect()
-        })
+    /// Totals of every person, without figures.
+    pub fn people(&self) -> Result<Vec<Person>> {
+        let sql = "SELECT u.id, u.name, u.role, u.active,
+               (SELECT COUNT(*) FROM revision WHERE author = u.id AND state <> 'draft'), NULL,
+               (SELECT COUNT(*) FROM revision WHERE author = u.id AND state = 'accepted'),
+               (SELECT COUNT(*) FROM review v JOIN revision r ON r.task = v.task AND r.author = u.id
+                WHERE v.decision = 'returned' AND (v.author IS NULL OR v.author = u.id)), NULL, NULL,
+               (SELECT COUNT(*) FROM gold_score g JOIN task t ON t.id = g.task WHERE g.usr = u.id AND t.practice = 0),
+               (SELECT AVG(g.score) FROM gold_score g JOIN task t ON t.id = g.task WHERE g.usr = u.id AND t.practice = 0),
+               NULL, (SELECT at FROM event WHERE actor = u.id ORDER BY seq DESC LIMIT 1)
+             FROM usr u ORDER BY u.id";
+        self.read(|tx| tx.list(sql, &[]))
     }
 
     /// All leases.
     pub fn leases(&self, now: Millis) -> Result<Vec<HeldLease>> {
         let sql = format!(
-            "SELECT {}, COALESCE(u.name, ''), t.kind FROM lease l JOIN task t ON t.id = l.task
-             LEFT JOIN usr u ON u.id = l.usr WHERE l.expires > ?1 ORDER BY l.expires, l.id LIMIT 1000",
-            rows::LEASE_COLUMNS
+            "SELECT {LEASE}, COALESCE(u.name, ''), t.kind, l.purpose FROM lease l JOIN task t ON t.id = l.task
+             LEFT JOIN usr u ON u.id = l.usr WHERE l.expires > ?1 ORDER BY l.expires, l.id LIMIT 1000"
         );
-        let read = |row: &Row| {
-            let held = rows::read_lease(row)?;
-            Ok(HeldLease {
-                lease: held.lease,
-                user_name: row.string(7)?,
-                kind: row.named(8, TaskKind::parse)?,
-                purpose: held.purpose.to_string(),
-            })
-        };
-        self.read(|tx| tx.list(&sql, params![now], read))
+        self.read(|tx| tx.list(&sql, params![now]))
     }
 
     /// Entries of the log, newest first.
@@ -280,14 +231,13 @@ impl Store {
         let mut values = Values::default();
         let mut condition = format!("e.seq < {}", values.put(filter.before.unwrap_or(i64::MAX)));
         condition += &values.equal("e.actor", filter.actor);
-        condition += &values.equal("e.kind", filter.kind.map(LogKind::as_str));
+        condition += &values.equal("e.kind", filter.kind);
         condition += &values.equal("e.task", filter.task);
         let limit = values.put(filter.limit as i64);
         condition += &format!(" ORDER BY e.seq DESC LIMIT {limit}");
-        let entries = self.read(|tx| log(tx, &condition, &values.0))?;
-        let next = (entries.len() == filter.limit)
-            .then(|| entries.last().map(|entry| entry.seq))
-            .flatten();
+        let entries = self.read(|tx| log(tx, &condition, &values.all()))?;
+        let last = entries.last().map(|entry| entry.seq);
+        let next = last.filter(|_| entries.len() == filter.limit);
         Ok(Audit { entries, next })
     }
 
@@ -314,8 +264,7 @@ fn concerns(tx: &mut dyn Tx, user: i64, task: i64) -> Result<bool> {
 
 /// The accepted answer to a task.
 pub(super) fn accepted_answer(tx: &mut dyn Tx, task: i64) -> Result<Option<Answer>> {
-    let sql = "SELECT answer FROM accepted WHERE task = ?1";
-    tx.find(sql, params![task], |row| row.json(0))
+    tx.find("SELECT answer FROM accepted WHERE task = ?1", params![task])
 }
 
 /// The comment of the last decision of a kind on a task that is about a user's answer.
@@ -329,7 +278,6 @@ pub(super) fn comment_to(
         "SELECT comment FROM review WHERE task = ?1 AND decision = ?3
            AND (author IS NULL OR author = ?2) ORDER BY seq DESC LIMIT 1",
         params![task, user, decision],
-        |row| row.string(0),
     )
 }
 
@@ -385,26 +333,38 @@ pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<
         TaskState::Open
     };
     let sql = "SELECT bundle, bundle_index FROM gold_place WHERE task = ?1 AND usr = ?2";
-    let place = tx.one(sql, params![task.id, user])?;
-    if let Some(place) = place {
-        task.bundle = Some(place.int(0)?);
-        task.bundle_index = place.int(1)?;
+    if let Some((bundle, index)) = tx.find(sql, params![task.id, user])? {
+        (task.bundle, task.bundle_index) = (Some(bundle), index);
     }
     Ok(task)
+}
+
+/// A task as the page shows it.
+pub(super) fn view(tx: &mut dyn Tx, task: TaskRecord, bundle: Option<Bundle>) -> Result<Task> {
+    let mut motions = project::motions_where(tx, "hash = ?1", params![task.source])?;
+    motions.extend(project::motions_where(
+        tx,
+        "hash = ?1",
+        params![task.target],
+    )?);
+    Ok(Task {
+        id: task.id,
+        kind: task.kind,
+        state: task.state,
+        motions: motions.into_iter().map(MotionInfo::from).collect(),
+        category: task.category,
+        hint: task.hint,
+        style: task.style,
+        wanted: task.wanted,
+        submitted: task.submitted,
+        bundle,
+        practice: task.practice,
+    })
 }
 
 fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEntry>> {
     let Some(bundle) = task.bundle else {
         return Ok(Vec::new());
-    };
-    let read = |row: &Row| -> Result<(i64, BundleEntry)> {
-        let entry = BundleEntry {
-            task: row.int(1)?,
-            mine: row.opt(2, |row, at| row.named(at, RevisionState::parse))?,
-            verdict: row.opt(3, |row, at| row.named(at, Verdict::parse))?,
-            leased: row.flag(4)?,
-        };
-        Ok((row.int(0)?, entry))
     };
     let columns = |index: &str| {
         format!(
@@ -423,8 +383,8 @@ fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEnt
          WHERE g.usr = ?2 AND g.bundle = ?1 ORDER BY g.bundle_index, t.id",
         columns("g.bundle_index")
     );
-    let tasks = tx.list(&tasks, params![bundle, user], read)?;
-    let golds = tx.list(&golds, params![bundle, user], read)?;
+    let tasks: Vec<(i64, BundleEntry)> = tx.list(&tasks, params![bundle, user])?;
+    let golds: Vec<(i64, BundleEntry)> = tx.list(&golds, params![bundle, user])?;
     let is_mine = |entry: &BundleEntry| entry.leased || entry.mine.is_some();
     Ok(tasks
         .into_iter()
@@ -443,71 +403,27 @@ fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEnt
 }
 
 /// Accepted answers `a` to tasks `t` of what follows `FROM` in a query.
-fn accepted(tx: &mut dyn Tx, from: &str, params: &[Value]) -> Result<Vec<AcceptedAnswer>> {
-    let columns = "a.author, a.merged, a.answer, a.at, a.seq, a.credit, a.basis";
-    let sql = format!("SELECT {TASK_COLUMNS}, {columns} FROM {from}");
-    let first = NUM_TASK_COLUMNS;
-    tx.list(&sql, params, |row| {
-        let basis = row.text(first + 6)?;
-        let elsewhere = basis.strip_prefix(IMPORTED);
-        let elsewhere = elsewhere.and_then(|rest| rest.strip_prefix(':'));
-        Ok(AcceptedAnswer {
-            task: rows::read_task(row)?,
-            author: row.int(first)?,
-            merged: row.flag(first + 1)?,
-            answer: row.json(first + 2)?,
-            at: row.int(first + 3)?,
-            seq: row.int(first + 4)?,
-            credit: row.opt_text(first + 5)?,
-            accepted_by: elsewhere.unwrap_or(basis).to_owned(),
-        })
-    })
+fn accepted(tx: &mut dyn Tx, from: &str, params: Params) -> Result<Vec<AcceptedAnswer>> {
+    let basis = "CASE WHEN a.basis LIKE 'import:%' THEN substr(a.basis, 8) ELSE a.basis END";
+    let columns = format!("a.author, a.merged, a.credit, {basis}, a.answer, a.at, a.seq");
+    tx.list(&format!("SELECT {TASK}, {columns} FROM {from}"), params)
 }
 
-/// Totals of a person.
-fn totals(tx: &mut dyn Tx, user: User) -> Result<PersonCounts> {
-    let gold = tx.list(
-        "SELECT g.score FROM gold_score g JOIN task t ON t.id = g.task
-         WHERE g.usr = ?1 AND t.practice = 0 ORDER BY g.task",
-        params![user.id],
-        |row| row.real(0),
-    )?;
-    let counts = tx.find(
-        "SELECT (SELECT COUNT(*) FROM revision WHERE author = ?1 AND state <> 'draft'),
-           (SELECT COUNT(*) FROM revision WHERE author = ?1 AND state = 'accepted'),
-           (SELECT COUNT(*) FROM review v JOIN revision r ON r.task = v.task AND r.author = ?1
-            WHERE v.decision = 'returned' AND (v.author IS NULL OR v.author = ?1)),
-           (SELECT at FROM event WHERE actor = ?1 ORDER BY seq DESC LIMIT 1)",
-        params![user.id],
-        |row| {
-            Ok(PersonCounts {
-                user,
-                done: row.int(0)?,
-                accepted: row.int(1)?,
-                returned: row.int(2)?,
-                gold,
-                last_seen: row.opt_int(3)?,
-            })
-        },
-    )?;
-    counts.ok_or(Error::Closed)
+/// A query for labels that fit, behind other columns.
+fn labels(columns: &str, condition: &str) -> String {
+    format!(
+        "SELECT {columns} r.task, t.kind, CASE WHEN t.gold IS NULL THEN 0 ELSE 1 END, t.source, {REVISION}, r.blind,
+           a.basis FROM task t JOIN revision r ON r.task = t.id
+         LEFT JOIN accepted a ON a.task = r.task AND a.author = r.author AND a.merged = 0 AND r.state = 'accepted'
+         WHERE r.state <> 'draft' AND {condition}"
+    )
 }
 
 /// Entries `e` of the log that fit what follows `WHERE` in a query.
-fn log(tx: &mut dyn Tx, condition: &str, params: &[Value]) -> Result<Vec<AuditEntry>> {
+fn log(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<AuditEntry>> {
     let sql = format!(
         "SELECT e.seq, e.at, e.actor, u.name, e.kind, e.task, e.body
          FROM event e LEFT JOIN usr u ON u.id = e.actor WHERE {condition}"
     );
-    tx.list(&sql, params, |row| {
-        Ok(AuditEntry {
-            seq: row.int(0)?,
-            at: row.int(1)?,
-            actor: row.opt_int(2)?,
-            actor_name: row.opt_text(3)?,
-            kind: row.string(4)?,
-            task: row.opt_int(5)?,
-            body: row.json(6)?,
-        })
-    })
+    tx.list(&sql, params)
 }

@@ -6,10 +6,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};
 
+use rusqlite::Connection;
+
 use super::apply::apply;
-use super::db::{self, Database, Result, Row, Tx, Value, params};
-use super::derived::{PROJECTIONS, Projection, define_projections, entries};
-use super::sqlite::Scratch;
+use super::db::{self, Database, Result, Row, ToSql, Tx, Value, params};
+use super::derived::{PROJECTIONS, Projection, SCHEMA, entries};
+use super::sqlite::scratch;
 use super::store::Store;
 use crate::lock::lock;
 
@@ -37,14 +39,14 @@ impl Store {
 
 /// What follows from the log up to an entry.
 struct Derived {
-    scratch: Scratch,
+    scratch: Connection,
     last: i64,
 }
 
 impl Derived {
     fn new() -> Result<Self> {
-        let scratch = Scratch::new()?;
-        define_projections(&mut scratch.tx())?;
+        let mut scratch = scratch()?;
+        scratch.define(SCHEMA)?;
         Ok(Self { scratch, last: 0 })
     }
 
@@ -56,22 +58,23 @@ impl Derived {
                 return Ok(());
             }
             for (seq, entry) in some {
-                apply(&mut self.scratch.tx(), seq, &entry)?;
+                apply(&mut self.scratch, seq, &entry)?;
                 self.last = seq;
             }
         }
     }
 
     /// Replaces the rows of a task by those that follow from the log.
-    fn repair(&self, tx: &mut dyn Tx, task: i64) -> Result<()> {
+    fn repair(&mut self, tx: &mut dyn Tx, task: i64) -> Result<()> {
         for (table, column, order) in PROJECTIONS {
             let sql = format!("DELETE FROM {table} WHERE {column} = ?1");
             tx.run(&sql, params![task])?;
             let sql = format!("SELECT * FROM {table} WHERE {column} = ?1 ORDER BY {order}");
-            for row in self.scratch.tx().query(&sql, params![task])? {
+            for row in Tx::query(&mut self.scratch, &sql, params![task])? {
                 let places: Vec<String> = (1..=row.0.len()).map(|at| format!("?{at}")).collect();
                 let sql = format!("INSERT INTO {table} VALUES ({})", places.join(", "));
-                tx.execute(&sql, &row.0)?;
+                let values: Vec<_> = row.0.iter().map(|value| value as &dyn ToSql).collect();
+                tx.run(&sql, &values)?;
             }
         }
         Ok(())
@@ -97,7 +100,7 @@ fn rows_of(
 fn by_task(rows: Vec<Row>) -> Result<BTreeMap<i64, Vec<Vec<Value>>>> {
     let mut tasks: BTreeMap<i64, Vec<Vec<Value>>> = BTreeMap::new();
     for row in rows {
-        tasks.entry(row.int(0)?).or_default().push(row.0);
+        tasks.entry(row.read()?).or_default().push(row.0);
     }
     Ok(tasks)
 }
@@ -136,7 +139,7 @@ fn differing(store: &mut dyn Tx, derived: &mut dyn Tx) -> Result<Differing> {
 fn compare(tx: &mut dyn Tx) -> Result<(Derived, Differing)> {
     let mut derived = Derived::new()?;
     derived.catch_up(tx)?;
-    let found = differing(tx, &mut derived.scratch.tx())?;
+    let found = differing(tx, &mut derived.scratch)?;
     Ok((derived, found))
 }
 
@@ -172,14 +175,11 @@ pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>> {
 /// Findings about the log and the projections.
 pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>> {
     let mut findings = Vec::new();
-    let row = tx.one("SELECT COUNT(*), COALESCE(MAX(seq), 0) FROM event", &[])?;
-    if let Some(row) = row
-        && row.int(0)? != row.int(1)?
-    {
+    let sql = "SELECT COUNT(*), COALESCE(MAX(seq), 0) FROM event";
+    let (count, last): (i64, i64) = tx.get(sql, &[])?;
+    if count != last {
         findings.push(format!(
-            "the log has {} entries, but its last sequence number is {}",
-            row.int(0)?,
-            row.int(1)?
+            "the log has {count} entries, but its last sequence number is {last}"
         ));
     }
     let sql = "SELECT COUNT(*) FROM task WHERE submitted + leases > wanted";
@@ -202,14 +202,14 @@ pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>> {
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use super::super::db::{Content, Work};
+    use super::super::db::{Params, Work};
     use super::super::records::NewTask;
-    use super::super::sqlite::Sqlite;
+    use super::super::sqlite;
     use super::*;
 
     /// A database that counts its writes, and the statements of the longest one.
     struct Counting {
-        inner: Sqlite,
+        inner: Box<dyn Database>,
         writes: Arc<AtomicUsize>,
         longest: Arc<AtomicUsize>,
     }
@@ -220,14 +220,18 @@ mod tests {
     }
 
     impl Tx for CountingTx<'_> {
-        fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64> {
+        fn execute(&mut self, sql: &str, params: Params) -> Result<u64> {
             self.statements += 1;
             self.inner.execute(sql, params)
         }
 
-        fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>> {
+        fn query(&mut self, sql: &str, params: Params) -> Result<Vec<Row>> {
             self.statements += 1;
             self.inner.query(sql, params)
+        }
+
+        fn batch(&mut self, sql: &str, action: &'static str) -> Result<()> {
+            self.inner.batch(sql, action)
         }
 
         fn define(&mut self, sql: &str) -> Result<()> {
@@ -257,10 +261,6 @@ mod tests {
         fn snapshot(&self) -> Result<Box<dyn Database>> {
             self.inner.snapshot()
         }
-
-        fn backup(&self, path: &std::path::Path, content: Content) -> Result<()> {
-            self.inner.backup(path, content)
-        }
     }
 
     fn task(number: usize) -> NewTask {
@@ -275,10 +275,10 @@ mod tests {
     fn neither_a_check_nor_a_rebuild_stops_writers_for_longer_than_a_claim() {
         const TASKS: usize = 1500;
         let folder = tempfile::tempdir().expect("a folder");
-        let (inner, _) = Sqlite::open(&folder.path().join("s.sqlite")).expect("a store");
+        let (inner, _) = sqlite::open(&folder.path().join("s.sqlite")).expect("a store");
         let (writes, longest) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
         let database = Counting {
-            inner,
+            inner: Box::new(inner),
             writes: Arc::clone(&writes),
             longest: Arc::clone(&longest),
         };

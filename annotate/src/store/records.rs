@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::state::LogKind;
 use crate::wire::{
-    Answer, EditType, Empty, Feedback, Lease, ReviewEmpty, Revision, Role, Standing, Suggestion,
-    SuggestionSource, TaskKind, TaskState, User, names,
+    Answer, EditType, Lease, MotionInfo, Revision, Role, Standing, Suggestion, SuggestionSource,
+    TaskKind, TaskState, names,
 };
 
 pub use crate::wire::{BundleItem as BundleEntry, TokenShown as IssuedToken};
@@ -14,7 +14,7 @@ pub use crate::wire::{BundleItem as BundleEntry, TokenShown as IssuedToken};
 pub type Millis = i64;
 
 /// A logged-in user.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Who {
     /// Id.
     pub id: i64,
@@ -43,6 +43,20 @@ pub struct MotionRecord {
     pub style: Option<String>,
     /// Action label of the source.
     pub action: Option<String>,
+}
+
+impl From<MotionRecord> for MotionInfo {
+    fn from(motion: MotionRecord) -> Self {
+        Self {
+            hash: motion.hash,
+            id: motion.id,
+            frames: usize::try_from(motion.frames).unwrap_or(0),
+            fps: motion.fps,
+            split: motion.split,
+            captions: motion.captions,
+            style: motion.style,
+        }
+    }
 }
 
 /// A task to be imported.
@@ -119,7 +133,7 @@ pub struct NewSuggestion {
 }
 
 /// A task as it is stored.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct TaskRecord {
     /// Id.
     pub id: i64,
@@ -184,29 +198,6 @@ pub struct TaskDetail {
     pub clip_changed: bool,
 }
 
-/// Result of a claim.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Claimed {
-    /// A task; the lease on it is held.
-    Task {
-        /// The task as its holder may see it.
-        detail: Box<TaskDetail>,
-        /// Hashes of the motions of the following tasks.
-        upcoming: Vec<String>,
-    },
-    /// No task, and why.
-    Nothing(Empty),
-}
-
-/// Result of claiming a review.
-#[derive(Clone, Debug, PartialEq)]
-pub enum ReviewClaimed {
-    /// A task to review.
-    Task(Box<ReviewDetail>),
-    /// No task, and why.
-    Nothing(ReviewEmpty),
-}
-
 /// A task to review.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReviewDetail {
@@ -230,7 +221,7 @@ pub struct KeyRange {
 }
 
 /// An answer with its task, for figures and exports.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Label {
     /// Task.
     pub task: i64,
@@ -249,7 +240,7 @@ pub struct Label {
 }
 
 /// An accepted answer with its task.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct AcceptedAnswer {
     /// The task.
     pub task: TaskRecord,
@@ -270,7 +261,7 @@ pub struct AcceptedAnswer {
 }
 
 /// A dropped or skipped task.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Reject {
     /// The task.
     pub task: TaskRecord,
@@ -329,66 +320,6 @@ pub struct MineQuery {
     pub before: Option<String>,
     /// Maximum number.
     pub limit: usize,
-}
-
-/// An answer of a person, and where it stands.
-#[derive(Clone, Debug, PartialEq)]
-pub struct OwnAnswer {
-    /// The task.
-    pub task: TaskRecord,
-    /// The answer.
-    pub mine: Revision,
-    /// Where it stands.
-    pub standing: Standing,
-    /// The comment it was sent back with, or the task was dropped with.
-    pub comment: Option<String>,
-    /// The answer that was accepted instead.
-    pub accepted: Option<Answer>,
-    /// How it was accepted.
-    pub accepted_by: Option<String>,
-    /// Whether its author can take it back.
-    pub can_take_back: bool,
-    /// When a returned task is offered to others.
-    pub until: Option<Millis>,
-    /// The known answer and the score of practice.
-    pub feedback: Option<Feedback>,
-}
-
-/// A picture of the guide.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Picture {
-    /// Type of its content.
-    pub mime: String,
-    /// Its content.
-    pub bytes: Vec<u8>,
-}
-
-/// Totals of one person.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PersonCounts {
-    /// Who.
-    pub user: User,
-    /// Submitted answers.
-    pub done: i64,
-    /// Answers accepted.
-    pub accepted: i64,
-    /// Answers sent back, ever.
-    pub returned: i64,
-    /// Scores on gold tasks.
-    pub gold: Vec<f64>,
-    /// Last entry of the log by them.
-    pub last_seen: Option<Millis>,
-}
-
-/// Counts of a week.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct WeekCounts {
-    /// Submitted answers.
-    pub submitted: i64,
-    /// Accepted or merged.
-    pub accepted: i64,
-    /// Sent back.
-    pub returned: i64,
 }
 
 /// Result of an import of tasks.

@@ -3,9 +3,9 @@
 use super::append::working;
 use super::db::{Result, Tx, params};
 use super::entry::{Body, Entry};
-use super::leases::{MINUTE, expire, lease_end, prolong, take};
+use super::leases::Turn;
 use super::log::Request;
-use super::records::{Millis, ReviewClaimed, ReviewDetail, TaskRecord};
+use super::records::{Millis, ReviewDetail, TaskRecord};
 use super::settings::{has_up_to, require};
 use super::store::Store;
 use super::{apply, project, rows};
@@ -14,24 +14,22 @@ use crate::answer;
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
     Code, Decision, MAX_TEXT_CHARS, NewReview, ReviewDone, ReviewEmpty, ReviewQueue, Revision,
-    RevisionState, Settings, TaskKind, TaskState,
+    RevisionState, TaskKind, TaskState,
 };
 
-const DAY: Millis = 24 * 60 * MINUTE;
-
 impl Store {
-    /// Claims the next task to review.
+    /// Claims the next task to review, or says why there is none.
     pub fn review_next(
         &self,
         user: i64,
         queue: ReviewQueue,
         kind: Option<TaskKind>,
         now: Millis,
-    ) -> Result<ReviewClaimed> {
+    ) -> Result<Result<ReviewDetail, ReviewEmpty>> {
         let kind = kind.map_or("", TaskKind::as_str);
         self.write(move |tx| match next(tx, user, queue, kind, now)? {
-            Some(task) => Ok(ReviewClaimed::Task(Box::new(detail(tx, user, task)?))),
-            None => empty(tx, user, kind).map(ReviewClaimed::Nothing),
+            Some(task) => detail(tx, user, task).map(Ok),
+            None => empty(tx, user, kind).map(Err),
         })
     }
 
@@ -52,17 +50,15 @@ impl Store {
             if let Some(done) = request.replay(tx)? {
                 return Ok(done);
             }
-            let settings = project::settings(tx)?;
+            let turn = Turn::of(tx, user, now)?;
             let task = rows::task(tx, new.task)?;
-            let own = check_own(tx, user, task.id, &settings)?;
+            let own = check_own(tx, &turn, task.id)?;
             let deciding = Deciding {
-                user,
+                turn,
                 review: &new,
                 request,
                 task,
-                settings,
                 own,
-                now,
             };
             deciding.check_state()?;
             let needs_comment = matches!(
@@ -91,15 +87,12 @@ fn next(
     kind: &str,
     now: Millis,
 ) -> Result<Option<i64>> {
-    expire(tx, user, now)?;
-    let settings = project::settings(tx)?;
+    let turn = Turn::begin(tx, user, now)?;
+    let settings = &turn.settings;
     let from = "lease l JOIN task t ON t.id = l.task
          WHERE l.usr = ?1 AND l.purpose = 'review' AND (?2 = '' OR t.kind = ?2) ORDER BY l.id LIMIT 1";
     if let Some(held) = rows::leases(tx, from, params![user, kind])?.pop() {
-        if held.lease.expires < lease_end(&settings, now) - MINUTE {
-            prolong(tx, &held, &settings, now)?;
-        }
-        return Ok(Some(held.lease.task));
+        return turn.resume(tx, &held).map(Some);
     }
     // Only queue `sample` is limited to a share of the tasks; 100 admits all.
     let (order, share, back) = match queue {
@@ -114,42 +107,33 @@ fn next(
          ORDER BY {order} LIMIT 1"
     );
     let values = params![user, kind, share, back, settings.seed, settings.solo];
-    let task = tx.find(&sql, values, |row| row.int(0))?;
+    let task = tx.find(&sql, values)?;
     if let Some(task) = task {
-        take(tx, user, task, Purpose::Review, None, &settings, now)?;
+        turn.take(tx, task, Purpose::Review, None)?;
     }
     Ok(task)
 }
 
 /// What is left to review, of a kind or any.
 fn empty(tx: &mut dyn Tx, user: i64, kind: &str) -> Result<ReviewEmpty> {
-    let found = tx.find(
+    tx.get(
         "SELECT COUNT(CASE WHEN t.state = 'submitted' THEN 1 END),
            COUNT(CASE WHEN t.state = 'submitted' AND EXISTS (
              SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state <> 'draft') THEN 1 END),
            COUNT(CASE WHEN t.state = 'in_review' THEN 1 END)
          FROM task t WHERE t.state IN ('submitted', 'in_review') AND t.gold IS NULL AND (?1 = '' OR t.kind = ?1)",
         params![kind, user],
-        |row| {
-            Ok(ReviewEmpty {
-                waiting: row.int(0)?,
-                mine: row.int(1)?,
-                in_review: row.int(2)?,
-            })
-        },
-    )?;
-    found.ok_or(Error::Closed)
+    )
 }
 
 /// Claims a task to review, or goes on with it.
 fn open(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
-    expire(tx, user, now)?;
-    let settings = project::settings(tx)?;
+    let turn = Turn::begin(tx, user, now)?;
     let task = rows::task(tx, id)?;
     if let Some(held) = rows::lease_of(tx, id, user)?
         && held.purpose == Purpose::Review
     {
-        return prolong(tx, &held, &settings, now).map(|_| ());
+        return turn.prolong(tx, &held).map(|_| ());
     }
     if task.state == TaskState::InReview {
         let problem = "another reviewer looks at this task; the record of the task says who, and can release it";
@@ -158,15 +142,15 @@ fn open(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
     if task.state != TaskState::Submitted || task.gold.is_some() {
         return Err(Error::wrong_state(task.state, "reviewed"));
     }
-    check_own(tx, user, id, &settings)?;
-    take(tx, user, id, Purpose::Review, None, &settings, now)
+    check_own(tx, &turn, id)?;
+    turn.take(tx, id, Purpose::Review, None)
 }
 
 /// Whether a reviewer answered the task, which only a project of one person allows.
-fn check_own(tx: &mut dyn Tx, user: i64, task: i64, settings: &Settings) -> Result<bool> {
-    let mine = rows::revision(tx, task, user)?;
+fn check_own(tx: &mut dyn Tx, turn: &Turn, task: i64) -> Result<bool> {
+    let mine = rows::revision(tx, task, turn.user)?;
     let own = mine.is_some_and(|mine| mine.state != RevisionState::Draft);
-    if own && !settings.solo {
+    if own && !turn.settings.solo {
         let problem = "you answered this task yourself; somebody else has to review it";
         return Err(Error::refused(Code::OwnWork, problem));
     }
@@ -185,12 +169,11 @@ fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<ReviewDetail> {
         )
     });
     let sql = "SELECT comment FROM review WHERE task = ?1 AND comment <> '' ORDER BY seq";
-    let comments = tx.list(sql, params![id], |row| row.string(0))?;
     Ok(ReviewDetail {
         task,
         lease,
         candidates,
-        comments,
+        comments: tx.list(sql, params![id])?,
     })
 }
 
@@ -199,23 +182,19 @@ fn answers_to(tx: &mut dyn Tx, task: i64) -> Result<Vec<(Revision, String)>> {
         "SELECT {}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
          WHERE r.task = ?1 AND r.state <> 'draft'
          ORDER BY CASE WHEN r.state = 'returned' THEN 1 ELSE 0 END, r.author",
-        rows::REVISION_COLUMNS
+        rows::REVISION
     );
-    tx.list(&sql, params![task], |row| {
-        Ok((rows::read_revision(row, 0)?, row.string(7)?))
-    })
+    tx.list(&sql, params![task])
 }
 
 /// A decision on a task, and what its log entry depends on.
 struct Deciding<'a> {
-    user: i64,
+    turn: Turn,
     review: &'a NewReview,
     request: Request,
     task: TaskRecord,
-    settings: Settings,
     /// Whether the reviewer answered the task too.
     own: bool,
-    now: Millis,
 }
 
 impl Deciding<'_> {
@@ -233,13 +212,13 @@ impl Deciding<'_> {
         let from = "lease l WHERE l.task = ?1 AND l.purpose = 'review'";
         let held = rows::leases(tx, from, params![self.task.id])?.pop();
         let ours = held.as_ref().is_some_and(|held| {
-            held.lease.user == self.user && held.lease.epoch == self.review.lease_epoch
+            held.lease.user == self.turn.user && held.lease.epoch == self.review.lease_epoch
         });
         let needs_lease = matches!(
             self.review.decision,
             Decision::Accept | Decision::Merge | Decision::Return
         );
-        let somebody_else = held.is_some_and(|held| held.lease.user != self.user);
+        let somebody_else = held.is_some_and(|held| held.lease.user != self.turn.user);
         if (needs_lease && !ours) || somebody_else {
             let problem = "your lease on this review expired; claim the task again from the queue";
             return Err(Error::refused(Code::LeaseLost, problem));
@@ -251,7 +230,7 @@ impl Deciding<'_> {
     fn authors(&self, tx: &mut dyn Tx) -> Result<Vec<i64>> {
         let sql =
             "SELECT author FROM revision WHERE task = ?1 AND state = 'submitted' ORDER BY author";
-        let authors: Vec<i64> = tx.list(sql, params![self.task.id], |row| row.int(0))?;
+        let authors: Vec<i64> = tx.list(sql, params![self.task.id])?;
         match self.review.author {
             None => Ok(authors),
             Some(author) if authors.contains(&author) => Ok(vec![author]),
@@ -275,7 +254,7 @@ impl Deciding<'_> {
                     secs,
                     request,
                     rule: None,
-                    own: self.own && *author == self.user,
+                    own: self.own && *author == self.turn.user,
                 },
                 _ => {
                     let problem = format!("{} answers wait; choose one", authors.len());
@@ -287,7 +266,7 @@ impl Deciding<'_> {
                 let answer = answer
                     .ok_or_else(|| Error::invalid("answer", "the merged answer is missing"))?;
                 let frames = project::frames(tx, &self.task.source)?;
-                answer::check_submission(&answer, self.task.kind, &self.settings, frames)?;
+                answer::check_submission(&answer, self.task.kind, &self.turn.settings, frames)?;
                 Body::Merged {
                     answer,
                     comment,
@@ -299,7 +278,7 @@ impl Deciding<'_> {
             Decision::Return => Body::Returned {
                 authors,
                 comment,
-                until: self.now + Millis::from(self.settings.returned_days) * DAY,
+                until: self.turn.until_returned(),
                 secs,
                 request,
             },
@@ -327,25 +306,20 @@ impl Deciding<'_> {
         };
         let Some(style) = answer
             .as_ref()
-            .and_then(|answer| answer.new_style(&self.settings))
+            .and_then(|answer| answer.new_style(&self.turn.settings))
         else {
             return Ok(());
         };
         // Another spelling may have been accepted since the answer was handed in.
-        answer::check_style_name(style, &self.settings)?;
-        project::add_styles(tx, Some(self.user), [style], self.now)
+        answer::check_style_name(style, &self.turn.settings)?;
+        project::add_styles(tx, Some(self.turn.user), [style], self.turn.now)
     }
 
     /// Writes the entry and returns the reply, which is stored for repetitions of the same key.
     fn log(&self, tx: &mut dyn Tx, body: Body) -> Result<ReviewDone> {
         let id = self.task.id;
-        let entry = Entry {
-            at: self.now,
-            actor: Some(self.user),
-            task: Some(id),
-            epoch: Some(self.review.lease_epoch),
-            body,
-        };
+        let (actor, epoch) = (Some(self.turn.user), Some(self.review.lease_epoch));
+        let entry = Entry::new(self.turn.now, actor, Some(id), epoch, body);
         self.request.log(tx, &entry, 0, |tx, seq| {
             let state = rows::task(tx, id)?.state;
             Ok(ReviewDone { seq, state })

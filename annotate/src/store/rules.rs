@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use super::db::{Result, Tx, params};
 use super::entry::Body;
+use super::leases::Turn;
 use super::records::{Millis, TaskRecord};
 use super::store::Store;
 use super::{log, project, rows};
@@ -34,17 +35,17 @@ impl Store {
     /// Applies the enabled rules to up to 2,000 tasks that wait for review, with ids above `after`.
     pub fn apply_rules(&self, after: i64, now: Millis) -> Result<RulesApplied> {
         self.write(move |tx| {
-            let settings = project::settings(tx)?;
+            // Nobody in particular decides.
+            let turn = Turn::of(tx, 0, now)?;
             let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
+            let (looked_at, last) = (tasks.len() as i64, tasks.last().map(|task| task.id));
             let mut done = RulesApplied {
-                looked_at: tasks.len() as i64,
-                next: (tasks.len() as i64 == AT_ONCE)
-                    .then(|| tasks.last().map(|task| task.id))
-                    .flatten(),
+                looked_at,
+                next: last.filter(|_| looked_at == AT_ONCE),
                 ..RulesApplied::default()
             };
             for task in tasks {
-                if let Some(rule) = decide(tx, &settings, &task, now)? {
+                if let Some(rule) = decide(tx, &turn, &task)? {
                     *done.accepted.entry(rule).or_default() += 1;
                 }
             }
@@ -67,7 +68,7 @@ impl Store {
             }
             let basis = format!("rule:{name}");
             let sql = "SELECT task FROM accepted WHERE basis = ?1 ORDER BY task LIMIT ?2";
-            let tasks = tx.list(sql, params![&basis, AT_ONCE], |row| row.int(0))?;
+            let tasks: Vec<i64> = tx.list(sql, params![&basis, AT_ONCE])?;
             if tasks.is_empty() && !known {
                 return Err(Error::not_found("rule"));
             }
@@ -152,12 +153,8 @@ pub(super) fn waiting_answers(tx: &mut dyn Tx, task: i64) -> Result<Vec<Revision
 }
 
 /// Accepts a task if a rule says so, and returns the name of the rule.
-fn decide(
-    tx: &mut dyn Tx,
-    settings: &Settings,
-    task: &TaskRecord,
-    now: Millis,
-) -> Result<Option<String>> {
+fn decide(tx: &mut dyn Tx, turn: &Turn, task: &TaskRecord) -> Result<Option<String>> {
+    let settings = &turn.settings;
     let answers = waiting_answers(tx, task.id)?;
     let frames = project::frames(tx, &task.source)?;
     for rule in settings.rules.iter().filter(|rule| rule.enabled) {
@@ -174,7 +171,7 @@ fn decide(
                     rule: Some(rule.name.clone()),
                     own: false,
                 };
-                log::note(tx, now, None, Some(task.id), body)?;
+                log::note(tx, turn.now, None, Some(task.id), body)?;
                 return Ok(Some(rule.name.clone()));
             }
         }
@@ -183,17 +180,12 @@ fn decide(
 }
 
 /// Applies the rules to a task that has just got an answer.
-pub(super) fn on_answer(
-    tx: &mut dyn Tx,
-    settings: &Settings,
-    task: i64,
-    now: Millis,
-) -> Result<()> {
-    if !settings.rules.iter().any(|rule| rule.enabled) {
+pub(super) fn on_answer(tx: &mut dyn Tx, turn: &Turn, task: i64) -> Result<()> {
+    if !turn.settings.rules.iter().any(|rule| rule.enabled) {
         return Ok(());
     }
     if let Some(task) = waiting(tx, task - 1, task, 1)?.pop() {
-        decide(tx, settings, &task, now)?;
+        decide(tx, turn, &task)?;
     }
     Ok(())
 }
@@ -208,14 +200,10 @@ fn waiting(tx: &mut dyn Tx, after: i64, up_to: i64, limit: i64) -> Result<Vec<Ta
 
 fn states(tx: &mut dyn Tx) -> Result<Vec<RuleState>> {
     let settings = project::settings(tx)?;
-    let mut accepted: BTreeMap<String, i64> = BTreeMap::new();
-    for row in tx.query(
-        "SELECT basis, COUNT(*) FROM accepted WHERE basis LIKE 'rule:%' GROUP BY basis",
-        &[],
-    )? {
-        let name = row.text(0)?.trim_start_matches("rule:").to_owned();
-        accepted.insert(name, row.int(1)?);
-    }
+    let sql =
+        "SELECT substr(basis, 6), COUNT(*) FROM accepted WHERE basis LIKE 'rule:%' GROUP BY basis";
+    let accepted: Vec<(String, i64)> = tx.list(sql, &[])?;
+    let mut accepted = BTreeMap::from_iter(accepted);
     let state = |rule: Rule, known: bool, accepted: i64| RuleState {
         rule,
         known,
@@ -281,9 +269,6 @@ pub(super) fn reopen(
 /// The rule that accepted a task, and when.
 pub(super) fn accepted_by_rule(tx: &mut dyn Tx, task: i64) -> Result<Option<(String, Millis)>> {
     let sql = "SELECT basis, at FROM accepted WHERE task = ?1";
-    let Some(row) = tx.one(sql, params![task])? else {
-        return Ok(None);
-    };
-    let rule = row.text(0)?.strip_prefix("rule:").map(str::to_owned);
-    Ok(rule.zip(Some(row.int(1)?)))
+    let found: Option<(String, Millis)> = tx.find(sql, params![task])?;
+    Ok(found.and_then(|(basis, at)| Some((basis.strip_prefix("rule:")?.to_owned(), at))))
 }

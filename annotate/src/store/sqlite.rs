@@ -1,17 +1,13 @@
-//! SQLite: one thread writes with group commit, others read.
-//!
-//! `synchronous=FULL` makes a commit wait for the disk, once for a whole group.
+//! SQLite: one file. `synchronous=FULL` makes a commit wait for the disk.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use rusqlite::types::{ToSqlOutput, ValueRef};
-use rusqlite::{Connection, ErrorCode, OpenFlags, ToSql, TransactionBehavior, params_from_iter};
+use rusqlite::{Connection, ErrorCode, OpenFlags};
 
-use super::db::{Content, Database, Result, Row, Tx, Value, Work, not_opened, read_only};
-use super::group::{Writer, WriterThread, caught};
-use super::migrate::{self, Plan};
-use super::readers::{Readers, Snapshot};
+use super::db::{Params, Result, Row, Tx, not_opened, read_only};
+use super::migrate;
+use super::pool::{Backend, Pool};
 use super::store::Upgrade;
 use crate::Error;
 
@@ -22,6 +18,8 @@ const WRITER_CACHE_KB: usize = 64 * 1024;
 /// Timeout for a lock that another process, such as `sqlite3`, holds on the file.
 const BUSY: Duration = Duration::from_secs(10);
 
+/// What a copy does, for errors.
+const COPY: &str = "copy itself";
 /// Trigger that makes the log append-only.
 const TRIGGERS: &str = "
 CREATE TRIGGER event_no_update BEFORE UPDATE ON event
@@ -32,33 +30,34 @@ BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;";
 /// A store in one file.
 pub(crate) struct Sqlite {
     path: PathBuf,
-    writer: WriterThread,
-    readers: Readers<Connection>,
 }
 
-impl Sqlite {
-    /// Opens the file, or creates it with all tables. Says what upgrade that made.
-    pub(crate) fn open(path: &Path) -> Result<(Self, Option<Upgrade>)> {
-        if let Some(kind) = network_file_system(path) {
-            return Err(open_error(
-                path,
-                format!(
-                    "it lies on {kind}, where locks are unreliable and a crash can \
-                     destroy the file; put it on a local disk with --store FILE, or use PostgreSQL"
-                ),
-            ));
-        }
-        let (writer, upgrade) = open_writer(path)?;
-        let readers = Readers::open(|| open_reader(path))?;
-        let writer = WriterThread::start(writer)
-            .map_err(datasets_spec::Error::io("start the writer of", path))?;
-        let store = Self {
-            path: path.to_owned(),
-            writer,
-            readers,
-        };
-        Ok((store, upgrade))
+/// Opens the file, or creates it with all tables. Says what upgrade that made.
+pub(crate) fn open(path: &Path) -> Result<(Pool<Sqlite>, Option<Upgrade>)> {
+    if let Some(kind) = network_file_system(path) {
+        return Err(open_error(
+            path,
+            format!(
+                "it lies on {kind}, where locks are unreliable and a crash can \
+                 destroy the file; put it on a local disk with --store FILE, or use PostgreSQL"
+            ),
+        ));
     }
+    let sqlite = Sqlite {
+        path: path.to_owned(),
+    };
+    let mut writer = sqlite.connect(true)?;
+    let mode: String = writer
+        .query_row("PRAGMA journal_mode=WAL", [], |row| row.get(0))
+        .map_err(|error| open_error(path, error))?;
+    if mode != "wal" {
+        return Err(open_error(
+            path,
+            "its file system does not support a write-ahead log; put it on a local disk with --store FILE",
+        ));
+    }
+    let upgrade = sqlite.prepare(&mut writer)?;
+    Ok((Pool::open(sqlite, writer)?, upgrade))
 }
 
 fn failed(action: &'static str) -> impl Fn(rusqlite::Error) -> Error {
@@ -80,73 +79,31 @@ fn open_error(path: &Path, reason: impl std::fmt::Display) -> Error {
     not_opened(path.display(), reason)
 }
 
-/// Opens a connection, with settings of its own.
-fn connect(path: &Path, flags: OpenFlags, settings: &str) -> Result<Connection> {
-    let refuse = |error: rusqlite::Error| open_error(path, error);
-    let db = Connection::open_with_flags(path, flags).map_err(refuse)?;
-    db.busy_timeout(BUSY).map_err(refuse)?;
-    db.set_prepared_statement_cache_capacity(STATEMENTS);
-    db.execute_batch(settings).map_err(refuse)?;
-    Ok(db)
+/// The version of its tables; 0 of a store without tables.
+fn version(tx: &mut dyn Tx) -> Result<i64> {
+    tx.number("PRAGMA user_version", &[])
 }
 
-fn open_writer(path: &Path) -> Result<(Connection, Option<Upgrade>)> {
-    let settings = format!(
-        "PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON; PRAGMA wal_autocheckpoint=4000; \
-         PRAGMA cache_size=-{WRITER_CACHE_KB}; PRAGMA temp_store=MEMORY;"
-    );
-    let mut db = connect(path, OpenFlags::default(), &settings)?;
-    let mode: String = db
-        .query_row("PRAGMA journal_mode=WAL", [], |row| row.get(0))
-        .map_err(|error| open_error(path, error))?;
-    if mode != "wal" {
-        return Err(open_error(
-            path,
-            "its file system does not support a write-ahead log; put it on a local disk with --store FILE",
-        ));
-    }
-    let upgrade = prepare(&mut db, path)?;
-    Ok((db, upgrade))
-}
-
-fn version(db: &Connection) -> Result<i64> {
-    db.query_row("PRAGMA user_version", [], |row| row.get(0))
-        .map_err(failed("read its version"))
-}
-
-/// Creates the tables of a new store, or upgrades those of an older version after a copy.
-fn prepare(db: &mut Connection, path: &Path) -> Result<Option<Upgrade>> {
-    let place = path.display().to_string();
-    let copy = match migrate::plan(&place, version(db)?)? {
-        Plan::Nothing => return Ok(None),
-        Plan::Create => None,
-        Plan::Upgrade(from) => {
-            let copy = unused(path, from);
-            copy_to(db, &copy, Content::All)?;
-            Some(copy)
+impl Sqlite {
+    /// Creates the tables of a new store, or upgrades those of an older version after a copy.
+    fn prepare(&self, db: &mut Connection) -> Result<Option<Upgrade>> {
+        if version(db)? == migrate::VERSION {
+            return Ok(None);
         }
-    };
-    let make = failed("make its tables");
-    let tx = db
-        .transaction_with_behavior(TransactionBehavior::Immediate)
-        .map_err(&make)?;
-    // Another process may have done it meanwhile.
-    let plan = migrate::plan(&place, version(&tx)?)?;
-    migrate::apply(&mut SqliteTx { db: &tx }, plan)?;
-    if plan == Plan::Create {
-        tx.execute_batch(TRIGGERS).map_err(&make)?;
+        // An error drops the connection, which rolls all of it back.
+        self.begin(db, true)?;
+        // Another process may have done it meanwhile.
+        let found = version(db)?;
+        let place = self.path.display().to_string();
+        let upgrade = migrate::prepare(db, &place, found, TRIGGERS, |_| {
+            let copy = unused(&self.path, found);
+            self.backup(&copy, true)?;
+            Ok(copy.display().to_string())
+        })?;
+        let end = format!("PRAGMA user_version={}; COMMIT", migrate::VERSION);
+        db.batch(&end, migrate::MAKE)?;
+        Ok(upgrade)
     }
-    tx.pragma_update(None, "user_version", migrate::VERSION)
-        .map_err(&make)?;
-    tx.commit().map_err(&make)?;
-    Ok(match (plan, copy) {
-        (Plan::Upgrade(from), Some(copy)) => Some(Upgrade {
-            from,
-            to: migrate::VERSION,
-            copy: copy.display().to_string(),
-        }),
-        _ => None,
-    })
 }
 
 /// An unused name for the copy of a store before its upgrade, beside it.
@@ -161,29 +118,6 @@ fn unused(path: &Path, version: i64) -> PathBuf {
         number += 1;
     }
     path.with_file_name(name(number))
-}
-
-/// Copies a database to a new file, which appears whole and on the disk or not at all.
-fn copy_to(db: &Connection, path: &Path, content: Content) -> Result<()> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
-    let copied = (|| {
-        let text = temporary.to_string_lossy();
-        // One read transaction copies everything; writers continue.
-        db.execute("VACUUM INTO ?1", [text.as_ref()])
-            .map_err(failed("copy itself"))?;
-        if content == Content::WithoutTokens {
-            forget_tokens(&temporary).map_err(failed("leave tokens out"))?;
-        }
-        publish(&temporary, path, &mut |path| {
-            std::fs::File::open(path).and_then(|file| file.sync_all())
-        })
-    })();
-    if copied.is_err() {
-        // What is left of a failed copy only uses space.
-        let _removed = std::fs::remove_file(&temporary);
-    }
-    copied
 }
 
 /// Removes tokens from a copy, also from the pages that they lay in.
@@ -205,164 +139,98 @@ fn publish(
     Ok(sync(folder).map_err(datasets_spec::Error::io("write folder", folder))?)
 }
 
-fn open_reader(path: &Path) -> Result<Connection> {
-    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    connect(path, flags, "PRAGMA query_only=ON")
-}
-
-impl Writer for Connection {
+impl Backend for Sqlite {
+    type Connection = Connection;
     const GROUP: usize = 128;
+    const WRITE: &'static str = "BEGIN IMMEDIATE";
+    const READ: &'static str = "BEGIN";
 
-    fn begin(&mut self) -> Result<()> {
-        self.execute_batch("BEGIN IMMEDIATE")
-            .map_err(failed("begin a transaction"))
-    }
-
-    fn run(&mut self, work: Work<'_>) -> Result<()> {
-        let mut savepoint = self.savepoint().map_err(failed("begin a transaction"))?;
-        let error = match caught(|| work(&mut SqliteTx { db: &savepoint })) {
-            Ok(()) => return savepoint.commit().map_err(failed("commit")),
-            Err(error) => error,
+    fn connect(&self, writes: bool) -> Result<Connection> {
+        let refuse = |error: rusqlite::Error| open_error(&self.path, error);
+        let (flags, settings) = if writes {
+            let settings = format!(
+                "PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON; PRAGMA wal_autocheckpoint=4000; \
+                 PRAGMA cache_size=-{WRITER_CACHE_KB}; PRAGMA temp_store=MEMORY;"
+            );
+            (OpenFlags::default(), settings)
+        } else {
+            let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+            (flags, "PRAGMA query_only=ON".to_owned())
         };
-        let undone = savepoint.rollback();
-        drop(savepoint);
-        if undone.is_err() {
-            // SQLite has rolled everything back, as it does when the disk is full; if not, it must be.
-            self.roll_back();
+        let db = Connection::open_with_flags(&self.path, flags).map_err(refuse)?;
+        db.busy_timeout(BUSY).map_err(refuse)?;
+        db.set_prepared_statement_cache_capacity(STATEMENTS);
+        db.execute_batch(&settings).map_err(refuse)?;
+        Ok(db)
+    }
+
+    /// The file appears whole and on the disk or not at all.
+    fn backup(&self, path: &Path, with_tokens: bool) -> Result<()> {
+        if path.exists() {
+            return Err(open_error(path, "the file exists; choose another name"));
         }
-        Err(error)
+        let mut reader = self.connect(false)?;
+        reader.batch("PRAGMA query_only=OFF", COPY)?;
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
+        let copied = (|| {
+            // One read transaction copies everything; writers continue.
+            reader
+                .execute("VACUUM INTO ?1", [temporary.to_string_lossy().as_ref()])
+                .map_err(failed(COPY))?;
+            if !with_tokens {
+                forget_tokens(&temporary).map_err(failed("leave tokens out"))?;
+            }
+            publish(&temporary, path, &mut |path| {
+                std::fs::File::open(path).and_then(|file| file.sync_all())
+            })
+        })();
+        if copied.is_err() {
+            // What is left of a failed copy only uses space.
+            let _removed = std::fs::remove_file(&temporary);
+        }
+        copied
     }
-
-    fn is_open(&self) -> bool {
-        !self.is_autocommit()
-    }
-
-    fn commit(&mut self) -> Result<()> {
-        self.execute_batch("COMMIT").map_err(failed("commit"))
-    }
-
-    fn roll_back(&mut self) {
-        // A second failure changes nothing.
-        let _rolled_back = self.execute_batch("ROLLBACK");
-    }
-
-    fn close(self) {
-        // If this fails, the next start reads the write-ahead log.
-        let _checkpointed = self.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)");
-    }
-}
-
-pub(crate) struct SqliteTx<'a> {
-    db: &'a Connection,
 }
 
 /// A database for one computation, gone with it. SQLite keeps it in memory until it is large.
-pub(crate) struct Scratch(Connection);
-
-impl Scratch {
-    pub(crate) fn new() -> Result<Self> {
-        let make = failed("make a scratch database");
-        let db = Connection::open("").map_err(&make)?;
-        db.set_prepared_statement_cache_capacity(STATEMENTS);
-        // It needs no protection from a crash.
-        db.execute_batch("PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; BEGIN")
-            .map_err(&make)?;
-        Ok(Self(db))
-    }
-
-    pub(crate) fn tx(&self) -> SqliteTx<'_> {
-        SqliteTx { db: &self.0 }
-    }
+pub(crate) fn scratch() -> Result<Connection> {
+    let mut db = Connection::open("").map_err(failed("make a scratch database"))?;
+    db.set_prepared_statement_cache_capacity(STATEMENTS);
+    // It needs no protection from a crash.
+    let settings = "PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; BEGIN";
+    db.batch(settings, "make a scratch database")?;
+    Ok(db)
 }
 
-impl ToSql for Value {
-    fn to_sql(&self) -> rusqlite::Result<ToSqlOutput<'_>> {
-        Ok(ToSqlOutput::Borrowed(match self {
-            Self::Null => ValueRef::Null,
-            Self::Int(value) => ValueRef::Integer(*value),
-            Self::Real(value) => ValueRef::Real(*value),
-            Self::Text(value) => ValueRef::Text(value.as_bytes()),
-            Self::Blob(value) => ValueRef::Blob(value),
-        }))
-    }
-}
-
-impl Tx for SqliteTx<'_> {
-    fn execute(&mut self, sql: &str, params: &[Value]) -> Result<u64> {
-        let wrap = failed("write");
-        let mut statement = self.db.prepare_cached(sql).map_err(&wrap)?;
-        let changed = statement.execute(params_from_iter(params)).map_err(&wrap)?;
+impl Tx for Connection {
+    fn execute(&mut self, sql: &str, params: Params) -> Result<u64> {
+        let mut statement = self.prepare_cached(sql).map_err(failed("write"))?;
+        let changed = statement.execute(params).map_err(failed("write"))?;
         Ok(changed as u64)
+    }
+
+    fn batch(&mut self, sql: &str, action: &'static str) -> Result<()> {
+        self.execute_batch(sql).map_err(failed(action))
     }
 
     fn define(&mut self, sql: &str) -> Result<()> {
         // INTEGER PRIMARY KEY makes the id the rowid, so SQLite keeps no extra index.
         let sql = sql.replace("BIGINT PRIMARY KEY", "INTEGER PRIMARY KEY");
-        self.db
-            .execute_batch(&sql)
-            .map_err(failed("make its tables"))
+        self.batch(&sql, migrate::MAKE)
     }
 
-    fn query(&mut self, sql: &str, params: &[Value]) -> Result<Vec<Row>> {
-        let wrap = failed("read");
-        let mut statement = self.db.prepare_cached(sql).map_err(&wrap)?;
-        let columns = statement.column_count();
-        let mut found = statement.query(params_from_iter(params)).map_err(&wrap)?;
-        let mut rows = Vec::new();
-        while let Some(row) = found.next().map_err(&wrap)? {
-            let mut values = Vec::with_capacity(columns);
-            for column in 0..columns {
-                values.push(match row.get_ref(column).map_err(&wrap)? {
-                    ValueRef::Null => Value::Null,
-                    ValueRef::Integer(value) => Value::Int(value),
-                    ValueRef::Real(value) => Value::Real(value),
-                    ValueRef::Text(text) => Value::Text(String::from_utf8_lossy(text).into_owned()),
-                    ValueRef::Blob(bytes) => Value::Blob(bytes.to_vec()),
-                });
-            }
-            rows.push(Row(values));
-        }
-        Ok(rows)
-    }
-}
-
-impl Database for Sqlite {
-    fn write(&self, work: Work<'static>) -> Result<()> {
-        self.writer.write(work)
-    }
-
-    fn read(&self, work: Work<'_>) -> Result<()> {
-        self.readers.with(
-            |reader| {
-                reader.execute_batch("BEGIN").map_err(failed("read"))?;
-                work(&mut SqliteTx { db: reader })
-            },
-            |reader| {
-                // A read transaction changes nothing, so a failed rollback loses nothing.
-                let _ended = reader.execute_batch("ROLLBACK");
-            },
-        )
-    }
-
-    fn backup(&self, path: &Path, content: Content) -> Result<()> {
-        if path.exists() {
-            return Err(open_error(path, "the file exists; choose another name"));
-        }
-        let reader = open_reader(&self.path)?;
-        reader
-            .execute_batch("PRAGMA query_only=OFF")
-            .map_err(failed("copy itself"))?;
-        copy_to(&reader, path, content)
-    }
-
-    fn snapshot(&self) -> Result<Box<dyn Database>> {
-        let reader = open_reader(&self.path)?;
-        reader.execute_batch("BEGIN").map_err(failed("read"))?;
-        // The first read fixes the point in time.
-        SqliteTx { db: &reader }.number("SELECT COUNT(*) FROM setting", &[])?;
-        Ok(Box::new(Snapshot::new(reader, |reader, work| {
-            work(&mut SqliteTx { db: reader })
-        })))
+    fn query(&mut self, sql: &str, params: Params) -> Result<Vec<Row>> {
+        let read = || -> rusqlite::Result<Vec<Row>> {
+            let mut statement = self.prepare_cached(sql)?;
+            let columns = statement.column_count();
+            let rows = statement.query_map(params, |row| {
+                let values: rusqlite::Result<_> = (0..columns).map(|at| row.get(at)).collect();
+                Ok(Row(values?))
+            })?;
+            rows.collect()
+        };
+        read().map_err(failed("read"))
     }
 }
 
@@ -414,12 +282,13 @@ fn unescaped(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{db, project};
+    use super::super::db::{self, Database};
+    use super::super::project;
     use super::*;
 
-    fn store() -> (tempfile::TempDir, Sqlite) {
+    fn store() -> (tempfile::TempDir, Pool<Sqlite>) {
         let dir = tempfile::tempdir().expect("a folder");
-        let (store, _) = Sqlite::open(&dir.path().join("s.sqlite")).expect("opens");
+        let (store, _) = open(&dir.path().join("s.sqlite")).expect("opens");
         (dir, store)
     }
 
@@ -428,9 +297,9 @@ mod tests {
         move |tx| project::put(tx, &name, "")
     }
 
-    fn names(store: &Sqlite) -> Vec<String> {
+    fn names(store: &Pool<Sqlite>) -> Vec<String> {
         let sql = "SELECT name FROM setting WHERE name <> 'id' ORDER BY name";
-        db::read(store, |tx| tx.list(sql, &[], |row| row.string(0))).expect("reads")
+        db::read(store, |tx| tx.list(sql, &[])).expect("reads")
     }
 
     #[test]
@@ -467,12 +336,12 @@ mod tests {
         assert_eq!(names(&store), ["b"]);
     }
 
-    fn pragma(store: &Sqlite, sql: &'static str) {
+    fn pragma(store: &Pool<Sqlite>, sql: &'static str) {
         db::write(store, move |tx| tx.query(sql, &[])).expect("a pragma");
     }
 
     /// A row that takes a few pages.
-    fn put_much(store: &Sqlite, name: &str) -> Result<()> {
+    fn put_much(store: &Pool<Sqlite>, name: &str) -> Result<()> {
         let name = name.to_owned();
         db::write(store, move |tx| {
             project::put(tx, &name, &"x".repeat(20_000))
@@ -558,7 +427,7 @@ mod tests {
             let kept = &log[..log.len() - cut * log.len() / 8];
             std::fs::write(crashed.path().join("s.sqlite-wal"), kept).expect("a copy");
             // Cut to nothing, the first transaction is gone with the tables; they are made anew.
-            let (reopened, _) = Sqlite::open(&path).expect("opens without repair");
+            let (reopened, _) = open(&path).expect("opens without repair");
             let found = names(&reopened);
             assert_eq!(found, written[..found.len()], "a prefix, in order");
             assert_eq!(cut == 0, found.len() == written.len());
@@ -589,9 +458,9 @@ mod tests {
         let (dir, store) = store();
         db::write(&store, put("kept")).expect("writes");
         let copy = dir.path().join("copy.sqlite");
-        store.backup(&copy, Content::All).expect("copies");
-        assert!(store.backup(&copy, Content::All).is_err());
-        assert_eq!(names(&Sqlite::open(&copy).expect("opens").0), ["kept"]);
+        store.backup(&copy, true).expect("copies");
+        assert!(store.backup(&copy, true).is_err());
+        assert_eq!(names(&open(&copy).expect("opens").0), ["kept"]);
     }
 
     #[test]

@@ -1,11 +1,9 @@
 //! The store as a whole. Its operations on tasks, people and files are in the modules of their kind.
 
 use std::path::Path;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
-use super::db::{self, Content, Database, Result, Tx};
-use super::tokens::Known;
-use crate::Error;
+use super::db::{self, Database, Result, Tx};
 use crate::clock::{self, Clock};
 
 /// An upgrade that opening a store made.
@@ -27,16 +25,11 @@ pub struct Upgrade {
 pub struct Store {
     pub(super) db: Box<dyn Database>,
     upgrade: Option<Upgrade>,
-    pub(super) known: Mutex<Known>,
 }
 
 impl Store {
     pub(super) fn new(db: Box<dyn Database>, upgrade: Option<Upgrade>) -> Self {
-        Self {
-            db,
-            upgrade,
-            known: Mutex::default(),
-        }
+        Self { db, upgrade }
     }
 
     /// The upgrade that opening the store made, if its tables were of an older version.
@@ -60,7 +53,7 @@ impl Store {
 
     /// Whether servers on several machines can use the store. If so, it also keeps the files of their exports.
     pub(crate) fn is_shared(&self) -> bool {
-        self.db.is_shared()
+        self.db.time().is_some()
     }
 
     /// Changes rows past the log, for tests of what notices it.
@@ -79,7 +72,7 @@ impl Store {
     /// # Errors
     /// The file exists.
     pub fn backup(&self, path: &Path) -> Result<()> {
-        self.db.backup(path, Content::All)
+        self.db.backup(path, true)
     }
 
     /// Writes the store without tokens and sessions to a new file, for another machine.
@@ -87,7 +80,7 @@ impl Store {
     /// # Errors
     /// As [`Self::backup`].
     pub fn pack(&self, path: &Path) -> Result<()> {
-        self.db.backup(path, Content::WithoutTokens)
+        self.db.backup(path, false)
     }
 
     /// Checks that the store can be read and that its writer answers, without writing anything. A full disk shows
@@ -104,11 +97,11 @@ impl Store {
     /// The clock of the database, for a store that several servers share. Their own clocks may differ by more than
     /// a lease lasts.
     pub fn clock(self: &Arc<Self>) -> Result<Option<Clock>> {
-        if self.db.time()?.is_none() {
+        let Some(sql) = self.db.time() else {
             return Ok(None);
-        }
+        };
         let store = Arc::clone(self);
-        let read = move || store.db.time().and_then(|time| time.ok_or(Error::Closed));
+        let read = move || store.read(|tx| tx.number(sql, &[]));
         Ok(Some(clock::shared(read)?))
     }
 }

@@ -8,11 +8,9 @@ use super::db::{Result, Tx, params};
 use super::project;
 use super::records::Millis;
 use super::store::Store;
-use crate::Error;
-use crate::clock::midnight;
+use crate::clock::{DAY, midnight};
 use crate::wire::{DayWork, Outlook, TaskKind};
 
-const DAY: Millis = 24 * 60 * 60 * 1000;
 const QUARTER: Millis = 15 * 60 * 1000;
 /// Days whose pace is taken for the coming ones.
 const PACE_DAYS: i64 = 7;
@@ -36,17 +34,15 @@ fn days(tx: &mut dyn Tx, from: Millis, to: Millis) -> Result<Vec<DayWork>> {
     let zone = project::settings(tx)?.time_zone;
     let mut days: BTreeMap<(Millis, i64, TaskKind), DayWork> = BTreeMap::new();
     // The database adds up quarters of an hour, of which the days of every time zone consist.
-    let rows = tx.query(
+    let rows = tx.list::<(i64, String, Millis, TaskKind, f64, [i64; 3])>(
         "SELECT w.usr, MAX(COALESCE(u.name, '')), w.at / 900000, t.kind, SUM(w.secs), CAST(SUM(w.answers) AS BIGINT),
            CAST(SUM(w.skips) AS BIGINT), CAST(SUM(w.reviews) AS BIGINT)
          FROM work w JOIN task t ON t.id = w.task LEFT JOIN usr u ON u.id = w.usr
          WHERE w.at >= ?1 AND w.at < ?2 GROUP BY w.usr, w.at / 900000, t.kind ORDER BY 3, 1, 4",
         params![from, to],
     )?;
-    for row in &rows {
-        let start = midnight(&zone, row.int(2)? * QUARTER);
-        let (user, kind) = (row.int(0)?, row.named(3, TaskKind::parse)?);
-        let name = row.string(1)?;
+    for (user, name, quarter, kind, secs, [answers, skips, reviews]) in rows {
+        let start = midnight(&zone, quarter * QUARTER);
         let day = days.entry((start, user, kind)).or_insert_with(|| DayWork {
             start,
             user,
@@ -57,51 +53,46 @@ fn days(tx: &mut dyn Tx, from: Millis, to: Millis) -> Result<Vec<DayWork>> {
             skips: 0,
             reviews: 0,
         });
-        day.secs += row.real(4)?;
-        day.answers += row.int(5)?;
-        day.skips += row.int(6)?;
-        day.reviews += row.int(7)?;
+        day.secs += secs;
+        day.answers += answers;
+        day.skips += skips;
+        day.reviews += reviews;
     }
     Ok(days.into_values().collect())
 }
 
 fn outlook(tx: &mut dyn Tx, kind: TaskKind, now: Millis) -> Result<Outlook> {
-    let name = kind.as_str();
     let recent = now - PACE_DAYS * DAY;
-    let left = tx.one(
+    let (answers_left, reviews_left): (i64, i64) = tx.get(
         "SELECT CAST(COALESCE(SUM(CASE WHEN state IN ('open', 'leased', 'returned') THEN wanted - submitted END), 0)
              AS BIGINT),
            COUNT(CASE WHEN state IN ('submitted', 'in_review') THEN 1 END)
          FROM task WHERE kind = ?1 AND gold IS NULL",
-        params![name],
+        params![kind],
     )?;
-    let done = tx.one(
+    let (answers, reviews, secs, first): (i64, i64, f64, Option<Millis>) = tx.get(
         "SELECT CAST(COALESCE(SUM(w.answers), 0) AS BIGINT), CAST(COALESCE(SUM(w.reviews), 0) AS BIGINT),
            CAST(COALESCE(SUM(w.secs), 0) AS DOUBLE PRECISION), MIN(w.at)
          FROM work w JOIN task t ON t.id = w.task WHERE w.at >= ?1 AND t.kind = ?2",
-        params![recent, name],
+        params![recent, kind],
     )?;
-    let (left, done) = left.zip(done).ok_or(Error::Closed)?;
-    let (answers_left, answers) = (left.int(0)?, done.int(0)?);
     // A project younger than the window is measured over its own days, at least one.
     let age = |first: Millis| ((now - first) as f64 / DAY as f64).max(1.0);
-    let days = done.opt_int(3)?.map_or(1.0, age);
+    let days = first.map_or(1.0, age);
     let pace = answers as f64 / days;
-    let mut times = tx.list(
+    let mut times: Vec<f64> = tx.list(
         "SELECT secs FROM revision r JOIN task t ON t.id = r.task
          WHERE r.state <> 'draft' AND t.kind = ?1 AND r.at >= ?2",
-        params![name, recent],
-        |row| row.real(0),
+        params![kind, recent],
     )?;
     let median_secs = quantile::median(&mut times);
     let days_left = (pace > 0.0).then(|| answers_left as f64 / pace);
-    let secs = done.real(2)?;
     Ok(Outlook {
         kind,
         answers_left,
-        reviews_left: left.int(1)?,
+        reviews_left,
         answers_per_day: pace,
-        reviews_per_day: done.int(1)? as f64 / days,
+        reviews_per_day: reviews as f64 / days,
         secs_per_answer: (answers > 0).then(|| secs / answers as f64),
         hours_left: median_secs.map(|secs| secs * answers_left as f64 / 3600.0),
         days_left,

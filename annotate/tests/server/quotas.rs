@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use annotate::store::{Claimed, NewTask, Store, open_sqlite};
+use annotate::store::{NewTask, Store, open_sqlite};
 use annotate::transfer::from_dataset;
 use annotate::wire::{Answer, Code, EditType, EditTypeCount, Settings, TaskKind, Verdict};
 use datasets_spec::record::{EDIT_TYPES, PairRow};
@@ -138,7 +138,7 @@ fn the_edit_type_that_a_dataset_states_of_a_pair_is_known_beforehand() {
         assert!(taken.messages.iter().any(|line| line.contains("timing")));
         quotas(&store, wanted);
         let claimed = store.claim(ROOT, TaskKind::Pair, 0, START).expect("claims");
-        let Claimed::Task { detail, .. } = claimed else {
+        let Ok((detail, _)) = claimed else {
             panic!("there are pairs");
         };
         detail.task.key

@@ -3,10 +3,10 @@
 
 use std::collections::BTreeSet;
 
-use annotate::store::{NewTask, OwnAnswer, PageQuery, ReviewClaimed, TokenUse};
+use annotate::store::{NewTask, PageQuery, TokenUse};
 use annotate::transfer::export;
 use annotate::wire::{
-    Answer, BulkAction, BulkDone, BulkRequest, Code, Decision, EventKind, ExportFormat,
+    Answer, BulkAction, BulkDone, BulkRequest, Code, Decision, EventKind, ExportFormat, MyAnswer,
     ReviewQueue, Role, Rule, RuleKind, Settings, Standing, TaskKind, TaskRow, TaskSort, TaskState,
     Verdict,
 };
@@ -47,11 +47,11 @@ impl Fixture {
         self.store.task_row(task).expect("a task").0
     }
 
-    fn mine(&self, user: i64) -> Vec<OwnAnswer> {
+    fn mine(&self, user: i64) -> Vec<MyAnswer> {
         self.mine_of(user, json!({ "limit": 50 })).0
     }
 
-    fn mine_of(&self, user: i64, query: Value) -> (Vec<OwnAnswer>, Option<String>) {
+    fn mine_of(&self, user: i64, query: Value) -> (Vec<MyAnswer>, Option<String>) {
         let answers = self.store.answers_of(user, from_json(query), self.now());
         answers.expect("answers")
     }
@@ -616,9 +616,9 @@ fn one_researcher_may_accept_their_own_work_and_it_is_marked() {
             let claimed = site.store.review_next(site.ann, queue, None, START);
             claimed.expect("claims")
         };
-        assert!(matches!(next(), ReviewClaimed::Nothing(_)));
+        assert!(next().is_err());
         site.set(|settings| settings.solo = true);
-        let ReviewClaimed::Task(detail) = next() else {
+        let Ok(detail) = next() else {
             panic!("my own answer waits");
         };
         assert_eq!(detail.task.id, task);
@@ -719,7 +719,7 @@ fn a_new_annotator_practises_until_the_score_is_reached() {
         assert_ne!(site.take_pair(site.ann), practice);
         assert_ne!(site.claim_pair(site.eve), Some(practice), "no practice");
         let people = site.store.people().expect("people");
-        assert!(people.iter().all(|person| person.gold.is_empty()));
+        assert!(people.iter().all(|person| person.gold_items == 0));
         assert_eq!(site.found(json!({})).len(), 4, "no practice task");
     });
 }

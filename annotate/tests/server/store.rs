@@ -4,8 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use annotate::store::{
-    AcceptedAnswer, Claimed, Imported, NewTask, ReviewClaimed, Store, TaskDetail, TaskRecord,
-    TokenUse, Who, open_sqlite,
+    AcceptedAnswer, Imported, NewTask, Store, TaskDetail, TaskRecord, TokenUse, Who, open_sqlite,
 };
 use annotate::wire::{
     Answer, Code, Decision, Empty, EventKind, EventResult, Home, JointChoice, JointWeight, Lease,
@@ -144,16 +143,14 @@ impl Fixture {
         }
     }
 
-    fn claimed(&self, user: i64, kind: TaskKind) -> Claimed {
+    fn claimed(&self, user: i64, kind: TaskKind) -> Result<(TaskDetail, Vec<String>), Empty> {
         let claimed = self.store.claim(user, kind, 3, self.now());
         claimed.expect("claims")
     }
 
     pub(crate) fn claim_kind(&self, user: i64, kind: TaskKind) -> Option<i64> {
-        match self.claimed(user, kind) {
-            Claimed::Task { detail, .. } => Some(detail.task.id),
-            Claimed::Nothing(_) => None,
-        }
+        let claimed = self.claimed(user, kind).ok();
+        claimed.map(|(detail, _)| detail.task.id)
     }
 
     pub(crate) fn claim(&self, user: i64) -> Option<i64> {
@@ -166,10 +163,8 @@ impl Fixture {
 
     /// Why there is no task for a user.
     fn nothing(&self, user: i64, kind: TaskKind) -> Empty {
-        match self.claimed(user, kind) {
-            Claimed::Task { detail, .. } => panic!("nothing is left: {detail:?}"),
-            Claimed::Nothing(empty) => empty,
-        }
+        let claimed = self.claimed(user, kind);
+        claimed.expect_err("nothing is left")
     }
 
     /// Claims a mask task that there must be.
@@ -288,8 +283,8 @@ impl Fixture {
         let queue = ReviewQueue::Disagreement;
         let claimed = self.store.review_next(self.eve, queue, None, self.now());
         match claimed.expect("claims") {
-            ReviewClaimed::Task(detail) => (detail.task.id, detail.lease.epoch),
-            ReviewClaimed::Nothing(empty) => panic!("nothing to review: {empty:?}"),
+            Ok(detail) => (detail.task.id, detail.lease.epoch),
+            Err(empty) => panic!("nothing to review: {empty:?}"),
         }
     }
 
@@ -496,7 +491,7 @@ fn reviewers_do_not_judge_their_own_work_and_decisions_can_be_undone() {
         let task = site.answer(site.eve, "mine");
         let sample = ReviewQueue::Sample;
         let review = site.store.review_next(site.eve, sample, None, START);
-        let ReviewClaimed::Nothing(empty) = review.expect("claims") else {
+        let Err(empty) = review.expect("claims") else {
             panic!("one's own work is not given out")
         };
         assert_eq!((empty.waiting, empty.mine), (1, 1));
@@ -716,7 +711,8 @@ fn gold_tasks_look_like_others_and_are_scored() {
         assert_eq!(seen(site.answer(site.bob, "other")), submitted);
         let people = site.store.people().expect("people");
         let bob = people.iter().find(|person| person.user.id == site.bob);
-        assert_eq!(bob.expect("bob").gold, [1.0]);
+        let bob = bob.expect("bob");
+        assert_eq!((bob.gold_items, bob.gold_score), (1, Some(1.0)));
         let counts = site.store.funnel().expect("counts");
         let counted: i64 = counts.iter().map(|row| row.2).sum();
         assert_eq!(counted, 3, "gold tasks are not counted as work");
@@ -796,7 +792,7 @@ fn the_motions_of_the_next_tasks_are_named_gold_ones_too() {
     });
     each("upcoming", tasks, |site| {
         let next = |user: i64| match site.claimed(user, TaskKind::Pair) {
-            Claimed::Task { detail, upcoming } => (detail.task.source, upcoming.join(" ")),
+            Ok((detail, upcoming)) => (detail.task.source, upcoming.join(" ")),
             other => panic!("{other:?}"),
         };
         let (present, following) = next(site.ann);
@@ -1078,7 +1074,7 @@ impl Walk<'_> {
         let (eve, now) = (self.site.eve, self.site.now());
         let queue = ReviewQueue::Disagreement;
         let claimed = self.site.store.review_next(eve, queue, None, now);
-        let ReviewClaimed::Task(detail) = claimed.expect("claims") else {
+        let Ok(detail) = claimed.expect("claims") else {
             return;
         };
         let what = Decision::ALL[self.draw(4)];

@@ -10,8 +10,7 @@ use annotate::http::{PATIENCE, Server, ServerConfig, UPLOAD_PATIENCE};
 use annotate::model::Model;
 use annotate::motions::MotionLibrary;
 use annotate::store::{
-    Claimed, KeyRange, MotionRecord, NewTask, ReviewClaimed, ReviewDetail, Store, TaskDetail,
-    TokenUse, open_sqlite,
+    KeyRange, MotionRecord, NewTask, ReviewDetail, Store, TaskDetail, TokenUse, open_sqlite,
 };
 use annotate::transfer::from_dataset;
 use annotate::wire::{
@@ -629,11 +628,9 @@ pub(crate) fn bare_motion() -> MotionRecord {
 }
 
 /// Claims a task of a kind for a person in a store without a server.
-pub(crate) fn claim(store: &Store, user: i64, kind: TaskKind, now: i64) -> Option<Box<TaskDetail>> {
-    match store.claim(user, kind, 3, now).expect("claims") {
-        Claimed::Task { detail, .. } => Some(detail),
-        Claimed::Nothing(_) => None,
-    }
+pub(crate) fn claim(store: &Store, user: i64, kind: TaskKind, now: i64) -> Option<TaskDetail> {
+    let claimed = store.claim(user, kind, 3, now).expect("claims");
+    claimed.ok().map(|(detail, _)| detail)
 }
 
 /// Sends an event of a claimed task to a store without a server.
@@ -660,12 +657,9 @@ pub(crate) fn review(
     reviewer: i64,
     queue: ReviewQueue,
     now: i64,
-) -> Option<Box<ReviewDetail>> {
+) -> Option<ReviewDetail> {
     let claimed = store.review_next(reviewer, queue, None, now);
-    match claimed.expect("claims") {
-        ReviewClaimed::Task(detail) => Some(detail),
-        ReviewClaimed::Nothing(_) => None,
-    }
+    claimed.expect("claims").ok()
 }
 
 /// Writes a line to the terminal past the test runner's capture.

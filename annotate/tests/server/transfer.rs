@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use annotate::store::{MotionRecord, NewTask, ReviewClaimed, Store, TaskRecord, Who, open_sqlite};
+use annotate::store::{MotionRecord, NewTask, Store, TaskRecord, Who, open_sqlite};
 use annotate::transfer::{
     AnnotationRow, EventRow, Exported, LabelRow, RejectRow, Taken, export, from_annotations,
     from_dataset, from_release,
@@ -737,7 +737,7 @@ fn a_clip_that_was_ingested_anew_stops_nobody_and_its_tasks_ask() {
     assert_eq!(settle("pair:fine-grained0", false), TaskState::Submitted);
     let pairs = Some(TaskKind::Pair);
     let next = store.review_next(eve, ReviewQueue::Sample, pairs, START);
-    let ReviewClaimed::Task(review) = next.expect("claims") else {
+    let Ok(review) = next.expect("claims") else {
         panic!("a task to review")
     };
     assert!(review.task.changed);

@@ -4,11 +4,11 @@ use axum::response::Response;
 use serde::Deserialize;
 
 use super::review::candidates_of;
-use super::tasks::{offered, task_of};
+use super::tasks::offered;
 use crate::Error;
 use crate::http::app::{Context, json, page_size, parse_query};
-use crate::store::{DecisionQuery, MineQuery, OwnAnswer, PageQuery};
-use crate::wire::{Code, MyAnswer, MyAnswers, Standing, TaskFile, TaskSort};
+use crate::store::{DecisionQuery, MineQuery, PageQuery};
+use crate::wire::{Code, MyAnswers, TaskFile, TaskSort};
 
 /// Rows of a page.
 const ROWS: usize = 200;
@@ -52,7 +52,7 @@ pub(super) fn task(cx: &Context) -> Result<Response, Error> {
     let task = store.task_record(id)?;
     json(&TaskFile {
         suggestions: offered(&cx.app, &task, store.suggestions_of(id)?)?,
-        task: task_of(&cx.app, task, None)?,
+        task: store.view(task, None)?,
         row,
         answers: candidates_of(cx, store.answers_to(id)?)?,
         accepted: store.accepted_answer(id)?,
@@ -75,26 +75,6 @@ pub(super) fn decisions(cx: &Context) -> Result<Response, Error> {
 pub(super) fn mine(cx: &Context) -> Result<Response, Error> {
     let mut query: MineQuery = cx.query()?;
     query.limit = page_size(query.limit, ITEMS);
-    let (found, next) = cx.store().answers_of(cx.user()?, query, cx.now)?;
-    let item = |own: OwnAnswer| -> Result<MyAnswer, Error> {
-        let task = task_of(&cx.app, own.task, None)?;
-        let missing = match own.standing {
-            Standing::WaitsForOthers => task.wanted.saturating_sub(task.submitted),
-            _ => 0,
-        };
-        Ok(MyAnswer {
-            missing,
-            task,
-            mine: own.mine,
-            standing: own.standing,
-            comment: own.comment,
-            accepted: own.accepted,
-            accepted_by: own.accepted_by,
-            can_take_back: own.can_take_back,
-            until: own.until,
-            feedback: own.feedback,
-        })
-    };
-    let items = found.into_iter().map(item).collect::<Result<_, Error>>()?;
+    let (items, next) = cx.store().answers_of(cx.user()?, query, cx.now)?;
     json(&MyAnswers { items, next })
 }

@@ -10,7 +10,7 @@ use crate::clock::{self, DAY};
 use crate::http::app::{Context, json, page_size};
 use crate::quality::Figures;
 use crate::store::AuditFilter;
-use crate::wire::{EditType, EditTypeCount, Funnel, Person, QuotaRow, TaskKind, Week};
+use crate::wire::{EditType, EditTypeCount, Funnel, QuotaRow, TaskKind};
 
 /// Weeks the dashboard shows.
 const WEEKS: i64 = 12;
@@ -33,56 +33,40 @@ pub(super) fn funnel(cx: &Context) -> Result<Response, Error> {
     }
     let zone = cx.store().settings()?.time_zone;
     let bounds = clock::weeks(&zone, cx.now, WEEKS);
-    let counts = cx.store().weeks(bounds.clone())?;
     let figures = figures(cx)?;
-    for (index, counts) in counts.into_iter().enumerate() {
+    for (mut week, span) in cx
+        .store()
+        .weeks(&bounds)?
+        .into_iter()
+        .zip(bounds.windows(2))
+    {
         let inside = |values: &[(i64, f64)]| -> Vec<f64> {
             let within = values
                 .iter()
-                .filter(|(at, _)| (bounds[index]..bounds[index + 1]).contains(at));
+                .filter(|(at, _)| (span[0]..span[1]).contains(at));
             within.map(|(_, value)| *value).collect()
         };
-        let mut secs = inside(&figures.secs_by_time);
         let agreed = inside(&figures.agreed_by_time);
-        funnel.weeks.push(Week {
-            start: bounds[index],
-            submitted: counts.submitted,
-            accepted: counts.accepted,
-            returned: counts.returned,
-            median_secs: datasets_spec::quantile::median(&mut secs),
-            agreement: (!agreed.is_empty())
-                .then(|| agreed.iter().sum::<f64>() / agreed.len() as f64),
-            shared_items: agreed.len(),
-        });
+        week.median_secs = datasets_spec::quantile::median(&mut inside(&figures.secs_by_time));
+        week.agreement =
+            (!agreed.is_empty()).then(|| agreed.iter().sum::<f64>() / agreed.len() as f64);
+        week.shared_items = agreed.len();
+        funnel.weeks.push(week);
     }
     json(&funnel)
 }
 
 pub(super) fn people(cx: &Context) -> Result<Response, Error> {
     let figures = figures(cx)?;
-    let people: Vec<Person> = cx
-        .store()
-        .people()?
-        .into_iter()
-        .map(|counts| {
-            let known = figures.people.get(&counts.user.id);
-            let known = known.cloned().unwrap_or_default();
-            let gold = counts.gold.len();
-            Person {
-                done: counts.done,
-                median_secs: known.median_secs,
-                accepted: counts.accepted,
-                returned: counts.returned,
-                draft_unchanged: known.draft_unchanged,
-                draft_distance: known.draft_distance,
-                gold_items: gold as i64,
-                gold_score: (gold > 0).then(|| counts.gold.iter().sum::<f64>() / gold as f64),
-                agreement: known.agreement,
-                last_seen: counts.last_seen,
-                user: counts.user,
-            }
-        })
-        .collect();
+    let mut people = cx.store().people()?;
+    for person in &mut people {
+        if let Some(known) = figures.people.get(&person.user.id) {
+            person.median_secs = known.median_secs;
+            person.draft_unchanged = known.draft_unchanged;
+            person.draft_distance = known.draft_distance;
+            person.agreement = known.agreement;
+        }
+    }
     json(&people)
 }
 

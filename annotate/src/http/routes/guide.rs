@@ -28,8 +28,8 @@ pub(super) fn put_guide(cx: &Context) -> Result<Response, Error> {
 }
 
 pub(super) fn picture(cx: &Context) -> Result<Response, Error> {
-    let picture = cx.store().picture(cx.param("name"))?;
-    Ok(content(&picture.mime, "private, no-cache", picture.bytes))
+    let (mime, bytes) = cx.store().picture(cx.param("name"))?;
+    Ok(content(&mime, "private, no-cache", bytes))
 }
 
 pub(super) fn put_picture(cx: &Context) -> Result<Response, Error> {

@@ -4,7 +4,6 @@ use axum::response::Response;
 use datasets_spec::BodyPart;
 
 use super::dashboard::figures;
-use super::tasks::task_of;
 use crate::Error;
 use crate::http::app::{Context, json, page_size};
 use crate::store::{AcceptedAnswer, ShelfFilter};
@@ -39,7 +38,7 @@ pub(super) fn shelf(cx: &Context) -> Result<Response, Error> {
         .into_iter()
         .map(|found| {
             Ok(ShelfItem {
-                task: task_of(&cx.app, found.task, None)?,
+                task: cx.store().view(found.task, None)?,
                 answer: found.answer,
                 at: found.at,
             })

@@ -3,7 +3,6 @@
 use axum::response::Response;
 use serde::Deserialize;
 
-use super::tasks::motion_info;
 use crate::Error;
 use crate::http::app::{Context, binary, content, json};
 use crate::mask::{check_names, known_parts, mask_of};
@@ -36,7 +35,7 @@ struct Partners {
 pub(super) fn partners(cx: &Context) -> Result<Response, Error> {
     let Partners { of, n } = cx.query()?;
     let found = cx.store().partners(&of, n.unwrap_or(8).clamp(1, 50))?;
-    let found: Vec<MotionInfo> = found.into_iter().map(motion_info).collect();
+    let found: Vec<MotionInfo> = found.into_iter().map(MotionInfo::from).collect();
     json(&found)
 }
 

@@ -2,12 +2,11 @@
 
 use axum::response::Response;
 
-use super::tasks::{offered, task_of};
+use super::tasks::offered;
 use crate::Error;
 use crate::answer;
 use crate::http::app::{Context, json};
 use crate::quality::draft_distance;
-use crate::store::ReviewClaimed;
 use crate::wire::{
     Candidate, Decision, NewReview, ReviewNext, ReviewRequest, ReviewView, Revision,
 };
@@ -19,13 +18,13 @@ pub(super) fn review_next(cx: &Context) -> Result<Response, Error> {
         store.review_task(user, task, cx.now)?
     } else {
         match store.review_next(user, request.queue, request.kind, cx.now)? {
-            ReviewClaimed::Nothing(empty) => {
+            Err(empty) => {
                 return json(&ReviewNext {
                     review: None,
                     empty: Some(empty),
                 });
             }
-            ReviewClaimed::Task(detail) => *detail,
+            Ok(detail) => detail,
         }
     };
     let revisions = detail.candidates.iter();
@@ -35,7 +34,7 @@ pub(super) fn review_next(cx: &Context) -> Result<Response, Error> {
     let suggestions = store.suggestions_of(detail.task.id)?;
     let suggestions = offered(&cx.app, &detail.task, suggestions)?;
     let clip_changed = detail.task.changed;
-    let task = task_of(&cx.app, detail.task, None)?;
+    let task = store.view(detail.task, None)?;
     let motion = task.motions.first();
     let frames = motion.map_or(1, |motion| motion.frames as i64);
     json(&ReviewNext {

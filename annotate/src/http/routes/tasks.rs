@@ -7,50 +7,14 @@ use crate::answer;
 use crate::http::app::{App, Context, json};
 use crate::mask::known_parts;
 use crate::model::MAX_REQUESTS_PER_MINUTE;
-use crate::store::{AuditFilter, Claimed, MotionRecord, TaskDetail, TaskRecord};
+use crate::store::{AuditFilter, TaskDetail, TaskRecord};
 use crate::wire::{
-    Bundle, Code, EventBatch, EventResults, MAX_EVENTS, MotionInfo, Next, NextRequest,
-    SuggestRequest, Suggestion, Task, TaskKind, TaskView, TextForm,
+    Bundle, Code, EventBatch, EventResults, MAX_EVENTS, Next, NextRequest, SuggestRequest,
+    Suggestion, TaskKind, TaskView, TextForm,
 };
 
 /// Tasks whose motions the browser prefetches.
 const AHEAD: usize = 3;
-
-pub(super) fn motion_info(motion: MotionRecord) -> MotionInfo {
-    MotionInfo {
-        hash: motion.hash,
-        id: motion.id,
-        frames: usize::try_from(motion.frames).unwrap_or(0),
-        fps: motion.fps,
-        split: motion.split,
-        captions: motion.captions,
-        style: motion.style,
-    }
-}
-
-pub(super) fn task_of(
-    app: &App,
-    record: TaskRecord,
-    bundle: Option<Bundle>,
-) -> Result<Task, Error> {
-    let hashes = std::iter::once(record.source)
-        .chain(record.target)
-        .collect();
-    let motions = app.store.motions(hashes)?;
-    Ok(Task {
-        id: record.id,
-        kind: record.kind,
-        state: record.state,
-        motions: motions.into_iter().map(motion_info).collect(),
-        category: record.category,
-        hint: record.hint,
-        style: record.style,
-        wanted: record.wanted,
-        submitted: record.submitted,
-        bundle,
-        practice: record.practice,
-    })
-}
 
 /// A suggestion in the form that texts of a kind of task have.
 pub(super) fn shown(mut suggestion: Suggestion, kind: TaskKind) -> Suggestion {
@@ -98,7 +62,7 @@ fn view(app: &App, detail: TaskDetail) -> Result<TaskView, Error> {
         offered(app, &detail.task, detail.suggestions)?
     };
     Ok(TaskView {
-        task: task_of(app, detail.task, bundle)?,
+        task: app.store.view(detail.task, bundle)?,
         lease: detail.lease,
         mine: detail.mine,
         comment: detail.comment,
@@ -112,8 +76,8 @@ pub(super) fn next(cx: &Context) -> Result<Response, Error> {
     let request: NextRequest = cx.body()?;
     let claimed = cx.store().claim(cx.user()?, request.kind, AHEAD, cx.now)?;
     let (task, empty, prefetch) = match claimed {
-        Claimed::Task { detail, upcoming } => (Some(view(&cx.app, *detail)?), None, upcoming),
-        Claimed::Nothing(empty) => (None, Some(empty), Vec::new()),
+        Ok((detail, upcoming)) => (Some(view(&cx.app, detail)?), None, upcoming),
+        Err(empty) => (None, Some(empty), Vec::new()),
     };
     json(&Next {
         task,
@@ -187,12 +151,13 @@ pub(super) fn make_gold(cx: &Context) -> Result<Response, Error> {
         wanted: 1,
         ..cx.store().task_record(gold)?
     };
-    json(&task_of(&cx.app, record, None)?)
+    json(&cx.store().view(record, None)?)
 }
 
 pub(super) fn make_practice(cx: &Context) -> Result<Response, Error> {
     let practice = cx.store().make_practice(cx.user()?, cx.id()?, cx.now)?;
-    json(&task_of(&cx.app, cx.store().task_record(practice)?, None)?)
+    let record = cx.store().task_record(practice)?;
+    json(&cx.store().view(record, None)?)
 }
 
 pub(super) fn history(cx: &Context) -> Result<Response, Error> {
