@@ -81,7 +81,7 @@ pub(crate) fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> 
     check_text("answer.note", said.note)
 }
 
-/// Whether an answer says what an imported one says. Fields that the imported answer leaves empty do not count, because
+/// Whether an answer agrees with an imported one. Fields that the imported answer leaves empty do not count, because
 /// most layouts cannot represent all of them.
 pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
     let kinds = (ours.kind(), imported.kind());
@@ -184,7 +184,7 @@ fn check_mask_count(
     ))
 }
 
-/// Checks the name of a style: one of the project's, or a new one that cannot be taken for one of these.
+/// Checks the name of a style: one of the project's, or a new one that cannot be confused with those.
 pub(crate) fn check_style_name(style: &str, settings: &Settings) -> Result<(), Error> {
     text_needed("answer.style", style)?;
     let is_name = style.trim() == style && style.chars().count() <= MAX_NAME_CHARS;
@@ -242,7 +242,7 @@ fn normal(text: &str) -> String {
     words.join(" ")
 }
 
-/// What a description starts with as a whole sentence.
+/// Beginning of a description that is a whole sentence.
 const SUBJECT: &str = "the person is ";
 
 /// A description as the continuation of "The person is …": without these words, and without the full stop after them.
@@ -281,7 +281,7 @@ impl Answer {
         }
     }
 
-    /// What it says.
+    /// Fields of the answer.
     pub(crate) fn fields(&self) -> Fields<'_> {
         match self {
             Self::MaskText {
@@ -364,7 +364,7 @@ impl Answer {
         of_masks.chain(said.parts).map(String::as_str).collect()
     }
 
-    /// What its masks take of a clip with `frames` frames.
+    /// Joints and frames of each mask in a clip with `frames` frames.
     pub(crate) fn cells(&self, frames: i64) -> Vec<Cells> {
         let masks = self.fields().masks.iter();
         masks.map(|mask| mask.cells(frames)).collect()
@@ -558,7 +558,7 @@ mod tests {
         ] {
             assert_eq!(code(&doubled), Some(Code::Invalid));
         }
-        // The later mask takes 31 of the 40 frames that the nearest one takes; the other three have an equal.
+        // The later mask contains 31 of the 40 frames of the nearest mask; the other three masks have an equal one.
         let apart = distance(&later, &two_arms(|_| ()), FRAMES);
         assert!((apart - 9.0 / 160.0).abs() < 1e-12, "{apart}");
     }

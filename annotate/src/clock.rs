@@ -50,8 +50,8 @@ pub(crate) fn weeks(zone: &str, now: Millis, count: i64) -> Vec<Millis> {
         .collect()
 }
 
-/// How often the time of a shared store is read. Between, the monotonic clock of this machine counts on; it gains
-/// or loses less than a millisecond meanwhile, and nobody can set it.
+/// How often the time of a shared store is read. Between reads, the monotonic clock of this machine is used; it drifts
+/// by less than a millisecond and cannot be set.
 const READ_EVERY: Duration = Duration::from_secs(10);
 
 /// The clock of a store that several servers share, whose time `read` tells. While it cannot be read, the clock counts

@@ -22,7 +22,7 @@ const PARALLEL: usize = 4;
 /// Failures after which nothing more is asked for: the model is gone, or the key is wrong.
 const MAX_FAILURES: usize = 20;
 
-/// What was asked for, and what came.
+/// Counts of one run that drafts texts with a language model.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Drafted {
     /// Tasks looked at.

@@ -65,7 +65,7 @@ pub enum Error {
     /// The input of an import is invalid.
     #[error("cannot import {what}: {problem}")]
     Import {
-        /// What.
+        /// Name of the input.
         what: String,
         /// What is wrong, and how to correct it.
         problem: String,

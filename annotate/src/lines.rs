@@ -34,7 +34,7 @@ struct Judgement {
     motion: String,
     /// Body parts, in the release's spelling.
     parts: Vec<String>,
-    /// Joints whose weight differs from the one that the parts give them.
+    /// Joints whose weight differs from the weight in their parts.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     joints: Vec<JointChoice>,
     /// First frame that the mask holds for; missing for the whole clip.
@@ -43,7 +43,7 @@ struct Judgement {
     /// The frame after the last one that the mask holds for; missing for the whole clip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     end: Option<i32>,
-    /// What the masked part does, as an instruction.
+    /// Instruction for the masked part.
     text: String,
     verdict: Verdict,
 }
@@ -72,7 +72,7 @@ impl Judgement {
         serde_json::to_string(self).unwrap_or_default() + "\n"
     }
 
-    /// Whether it says other things than its draft, or something where there is none.
+    /// Whether the judgement differs from its draft, or has content without a draft.
     fn is_edited(&self, draft: Option<&MaskRow>) -> Result<bool, datasets_spec::Error> {
         let Some(draft) = draft else {
             return Ok(!self.text.trim().is_empty());
@@ -208,7 +208,7 @@ fn judge(
     }
     let edited = judgement.is_edited(draft);
     if judgement.verdict == Verdict::Todo && !edited.map_err(|error| error.to_string())? {
-        // Its draft is as it was, or there is nothing in it yet.
+        // The line does not change its draft, or has no content yet.
         return Ok(draft.map(|draft| (judgement.mask, Some(draft.clone()))));
     }
     let range = judgement.range(frames)?;
@@ -375,7 +375,7 @@ mod tests {
         ] {
             assert_eq!((row.id.as_str(), (row.start, row.end)), (id, range));
         }
-        // They come out as they went in.
+        // Writing and reading gives the same judgements.
         let again = judgements(&rows);
         assert_eq!(again[0].joints, [collar]);
         assert_eq!(take(&rows, &again), rows);

@@ -1,4 +1,4 @@
-//! The masks of an answer: their joints, the frames that they hold for, and what is wrong with them.
+//! The masks of an answer: their joints, their frames, and checks of both.
 
 use datasets_spec::record::MaskRow;
 use datasets_spec::{BlendMask, BodyPart, Joint, JointSet};
@@ -171,22 +171,22 @@ impl MaskAnswer {
         }
     }
 
-    /// Its joints.
+    /// Joints of the mask.
     pub fn mask(&self) -> BlendMask {
         mask_of(&self.parts, self.soft, &self.joints)
     }
 
-    /// The frames that it holds for, of a clip with `frames` frames.
+    /// Frames of the mask in a clip with `frames` frames.
     fn frames(&self, frames: i64) -> [i64; 2] {
         self.range.map_or([0, frames], |range| range.map(i64::from))
     }
 
-    /// What it takes of a clip with `frames` frames.
+    /// Joints and frames of the mask in a clip with `frames` frames.
     pub(crate) fn cells(&self, frames: i64) -> Cells {
         (self.mask().hard(), self.frames(frames))
     }
 
-    /// Whether it takes the same joints in the same frames as another one, the soft ring as a whole aside.
+    /// Whether two masks have the same joints and frames, apart from the soft ring as a whole.
     pub(crate) fn is_like(&self, other: &Self, frames: i64) -> bool {
         let joints = |mask: &Self| mask_of(&mask.parts, true, &mask.joints);
         joints(self) == joints(other) && self.frames(frames) == other.frames(frames)

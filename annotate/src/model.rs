@@ -84,7 +84,7 @@ impl Model {
         })
     }
 
-    /// Its name.
+    /// Name of the model.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -195,7 +195,7 @@ fn question<'a>(
     }
 }
 
-/// Collapses the text to one line without characters that control or turn it.
+/// Collapses the text to one line and removes control and bidirectional-text characters.
 fn plain(text: &str) -> String {
     let turns = |c: &char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     let spaced: String = text

@@ -53,7 +53,7 @@ pub(crate) struct Figures {
     pub(crate) agreed_by_time: Vec<(i64, f64)>,
 }
 
-/// What the figures need of an answer.
+/// Parts of an answer that the figures are computed from.
 struct Said {
     author: i64,
     secs: f64,
@@ -72,7 +72,7 @@ struct Said {
 }
 
 impl Said {
-    /// How far it agrees with another answer to the task, 0 to 1.
+    /// Agreement with another answer to the same task, 0 to 1.
     fn likeness(&self, other: &Self) -> f64 {
         match self.verdict {
             Some(_) => f64::from(u8::from(self.verdict == other.verdict)),
@@ -102,8 +102,8 @@ impl<'a> Shared<'a> {
     }
 }
 
-/// What the figures need of all answers. It is kept in memory and brought up to date with the tasks that changed since,
-/// so that answers are read once.
+/// Data of all answers for the figures. It stays in memory and is updated with the tasks that changed, so that each
+/// answer is read once.
 #[derive(Default)]
 pub(crate) struct Gathered {
     /// Sequence number of the log up to which it is up to date.
@@ -336,7 +336,7 @@ impl KeptFigures {
             _ => lock(&self.gathered),
         };
         let changed = gathered.update(store)?;
-        // The lock may have been waited for: whoever held it has just computed them.
+        // Another thread may have computed the figures while this one waited for the lock.
         let last = lock(&self.last).clone();
         let figures = match last {
             Some((_, figures)) if !changed => figures,

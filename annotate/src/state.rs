@@ -69,11 +69,11 @@ names! {
 names! {
     /// Why a lease ended without an answer.
     pub enum ReleaseReason {
-        /// The holder released it.
+        /// The holder released the lease.
         GivenBack = "given_back",
-        /// It expired.
+        /// The lease expired.
         Expired = "expired",
-        /// A reviewer revoked it.
+        /// A reviewer revoked the lease.
         TakenAway = "taken_away",
     }
 }

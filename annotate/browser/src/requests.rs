@@ -35,7 +35,7 @@ impl Browser {
         ))
     }
 
-    /// What the server answers in the page's session.
+    /// Response of the server to a GET request in the page's session.
     pub fn get(&self, path: &str) -> Value {
         let mut reply = self.request("GET", path, None);
         assert_eq!(reply["status"], 200, "{path}: {reply}");

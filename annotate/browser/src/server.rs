@@ -69,7 +69,7 @@ impl Dataset {
         Self::copy_of(&MADE.path().join("dataset"))
     }
 
-    /// A dataset with a style pair of any two of its clips, and at least `count` of them.
+    /// A dataset with style pairs of any two clips, at least `count` of them.
     pub fn with_pairs(count: i64) -> Self {
         let clips = (1..).find(|clips| clips * (clips - 1) / 2 >= count);
         let clips = clips.expect("a number of clips").to_string();
@@ -98,7 +98,7 @@ impl Dataset {
         Self { folder }
     }
 
-    /// Its folder.
+    /// Folder of the dataset.
     pub fn path(&self) -> PathBuf {
         self.folder.path().join("dataset")
     }
@@ -147,7 +147,7 @@ impl Server {
         server
     }
 
-    /// Starts it again on the same port.
+    /// Restarts the server on the same port.
     pub fn up(&mut self) {
         let mut command = Command::new(stance());
         if let Some(model) = &self.model {
@@ -174,7 +174,7 @@ impl Server {
         self.up();
     }
 
-    /// Kills it without warning, like a power cut.
+    /// Kills the server without warning, like a power cut.
     pub fn down(&mut self) {
         self.program = None;
     }

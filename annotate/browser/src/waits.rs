@@ -20,7 +20,7 @@ pub(crate) fn wait<T>(work: impl Future<Output = T>) -> T {
     RUNTIME.block_on(work)
 }
 
-/// Whether it is so within [`PATIENCE`].
+/// Whether the condition becomes true within [`PATIENCE`].
 pub(crate) fn in_time(mut is_so: impl FnMut() -> bool) -> bool {
     let begun = Instant::now();
     while !is_so() {

@@ -1,4 +1,4 @@
-//! What routes share: the state of the server, a request, and responses.
+//! State of the server, requests and responses, shared by all routes.
 
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
@@ -61,7 +61,7 @@ pub struct Context {
 
 /// Settings of a server.
 pub struct ServerConfig {
-    /// Address to listen on; port 0 takes a free one.
+    /// Listening address; port 0 selects a free port.
     pub listen: SocketAddr,
     /// A second address, for `/metrics`, `/healthz` and `/readyz` without login.
     pub operators: Option<SocketAddr>,
@@ -69,7 +69,7 @@ pub struct ServerConfig {
     pub secure: bool,
     /// Names by which browsers reach it, beside `localhost` and addresses.
     pub hosts: Vec<String>,
-    /// Proxies whose word on the address of a client is taken.
+    /// Proxies whose `X-Forwarded-For` header is trusted.
     pub trusted_proxies: Vec<TrustedProxy>,
     /// Folder for exports.
     pub data: PathBuf,

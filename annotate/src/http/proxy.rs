@@ -42,7 +42,7 @@ pub(super) fn client(peer: IpAddr, headers: &HeaderMap, trusted: &[TrustedProxy]
             match hop {
                 Some(address) if is_trusted(address) => known = address,
                 Some(address) => return address,
-                // A proxy hides its client: what stands before it has nobody to vouch for it.
+                // An untrusted hop hides its client: no trusted proxy confirms the addresses before it.
                 None => return known,
             }
         }
@@ -50,7 +50,7 @@ pub(super) fn client(peer: IpAddr, headers: &HeaderMap, trusted: &[TrustedProxy]
     };
     let by_list = outermost(hops(headers, &X_FORWARDED_FOR, address));
     let by_fields = outermost(hops(headers, &FORWARDED, forwarded_for));
-    // A proxy that writes one header passes the other one on as the client sent it.
+    // A proxy that writes one of the headers passes the client's version of the other one on.
     match (
         headers.contains_key(X_FORWARDED_FOR),
         headers.contains_key(FORWARDED),
@@ -61,7 +61,7 @@ pub(super) fn client(peer: IpAddr, headers: &HeaderMap, trusted: &[TrustedProxy]
     }
 }
 
-/// What a client is counted by: its IPv4 address, or its IPv6 network of 64 bits, all of which one host may use.
+/// Rate-limit key of a client: its IPv4 address, or its IPv6 /64 network, all of which one host may use.
 pub(super) fn counted(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V4(address) => address.into(),
@@ -142,7 +142,7 @@ mod tests {
             ("::ffff:192.0.2.7", "192.0.2.7"),
             ("[2001:db8::7]", "2001:db8::7"),
             ("[2001:db8::7", "10.0.0.1"),
-            // What the client sent itself stands before its address.
+            // Addresses that the client sent itself precede its real address.
             ("127.0.0.1, 192.0.2.7", "192.0.2.7"),
             ("1.2.3.4, 192.0.2.7, 10.0.0.9, fd00::1", "192.0.2.7"),
             ("192.0.2.7, unknown", "10.0.0.1"),

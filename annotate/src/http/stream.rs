@@ -17,8 +17,8 @@ use crate::state::LogKind;
 use crate::store::{Store, TokenUse, Who};
 use crate::wire::{Change, Code, Role};
 
-/// How often the end of the log is polled while somebody listens. Another server on the same store
-/// cannot notify this one.
+/// Interval at which the log is polled while clients are connected. Another server on the same store cannot notify this
+/// one.
 const LOOK: Duration = Duration::from_millis(300);
 /// How often a comment is sent, so that proxies keep the connection open.
 const BEAT: Duration = Duration::from_secs(15);

@@ -19,7 +19,7 @@ use crate::wire::{
 /// Maximum working time that one event can report.
 const MAX_SECS: f64 = 3600.0;
 
-/// Working time as it is logged.
+/// Working time for the log: a finite number from 0 to [`MAX_SECS`].
 pub(super) fn working(secs: f64) -> f64 {
     if secs.is_finite() {
         secs.clamp(0.0, MAX_SECS)
@@ -147,7 +147,7 @@ impl Taking<'_> {
         })
     }
 
-    /// The user's lease on the task, if the event was made under it.
+    /// The user's lease on the task, if the event was sent under it.
     fn held(&self, tx: &mut dyn Tx) -> Result<Option<Lease>> {
         let held = annotate_lease(tx, self.task.id, self.turn.user)?;
         Ok(held.filter(|held| held.epoch == self.event.lease_epoch))
@@ -232,7 +232,7 @@ impl Taking<'_> {
         self.log(tx, Some(self.event.lease_epoch), body, Some(problem), None)
     }
 
-    /// Hands an answer in, scores it if the right one is known, and lets the rules decide about it.
+    /// Submits an answer, scores it if the known answer exists, and applies the rules.
     fn submit(&self, tx: &mut dyn Tx, answer: Answer, rev: i64, epoch: i64) -> Result<EventResult> {
         let mut answers = others(tx, self.task.id, self.turn.user)?;
         answers.push(answer.clone());

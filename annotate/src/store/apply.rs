@@ -243,7 +243,7 @@ impl Change<'_> {
                 self.put_revision(tx, RevisionState::Submitted, answer, *rev, *secs)?;
                 self.forget(tx, "lease")?;
                 self.forget(tx, "skip")?;
-                // Its author saw the clip as it is now.
+                // The author saw the current version of the clip.
                 tx.run(
                     "UPDATE task SET distance = ?2, changed = CASE WHEN EXISTS (
                        SELECT 1 FROM revision WHERE task = ?1 AND author <> ?3) THEN changed ELSE 0 END
@@ -291,7 +291,7 @@ impl Change<'_> {
         }
     }
 
-    /// Applies what came with a dataset, and what is decided about it.
+    /// Applies events of dataset imports, and decisions about changed clips.
     fn apply_import(&self, tx: &mut dyn Tx) -> Result<()> {
         match &self.entry.body {
             Body::Filled {

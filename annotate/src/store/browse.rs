@@ -14,10 +14,10 @@ use crate::wire::{
     AnswerBrief, DecisionRow, Decisions, Revision, TaskFilter, TaskPage, TaskRow, TaskSort,
 };
 
-/// Which page of the browser.
+/// Query of a page of the task browser.
 #[derive(Clone, Debug, Default)]
 pub struct PageQuery {
-    /// Which tasks.
+    /// Filter on tasks.
     pub filter: TaskFilter,
     /// Order.
     pub sort: Option<TaskSort>,
@@ -29,13 +29,13 @@ pub struct PageQuery {
     pub limit: usize,
 }
 
-/// Which decisions to list.
+/// Query of a page of decisions.
 #[derive(Clone, Debug, Default, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DecisionQuery {
-    /// Of this reviewer.
+    /// Only decisions of this reviewer.
     pub reviewer: Option<i64>,
-    /// Of this kind: `accepted`, `merged`, `returned`, `dropped` or `reopened`.
+    /// Only decisions of this kind: `accepted`, `merged`, `returned`, `dropped` or `reopened`.
     pub decision: Option<String>,
     /// Before this sequence number of the log.
     pub before: Option<i64>,
@@ -59,7 +59,7 @@ impl Store {
         })
     }
 
-    /// Decisions of reviewers, newest first: what was sent back, to whom, and what became of it.
+    /// Decisions of reviewers, newest first: the returned answer, its author, and its present state.
     pub fn decisions(&self, query: DecisionQuery) -> Result<Decisions> {
         let mut values = Values::default();
         let mut place = format!("v.seq < {}", values.put(query.before.unwrap_or(i64::MAX)));
@@ -139,10 +139,10 @@ fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage> {
     })
 }
 
-/// What several tasks have, by their ids.
+/// Values of several tasks, by task id.
 type ByTask<T> = BTreeMap<i64, Vec<T>>;
 
-/// What a query says about several tasks, by the task in its first column. The query reads the tasks of `{}`.
+/// Groups the rows of a query by the task in their first column. The query reads the tasks of `{}`.
 fn by_task<T: DeserializeOwned>(
     tx: &mut dyn Tx,
     sql: &str,
@@ -157,7 +157,7 @@ fn by_task<T: DeserializeOwned>(
     Ok(all)
 }
 
-/// Rows of the browser. Each table is read once for all of them.
+/// Rows of the browser. Each table is read once for all rows.
 fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>> {
     if tasks.is_empty() {
         return Ok(Vec::new());
@@ -170,7 +170,7 @@ fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>> {
          LEFT JOIN accepted a ON a.task = t.id WHERE t.id IN ({})",
         &tasks,
     )?;
-    // Those that were handed in, in the order of time.
+    // Submitted answers in the order of time.
     let sql = format!(
         "SELECT r.task, {REVISION}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
          WHERE r.task IN ({{}}) AND r.state <> 'draft' ORDER BY r.at, r.author"

@@ -102,16 +102,16 @@ fn bulk(
 #[derive(Deserialize)]
 struct One {
     task: TaskRecord,
-    /// Whether another reviewer looks at it.
+    /// Whether another reviewer holds the task.
     held: bool,
-    /// Whether the actor answered it.
+    /// Whether the actor answered the task.
     own: bool,
 }
 
-/// What is done to a task, or why it is left alone.
+/// Event to apply to a task, or why the task is skipped.
 type Planned = Result<Body, &'static str>;
 
-/// What a bulk action does to a task.
+/// Event that a bulk action applies to a task.
 fn planned(tx: &mut dyn Tx, turn: &Turn, request: &BulkRequest, one: &One) -> Result<Planned> {
     let One { task, held, own } = one;
     let comment = request.comment.trim().to_owned();

@@ -60,7 +60,7 @@ impl Store {
     /// A user's practice of each kind.
     pub fn practice(&self, user: i64) -> Result<Vec<Practice>> {
         self.read(|tx| {
-            // The time is of no matter.
+            // The time does not affect the result.
             let turn = Turn::of(tx, user, 0)?;
             let kinds = TaskKind::ALL.iter();
             kinds.map(|&kind| standing(tx, &turn, kind)).collect()
@@ -247,7 +247,7 @@ fn places(
 
 /// A category of pairs, with regard to its quota.
 struct Category {
-    /// Pairs that count toward it.
+    /// Number of pairs that count toward the quota.
     counted: i64,
     /// Pairs that may still be given out.
     room: i64,
@@ -264,7 +264,7 @@ impl Category {
     }
 }
 
-/// The categories of pairs that can be claimed; tasks without a category are one.
+/// Categories of pairs that can be claimed; tasks without a category form one.
 type Room = BTreeMap<Option<String>, Category>;
 
 /// Pairs that count toward the quota of each category, and those that wait for review, because a reviewer may send them
@@ -418,8 +418,8 @@ fn candidate(
     Ok(None)
 }
 
-/// Hashes of the motions of the tasks after the present one: those held, the next gold task, whose motions would
-/// otherwise come later than those of others, and new ones.
+/// Hashes of the motions of the next tasks: the held ones, the next gold task and new ones. Without prefetching, the
+/// motions of gold tasks would load later than others, which would mark gold tasks.
 fn upcoming(
     tx: &mut dyn Tx,
     turn: &Turn,

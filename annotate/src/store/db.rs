@@ -136,7 +136,7 @@ pub(crate) trait Database: Send + Sync {
         Err(Error::Closed)
     }
 
-    /// The database as it is now, whatever is written later.
+    /// A snapshot of the database; later writes do not appear in it.
     fn snapshot(&self) -> Result<Box<dyn Database>> {
         Err(Error::Closed)
     }
@@ -146,7 +146,7 @@ pub(crate) trait Database: Send + Sync {
         Err(Error::Closed)
     }
 
-    /// The query for its own time, if servers on several machines can share it.
+    /// SQL for the database's own time, if servers on several machines can share the database.
     fn time(&self) -> Option<&'static str> {
         None
     }

@@ -21,7 +21,7 @@ pub(super) const PROJECTIONS: [Projection; 10] = [
     ("gold_place", "task", "task, usr"),
 ];
 
-/// What creates the projections.
+/// SQL that creates the projections.
 pub(super) const SCHEMA: &str = include_str!("projections.sql");
 /// Entries read at a time.
 const BATCH: i64 = 1000;

@@ -32,7 +32,7 @@ pub(crate) struct LoggedTask {
     pub(crate) shuffle: i64,
     pub(crate) wanted: u32,
     pub(crate) gold: Option<Answer>,
-    /// Whether its known answer is shown to those who answered it.
+    /// Whether the known answer is shown to users who answered the task.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(crate) practice: bool,
     pub(crate) extra: Option<serde_json::Value>,
@@ -88,7 +88,7 @@ pub(crate) enum Body {
         credit: Option<Credit>,
         extra: Option<serde_json::Value>,
     },
-    /// The clips have other content since; the hashes are the new ones.
+    /// The clips have other content now; the hashes are the new ones.
     ClipChanged {
         source: String,
         target: Option<String>,
@@ -119,7 +119,7 @@ pub(crate) enum Body {
         answer: Answer,
         rev: i64,
         secs: f64,
-        /// Why it did not become a revision, if it did not.
+        /// Reason why the answer did not become a revision, if it did not.
         kept_aside: Option<String>,
         request: String,
     },

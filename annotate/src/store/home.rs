@@ -47,7 +47,7 @@ fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home> {
     })
 }
 
-/// Counts of a kind, as a person sees them.
+/// Counts of the tasks of a kind that a person may work on.
 fn queue(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<QueueInfo> {
     let (total, done, mine) = tx.get(
         "SELECT COUNT(*), COUNT(CASE WHEN state IN ('submitted', 'in_review', 'accepted') THEN 1 END),

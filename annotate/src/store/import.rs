@@ -11,7 +11,7 @@ use crate::Error;
 use crate::answer;
 use crate::wire::{Answer, Settings, TaskKind, TaskState};
 
-/// What the key of a gold task has before that of the task it was copied from.
+/// Prefix that turns the key of a task into the key of its gold copy.
 pub(super) const GOLD_KEY: &str = "gold:";
 /// Answers wanted for a gold task: one of everybody.
 const GOLD_WANTED: u32 = 1_000_000;
@@ -242,12 +242,12 @@ fn copy_known(tx: &mut dyn Tx, actor: i64, id: i64, practice: bool, now: Millis)
         category: task.category,
         hint: task.hint,
         style: task.style,
-        // The known answer says it.
+        // The edit type is in the known answer.
         edit_type: None,
         priority: 0,
         gold: Some(known),
         extra: None,
-        // Without drafts it would be told from other tasks.
+        // Copy the drafts too: without drafts, annotators could recognise a gold task.
         suggestions: project::drafts_where(tx, "task = ?1 ORDER BY id", params![id])?,
         accepted: None,
         credit: None,

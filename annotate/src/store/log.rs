@@ -64,7 +64,7 @@ fn put(
 
 /// A request that is not applied twice.
 pub(super) struct Request {
-    /// Its key with the user id, so that keys of different people never collide.
+    /// The client's key prefixed with the user id, so that keys of different people never collide.
     key: String,
     /// Tells a repetition from another request with the same key.
     pub(super) hash: String,

@@ -91,7 +91,7 @@ impl Store {
     }
 }
 
-/// What creating or upgrading tables does, for errors.
+/// Name of the operation that creates or upgrades tables, for errors.
 pub(super) const MAKE: &str = "make its tables";
 
 /// Creates the tables of a store and `triggers` if its version is 0, or upgrades tables of an older version after

@@ -1,4 +1,4 @@
-//! What a person handed in, and where it stands.
+//! A person's submitted answers and their states.
 
 use serde::Deserialize;
 
@@ -137,7 +137,7 @@ fn own_answer(
     })
 }
 
-/// What a practice task teaches a user who handed it in.
+/// Feedback on a practice task for a user who submitted it.
 fn feedback(tx: &mut dyn Tx, user: i64, task: &TaskRecord) -> Result<Option<Feedback>> {
     let sql = "SELECT score FROM gold_score WHERE task = ?1 AND usr = ?2";
     let score = tx.find(sql, params![task.id, user])?;

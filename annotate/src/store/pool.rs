@@ -17,9 +17,9 @@ const READERS: usize = 4;
 
 /// A database of one kind, to which connections are made.
 pub(crate) trait Backend: Send + Sync + 'static {
-    /// A connection to it.
+    /// A connection to the database.
     type Connection: Tx + Send + 'static;
-    /// Maximum number of pieces of work in one commit; bounds the latency of the first one.
+    /// Maximum number of operations in one commit; bounds the latency of the first one.
     const GROUP: usize;
     /// Begins a transaction that writes.
     const WRITE: &'static str;
@@ -60,13 +60,13 @@ pub(crate) struct Pool<B: Backend> {
     /// `None` while the store closes.
     jobs: Option<Sender<Job>>,
     writer: Option<JoinHandle<()>>,
-    /// Those that read, each lent to one thread at a time.
+    /// Idle read connections; each is lent to one thread at a time.
     free: Mutex<Vec<B::Connection>>,
     returned: Condvar,
 }
 
 impl<B: Backend> Pool<B> {
-    /// Opens the connections beside the one that writes, and starts the thread of that.
+    /// Opens the read connections, and starts the thread of the write connection.
     pub(crate) fn open(backend: B, connection: B::Connection) -> Result<Self> {
         let backend = Arc::new(backend);
         let free = (0..READERS).map(|_| backend.connect(false));

@@ -36,7 +36,7 @@ impl Address {
             _ => (url.to_owned(), ""),
         };
         let (mut mode, mut authorities) = (None, None);
-        // Whoever parses the address knows neither the certificates of authorities nor all modes.
+        // The driver's URL parser knows neither certificate authorities nor all TLS modes, so both are read here.
         for parameter in parameters.split('&').filter(|text| !text.is_empty()) {
             match parse(parameter.as_bytes()).next() {
                 Some((name, value)) if name == "sslmode" => mode = Some(ssl_mode(&value).ok_or_else(|| {

@@ -17,7 +17,7 @@ use crate::wire::{
 const TRIED: usize = 64 * 1024;
 /// Key of the settings.
 const SETTINGS: &str = "settings";
-/// What happens to a motion that is known and is ingested anew.
+/// Upsert clause for a motion that is ingested again.
 const ANEW: &str =
     "UPDATE SET id = excluded.id, split = excluded.split, captions = excluded.captions,
   style = excluded.style, action = excluded.action, current = 1";

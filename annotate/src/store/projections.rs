@@ -18,7 +18,7 @@ pub(super) fn is_kept_pair(answer: &Answer) -> bool {
     )
 }
 
-/// Edit type that an answer keeps a pair as, if it says it.
+/// Edit type with which an answer keeps a pair, if stated.
 pub(super) fn kept_type(answer: &Answer) -> Option<EditType> {
     match answer {
         Answer::Pair {
@@ -36,9 +36,9 @@ pub(super) struct Acceptance<'a> {
     pub(super) reviewer: i64,
     pub(super) answer: &'a Answer,
     pub(super) merged: bool,
-    /// Who wrote it elsewhere, if it is imported.
+    /// Author of an imported answer in its source, if it is imported.
     pub(super) credit: Option<&'a str>,
-    /// Whether it keeps a pair.
+    /// Whether the answer keeps a pair.
     pub(super) keeps: bool,
     /// How it was accepted: `review`, `own`, `rule:NAME`, or `import`; behind that and a colon, how it was elsewhere.
     pub(super) basis: String,
@@ -69,7 +69,7 @@ impl<'a> Acceptance<'a> {
         }
     }
 
-    /// Stores it as the accepted answer to a task.
+    /// Stores the answer as the accepted one of a task.
     pub(super) fn put(&self, tx: &mut dyn Tx, seq: i64, task: i64, at: Millis) -> Result<()> {
         tx.run(
             "INSERT INTO accepted (task, author, reviewer, answer, merged, credit, keeps, edit_type, at, seq, basis,

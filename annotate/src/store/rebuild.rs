@@ -30,14 +30,14 @@ impl Store {
         rebuild(self.db.as_ref())
     }
 
-    /// Findings of a check of the whole store: gaps in the log, projections that do not follow from it. Writers do
-    /// not wait for it.
+    /// Checks the whole store and returns its findings: gaps in the log, and projections that do not follow from it.
+    /// Writers do not wait for the check.
     pub fn verify(&self) -> Result<Vec<String>> {
         self.snapshot()?.read(verify)
     }
 }
 
-/// What follows from the log up to an entry.
+/// State derived from the log up to an entry.
 struct Derived {
     scratch: Connection,
     last: i64,

@@ -95,18 +95,18 @@ pub struct NewTask {
     /// A decided answer of the source: the task starts as accepted. If the task exists already and nobody has worked
     /// on it, it becomes accepted.
     pub accepted: Option<Answer>,
-    /// Who gave and accepted `accepted`, as an export says it.
+    /// Author and acceptance of `accepted`, as stated by an export.
     pub credit: Option<Credit>,
 }
 
-/// What a file says of an imported answer.
+/// Author and acceptance of an imported answer, as its file states them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Credit {
     /// Pseudonym of its author, from the export of another store.
     pub author: Option<String>,
     /// Whether a reviewer merged it from several answers.
     pub merged: bool,
-    /// How it was accepted: `review`, `own` or `rule:NAME`.
+    /// How the answer was accepted: `review`, `own` or `rule:NAME`.
     #[serde(default)]
     pub accepted_by: Option<String>,
 }
@@ -116,7 +116,7 @@ pub struct Credit {
 pub struct NewSuggestion {
     /// Origin.
     pub source: SuggestionSource,
-    /// Parts that it describes.
+    /// Parts that the text describes.
     pub parts: Vec<String>,
     /// Text.
     pub text: String,
@@ -182,13 +182,13 @@ pub struct TaskRecord {
 pub struct TaskDetail {
     /// The task.
     pub task: TaskRecord,
-    /// Its bundle.
+    /// Clips of the bundle.
     pub bundle: Vec<BundleEntry>,
     /// The user's lease.
     pub lease: Option<Lease>,
     /// The user's answer.
     pub mine: Option<Revision>,
-    /// The comment it was returned with.
+    /// The reviewer's comment, if the answer was returned.
     pub comment: Option<String>,
     /// Suggestions; empty if they are withheld.
     pub suggestions: Vec<Suggestion>,
@@ -225,9 +225,9 @@ pub struct KeyRange {
 pub struct Label {
     /// Task.
     pub task: i64,
-    /// Its kind.
+    /// Kind of the task.
     pub kind: TaskKind,
-    /// Whether it is a gold task.
+    /// Whether the task is a gold task.
     pub gold: bool,
     /// Hash of its first motion.
     pub source: String,
@@ -235,7 +235,7 @@ pub struct Label {
     pub revision: Revision,
     /// Whether suggestions were withheld.
     pub blind: bool,
-    /// How it was accepted: `review`, `own`, `rule:NAME`. Only exports read it.
+    /// How the answer was accepted: `review`, `own`, `rule:NAME`. Only exports read it.
     pub accepted_by: Option<String>,
 }
 
@@ -244,17 +244,17 @@ pub struct Label {
 pub struct AcceptedAnswer {
     /// The task.
     pub task: TaskRecord,
-    /// Its author: an annotator, or the reviewer who merged.
+    /// The author: an annotator, or the reviewer who merged.
     pub author: i64,
     /// Whether a reviewer merged it from several answers.
     pub merged: bool,
     /// Pseudonym of the author of an imported answer.
     pub credit: Option<String>,
-    /// How it was accepted: `review`, `own`, `rule:NAME`; or `import`, where the imported file says no more.
+    /// How the answer was accepted: `review`, `own`, `rule:NAME`; or `import`, if the imported file does not say.
     pub accepted_by: String,
     /// The answer.
     pub answer: Answer,
-    /// When it was accepted.
+    /// Time of acceptance.
     pub at: Millis,
     /// Sequence number in the log.
     pub seq: i64,
@@ -269,15 +269,15 @@ pub struct Reject {
     pub user: Option<i64>,
     /// Why.
     pub reason: String,
-    /// More about it.
+    /// Note on the reason.
     pub note: String,
 }
 
-/// Which accepted answers to show.
+/// Filter on accepted answers.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ShelfFilter {
-    /// Of one kind.
+    /// Only answers of this kind.
     pub kind: Option<TaskKind>,
     /// With a part.
     pub part: Option<String>,
@@ -290,13 +290,13 @@ pub struct ShelfFilter {
     pub limit: usize,
 }
 
-/// Which entries of the log to show.
+/// Filter on log entries.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AuditFilter {
     /// By somebody.
     pub actor: Option<i64>,
-    /// Of a kind.
+    /// Only entries of this kind.
     pub kind: Option<LogKind>,
     /// About a task.
     pub task: Option<i64>,
@@ -306,13 +306,13 @@ pub struct AuditFilter {
     pub limit: usize,
 }
 
-/// Which of a person's answers to list.
+/// Query of a page of a person's answers.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MineQuery {
-    /// Of this standing.
+    /// Only answers with this standing.
     pub standing: Option<Standing>,
-    /// Of this kind.
+    /// Only answers of this kind.
     pub kind: Option<TaskKind>,
     /// To this task.
     pub task: Option<i64>,

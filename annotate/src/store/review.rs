@@ -114,7 +114,7 @@ fn next(
     Ok(task)
 }
 
-/// What is left to review, of a kind or any.
+/// Tasks left to review, of one kind or of all.
 fn empty(tx: &mut dyn Tx, user: i64, kind: &str) -> Result<ReviewEmpty> {
     tx.get(
         "SELECT COUNT(CASE WHEN t.state = 'submitted' THEN 1 END),

@@ -1,7 +1,7 @@
 //! Rules of acceptance: answers that need no reviewer.
 //!
-//! A rule looks at a task that has all its answers (`submitted`). It leaves tasks alone that a reviewer returned or
-//! reopened: a person has an eye on those.
+//! A rule looks at a task that has all its answers (`submitted`). It skips tasks that a reviewer returned or reopened:
+//! a person decides about those.
 
 use std::collections::BTreeMap;
 
@@ -86,19 +86,19 @@ impl Store {
     }
 }
 
-/// What a rule says about a task.
+/// Result of applying a rule to a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fit {
-    /// It does not fit.
+    /// The rule does not match.
     No,
-    /// It fits, and is drawn for review.
+    /// The rule matches, but the task was drawn for review.
     Review,
-    /// It fits: the answer of this author is accepted.
+    /// The rule matches: accept the answer of this author.
     Accept(i64),
 }
 
-/// Whether a task is among the `percent` of tasks left to reviewers. It depends on the seed and the task alone, and a
-/// larger share holds the smaller ones.
+/// Whether a task is among the `percent` of tasks left to reviewers. The result depends only on the seed and the task,
+/// and a larger share contains every smaller one.
 fn is_sampled(seed: u32, task: &TaskRecord, percent: u32) -> bool {
     (task.shuffle + i64::from(seed)) % WHOLE < i64::from(percent)
 }

@@ -18,7 +18,7 @@ const WRITER_CACHE_KB: usize = 64 * 1024;
 /// Timeout for a lock that another process, such as `sqlite3`, holds on the file.
 const BUSY: Duration = Duration::from_secs(10);
 
-/// What a copy does, for errors.
+/// Name of the backup operation, for errors.
 const COPY: &str = "copy itself";
 /// Trigger that makes the log append-only.
 const TRIGGERS: &str = "
@@ -164,7 +164,7 @@ impl Backend for Sqlite {
         Ok(db)
     }
 
-    /// The file appears whole and on the disk or not at all.
+    /// The backup appears complete and on disk, or not at all.
     fn backup(&self, path: &Path, with_tokens: bool) -> Result<()> {
         if path.exists() {
             return Err(open_error(path, "the file exists; choose another name"));
@@ -186,7 +186,7 @@ impl Backend for Sqlite {
             })
         })();
         if copied.is_err() {
-            // What is left of a failed copy only uses space.
+            // A leftover of a failed copy only uses space.
             let _removed = std::fs::remove_file(&temporary);
         }
         copied
@@ -197,7 +197,7 @@ impl Backend for Sqlite {
 pub(crate) fn scratch() -> Result<Connection> {
     let mut db = Connection::open("").map_err(failed("make a scratch database"))?;
     db.set_prepared_statement_cache_capacity(STATEMENTS);
-    // It needs no protection from a crash.
+    // The temporary database needs no protection from a crash.
     let settings = "PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; BEGIN";
     db.batch(settings, "make a scratch database")?;
     Ok(db)

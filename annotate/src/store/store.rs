@@ -6,14 +6,14 @@ use std::sync::Arc;
 use super::db::{self, Database, Result, Tx};
 use crate::clock::{self, Clock};
 
-/// An upgrade that opening a store made.
+/// An upgrade of a store's tables, made when the store was opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Upgrade {
-    /// Version of its tables before.
+    /// Version of the tables before the upgrade.
     pub from: i64,
-    /// Version now.
+    /// Version of the tables after the upgrade.
     pub to: i64,
-    /// Where the copy of the store from before is.
+    /// Path of the backup made before the upgrade.
     pub copy: String,
 }
 
@@ -62,7 +62,7 @@ impl Store {
         self.write(move |tx| tx.execute(sql, &[]))
     }
 
-    /// The store as it is now, for reading alone: what is written later does not appear in it.
+    /// A read-only snapshot of the store: later writes do not appear in it.
     pub fn snapshot(&self) -> Result<Self> {
         Ok(Self::new(self.db.snapshot()?, None))
     }

@@ -12,7 +12,7 @@ use crate::clock::{DAY, midnight};
 use crate::wire::{DayWork, Outlook, TaskKind};
 
 const QUARTER: Millis = 15 * 60 * 1000;
-/// Days whose pace is taken for the coming ones.
+/// Past days whose pace is extrapolated.
 const PACE_DAYS: i64 = 7;
 
 impl Store {
@@ -21,7 +21,7 @@ impl Store {
         self.read(|tx| days(tx, from, to))
     }
 
-    /// What is left of each kind, and when it is done at the pace of the last days.
+    /// Remaining tasks of each kind, and the expected date of completion at the pace of the last days.
     pub fn outlook(&self, now: Millis) -> Result<Vec<Outlook>> {
         self.read(|tx| {
             let kinds = TaskKind::ALL.iter();
@@ -76,7 +76,7 @@ fn outlook(tx: &mut dyn Tx, kind: TaskKind, now: Millis) -> Result<Outlook> {
          FROM work w JOIN task t ON t.id = w.task WHERE w.at >= ?1 AND t.kind = ?2",
         params![recent, kind],
     )?;
-    // A project younger than the window is measured over its own days, at least one.
+    // For a project younger than the window, the pace is measured over its own age, at least one day.
     let age = |first: Millis| ((now - first) as f64 / DAY as f64).max(1.0);
     let days = first.map_or(1.0, age);
     let pace = answers as f64 / days;

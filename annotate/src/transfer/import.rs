@@ -32,7 +32,8 @@ pub(super) const PAIR: &str = "pair:";
 /// Conflicts that an import lists by name.
 const LISTED_CONFLICTS: usize = 50;
 
-/// Note of a store: what holds for the clips that tasks are made of, in SQL. Without it they are made of all.
+/// Note of a store: the SQL condition on clips for which tasks are created. Without it, tasks are created for all
+/// clips.
 pub const CHOSEN: &str = "clips of tasks";
 
 /// Result of an import.
@@ -138,7 +139,7 @@ struct Clip {
     mirrored: bool,
 }
 
-/// The captions that the source states. People must not take a text made from a file name for one.
+/// Captions stated by the source. Texts made from file names are excluded, because people would take them for captions.
 fn stated(captions: &[Caption], origins: Option<&Vec<String>>) -> Vec<String> {
     let origin = |index: usize| origins.and_then(|origins| origins.get(index));
     let captions = captions.iter().enumerate();
@@ -191,8 +192,8 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
 /// pair. Masks of the pipeline become suggestions; masks by people and pairs written by this program become accepted answers. Clips of one action are
 /// paired as candidates.
 ///
-/// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on. Where the store has a
-/// note [`CHOSEN`], new tasks are of the clips alone for which it is true, and of pairs of these.
+/// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on. If the store has
+/// a note [`CHOSEN`] with a condition, new tasks are created only for clips that meet it, and for pairs of such clips.
 ///
 /// # Errors
 /// The dataset cannot be read, the condition cannot be answered, or the store fails.
@@ -258,7 +259,7 @@ fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
     chosen.map_err(|error| Error::import(what(), error.to_string()))
 }
 
-/// The clips without those that repeat the motion of one before them.
+/// The clips without those that repeat an earlier clip's motion.
 fn without_copies<'a>(clips: &'a [Clip], taken: &mut Taken) -> Vec<&'a Clip> {
     let mut by_hash: BTreeSet<&str> = BTreeSet::new();
     let (clips, copies): (Vec<&Clip>, Vec<&Clip>) = clips
@@ -423,7 +424,7 @@ pub fn from_labels(
         match by_id.get(id.as_str()) {
             Some(clip) => {
                 let new = mask_task(&clip.record, rows, &mut taken)?;
-                // As in the tasks of a dataset: a mirrored copy says nothing that its original does not.
+                // As in the tasks of a dataset: a mirrored copy adds nothing to its original.
                 if new.accepted.is_some() || !clip.mirrored {
                     tasks.push(new);
                 }
@@ -563,7 +564,7 @@ pub(super) fn entered_mask(
     })
 }
 
-/// What a file says of an answer, if it says anything. Authors who are no pseudonyms of this program are not carried
+/// Who wrote an imported answer, if the file says so. Names that are not pseudonyms of this program are not carried
 /// into exports.
 pub(super) fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> Option<Credit> {
     let is_pseudonym = author.strip_prefix('a').is_some_and(|rest| {

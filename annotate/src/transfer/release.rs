@@ -17,7 +17,7 @@ use crate::answer::{Fields, check_draft};
 use crate::store::{Millis, MotionRecord, NewTask, Store};
 use crate::wire::{Answer, EditType, MaskAnswer, TaskKind, Verdict};
 
-/// What errors call a release.
+/// Name of a release in error messages.
 pub(crate) const RELEASE: &str = "the annotations of a STANCE release";
 
 /// Imports `mask_all.json` and `part_annotations.json` of a STANCE release, and `accepted_by.json` and `pairs.json` of an
@@ -123,7 +123,7 @@ struct Release {
 /// A usable pair of `pairs.json`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 struct SaidPair {
-    /// As in table `pairs` of the dataset.
+    /// Id as in table `pairs` of the dataset.
     id: String,
     kind: String,
     src: String,

@@ -67,7 +67,7 @@ fn a_cell_fills_as_pairs_arrive_and_a_rejected_pair_empties_it() {
         assert_eq!(counts(&state()), [(1, 0, 0), (1, 0, 1), (1, 0, 0)]);
         assert!(state().cells[2].known);
 
-        // What a person says is a rejection once it is decided.
+        // A person's "unnatural" verdict becomes a rejection once a reviewer accepts it.
         let unnatural = json!({ "kind": "style", "verdict": "unnatural" });
         let rejected = site.hand_in(site.ann, from_json(unnatural));
         assert_eq!(counts(&state())[0], (1, 0, 0));

@@ -29,7 +29,7 @@ fn behind_a_trusted_proxy_each_client_has_limits_of_its_own() {
         assert_eq!(from(&client), Code::Unauthenticated);
     }
     assert_eq!(from(&[("x-forwarded-for", "192.0.2.1")]), Code::RateLimited);
-    // What the client wrote itself stands before what the proxy appended.
+    // Addresses written by the client precede the address that the proxy appends.
     for spoofed in ["192.0.2.9, 192.0.2.1", "127.0.0.1, 192.0.2.1"] {
         assert_eq!(from(&[("x-forwarded-for", spoofed)]), Code::RateLimited);
     }
@@ -174,7 +174,7 @@ fn an_upload_may_take_longer_than_other_requests() {
     let boss = site.person("boss");
     let mut upload = begin(&site, &boss, "/api/v1/imports?format=stance", 2);
     upload.write_all(b"{").expect("the server reads");
-    // Another request with half a body is given up: so much time has passed.
+    // Another request with half a body is aborted after the timeout.
     let late = begin(&site, &boss, "/api/v1/queue/next", 2);
     assert_eq!(status_line(late), "HTTP/1.1 503 Service Unavailable");
     upload.write_all(b"}").expect("the server still reads");
@@ -226,7 +226,7 @@ fn responses_are_compressed_for_those_who_accept_it() {
         assert!(packed.body.len() * 5 < plain.body.len() * 2, "{name}");
         assert_eq!(unpacked(&packed.body), plain.body, "{name}");
         let tag = packed.header("etag").expect("a tag");
-        // One tag for both forms has to be a weak one.
+        // A tag shared by both encodings has to be weak.
         assert!(tag.starts_with("W/"), "{name}");
         assert_eq!(plain.header("etag"), Some(tag), "{name}");
         let known = [("accept-encoding", "gzip"), ("if-none-match", tag)];
@@ -316,7 +316,7 @@ fn the_event_stream_of_a_disabled_user_ends() {
         changed.expect("a change");
     };
     change(ann.user.id, None, Some(false));
-    // It ends without an error, and tells nothing more.
+    // The stream ends without an error and sends no more events.
     assert!(!of_ann.into_iter().any(|line| line.starts_with("data:")));
     assert!(of_eve.any(|line| line.contains("role_changed")));
     // A reviewer who becomes an annotator no longer hears of others.
@@ -392,7 +392,7 @@ impl Pair {
         plain_settings(&stores[0]);
         annotate::transfer::from_dataset(&stores[0], &root, None, START, &mut |_, _| {})
             .expect("imports");
-        // Their own clocks are wrong, each in its way.
+        // The clock of each server is wrong by a different amount.
         let server = |index: usize| {
             let clock = Hands::at(START + 100 * DAY * index as i64);
             let data = folder.path().join(format!("data{index}"));
@@ -480,7 +480,7 @@ fn a_connection_to_postgresql_is_encrypted_and_its_certificate_checked() {
         crate::store::skipped("tls");
         return;
     };
-    // This server takes nothing through its port that is not encrypted.
+    // This server accepts only encrypted connections.
     let schema = format!("d{}_tls", std::process::id());
     let trusted = format!("{url}?sslmode=verify-full&sslrootcert={authority}");
     let store = open_postgres(&trusted, &schema).expect("an encrypted store");

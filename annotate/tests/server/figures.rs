@@ -86,7 +86,7 @@ fn agreement_is_told_for_the_week_of_the_last_answer() {
             .collect()
     };
     assert_eq!(weeks(), [(Some(1.0), 1), (Some(0.5), 2), (None, 0)]);
-    // Of two arms, one is shared: so are the legs of both answers.
+    // Both answers share one of two arms, and then the legs.
     let legs = json!({
         "kind": "mask_text", "count_reason": "single_action",
         "masks": [{ "parts": ["LOWER_BODY"], "text": "swinging, walking" }],
@@ -101,7 +101,7 @@ fn agreement_is_told_for_the_week_of_the_last_answer() {
     assert_eq!(weeks[1..], [(Some(0.5), 2), (None, 0)]);
 }
 
-/// What people write about the parts of a clip that has no drafted text.
+/// Texts that people write about parts of a clip without a drafted text.
 const DOING: [(&str, &str); 8] = [
     ("LEFT_ARM", "swinging the left arm beside the body"),
     ("RIGHT_ARM", "raising the right hand to the shoulder"),
@@ -225,7 +225,7 @@ impl Team {
         }
     }
 
-    /// What a person says about a task: what others say too in nine of ten cases.
+    /// The answer of a person to a task: in nine of ten cases the answer that others give too.
     fn answer(&mut self, task: &TaskDetail) -> Answer {
         let own = self.rng.random_range(0..100) < 10;
         let number = if own {
@@ -336,7 +336,7 @@ impl Team {
                 let begin = morning + index as i64 * 20 * MINUTE;
                 self.work(person, pace, count as usize, begin);
             }
-            // What the last day brought waits for the reviewers.
+            // Answers of the last day wait for the reviewers.
             if day + 1 < mornings.len() {
                 self.review((daily * 2.2).round() as usize, morning + 2 * HOUR);
             }

@@ -1,4 +1,4 @@
-//! Quotas of edit types: which pairs are given out first, and what is told of them.
+//! Quotas of edit types: the order in which pairs are given out, and the displayed counts.
 
 use std::collections::BTreeMap;
 
@@ -46,7 +46,7 @@ fn pairs_of_the_type_that_is_furthest_behind_come_first_and_none_is_held_back() 
             number
         };
         assert_eq!(answer(kept(Speed)), 1, "both are at nothing");
-        // What people say counts, whatever the source states.
+        // The edit type of the answer counts, whatever the source states.
         assert_eq!(answer(kept(Speed)), 2, "force is behind");
         assert_eq!(answer(kept(Force)), 4, "force is still behind");
         assert_eq!(answer(pair(Verdict::Unclear)), 3, "no force is left");
@@ -67,7 +67,7 @@ fn of_a_type_with_enough_pairs_the_last_ones_are_given_out_last() {
     let types = [Some(Speed), Some(Speed), None, Some(Force)];
     each("full edit types", stated(&types), |site| {
         quotas(&site.store, &[(Speed, 1), (Force, 1)]);
-        // Who is at work on a pair may keep it.
+        // A person who works on a pair may still keep it.
         assert_eq!(claim(site, site.ann).0, 0);
         assert_eq!(claim(site, site.bob).0, 3);
         assert_eq!(claim(site, site.eve).0, 2);

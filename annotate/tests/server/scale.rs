@@ -1,5 +1,5 @@
-//! What a project of tens of thousands of tasks needs: rules of acceptance, the task browser, bulk actions, what
-//! people handed in.
+//! Features for projects with tens of thousands of tasks: acceptance rules, task browser, bulk actions, submitted
+//! answers.
 
 use std::collections::BTreeSet;
 
@@ -429,7 +429,7 @@ fn tasks_that_everybody_skipped_are_listed_with_the_reasons() {
             let why = skip.reason.map(|reason| reason.as_str());
             assert_eq!((why, skip.note.as_str()), (Some("cannot_tell"), "too dark"));
         }
-        // It has its answer.
+        // The task keeps its answer.
         assert_eq!(site.answer(site.bob, "seen"), second);
         check(&[first, second], &[first]);
         // Where nobody annotates, everybody counts: eve and the admin are left.

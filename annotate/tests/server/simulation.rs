@@ -100,7 +100,7 @@ struct Project {
     reviewers: Vec<i64>,
     rng: datasets_spec::Rng,
     times: Times,
-    /// Acknowledged answers that stand, by task and author.
+    /// Acknowledged answers that are still submitted, by task and author.
     handed_in: BTreeSet<(i64, i64)>,
     reviews: i64,
 }
@@ -175,7 +175,7 @@ impl Project {
         self.rng.random_range(0..100) < percent
     }
 
-    /// What a person says about a task: mostly what the task calls for, else something of their own.
+    /// The answer of a person to a task: mostly the expected one, else a different one.
     fn answer(&mut self, task: &TaskDetail) -> Answer {
         let number = if self.draw(90) {
             Seed(20).draw_u64(&["truth", &task.task.key])
@@ -303,7 +303,7 @@ impl Project {
     }
 }
 
-/// What the log says is accepted: the task's key, its author, and the basis.
+/// Accepted answers according to the log: the task's key, its author, and the basis.
 fn accepted_by_the_log(store: &Store) -> BTreeMap<i64, (i64, Option<String>)> {
     let mut accepted = BTreeMap::new();
     let mut after = 0;

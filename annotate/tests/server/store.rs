@@ -47,7 +47,7 @@ pub(crate) fn on_postgres(test: &str, _: &dyn Fn(Arc<Store>)) {
 }
 
 pub(crate) fn skipped(test: &str) {
-    // So that the skipped database is visible.
+    // Prints that the database test was skipped.
     say(&format!(
         "SKIPPED {test} on PostgreSQL: needs the feature postgres and ANNOTATE_TEST_PG"
     ));
@@ -575,7 +575,7 @@ fn ranges_and_joints_are_checked_and_kept() {
         }
         let unknown = send(EventKind::Draft, 0, with_joint("tail", JointWeight::Hard));
         assert_eq!(problem(&unknown), Code::Invalid);
-        // An end on its way through a short range is a draft like any other.
+        // A short range, as while its end is dragged, is accepted in a draft.
         assert_eq!(send(EventKind::Draft, 0, in_range([4, 5])).status, 200);
         let answer = with_joint("left_collar", JointWeight::None);
         assert_eq!(send(EventKind::Submit, 1, answer.clone()).status, 200);
@@ -596,7 +596,7 @@ fn a_merged_answer_has_ranges_of_the_clip_too() {
             };
             site.store.review(site.eve, review, START)
         };
-        // It leaves the clip.
+        // The range exceeds the clip.
         assert_eq!(refusal(merge([9, 41])), Code::Invalid);
         assert_eq!(merge([9, 40]).expect("merges").state, TaskState::Accepted);
     });
@@ -753,7 +753,7 @@ fn gold_is_drawn_for_each_answer_and_stands_in_the_places_of_a_bundle() {
             assert_eq!(detail.task.bundle_index, place as i64);
             places += usize::from(golds.contains(&task)) * place;
             let lease = detail.lease.expect("a lease");
-            // All of the bundle is renewed, whichever of it is renewed.
+            // Renewing one task of a bundle renews all of them.
             let renewed = site.store.renew(site.ann, lease.id, START + MINUTE);
             let renewed = renewed.expect("renews").expires;
             assert!(site.lease_ends().iter().all(|end| *end == renewed));
@@ -849,7 +849,7 @@ fn home_leaves_out_pairs_that_the_quota_of_their_category_holds_back() {
         assert_eq!(open(site.ann), 9);
         site.set(|settings| settings.category_quota = 2);
         assert_eq!(open(site.ann), 4, "two of each category");
-        // Ann takes all that there is room for, two keeps of each category.
+        // Ann takes as many tasks as the quota allows: two keeps of each category.
         for left in [4, 3, 2] {
             let task = site.take_pair(site.ann);
             assert_eq!(open(site.ann), left);
@@ -885,7 +885,7 @@ fn a_returned_answer_waits_for_its_author_through_lost_leases_and_then_goes_to_a
     each("reserved", mask_tasks(1), |site| {
         let task = site.answer(site.ann, "poor");
         site.send_back(task);
-        // She looks at it and leaves: it is still hers.
+        // She opens the task and leaves it: the lease is still hers.
         assert_eq!(site.take(site.ann), task);
         site.wait(HOUR);
         assert_eq!((site.open(site.bob), site.claim(site.bob)), (0, None));
@@ -898,7 +898,7 @@ fn a_returned_answer_waits_for_its_author_through_lost_leases_and_then_goes_to_a
         site.give_back(site.ann, task);
         assert_eq!(site.claim(site.bob), None);
         assert_eq!(site.state(task), TaskState::Returned);
-        // After the days of the setting anybody may take it, its author too.
+        // After the configured days anybody may take the task, including its author.
         site.wait(8 * DAY);
         assert_eq!(site.take(site.bob), task);
         site.give_back(site.bob, task);
@@ -1101,7 +1101,7 @@ impl Walk<'_> {
         let site = self.site;
         for task in WALKED {
             if site.state(task) == TaskState::Accepted && self.rng.random::<bool>() {
-                // It may be gold already.
+                // The task may be gold already.
                 let _tried = site.store.make_gold(ROOT, task, site.now());
             }
         }
@@ -1110,7 +1110,7 @@ impl Walk<'_> {
         if counts.iter().any(dropped) {
             for task in WALKED {
                 if matches!(site.state(task), TaskState::Dropped | TaskState::Accepted) {
-                    // Its author may not reopen it.
+                    // The author may not reopen the task.
                     let _tried = site.decide(task, 0, Decision::Reopen);
                 }
             }
@@ -1291,7 +1291,7 @@ fn a_category_gets_no_more_pairs_than_its_quota_and_the_emptiest_comes_first() {
         quota(8);
         assert_eq!(answer(site.ann, Verdict::Keep), "walk");
         assert_eq!(answer(site.bob, Verdict::Keep), "wave");
-        // Who lost a task cannot take it up again when there is no room left.
+        // A person who lost a task cannot claim it again when the quota is full.
         let held = site.take_pair(site.ann);
         site.give_back(site.ann, held);
         let again = || site.store.claim_task(site.ann, held, START);

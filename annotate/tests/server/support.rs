@@ -234,7 +234,7 @@ pub(crate) fn whole(store: &Store) {
     assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
 }
 
-/// What the people of the tests may do: eve reviews, the boss is an admin, and everybody else annotates.
+/// Roles in the tests: eve reviews, the boss is an admin, and all others annotate.
 pub(crate) fn role(name: &str) -> Role {
     match name {
         "eve" => Role::Reviewer,

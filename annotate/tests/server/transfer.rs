@@ -231,7 +231,7 @@ fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
     assert_eq!(rows[2].hard_joints, hard);
     assert!(rows[2].soft_joints.is_empty());
 
-    // The lists of a release count them; the table beside them has them.
+    // The lists of a release only count these values; the table beside them holds them.
     let lists = site.folder.path().join("lists");
     let done = write_to(&site, &site.store, &lists, ExportFormat::Stance);
     assert_eq!(done.counts["masks_of_a_range"], 2);

@@ -56,14 +56,14 @@ fn user_version(path: &Path) -> i64 {
         .expect("a number")
 }
 
-/// What holds of every kept store once it is open.
+/// Checks that every kept store passes once it is open.
 fn check_upgraded(store: &Arc<Store>, version: i64) {
     let upgrade = store.upgrade().expect("an upgrade");
     assert_eq!(upgrade.from, version);
     whole(store);
     let accepted = store.accepted(&all_keys()).expect("answers");
     assert_eq!(accepted.len(), 2);
-    // Their masks hold for the whole clip, with the joints of their parts.
+    // Masks cover the whole clip and all joints of their parts.
     let is_plain = |mask: &MaskAnswer| mask.range.is_none() && mask.joints.is_empty();
     for one in &accepted {
         let Answer::MaskText { masks, .. } = &one.answer else {
@@ -76,7 +76,7 @@ fn check_upgraded(store: &Arc<Store>, version: i64) {
     let names: Vec<&str> = users.iter().map(|user| user.name.as_str()).collect();
     assert_eq!(names, ["root", "ann", "eve"]);
     assert_eq!(store.id().expect("an id").len(), 16);
-    // The returned answer is still with its author, and work goes on.
+    // The returned answer is still leased to its author, and work continues.
     let ann = users[1].id;
     let detail = claim(store, ann, TaskKind::MaskText, START).expect("a returned task");
     assert_eq!(detail.comment.as_deref(), Some("which arm?"));
@@ -146,7 +146,7 @@ fn judged_paraphrases_stay_in_the_log_and_keys_of_gone_actions_are_left_out() {
     let eve = eve.expect("a user").id;
     let seq = store.last_seq().expect("a number") + 1;
     drop(store);
-    // What version 6 had: proposals, a judgement in the log, and keys for judging.
+    // Features of version 6: proposals, a judgement in the log, and keys for judging.
     let db = Connection::open(&path).expect("a file");
     db.execute_batch(&format!(
         r#"CREATE TABLE paraphrase (id INTEGER PRIMARY KEY, text TEXT NOT NULL);

@@ -39,7 +39,7 @@ export interface Screen {
   leave?(): void;
 }
 
-/** The task in work, as the page frame sees it. */
+/** State of the current task that the page frame shows. */
 export interface OpenSession {
   readonly chain: string;
   readonly isEditing: boolean;
@@ -143,7 +143,7 @@ export class App {
     await this.outbox.open();
     this.buildHeader();
     this.listen();
-    // What an earlier page left unsent is part of the tasks: a task opened before it is sent would be an old one.
+    // Send unsent events of an earlier page first: a task opened before would be out of date.
     await this.outbox.drained();
     await this.route();
     const frame = (now: number): void => {
@@ -246,7 +246,7 @@ export class App {
     this.main.removeAttribute("aria-busy");
   }
 
-  /** Label of the key of a part; empty for a part without one. */
+  /** Key hint of a part; empty for a part without a key. */
   partHint(name: string): string {
     const action = PART_ACTIONS[this.parts.all.findIndex((part) => part.name === name)];
     return action ? this.keys.hint(action) : "";
@@ -261,7 +261,7 @@ export class App {
     this.login ??= this.idle()
       .then((opening) => this.askLogin(opening))
       .then((me) => {
-        // Another user or another project: do not send the events of the previous one.
+        // Another user or project has logged in: reload, so that the previous user's events are not sent.
         if (this.me && (me.user.id !== this.me.user.id || me.store !== this.me.store)) window.location.reload();
         this.me = me;
         void this.outbox?.flush();
@@ -523,7 +523,7 @@ export class App {
     }
   }
 
-  /** Opens a screen by its key; false if this person may not see it. */
+  /** Opens a screen by its key; false if this person may not open it. */
   private openScreen(name: string): boolean {
     const route = this.routes[name];
     if (!route || !this.may(route.role)) return false;

@@ -8,7 +8,7 @@ export function matching(cells: readonly CaptureCell[], text: string): CaptureCe
   return cells.filter(({ motion, style }) => motion.toLowerCase().includes(sought) || style.toLowerCase().includes(sought));
 }
 
-/** What has arrived of all that is planned, in a sentence or two. */
+/** Counts of planned, missing and rejected takes, in a sentence or two. */
 export function totals({ cells, unplanned }: Captures): string {
   const sum = (count: (cell: CaptureCell) => number): number => cells.reduce((all, cell) => all + count(cell), 0);
   const [takes, missing, rejected] = [sum((cell) => cell.takes), sum((cell) => cell.missing), sum((cell) => cell.rejected)];
@@ -16,7 +16,7 @@ export function totals({ cells, unplanned }: Captures): string {
   return `${takes - missing} of ${takes} takes are here, ${missing} are still to capture; ${rejected} were rejected.${beside}`;
 }
 
-/** What has to be known about a cell with missing takes. */
+/** Note on a cell with missing takes. */
 export function noteOf({ rejected, known }: CaptureCell): string {
   const notes = [rejected > 0 && "rejected, capture again", !known && "the project has no motion of this id"];
   return notes.filter((note) => note !== false).join("; ");

@@ -15,7 +15,7 @@ export class DiskWatch {
 
   constructor(private readonly hooks: DiskHooks) {}
 
-  /** What was learned from an answer of the server. */
+  /** Shows why the server cannot save, `null` if it can, and asks again until it can. */
   set(why: string | null): void {
     if (why === this.why) return;
     this.why = why;

@@ -15,7 +15,7 @@ const FORBIDDEN = /^(on|style$|src$|href$|srcdoc$|formaction$|action$)/i;
 
 export function h<K extends keyof HTMLElementTagNameMap>(tag: K, props: Props = {}, ...children: Child[]): HTMLElementTagNameMap[K] {
   const element = document.createElement(tag);
-  // Without it a button would send the form around it.
+  // The default type `submit` would send the surrounding form.
   if (tag === "button") element.setAttribute("type", "button");
   if (props.class) element.className = props.class;
   for (const [name, value] of Object.entries(props.attrs ?? {})) {

@@ -101,7 +101,7 @@ export function workedWeeks(weeks: readonly Week[]): readonly Week[] {
 
 const count = (number: number, one: string, many: string): string => `${number.toLocaleString()} ${number === 1 ? one : many}`;
 
-/** What is left of a kind and until when, as a sentence or two. */
+/** Remaining tasks of a kind and the expected date of completion, as a sentence or two. */
 export function outlookWords(outlook: Outlook, zone: string): string {
   const { answers_left, reviews_left, answers_per_day, reviews_per_day, days_left, ends } = outlook;
   const kind = KIND_WORDS[outlook.kind];

@@ -11,7 +11,7 @@ import {
   type TaskSort,
 } from "./wire";
 
-/** Which tasks, and in which order. */
+/** Filter and order of the task list. */
 export interface Chosen {
   filter: TaskFilter;
   sort: TaskSort;

@@ -64,7 +64,7 @@ export function pictureFigure(picture: GuidePicture): HTMLElement {
   return h("figure", { class: `example box edged ${picture.right ? "right" : "wrong"}` }, image, caption);
 }
 
-/** What the guide says about a kind of task alone. */
+/** The part of the guide that is about one kind of task. */
 export function kindGuide(guide: Guide, kind: TaskKind, styles: readonly Style[]): HTMLElement[] {
   const own = guide.kinds[kind];
   const form = guide.forms[kind];
@@ -117,7 +117,7 @@ export class GuideBeside {
       if (this.shown === kind) this.shown = null;
       parts = [h("p", { class: "trouble" }, `The guide was not loaded: ${reason(error)}`)];
     }
-    // Another kind may have been asked for meanwhile.
+    // The user may have requested another kind while this one loaded.
     if (this.shown !== null && this.shown !== kind) return;
     fill(this.body, ...parts);
   }

@@ -84,7 +84,7 @@ function canonical(value: unknown): string {
 
 /** Lifetime of the history of a task that is never submitted. */
 const KEPT_MS = 30 * 24 * 3600 * 1000;
-/** What marks the keys of histories among those of this page. */
+/** Infix that marks the `localStorage` keys of undo histories. */
 const MARK = ":history:";
 
 /** `chain` begins with the id of the project. */
@@ -119,7 +119,7 @@ export function loadHistory<T>(chain: string): HistoryData<T> | null {
   return kept<Saved<T>>(keyOf(chain))?.data ?? null;
 }
 
-/** What an earlier page kept under a key of `localStorage`; `null` if nothing, or nothing that can be read. */
+/** Value that an earlier page stored under a key of `localStorage`; `null` if there is none or it cannot be parsed. */
 export function kept<T>(key: string): T | null {
   try {
     return JSON.parse(localStorage.getItem(key) ?? "null") as T | null;

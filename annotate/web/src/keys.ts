@@ -130,7 +130,7 @@ export function isAction(name: string): name is ActionId {
   return ACTIONS.some(([id]) => id === name);
 }
 
-/** What actions do; one that returns `false` does not apply now. */
+/** Handlers by action; a handler returns `false` if its action does not apply now. */
 export type Deeds = { readonly [K in ActionId]?: () => unknown };
 
 /** Performs an action; false if it is none of these or does not apply now. */
@@ -142,12 +142,12 @@ export function perform(deeds: Deeds, id: ActionId): boolean {
 /** Keys by action that differ from the defaults. */
 export type KeyOverrides = Partial<Record<ActionId, readonly string[]>>;
 
-/** What has the focus. The text of a mask card is told from other texts, because Tab goes from it to the next card. */
+/** Kind of the focused element. The text of a mask card is its own kind, because Tab leads from it to the next card. */
 export type Focus = "stage" | "button" | "text" | "card";
 
 const CODES: ReadonlySet<string> = new Set(KEY_CODES);
 
-/** The chord if the server would take it too, else `null`: modifiers in order, then a key. */
+/** Parses a chord (modifiers in order, then a key); `null` if the server would refuse it. */
 export function parseChord(text: string): string | null {
   const code = KEY_MODIFIERS.reduce((rest, modifier) => (rest.startsWith(modifier) ? rest.slice(modifier.length) : rest), text);
   return CODES.has(code) ? text : null;

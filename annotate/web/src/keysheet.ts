@@ -42,7 +42,7 @@ export async function showKeySheet(keys: KeyMap, store: (keys: Record<string, st
     });
     fill(list, ...sections);
   };
-  /** Says how it goes with the key of an action, and keeps the focus there. */
+  /** Shows the result for the key of an action, and keeps the focus there. */
   const show = (id: ActionId, next: ActionId | null, words: string): void => {
     waiting = next;
     note.textContent = words;

@@ -80,7 +80,7 @@ export class RangeLanes {
     handle.addEventListener("keydown", (event) => this.press(edge, event));
     handle.addEventListener("pointerdown", (event) => {
       if (event.button !== 0) return;
-      // Else the browser would begin to select text.
+      // Prevent the browser from selecting text.
       event.preventDefault();
       handle.focus({ preventScroll: true });
       handle.setPointerCapture(event.pointerId);

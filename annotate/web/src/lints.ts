@@ -56,7 +56,7 @@ export function lintText(text: string, parts: readonly string[]): Lint[] {
   return found;
 }
 
-/** What a text names although the mask has one thing alone, which the text does not name. */
+/** The named items, if the mask has exactly one item and the text does not name that one; else none. */
 function strangers<T>(mask: ReadonlySet<T>, named: readonly T[]): readonly T[] {
   return mask.size !== 1 || named.some((own) => mask.has(own)) ? [] : named;
 }

@@ -1,4 +1,4 @@
-/** Masks of an answer: the frames that they hold for, what they are in words, and what is wrong with them. */
+/** Masks of an answer: their frames, their description in words, and their errors. */
 
 import type { Parts } from "./parts";
 import { SHORTEST_RANGE, type JointWeight, type MaskAnswer } from "./wire";
@@ -18,7 +18,10 @@ export function rangeWords([start, end]: Span, fps: number | null = null): strin
   return `frames ${start + 1} to ${end}${secs}`;
 }
 
-/** What is wrong with a range in a clip of so many frames, in the server's words after the name of the mask; else `null`. */
+/**
+ * Problem of a range in a clip of `frames` frames, in the server's words after the mask's name; `null` if there is
+ * none.
+ */
 export function rangeProblem([start, end]: Span, frames: number): string | null {
   const whole = "or let it hold for the whole clip";
   if (end > frames) return `holds up to frame ${end} of a clip of ${frames} frames; move its end, ${whole}`;

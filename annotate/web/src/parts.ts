@@ -66,7 +66,10 @@ export class Parts {
     return [...others, { joint: name, weight: JOINT_WEIGHTS[next] ?? "hard" }];
   }
 
-  /** A mask as it is sent: without choices that change nothing, in the order of the body, and without empty fields. */
+  /**
+   * A mask in the form that is sent: without choices that change nothing, in the order of the body, and without
+   * empty fields.
+   */
   tidy(mask: MaskAnswer): MaskAnswer {
     const { joints, range, ...rest } = mask;
     const own = { ...rest, joints: [] };

@@ -10,7 +10,7 @@ export function windowOf(scrollTop: number, height: number, rowHeight: number, t
   return { first, end };
 }
 
-/** The scroll position that shows a row whole, as near as possible to the present one. */
+/** The scroll position nearest to the present one that shows the whole row. */
 export function reveal(row: number, scrollTop: number, height: number, rowHeight: number): number {
   const top = row * rowHeight;
   return Math.min(top, Math.max(scrollTop, top + rowHeight - height));
@@ -18,7 +18,7 @@ export function reveal(row: number, scrollTop: number, height: number, rowHeight
 
 export interface Page<T> {
   rows: T[];
-  /** Where the next page begins; `null` after the last one. */
+  /** Cursor of the next page; `null` after the last page. */
   next: string | null;
   /** Number of all rows; given with the first page. */
   total: number | null;
@@ -63,7 +63,7 @@ export class PagedRows<T extends { id: number }> {
     while (!this.isComplete && this.rows.length < this.wanted && this.trouble === null) {
       try {
         const page = await this.fetch(this.next);
-        // A task that changed meanwhile may have moved to a later page.
+        // A task that changed while the page loaded may have moved to a later page.
         const fresh = page.rows.filter((row) => !this.seen.has(row.id));
         for (const row of fresh) this.seen.add(row.id);
         this.rows.push(...fresh);

@@ -122,7 +122,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     return true;
   }
 
-  /** Submits the answer, and waits until the server has taken or refused it. */
+  /** Submits the answer, and waits until the server has accepted or refused it. */
   submit(answer: A): Promise<Ending> {
     return this.end("submit", { answer });
   }
@@ -238,7 +238,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     this.app.refreshChip();
   }
 
-  /** Goes on with the chosen version. `mine` is what this page shows now, not what was sent. */
+  /** Continues with the chosen version. `mine` is what this page shows now, not what was sent. */
   private async resolve(version: Version, theirs: Revision): Promise<void> {
     this.conflict?.box.remove();
     this.conflict = null;
@@ -257,7 +257,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
   }
 
   private schedule(): void {
-    // While two versions stand against each other, what is typed is kept in the history.
+    // While a conflict is open, typed text is kept only in the history.
     if (this.conflict) return;
     this.cancelDraft();
     this.draftTimer = window.setTimeout(() => {
@@ -306,7 +306,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     }
   }
 
-  /** Claims the task again after its lease was lost; true if this person has it. */
+  /** Claims the task again after its lease was lost; true if this person holds it now. */
   private claimAgain(): Promise<boolean> {
     this.claiming ??= this.claim().finally(() => {
       this.claiming = null;

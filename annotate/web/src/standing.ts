@@ -1,4 +1,4 @@
-/** Where an answer or a person's practice stands, in words. */
+/** State of an answer or of a person's practice, in words. */
 
 import { percent } from "./ui";
 import type { MyAnswer, Practice, Standing } from "./wire";
@@ -16,7 +16,7 @@ export const STANDING_WORDS: Readonly<Record<Standing, string>> = {
   practice: "Practice",
 };
 
-/** Where an answer stands, in a sentence without its end. */
+/** State of an answer, as a sentence without its end. */
 export function standingWords(answer: MyAnswer): string {
   const { standing, missing, task, feedback } = answer;
   switch (standing) {
@@ -48,7 +48,7 @@ function by(how: string | null): string {
   return how === "import" ? "by an import" : "by a reviewer";
 }
 
-/** What stands between a person and the real work of a kind. */
+/** Progress of practice, and the score that opens the real work of a kind. */
 export function practiceWords(practice: Practice): string {
   const { needed, done, score, threshold, passed } = practice;
   if (needed === 0) return "No practice is needed.";

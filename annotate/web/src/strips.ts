@@ -107,7 +107,7 @@ export class Strip {
     this.element.dataset.columns = String(columns);
   }
 
-  /** Says in words what the strip shows, for people who do not see it. */
+  /** Describes the strip in words for screen readers. */
   describe(text: string): void {
     this.element.setAttribute("aria-label", `${this.title}. ${text}`);
   }

@@ -58,7 +58,7 @@ export class StyleRows {
   }
 }
 
-/** A field of a longer text. One that nobody touched is read as it was: the field of a browser changes line ends. */
+/** A field for a longer text. An untouched field returns the original text: browsers change line ends in fields. */
 function textField(text: string, rows: number, maxlength: number, label: string, placeholder: string): { element: HTMLTextAreaElement; read(): string } {
   const element = h("textarea", { attrs: { rows, maxlength, "aria-label": label, placeholder } });
   element.value = text;

@@ -38,7 +38,7 @@ export function leaveTab(storage: TabStorage): void {
 const lockOf = (name: string): string => `annotate-tab-${name}`;
 const forever = (): Promise<void> => new Promise(() => {});
 
-/** Holds the lock of a name until the page ends; false if another page has it. */
+/** Holds the named lock until the page closes; false if another page holds it. */
 function hold(locks: TabLocks, name: string): Promise<boolean> {
   return new Promise((resolve, reject) => {
     locks

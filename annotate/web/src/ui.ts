@@ -119,7 +119,7 @@ export async function tell(title: string, body: Child[]): Promise<void> {
   await ask(title, body, [{ label: "Close", value: true, kind: "primary" }]);
 }
 
-/** What is missing or wrong in a dialog that opens again. */
+/** Error line of a dialog that is shown again. */
 export function alertLine(trouble: string | false): Child {
   return trouble !== "" && trouble !== false && h("p", { class: "trouble", attrs: { role: "alert" } }, trouble);
 }
@@ -137,7 +137,7 @@ export async function askComment<T>(title: string, label: string, text: HTMLText
   }
 }
 
-/** Asks for one of several reasons, by digit. Reason `other` needs a note, and is asked for again without one. */
+/** Asks for one of several reasons, by digit. The reason `other` requires a note and is asked again without one. */
 export async function askReason<T extends string>(
   title: string,
   reasons: readonly (readonly [T, string])[],

@@ -21,9 +21,9 @@ export interface Clip {
 interface View {
   layout: "single" | "side_by_side" | "ghost";
   swapped: boolean;
-  /** Whether both clips are spread over the duration of the shorter one. */
+  /** Whether both clips are stretched to the duration of the shorter one. */
   stretch: boolean;
-  /** Whether the ghost stands and faces as the other body does. */
+  /** Whether the ghost has the same position and heading as the other body. */
   together: boolean;
 }
 
@@ -110,7 +110,7 @@ export class Viewer {
     this.clock.load(this.length(), clips[0]?.track.fps ?? 20);
     this.arrange();
     for (const stage of this.stages) stage.frameBody();
-    // Whoever asked their system for less motion starts the playback themselves.
+    // Users with the system setting "reduced motion" start playback themselves.
     this.clock.play(!window.matchMedia("(prefers-reduced-motion: reduce)").matches);
   }
 
@@ -135,7 +135,7 @@ export class Viewer {
       this.clock.resize(this.length());
       if (playing) this.clock.play(true);
     }
-    // Where the ghost stands moves no camera.
+    // A change of the ghost's position moves no camera.
     if (change.together === undefined) this.arrange();
     else this.update(this.clock.now);
   }

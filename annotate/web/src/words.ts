@@ -50,7 +50,7 @@ export const RULE_WORDS: Readonly<Record<RuleKind, string>> = {
   sampled: "All answers",
 };
 
-/** What a holder of a task does with it, by the purpose of the lease. */
+/** Activity of a task's holder, by the purpose of the lease. */
 export const PURPOSE_WORDS: Readonly<Record<string, string>> = {
   annotate: "answers it",
   review: "reviews it",
@@ -86,7 +86,7 @@ export const COUNT_CHOICES = COUNT_REASONS.map((reason) => [reason, COUNT_WORDS[
 /** A number of things: "1 task", "2 tasks". */
 export const plural = (count: number, thing: string): string => `${count} ${thing}${count === 1 ? "" : "s"}`;
 
-/** What the source says about a task: annotators and reviewers see the same. */
+/** Facts from the source about a task; annotators and reviewers see the same. */
 export function factsOf(task: Task): string[] {
   return [task.hint, task.category && `category: ${task.category}`, task.style && `source style: ${task.style}`].filter(
     (fact): fact is string => typeof fact === "string" && fact !== "",
@@ -111,7 +111,7 @@ const NOW: Readonly<Record<TaskState, string>> = {
   dropped: "dropped since",
 };
 
-/** What became of a decision: whether it still stands, else where its task is now. */
+/** Present state of a decision: it still stands, or the state that its task has now. */
 export function becameOf({ decision, state, authors }: Pick<DecisionRow, "decision" | "state" | "authors">): string {
   const accepts = decision === "accepted" || decision === "merged";
   if ((accepts && state === "accepted") || (decision === "dropped" && state === "dropped")) return "stands";

@@ -22,8 +22,8 @@ fn review(desk: &Desk, decision: &str, comment: &str) -> i64 {
     desk.decide(request, decision, comment)
 }
 
-/// A project with two practice tasks of pairs, and an annotator who never saw it. Returns the practice task whose known
-/// answer rejects the pair too; that of the other one keeps it.
+/// A project with two practice tasks of pairs, and an annotator who has not seen it. Returns the practice task whose
+/// known answer also rejects the pair; the known answer of the other task keeps the pair.
 fn project() -> (Desk, i64) {
     let desk = Desk::of(&["ann", "bob", "eve", "boss"]);
     desk.set(json!({ "overlap_percent": 0 }));
@@ -69,7 +69,7 @@ fn my_answers(desk: &Desk) {
 }
 
 fn practises(desk: &Desk, rejected: i64) {
-    // Does the practice task on the page as the known answer has it.
+    // Answers the practice task on the page like its known answer.
     let do_right = |task: i64| {
         if task == rejected {
             desk.press(&["u"]);
@@ -100,7 +100,7 @@ fn practises(desk: &Desk, rejected: i64) {
     desk.press(&["s"]);
     desk.shows("[data-shown=yours][aria-pressed=true]");
     desk.picture("feedback");
-    // It is still there after a reload, and she tries again.
+    // The task is still there after a reload, and she tries again.
     desk.go(&format!("app/feedback/{first}"));
     feedback(desk, first, &[]);
     desk.press(&["a"]);
@@ -194,7 +194,7 @@ fn a_new_annotator_practises_works_fixes_what_came_back_and_finds_her_answers() 
     my_answers(&desk);
     standing(&desk, returned, "waits for a reviewer");
 
-    // Until somebody reviews it, it can be taken back. It is chosen, as the newest.
+    // The newest answer is selected. It can be withdrawn until somebody reviews it.
     let chosen = format!(".shelf-item[aria-pressed=true][data-task=\"{returned}\"]");
     desk.shows(&chosen);
     desk.tab_to("Take back and change");

@@ -37,7 +37,7 @@ fn the_guide_opens_beside_the_work_and_takes_no_focus() {
     desk.click_with_mouse(".guide-button");
     desk.lacks(".guide-beside");
     desk.focuses("textarea");
-    // It is a region of its own, and stays open on the next task.
+    // The guide is a region of its own, and stays open on the next task.
     desk.press(&[keys::ESCAPE, keys::F4]);
     desk.shows(".guide-beside p");
     desk.press(&["p"]);
@@ -71,13 +71,13 @@ fn an_admin_writes_the_guide_with_pictures_and_all_of_it_stays_text() {
     let path = file.path().to_str().expect("a path");
     desk.choose_file(".guide-editor input[type=file]", path);
     desk.focuses(CAPTION);
-    // Without a caption it is not saved.
+    // A picture without a caption is not saved.
     save();
     desk.says(".toast", "caption");
     desk.focus(CAPTION);
     desk.type_text(HOSTILE);
     desk.js("const right = document.querySelector('.picture-rows select'); right.value = 'wrong'; right.dispatchEvent(new Event('change'));");
-    // What is written survives a reload.
+    // Written text survives a reload.
     desk.go("app/guide/pair");
     edit();
     desk.until(

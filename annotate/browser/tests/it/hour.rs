@@ -43,7 +43,7 @@ fn tasks(desk: &Desk, path: &str, count: usize, work: impl Fn(usize)) {
     }
 }
 
-/// What was accepted: by task, its motions, style and answer.
+/// Accepted answers by task: its motions, style and answer.
 fn accepted(browser: &Browser, token: &str) -> BTreeMap<String, Value> {
     let get = |path: &str| browser.request_as(token, "GET", path, None)["body"].take();
     let page = get("tasks?state=accepted&limit=100");

@@ -182,7 +182,7 @@ fn a_mask_holds_for_a_range_and_a_joint_is_chosen() {
     desk.says(".toast.error", "a range needs 31 at least");
     assert_eq!(desk.task(), task);
 
-    // Its ends move by keys and by the mouse.
+    // The ends of the range move by keys and by the mouse.
     desk.tab_to("Last frame of mask 2");
     desk.shift(&[keys::RIGHT, keys::RIGHT]);
     desk.press(&[keys::RIGHT, keys::RIGHT]);

@@ -134,7 +134,7 @@ fn a_duplicated_tab_is_a_tab_of_its_own() {
     desk.write(&["t"], " And the second.");
     desk.saved();
     assert!(desk.mine(task)["rev"].as_i64() > Some(1));
-    // The first one has not seen that: it is told, instead of writing over it.
+    // The first window has not seen the new answer: it shows a conflict instead of overwriting the answer.
     desk.switch_to(&first);
     desk.press(&[keys::END]);
     desk.type_text(" More of the first.");
@@ -162,7 +162,7 @@ fn typing_goes_on_while_two_versions_meet() {
     let task = desk.task();
     desk.write(&["4", "t"], "Wave");
     desk.saved();
-    // As another window of hers does.
+    // Submits the answer as another window of hers would.
     let view = desk.get(&format!("tasks/{task}"));
     let answer = two_masks("From another window.", "RIGHT_ARM");
     desk.send("ann", &view, "draft", json!({ "answer": answer }));

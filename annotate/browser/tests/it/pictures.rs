@@ -8,7 +8,7 @@ use serde_json::json;
 
 use crate::steps::Desk;
 
-/// Screens, what shows that they are drawn, and who looks at them.
+/// Screens, a selector that shows that each is drawn, and the role that opens it.
 const SCREENS: [(&str, &str, &str); 17] = [
     ("home", ".queue", "annotator"),
     ("mask", ".mask-card textarea", "annotator"),

@@ -55,7 +55,7 @@ fn check_viewer(browser: &Browser, viewer: &str) {
     browser.js(&format!(
         "document.querySelector('#{viewer}').scrollIntoView();"
     ));
-    // It plays by itself; a key stops it, and steps are exact.
+    // The report's animation plays by itself; a key stops it, and steps are exact.
     browser.until("it plays", &format!("{shown} > 1"));
     browser.focus(&format!("#{viewer} canvas"));
     browser.press(&[" ", keys::HOME]);

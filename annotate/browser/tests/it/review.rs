@@ -120,7 +120,7 @@ fn answers_are_reviewed_by_touch_on_a_tablet_held_upright() {
     let bench = Bench::with_answer(WAVE);
     let [button, _] = fits(&bench, [820, 1180], 300.0);
     assert!(button >= 40.0, "{button}");
-    // It plays by itself: a finger stops it, and moves through the clip.
+    // The clip plays by itself; a tap on the button stops it, and a tap on the bar seeks.
     let label = "document.querySelector('.transport .play').textContent";
     bench.until("it plays", &format!("{label}.includes('Pause')"));
     bench.tap(".transport .play");

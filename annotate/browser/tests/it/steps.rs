@@ -98,7 +98,7 @@ impl Desk {
         self.shows(shown);
     }
 
-    /// What the server answers to a person; `null` is no body.
+    /// Response of the server to a request by a person; `null` sends no body.
     pub(crate) fn ask(&self, name: &str, method: &str, path: &str, body: Value) -> Value {
         let body = Some(body).filter(|body| !body.is_null());
         let mut reply = self.request_as(self.token(name), method, path, body);
@@ -186,7 +186,7 @@ impl Desk {
     }
 }
 
-/// What the people of the tests may do: eve reviews, two are admins, and everybody else annotates.
+/// Roles in the tests: eve reviews, two people are admins, and all others annotate.
 fn role(name: &str) -> &'static str {
     match name {
         "eve" => "reviewer",

@@ -156,7 +156,7 @@ fn a_filter_is_in_the_address_and_a_reload_or_a_link_shows_the_same() {
         "her name",
         "[...document.querySelectorAll('option')].some((own) => own.selected && own.textContent === 'ann')",
     );
-    // What the page cannot read in a link is said.
+    // Unreadable parts of a link are reported.
     office.list("?kind=mask_text&colour=red");
     office.reads(".tasks-main .list-trouble", &["colour=red"]);
 }
@@ -240,7 +240,7 @@ fn a_bulk_action_says_what_it_will_do_and_what_it_left_alone() {
     office.push(&["Close"]);
     let states = tasks.map(|task| office.state(task));
     assert_eq!(states, ["in_review", "accepted", "accepted"]);
-    // A comment is asked for where the authors need one.
+    // Reopening accepted tasks requires a comment, because their authors need one.
     office.list("?state=accepted&kind=mask_text");
     office.counts(2);
     office.push(&["Act on all of them…"]);
@@ -274,7 +274,7 @@ fn a_rule_is_added_applied_named_in_the_record_and_undone() {
     office.push(&["Add, off at first"]);
     let row = "document.querySelector('[data-rule=all-of-them]')?.closest('tr')?.textContent ?? ''";
     let is = |state: &str| office.until(state, &format!("/{state}/.test({row})"));
-    // It is off, accepted none, and would accept two.
+    // off02 is off, accepted no task, and would accept two.
     is("off02");
     assert_eq!(office.state(task), "submitted");
     office.push(&["Turn on: all-of-them"]);
@@ -322,7 +322,7 @@ fn a_record_shows_the_story_of_a_task_and_acts_on_it() {
     office.record_says("waits for review; 1 of 1 answer handed in");
     office.record_says("Wave with the left arm.");
     office.record_says("ann: handed in an answer");
-    // It is opened for review, decided, and shown again.
+    // The task is opened for review, decided, and shown again.
     office.push(&["Review"]);
     office.shows("review-panel");
     office.press(&["a"]);
@@ -347,7 +347,7 @@ fn a_record_shows_the_story_of_a_task_and_acts_on_it() {
     office.push(&["Release the task of ann"]);
     office.record_says("open; 0 of 1 answer handed in");
     office.lacks(".holders");
-    // What another person does meanwhile appears by itself.
+    // Changes by another person appear without a reload.
     let view = office.claim("ann", "mask_text");
     assert_eq!(view["task"]["id"], *open);
     office.record_says("ann answers it, ends in");

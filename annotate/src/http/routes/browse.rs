@@ -17,7 +17,7 @@ const ITEMS: usize = 50;
 /// Decisions by their names in the log.
 const DECISIONS: [&str; 5] = ["accepted", "merged", "returned", "dropped", "reopened"];
 
-/// Which page of the tasks.
+/// Query of a page of tasks.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Page {

@@ -1,4 +1,4 @@
-//! What all layouts share: the settings, the result, and reading tasks batch by batch.
+//! Shared parts of all layouts: settings, result, and reading tasks batch by batch.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

@@ -22,7 +22,7 @@ const FILES: [&str; 4] = [
 ];
 
 impl Exporter<'_> {
-    /// Writes [`FILES`] in one pass. The table holds all of it, and what is counted as left out of them.
+    /// Writes [`FILES`] in one pass. The table beside them also holds everything that the files leave out.
     pub(super) fn stance(&mut self, folder: &Path) -> Result<(), Error> {
         let (mut masks, mut texts, mut marks) = (Map::new(), Map::new(), Map::new());
         let mut pairs = Vec::new();
@@ -82,7 +82,7 @@ impl Exporter<'_> {
     }
 }
 
-/// What the JSON files have no place for, by the names of its counts.
+/// Data that the release's JSON files cannot hold, by the names of its counts.
 const LOST: [(&str, &str); 5] = [
     ("masks_without_ring", "masks have no soft ring"),
     (

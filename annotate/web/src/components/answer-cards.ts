@@ -35,7 +35,7 @@ export function answerCards(
   </div>`;
 }
 
-/** What annotators were offered, as an item of a list. */
+/** A suggestion as shown to annotators, as a list item. */
 export function offered(app: App, { parts, text, model }: Suggestion): TemplateResult {
   const words = [parts.length > 0 && app.parts.phrases(parts), text && `“${text}”`].filter((own) => own);
   return html`<li>${words.join(": ")} <span class="note">${model || "the source"}</span></li>`;

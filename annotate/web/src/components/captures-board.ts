@@ -1,4 +1,4 @@
-/** What is still to capture: the missing takes as a list, and the whole plan as a matrix of motions by styles. */
+/** Board of captures: missing takes as a list, and the whole plan as a matrix of motions by styles. */
 
 import { html, nothing, type TemplateResult } from "lit";
 import { matching, matrixOf, noteOf, totals } from "../captures";

@@ -42,7 +42,7 @@ function chart<T>(
   </figure>`;
 }
 
-/** The middle of one of so many columns. */
+/** Centre of a column among `count` columns. */
 const middle = (index: number, count: number): number => LEFT + ((WIDTH - LEFT) / count) * (index + 0.5);
 
 const SERIES = [
@@ -85,7 +85,7 @@ export function agreementByWeek(weeks: readonly Week[], zone: string): TemplateR
     const at = y(agreement);
     const before = weeks[index - 1]?.agreement ?? null;
     const line = before === null ? nothing : svg`<line class="line" x1=${middle(index - 1, weeks.length)} x2=${x} y1=${y(before)} y2=${at}></line>`;
-    // The figure stands below the point where there is no room above it.
+    // The value is drawn below the point if there is no space above it.
     return svg`${line}<circle class="value" cx=${x} cy=${at} r="5"></circle>
       <text x=${x} y=${at < TOP + 20 ? at + 20 : at - 10} text-anchor="middle">${agreement.toFixed(2)}</text>`;
   };
@@ -152,7 +152,7 @@ export function dayBars(days: readonly Work[], value: (work: Work) => number, mo
   </svg>`;
 }
 
-/** What the bars of the days show, from the first to the last date. */
+/** Date range of the daily bars. */
 export function daySpan(period: Period): string {
   const [first, last] = [period.dates[0], period.dates.at(-1)];
   return first && last ? `${shortDate(first)} to ${shortDate(last)}` : "";

@@ -20,7 +20,7 @@ export abstract class Component extends LitElement {
     if (field && caret && field.isConnected && field.selectionStart !== caret[0]) field.setSelectionRange(...caret);
   }
 
-  /** What the element is on the page: its class, role, name and region. */
+  /** Sets the element's class, ARIA role, label and region. */
   protected be(className: string, role: string, name: string, region: string): void {
     this.className = className;
     this.setAttribute("role", role);

@@ -75,7 +75,7 @@ export class ConflictBox extends Component {
     this.back();
   }
 
-  /** Returns to the text and the place in it. */
+  /** Restores the focus and the caret position in the text. */
   private back(): void {
     const field = this.text;
     if (!field?.isConnected) return;

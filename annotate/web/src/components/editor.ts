@@ -1,4 +1,4 @@
-/** What the editors of masks and of pairs have in common: body parts, the text, its draft and its phrases. */
+/** Shared code of the mask and pair editors: body parts, the text, its draft and its phrases. */
 
 import { html, nothing, type TemplateResult } from "lit";
 import { live } from "lit/directives/live.js";

@@ -181,7 +181,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     clock.seek(frame);
   }
 
-  /** What the server would refuse a mask of parts and a text for, after its name; `null` if nothing. */
+  /** Why the server would refuse a mask's parts or text, after the mask's name; `null` if it would not. */
   private problemOf(mask: MaskAnswer): string | null {
     const { hard } = this.app.parts.joints(mask.parts, mask.soft, mask.joints);
     if (mask.parts.length > 0 && hard === 0) return "has no hard joint; make one hard, or delete the mask";
@@ -487,7 +487,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
       ${problem === null ? nothing : html`<p class="mask-problem severe tint" role="alert">Mask ${index + 1} ${problem}.</p>`}`;
   }
 
-  /** The joints of the body, each with how the mask takes it: a click takes it the next way. */
+  /** Buttons for the joints of the body with their state in the mask; a click selects the next state. */
   private jointPicker(mask: MaskAnswer): TemplateResult {
     const { parts } = this.app;
     const count = mask.joints?.length ?? 0;

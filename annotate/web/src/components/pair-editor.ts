@@ -234,7 +234,7 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
   }
 }
 
-/** What the project says of the chosen style, or that it is new. */
+/** The project's guideline for the chosen style, or a note that the style is new. */
 function styleNote(known: Style | undefined, chosen: string | null): TemplateResult | typeof nothing {
   if (known) return known.text ? html`<p class="note">${known.text}</p>` : nothing;
   return chosen?.trim() ? html`<p class="note" data-new-style>“${chosen.trim()}” is new. A reviewer who accepts it adds it to the styles.</p>` : nothing;

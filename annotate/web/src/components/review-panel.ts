@@ -1,4 +1,4 @@
-/** The answers to one task side by side, and what a reviewer decides about them. */
+/** The answers to one task side by side, and the reviewer's decision about them. */
 
 import { html, nothing, type TemplateResult } from "lit";
 import { ApiError, newReview, randomName } from "../api";

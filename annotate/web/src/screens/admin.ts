@@ -243,7 +243,7 @@ function capturesSection(app: App): HTMLElement {
   </section>`);
 }
 
-/** What a language model does in bulk, which is started on the command line. */
+/** Section on bulk drafting by a language model, which is started on the command line. */
 function modelSection(app: App): HTMLElement {
   const none = "The server was started without a language model (STANCE_MODEL_URL, STANCE_MODEL_NAME).";
   return element(html`<section class="card">

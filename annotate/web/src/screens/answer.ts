@@ -49,7 +49,7 @@ function emptyScreen(app: App, kind: TaskKind, empty: Empty | null): Screen {
   return pageScreen("Nothing to do", h("div", { class: "page empty" }, title, listOf(lines), h("p", { class: "row" }, home, again)), home);
 }
 
-/** What an editor does with a session. */
+/** Callbacks of an editor into its session. */
 export function hostOf<A extends Answer>(app: App, view: TaskView, session: TaskSession<A>): EditorHost<A> {
   return {
     change: (answer, kind) => session.change(answer, kind),
@@ -89,7 +89,7 @@ export function finisher(app: App, route: string): Finish {
   };
 }
 
-/** What is opened after an answer: the next task, or what practice teaches. */
+/** Address to open after an answer: the next task, or the feedback of a practice task. */
 export function afterAnswer({ task }: TaskView): string {
   return task.practice ? `feedback/${task.id}` : ROUTE_OF[task.kind];
 }

@@ -1,4 +1,4 @@
-/** What is learned from a practice task: the own answer beside the known one. */
+/** Feedback on a practice task: the user's answer beside the known one. */
 
 import { html } from "lit";
 import type { App, Screen } from "../app";
@@ -23,7 +23,7 @@ const VIEWS: readonly (readonly [View, string])[] = [
   ["differs", "What differs"],
 ];
 
-/** My answer to a practice task beside the known one. */
+/** The user's answer to a practice task beside the known answer. */
 export async function openFeedback(app: App, argument: string): Promise<Screen> {
   const answers = await app.api.get<MyAnswers>(`answers?task=${Number(argument)}&limit=1`);
   const own = answers.items[0];

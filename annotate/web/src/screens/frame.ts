@@ -1,4 +1,4 @@
-/** What the screens have in common: their frames, tabs and lists. */
+/** Shared parts of the screens: frames, tabs and lists. */
 
 import type { App, Screen } from "../app";
 import { h, setAttr, type Child } from "../dom";
@@ -66,7 +66,7 @@ export function noteBox(what: string, text: string, className = "returned-note w
   return h("div", { class: `${className} edged`, attrs: { role: "note" } }, h("strong", {}, what), text);
 }
 
-/** Reads anew some time after a change on the server that `concerns` the page. Returns what ends it. */
+/** Reloads the page some time after a change on the server that `concerns` it. Returns a function that stops this. */
 export function onChange(afterMs: number, read: () => Promise<void>, concerns: (change: Change) => boolean = () => true): () => void {
   let timer: number | null = null;
   const stream = new EventSource("/api/v1/stream");

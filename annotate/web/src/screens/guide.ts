@@ -24,7 +24,7 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
     fill(own, head(KIND_WORDS[kind], edit(() => editKind())), ...kindGuide(guide, kind, app.me.project.styles));
     fill(all, head("For all tasks", edit(() => editAll())), ...formatGuide(guide.text));
   };
-  /** Shows the guide as it is stored, after an editor was closed. */
+  /** Shows the stored guide again after an editor was closed. */
   const reload = async (): Promise<void> => {
     guide = await app.api.get<Guide>("guide");
     draw();

@@ -23,7 +23,7 @@ export async function openHome(app: App): Promise<Screen> {
   const card = (queue: QueueInfo): HTMLElement => {
     const { kind } = queue;
     const own = practice.find((known) => known.kind === kind);
-    // What stands between a person and the real work of this kind.
+    // Real work of this kind opens after practice is passed.
     const practises = own !== undefined && !own.passed;
     const label = practises ? "Practise" : queue.held > 0 ? "Continue" : "Start";
     const start = app.link(practises ? `practice/${kind}` : ROUTE_OF[kind], label, "button primary");
@@ -75,7 +75,7 @@ export async function openHome(app: App): Promise<Screen> {
   return pageScreen("Home", page, page.querySelector<HTMLElement>("a.button"));
 }
 
-/** What is in work, and until when it is kept. */
+/** Tasks in work, and until when their leases last. */
 function inWork({ held, held_until }: QueueInfo): string {
   const what = held === 1 ? "1 task is in work with you" : `${held} tasks are in work with you`;
   if (held_until === null) return `${what}.`;

@@ -1,4 +1,4 @@
-/** What I handed in, where it stands, and what I can still do about it. */
+/** The user's submitted answers, their states, and what the user can still change. */
 
 import { queryOf } from "../api";
 import type { App, Screen } from "../app";

@@ -1,4 +1,4 @@
-/** What a task says about itself above its editor: that it came back, that its clip changed, that it is practice. */
+/** Notes above a task's editor: it was returned, its clip changed, or it is practice. */
 
 import { reason } from "../api";
 import type { App } from "../app";
@@ -17,7 +17,7 @@ export async function notesOf(app: App, view: TaskView): Promise<HTMLElement[]> 
   return notes;
 }
 
-/** What is still wanted of each edit type; nothing if the project has no quota of them, or for another kind of task. */
+/** Open quota of each edit type; nothing if the project has no quotas, or for another kind of task. */
 export async function quotaNote(app: App, kind: TaskKind): Promise<HTMLElement | null> {
   if (kind !== "pair") return null;
   const words = await app.api

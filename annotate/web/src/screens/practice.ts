@@ -24,7 +24,7 @@ export async function practiceOf(app: App, kind: TaskKind): Promise<Practice> {
   return own;
 }
 
-/** What practice is, for somebody who has not begun with it; `null` for everybody else. */
+/** Explanation of practice for a user who has not begun; `null` for everybody else. */
 export async function practiceFirst(app: App, kind: TaskKind): Promise<Screen | null> {
   if (opened.has(kind)) return null;
   const own = await practiceOf(app, kind);
@@ -33,7 +33,7 @@ export async function practiceFirst(app: App, kind: TaskKind): Promise<Screen | 
   return introduction(app, [own]);
 }
 
-/** Says on a practice task that it is one. */
+/** Marks a practice task as practice. */
 export async function practiceNote(app: App, kind: TaskKind): Promise<HTMLElement> {
   const { needed, done } = await practiceOf(app, kind);
   const place = done < needed ? `task ${done + 1} of ${needed}. ` : "";
@@ -59,7 +59,7 @@ function introduction(app: App, kinds: readonly Practice[]): Screen {
   return pageScreen("Practice", page, page.querySelector<HTMLElement>("button.primary") ?? page.querySelector("h1"));
 }
 
-/** Where somebody stands with the practice of a kind, and the button that goes on. */
+/** The user's practice of a kind, and the button that continues it. */
 function practiceCard(app: App, practice: Practice): HTMLElement {
   const { kind, needed, done, score, threshold, passed } = practice;
   const label = passed ? "To the tasks" : done === 0 ? "Begin" : "Continue";

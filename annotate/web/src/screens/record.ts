@@ -1,4 +1,4 @@
-/** Everything about one task: its motions, state, answers, decisions and history, and what may be done with it. */
+/** Everything about one task: its motions, state, answers, decisions, history and possible actions. */
 
 import { html, nothing, type TemplateResult } from "lit";
 import { newReview } from "../api";
@@ -22,7 +22,7 @@ import { around, moveTo } from "./tasks";
 /** Delay after a change before the record is read again. */
 const REFRESH_AFTER_MS = 300;
 
-/** What a copy of an accepted task can be: the button, the kind of copy, and what it is from then on. */
+/** Kinds of copies of an accepted task: label of the button, the kind, and what the copy is used as. */
 const COPIES = [
   ["Make gold", "gold", "is given out as gold"],
   ["Make practice", "practice", "is a practice task"],
@@ -87,7 +87,7 @@ class TaskRecord extends Component {
     return [{ revision, author_name: name, joints, draft_distance: null }, ...answers];
   }
 
-  /** A button. What it does is followed by its message, if there is one, and by the record as it is then. */
+  /** A button. After its action, the message (if any) is shown and the record is reloaded. */
   private button(label: string, act: () => Promise<string | null>, className = "", name = label): TemplateResult {
     const run = async (): Promise<void> => {
       this.busy = true;

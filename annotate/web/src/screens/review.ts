@@ -21,7 +21,7 @@ export function reviewTabs(app: App, current: string): HTMLElement {
   return tabs(app, "Pages for reviewers", [...queues, ["decisions", "Decisions"]], current);
 }
 
-/** What reviewers decided, and what became of it. */
+/** Decisions of reviewers, and the present state of their tasks. */
 export async function openDecisions(app: App, argument: string): Promise<Screen> {
   const list = new DecisionList(app, argument);
   await list.load();

@@ -1,4 +1,7 @@
-/** Rules that accept answers without a reviewer: what each did and would do; admins change, apply and undo them. */
+/**
+ * Rules that accept answers without a reviewer, with the answers each accepted and would accept; admins change,
+ * apply and undo them.
+ */
 
 import { html, nothing } from "lit";
 import { ApiError } from "../api";
@@ -56,7 +59,7 @@ export async function openRules(app: App): Promise<Screen> {
     fill(box, element(section));
   };
 
-  /** Changes the rules of the settings as they are now. */
+  /** Applies a change to the rules that are stored now. */
   const save = async (change: (rules: readonly Rule[]) => Rule[]): Promise<void> => {
     const settings = await app.api.get<Settings>("settings");
     await app.api.json<Settings>("PUT", "settings", { ...settings, rules: change(settings.rules) });
@@ -98,7 +101,7 @@ export async function openRules(app: App): Promise<Screen> {
     return names.length > 0 ? `${RULE_WORDS[rule.accepts]}: ${names.join(", ")}` : RULE_WORDS[rule.accepts];
   };
 
-  /** Asks for a rule until the server takes it. */
+  /** Asks for a rule until the server accepts it. */
   const edit = async (old: Rule | null): Promise<void> => {
     const form = ruleForm(old ?? NEW_RULE, old === null, people);
     for (let trouble = ""; ; ) {
@@ -189,7 +192,7 @@ function onlyOf(rule: Rule): string {
   return `${kinds}; ${rule.min_answers === 1 ? "one answer or more" : `${rule.min_answers} answers or more`}, ${apart}`;
 }
 
-/** Fields of a rule. A name is not changed: what the rule accepted is known by it. */
+/** Fields of a rule. The name is fixed: accepted answers refer to their rule by name. */
 function ruleForm(old: Rule, isNew: boolean, people: readonly Person[]): { body: Child[]; first: HTMLElement; rule(): Rule } {
   const name = input("text", old.name, { maxlength: 40, readonly: !isNew });
   const accepts = select(RULE_KINDS.map((kind) => [kind, RULE_WORDS[kind]] as const), old.accepts);

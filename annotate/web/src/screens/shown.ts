@@ -16,13 +16,13 @@ import type { Answer, Task } from "../wire";
 /** Activity drawn in the darkest colour: the part's 95th percentile over the training split. */
 const HEAT_FULL = 1;
 
-/** Activity from which a part counts as moving: `ACTIVE` of the server, which suggests parts by it. */
+/** Activity from which a part counts as moving. Equal to the server's `ACTIVE`, from which it suggests parts. */
 const MOVING = 0.4;
 
 /** Distance in metres drawn in the darkest colour, unless a pair differs more. */
 const DIFF_FULL = 0.15;
 
-/** The motions of a task as annotators see them, and what paints answers on them. */
+/** The motions of a task as annotators see them, with the painted answers. */
 export interface Shown {
   viewer: Viewer;
   stage: ReviewStage;

@@ -47,7 +47,7 @@ const OFTEN: readonly (readonly [string, string])[] = [
 /** Where the reader was, so that the way back from a task leads there. */
 let left: { query: string; at: number; top: number; rows: readonly TaskRow[] } = { query: "", at: 0, top: 0, rows: [] };
 
-/** The list that the reader came from, and the tasks before and after one in it. */
+/** The list that the reader came from, and the tasks before and after this one in it. */
 export function around(task: number): { list: string; previous: number | null; next: number | null } {
   const at = left.rows.findIndex((row) => row.id === task);
   const near = (by: number): number | null => (at < 0 ? null : (left.rows[at + by]?.id ?? null));
@@ -69,7 +69,7 @@ const pathOf = (query: string): string => (query === "" ? "tasks" : `tasks?${que
 export async function openTasks(app: App): Promise<Screen> {
   const { chosen, refused } = readAddress(window.location.search);
   let current: Chosen = chosen;
-  // The list is shown meanwhile.
+  // The list is shown before the people are loaded.
   const everybody = app.api.get<Person[]>("stats/people").catch((): Person[] => []);
 
   const any = <T extends string>(label: string, values: readonly T[], words: (value: T) => string): HTMLSelectElement =>

@@ -157,7 +157,7 @@ export interface Piece {
   hatch: Rgb | null;
 }
 
-/** What a body is drawn of; the same number of pieces for every body. */
+/** Pieces that a body is drawn with; every body has the same number. */
 export function piecesOf(track: Track, frame: number, paint: Paint): Piece[] {
   const look = (joint: number, side: Side): Pick<Piece, "colour" | "hatch"> => ({
     colour: colourOf(paint, joint, side),
@@ -171,7 +171,7 @@ export function piecesOf(track: Track, frame: number, paint: Paint): Piece[] {
   ];
 }
 
-/** Heading of the body in a frame, from its hips: the angle about the vertical from +z. The front camera uses it. */
+/** Heading of the body in a frame, from its hips: the angle about the vertical from +z. Used by the front camera. */
 export function headingAt(track: Track, frame: number): number {
   const left = pointAt(track, frame, LEFT_HIP);
   const right = pointAt(track, frame, RIGHT_HIP);

@@ -8,7 +8,7 @@ import { piecesOf, type Piece, type Rgb } from "./body";
 
 type Project = ReturnType<OrbitCamera["projector"]>;
 
-/** A piece as it is drawn, nearer ones over others. */
+/** A projected piece; nearer pieces are drawn over farther ones. */
 interface Drawn {
   depth: number;
   draw: () => void;
@@ -67,7 +67,7 @@ function drawFloor(context: CanvasRenderingContext2D, project: Project): void {
   }
 }
 
-/** A piece before the camera; `null` behind it. */
+/** Projects a piece; `null` if it is behind the camera. */
 function drawnOf(context: CanvasRenderingContext2D, project: Project, { from, to, radius, colour, hatch }: Piece): Drawn | null {
   const begin = project(from);
   const end = to && project(to);

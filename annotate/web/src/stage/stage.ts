@@ -82,7 +82,7 @@ export class Stage {
     this.redraw();
   }
 
-  /** Puts the camera in front of the body as it stands in its first frame. */
+  /** Puts the camera in front of the body at its first frame. */
   frameBody(): void {
     const first = this.bodies[0];
     if (!first) return;

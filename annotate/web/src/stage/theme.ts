@@ -11,7 +11,7 @@ const COLOURS = {
   axis: ["#a9b5c1", "#475361"],
   /** Limbs outside a mask. */
   rest: [[0.78, 0.8, 0.83], [0.36, 0.39, 0.43]],
-  /** Over what is outside the loop. */
+  /** Shade over the frames outside the loop. */
   outside: ["rgba(238, 241, 244, 0.72)", "rgba(18, 23, 29, 0.72)"],
   playhead: ["#16202b", "#f2f5f8"],
 } as const;
