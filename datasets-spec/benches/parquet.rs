@@ -1,4 +1,4 @@
-//! Writing and reading shards, beside what the machine can do in the same run.
+//! Benchmarks of writing and reading shards, with a copy and a matrix product for comparison.
 //!
 //! `cargo bench --bench parquet`; one thread. The rates to compare are frames a second of the two
 //! writers and readers against the copy and the matrix product below them.

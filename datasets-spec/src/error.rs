@@ -28,7 +28,7 @@ pub enum Error {
     NoVersion {
         /// The dataset.
         path: PathBuf,
-        /// The number asked for.
+        /// The requested version.
         version: u64,
         /// The numbers that would do.
         known: String,
@@ -141,7 +141,7 @@ pub enum Error {
     ShortRange {
         /// Frames of the range.
         frames: usize,
-        /// Frames that it needs.
+        /// Fewest frames that the window needs.
         shortest: usize,
     },
     /// A test item was changed after it was named.
@@ -165,7 +165,7 @@ pub enum Error {
     Locked {
         /// The folder.
         path: PathBuf,
-        /// What the lock file says of its holder.
+        /// Description of the holder, from the lock file.
         holder: String,
     },
     /// Another run committed the version that this run was about to commit.

@@ -82,7 +82,7 @@ impl std::fmt::Display for MotionId {
     }
 }
 
-/// Which part of a dataset a motion belongs to.
+/// Part of a dataset that a motion belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Split {
@@ -231,7 +231,7 @@ mod tests {
         distinct.dedup();
         assert_eq!(distinct.len(), draws.len());
         assert_ne!(draws[0], Seed(4).rng_of(0).random::<u64>());
-        // As fair as a coin: 8 standard deviations of 64,000 bits.
+        // Bits are unbiased: the bound is 8 standard deviations of 64,000 fair bits.
         let ones: u32 = draws.iter().map(|draw| draw.count_ones()).sum();
         assert!((f64::from(ones) - 32_000.0).abs() < 8.0 * 126.5);
     }

@@ -18,9 +18,9 @@ pub fn is_non_commercial(tag: &str) -> bool {
     parts.any(|part| matches!(part, "nc" | "noncommercial")) || tag.contains("non-commercial")
 }
 
-/// Whether a licence keeps most people from passing motions on as they are stored here, by its tag: the research licences
-/// of motion collections, which are named by references, and Creative Commons without derivatives, as motions were
-/// retargeted and resampled.
+/// Whether a licence, given by its tag, forbids redistribution of the stored motions: the research licences of motion
+/// collections, which are named by references, and Creative Commons without derivatives, as motions were retargeted and
+/// resampled.
 pub fn is_restricted(tag: &str) -> bool {
     let mut parts = tag.split(|c: char| !c.is_ascii_alphanumeric());
     parts.any(|part| matches!(part, "LicenseRef" | "ND"))
@@ -68,8 +68,7 @@ pub fn count<'a>(
     Ok(licenses)
 }
 
-/// What a user of clips under several licences must know: that some may not be used commercially, and
-/// with them the whole.
+/// Warning for users of clips under several licences: some forbid commercial use, and therefore the whole dataset does.
 pub fn warning(licenses: &BTreeMap<String, u64>) -> Option<String> {
     let (restricted, others): (Vec<_>, Vec<_>) =
         licenses.iter().partition(|(tag, _)| is_non_commercial(tag));

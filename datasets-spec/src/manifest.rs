@@ -33,7 +33,7 @@ pub struct Manifest {
     pub schema_version: String,
     /// Number of this manifest, from 1.
     pub version: u64,
-    /// Program that wrote it.
+    /// Program and version that wrote the manifest.
     pub tool_version: String,
     /// Name of the skeleton every motion is posed on.
     pub skeleton: String,

@@ -142,14 +142,14 @@ impl Seek for Reader {
 /// A lock of a dataset. Dropping it lets others in.
 pub trait Lock: Debug + Send + Sync {}
 
-/// What became of an attempt to lock a dataset.
+/// Result of an attempt to lock a dataset.
 #[derive(Debug)]
 pub enum Locking {
     /// Nobody else writes until this is dropped.
     Held(Box<dyn Lock>),
     /// Another run holds the lock.
     Taken {
-        /// What it said of itself.
+        /// Description of that run, from the lock.
         holder: String,
     },
     /// The storage has no locks: of two runs that commit a version, the later one fails.
@@ -184,12 +184,12 @@ pub trait Store: Debug + Send + Sync {
     fn remove_file(&self, path: &Path) -> io::Result<()>;
     /// Removes a folder and all in it; a folder that is not there is no error.
     fn remove_dir_all(&self, path: &Path) -> io::Result<()>;
-    /// Locks a dataset's folder against other runs. They are told `holder`.
+    /// Locks a dataset's folder against other runs, and stores `holder` for their messages.
     fn lock(&self, folder: &Path, holder: &str) -> io::Result<Locking>;
 
-    /// What a file of a dataset differs in from its manifest; none if it is as stated. A disk hashes the
-    /// file. An object store compares the size, as reading it would cost as much as using it; there the hash
-    /// is compared when the file is read whole.
+    /// How a file of a dataset differs from its manifest; none if it does not. A disk hashes the file. An object store
+    /// compares the size, as reading it would cost as much as using it; there the hash is compared when the file is
+    /// read whole.
     fn difference(&self, path: &Path, _bytes: u64, blake3: &str) -> io::Result<Option<String>> {
         let found = self.hash(path)?;
         Ok((found != blake3).then(|| format!("BLAKE3 expected {blake3}, found {found}")))
@@ -264,7 +264,7 @@ pub fn wherever<T>(path: &Path, act: impl Fn(&Path) -> io::Result<T>) -> io::Res
         return Err(missing);
     };
     match act(&aside) {
-        // A commit may have put it in its place meanwhile.
+        // A commit may have moved the file to its final place meanwhile.
         Err(error) if is_missing(&error) => act(path).map_err(|_| missing),
         done => done,
     }

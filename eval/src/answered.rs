@@ -102,7 +102,7 @@ impl Answered {
                 source: Box::new(source),
             })
         };
-        // All are checked before an error is looked for, so that it is that of the first one.
+        // Check all rows before looking for an error, so that the first row's error is reported.
         let checked: Vec<Result<(), Error>> = rows.par_iter().map(check).collect();
         checked.into_iter().collect::<Result<(), Error>>()?;
         Ok(rows)
@@ -132,7 +132,7 @@ impl Answered {
         Ok((read, name))
     }
 
-    /// Adds the edits of another folder, after checking that they are of the same items.
+    /// Adds the edits of another folder, after checking that they are edits of the same items.
     pub(crate) fn merge(&mut self, first: &Path, other: Self, path: &Path) -> Result<(), Error> {
         if other.skeleton != self.skeleton {
             return Err(Error::OtherSkeleton {
@@ -154,7 +154,7 @@ impl Answered {
                 other_alone: [theirs.difference(&ours).count(), theirs.len()],
             });
         }
-        // Edits of an item that was changed under its id are of another item.
+        // An item whose content differs is another item, even under the same id.
         let positions: Vec<usize> = (0..other.items.len()).collect();
         for positions in positions.chunks(ITEMS_AT_ONCE) {
             other
@@ -166,7 +166,7 @@ impl Answered {
     }
 }
 
-/// An error with the table that it is of.
+/// Adds the table's path to an error.
 fn of_table(path: &Path, source: Error) -> Error {
     Error::TableOf {
         path: path.to_owned(),

@@ -21,7 +21,7 @@ use crate::table::Table;
 pub use crate::answered::Answered;
 pub use crate::judge::{RankedGalleries, encoder_retrieval};
 
-/// Scores and what is known of the encoders behind them.
+/// Scores, and facts about the encoders that they were measured with.
 #[derive(Clone, Debug)]
 pub struct Scores {
     /// A row for each system, task and metric.
@@ -94,7 +94,7 @@ impl Scores {
 /// Edits of two systems of the same items.
 #[derive(Debug)]
 pub struct Paired {
-    /// Items and edits; the systems are told apart by their names.
+    /// Items and edits; systems are distinguished by their names.
     pub answered: Answered,
     /// Names of the two systems.
     pub names: [String; 2],

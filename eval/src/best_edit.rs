@@ -18,10 +18,10 @@ use crate::rows::{EditFacts, ItemFacts};
 pub struct BestEdit {
     /// The item.
     pub item: ItemRow,
-    /// Its edit.
+    /// The item's edit.
     pub edit: EditRow,
-    /// How far it got; `None` where no item has a target at the edit's frame rate, so that none could be
-    /// measured, and the item is the first by its id. An edit that is not closer to its target than its source
+    /// How much closer to the target the edit is than the source. `None` if no item has a target at the edit's frame
+    /// rate; then the item with the first id is shown. An edit that is not closer to its target than its source
     /// ([`Gain::is_better`]) is not to be called the best.
     pub gain: Option<Gain>,
 }

@@ -62,7 +62,7 @@ pub struct Comparison {
     pub n: usize,
     /// Distinct motions their targets were made of, which the bootstrap draws.
     pub targets: u32,
-    /// What tells one set of items from another.
+    /// Digest of the ids of the items.
     pub items_digest: String,
     /// The two systems.
     pub systems: [String; 2],
@@ -74,7 +74,7 @@ pub struct Comparison {
     pub unranked: Option<String>,
     /// The metrics.
     pub differences: Vec<Difference>,
-    /// What is left out for want of items, a sentence each.
+    /// Parts that are left out because of too few items, a sentence each.
     pub notes: Vec<String>,
 }
 
@@ -245,7 +245,8 @@ impl Pairing<'_> {
         found
     }
 
-    /// The difference of values of the same items; none where no item has both.
+    /// Difference of the values of the same items, from the first system to the second; none if no item has both
+    /// values.
     fn difference(
         &self,
         name: &str,

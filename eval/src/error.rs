@@ -1,10 +1,10 @@
-//! What can go wrong while measuring.
+//! Errors of measuring.
 
 use std::path::PathBuf;
 
 use datasets_spec::Code;
 
-/// What a caller's encoder may fail with.
+/// Error of a caller's encoder.
 pub type EncoderError = Box<dyn std::error::Error + Send + Sync>;
 
 /// An error that names the system and the item it happened to.
@@ -27,11 +27,11 @@ pub enum Error {
     OtherSkeleton {
         /// The first table.
         first: PathBuf,
-        /// Its skeleton.
+        /// Skeleton of the first table.
         first_skeleton: String,
         /// The other table.
         other: PathBuf,
-        /// Its skeleton.
+        /// Skeleton of the other table.
         other_skeleton: String,
     },
     /// Two tables of edits are of different items.
@@ -50,11 +50,11 @@ pub enum Error {
     OtherItems {
         /// The first table.
         first: PathBuf,
-        /// Its items that the other lacks, and all of its items.
+        /// Number of items only in the first table, and of all its items.
         first_alone: [usize; 2],
         /// The other table.
         other: PathBuf,
-        /// Its items that the first lacks, and all of its items.
+        /// Number of items only in the other table, and of all its items.
         other_alone: [usize; 2],
     },
     /// A table of edits cannot be used.
@@ -73,9 +73,9 @@ pub enum Error {
     SeveralSystems {
         /// The table.
         path: PathBuf,
-        /// Its systems.
+        /// Number of systems in the table.
         count: usize,
-        /// Their names.
+        /// Names of the systems.
         systems: String,
     },
     /// One name stands for two systems, which would become one row of a table.
@@ -86,17 +86,17 @@ pub enum Error {
     TwoSystems {
         /// The name.
         system: String,
-        /// What differs.
+        /// The property that differs.
         what: &'static str,
-        /// Of the first.
+        /// Value of the first system.
         first: String,
-        /// Of the other.
+        /// Value of the other system.
         other: String,
     },
     /// The points of a figure cannot be made.
     #[error("figure {figure:?}: {problem}")]
     Figure {
-        /// Its name.
+        /// Name of the figure.
         figure: String,
         /// What is wrong with it.
         problem: String,
@@ -152,7 +152,7 @@ pub enum Error {
         system: String,
         /// Number of such items.
         count: usize,
-        /// Ids of the first of them.
+        /// Ids of the first ones.
         ids: String,
     },
     /// A system edited some items more often than others.
@@ -187,10 +187,10 @@ pub enum Error {
         /// The name.
         system: String,
     },
-    /// No row is of a system that was asked for.
+    /// No row is of a requested system.
     #[error("there is no system {system:?} among the edits; there are: {known}")]
     UnknownSystem {
-        /// The name asked for.
+        /// The requested system.
         system: String,
         /// The names there are.
         known: String,
@@ -276,7 +276,7 @@ pub enum Error {
     Size {
         /// The metric.
         metric: &'static str,
-        /// Which size.
+        /// Name of the size.
         what: &'static str,
         /// Size found.
         found: usize,
@@ -309,12 +309,12 @@ pub enum Error {
         /// Value given.
         found: usize,
     },
-    /// More items are to be scored than there are.
+    /// More items are requested than exist.
     #[error(
         "{asked} items are to be scored, and there are {found}; ask for fewer or leave the limit out"
     )]
     Limit {
-        /// Items asked for.
+        /// The requested number of items.
         asked: usize,
         /// Items there are.
         found: usize,

@@ -1,4 +1,4 @@
-//! The networks and the body that motions are measured with; the caller provides them.
+//! The networks and the body model used for measuring; the caller provides them.
 
 use datasets_spec::{Motion, Skeleton};
 
@@ -9,7 +9,7 @@ pub trait MotionEncoder {
     /// One latent for each motion, in order, all of one width.
     ///
     /// # Errors
-    /// Whatever keeps the encoder from encoding.
+    /// The encoder's own error.
     fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f64>>, EncoderError>;
 
     /// The hash of the weights in hexadecimal; scores of different hashes are not comparable.
@@ -23,16 +23,16 @@ pub trait MotionEncoder {
     fn weakness(&self) -> Option<String>;
 }
 
-/// A network that tells motions composed of several from natural ones.
+/// A network that classifies motions as natural or composed of several motions.
 pub trait MotionClassifier {
     /// The share of each motion's windows classified as composed, in [0, 1].
     ///
     /// # Errors
-    /// Whatever keeps the network from classifying.
+    /// The network's own error.
     fn composed(&self, motions: &[&Motion]) -> Result<Vec<f64>, EncoderError>;
 }
 
-/// What motions are measured with.
+/// Networks and body model for measuring motions.
 #[derive(Clone, Copy)]
 pub struct Evaluators<'a> {
     /// Maps motions to latents.

@@ -17,7 +17,7 @@ use crate::report::Chart;
 /// Sections a setting can be in.
 pub const SECTIONS: [&str; 3] = ["train", "compose", "edit"];
 
-/// The key that stands for the epoch of a kept checkpoint, in place of a setting.
+/// Key for the epoch of a kept checkpoint, used in place of a setting.
 pub const EPOCH: &str = "epoch";
 
 /// Settings in place of those of a preset, by section.
@@ -33,11 +33,11 @@ pub struct Figure {
     pub system: Option<String>,
     /// The setting, such as `compose.mcm_ratio`, or [`EPOCH`].
     pub key: String,
-    /// Its values.
+    /// Values of the setting.
     pub values: Vec<Value>,
     /// A second setting; every pair of values is a point.
     pub second_key: Option<String>,
-    /// Its values.
+    /// Values of the second setting.
     #[serde(default)]
     pub second_values: Vec<Value>,
     /// Names of the metrics that are drawn.
@@ -212,7 +212,7 @@ impl Figure {
             None => points.iter().map(|point| label(&at(point))).collect(),
         };
         let places = numbers.unwrap_or_else(|| (0..points.len()).map(|at| at as f64).collect());
-        // What does not depend on the system has the same value at every point that was scored.
+        // Rows that do not depend on the system have the same value at every scored point.
         let given = |name: &str| {
             let rows = scored.iter().find(|rows| !rows.is_empty());
             let (mean, _) = rows.map_or((f64::NAN, f64::NAN), |rows| {

@@ -24,7 +24,7 @@ impl Golden {
         }
     }
 
-    /// The one name of a tensor that begins with `before` and ends with `after`; between them stands a size.
+    /// The only tensor name that begins with `before` and ends with `after`, with a size between them.
     pub(crate) fn name(&self, before: &str, after: &str) -> &str {
         let mut names = self.recorded.tensors.keys();
         names
@@ -32,7 +32,7 @@ impl Golden {
             .unwrap_or_else(|| panic!("{}: no tensor {before}...{after}", self.case))
     }
 
-    /// Shape and numbers of a tensor, whatever its type.
+    /// Shape and values of a tensor of any type.
     pub(crate) fn tensor(&self, name: &str) -> (Vec<usize>, Vec<f64>) {
         let tensor = self.recorded.get(name);
         (tensor.shape.clone(), tensor.values.clone())

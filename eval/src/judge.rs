@@ -50,7 +50,7 @@ pub struct JudgeReport {
     pub seed: u64,
     /// Clips.
     pub clips: usize,
-    /// Distinct texts; the bootstrap draws them.
+    /// Number of distinct texts; the bootstrap draws them.
     pub texts: usize,
     /// Clips of a gallery; fewer than 32 where the split has fewer.
     pub gallery: usize,
@@ -94,7 +94,7 @@ pub struct Chance {
     pub r3: f64,
 }
 
-/// What a report is about.
+/// Identity of the encoder and data of a report.
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
     /// Hash of the encoder's weights.
@@ -285,7 +285,7 @@ impl Queries {
         }
     }
 
-    /// The mean of each query in percent; not a number where no gallery held it.
+    /// The mean of each query in percent; NaN if no gallery contained it.
     fn percent(&self) -> [Vec<f64>; RECALL_CUTS.len()] {
         self.sums.each_ref().map(|sums| {
             let means = sums.iter().zip(&self.counts);
@@ -355,12 +355,12 @@ pub fn weakness(run: &Path, encoder_hash: &str) -> Result<Option<String>, Error>
     Ok(report.weakness())
 }
 
-/// What a table says of an encoder.
+/// Facts about an encoder, for tables.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Judge {
-    /// How it was trained, in one line.
+    /// How the encoder was trained, in one line.
     pub recipe: String,
-    /// Why it ranks nothing; none if it ranks.
+    /// Why the encoder cannot rank systems; none if it can.
     pub weakness: Option<String>,
 }
 
@@ -368,7 +368,7 @@ pub struct Judge {
 pub type Judges = BTreeMap<String, Judge>;
 
 impl Judge {
-    /// What an encoder says of itself.
+    /// Facts that an encoder states about itself.
     pub fn of(encoder: &dyn MotionEncoder) -> Self {
         Self {
             recipe: encoder.recipe(),

@@ -1,4 +1,4 @@
-//! What the metrics need of linear algebra: products, covariances and symmetric eigenproblems.
+//! Linear algebra of the metrics: products, covariances and symmetric eigenproblems.
 //!
 //! Everything runs in `f64`; faer does the work. Products are divided into blocks of a fixed size,
 //! each computed by one thread, so the result does not depend on the number of threads.
@@ -147,8 +147,7 @@ impl Matrix {
         product(self.view(), other.view().transpose())
     }
 
-    /// The symmetric product with the own transpose, at little more than half the cost of the
-    /// general one.
+    /// The symmetric product `A^T A`, at little more than half the cost of the general product.
     pub fn gram(&self) -> Self {
         symmetric_product(self.view())
     }

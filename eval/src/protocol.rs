@@ -16,7 +16,7 @@ pub const T2M_DIVERSITY_PAIRS: usize = 300;
 /// How the name of a protocol ends its number of pairs.
 const PAIRS: &str = " diversity pairs";
 
-/// What the name of a protocol says of intervals over test sets.
+/// Suffix of a protocol's name for intervals over test sets.
 const FROM_TARGETS: &str = " draws of the targets";
 
 /// Bootstrap resamples behind the interval of a mean or a median over items.
@@ -36,7 +36,7 @@ pub enum Gallery {
     Batches(usize),
 }
 
-/// Which latents enter a Fréchet distance.
+/// Latents that a Fréchet distance compares.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FidSample {
@@ -50,7 +50,7 @@ pub enum FidSample {
     All,
 }
 
-/// Which side of a retrieval is the query.
+/// Queries of a retrieval: the edited motions or the real ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Queries {
@@ -61,7 +61,7 @@ pub enum Queries {
     Edited,
 }
 
-/// What the 95 % interval of a value covers.
+/// Variation that the 95 % interval of a value covers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Spread {
@@ -77,15 +77,15 @@ pub enum Spread {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Floor {
-    /// At the lowest foot joint of the clip. The floor of an SMPL-X clip need not be at height 0,
-    /// and the score penalises any distance from it.
+    /// At the height of the lowest foot joint of the clip. The floor of an SMPL-X clip need not be at height 0, and the
+    /// score penalises any distance from it.
     #[default]
     Lowest,
     /// At the given height in metres for every clip; DIMOS uses 0.
     At(f64),
 }
 
-/// Which points the position error is over.
+/// Points whose positions the position error compares.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Keypoints {
@@ -136,18 +136,18 @@ pub struct Protocol {
     pub repeats: usize,
     /// Pairs drawn for Diversity, and the fewest items that it is measured on.
     pub diversity_pairs: usize,
-    /// Which latents enter a Fréchet distance.
+    /// Latents that a Fréchet distance compares.
     pub fid_sample: FidSample,
     /// Where the foot score takes the floor to be.
     pub floor: Floor,
-    /// Which side of a retrieval is the query.
+    /// Queries of a retrieval.
     pub queries: Queries,
     /// Whether edited motions are cut to the length of their target before they are encoded, as
     /// the MotionFix evaluation does.
     pub truncate_to_target: bool,
-    /// What the 95 % interval of a value covers.
+    /// Variation that the 95 % interval of a value covers.
     pub interval: Spread,
-    /// Which points the position error is over.
+    /// Points whose positions the position error compares.
     pub keypoints: Keypoints,
     /// The part of the items that is scored; none scores all.
     ///
@@ -208,8 +208,8 @@ impl Protocol {
         }
     }
 
-    /// The protocol in words as it applies to a number of items, so that a table says what was done
-    /// and not only what was asked for.
+    /// The protocol in words as applied to `num_items` items, so that a table states the actual galleries and not only
+    /// the requested ones.
     pub fn name(&self, num_items: usize) -> String {
         let gallery = self.gallery_name(num_items);
         let pairs = self.diversity_pairs;

@@ -40,7 +40,7 @@ pub struct Published {
     pub title: &'static str,
     /// The task in the words of this project.
     pub task: &'static str,
-    /// The protocol as far as the paper tells it.
+    /// The protocol, as far as the paper states it.
     pub protocol: &'static str,
     rows: &'static [Printed],
 }
@@ -94,8 +94,8 @@ impl Published {
         counts
     }
 
-    /// What the rows were measured on, and whether they may be held against each other and against a
-    /// table whose galleries hold so many items of so many.
+    /// Sizes of the data behind the published rows, and whether the rows are comparable with each other and with a
+    /// table of this gallery and number of items.
     fn note(&self, gallery: Gallery, num_items: u32) -> String {
         let counts = self.counts();
         let known = counts.iter().filter(|(n, _)| n.is_some()).count();

@@ -1,5 +1,4 @@
-//! Rows of tables with motions: what they say is in memory, and their motions stay in the files until somebody asks for
-//! them.
+//! Rows of tables with motions: the other columns are in memory, and motions are read from the files on demand.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -10,7 +9,7 @@ use datasets_spec::{Dataset, Error, Motion, MotionId, Split};
 use rayon::prelude::*;
 
 datasets_spec::table! {
-    /// What an item says beside its motions.
+    /// Columns of an item besides its motions.
     pub struct ItemFacts = "items" {
         /// Id
         pub id: String [""],
@@ -40,7 +39,7 @@ datasets_spec::table! {
 }
 
 datasets_spec::table! {
-    /// What an edit says beside its motion.
+    /// Columns of an edit besides its motion.
     pub struct EditFacts = "edits" {
         /// Id of the item
         pub id: String [""],
@@ -85,7 +84,7 @@ impl From<&ItemRow> for ItemFacts {
 }
 
 impl ItemFacts {
-    /// The answer to the item, as [`EditRow::answering`] gives it.
+    /// The edit of the item with this motion, as [`EditRow::answering`] makes it.
     pub fn answer(&self, motion: &Motion) -> EditRow {
         let item = ItemRow {
             id: self.id.clone(),
@@ -115,9 +114,9 @@ impl From<&EditRow> for EditFacts {
     }
 }
 
-/// A row with motions.
+/// A table with motions.
 pub trait MotionTable: Row + Debug {
-    /// What it says beside them.
+    /// The columns besides the motions.
     type Facts: Row + Debug + for<'a> From<&'a Self>;
 }
 
@@ -211,7 +210,7 @@ impl<R: MotionTable> Rows<R> {
         self.facts.is_empty()
     }
 
-    /// What each row says.
+    /// Columns of each row besides its motions.
     pub fn facts(&self) -> &[R::Facts] {
         &self.facts
     }

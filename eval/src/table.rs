@@ -28,10 +28,10 @@ pub struct Table {
     pub encoder_hash: String,
     /// How the encoder was trained.
     pub encoder_recipe: String,
-    /// Why the table ranks no system, as a sentence that stands in its first line; none if it ranks. Such a table marks no
+    /// Why the table ranks no system, as a sentence for its first line; none if it ranks systems. Such a table marks no
     /// value and compares no system.
     pub unranked: Option<String>,
-    /// What was measured.
+    /// The measured items.
     pub items: Items,
     /// Evaluations.
     pub repeats: u32,
@@ -41,7 +41,7 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// The rows: real data, identity, noise floor where there is one, then the systems.
     pub rows: Vec<Row>,
-    /// What a reader has to know besides the numbers, one sentence each.
+    /// Notes that a reader needs besides the numbers, one sentence each.
     pub notes: Vec<String>,
 }
 
@@ -86,7 +86,7 @@ pub struct Cell {
     pub mean: f64,
     /// Half width of the 95 % interval; none where nothing varies or a publication prints none.
     pub ci95: Option<f64>,
-    /// Whether no measured system is better, and doing nothing is worse.
+    /// Whether the value is the best of the measured systems and better than that of the identity editor.
     pub best: bool,
 }
 
@@ -183,7 +183,7 @@ impl Table {
         Some(table)
     }
 
-    /// What training has shown of the items; none where that is not known or the table is of one novelty.
+    /// Note on what training has shown of the items; none if that is not known or the table has only one novelty.
     fn note_of_novelty(&self) -> Option<String> {
         let is_of_one = NOVELTIES.contains(&self.task.as_str());
         (!is_of_one && !self.items.novelty.is_empty()).then(|| {
@@ -194,7 +194,7 @@ impl Table {
         })
     }
 
-    /// Orders the systems as they are named, after the rows that every table has.
+    /// Sorts the systems in the given order, after the rows that every table has.
     pub fn sort_systems(&mut self, names: &[&str]) {
         self.rows.sort_by_key(|row| {
             let place = names.iter().position(|name| *name == row.system);
@@ -207,7 +207,7 @@ impl Table {
         format!("{}: {}", self.task, self.conditions())
     }
 
-    /// What the numbers depend on, in one line.
+    /// Protocol and data that the numbers depend on, in one line.
     pub fn conditions(&self) -> String {
         let items = &self.items;
         let mut text = counted(items.count, "item");
@@ -251,7 +251,7 @@ impl Table {
     }
 }
 
-/// What the scores of a table hold of its systems.
+/// Systems and conditions found in the scores of a table.
 struct Found<'a> {
     /// Names of the systems: those that every table has, then the others in the order of their scores.
     names: Vec<&'a str>,
@@ -312,7 +312,7 @@ fn competes(row: &Row) -> bool {
     !row.baseline && !row.published
 }
 
-/// What is left out of the tables of scores for want of items, a sentence for each task and metric.
+/// Notes about values left out because of too few items, one sentence for each task and metric.
 pub fn shortages(scores: &[ScoreRow]) -> Vec<String> {
     let mut known: Vec<Key<'_>> = Vec::new();
     let mut found = Vec::new();

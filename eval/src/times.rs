@@ -78,7 +78,7 @@ impl WindowTimes {
     }
 }
 
-/// What the paper prints, on one RTX 3090.
+/// Times printed in the paper, on one RTX 3090.
 ///
 /// # Source
 /// Paper, Table A4.

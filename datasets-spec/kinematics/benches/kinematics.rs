@@ -45,7 +45,7 @@ fn keypoints(bencher: Bencher) {
         .bench_local(|| skeleton.motion_keypoints(black_box(&motion)));
 }
 
-/// Frames of the fits: the published one takes its time.
+/// Number of frames in the fit benchmarks: the published fit is slow.
 const NUM_FITTED: usize = 64;
 
 #[divan::bench]

@@ -57,7 +57,7 @@ impl GroundTransform {
     }
 }
 
-/// Which point of the first frame is put above the origin.
+/// Point of the first frame that is moved above the origin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Anchor {
@@ -157,9 +157,9 @@ pub fn kabsch(from: &[DVec3; 3], onto: &[DVec3; 3]) -> (DMat3, DVec3) {
     kabsch_near(from, onto, DMat3::IDENTITY, 0.0)
 }
 
-/// As [`kabsch`], but held to the rotation `near` with a weight in m^2: what three unit vectors turned
-/// by it, of that weight, add to the sum of squares. Small triangles of trembling points keep their
-/// sense by it.
+/// As [`kabsch`], but regularised towards the rotation `near` with a weight in m^2: three unit vectors rotated by
+/// `near` are added to the least squares with this weight. This keeps the orientation of small triangles of noisy
+/// points.
 pub fn kabsch_near(
     from: &[DVec3; 3],
     onto: &[DVec3; 3],

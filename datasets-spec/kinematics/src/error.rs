@@ -1,4 +1,4 @@
-//! What can go wrong with a motion in memory.
+//! Errors about motions in memory.
 
 /// An error that names what it happened to.
 #[derive(Debug, thiserror::Error)]
@@ -41,12 +41,12 @@ pub enum Error {
         /// The text found.
         name: String,
     },
-    /// A clip is too short for what is asked of it.
+    /// A clip is too short for the requested window.
     #[error("{frames} frames at {fps} are too short for a window of {needed}")]
     TooShort {
         /// Frames present.
         frames: usize,
-        /// Their rate in frames per second.
+        /// Rate of the frames per second.
         fps: f64,
         /// Frames needed.
         needed: usize,

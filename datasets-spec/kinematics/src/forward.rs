@@ -90,7 +90,7 @@ pub trait FrameSink {
     fn set_point(&mut self, slot: usize, point: [f32; 3]);
 }
 
-/// What is written of a frame.
+/// Which results of a frame are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameParts {
     /// Joints whose local rotations are written.

@@ -85,7 +85,7 @@ pub fn interpolate_all(poses: &[Pose], grid: &[(usize, f64)]) -> Vec<Pose> {
     blocks::interpolate(poses, grid)
 }
 
-/// The pose between two: translation linear, rotations spherical.
+/// Interpolates between two poses: translation linearly, rotations by slerp.
 pub fn interpolate(from: &Pose, to: &Pose, alpha: f64) -> Pose {
     Pose {
         transl: from.transl.lerp(to.transl, alpha),

@@ -7,7 +7,7 @@ use glam::{DMat3, DQuat, DVec3, Quat};
 
 use crate::simd::lanes;
 
-/// Longest rotation vector that is taken as it is.
+/// Longest rotation vector that is not reduced modulo 2 pi.
 pub(crate) const MAX_TURN: f64 = 2.0 * lanes::MAX_ANGLE;
 /// Half-angle sine below which the released code replaces spherical interpolation by a plain
 /// average (`algorithms`: official slerp).

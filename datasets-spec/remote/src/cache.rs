@@ -50,7 +50,7 @@ impl Cache {
         let stored = Bytes::from(fs::read(&path).ok()?);
         let (stated, bytes) = stored.split_at_checked(HASH_LEN)?;
         if bytes.len() as u64 != length || blake3::hash(bytes).as_bytes() != stated {
-            // It is fetched again.
+            // A removed block is fetched again.
             let _removed = fs::remove_file(&path);
             return None;
         }
@@ -83,7 +83,7 @@ impl Cache {
 
     pub(crate) fn forget(&self, hash: &str, length: u64) {
         for block in 0..length.div_ceil(BLOCK) {
-            // It may not be here.
+            // The block may already be absent.
             let _removed = fs::remove_file(self.path(hash, block));
         }
     }

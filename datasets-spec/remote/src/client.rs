@@ -25,15 +25,15 @@ use crate::place::{Place, Scheme};
 const NUM_THREADS: usize = 2;
 /// Time after which a request counts as lost, in seconds: long enough for a whole shard on a slow line.
 const TIMEOUT: &str = "900 seconds";
-/// Time in which a connection is made.
+/// Timeout for opening a connection.
 const CONNECT_TIMEOUT: &str = "10 seconds";
 /// Requests of one read that run at the same time.
 const NUM_PARALLEL: usize = 4;
-/// Bytes that are asked for at once.
+/// Maximum number of bytes in one request.
 pub(crate) const MAX_REQUEST: u64 = 32 << 20;
 /// Attempts at what the client itself does not repeat, such as to create a file that must not exist yet.
 const ATTEMPTS: usize = 4;
-/// Metadata of an object that names the write that made it.
+/// Metadata key of an object that names the write that created it.
 const WRITER: &str = "stancewriter";
 
 /// Runs a future on the runtime of this crate. Unlike `block_on` it may be called from anywhere.
@@ -68,7 +68,8 @@ fn runtime() -> io::Result<Handle> {
         .enable_all()
         .build()?;
     let handle = runtime.handle().clone();
-    // It lasts as long as the process. A parent's is forgotten too: its threads are not here to be joined.
+    // The runtime lasts as long as the process. After a fork the parent's runtime is leaked too: its threads do not
+    // exist in this process and cannot be joined.
     std::mem::forget(runtime);
     std::mem::forget(held.replace((here, handle.clone())));
     Ok(handle)
@@ -96,7 +97,7 @@ pub(crate) struct Listed {
     pub(crate) tag: Option<String>,
 }
 
-/// The name of an object's version, if versions can be told by it.
+/// Version tag of an object: its strong ETag, if it has one.
 fn tag_of(meta: ObjectMeta) -> Option<String> {
     meta.e_tag.filter(|tag| !tag.starts_with("W/"))
 }
@@ -175,7 +176,7 @@ impl Client {
             .map_err(io_error)
     }
 
-    /// An object, if it is no larger than one request; else its first bytes are none, and its size is told.
+    /// Reads an object that is no larger than one request; of a larger object, only its size.
     pub(crate) fn get(&self, key: &Key) -> io::Result<Got> {
         let (store, key, attempts) = (Arc::clone(&self.store), key.clone(), self.attempts);
         wait(async move {
@@ -229,7 +230,7 @@ impl Client {
         })
     }
 
-    /// Writes an object, whatever has its name.
+    /// Writes an object, and replaces any object of that name.
     pub(crate) fn put(&self, key: &Key, bytes: Bytes) -> io::Result<()> {
         let (store, key) = (Arc::clone(&self.store), key.clone());
         wait(async move {
@@ -423,7 +424,7 @@ pub(crate) fn io_error(error: Error) -> io::Error {
     io::Error::new(kind, text)
 }
 
-/// What a storage says in XML, in a sentence; none if the text has no such document.
+/// The error message in an XML response of an object store, as a sentence; none if the text holds no such document.
 ///
 /// # Source
 /// Amazon S3 API reference, "REST error responses": `Error` holds `Code` and `Message`, and `BucketName` where it is

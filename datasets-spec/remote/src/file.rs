@@ -23,7 +23,7 @@ const TAIL: u64 = 512 << 10;
 pub(crate) struct RemoteFile {
     pub(crate) client: Client,
     pub(crate) key: Key,
-    /// Where a commit moves it once the newest version of its dataset does not name it.
+    /// Key to which a commit moves the object once the newest version of its dataset does not name it.
     pub(crate) aside: Option<Key>,
     pub(crate) size: u64,
     /// BLAKE3 of the content, if known: what the cache knows it by.
@@ -73,7 +73,7 @@ impl ReadAt for RemoteFile {
     }
 }
 
-/// A range of a file, from bytes that begin at an offset of it.
+/// Cuts a range out of bytes that start at offset `start` of the file.
 fn cut(bytes: &Bytes, start: u64, range: &Range<u64>) -> Bytes {
     let at = |place: u64| usize::try_from(place - start).unwrap_or(usize::MAX);
     bytes.slice(at(range.start)..at(range.end))
@@ -90,7 +90,7 @@ impl RemoteFile {
         Ok(self.tail.get_or_init(|| bytes).clone())
     }
 
-    /// Reads ranges. A server that cannot send ranges is asked for the whole file instead.
+    /// Reads ranges. From a server that cannot send ranges, the whole file is read instead.
     fn fetch(&self, ranges: &[Range<u64>]) -> io::Result<Vec<Bytes>> {
         let fetched = match self.cache.as_deref().zip(self.hash.as_deref()) {
             Some((cache, hash)) => self.by_blocks(cache, hash, ranges),

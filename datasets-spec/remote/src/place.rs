@@ -101,7 +101,7 @@ mod tests {
         );
         assert_eq!(place("gs://b").key.as_ref(), "");
         assert_eq!(place("az://b/a/").key.as_ref(), "a");
-        // Keys are taken as they are written, paths of HTTP are decoded.
+        // Object keys are used as written; paths of HTTP URLs are decoded.
         assert_eq!(place("s3://b/a%20b c#1").key.as_ref(), "a%20b c#1");
         let http = place("http://127.0.0.1:80/a%20b");
         assert_eq!(

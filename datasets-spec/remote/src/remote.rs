@@ -23,7 +23,7 @@ pub struct Remote {
     cache: Option<Arc<Cache>>,
     hub: Option<HubCache>,
     clients: Mutex<BTreeMap<String, Client>>,
-    /// What is known of files that do not change while this process reads them.
+    /// Hashes and versions of files that do not change while this process reads them.
     known: Mutex<BTreeMap<PathBuf, Known>>,
 }
 
@@ -190,7 +190,7 @@ impl Store for Remote {
 
     fn create(&self, path: &Path) -> io::Result<Box<dyn NewFile>> {
         let (place, client) = self.find_to_write(path)?;
-        // What is written anew is not as it was known.
+        // A rewritten file has another hash and version.
         lock(&self.known).remove(path);
         Ok(Box::new(Upload {
             place,
@@ -224,7 +224,7 @@ impl Store for Remote {
         if is_whole(&bytes) {
             return Ok(bytes.into());
         }
-        // What the cache holds may be wrong: the storage is asked once more.
+        // The cached bytes may be wrong: read them from the storage once more.
         if let Some(cache) = &self.cache {
             cache.forget(&hash, file.size);
         }
@@ -257,8 +257,8 @@ impl Store for Remote {
         }
     }
 
-    /// Reads the file from the storage, whatever the cache holds. What is read of it afterwards comes from the
-    /// cache where it has room.
+    /// Reads and hashes the file from the storage, bypassing the cache. Later reads come from the cache where it has
+    /// room.
     fn hash(&self, path: &Path) -> io::Result<String> {
         let (place, client) = match self.find(path)? {
             Found::Local(path) => return Disk.hash(&path),

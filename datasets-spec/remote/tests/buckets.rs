@@ -370,7 +370,7 @@ fn an_interrupted_run_goes_on_with_its_own_files() {
     let staging = second.staging("plan");
     assert_eq!(staging.get::<u32>("0"), Some(7));
     assert!(staging.holds(std::iter::once(&staged)).expect("looks"));
-    // What is adopted is the file that is there already, as it is the same.
+    // Adopting a staged file keeps the equal file that already exists.
     second
         .adopt(&staging, std::iter::once(&mut staged))
         .expect("adopts");

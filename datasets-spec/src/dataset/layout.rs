@@ -13,7 +13,7 @@ pub(super) const DATA: &str = "data";
 pub(super) const STAGED: &str = "staged";
 /// Where files lie that the newest version does not name.
 pub(super) const ASIDE: &str = "meta/aside";
-/// Folder of what belongs to one copy of a dataset alone, such as where its sources lie. No manifest names its files.
+/// Folder for data of one copy of a dataset, such as the paths of its sources. No manifest names its files.
 pub const PRIVATE: &str = ".stance";
 /// Key of the fact that holds a skeleton that is not built in.
 pub(super) const SKELETON_FACT: &str = "skeleton_rest";

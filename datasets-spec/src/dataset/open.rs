@@ -212,8 +212,8 @@ impl Dataset {
             .collect()
     }
 
-    /// All rows of a table, or those of one split, in the order of the files; where clips were chosen, the rows that are
-    /// about these alone.
+    /// All rows of a table, or those of one split, in the order of the files; if clips were chosen, only rows about
+    /// those clips.
     ///
     /// # Errors
     /// A file cannot be read.

@@ -120,7 +120,7 @@ impl Staging {
         write_shard_at(self.store.as_ref(), relative, &path, name, rows, facts)
     }
 
-    /// Where a file is: staged, or where a commit has moved it.
+    /// Path of a file: the staged one, or the one to which a commit has moved it.
     pub fn path(&self, file: &FileEntry) -> PathBuf {
         let place = self.root.join(&file.path);
         let mut others = std::iter::once(self.staged_path(&file.path)).chain(aside(&place));
@@ -148,7 +148,7 @@ impl Staging {
         write_json(self.store.as_ref(), &path, record)
     }
 
-    /// Reads a record of the plan; none if there is none, or only an unreadable one.
+    /// Reads a record of the plan; none if it is missing or unreadable.
     pub fn get<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
         let text = self
             .store

@@ -206,7 +206,7 @@ fn a_staged_shard_takes_no_lock_and_is_found_until_its_file_changes() {
     assert!(holds(&staging));
     assert!(!holds(&transaction.staging("other plan")));
 
-    // It is whole where a run that was killed before its commit leaves it, and in its place too.
+    // The file is complete both where a killed run staged it and in its final place.
     transaction
         .adopt(&staging, std::iter::once(&mut entry.clone()))
         .expect("moves");
@@ -322,7 +322,7 @@ fn rows_in_other_files_have_the_same_content_hash() {
     let hash = |dataset: &Dataset| dataset.content_hash(&[MotionRow::TABLE]);
     assert_eq!(hash(&after), hash(&before));
     assert_ne!(after.manifest().root_hash, before.manifest().root_hash);
-    // Other rows have another one.
+    // Other rows have another hash.
     let other = commit_motions(dir.path(), &[row(2)]);
     assert_ne!(hash(&other), hash(&before));
 }
@@ -343,7 +343,7 @@ fn a_table_that_comes_back_leaves_the_files_of_older_versions_as_they_are() {
     drop_table();
     let second = commit_motions(dir.path(), &[row(1)]);
     drop_table();
-    // What workers stage without a lock, and what a run writes, have the same name.
+    // Files that workers stage without a lock have the same names as files that a run writes.
     let newest = Staging::newest(&Disk, dir.path()).expect("reads");
     let base = Staging::base(&Disk, dir.path(), newest.as_ref()).expect("reads");
     assert_eq!(base.0, 4);

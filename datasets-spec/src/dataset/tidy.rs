@@ -1,4 +1,4 @@
-//! Where the files of each version lie, and what is removed.
+//! Places of the files of each version, and pruning.
 //!
 //! The files of the newest version lie under `data/`, and nothing else does, so that a search for Parquet files finds
 //! its rows once. Those of older versions, and those that a run has written and not committed, lie aside (see
@@ -30,11 +30,11 @@ pub fn descriptions(manifest: &Manifest) -> [(&'static str, String); 2] {
 /// What [`Transaction::prune`] removed.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Pruned {
-    /// Versions that are gone.
+    /// Versions that were removed.
     pub versions: Vec<u64>,
     /// Data files that no version names any more.
     pub files: u64,
-    /// Their size in bytes.
+    /// Total size of these files in bytes.
     pub bytes: u64,
 }
 

@@ -29,12 +29,12 @@ pub struct Transaction {
     lock: Option<Box<dyn Lock>>,
 }
 
-/// What a commit adds to the dataset.
+/// Tables and facts that a commit adds to the dataset.
 #[derive(Clone, Debug, Default)]
 pub struct Commit {
     /// Files of the tables that this run made; they replace the earlier files of these tables.
     pub tables: BTreeMap<String, Vec<FileEntry>>,
-    /// Hash of the plan that made them.
+    /// Hash of the plan that made the tables.
     pub plan_hash: String,
     /// Hashes of the plans of tables that have one of their own.
     pub plans: BTreeMap<String, String>,
@@ -47,7 +47,7 @@ pub struct Commit {
     /// Drop the facts of the version before, and its tables but those in `carried`, because the motions they
     /// derive from are replaced.
     pub fresh: bool,
-    /// Tables of the version before that a fresh commit keeps as they are, with their plans.
+    /// Tables of the previous version that a fresh commit keeps unchanged, with their plans.
     pub carried: BTreeSet<String>,
 }
 
@@ -212,7 +212,8 @@ impl Transaction {
     fn publish(self, manifest: Manifest, plan_hash: &str) -> Result<Dataset, Error> {
         let path = manifest_path(&self.root, manifest.version);
         if !write_new(self.store.as_ref(), &path, &json(&path, &manifest)?)? {
-            // What was staged for this version serves no other one. If it cannot be removed, pruning removes it.
+            // Files staged for this version are not used for any other. If they cannot be removed now, pruning removes
+            // them.
             let staged = folder_of(&self.root, manifest.version - 1, plan_hash);
             let _removed = self.store.remove_dir_all(&staged);
             return Err(Error::Overtaken {

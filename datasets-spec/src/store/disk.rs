@@ -175,7 +175,7 @@ impl NewFile for Staged {
         match fs::hard_link(&self.staged, &self.path) {
             // The temporary name is removed when this is dropped.
             Ok(()) => sync_folder_of(&self.path),
-            // Some file systems know no hard links. There the lock alone keeps others out.
+            // Some file systems have no hard links. There only the lock excludes other runs.
             Err(error) if matches!(error.kind(), Unsupported | PermissionDenied) => {
                 if self.path.exists() {
                     return Err(AlreadyExists.into());
@@ -192,7 +192,7 @@ impl NewFile for Staged {
 impl Drop for Staged {
     fn drop(&mut self) {
         if self.file.take().is_some() {
-            // What matters is reported already; the next run removes what is left.
+            // The failure itself is reported already; the next run removes leftovers.
             let _removed = fs::remove_file(&self.staged);
         }
     }

@@ -1,4 +1,4 @@
-//! Files as the Parquet reader takes them.
+//! Adapters from stored files to the Parquet reader.
 
 use std::io::{self, Read};
 use std::ops::Range;
@@ -41,8 +41,8 @@ impl Chunks {
         })
     }
 
-    /// The file with these ranges read ahead, if its storage is distant and it is not in memory. Others are then read one
-    /// by one.
+    /// The file with these ranges read ahead, if its storage is distant and it is not in memory. Ranges that are not
+    /// listed are read one by one.
     pub(super) fn ahead(&self, ranges: impl FnOnce() -> Vec<Range<u64>>) -> io::Result<Self> {
         if !self.file.is_distant() || !self.held.is_empty() {
             return Ok(self.clone());
@@ -93,7 +93,7 @@ impl Read for From {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let left = usize::try_from(self.file.len().saturating_sub(self.at)).unwrap_or(usize::MAX);
         let mut length = left.min(buffer.len());
-        // What is in memory is not read again for the bytes behind it.
+        // Stop before bytes that are already in memory: they are not read again.
         let ends = self.file.held.iter().filter_map(|(start, bytes)| {
             let end = start + bytes.len() as u64;
             (*start..end).contains(&self.at).then(|| end - self.at)

@@ -77,8 +77,8 @@ pub trait Row: Sized + Clone + Send + Sync {
     /// Rows that are read together. One, unless the rows are small and read by the thousand.
     const PAGE_ROWS: usize = 1;
 
-    /// The clips that the row is about. A dataset of chosen clips ([`Dataset::of_clips`](crate::Dataset::of_clips)) has
-    /// the rows that are about these alone.
+    /// The clips that the row is about. A dataset of chosen clips ([`Dataset::of_clips`](crate::Dataset::of_clips))
+    /// contains only rows about those clips.
     fn clips(&self) -> Vec<&MotionId> {
         Vec::new()
     }

@@ -331,7 +331,7 @@ impl ShardReader {
             .collect()
     }
 
-    /// What the writer noted of the file: the facts of [`write_rows`].
+    /// Facts in the file's footer: those passed to [`write_rows`].
     pub fn facts(&self) -> Vec<(String, String)> {
         let metadata = self.metadata.metadata().file_metadata();
         let notes = metadata.key_value_metadata().into_iter().flatten();
@@ -462,7 +462,7 @@ pub struct ShardDescription {
     pub row_groups: Vec<u64>,
     /// Columns in order.
     pub columns: Vec<ColumnDescription>,
-    /// Footer entries under the prefix `motion.`, without it.
+    /// Footer entries with the prefix `motion.`; the prefix is removed.
     pub facts: Vec<(String, String)>,
     /// Program that wrote the file.
     pub created_by: Option<String>,

@@ -193,7 +193,7 @@ fn item(values: &ArrayRef) -> Arc<Field> {
     Arc::new(field("item", values))
 }
 
-/// Items of lists, without any in place of empty or missing ones.
+/// Unnests lists, without rows for empty or missing lists.
 const EXPLODED: pl::ExplodeOptions = pl::ExplodeOptions {
     empty_as_null: false,
     keep_nulls: false,

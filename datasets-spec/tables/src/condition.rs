@@ -42,7 +42,7 @@ impl FromStr for Condition {
 }
 
 impl Condition {
-    /// The condition as it was written.
+    /// The original text of the condition.
     pub fn text(&self) -> &str {
         &self.text
     }

@@ -28,7 +28,7 @@ pub(crate) enum Derived {
 }
 
 impl Derived {
-    /// All of them, in the order of the columns.
+    /// All derived columns, in order.
     pub(crate) const ALL: [Self; 9] = [
         Self::Seconds,
         Self::MaxSpeed,
@@ -78,7 +78,7 @@ impl Derived {
         }
     }
 
-    /// Ids of the clips that a table beside the motions speaks of, where the column is about them.
+    /// Ids of the clips in a side table, if the column depends on it.
     pub(crate) fn beside(
         self,
         dataset: &Dataset,
@@ -103,7 +103,7 @@ impl Derived {
         Ok(ids)
     }
 
-    /// Its values for the rows of a batch that has the columns it needs.
+    /// Computes the column for a batch that has the columns it depends on.
     pub(crate) fn of(self, batch: &RecordBatch, beside: &BTreeSet<MotionId>) -> Option<ArrayRef> {
         let column = |name: &str| batch.column_by_name(name);
         let quality = |place: usize| Some(Arc::clone(column("quality")?.as_struct().column(place)));

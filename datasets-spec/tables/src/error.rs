@@ -1,8 +1,8 @@
-//! What can go wrong with a question.
+//! Errors of queries.
 
 use std::path::PathBuf;
 
-/// What can go wrong with a question.
+/// An error of a query.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// A table cannot be read.

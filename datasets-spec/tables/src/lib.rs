@@ -1,9 +1,9 @@
 //! SQL over the tables of datasets.
 //!
-//! [`Tables`] answers a query over the tables of one dataset or of several, [`Condition`] chooses clips of one. polars plans and
-//! computes; the columns come from [`ShardReader`](datasets_spec::table::ShardReader), which reads those alone that a
-//! query names, from disks and from buckets alike. Nothing else can be reached: there are no table functions, and the
-//! only statement is `SELECT`.
+//! [`Tables`] answers a query over the tables of one dataset or of several, [`Condition`] chooses clips of one. polars
+//! plans and computes; the columns come from [`ShardReader`](datasets_spec::table::ShardReader), which reads only the
+//! columns that a query names, from disks and from buckets. A query cannot reach anything else: there are no table
+//! functions, and the only statement is `SELECT`.
 //!
 //! The table of motions has further columns, which are derived from its own and from the tables beside it:
 //!

@@ -33,7 +33,7 @@ const OF_STRUCTS: [(&str, Derived); 2] = [
 pub(crate) struct Names {
     /// Names of datasets, if there are several.
     datasets: BTreeSet<String>,
-    /// Columns of each table; of the motions also the derived ones.
+    /// Columns of each table; for motions, including the derived columns.
     tables: BTreeMap<String, Vec<String>>,
     /// Columns that are lists of texts.
     lists: BTreeSet<String>,
@@ -303,7 +303,7 @@ impl VisitorMut for Rewriting<'_> {
 }
 
 impl Rewriting<'_> {
-    /// The name of a dataset and that of its table as one.
+    /// Joins the names of a dataset and its table to one identifier.
     fn joined(&self, parts: &[Ident]) -> Option<Vec<Ident>> {
         let [dataset, table, rest @ ..] = parts else {
             return None;
@@ -555,7 +555,7 @@ fn relations(query: &str) -> BTreeSet<String> {
     if let Ok(statements) = parser(query)
         .and_then(|mut parser| parser.parse_statements().map_err(|error| error.to_string()))
     {
-        // It never breaks.
+        // The visitor never breaks.
         let _flow = Visit::visit(&statements, &mut named);
     }
     named.0

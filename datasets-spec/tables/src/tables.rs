@@ -24,7 +24,7 @@ impl std::fmt::Debug for Tables {
 }
 
 impl Tables {
-    /// The tables of a dataset. Nothing is read before a query asks for it.
+    /// The tables of a dataset. No rows are read before a query needs them.
     ///
     /// # Errors
     /// A table of this version cannot be asked for, which means a bug.
@@ -105,7 +105,7 @@ impl Tables {
     }
 }
 
-/// A question as far as an error shows it.
+/// The beginning of a query, for errors.
 pub(crate) fn shortened(text: &str) -> String {
     const SHOWN: usize = 200;
     match text.char_indices().nth(SHOWN) {

@@ -32,11 +32,11 @@ pub enum Scale {
 pub struct Plot {
     /// Title above the axes; empty for none.
     pub title: String,
-    /// What the abscissa counts.
+    /// Label of the x axis.
     pub x_label: String,
     /// Names of the abscissas 0, 1, 2 and so on on a categorical axis; empty on a numeric one.
     pub x_names: Vec<String>,
-    /// What the ordinate measures.
+    /// Label of the y axis.
     pub y_label: String,
     /// How ordinates are spaced.
     pub y_scale: Scale,
@@ -367,7 +367,7 @@ fn legend(svg: &mut String, title: &str, curves: &[Curve]) {
     let title_end = MARGIN_START.x + TITLE_CHAR * title.chars().count() as f64;
     // From the right edge inwards, the last curve first.
     let mut right = SIZE.x - MARGIN_END.x;
-    // Beside the title, or below it where there is no room.
+    // Beside the title, or below it if the row is full.
     let y = if title_end + width <= right {
         HEADING_Y
     } else {
@@ -470,7 +470,7 @@ impl Axes {
         );
     }
 
-    /// Draws the points of a curve that has intervals, and these.
+    /// Draws the intervals of a curve, and its points, if the curve has intervals.
     fn intervals(&self, svg: &mut String, curve: &Curve, colour: &str) {
         /// Half the width of a bar's ends, and the radius of a point, in pixels.
         const CAP: f64 = 4.0;

@@ -21,7 +21,7 @@ const QUANTISER_SPEED: i32 = 10;
 /// Why a drawing cannot become pixels.
 #[derive(Debug, thiserror::Error)]
 pub enum RasterError {
-    /// The drawing is no SVG; a bug of whatever made it.
+    /// The drawing is not valid SVG: a bug in the code that made it.
     #[error("the drawing is no valid SVG")]
     Svg(#[from] resvg::usvg::Error),
     /// The picture would have no pixel, or too many.
@@ -35,7 +35,7 @@ pub enum RasterError {
     /// The PNG could not be encoded.
     #[error("the picture cannot be encoded as PNG: {reason}")]
     Png {
-        /// What the encoder says.
+        /// Error message of the encoder.
         reason: String,
     },
     /// The GIF could not be encoded.

@@ -9,7 +9,7 @@ use super::{FAINT, Rgb, line, open, text};
 /// A clip of a strip.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// What the clip is, such as `original`.
+    /// Label of the clip, such as `original`.
     pub label: String,
     /// The clip.
     pub keypoints: Keypoints,
@@ -86,7 +86,7 @@ const LABEL_LINE: f64 = 15.0;
 const FACTS_HEIGHT: f64 = 34.0;
 /// Space around the drawing in pixels.
 const MARGIN: f64 = 8.0;
-/// Space between the ground line and the next row in pixels; the times stand in it.
+/// Height in pixels between the ground line and the next row, for the time labels.
 const TIME_HEIGHT: f64 = 30.0;
 /// Pixels to a metre where there is room: a standing figure is about 115 pixels high.
 const PIXELS_PER_M: f64 = 68.0;
@@ -118,7 +118,7 @@ struct Limb {
     width_m: f64,
 }
 
-/// The trunk comes first; the head is drawn with it.
+/// The trunk comes first, and the head is drawn with it.
 const LIMBS: [Limb; 5] = [
     Limb {
         chains: &[&[0, 3, 6, 9, 12, 15], &[16, 13, 9, 14, 17], &[1, 0, 2]],
@@ -544,7 +544,7 @@ impl Figure {
         svg.push_str(&format!(
             r#"<g fill="none" stroke="{colour}" stroke-linecap="round" stroke-linejoin="round">"#
         ));
-        // A joint rotates the bones below it.
+        // A joint rotates its child bones.
         let turned = KEYPOINT_PARENTS
             .iter()
             .enumerate()

@@ -42,7 +42,7 @@ mod tests {
     use crate::names::{IDENTITY, REAL_DATA};
     use crate::table::tests::sample_scores;
 
-    /// What a reader of the document relies on; a new field is a change of the contract.
+    /// Fields that readers of the document rely on; a new field changes the contract.
     #[derive(Deserialize)]
     #[serde(deny_unknown_fields)]
     struct Read {
@@ -101,13 +101,13 @@ mod tests {
                 (&read.novelty, &read.items_digest),
                 (&row.novelty, &row.items_digest)
             );
-            // The sample system is better than identity in Multimodality alone.
+            // The sample system is better than identity only in Multimodality.
             let is_last = row.system == "MotionReFit tiny";
             let is_given = [REAL_DATA, IDENTITY].contains(&row.system.as_str());
             let is_behind = !is_given && is_last == (row.metric != "Multimodality");
             assert!(read.ranks_systems);
             assert_eq!(read.behind_identity, is_behind, "{row:?}");
-            // Which the other is in all metrics, even in this one.
+            // The other system is best in all other metrics, even in this one.
             let is_best = row.system == "ours_100%|<b>" && row.metric != "Multimodality"
                 || is_last && row.metric == "Multimodality";
             assert_eq!(read.best, is_best, "{row:?}");

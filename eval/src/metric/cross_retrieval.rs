@@ -16,9 +16,9 @@ pub struct CrossRetrieval {
 /// Ranks, counted from zero, in each gallery.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CrossRanks {
-    /// Of each text's motion.
+    /// Rank of the true motion for each text query.
     pub text_to_motion: Vec<Vec<f64>>,
-    /// Of each motion's text.
+    /// Rank of the true text for each motion query.
     pub motion_to_text: Vec<Vec<f64>>,
 }
 

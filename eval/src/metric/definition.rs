@@ -1,4 +1,4 @@
-//! What a metric is: its name, its direction, how it is printed and how it is computed.
+//! Definition of a metric: name, direction, format and computation.
 
 use std::fmt;
 
@@ -16,13 +16,13 @@ use crate::rows::EditFacts;
 pub struct Metric {
     /// The name in the table of scores, with the unit where there is one.
     pub name: &'static str,
-    /// The table it belongs to.
+    /// Table that shows the metric.
     pub part: Part,
-    /// Which values are good for a task.
+    /// Good values of the metric for a task.
     pub better: fn(&str) -> Better,
     /// Digits after the point that tables print.
     pub decimals: usize,
-    /// How it is computed.
+    /// How the metric is computed.
     pub measure: Measure,
 }
 
@@ -39,14 +39,14 @@ pub enum Part {
     Quality,
 }
 
-/// Which values of a metric are good.
+/// Good values of a metric.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Better {
-    /// Small ones.
+    /// Small values are good.
     Lower,
-    /// Large ones.
+    /// Large values are good.
     Higher,
-    /// Those near the value of the real data.
+    /// Values near that of the real data are good.
     NearReal,
 }
 
@@ -73,8 +73,8 @@ pub type TakesMeasure = fn(&TakesSample<'_>) -> Result<Vec<(usize, f64)>, Error>
 /// How a metric is computed, which also says what it needs.
 #[derive(Clone, Copy, Debug)]
 pub enum Measure {
-    /// From each motion alone; none where the motion has no value. Tables show the mean over the
-    /// items that have one.
+    /// Computed from each motion alone; none where a motion has no value. Tables show the mean over the items with a
+    /// value.
     Motion(MotionMeasure),
     /// From the latents of whole sets: one value for each set, computed again on each bootstrap
     /// resample; none where there are too few items. Says what each repeat draws anew.
@@ -85,7 +85,7 @@ pub enum Measure {
     Rank(Counterpart, RankSummary),
 }
 
-/// What a metric of whole sets draws anew in each repeat.
+/// Random draws that a metric of whole sets repeats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Draws {
     /// The halves of a Fréchet distance, where the protocol compares halves.
@@ -94,16 +94,16 @@ pub enum Draws {
     Pairs,
 }
 
-/// What an edit is searched by in a retrieval.
+/// The counterpart that a retrieval of an edit looks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Counterpart {
-    /// Its original.
+    /// The original of the edit.
     Source,
-    /// Its target.
+    /// The target of the edit.
     Target,
 }
 
-/// What ranks are reduced to.
+/// Summary of the ranks of all queries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RankSummary {
     /// Share of queries whose counterpart is among the first k, in percent.
@@ -114,12 +114,12 @@ pub enum RankSummary {
     Median,
 }
 
-/// A motion that is measured, and what is known of it.
+/// A motion to measure, with facts about it.
 #[derive(Clone, Copy)]
 pub struct MotionSample<'a> {
     /// The motion.
     pub motion: &'a Motion,
-    /// Its keypoints in metres, y up.
+    /// Keypoints of the motion in metres, y up.
     pub keypoints: &'a [KeypointFrame],
     /// The target of its item.
     pub target: &'a Target,
@@ -130,7 +130,7 @@ pub struct MotionSample<'a> {
     pub acceleration: SeamAcceleration,
     /// Joints that the item asks to change; empty where it does not tell them.
     pub edited: JointSet,
-    /// What the edit says beside its motion; none for sources and targets.
+    /// Columns of the edit besides its motion; none for sources and targets.
     pub edit: Option<&'a EditFacts>,
     /// Share of windows that the classifier takes for composed, where there is a classifier.
     pub composed: Option<f64>,
@@ -138,7 +138,7 @@ pub struct MotionSample<'a> {
     pub protocol: &'a Protocol,
 }
 
-/// What metrics take of the target of an item, measured once for all motions of the item.
+/// Properties of the target of an item that metrics use, measured once for all motions of the item.
 #[derive(Clone, Debug)]
 pub struct Target {
     /// Keypoints as seen from the first frame, `[L, 28]` in metres.
@@ -164,7 +164,7 @@ pub struct SeamAcceleration {
 /// Latents of one motion for each item, `[N, D]`.
 #[derive(Clone, Debug)]
 pub struct Latents {
-    /// As the encoder returns them.
+    /// The encoder's output.
     pub raw: Matrix,
     /// Scaled to unit length.
     pub unit: Matrix,
@@ -192,7 +192,7 @@ pub struct SetSample<'a> {
     pub items: &'a [usize],
     /// Items whose targets, and items whose scored motions, enter the Fréchet distance.
     pub fid_items: [&'a [usize]; 2],
-    /// Which repeat or resample this is; it chooses the random draws.
+    /// Index of the repeat or resample; it seeds the random draws.
     pub draw: usize,
     /// Whether the items are a bootstrap resample.
     pub resampled: bool,

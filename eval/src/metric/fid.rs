@@ -55,8 +55,8 @@ fn of_sample(
     found.collect::<Result<_, _>>().map(Some)
 }
 
-/// Fewest items on either side from which the distance is reported: below, the covariance of latents of so many numbers
-/// is singular, and most of the value is what the small sample adds.
+/// Fewest items on either side for which the distance is reported. With fewer, the covariance of latents of this width
+/// is singular, and the bias of the small sample dominates.
 pub const fn min_items(latent_width: usize) -> usize {
     latent_width + 1
 }
@@ -377,7 +377,7 @@ mod tests {
         for (num_rows, num_cols) in [(30, 8), (20, 40), (2, 5)] {
             let real = random(num_rows, num_cols, 4);
             let mut others = [random(num_rows + 3, num_cols, 5), random(2, num_cols, 6)];
-            // One that the same row stands in twice, as in a resample.
+            // A set with one row twice, as in a resample.
             others[1] = others[0].select_rows(&[0, 1, 1, 2, 0]);
             let found = distances(&real, others.iter().cloned()).expect("valid");
             for (found, other) in found.into_iter().zip(&others) {

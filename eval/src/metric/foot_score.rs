@@ -46,8 +46,8 @@ fn feet(keypoints: &[KeypointFrame]) -> Vec<Feet> {
         .collect()
 }
 
-/// The penalties of one frame: how much too fast the slowest foot joint is, and how much too far
-/// from the floor the lowest one.
+/// Penalties of one frame: excess speed of the slowest foot joint, and excess distance of the lowest one from the
+/// floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
     /// Speed above the threshold in m/s.

@@ -116,7 +116,7 @@ mod tests {
             (0.05, 0.101, false),
             (0.05, 0.099, true),
             (0.05, 0.0, true),
-            // It stays within half a metre.
+            // At the lower speed the body stays within half a metre.
             (0.0128, 0.0, false),
             (0.0129, 0.0, true),
         ] {

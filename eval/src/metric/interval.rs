@@ -98,7 +98,7 @@ impl Interval {
     }
 }
 
-/// The population variance; none for no values and for equal ones.
+/// The population variance; none if there are no values or all are equal.
 fn variance(values: &[f64]) -> Option<f64> {
     if values.is_empty() {
         return None;
@@ -173,7 +173,7 @@ mod tests {
         let ci95 = Interval::of_resamples(0.0, &[1.0, -1.0], &repeats).ci95;
         let expected = NORMAL_95 * (1.0 - 0.25 * 0.75f64).sqrt();
         assert!((ci95.expect("varies") - expected).abs() < 1e-15);
-        // Never less than what the repeats alone show.
+        // The interval is at least as wide as the variation over repeats.
         let ci95 = Interval::of_resamples(0.0, &[0.01, -0.01], &repeats).ci95;
         assert!((ci95.expect("varies") - NORMAL_95 * 0.25).abs() < 1e-15);
     }

@@ -71,7 +71,7 @@ pub fn main_columns() -> Vec<&'static Metric> {
     [vec![&retrieval::E2T_RECALL_1], of_part(Part::Main)].concat()
 }
 
-/// What a claim is made of: two of these must agree that one system is better than another.
+/// Metrics behind a claim: two of these must agree that one system is better than another.
 pub static CLAIMS: [&Metric; 4] = [
     &retrieval::E2T_RECALL_1,
     &motion_quality::FOOT_SLIDE,

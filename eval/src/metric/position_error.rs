@@ -142,7 +142,7 @@ mod tests {
         let mut there = vec![[DVec3::new(1.0, 4.0, 5.0); NUM_KEYPOINTS]; 3];
         assert_eq!(mean_position_error(&here, &there, NUM_KEYPOINTS), 5.0);
         assert_eq!(mean_position_error(&there, &here, NUM_KEYPOINTS), 5.0);
-        // One keypoint of one frame put right takes its share off.
+        // Correcting one keypoint of one frame lowers the error by its share.
         there[1][7] = DVec3::ONE;
         let expected = 5.0 * (1.0 - 1.0 / (3.0 * NUM_KEYPOINTS as f64));
         let found = mean_position_error(&here, &there, NUM_KEYPOINTS);

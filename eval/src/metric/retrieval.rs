@@ -83,7 +83,7 @@ fn source_rank(task: &str) -> Better {
     }
 }
 
-/// What a set of ranks amounts to.
+/// Summary of a set of ranks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Retrieval {
     /// Share of queries that find their counterpart among the first 1, 2 and 3, in percent.
@@ -480,7 +480,7 @@ mod tests {
             let mut rng = Seed(7).rng(&["ties", &size.to_string()]);
             let values = (0..size * width).map(|_| rng.random_range(-1.0..1.0));
             let different = Matrix::new(size, width, values.collect());
-            // Every vector stands in three places.
+            // Every vector occurs three times.
             let places: Vec<usize> = (0..3 * size).map(|place| place * 7 % size).collect();
             let copies = unit_rows(&different.select_rows(&places)).expect("directions");
             let ranks = full_ranks(&copies, &copies).expect("same size");

@@ -10,7 +10,7 @@ use crate::format::ABSENT;
 /// Settings side by side: a line for each, a column for each system or stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Details {
-    /// What the settings are of.
+    /// Title of the settings.
     pub title: String,
     /// Names of the columns.
     pub columns: Vec<String>,

@@ -16,7 +16,7 @@ pub use details::Details;
 pub use opening::Opening;
 pub use viewer::Strip;
 
-/// What a report shows, from top to bottom. Sections without content are left out.
+/// Sections of a report, from top to bottom. Empty sections are left out.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
     /// Title of the page.
@@ -48,7 +48,7 @@ pub struct Report {
 /// A number with its name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Card {
-    /// What it counts or measures.
+    /// Name of the counted or measured value.
     pub label: String,
     /// The number as text.
     pub value: String,

@@ -102,7 +102,7 @@ fn table_head(html: &mut String, columns: &[Column]) {
     let _ = write!(html, "{families}</tr>{members}</tr>");
 }
 
-/// First words of the columns that stand under a common heading.
+/// First words of columns that share a heading.
 const FAMILIES: [&str; 2] = ["E2S", "E2T"];
 
 fn table_cell(html: &mut String, cell: Option<&Cell>, metric: &Metric) {

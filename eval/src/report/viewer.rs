@@ -33,7 +33,7 @@ pub(super) fn script_source() -> String {
     format!("'sha256-{}'", STANDARD.encode(Sha256::digest(SCRIPT)))
 }
 
-/// What marks mean in a viewer, for the text above or below it.
+/// Legend of a viewer, for the text above or below it.
 pub(super) const LEGEND: &str = "Colour runs with time from orange to blue; left limbs are pale; \
     <span class=\"marked\">green</span> marks the joints the edit was asked to change.";
 

@@ -27,7 +27,7 @@ pub(crate) struct Measured<'a> {
     pub(crate) sources: Take,
     /// The real data, the identity editor and all systems.
     pub(crate) systems: Vec<System<'a>>,
-    /// The targets of other captures, for the items that have one.
+    /// Targets of other captures, for items that have one.
     pub(super) floor: Option<Take>,
 }
 
@@ -190,7 +190,7 @@ impl<'a> Asked<'a> {
 
 /// A motion that is measured.
 struct Subject<'a> {
-    /// What its system is called in errors.
+    /// Name of the system in errors.
     system: &'a str,
     asked: &'a Asked<'a>,
     motion: Cow<'a, Motion>,
@@ -290,13 +290,13 @@ impl Subject<'_> {
 struct Gathered {
     /// Latents, one after another.
     latents: Vec<f64>,
-    /// Numbers of a latent, once there is one.
+    /// Width of the latents, once one is known.
     width: Option<usize>,
     /// Values by metric.
     of_items: Vec<Vec<f64>>,
 }
 
-/// What the metrics of single motions depend on beside the motion.
+/// Shared inputs of the metrics of single motions.
 struct OfMotions<'a> {
     skeleton: &'a Skeleton,
     protocol: &'a Protocol,

@@ -17,7 +17,7 @@ pub(crate) struct Resamples {
 }
 
 impl Resamples {
-    /// Draws from the targets of items, which are told apart by their names.
+    /// Draws from the targets of items; equal names mean the same target.
     pub(crate) fn new<'a>(targets: impl Iterator<Item = &'a str>, protocol: &Protocol) -> Self {
         let mut groups: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
         for (item, target) in targets.enumerate() {
@@ -83,9 +83,9 @@ impl Resamples {
         means.filter(|mean| mean.is_finite()).collect()
     }
 
-    /// As [`Resamples::means`] for the median.
+    /// Like [`Resamples::means`], with the median.
     pub(crate) fn medians(&self, values: &[f64]) -> Vec<f64> {
-        // Sorted once, because each resample has the same values, each as often as it was drawn.
+        // Sort once: resamples differ only in the weights of the values.
         let known = (0..values.len()).filter(|&item| values[item].is_finite());
         let mut order: Vec<usize> = known.collect();
         order.sort_unstable_by(|&a, &b| values[a].total_cmp(&values[b]));
@@ -108,7 +108,7 @@ impl Resamples {
     }
 }
 
-/// The positions a resample holds, each as often as it was drawn.
+/// Positions in a resample, each repeated as often as it was drawn.
 pub(crate) fn drawn(positions: &[usize], weights: &[u32]) -> Vec<usize> {
     let copies = |&item: &usize| std::iter::repeat_n(item, weights[item] as usize);
     positions.iter().flat_map(copies).collect()
@@ -136,7 +136,7 @@ mod tests {
         let shared = ["a", "a", "a", "a", "b", "b", "b", "b", "c", "c", "c", "c"];
         // The deviation of a mean of twelve, and of three: 1.96 * sqrt(8/3) / sqrt(n).
         let (of_twelve, of_three) = (spread(&alone, &values), spread(&shared, &values));
-        // A deviation from 1,000 resamples is right to some 2 %; here are four times that.
+        // The standard deviation of 1,000 resamples has an error of about 2 %; the bound is four times that.
         assert!((of_twelve / 0.924 - 1.0).abs() < 0.1, "{of_twelve}");
         assert!((of_three / 1.848 - 1.0).abs() < 0.1, "{of_three}");
         assert_eq!(spread(&["a"; 12], &values), 0.0);

@@ -76,12 +76,12 @@ impl<'a> TestSet<'a> {
         })
     }
 
-    /// What an item says.
+    /// Columns of an item besides its motions.
     pub(super) fn item(&self, index: usize) -> &'a ItemFacts {
         &self.answered.items.facts()[self.items[index]]
     }
 
-    /// The windows of the first system that records them.
+    /// Windows of the first system that records its windows.
     pub(super) fn windows(&self) -> Option<Windows> {
         let edits = self.answered.edits.facts();
         let first = |takes: &Vec<Vec<usize>>| windows_of(&edits[*takes.first()?.first()?]);
@@ -132,7 +132,7 @@ impl<'a> TestSet<'a> {
             .collect()
     }
 
-    /// How many items are of each novelty, in words; nothing where no item says it.
+    /// Number of items of each novelty, in words; empty if no item states its novelty.
     fn novelty(&self, indices: &[usize]) -> String {
         let found: Vec<&str> = indices
             .iter()
@@ -205,7 +205,7 @@ pub(super) fn windows_of(row: &EditFacts) -> Option<Windows> {
 /// Seed and position of the edits of each item.
 type OfSystem<'a> = BTreeMap<&'a str, Vec<(u64, usize)>>;
 
-/// Orders the rows of a system by item and take. Takes are told apart by their seed.
+/// Orders the rows of a system by item and take. Takes are distinguished by their seed.
 fn takes<'a>(system: &str, rows: OfSystem<'a>, ids: &[&'a str]) -> Result<Vec<Vec<usize>>, Error> {
     let missing: Vec<&str> = ids
         .iter()

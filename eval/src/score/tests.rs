@@ -84,7 +84,7 @@ fn item(index: usize, task: &str) -> ItemRow {
     row
 }
 
-/// What a system made of an item.
+/// The edit of an item by a system.
 fn answer(system: &str, item: &ItemRow, motion: &Motion) -> EditRow {
     EditRow {
         system: system.to_owned(),
@@ -147,7 +147,7 @@ fn recapture(items: &mut [ItemRow], step: usize) {
     }
 }
 
-/// The system's edits as another take of it.
+/// The system's edits with another seed, as a second take.
 fn take(edits: Vec<EditRow>, seed: u64) -> Vec<EditRow> {
     let of_seed = |row| EditRow { seed, ..row };
     edits.into_iter().map(of_seed).collect()
@@ -307,7 +307,7 @@ fn whole_sets_are_at_no_distance_from_themselves() {
         ..Protocol::default()
     };
     let scores = scored(&questions(30), &[], &protocol).expect("valid");
-    // Rounding of a trace of order one.
+    // Rounding error of a trace of order one.
     assert!(value(&scores, "all", REAL_DATA, &FID_RAW) < 1e-11);
     assert_eq!(
         value(&scores, "all", REAL_DATA, &retrieval::E2T_AVERAGE_RANK),

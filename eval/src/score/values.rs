@@ -17,8 +17,8 @@ use crate::protocol::{FidSample, Protocol, Queries};
 /// Values of each item by metric.
 pub(crate) type OfItems = BTreeMap<&'static Metric, Vec<f64>>;
 
-/// The galleries of each repeat, as positions of items. Where one gallery holds all items, that of one repeat stands
-/// for all.
+/// Galleries of each repeat, as positions of items. If one gallery holds all items, it is stored for the first repeat
+/// only.
 pub(crate) struct Galleries(Vec<Vec<Vec<usize>>>);
 
 impl Galleries {
@@ -93,7 +93,7 @@ impl Ranks {
 type Values = BTreeMap<&'static Metric, f64>;
 
 /// The values of all systems of a task in each repeat, by repeat and then by system; the first system is the real data.
-/// `advance` is told of each repeat.
+/// `advance` is called after each repeat.
 pub(super) fn of_repeats(
     systems: &[System<'_>],
     ranks: &[Ranks],
@@ -145,7 +145,7 @@ fn of_repeat(
     Ok(values)
 }
 
-/// The values of the metrics of whole sets: of each metric by repeat, and then by system.
+/// Values of the metrics of whole sets: for each metric, by repeat and then by system.
 fn of_sets_by_repeat(
     systems: &[System<'_>],
     protocol: &Protocol,
@@ -302,7 +302,7 @@ pub(crate) fn of_items(
     Ok(found)
 }
 
-/// What one rank, counted from zero, contributes to a summary.
+/// Contribution of one rank, counted from zero, to a summary.
 fn of_rank(rank: f64, summary: RankSummary) -> f64 {
     match summary {
         RankSummary::Recall(k) if rank < k as f64 => 100.0,

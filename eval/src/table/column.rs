@@ -7,7 +7,7 @@ use crate::metric::{Better, Metric};
 pub struct Column {
     /// The metric.
     pub metric: &'static Metric,
-    /// Which values are good in this task.
+    /// Good values of the metric for this task.
     pub better: Better,
 }
 

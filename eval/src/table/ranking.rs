@@ -1,4 +1,4 @@
-//! Which scores of a table are the best, and which are no better than doing nothing.
+//! The best scores of a table, and the scores that are no better than those of the identity editor.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,7 +9,7 @@ use crate::judge::{Judges, unranked};
 use crate::metric::{self, Better};
 use crate::names::{GIVEN, IDENTITY, REAL_DATA};
 
-/// Task, protocol, encoder and items: scores that share them stand in one table.
+/// Task, protocol, encoder and items: scores with equal keys are in one table.
 pub(super) type Key<'a> = (&'a str, &'a str, &'a str, &'a str);
 
 pub(super) fn key(row: &ScoreRow) -> Key<'_> {
@@ -21,19 +21,19 @@ pub(super) fn key(row: &ScoreRow) -> Key<'_> {
     )
 }
 
-/// Where a score stands.
+/// Comparison of a score with the other scores of its table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub(crate) struct Standing {
     /// Whether its table ranks systems.
     pub(crate) ranks_systems: bool,
-    /// Whether it is worse than the identity editor's.
+    /// Whether the score is worse than that of the identity editor.
     pub(crate) behind_identity: bool,
     /// Whether no system is better, and the identity editor is worse.
     pub(crate) best: bool,
 }
 
-/// Where each score stands among those of the same task, items, protocol and encoder. In a table that ranks nothing,
-/// none is best or behind.
+/// Compares each score with those of the same task, items, protocol and encoder. In a table without ranking, no score
+/// is best or behind.
 pub(crate) fn standings(scores: &[ScoreRow], judges: &Judges) -> Vec<Standing> {
     let mut groups: BTreeMap<Key<'_>, Vec<usize>> = BTreeMap::new();
     for (place, row) in scores.iter().enumerate() {

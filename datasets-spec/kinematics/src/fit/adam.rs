@@ -31,7 +31,7 @@ pub struct AdamFit {
     pub counts: [bool; NUM_KEYPOINTS],
 }
 
-/// What a fit came to.
+/// Result of a fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AdamFitted {
     /// The parameters of each frame, `[T, 69]`.

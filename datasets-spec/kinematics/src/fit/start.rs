@@ -60,7 +60,7 @@ const TRIANGLES: [(usize, [usize; 3]); 5] = [
 ];
 
 impl Fitter<'_> {
-    /// A body from geometry alone, exact wherever the keypoints lie on the skeleton.
+    /// An initial body from geometry alone; exact if the keypoints lie on the skeleton.
     pub(super) fn start(&self, target: &KeypointFrame) -> Body {
         let mut global = [DQuat::IDENTITY; NUM_BODY_JOINTS];
         global[0] = self.aligned(target, 0).unwrap_or(DQuat::IDENTITY);
@@ -122,7 +122,7 @@ impl Fitter<'_> {
         self.aligned_near(target, joint, DQuat::IDENTITY, 0.0)
     }
 
-    /// As [`Fitter::aligned`], pulled towards a rotation with a weight in m^2/rad^2.
+    /// As [`Fitter::aligned`], regularised towards a rotation with a weight in m^2/rad^2.
     fn aligned_near(
         &self,
         target: &KeypointFrame,

@@ -36,7 +36,7 @@ pub(crate) fn quaternions(vectors: &Vectors) -> Quaternions {
     out
 }
 
-/// The quaternions of a block, whatever the lengths of its vectors.
+/// The quaternions of a block of rotation vectors of any length.
 #[inline(always)]
 fn quaternions_of_any(vectors: &Vectors) -> Quaternions {
     let mut longest = 0.0f64;

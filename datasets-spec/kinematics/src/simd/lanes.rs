@@ -42,14 +42,14 @@ pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
 /// Largest angle in radians that [`sin_cos`] reduces without loss.
 pub const MAX_ANGLE: f64 = 1e6;
 
-/// Angle in radians below which its sine equals it in double precision.
+/// Below this angle in radians, sin(angle) equals the angle in double precision.
 const SMALL_ANGLE: f64 = 1e-9;
 
 /// Sine and cosine of an angle in radians, correct to 2 units in the last place of 1 for angles up
 /// to [`MAX_ANGLE`].
 #[inline(always)]
 pub fn sin_cos(angle: f64) -> (f64, f64) {
-    /// Adding and subtracting it rounds to an integer, which the lowest bits of the sum hold.
+    /// Adding and subtracting this constant rounds to an integer, which is then in the lowest bits of the sum.
     const SHIFT: f64 = 6_755_399_441_055_744.0;
     /// Pi / 2 in parts, the first two so short that their products with a count of quarter turns
     /// are exact.

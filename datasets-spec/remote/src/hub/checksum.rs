@@ -11,7 +11,7 @@ use super::error::Error;
 
 const BUFFER_LEN: usize = 1 << 18;
 
-/// What a file on the server holds.
+/// Expected checksum and size of a file on the server.
 #[derive(Clone, Debug)]
 pub(super) struct Wanted {
     pub(super) checksum: Checksum,

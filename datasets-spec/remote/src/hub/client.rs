@@ -78,8 +78,8 @@ impl Hub {
         Ok(Self::through(&endpoint, proxy))
     }
 
-    /// The same server with a token, which it alone is told: neither the storage that it names nor a place that it
-    /// redirects to.
+    /// The same server with a token. The token is sent only to this server, not to the storage that it names or to
+    /// redirect targets.
     #[must_use]
     pub fn with_token(self, token: Option<String>) -> Self {
         Self { token, ..self }
@@ -129,7 +129,7 @@ impl Hub {
         format!("{}/{repo}/resolve/{revision}/{file}", self.endpoint)
     }
 
-    /// An address that an answer names, on this server where it means the public one.
+    /// The address in a response, rewritten to this server if it names the public one.
     pub(super) fn here(&self, address: &str) -> String {
         match address.strip_prefix(ENDPOINT) {
             Some(rest) => format!("{}{rest}", self.endpoint),
@@ -157,8 +157,8 @@ impl Hub {
         request.call().map_err(|error| error.to_string())
     }
 
-    /// A document or file from a byte on. Redirects are followed here, so that each place is told the token only if
-    /// it is on this server.
+    /// Reads a document or file from a byte offset on. Redirects are followed here, so that the token is sent only to
+    /// this server.
     pub(super) fn get(&self, address: &str, from: u64) -> Result<Response<Body>, String> {
         let mut address = address.to_owned();
         for _ in 0..=MAX_REDIRECTS {
@@ -185,7 +185,7 @@ impl Hub {
 
     /// The answer to a POST request with a body of content type `kind`.
     pub(super) fn post(&self, address: &str, kind: &str, body: &[u8]) -> Result<Answer, Error> {
-        // What is no JSON of its own kind is answered by plain JSON.
+        // Bodies of other types than `+json` ones are answered with plain JSON.
         let accepted = if kind.ends_with("+json") { kind } else { JSON };
         let request = self
             .authorized(self.agent.post(address), address)
@@ -218,7 +218,7 @@ impl Hub {
         })
     }
 
-    /// Sends the next `len` bytes to a place of the storage, which is told no token, and returns the headers of its answer.
+    /// Sends the next `len` bytes to a storage address, without the token, and returns the headers of the response.
     pub(super) fn put(
         &self,
         address: &str,
@@ -251,7 +251,7 @@ impl Read for Shortened {
 }
 
 pub(super) struct Answer {
-    /// What was asked, without what may be secret in it.
+    /// Address of the request, without secrets.
     pub(super) address: String,
     is_authorized: bool,
     pub(super) status: StatusCode,

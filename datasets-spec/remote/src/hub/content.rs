@@ -7,23 +7,23 @@ use std::path::{Path, PathBuf};
 use super::checksum::{Checksum, sha256};
 use super::error::Error;
 
-/// A file as a repo is to hold it.
+/// A file to store in a repo.
 #[derive(Clone, Debug)]
 pub struct HubFile {
-    /// Its path in the repo, with forward slashes.
+    /// Path of the file in the repo, with forward slashes.
     pub path: String,
-    /// What it holds.
+    /// Content of the file.
     pub content: Content,
 }
 
-/// What a file holds.
+/// Content of a file.
 #[derive(Clone, Debug)]
 pub enum Content {
     /// A file on this machine.
     File {
-        /// Where it is.
+        /// Path of the file on disk.
         path: PathBuf,
-        /// Its SHA-256, hexadecimal, if it is known.
+        /// SHA-256 of the content, hexadecimal, if it is known.
         sha256: Option<String>,
     },
     /// Text that is in no file.
@@ -88,7 +88,7 @@ impl Content {
         }
     }
 
-    /// Where it is, for errors.
+    /// Path of the file, for errors.
     fn place(&self) -> &Path {
         match self {
             Self::File { path, .. } => path,
@@ -97,8 +97,8 @@ impl Content {
     }
 }
 
-/// The files below a folder, by their paths. Hidden files and folders, and locks, are those of one copy alone; folders
-/// of `without`, which are named relative to the folder, are passed over.
+/// The files below a folder, by their paths. Hidden files and folders, locks, and the folders in `without` (relative to
+/// the folder) are skipped.
 ///
 /// # Errors
 /// A folder cannot be listed.

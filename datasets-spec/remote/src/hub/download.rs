@@ -74,7 +74,7 @@ pub(super) fn describe(hub: &Hub, repo: &str, file: &str) -> Result<Option<Remot
     Err("the server redirects without end".to_owned())
 }
 
-/// Fills a file up to the whole content and checks it.
+/// Downloads the missing rest of a file and checks its checksum.
 pub(super) fn download(
     hub: &Hub,
     address: &str,

@@ -16,7 +16,7 @@ pub enum Error {
     Proxy {
         /// The variable.
         variable: &'static str,
-        /// What is wrong with it.
+        /// What is wrong with the variable.
         problem: String,
     },
     /// A name is not that of a repo.
@@ -24,7 +24,7 @@ pub enum Error {
     Name {
         /// The name.
         name: String,
-        /// What is wrong with it.
+        /// What is wrong with the name.
         problem: &'static str,
     },
     /// No token is known for the server at this address.
@@ -36,25 +36,25 @@ pub enum Error {
     /// The server does not allow a request.
     #[error("the hub refuses {address} ({problem}); {remedy}")]
     Refused {
-        /// What was asked for.
+        /// Address of the request.
         address: String,
-        /// What the server says.
+        /// Reason given by the server.
         problem: String,
-        /// What to do.
+        /// What to do next.
         remedy: &'static str,
     },
     /// The server does not have this repo, revision or address, or does not show it.
     #[error("the hub has no {0}, or does not show it to this token")]
     NotFound(String),
-    /// This name is that of a dataset and of a model.
+    /// This name belongs to a dataset and to a model.
     #[error("{0} is a dataset and a model; say which: --type dataset or --type model")]
     Ambiguous(String),
     /// A request failed.
     #[error("{address} failed ({problem}); run the same command again to go on where it stopped")]
     Call {
-        /// What was asked for.
+        /// Address of the request.
         address: String,
-        /// What happened.
+        /// Cause of the failure.
         problem: String,
     },
     /// A file cannot be uploaded.
@@ -62,15 +62,15 @@ pub enum Error {
         "cannot upload {path} ({problem}); run the same command again to go on where it stopped"
     )]
     Upload {
-        /// The file, as the repo names it.
+        /// Path of the file in the repo.
         path: String,
-        /// What happened.
+        /// Cause of the failure.
         problem: String,
     },
-    /// A file that is to be deleted cannot be.
+    /// A file cannot be deleted.
     #[error("cannot delete {path}: {problem}")]
     Delete {
-        /// The file or folder, as the repo names it.
+        /// Path of the file or folder in the repo.
         path: String,
         /// Why not.
         problem: &'static str,
@@ -80,9 +80,9 @@ pub enum Error {
     Foreign {
         /// The repo.
         repo: String,
-        /// What was expected.
+        /// Expected kind of contents.
         kind: &'static str,
-        /// The file that it lacks.
+        /// The missing file.
         missing: &'static str,
     },
     /// A repo has a file whose name leads out of its folder.
@@ -93,7 +93,7 @@ pub enum Error {
         /// The name.
         path: String,
     },
-    /// This folder, which is to be written, is there already.
+    /// The output folder already exists.
     #[error("{} is there already; choose another folder", .0.display())]
     Exists(PathBuf),
     /// A download failed.
@@ -102,9 +102,9 @@ pub enum Error {
          it by hand and name its folder"
     )]
     Download {
-        /// What was asked for.
+        /// Address of the download.
         address: String,
-        /// What happened.
+        /// Cause of the failure.
         problem: String,
     },
     /// A downloaded file is not what its checksum says.
@@ -117,9 +117,9 @@ pub enum Error {
         path: PathBuf,
         /// Kind of checksum.
         name: &'static str,
-        /// What it should be.
+        /// Expected checksum.
         expected: String,
-        /// What it is.
+        /// Checksum of the file.
         found: String,
     },
 }

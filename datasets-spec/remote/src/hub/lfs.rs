@@ -11,7 +11,7 @@ use super::content::HubFile;
 use super::error::Error;
 use super::repo::Repo;
 
-/// Files that places are asked for at a time. The places are valid for a limited time.
+/// Files per request for upload addresses. The addresses are valid for a limited time.
 const BATCH: usize = 32;
 const LFS: &str = "application/vnd.git-lfs+json";
 
@@ -23,8 +23,8 @@ pub(super) struct Object<'a> {
     pub(super) size: u64,
 }
 
-/// Uploads what the storage lacks, and returns how many objects and bytes that was. An object that was uploaded before
-/// is not asked for again, so an interrupted upload goes on with the first that is missing.
+/// Uploads the objects that the storage lacks, and returns their number and total bytes. Objects of an interrupted
+/// upload are not sent again.
 pub(super) fn send(
     hub: &Hub,
     repo: &Repo,
@@ -104,7 +104,7 @@ fn upload(hub: &Hub, object: &Object<'_>, actions: &Value) -> Result<(), Error> 
     Ok(())
 }
 
-/// The places of the parts of an object in their order, with the bytes of each. They stand in a header by their numbers.
+/// Upload addresses of the parts of an object in order, with the bytes of each. A header holds them by part number.
 fn parts_of<'a>(
     object: &Object<'_>,
     header: &'a Value,

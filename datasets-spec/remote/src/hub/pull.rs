@@ -1,4 +1,4 @@
-//! Pulling: a folder that appears whole or not at all.
+//! Pulling a repo into a folder that appears complete or not at all.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -14,14 +14,14 @@ use super::download::download;
 use super::error::Error;
 use super::repo::{Repo, RepoKind, Tree, commit_of, tree};
 
-/// What was pulled.
+/// Result of a pull.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Pulled {
-    /// The commit.
+    /// Id of the pulled commit.
     pub commit: String,
-    /// Files.
+    /// Number of files.
     pub files: usize,
-    /// Their bytes.
+    /// Total size of the files in bytes.
     pub bytes: u64,
     /// Files of the repo that the newest version of the dataset does not name.
     pub passed_over: Vec<String>,
@@ -36,7 +36,7 @@ pub struct Staged {
 }
 
 impl Staged {
-    /// Where it lies now.
+    /// Present path of the folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }

@@ -14,7 +14,7 @@ use super::error::Error;
 use super::lfs::{self, Object};
 use super::repo::{Repo, Tree, commit_of, create, tree};
 
-/// Files that the server is asked about at a time, which is the most that it answers.
+/// Files per request about existing files; the server's maximum.
 const BATCH: usize = 256;
 /// First bytes of a file by which the server tells text from data.
 const SAMPLE_LEN: u64 = 512;
@@ -34,22 +34,22 @@ pub struct PushOptions<'a> {
     pub delete: &'a [String],
 }
 
-/// What was published, or would be.
+/// Result of a push, or of its dry run.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Pushed {
-    /// The commit; none where nothing differs, or nothing is written.
+    /// Id of the commit; none if nothing differs or nothing is written.
     pub commit: Option<String>,
-    /// Files that the repo lacks or has otherwise.
+    /// Files that are new or changed.
     pub changed: Vec<String>,
-    /// Files that the repo has.
+    /// Number of files that are already in the repo.
     pub unchanged: usize,
     /// Files that were deleted.
     pub deleted: Vec<String>,
     /// Files of the repo that are not published, and stay.
     pub only_in_repo: Vec<String>,
-    /// Large files that were sent; the others were there, in this repo or from an interrupted upload.
+    /// Large files that were uploaded; the others were already stored, in this repo or by an interrupted upload.
     pub sent: usize,
-    /// Their bytes.
+    /// Total size of these files in bytes.
     pub sent_bytes: u64,
 }
 
@@ -104,13 +104,13 @@ impl<'a> Push<'a> {
         })
     }
 
-    /// What the commit would change.
+    /// Contents of the commit, before it is made.
     pub fn preview(&self) -> &Pushed {
         &self.preview
     }
 
-    /// Uploads what the storage lacks and makes the commit, which shows all at once; nothing where nothing differs. A repo
-    /// that is not there is made.
+    /// Uploads the files that the storage lacks, and makes one commit of all changes. Without changes nothing is done.
+    /// A missing repo is created.
     ///
     /// # Errors
     /// There is no token, the server refuses or fails, another commit was made meanwhile, or a file cannot be read. What
@@ -147,7 +147,7 @@ fn paths(files: &[HubFile]) -> BTreeSet<&str> {
     files.iter().map(|file| file.path.as_str()).collect()
 }
 
-/// The files that a repo lacks or has otherwise.
+/// The files that are new or changed in comparison with a repo.
 fn changed<'a>(files: &'a [HubFile], there: &Tree) -> Result<Vec<&'a HubFile>, Error> {
     let mut changed = Vec::new();
     for file in files {
@@ -258,8 +258,8 @@ fn distinct<'a>(objects: &[Object<'a>]) -> Vec<Object<'a>> {
     distinct
 }
 
-/// The commit as the server reads it: a JSON document a line. With its parent named, it fails if another one was made
-/// meanwhile.
+/// The commit in the server's format: a JSON document a line. It names its parent, so it fails if another commit was
+/// made meanwhile.
 fn commit_lines(
     options: &PushOptions<'_>,
     parent: Option<&str>,

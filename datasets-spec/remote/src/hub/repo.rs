@@ -15,7 +15,7 @@ use super::error::Error;
 /// Most characters of a name.
 const MAX_NAME_LEN: usize = 96;
 
-/// What a repo holds.
+/// Kind of a repo's contents.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum RepoKind {
@@ -93,9 +93,9 @@ impl FromStr for RepoName {
 /// A repo.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Repo {
-    /// What it holds.
+    /// Kind of the repo's contents.
     pub kind: RepoKind,
-    /// Its name.
+    /// Name of the repo.
     pub name: RepoName,
 }
 
@@ -107,12 +107,12 @@ impl Repo {
         }
     }
 
-    /// Its address for readers.
+    /// URL of the repo's page.
     pub fn address(&self, hub: &Hub) -> String {
         format!("{}/{}", hub.endpoint(), self.path())
     }
 
-    /// Where calls about it go.
+    /// URL of the repo's API.
     pub(super) fn api(&self, hub: &Hub) -> String {
         format!(
             "{}/api/{}s/{}",
@@ -129,8 +129,8 @@ impl fmt::Display for Repo {
     }
 }
 
-/// The commit of a branch, tag or commit; none if there is no such repo. Without a token, a repo that is not there cannot
-/// be told from a private one.
+/// The commit of a branch, tag or commit; none if there is no such repo. Without a token, a missing repo cannot be
+/// distinguished from a private one.
 pub(super) fn commit_of(hub: &Hub, repo: &Repo, revision: &str) -> Result<Option<String>, Error> {
     let address = format!("{}/revision/{}", repo.api(hub), quoted(revision, ""));
     let answer = hub.ask(&address)?;
@@ -169,7 +169,7 @@ pub fn kind_of(hub: &Hub, name: &RepoName, revision: &str) -> Result<RepoKind, E
     }
 }
 
-/// Makes a repo, unless it is there.
+/// Creates a repo if it does not exist.
 pub(super) fn create(hub: &Hub, repo: &Repo, is_private: bool) -> Result<(), Error> {
     let (owner, name) = repo.name.parts();
     let asked = serde_json::json!({

@@ -18,14 +18,14 @@ use super::*;
 const REPO: &str = "owner/model";
 const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
 
-/// A file as the server gives it.
+/// A file that the test server offers.
 #[derive(Clone)]
 struct Served {
     content: Vec<u8>,
     etag: String,
     /// Bytes of an answer's body after which the server hangs up.
     cut: Option<usize>,
-    /// Whether it can start in the middle.
+    /// Whether the server supports range requests for the file.
     ranges: bool,
 }
 
@@ -194,7 +194,7 @@ fn files_are_fetched_once_and_found_afterwards() {
     assert_eq!(read_checked(&path).expect("whole"), config);
     assert_eq!(fetch(&cache, &hub, "missing").expect("asked"), None);
 
-    // What is there is not downloaded again.
+    // Files that exist are not downloaded again.
     log.lock().expect("whole").clear();
     fetch(&cache, &hub, "model.safetensors").expect("there");
     let asked = log.lock().expect("whole").clone();
