@@ -1,4 +1,4 @@
-//! What a dataset holds, counted from the metadata columns alone.
+//! Contents of a dataset, counted from the metadata columns alone.
 
 use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow, ScoreRow, TripletRow, WindowRow};
@@ -15,7 +15,7 @@ pub struct Group {
     pub label: String,
     /// Number of clips.
     pub clips: u64,
-    /// Their length in minutes.
+    /// Total length of the clips in minutes.
     pub minutes: f64,
 }
 
@@ -55,7 +55,7 @@ pub fn catalogue(dataset: &Dataset) -> Result<Catalogue, Error> {
     })
 }
 
-/// What a folder without motions holds, and which verbs take it; none if it holds motions.
+/// Contents of a folder without motions, and the verbs that take it; none if it holds motions.
 pub fn other_than_motions(dataset: &Dataset) -> Option<&'static str> {
     let has = |table: &str| dataset.manifest().rows(table, None) > 0;
     if has(MotionRow::TABLE) {

@@ -1,4 +1,4 @@
-//! The tables with a row for each clip: a shard of motions has its markers and features beside it.
+//! Tables with one row for each clip: a shard of motions has shards of markers and features beside it.
 
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
@@ -30,7 +30,7 @@ pub(crate) fn clip_ids(
     }
 }
 
-/// The facts of a file, in the form in which another file is written with them.
+/// Facts of a file, in the form that the writer takes.
 pub(crate) fn borrowed(facts: &[(String, String)]) -> Vec<(&str, String)> {
     let facts = facts.iter();
     facts
@@ -38,7 +38,7 @@ pub(crate) fn borrowed(facts: &[(String, String)]) -> Vec<(&str, String)> {
         .collect()
 }
 
-/// A row of one of these tables.
+/// A row that belongs to one clip.
 pub(crate) trait ClipRow: Row {
     fn id(&self) -> &MotionId;
 

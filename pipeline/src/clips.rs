@@ -80,7 +80,7 @@ impl<'a> Clips<'a> {
         self.shards
     }
 
-    /// At most the first `count` of them.
+    /// Keeps at most the first `count` clips.
     pub(crate) fn first(mut self, count: usize) -> Self {
         let mut left = count;
         for shard in &mut self.shards {

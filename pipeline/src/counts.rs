@@ -53,12 +53,12 @@ impl Group {
 /// Queries over chosen clips.
 pub(crate) struct Counts {
     tables: Tables,
-    /// What holds for the rows of a table.
+    /// SQL condition on the rows of each table.
     chosen: BTreeMap<&'static str, String>,
 }
 
 impl Counts {
-    /// Of all clips, or of those for which a condition is true.
+    /// Counts of all clips, or of those for which a condition is true.
     pub(crate) fn new(dataset: &Dataset, condition: Option<&Condition>) -> Result<Self, Error> {
         let mut chosen = BTreeMap::new();
         if let Some(condition) = condition.map(Condition::sql) {

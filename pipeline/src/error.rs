@@ -14,7 +14,7 @@ pub enum Error {
     NoClip {
         /// The dataset.
         path: PathBuf,
-        /// The id asked for.
+        /// The requested id.
         id: String,
     },
     /// A folder has no such item.
@@ -22,7 +22,7 @@ pub enum Error {
     NoItem {
         /// The folder.
         path: PathBuf,
-        /// The id asked for.
+        /// The requested id.
         id: String,
     },
     /// Several items have ids with this prefix.
@@ -43,7 +43,7 @@ pub enum Error {
     OtherThanMotions {
         /// The folder.
         path: PathBuf,
-        /// What it is, and which verbs take it.
+        /// Kind of the folder, and the verbs that take it.
         other: &'static str,
     },
     /// Automatic masks would replace masks that people have judged.
@@ -63,7 +63,7 @@ pub enum Error {
         "cannot store motions at {got} frames per second; choose {lowest} to {highest}, or native"
     )]
     StoredRate {
-        /// The rate asked for.
+        /// The requested rate.
         got: f64,
         /// The lowest accepted rate.
         lowest: f64,
@@ -82,10 +82,10 @@ pub enum Error {
         /// The settings that differ, with both values.
         differing: String,
     },
-    /// It cannot be known which source is meant. The text says what is open, and how to answer.
+    /// The requested source is ambiguous. The text states the candidates and how to choose.
     #[error("{0}")]
     AskedSource(String),
-    /// Clips would stay as they were while settings change that all clips of a dataset share.
+    /// Clips would keep their old settings, and all clips of a dataset must share these settings.
     #[error(
         "{count} clips of {} cannot be read again with the new settings ({differing}): {shown}; nothing was changed. \
          Put their files back, keep the settings, or pass --prune to leave these clips out",
@@ -96,7 +96,7 @@ pub enum Error {
         path: PathBuf,
         /// Number of clips.
         count: usize,
-        /// The first of them.
+        /// The first of the ids.
         shown: String,
         /// The settings, with both values.
         differing: String,
@@ -112,7 +112,7 @@ pub enum Error {
         /// Skeleton of the second.
         second: String,
     },
-    /// A new dataset is to be written where there is one.
+    /// The output folder already holds a dataset.
     #[error("{} is a dataset already; choose a folder that does not exist", .0.display())]
     DatasetExists(PathBuf),
     /// Labels would be lost.
@@ -126,7 +126,7 @@ pub enum Error {
         path: PathBuf,
         /// Number of labels.
         count: usize,
-        /// The first of them.
+        /// The first of the ids.
         shown: String,
     },
     /// A list names clips that are not in the dataset, or none.
@@ -143,7 +143,7 @@ pub enum Error {
         dataset: PathBuf,
         /// Number of such ids.
         count: usize,
-        /// The first of them.
+        /// The first of the ids.
         shown: String,
     },
     /// Every clip of a dataset would be removed.
@@ -165,7 +165,7 @@ pub enum Error {
     NoFiles {
         /// The paths given.
         paths: String,
-        /// What is there instead, or what to check.
+        /// What the folder holds instead, or what to check.
         hint: String,
     },
     /// A plan for many processes with an archive that each of them would have to unpack.
@@ -183,13 +183,13 @@ pub enum Error {
         /// Why not.
         reason: String,
     },
-    /// A dataset without motions was to be exported.
+    /// An export of a dataset without motions was requested.
     #[error(
         "{} holds neither motions nor edits; name a dataset, or a folder that `stance edit` wrote",
         .0.display()
     )]
     NoMotions(PathBuf),
-    /// Edits were to be exported in this layout, which is one of whole datasets.
+    /// An export of edits in this layout was requested, which holds only whole datasets.
     #[error("{0} is a layout of whole datasets; edits are exported as bvh, amass or gltf")]
     LayoutOfEdits(&'static str),
     /// A bundle of answers, or a folder that is to become one, breaks a rule.
@@ -197,7 +197,7 @@ pub enum Error {
     Bundle {
         /// The bundle.
         path: PathBuf,
-        /// What is wrong, with the item where it is one's.
+        /// What is wrong; names the item if one is at fault.
         problem: String,
     },
     /// Two items have this id.
@@ -208,9 +208,9 @@ pub enum Error {
     MixedRates {
         /// Rate of the first clip.
         first: f32,
-        /// Rate of another one.
+        /// Rate of another motion.
         other: f32,
-        /// That one.
+        /// The motion with that rate.
         motion: datasets_spec::MotionId,
     },
     /// The dataset could not be read or written.
@@ -222,7 +222,7 @@ pub enum Error {
     /// A file or folder cannot be read as its format says.
     #[error(transparent)]
     Formats(#[from] formats::Error),
-    /// A job in pieces, or the folder that it writes, cannot go on.
+    /// A job in pieces, or its output folder, cannot continue.
     #[error(transparent)]
     Work(#[from] work::Error),
     /// Composing motions failed.

@@ -1,4 +1,4 @@
-//! Two datasets become one.
+//! Merges two datasets.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -18,7 +18,7 @@ use crate::clip_table::{CLIP_TABLES, ClipRow};
 use crate::ingest::{MergedSources, recorded_settings, with_label};
 use crate::recordings::{Clip, Origin, Prefixes, Recording, clips, grouped, sketches, unite_alike};
 
-/// What [`merge`] did.
+/// Result of [`merge`].
 #[derive(Clone, Debug, Serialize)]
 pub struct Merged {
     /// Clips of the result.
@@ -30,7 +30,7 @@ pub struct Merged {
     /// Clips of the second dataset that moved into the split of the first's clips of the same recording: of the same
     /// file or clip, or with nearly the same motion.
     pub moved: BTreeMap<String, Split>,
-    /// What mixing the licences of the two asks for, if anything.
+    /// Warning about mixed licences, if there is one.
     pub license_warning: Option<String>,
     /// Masks and pairs of the second dataset that name motions of two splits now.
     pub dropped_labels: Vec<String>,
@@ -38,13 +38,13 @@ pub struct Merged {
     pub root_hash: String,
 }
 
-/// A dataset that takes part, and what becomes of the ids and splits of its clips.
+/// One of the two datasets, with the new ids and splits of its clips.
 struct Part<'a> {
     dataset: &'a Dataset,
     /// 0 for the first dataset, 1 for the second.
     number: usize,
     sources: &'a MergedSources,
-    /// What its paths begin with in the result.
+    /// Prefix of this dataset's paths in the result.
     label: String,
     shared: BTreeSet<MotionId>,
     ids: BTreeMap<MotionId, MotionId>,
@@ -105,7 +105,7 @@ impl<'a> Part<'a> {
         Ok(rows.collect())
     }
 
-    /// What the dataset skipped, and its clips that the other has.
+    /// Rows for the items that the dataset skipped, and for its clips that the other dataset already has.
     fn skipped(&self) -> Result<Vec<SkippedRow>, Error> {
         let rows = self.dataset.read::<SkippedRow>(None)?.into_iter();
         let rows = rows.map(|row| SkippedRow {
@@ -231,7 +231,7 @@ fn check_settings(datasets: &[Dataset; 2], clips: &[Vec<Clip>; 2]) -> Result<(),
     let rates = clips.iter().flatten().filter_map(|clip| clip.fps);
     let rates: BTreeSet<u32> = rates.map(f32::to_bits).collect();
     let [first, second] = of("fps");
-    // Clips of their own rates may be of any; a rate that was asked for is that of all.
+    // If all rates are the clips' own, they may differ; a requested rate holds for all clips.
     let is_own = |rate: &Option<String>| rate.as_deref().is_none_or(|rate| rate == "native");
     let mut names = vec!["features"];
     if rates.len() > 1 && !(is_own(&first) && is_own(&second)) {
@@ -298,7 +298,7 @@ fn added<'a>(
     Ok(part)
 }
 
-/// The clips of the second dataset that get another split, because the first has clips of the same recording in it.
+/// Clips of the second dataset whose split changes, because the first has clips of the same recording.
 fn moved(
     datasets: [&Dataset; 2],
     clips: [&Vec<Clip>; 2],
@@ -378,7 +378,7 @@ fn splits(parts: &[&Part<'_>], clips: &[Vec<Clip>]) -> BTreeMap<MotionId, Split>
     splits
 }
 
-/// What both datasets rejected, and what they skipped.
+/// Rows that both datasets rejected or skipped.
 fn passed_over(parts: &[&Part<'_>]) -> Result<(Vec<QuarantineRow>, Vec<SkippedRow>), Error> {
     let (mut quarantine, mut skipped) = (Vec::new(), Vec::new());
     for part in parts {

@@ -18,16 +18,16 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::likeness::{Sketch, near_pairs};
 
-/// Formats of single files, each of which holds one recording. Every other format is of releases.
+/// Formats of single files, each of which holds one recording. All other formats are releases.
 const OF_FILES: [&str; 6] = ["amass", "bvh", "c3d", "fbx", "gltf", "trc"];
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Origin {
     pub(crate) id: MotionId,
     pub(crate) split: Split,
-    /// Format that it was read in.
+    /// Format of the clip's file.
     pub(crate) source: String,
-    /// Empty where it is not known.
+    /// Hash of the clip's file; empty if it is not known.
     pub(crate) source_hash: String,
     pub(crate) mirrored_of: Option<String>,
 }
@@ -43,7 +43,7 @@ pub(crate) enum Recording {
 }
 
 impl Recording {
-    /// What it means that two clips have it, for a finding.
+    /// What two clips with this key have in common, for a finding.
     pub(crate) fn says(&self) -> &'static str {
         match self {
             Self::Clip(..) => "made of the same source clip",
@@ -53,7 +53,7 @@ impl Recording {
     }
 }
 
-/// What the ids of each source of a dataset begin with.
+/// Prefixes of the ids of each source of a dataset.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Prefixes(Vec<String>);
 

@@ -82,7 +82,7 @@ pub struct Worst {
     pub id: String,
     /// Share of its frames that agree.
     pub agreeing: f64,
-    /// Its largest absolute difference.
+    /// The clip's largest absolute difference.
     pub max: f64,
 }
 
@@ -91,7 +91,7 @@ pub struct Worst {
 pub struct Missing {
     /// How many there are.
     pub count: u64,
-    /// The first of them.
+    /// The first ids.
     pub first_ids: Vec<String>,
 }
 
@@ -279,7 +279,7 @@ fn arrays(folder: &Path) -> Result<BTreeMap<String, PathBuf>, Error> {
     Ok(arrays)
 }
 
-/// Reads an array of the folder, or notes what is wrong with it.
+/// Reads an array of the folder, or records the problem.
 fn read<T>(
     path: &Path,
     parse: fn(&npy::Array) -> Result<T, Rejected>,

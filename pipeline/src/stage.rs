@@ -41,7 +41,7 @@ pub struct IngestConfig {
     /// A list of pairs ([`PairList`]) to add; both clips of a pair get one split.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pairs: Option<PathBuf>,
-    /// What drawn splits keep together.
+    /// Grouping that keeps its clips in one drawn split.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub split_by: Option<SplitBy>,
 }
@@ -107,13 +107,13 @@ fn with_motions(dataset: Dataset) -> Result<Dataset, Error> {
 /// Handling of human-judged masks when automatic ones are requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Judged {
-    /// They stay, and the stage does nothing.
+    /// Keep the judged masks; the stage does nothing.
     Keep,
     /// The stage fails.
     Refuse,
-    /// They are discarded.
+    /// Discard the judged masks.
     Replace,
-    /// All masks stay, and clips without any get automatic ones.
+    /// Keep all masks, and make automatic ones for clips without masks.
     Add,
 }
 

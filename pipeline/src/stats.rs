@@ -67,7 +67,7 @@ pub struct Statistics {
     pub mirrored: u64,
     /// Captions, their words, and clips without any.
     pub captions: u64,
-    /// Of these, captions made from file names.
+    /// Captions that were made from file names.
     pub made_captions: u64,
     /// Words of all captions.
     pub words: u64,
@@ -175,7 +175,7 @@ pub fn statistics(dataset: &Dataset, condition: Option<&Condition>) -> Result<St
     })
 }
 
-/// What is looked at clip by clip.
+/// Facts that are collected clip by clip.
 #[derive(Deserialize)]
 struct Facts {
     source: String,

@@ -99,7 +99,7 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
     })
 }
 
-/// What all files hold together.
+/// Facts collected from all files.
 #[derive(Default)]
 struct Contents {
     met: Vec<Met>,

@@ -23,10 +23,10 @@ const NUM_CLIPS: usize = 18;
 const SPLIT_SEED: Seed = Seed(0);
 const HOLDER: &str = "the test";
 
-/// What happens at the chosen operation.
+/// Failure at the chosen operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fate {
-    /// It fails with this kind of error.
+    /// The operation fails with this kind of error.
     Fail(io::ErrorKind),
     /// A write takes half of what it is given and the next one fails, as on a full disk.
     WriteHalf,
@@ -280,7 +280,7 @@ fn whichever_operation_fails_nothing_is_reported_that_is_not_so() {
         match run(store, &source, &out, false) {
             Err(_) => {
                 num_failed += 1;
-                // Whoever opens the folder sees no dataset, or a whole one.
+                // A reader of the folder sees no dataset, or a whole one.
                 if let Ok(dataset) = Dataset::open(&out) {
                     assert_eq!(
                         dataset.manifest().root_hash,
@@ -302,14 +302,14 @@ fn whichever_operation_fails_nothing_is_reported_that_is_not_so() {
             Ok(report) if report.accounting.codes.contains_key("E-IO") => {
                 // The operation that failed read a source, and that is what the report says.
                 assert!(report.accounting.balances());
-                // It may have been the broken file that could not be read.
+                // The file that could not be read may have been the broken one.
                 let broken = report.accounting.quarantined - report.accounting.codes["E-IO"];
                 assert!(broken <= 1, "operation {at}: {:?}", report.accounting);
                 let again = run(Disk::store(), &source, &out, true).expect("the disk is healthy");
                 assert_eq!(ids_and_hashes(&again.dataset), expected, "operation {at}");
             }
             Ok(report) => {
-                // What failed was a leftover's removal or a look at what an earlier run left.
+                // The failed operation was the removal of a leftover, or a search for leftovers.
                 assert_eq!(
                     report.dataset.manifest().root_hash,
                     clean.dataset.manifest().root_hash,
@@ -455,7 +455,7 @@ fn change(verb: &str, store: Arc<dyn Store>, dataset: &Path) -> Result<(), Error
         "remove" => {
             let choice = Choice::Where("id like '%sit%'".parse()?);
             match remove_in(transaction, &choice, RemoveOptions::default()) {
-                // They are gone already.
+                // The clips are already removed.
                 Err(Error::Tables(tables::Error::NoneChosen { .. })) => Ok(()),
                 done => done.map(|_| ()),
             }

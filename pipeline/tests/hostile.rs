@@ -10,7 +10,7 @@ use formats::write;
 use pipeline::ingest::{IngestOptions, ingest};
 use serde_json::{Value, json};
 
-/// What must become of a file.
+/// Required outcome of reading a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fate {
     /// A motion.
@@ -75,7 +75,7 @@ fn amass(frames: usize, trans: impl Fn(usize) -> [f64; 3]) -> Vec<u8> {
     ])
 }
 
-/// A pickle that would make a file if anything executed it.
+/// A pickle that would create a file if it were executed.
 fn canary_pickle(canary: &Path) -> Vec<u8> {
     format!("cos\nsystem\n(S'touch {}'\ntR.", canary.display()).into_bytes()
 }

@@ -15,12 +15,12 @@ use crate::Rejected;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Teleports {
-    /// It is put into quarantine.
+    /// Put the motion into quarantine.
     #[default]
     Quarantine,
-    /// The longest stretch without a jump is kept, and flagged.
+    /// Keep the longest stretch without a jump, and flag the clip.
     Trim,
-    /// It is kept, and flagged.
+    /// Keep the motion, and flag the clip.
     Keep,
 }
 

@@ -10,14 +10,14 @@ use datasets_spec::table::{Caption, PartCaption};
 use datasets_spec::{BodyPart, Fps, Motion, Skeleton};
 use serde::{Deserialize, Serialize};
 
-/// Where the rotations of a clip come from.
+/// Origin of the rotations of a clip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RotationSource {
-    /// The file holds them for this body.
+    /// Stored in the file for this body.
     Native,
-    /// The file holds them for another skeleton.
+    /// Stored in the file for another skeleton.
     Retargeted,
-    /// They were recovered from positions.
+    /// Fitted to positions.
     Fitted,
 }
 
@@ -60,7 +60,7 @@ pub struct SourceClip {
     pub made_captions: Vec<Caption>,
     /// Captions of single body parts.
     pub part_captions: Vec<PartCaption>,
-    /// Who performs it.
+    /// Name of the performer.
     pub subject: Option<String>,
     /// Action label.
     pub action: Option<String>,
@@ -76,7 +76,7 @@ pub struct SourceClip {
     pub flags: u32,
     /// The captured markers the motion was solved from.
     pub markers: Option<Markers>,
-    /// The edits that lead to it.
+    /// Edits whose target is this clip.
     pub edits: Vec<EditOf>,
     /// Body-part masks the source comes with.
     pub masks: Vec<SourceMask>,
@@ -133,8 +133,7 @@ impl SourceClip {
     /// Narrows source frames, captions, masks and features to a part of the motion, and leaves the motion as
     /// it is. `kept` counts frames of `step` frames of [`SourceClip::motion`] each.
     ///
-    /// Captions with a time and masks with a range move along; one that is only about frames that are cut off becomes a
-    /// note.
+    /// Captions with a time and masks with a range move along; one that covers only removed frames becomes a note.
     pub fn narrow(&mut self, kept: &Range<usize>, step: f64) {
         let Some(last) = kept.clone().next_back() else {
             return;
@@ -252,7 +251,7 @@ pub struct Markers {
     pub fit_residuals: Vec<f32>,
 }
 
-/// The edit that leads to a clip from another one.
+/// An edit from another clip to this one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EditOf {
     /// Id of the motion before the edit.
@@ -265,18 +264,18 @@ pub struct EditOf {
     pub parts: Vec<BodyPart>,
     /// Instruction of the edit; empty if the source has none.
     pub instruction: String,
-    /// The pair that it was in a dataset of this program; others follow from the fields above.
+    /// The recorded pair, if the source is a dataset of this program; other pairs are made from the fields above.
     pub made: Option<PairRow>,
 }
 
 /// A body-part mask that a source comes with.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SourceMask {
-    /// The parts it is made of.
+    /// Parts of the mask.
     pub parts: Vec<BodyPart>,
-    /// What the masked parts do; empty if the source does not say.
+    /// Text of the masked parts; empty if the source states none.
     pub text: String,
-    /// The mask that it was in a dataset of this program; others follow from their parts.
+    /// The recorded mask, if the source is a dataset of this program; other masks are made from their parts.
     pub made: Option<MaskRow>,
 }
 
@@ -313,20 +312,20 @@ fn parts_of(names: &[String]) -> Vec<BodyPart> {
     names.iter().filter_map(|name| name.parse().ok()).collect()
 }
 
-/// What reading a motion gives: a clip, or why there is none.
+/// Result of reading a motion: a clip, or the reason for rejecting it.
 pub type ReadClip = Result<SourceClip, Rejected>;
 
 /// Outcome of a source item.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
-    /// It is a clip.
+    /// A clip.
     Clip(Box<SourceClip>),
-    /// It is no motion, though it looked like one.
+    /// Not a motion, although it looked like one.
     Skipped {
         /// Why.
         reason: String,
     },
-    /// It is a motion that cannot be used.
+    /// A motion that cannot be used.
     Rejected(Rejected),
 }
 

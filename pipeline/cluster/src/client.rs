@@ -76,7 +76,7 @@ struct Document {
     done_before: u64,
     /// Why pieces failed, by their ids.
     failed: BTreeMap<String, String>,
-    /// What was committed; null where nothing was.
+    /// The commit; null if there was none.
     committed: Option<Committed>,
 }
 
@@ -230,7 +230,7 @@ async fn made(args: &Args, plan: &Plan, wanted: &[String]) -> anyhow::Result<Vec
         SessionContext::remote_with_state(&address, session::state(config, Isolation::None)?)
             .await?
     };
-    // What makes a session one of Ballista drops functions that are not its own.
+    // Creating a Ballista session drops functions that are not Ballista's own.
     context.register_udf(function(Isolation::None));
     let folder = list.path().to_string_lossy();
     context
@@ -362,7 +362,7 @@ fn stages(scheduler: &str) -> Option<String> {
     )
 }
 
-/// What a scheduler answers about itself; none if it does not answer.
+/// Response of a scheduler to a status request; none if it does not respond.
 fn asked(scheduler: &str, what: &str) -> Option<String> {
     const PATIENCE: Duration = Duration::from_secs(2);
     let agent = ureq::Agent::config_builder()

@@ -35,7 +35,7 @@ pub(crate) struct Args {
     isolate: Option<PathBuf>,
 }
 
-/// Runs until the process is told to end.
+/// Runs until the process is stopped.
 pub(crate) async fn run(args: Args) -> anyhow::Result<ExitCode> {
     let (host, port) = args
         .scheduler
@@ -48,7 +48,8 @@ pub(crate) async fn run(args: Args) -> anyhow::Result<ExitCode> {
         function::NAME.to_owned(),
         Arc::new(function::function(isolation)),
     );
-    // Records on their way to the client; the shards themselves go to the destination of the plan.
+    // Folder for result records of pieces, until the client has them; the shards themselves go to the plan's
+    // destination.
     let work = tempfile::tempdir().context("no folder for intermediate results")?;
     let config = ExecutorProcessConfig {
         bind_host: args.host.to_string(),

@@ -23,7 +23,7 @@ pub(crate) enum Isolation {
     /// A crash of a piece ends the executor.
     #[default]
     None,
-    /// The command `stance` makes the piece: a crash fails that piece alone.
+    /// A child process of `stance` makes the piece, so a crash fails only that piece.
     Child(PathBuf),
 }
 
@@ -35,7 +35,7 @@ struct MakePiece {
     isolation: Isolation,
 }
 
-/// The function for a registry. Scheduler and client never call it.
+/// The function to register. Scheduler and client never call it.
 pub(crate) fn function(isolation: Isolation) -> ScalarUDF {
     ScalarUDF::new_from_impl(MakePiece {
         signature: Signature::exact(vec![DataType::Utf8, DataType::Utf8], Volatility::Volatile),

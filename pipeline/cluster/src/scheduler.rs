@@ -41,7 +41,7 @@ pub(crate) async fn run(args: Args) -> anyhow::Result<ExitCode> {
         bind_host: address.ip().to_string(),
         external_host: address.ip().to_string(),
         bind_port: address.port(),
-        // Executors ask for work, and that is their heartbeat: they go on when the scheduler was restarted.
+        // Executors poll for work, which is also their heartbeat, so they continue after a restart of the scheduler.
         scheduling_policy: TaskSchedulingPolicy::PullStaged,
         executor_timeout_seconds: args.executor_timeout,
         expire_dead_executor_interval_seconds: 2,

@@ -156,7 +156,7 @@ mod tests {
     use super::*;
     use crate::fixture;
 
-    /// A motion at another tempo that changes on the way.
+    /// A motion whose tempo changes over time.
     fn hurried(motion: &Motion, num_frames: usize) -> Motion {
         let last = (motion.len() - 1) as f64;
         let grid: Vec<(usize, f64)> = (0..num_frames)

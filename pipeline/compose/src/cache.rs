@@ -10,7 +10,7 @@ const DEFAULT_KEPT: u64 = 64_000_000_000;
 /// Environment variable that sets [`FrameCache::kept`].
 const SIZE: &str = "STANCE_CACHE_SIZE";
 
-/// Folder of the files of frames that edits are composed of. It is like the number of threads: no result depends on it.
+/// Folder of the files of frames that edits are composed of. Results do not depend on the folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FrameCache {
     /// The folder. It should be on a disk of this machine.
@@ -30,9 +30,9 @@ impl Default for FrameCache {
 }
 
 impl FrameCache {
-    /// What the environment says: `STANCE_CACHE` (a folder, else `stance` in `XDG_CACHE_HOME` or in `.cache` of the home
-    /// folder, else in the folder of temporary files) and `STANCE_CACHE_SIZE` (bytes, such as `8GB`). The caller passes
-    /// the way to read a variable.
+    /// Settings from the environment: `STANCE_CACHE` (a folder, else `stance` in `XDG_CACHE_HOME` or in `.cache` of the
+    /// home folder, else in the folder of temporary files) and `STANCE_CACHE_SIZE` (bytes, such as `8GB`). The caller
+    /// passes the way to read a variable.
     ///
     /// # Errors
     /// A size cannot be read; the text says which.
@@ -59,7 +59,7 @@ impl FrameCache {
         self.folder.join(format!("{key}.frames"))
     }
 
-    /// Notes that a file is used, so that others are removed before it.
+    /// Updates the time of last use of a file, so that unused files are removed first.
     pub(super) fn touch(path: &Path) {
         // A file that may not be written to can be read all the same.
         if let Ok(file) = File::options().append(true).open(path) {

@@ -1,4 +1,4 @@
-//! What a caption says that the person is doing, for instructions in the phrasing of the release.
+//! Turns captions into descriptions of the person's action, for instructions in the phrasing of the release.
 //!
 //! Captions are written by people in many ways. Those of the form "A person walks forward" or "someone is waving" become
 //! "The person is walking forward". The grammar is a short list of forms; a caption of any other form keeps its own
@@ -15,7 +15,7 @@ use super::instruction::instruction;
 /// Words of captions for the person who moves.
 const SUBJECTS: &str = "person man woman boy girl guy lady human figure character someone somebody individual \
      subject he she they";
-/// Words that may stand before the subject.
+/// Words that may precede the subject.
 const DETERMINERS: &str = "a an the this one";
 /// Words that may introduce another clause, whose verb would need another form too.
 const CONJUNCTIONS: &str =
@@ -79,7 +79,7 @@ static VERBS: LazyLock<Verbs> = LazyLock::new(|| {
     verbs
 });
 
-/// What a clip shows, in words for an instruction.
+/// Description of a clip for an instruction.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Described {
     /// The continuation of "The person is ...", such as "walking forward".
@@ -103,8 +103,8 @@ impl Described {
     }
 }
 
-/// What a clip shows: its first caption of the whole clip, else its first caption, else its action label; none if it has
-/// none of them.
+/// Description of a clip: its first caption of the whole clip, else its first caption, else its action label; none if
+/// it has none of them.
 pub fn described(captions: &[Caption], action: Option<&str>) -> Option<Described> {
     let of_whole = |caption: &&Caption| caption.from_s == 0.0 && caption.to_s == 0.0;
     let caption = captions.iter().find(of_whole).or(captions.first());
@@ -121,7 +121,7 @@ fn of_text(text: &str) -> Option<Described> {
     Some(doing.unwrap_or_else(|| Described::AsSaid(text.to_owned())))
 }
 
-/// The words after the subject, the first of them as a gerund; none if the text is of no known form.
+/// The words after the subject, the first of them as a gerund; none if the text has no known form.
 fn doing(text: &str) -> Option<String> {
     if text.contains(['.', ';', ':', '?', '!', '(', '"']) {
         return None;
@@ -150,7 +150,7 @@ fn doing(text: &str) -> Option<String> {
         true => VERBS.finite.get(verb).or_else(|| VERBS.gerunds.get(verb)),
         false => VERBS.gerunds.get(verb).or_else(|| VERBS.bare.get(verb)),
     }?;
-    // What somebody looks like is no action, and a "kneeling person" is a subject.
+    // "Looks like ..." is not an action, and "kneeling person" is a subject.
     let is_likeness = verb == "looking" && is(place + 1, "like as");
     if is_likeness || is(place + 1, SUBJECTS) || has_other_clause(&words[place + 1..]) {
         return None;

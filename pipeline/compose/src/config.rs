@@ -32,7 +32,7 @@ pub struct ComposeConfig {
     ///
     /// Source: what the rows "w/o MCM" of Tables 1 and A1 mean.
     pub fixed_pairs: bool,
-    /// Which motions partners are drawn from.
+    /// Motions from which partners are drawn.
     #[serde(skip_serializing_if = "BaseFilter::is_all")]
     pub base: BaseFilter,
     /// Kinds of edits that are composed, if there is data for them.
@@ -106,18 +106,18 @@ pub struct BaseFilter {
 }
 
 impl BaseFilter {
-    /// Whether every motion is of the base.
+    /// Whether every motion may be drawn as a partner.
     pub fn is_all(&self) -> bool {
         self.sources.is_empty()
     }
 
-    /// Whether motions of this kind of source are of the base.
+    /// Whether motions of this kind of source may be drawn as partners.
     pub(super) fn takes(&self, source: &str) -> bool {
         self.is_all() || self.sources.iter().any(|name| name == source)
     }
 }
 
-/// What an edit changes.
+/// Kind of an edit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum EditKind {
@@ -210,7 +210,7 @@ pub enum Alignment {
     /// None: the longer motion is cropped to the length of the shorter.
     #[default]
     None,
-    /// The motion before the edit is warped in time to align its poses with the one after it.
+    /// The motion before the edit is time-warped to align its poses with the motion after it.
     TimeWarp,
 }
 
@@ -231,7 +231,7 @@ pub enum SlerpRule {
     /// Spherical interpolation.
     #[default]
     Exact,
-    /// That of the released code, which averages nearly equal and nearly opposite rotations with equal weights.
+    /// The released code's interpolation, which averages nearly equal and nearly opposite rotations with equal weights.
     Official,
 }
 

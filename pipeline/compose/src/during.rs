@@ -10,7 +10,7 @@ use kinematics::rotation::slerp;
 /// Seconds at each end of an edited range over which the edit is blended with the original.
 const BLEND_SECS: f64 = 0.4;
 
-/// Whether edits of some ranges leave frames of a motion as they are.
+/// Whether edits of some ranges leave any frame of a motion unchanged.
 pub fn leaves_frames(num_frames: usize, edited: &[Range<usize>]) -> bool {
     edited_runs(edited) != std::slice::from_ref(&(0..num_frames))
 }
@@ -148,7 +148,7 @@ mod tests {
         }
     }
 
-    /// The same person, who raises an arm and turns left on the way.
+    /// The same person, who also raises an arm and turns left.
     fn turning_walk(frame: f64) -> Pose {
         let mut pose = walk(frame);
         let turn = DQuat::from_rotation_y(0.02 * frame);
@@ -211,7 +211,7 @@ mod tests {
         let first = found.pose(0);
         let up = from_axis_angle(DVec3::Z);
         assert!(angle_between(first.rotations[16], up) < 1e-6);
-        // It ends where the original is then.
+        // The run ends at the original's position in that frame.
         let end = found.pose(29);
         assert!(end.transl.distance(walk(29.0).transl) < 1e-6);
     }

@@ -18,7 +18,7 @@ pub enum Error {
     NoWindows {
         /// The dataset.
         path: PathBuf,
-        /// The split asked for.
+        /// The requested split.
         split: Split,
     },
     /// The windows recorded in this dataset are of several lengths.
@@ -67,19 +67,19 @@ pub enum Error {
     OtherSkeleton {
         /// The motion.
         motion: MotionId,
-        /// Its skeleton.
+        /// Skeleton of the motion.
         found: String,
         /// The library's skeleton.
         expected: String,
     },
-    /// A motion has another frame rate than the first one.
+    /// A motion and the first motion differ in frame rate.
     #[error(
         "motion {motion} is stored at {found} fps, others at {expected} fps; ingest all motions at one rate"
     )]
     OtherRate {
         /// The motion.
         motion: MotionId,
-        /// Its rate.
+        /// Rate of the motion in frames per second.
         found: f64,
         /// The rate of the first motion.
         expected: f64,
@@ -89,7 +89,7 @@ pub enum Error {
     Duplicate {
         /// Table of the rows.
         table: &'static str,
-        /// Their id.
+        /// Id of the rows.
         id: String,
     },
     /// A mask or pair belongs to a motion that is not there.
@@ -97,11 +97,11 @@ pub enum Error {
         "{table} {row:?} belongs to motion {motion}, which is not in the library; pass all motions of its split"
     )]
     UnknownMotion {
-        /// What names the motion.
+        /// Table of the row.
         table: &'static str,
-        /// Its id.
+        /// Id of the row.
         row: String,
-        /// The motion it names.
+        /// The motion of the row.
         motion: MotionId,
     },
     /// The mask of this id takes no joint.
@@ -110,12 +110,12 @@ pub enum Error {
     /// A mask or pair has no instruction.
     #[error("{table} {row:?} has no text; annotate it again")]
     EmptyText {
-        /// What has no text.
+        /// Table of the row.
         table: &'static str,
-        /// Its id.
+        /// Id of the row.
         row: String,
     },
-    /// A pair is of a kind that is not known.
+    /// A pair has an unknown kind.
     #[error("pair {pair:?} is of kind {found:?}; known are semantic, style and fine-grained")]
     PairKind {
         /// Id of the pair.
@@ -149,7 +149,7 @@ pub enum Error {
     Length {
         /// The motion.
         motion: MotionId,
-        /// Its frames.
+        /// Number of frames of the motion.
         found: usize,
         /// The frames that `n_frames` states.
         stated: i32,
@@ -157,7 +157,7 @@ pub enum Error {
     /// A file of the dataset cannot be read.
     #[error(transparent)]
     Spec(#[from] datasets_spec::Error),
-    /// A recording cannot go on.
+    /// A recording cannot continue.
     #[error(transparent)]
     Work(#[from] work::Error),
     /// A condition on clips cannot be understood, or chooses none.
@@ -171,7 +171,7 @@ pub enum Error {
     Frames {
         /// The file.
         path: PathBuf,
-        /// What was found.
+        /// The problem.
         problem: &'static str,
     },
     /// The frames of motions cannot be written to the disk.
@@ -183,7 +183,7 @@ pub enum Error {
     UnwrittenFrames {
         /// The file.
         path: PathBuf,
-        /// Its size.
+        /// Size of the file in bytes.
         bytes: u64,
         /// The cause.
         source: std::io::Error,
@@ -196,7 +196,7 @@ pub enum Error {
         /// What is wrong with it.
         source: datasets_spec::Error,
     },
-    /// A description speaks of a body part that does not exist.
+    /// A description names a body part that does not exist.
     #[error("motion {motion} describes an unknown body part")]
     Part {
         /// The motion.
@@ -209,7 +209,7 @@ pub enum Error {
     Config {
         /// Name of the setting.
         key: &'static str,
-        /// What is allowed.
+        /// The allowed values.
         expected: &'static str,
         /// The value found.
         got: f64,
@@ -247,12 +247,12 @@ pub enum Error {
         /// Number of the items drawn.
         count: usize,
     },
-    /// This motion has nothing to be blended with.
+    /// This motion has no partner to blend with.
     #[error(
         "motion {0} has no partner: no other clip drawn from its split is long enough; add motions, raise mcm_ratio or widen base.sources"
     )]
     NoPartner(MotionId),
-    /// The motion base is empty, because no motion is of the sources it is limited to.
+    /// The motion base is empty, because no motion comes from the sources it is limited to.
     #[error(
         "split {split} has no motion of the sources that base.sources names ({}); it has motions of {}: correct the setting or ingest such motions",
         wanted.join(", "),
@@ -261,7 +261,7 @@ pub enum Error {
     BaseSources {
         /// The split.
         split: Split,
-        /// The kinds of source asked for.
+        /// The requested kinds of source.
         wanted: Vec<String>,
         /// The kinds of source there are.
         found: Vec<String>,

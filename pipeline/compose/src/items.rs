@@ -29,7 +29,7 @@ const DIGEST_DIGITS: usize = 32;
 pub enum ItemCount {
     /// One of every mask and every pair.
     All,
-    /// This many. Every mask and pair is used before any is used again.
+    /// This number of items. Every mask and pair is used once before any is used again.
     Exactly(usize),
 }
 
@@ -86,15 +86,15 @@ impl From<ItemCount> for CountText {
     }
 }
 
-/// Which items are drawn.
+/// Selection of items.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ItemConfig {
-    /// How many.
+    /// Number of items.
     pub count: ItemCount,
-    /// Of which tasks; if empty, of all that have data.
+    /// Tasks of the items; if empty, all tasks with data.
     pub tasks: Vec<ItemTask>,
-    /// Of which novelty, in equal parts; if empty, of any, as it comes.
+    /// Novelties of the items, in equal parts; if empty, items of any novelty are drawn in random order.
     pub novelty: Vec<Novelty>,
     /// How many of those drawn are kept, the first ones of each novelty in equal parts; all if there is no such number.
     pub part: Option<usize>,
@@ -198,8 +198,7 @@ pub fn draw_items(
     })
 }
 
-/// What a set of items is known by, given their ids: BLAKE3 of them, sorted, each with a line end, 32 hexadecimal
-/// digits.
+/// Identity of a set of items: BLAKE3 of their sorted ids, each with a line end, as 32 hexadecimal digits.
 pub fn digest_of_ids<'a>(ids: impl Iterator<Item = &'a str>) -> String {
     let mut ids: Vec<&str> = ids.collect();
     ids.sort_unstable();
@@ -214,14 +213,14 @@ pub fn digest_of_ids<'a>(ids: impl Iterator<Item = &'a str>) -> String {
 }
 
 struct Quota {
-    /// Of any novelty.
+    /// Items still to draw, of any novelty.
     left: usize,
-    /// Of each that is asked for; none if any will do.
+    /// Items still to draw of each requested novelty; none if any novelty is allowed.
     of_each: Option<BTreeMap<Novelty, usize>>,
 }
 
 impl Quota {
-    /// So many items in equal parts; what is left over goes to the first ones.
+    /// Divides `count` items into equal parts; the remainder goes to the first novelties.
     fn of(novelty: &[Novelty], count: usize) -> Self {
         let asked: BTreeSet<Novelty> = novelty.iter().copied().collect();
         let (each, over) = match asked.len() {
@@ -279,7 +278,7 @@ enum Attempt {
 struct Drawer<'a> {
     library: &'a Library,
     config: &'a ComposeConfig,
-    /// What training shows.
+    /// Contents of the training split.
     shown: &'a Shown,
     /// Indices of the clips partners are drawn from.
     base: Vec<usize>,
@@ -322,7 +321,7 @@ impl Drawer<'_> {
         Ok(rows)
     }
 
-    /// The novelty of an item of a subject whose source, where it is a mask, is of this clip.
+    /// Novelty of an item of this subject; `source` is the clip of a mask's source.
     fn novelty(&self, subject: Subject, source: &MotionId) -> Option<Novelty> {
         let library = self.library;
         let text = library.text_of(subject);
@@ -620,7 +619,7 @@ mod tests {
     #[test]
     fn other_takes_are_of_the_same_action_and_style_and_blended_alike() {
         let (mut motions, masks) = fixture::rows(Split::Test, CLIPS);
-        // The waving clips are the annotated ones; the last of them is alone in its style.
+        // The waving clips are the annotated ones; the last of them has a style of its own.
         for (number, row) in motions.iter_mut().enumerate() {
             row.style = Some(if number == 8 { "old" } else { "plain" }.to_owned());
         }
@@ -636,7 +635,7 @@ mod tests {
             let other = other.expect("three more clips wave in plain style");
             let (source, target) = (item.source().expect("valid"), item.target().expect("valid"));
             assert!(other.len() <= source.len() && other.len() >= fixture::SPAN);
-            // Outside the mask it is the original, inside it is not the target.
+            // Outside the mask the edited motion equals the original, inside it does not equal the target.
             let masked = [item.hard_joints.as_slice(), item.soft_joints.as_slice()].concat();
             let masked = JointSet::try_from(masked).expect("known joints");
             for joint in 0..22 {

@@ -41,7 +41,7 @@ datasets_spec::table! {
 /// Order in which recorded windows are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReadOrder {
-    /// As they were recorded.
+    /// In the recorded order.
     Sequential,
     /// Blocks shuffled over all files for each epoch, and windows shuffled within every 16 blocks. The recorded
     /// stream is shuffled itself, so windows of a block are unrelated.
@@ -222,7 +222,7 @@ impl WindowLoader {
         if let Some(group) = held().iter().find(is_it) {
             return Ok(Arc::clone(group));
         }
-        // Not under the lock: the threads that read may wait for it.
+        // Read without the lock: reader threads may wait for it.
         let read = |&block: &usize| {
             let block = self.blocks[block];
             let rows: Vec<usize> = (block.first[0]..block.first[0] + block.num_rows).collect();
@@ -314,7 +314,7 @@ mod tests {
         whole
     }
 
-    /// The windows as byte strings, sorted: what there is, whatever the order.
+    /// The windows as sorted byte strings, to compare contents independent of order.
     fn contents(batch: &WindowBatch) -> Vec<(Vec<u32>, String)> {
         let window = batch.edited.len() / batch.progress.len();
         let mut all: Vec<(Vec<u32>, String)> = batch
@@ -333,7 +333,7 @@ mod tests {
 
     #[test]
     fn what_is_recorded_is_read_bit_for_bit_in_any_order() {
-        // Over two pages of 64 windows, the last of them cut off, and a single one.
+        // 150 windows fill two pages of 64 and part of a third; 1 window fills part of one.
         for count in [150, 1] {
             let (_dir, dataset, whole) = recorded(count);
             let open = |order| WindowLoader::open(&dataset, Split::Train, order).expect("windows");

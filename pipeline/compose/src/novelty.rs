@@ -1,4 +1,4 @@
-//! What of a test question training has shown.
+//! Novelty of a test question: which of its parts are in the training split.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -61,7 +61,7 @@ impl fmt::Display for Novelty {
     }
 }
 
-/// What a clip is said to show, and by whom.
+/// Action and style labels of clips, and their performer.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Group {
     action: String,
@@ -70,14 +70,14 @@ struct Group {
     performer: Option<(String, String)>,
 }
 
-/// An edit as it is asked for: by its instruction, or as a style.
+/// A requested edit: by its instruction, or as a style.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Edit {
     Text(String),
     Style(String),
 }
 
-/// A question, as far as its novelty depends on it.
+/// The parts of a question that its novelty depends on.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Asked<'a> {
     /// A mask: the clip that is edited, the annotated clip, and the text of the annotation.
@@ -95,12 +95,12 @@ pub(super) enum Asked<'a> {
     },
 }
 
-/// What the training split of a dataset shows.
+/// Contents of the training split of a dataset.
 #[derive(Clone, Debug, Default)]
 pub struct Shown {
     /// Groups of all clips with a known action, of every split.
     groups: BTreeMap<MotionId, Group>,
-    /// Groups, actions, and edits of the training split; edits with the action of the clip that they are of.
+    /// Groups, actions, and edits of the training split; each edit with the action of its clip.
     trained: BTreeSet<Group>,
     actions: BTreeSet<String>,
     edits: BTreeSet<Edit>,
@@ -215,7 +215,7 @@ mod tests {
         MotionId::parse(name).expect("an id")
     }
 
-    /// What training shows: two people walk, one waves, one kicks proudly; a mask says "Wave.", and a pair leads from
+    /// A training split: two people walk, one waves, one kicks proudly; a mask says "Wave.", and a pair leads from
     /// walking to walking with long steps.
     fn shown() -> Shown {
         let mut shown = Shown::default();

@@ -25,7 +25,7 @@ use crate::{COMPOSED, ComposeConfig, Error, Stream, train_stream};
 /// Name of the job.
 pub const JOB: &str = "triplets";
 
-/// What is recorded.
+/// Kind of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
@@ -45,10 +45,10 @@ impl Kind {
     }
 }
 
-/// What decides about a recording.
+/// Settings that a recording depends on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    /// What is recorded.
+    /// Kind of the recording.
     pub kind: Kind,
     /// How many.
     pub count: u64,
@@ -56,7 +56,7 @@ pub struct Settings {
     pub config: ComposeConfig,
     /// Seed of the stream.
     pub seed: Seed,
-    /// What holds for the clips that are composed.
+    /// SQL condition on the composed clips.
     #[serde(default, rename = "where", skip_serializing_if = "Option::is_none")]
     pub condition: Option<String>,
 }

@@ -62,7 +62,7 @@ impl Stream {
                 .count() as u64;
             let partners = if self.config.fixed_pairs { 1 } else { partners };
             let ways = self.library.halves_of(subject).len().max(1) as u64;
-            // A pair that always stays as it was captured is one.
+            // A pair that never gets a donor counts as one pair.
             let is_captured = self.library.undonored_ratio(subject, &self.config) >= 1.0;
             let count = if is_captured { 1 } else { partners * ways };
             *annotated.entry(kind).or_default() += 1;

@@ -13,11 +13,11 @@ use crate::during::{keep_outside, leaves_frames};
 /// same length and rate; outside the mask their local rotations are the same to the last bit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Triplet {
-    /// Its place in the stream.
+    /// Id in the stream.
     pub id: String,
-    /// The split of all motions in it.
+    /// Split of all motions of the triplet.
     pub split: Split,
-    /// What the edit changes: [`super::EditKind`].
+    /// Kind of the edit: [`super::EditKind`].
     pub kind: &'static str,
     /// The instruction of the edit.
     pub instruction: String,
@@ -160,7 +160,7 @@ impl Stream {
     }
 }
 
-/// An edit of some frames alone: the others are those of the original, and both meet as [`keep_outside`] says.
+/// Edits only some frames: the others equal the original, and [`keep_outside`] joins both.
 pub(super) fn within(
     original: &Motion,
     edited: Motion,
@@ -585,7 +585,7 @@ mod tests {
             let mut batch = crate::WindowBatch::default();
             for epoch in 0..20 {
                 stream.fill(epoch, 0, 1, &mut batch).expect("in memory");
-                // It starts at one of the first ten frames of the range.
+                // The window starts at one of the first ten frames of the range.
                 assert!(
                     (0.0..0.25).contains(&batch.progress[0]),
                     "{}",

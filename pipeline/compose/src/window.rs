@@ -106,8 +106,8 @@ enum Origin {
     Both,
 }
 
-/// What to compute for a blend with a mask. A point whose ancestors all come from one motion keeps its
-/// position in that motion; the other points need forward kinematics.
+/// Points to compute for a blend with a mask. A point whose ancestors all come from one motion keeps its position in
+/// that motion; the other points need forward kinematics.
 #[derive(Clone, Debug)]
 pub(super) struct BlendPlan {
     origins: [Origin; NUM_BODY_JOINTS],
@@ -414,7 +414,7 @@ impl Composer {
     }
 }
 
-/// A window to be written: of frames, or of a blend with others.
+/// A window to write: from plain frames, or from a blend with other frames.
 struct Compose<'a> {
     composer: &'a Composer,
     source: &'a [Frame],

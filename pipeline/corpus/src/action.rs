@@ -92,14 +92,14 @@ pub(super) struct Facts {
     pub(super) count: usize,
 }
 
-/// What is asked of a performance beyond its action and style; by default nothing.
+/// Requirements on a performance besides its action and style; by default none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Asked {
     /// Another number of repetitions.
     pub(super) times: Option<usize>,
     /// The other arm, leg or direction than the take has.
     pub(super) is_mirrored: bool,
-    /// At least so long, in seconds; the body stands still at the end.
+    /// Minimum duration in seconds; the body stands still at the end.
     pub(super) least_secs: f64,
 }
 

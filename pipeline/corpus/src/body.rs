@@ -52,7 +52,7 @@ pub(super) struct Coupling {
     /// Rise of the pelvis in the middle of a stance in metres; negative in a run, whose body is
     /// lowest there.
     pub(super) bob: f64,
-    /// Share of the style's bounce that is added to it.
+    /// Share of the style's bounce that is added to the gait.
     pub(super) bounce: f64,
     /// How far a lifted foot counts as ahead, in metres per metre. It makes the arms swing when marching on the
     /// spot.
@@ -516,8 +516,7 @@ impl Tracks {
         });
         let chest = rotation * spine[0] * spine[1] * spine[2];
 
-        // Eyes stay on the way: the head keeps level while the trunk moves, except that a deep
-        // bend takes it along.
+        // The eyes look ahead: the head stays level while the trunk moves, except in a deep bend.
         let follow = 0.35 * (trunk_bend + tilt - style.tilt);
         let gaze = DQuat::from_rotation_y(
             ground.heading + head_turn + 0.3 * trunk_turn + self.head_noise[2].at(secs),
@@ -590,7 +589,7 @@ impl Tracks {
         );
 
         let [.., collar, shoulder, elbow_joint, wrist] = joints(side);
-        // The shoulder blade takes part in raising the arm.
+        // The shoulder blade rotates with the raised arm.
         let raised = (torso.chest.inverse() * towards).y;
         let shrug = side.sign() * (style.shrug + 0.28 * (raised + 0.5).max(0.0));
         let collar_rotation =

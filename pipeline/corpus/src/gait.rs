@@ -323,7 +323,7 @@ impl FootTrack {
 pub(super) struct Gait {
     /// Mean time from one touch-down to the other foot's in seconds.
     pub(super) step_secs: f64,
-    /// Share of a cycle that a foot stands: above a half one walks, below one runs.
+    /// Share of a cycle in which a foot is on the floor: above a half for walking, below for running.
     pub(super) duty: f64,
     /// Distance of each ankle from the line of travel in metres.
     pub(super) half_width: f64,

@@ -45,7 +45,7 @@ const ASIDE: Hold = hold([0.96, -0.05, 0.22], 0.2, [0.0, -0.6, -1.0]);
 const OVERHEAD: Hold = hold([0.14, 0.97, 0.08], 0.16, [0.9, 0.0, -0.5]);
 const FORWARD: Hold = hold([0.05, -0.05, 1.0], 0.2, [0.7, -0.7, 0.0]);
 const AT_EAR: Hold = hold([-0.03, 0.13, 0.13], 2.38, [0.75, -0.6, 0.25]);
-/// A hand on the thigh of a sitting body.
+/// A hand on the thigh while sitting.
 const ON_THIGH: Hold = hold([-0.02, -0.80, 0.60], 0.75, [0.7, -0.1, -0.8]);
 /// An arm that follows the trunk of a bowing body, half led by gravity.
 const BESIDE: Hold = Hold {
@@ -440,7 +440,7 @@ pub(super) fn phone(script: &mut Script, style: &Style, side: Side, from: f64, t
     ]);
 }
 
-/// Rests both hands on the thighs from `from` to `to`.
+/// Rests both hands on the thighs between two times.
 pub(super) fn hands_on_thighs(script: &mut Script, style: &Style, from: f64, to: f64) {
     for side in Side::BOTH {
         let mut arm = ArmScript::begin(script, style, side, from);

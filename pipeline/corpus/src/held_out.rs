@@ -17,9 +17,10 @@ use super::style;
 pub(super) const TAKES: usize = 5;
 /// Takes of the performers that training shows.
 const SHOWN_TAKES: usize = 4;
-/// Actions of the test split alone: what bends the body to the floor, and what leaves the floor with both feet.
+/// Actions that are only in the test split: those that bend the body to the floor, and those that leave the floor with
+/// both feet.
 const TEST_ACTIONS: [Action; 4] = [Action::Bow, Action::PickUp, Action::Jump, Action::Hop];
-/// Actions of the validation split alone.
+/// Actions that are only in the validation split.
 const VAL_ACTIONS: [Action; 2] = [Action::Turn, Action::SideStep];
 
 pub(super) fn is_shown(action: Action) -> bool {

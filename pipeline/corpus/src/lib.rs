@@ -78,7 +78,7 @@ pub enum Error {
     Write {
         /// The file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
 }
@@ -140,7 +140,7 @@ enum ClipFormat {
     Bvh,
 }
 
-/// What was written.
+/// Counts of the written corpus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct CorpusSummary {
     /// Clips without the adjusted ones.
@@ -239,7 +239,7 @@ pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip
         .collect()
 }
 
-/// What the sidecars of a clip and of its adjusted performances state alike.
+/// Labels that the sidecars of a clip and of its adjusted performances share.
 fn stated(action: Action, take: usize) -> Sidecar {
     Sidecar {
         subject: Some(Performer::of_take(take).name()),

@@ -22,7 +22,7 @@ pub(super) struct Limb {
 pub(super) struct LimbPose {
     /// Global rotation of the first bone.
     pub(super) upper: DQuat,
-    /// Rotation of the second bone relative to the first, about the hinge alone.
+    /// Rotation of the second bone relative to the first, about the hinge axis.
     pub(super) hinge: DQuat,
 }
 

@@ -24,14 +24,14 @@ pub const SEEN_PAIR_LIST: &str = "pairs-seen.csv";
 /// Takes of each question of a limit.
 const TAKES: usize = 5;
 
-/// What is asked.
+/// Generalisation that a test set asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Limit {
-    /// To do something once, twice or three times.
+    /// Do something once, twice or three times.
     Repetition,
-    /// To use the other hand, or to go to the other side.
+    /// Use the other hand, or go to the other side.
     Spatial,
-    /// What training shows, in words that it has not.
+    /// Edits of the training split, with instructions in other words.
     Wording,
 }
 
@@ -72,7 +72,7 @@ struct Question {
     instruction: String,
     parts: Vec<BodyPart>,
     kind: EditKind,
-    /// What is asked in the words of training; none of a style, whose instruction follows from its name.
+    /// The instruction in the words of training; none for a style, whose instruction follows from its name.
     seen: Option<&'static str>,
 }
 

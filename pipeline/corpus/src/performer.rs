@@ -20,8 +20,8 @@ impl Performer {
         format!("performer-{}", self.0 + 1)
     }
 
-    /// The style as this performer plays it: tempo, size and posture differ by what is drawn for the performer once, and
-    /// less than between styles. The first performer plays it as it is described.
+    /// The style as this performer plays it: tempo, size and posture differ by what is drawn for the performer once,
+    /// and less than between styles. The first performer plays the style without a change.
     pub(super) fn plays(self, style: &Style, seed: Seed) -> Style {
         if self.0 == 0 {
             return *style;

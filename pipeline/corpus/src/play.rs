@@ -20,7 +20,7 @@ pub(super) fn script(
     scatter: &mut Rng,
 ) -> (Script, Facts) {
     let facts = facts(action, asked, take);
-    // Of actions that are always done twice.
+    // Default for actions that are always done twice.
     let times = asked.times.unwrap_or(2);
     let mut script = match action {
         Action::Walk => Travel::walk(take).perform(style, take, scatter),
@@ -53,7 +53,7 @@ pub(super) fn script(
     (script, facts)
 }
 
-/// Draws what a description mentions; what is asked takes precedence over it.
+/// Draws the facts that a description mentions; explicit requests take precedence.
 fn facts(action: Action, asked: Asked, take: &mut Rng) -> Facts {
     let drawn = Facts {
         side: match action {

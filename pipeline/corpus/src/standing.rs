@@ -1,4 +1,4 @@
-//! The actions of a body that stands, and its throws and jumps.
+//! Actions of a standing body, throws and jumps.
 
 use datasets_spec::Rng;
 use glam::DVec3;
@@ -14,7 +14,7 @@ use super::style::Style;
 /// Time before the first and after the last event of a standing clip, in seconds.
 const STILL_SECS: f64 = 0.45;
 
-/// A body that stands at the origin; `act` adds its action from a time on and returns its end.
+/// A body that stands at the origin; `act` adds its action from a start time on and returns the end time.
 fn standing(
     style: &Style,
     scatter: &mut Rng,

@@ -96,7 +96,7 @@ fn splits_hold_out_families_a_performer_and_a_style_of_each_action() {
     assert_eq!(trained.len(), 20);
     let unseen: Vec<&str> = actions(Split::Test).difference(&trained).copied().collect();
     assert_eq!(unseen, ["bow", "hop", "jump", "pick-up"]);
-    // Of every action of training, five of six styles are there, neutral among them.
+    // Every training action has clips of five of six styles in the training split, including neutral.
     for action in &trained {
         let styles: Vec<&str> = cells[&Split::Train]
             .iter()
@@ -223,7 +223,7 @@ fn mean(motion: &Motion, of: impl Fn(&[glam::DVec3; 28], usize) -> f64) -> f64 {
     sum / points.len() as f64
 }
 
-/// What an adjustment is about, in radians, metres or metres a second, greater the further it goes.
+/// Size of an adjusted property in radians, metres or m/s; larger for a stronger adjustment.
 fn measured(adjustment: &str, motion: &Motion) -> f64 {
     let poses = motion.poses();
     let bend = |frame: usize, joint: usize| {

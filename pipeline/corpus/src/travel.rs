@@ -1,4 +1,4 @@
-//! The ways of getting from place to place, and what is done on the way.
+//! Locomotion, and actions during it.
 
 use std::f64::consts::{PI, TAU};
 

@@ -1,4 +1,4 @@
-//! What is said of each action.
+//! Words for captions of each action.
 
 use datasets_spec::BodyPart;
 
@@ -8,8 +8,8 @@ pub(super) struct Words {
     actions: &'static [Action],
     /// Sentences about the whole body.
     pub(super) sentences: &'static [&'static str],
-    /// Phrases about single parts, if a part has a describable action. Each completes "The person is ... with
-    /// their <part>." Without a part they speak of the arm that acts.
+    /// Phrases about single parts, if a part has a describable action. Each completes "The person is ... with their
+    /// <part>." The part `None` means the acting arm.
     pub(super) parts: &'static [(Option<BodyPart>, &'static str)],
 }
 

@@ -481,7 +481,7 @@ mod tests {
         }
     }
 
-    /// Where the body stands and faces in the world does not matter.
+    /// The position and heading of the body do not matter.
     #[test]
     fn the_features_do_not_depend_on_place_or_facing() {
         let recorded = read("humanml3d_random0");

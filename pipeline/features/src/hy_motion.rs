@@ -162,7 +162,7 @@ mod tests {
         let skeleton = Skeleton::smplx_neutral();
         let mut pose = Pose::REST;
         pose.transl = DVec3::new(5.0, 1.25, 3.0);
-        // Its matrix, by rows: 1 0 0, 0 0 -1, 0 1 0.
+        // The rotation matrix by rows: 1 0 0, 0 0 -1, 0 1 0.
         pose.rotations[4] = DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2);
         let motion = Motion::from_poses(released_fps(), &[pose]).expect("valid");
         let features = features_of_motion(&motion, &skeleton).expect("at its rate");

@@ -147,7 +147,7 @@ fn recover_root(features: &[Features]) -> Vec<(DMat3, DVec3)> {
         .iter()
         .map(|frame| {
             let [x, z] = numbers(frame, 0);
-            // Of the frame before; of the first frame, the identity.
+            // The root step is relative to the heading of the previous frame; for the first frame, to the identity.
             ground += unturn.transpose() * DVec3::new(x, 0.0, z);
             unturn = from_six_d_rows(numbers(frame, 2)) * unturn;
             (unturn.transpose(), ground.with_y(0.0))
@@ -245,7 +245,7 @@ fn leg_ratio(features: &[Features], skeleton: &Skeleton) -> Option<f64> {
         (knee - hip).length() + (ankle - knee).length()
     });
     let mean = legs.sum::<f64>() / features.len() as f64;
-    /// Shortest leg in metres that has a size at all.
+    /// Legs at most this long, in metres, count as degenerate.
     const SHORTEST_M: f64 = 1e-3;
     (mean > SHORTEST_M && mean.is_finite()).then(|| (knee + ankle) / mean)
 }
@@ -362,7 +362,7 @@ mod tests {
     fn circle(radius: f64, turn: f64, frames: i32) -> Vec<Pose> {
         (0..frames)
             .map(|frame| {
-                // It begins somewhere, facing anywhere.
+                // The motion starts at an arbitrary position and heading.
                 let heading = 2.1 + turn * f64::from(frame);
                 let mut pose = Pose::REST;
                 pose.rotations[0] = DQuat::from_rotation_y(heading);

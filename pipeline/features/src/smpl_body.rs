@@ -51,7 +51,7 @@ pub fn smpl_body(skeleton: &Skeleton) -> Skeleton {
             Some(direction) => direction * offset.length(),
             None => offset,
         };
-        // A parent stands before its children.
+        // A parent precedes its children.
         let parent = usize::try_from(PARENTS[joint]).map_or(DVec3::ZERO, |parent| joints[parent]);
         joints[joint] = parent + bone;
     }

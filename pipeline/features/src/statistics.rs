@@ -1,4 +1,4 @@
-//! Mean and standard deviation of features, as folders of them ship them.
+//! Mean and standard deviation of features, in the format of published feature folders.
 
 use std::ops::Range;
 

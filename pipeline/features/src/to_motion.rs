@@ -246,8 +246,8 @@ mod tests {
         let motion = wandering("to-motion", 40);
         let joints = smpl_joints(&motion);
         let (found, error) = motion_of_joints(&joints, Fps::STORE, &skeleton).expect("a body");
-        // The three bones that leave pelvis and chest are rigid in the source as they are here, so
-        // only what the hands and head would say of twists is free, and no bone shows it.
+        // The three bones at pelvis and chest are rigid both in the source and here, so only twists shown by hands and
+        // head are free, and no bone of the body shows these.
         assert!(error < 1e-6, "{error}");
         for (a, b) in smpl_joints(&found).iter().zip(&joints) {
             for joint in 1..NUM_BODY_JOINTS {
@@ -286,7 +286,7 @@ mod tests {
         let body = smpl_body(&skeleton);
         let [pointed, fitted] = [pointed, fitted].map(|motion| joints_of_motion(&motion, &body));
         for (a, b) in pointed.iter().flatten().zip(fitted.iter().flatten()) {
-            // Features hold positions and rotations in f32, and the root's path in a sum of them.
+            // Features store positions and rotations in f32, and the root's path is a sum of f32 steps.
             assert!(a.distance(*b) < 1e-3, "{a} and {b}");
         }
     }

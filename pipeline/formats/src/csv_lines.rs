@@ -65,8 +65,8 @@ fn unclosed(raw: &[u8]) -> String {
     )
 }
 
-/// Whether a quoted field of the record does not end, or goes on behind the quote that ends it. A field that begins
-/// with a quote ends with one, and has others only in pairs.
+/// Whether a quoted field of the record is not closed, or continues after its closing quote. A field that begins with a
+/// quote ends with one, and has only pairs of quotes inside.
 fn is_open(record: &[u8]) -> bool {
     let mut bytes = record.trim_ascii().iter().copied().peekable();
     while bytes.peek().is_some() {

@@ -11,13 +11,13 @@ use serde::{Deserialize, Deserializer, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sidecar {
-    /// What the clip shows.
+    /// Captions of the clip.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub captions: Vec<LabelCaption>,
-    /// What single body parts do.
+    /// Captions of single body parts.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<PartCaption>,
-    /// Who performs it.
+    /// Name of the performer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub subject: Option<String>,
     /// Action label.
@@ -37,11 +37,11 @@ pub struct Sidecar {
 /// The content of a file of labels.
 #[derive(Default)]
 pub(crate) struct Content {
-    /// What is said of all clips of the folder.
+    /// Labels of all clips of the folder.
     pub(crate) all: Sidecar,
     /// Line, if there is one, name or pattern, and labels of some clips.
     pub(crate) clips: Vec<(Option<u64>, String, Sidecar)>,
-    /// What cannot be used.
+    /// Parts of the file that cannot be used.
     pub(crate) problems: Vec<String>,
 }
 
@@ -56,7 +56,7 @@ pub struct LabelCaption {
     /// The caption; its times are 0 where it speaks of the whole clip.
     #[serde(flatten)]
     pub caption: Caption,
-    /// Who wrote it: `source`, or `rule` if it was made from a file name.
+    /// Author of the caption: `source`, or `rule` if it was made from a file name.
     #[serde(skip_serializing_if = "is_by_source")]
     pub origin: String,
 }
@@ -66,7 +66,7 @@ fn is_by_source(origin: &str) -> bool {
 }
 
 impl LabelCaption {
-    /// Whether it was made by rule.
+    /// Whether a rule made the caption.
     pub fn is_made(&self) -> bool {
         self.origin == CAPTION_BY_RULE
     }

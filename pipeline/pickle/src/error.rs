@@ -1,6 +1,6 @@
 //! Errors of reading a container.
 
-/// What is wrong with a container, and where.
+/// Error in a container file, with its offset.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{code}: {reason}")]
 pub struct Error {

@@ -75,7 +75,7 @@ impl Header {
         Self::parse_text(name, head).map(|(header, _)| header.shape)
     }
 
-    /// Parses the header alone, and returns the type as it is written too.
+    /// Parses only the header; also returns the type's text.
     fn parse_text(name: &str, bytes: &[u8]) -> Result<(Self, String), Error> {
         let (literal, data_start) = Self::parse_literal(name, bytes)?;
         let (dtype, big_endian) = parse_descr(name, &literal.descr)?;
@@ -298,7 +298,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Reads the first item of an array of text, whatever its dimensions.
+/// Reads the first item of an array of text, of any dimensions.
 ///
 /// # Errors
 /// As [`Header::parse`]; `E-NPY-DTYPE` for numbers.

@@ -8,7 +8,7 @@ use crate::value::Value;
 /// Index of an object in the machine's store.
 pub(crate) type Id = u32;
 
-/// A name whose meaning this reader knows.
+/// A Python global (module and name) that this reader supports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Global {
     /// Makes an empty NumPy array that is filled by its state.

@@ -310,7 +310,7 @@ fn tensors_are_read_from_every_container_of_torch() {
 
 #[test]
 fn attributes_of_an_ordered_dictionary_are_left_out() {
-    // What PyTorch writes for a state dict: entries, then `_metadata` as an attribute.
+    // PyTorch's pickle of a state dict: entries, then `_metadata` as an attribute.
     let value = read(
         b"\x80\x02ccollections\nOrderedDict\n)R(X\x01\x00\x00\x00aK\x01u}X\x09\x00\x00\x00_metadata\
           ccollections\nOrderedDict\n)RX\x00\x00\x00\x00}X\x07\x00\x00\x00versionK\x01sssb.",

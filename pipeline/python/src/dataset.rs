@@ -116,7 +116,7 @@ impl Dataset {
     }
 }
 
-/// A test question: a motion, what is asked of it, and the motion it should become.
+/// A test question: a motion, its instruction, and the target motion.
 #[pyclass(frozen, module = "stance")]
 #[derive(Clone, Debug)]
 pub(crate) struct Item {
@@ -174,7 +174,7 @@ impl Item {
         Ok(Motion::of(inner, &self.skeleton))
     }
 
-    /// The motion it should become; none where the question has no answer.
+    /// The target motion; none if the question has no target.
     #[getter]
     fn target(&self) -> PyResult<Option<Motion>> {
         if self.row.target_frames == 0 {

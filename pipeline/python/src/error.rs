@@ -5,7 +5,7 @@ use std::error::Error;
 use datasets_spec::Code;
 use pyo3::prelude::*;
 
-/// What becomes a `stance.Error`: the words, the code and the item.
+/// Fields of a `stance.Error`: message, code and item.
 #[derive(Debug)]
 pub(crate) struct Failure {
     message: String,

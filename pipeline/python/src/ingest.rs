@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 use crate::error::Failure;
 use crate::work;
 
-/// What another run is told while this one holds the lock of a folder.
+/// Description of this run in the lock file, for other runs.
 fn holder() -> String {
     format!("Python, process {}", std::process::id())
 }

@@ -312,7 +312,7 @@ impl Motion {
         self.inner.duration_secs()
     }
 
-    /// BLAKE3 of rate and numbers, as column `content_hash` has it.
+    /// BLAKE3 of rate and numbers, as in column `content_hash`.
     #[getter]
     fn content_hash(&self) -> String {
         self.inner.content_hash()

@@ -58,7 +58,7 @@ pub(crate) fn quick<T: Send>(
     Ok(py.detach(|| pool()?.install(work))?)
 }
 
-/// What unwinds through a stage that Ctrl-C ends.
+/// Panic payload that ends a stage after Ctrl-C.
 struct Interrupted;
 
 /// Runs work of seconds or hours without Python's lock. Ctrl-C raises `KeyboardInterrupt` when the work next reports

@@ -243,7 +243,7 @@ fn masks_of(row: &MotionRow, active: &BTreeSet<Region>) -> Result<Vec<MaskRow>, 
         })?;
         let action = described.text.trim().trim_end_matches('.');
         if !action.is_empty() {
-            // Of several descriptions of one part, the first is used, as with captions.
+            // The first of several descriptions of a part is used, as with captions.
             texts
                 .entry(part)
                 .or_insert_with(|| (instruction(action, part), IMPORTED));

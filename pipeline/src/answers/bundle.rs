@@ -37,7 +37,7 @@ const MAX_ANSWERS_LEN: u64 = 4 << 30;
 const MIN_FRAMES: usize = 3;
 const BATCH_ROWS: usize = 64;
 
-/// What a bundle says of itself.
+/// Description of a bundle in its `bundle.json`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BundleFacts {
@@ -47,7 +47,7 @@ pub struct BundleFacts {
     pub system: String,
     /// BLAKE3 of its checkpoint, hexadecimal; empty where no model took part.
     pub checkpoint_hash: String,
-    /// Settings it answered with.
+    /// Settings of the system.
     pub settings: serde_json::Map<String, serde_json::Value>,
     /// Licence of the answers: an SPDX identifier or expression.
     pub license: String,
@@ -57,7 +57,7 @@ pub struct BundleFacts {
     pub items: usize,
     /// Answers to each item.
     pub takes: usize,
-    /// Hash of the encoder that the answers are to be judged by, hexadecimal; none for any.
+    /// Hash of the encoder that scores the answers, hexadecimal; none if any encoder may.
     pub judge_hash: Option<String>,
     /// Name of the skeleton.
     pub skeleton: String,
@@ -71,7 +71,7 @@ pub type Rates<'a> = BTreeMap<&'a str, f32>;
 /// A bundle that was checked against its items.
 #[derive(Clone, Debug)]
 pub struct Bundle {
-    /// What it says of itself.
+    /// Description of the bundle.
     pub facts: BundleFacts,
     /// The answers, by item, then by seed.
     pub rows: Vec<EditRow>,
@@ -219,7 +219,7 @@ impl Bundle {
         )?)
     }
 
-    /// What a person wants to know of the bundle.
+    /// Text of the bundle's card.
     fn card(&self) -> String {
         let BundleFacts {
             system,

@@ -211,7 +211,7 @@ fn of_value(value: &Value) -> Result<Recorded, Rejected> {
     Ok(Recorded {
         fps: fps.or(Some(MOTIONFIX_FPS)),
         up: Up::Z,
-        // Its evaluation integrates from its own origin and heading.
+        // The features' evaluation integrates from its own origin and heading.
         place: Place::Source,
         ..recorded
     })

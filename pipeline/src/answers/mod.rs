@@ -69,7 +69,7 @@ pub struct AnswerReport {
 pub struct Refusal {
     /// Path of the file, relative to what was given.
     pub file: String,
-    /// Its name: the stem of the file, or the id of the row.
+    /// Name of the answer: the stem of the file, or the id of the row.
     pub name: String,
     /// Code that scripts may rely on.
     pub code: &'static str,

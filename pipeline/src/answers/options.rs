@@ -5,16 +5,16 @@ use datasets_spec::{Fps, Seed};
 /// The vertical axis of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Up {
-    /// As in the store.
+    /// y up, as in the store.
     Y,
-    /// As in AMASS and MotionFix.
+    /// z up, as in AMASS and MotionFix.
     Z,
 }
 
 /// Placement of an answer on the ground.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// As in its file.
+    /// Unchanged, as in the file.
     File,
     /// On the floor, with the position and heading of the first frame of the item's source.
     Source,
@@ -25,9 +25,9 @@ pub enum Place {
 pub struct AnswerOptions {
     /// Name of the system in tables.
     pub system: String,
-    /// The settings it answered with, a JSON object.
+    /// Settings of the system, a JSON object.
     pub settings: String,
-    /// Seed of answers that state none; takes of one item differ by it.
+    /// Seed of answers that state none; it distinguishes takes of one item.
     pub seed: Seed,
     /// Rate of all answers, in place of the files' own.
     pub fps: Option<Fps>,

@@ -106,7 +106,7 @@ fn store_npz(motion: &Motion, fps: f64) -> Vec<u8> {
     ])
 }
 
-/// What `numpy.save` makes of a dictionary: an array of one object, pickled.
+/// Bytes that `numpy.save` writes for a dictionary: an array of one pickled object.
 fn npy_of(value: Value) -> Vec<u8> {
     let pickled = pickle::encode(&Value::List(vec![value]));
     npy(
@@ -574,7 +574,7 @@ fn damage_to_a_table_is_refused_wherever_it_is() {
     for at in 0..bytes.len() {
         let mut damaged = bytes.clone();
         damaged[at] ^= 0x41;
-        // What can still be read is read; nothing else but a refusal may come back.
+        // Damaged files are read as far as possible, or refused; nothing else may happen.
         if let Err(rejected) = table::read(damaged) {
             assert!(rejected.code.starts_with("E-TABLE"), "{at}: {rejected:?}");
         }

@@ -1,4 +1,4 @@
-//! What to do before ingesting.
+//! Advice before ingesting.
 
 use formats::source::amass::catalogue::Subset;
 use formats::source::motionfix;

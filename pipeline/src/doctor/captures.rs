@@ -50,7 +50,7 @@ fn is_capture(kind: &Recognised) -> bool {
 
 /// The reasons why a capture gives no motion, one for each person in it.
 fn refused(file: &Looked, options: &ReadOptions) -> Vec<Rejected> {
-    // What cannot be read is found out by ingestion, with its reason.
+    // Ingestion reports unreadable files with the reason.
     let Ok(bytes) = ByPath.read(&file.path) else {
         return Vec::new();
     };

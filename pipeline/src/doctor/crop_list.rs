@@ -20,7 +20,7 @@ pub(super) fn index_among(files: &Files) -> Option<(PathBuf, Vec<IndexRow>)> {
         })
 }
 
-/// Which rows of the crop list have their recording among the files.
+/// Counts the rows of the crop list whose recordings are among the files.
 pub(super) fn ask(path: PathBuf, rows: &[IndexRow], files: &Files) -> IndexFindings {
     let recordings = humanml3d_amass::recordings(files);
     let mut subsets: BTreeMap<String, IndexSubset> = BTreeMap::new();

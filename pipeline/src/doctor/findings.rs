@@ -1,4 +1,4 @@
-//! What a diagnosis says: findings by source and kind, and the estimate.
+//! Result of a diagnosis: findings by source and kind, and the estimate.
 
 use std::path::PathBuf;
 
@@ -19,7 +19,7 @@ const PACKED_SHARE: f64 = 0.92;
 /// 34,000, HumanML3D vectors 16,000 and AMASS archives 57,000.
 const FRAMES_PER_CORE_SECOND: f64 = 20_000.0;
 
-/// What is among the sources.
+/// Findings in all sources.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Diagnosis {
     /// Findings by source, in the order given.
@@ -28,18 +28,18 @@ pub struct Diagnosis {
     pub index: Option<IndexFindings>,
     /// All sources together.
     pub estimate: Estimate,
-    /// What to do before ingesting, most important first.
+    /// Advice before ingesting, most important first.
     pub advice: Vec<String>,
 }
 
-/// What is in one source.
+/// Findings in one source.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Findings {
     /// The source.
     pub path: PathBuf,
     /// Number of files of any kind.
     pub files: u64,
-    /// Their size in bytes.
+    /// Total size of the files in bytes.
     pub bytes: u64,
     /// Files by motion format, or by the reason why they are skipped.
     pub kinds: Vec<Kind>,
@@ -68,7 +68,7 @@ pub struct Findings {
 /// Captures of markers that ingestion would refuse for one reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct CaptureFindings {
-    /// Code that they would be quarantined with.
+    /// Code of the rejection.
     pub code: String,
     /// Motions that are refused.
     pub motions: u64,
@@ -83,11 +83,11 @@ pub struct CaptureFindings {
 pub struct LicenseFindings {
     /// The folder, relative to its source; empty for the source itself.
     pub folder: String,
-    /// Its tag: an SPDX identifier where there is one; none if no file could be recognised.
+    /// SPDX identifier or another tag of the licence; none if no file could be recognised.
     pub license: Option<String>,
-    /// Whether it forbids commercial use.
+    /// Whether the licence forbids commercial use.
     pub non_commercial: bool,
-    /// Licence files and readmes that state it.
+    /// Licence files and readmes that state the licence.
     pub files: Vec<String>,
     /// Licence files that were not recognised.
     pub unknown: Vec<String>,
@@ -100,13 +100,13 @@ pub struct Kind {
     pub name: String,
     /// Whether they are read as motions.
     pub is_motion: bool,
-    /// Their number.
+    /// Number of files.
     pub files: u64,
-    /// Their size in bytes.
+    /// Total size of the files in bytes.
     pub bytes: u64,
 }
 
-/// What is in a HumanML3D folder.
+/// Findings in a HumanML3D folder.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct HumanMl3dFindings {
     /// The folder, relative to its source.
@@ -117,7 +117,7 @@ pub struct HumanMl3dFindings {
     pub vectors: u64,
     /// Ids with captions.
     pub texts: u64,
-    /// Its lists of ids.
+    /// Lists of ids in the folder.
     pub lists: Vec<ListFindings>,
     /// Ids with captions and no motion.
     pub texts_without_motion: u64,
@@ -132,11 +132,11 @@ pub struct HumanMl3dFindings {
 pub struct ListFindings {
     /// The list, relative to the source.
     pub file: String,
-    /// Ids it names.
+    /// Ids in the list.
     pub ids: u64,
-    /// Of these, ids without joints and vector.
+    /// Ids in the list without joints and vector.
     pub without_motion: u64,
-    /// Of these, ids without captions.
+    /// Ids in the list without captions.
     pub without_text: u64,
     /// Some of the ids without a motion.
     pub examples: Vec<String>,
@@ -149,7 +149,7 @@ pub struct SubsetFindings {
     pub name: String,
     /// Recordings, body shapes left out.
     pub files: u64,
-    /// Their size in bytes.
+    /// Total size of the files in bytes.
     pub bytes: u64,
     /// Variants of the sampled files.
     pub variants: Vec<String>,

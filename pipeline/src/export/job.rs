@@ -157,7 +157,7 @@ impl Export {
         Clips::of(&self.dataset, &self.shards)
     }
 
-    /// What each piece writes; none for all.
+    /// Part that each piece writes; none if it writes all.
     fn parts(&self) -> Vec<Option<Part>> {
         match self.form {
             Form::ByClip(_) => self
@@ -245,7 +245,7 @@ impl Export {
 struct Written {
     clips: u64,
     notes: Vec<Note>,
-    /// What an export in one piece says. Pieces of earlier versions say nothing.
+    /// Result of an export in one piece. Pieces of earlier versions have none.
     #[serde(default)]
     whole: Exported,
 }
@@ -293,7 +293,7 @@ impl Job for Export {
             Ok(Made::new(files, &written))
         };
         let ended = write();
-        // It is there only if it did not get its name; what matters is reported.
+        // The folder exists only if it was not renamed; the error itself is already returned.
         let _removed = fs::remove_dir_all(&made);
         ended.map_err(|error: Error| error.into())
     }

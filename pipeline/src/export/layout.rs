@@ -78,8 +78,8 @@ impl Layout {
     }
 }
 
-/// What a user should know before the clips are written in a layout: that its loaders would find no texts, or that
-/// names are shortened. Only columns of labels are read.
+/// Warnings before the clips are written in a layout: its loaders would find no texts, or names are shortened. Only
+/// columns of labels are read.
 ///
 /// # Errors
 /// The dataset cannot be read.

@@ -1,4 +1,4 @@
-//! What an export holds, and what its layout has no place for, by number.
+//! Counts of an export: exported items, and items that its layout cannot hold.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -20,11 +20,11 @@ pub type Counts = BTreeMap<String, u64>;
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Exported {
-    /// Clips in it, or triplets.
+    /// Exported clips or triplets.
     pub clips: u64,
-    /// What was left out, because the layout has no place for it.
+    /// Items left out, because the layout cannot hold them.
     pub left_out: Counts,
-    /// What lies in files of this program beside the published layout.
+    /// Items in this program's own files beside the published layout.
     pub beside: Counts,
     /// Partial folders beside it of another machine, which may be at work on them.
     pub left_by_others: Vec<PathBuf>,
@@ -43,7 +43,7 @@ impl Exported {
         for (name, count) in left_out(layout, clips)? {
             put(&mut self.left_out, &name, count);
         }
-        // Its entries are pairs, and the writer counts clips that are in none.
+        // Entries of this layout are pairs, and the writer counts clips that are in no pair.
         if layout != Layout::MotionFix {
             let left = clips.len().saturating_sub(self.clips);
             put(&mut self.left_out, "clips", left);
@@ -95,7 +95,7 @@ const LABELS: [&str; 6] = [
     LICENSES,
 ];
 
-/// What a layout has a place for. Splits have one in every layout, and markers in none.
+/// Item kinds that a layout can hold. Every layout holds splits, and none holds markers.
 fn held(layout: Layout) -> Vec<&'static str> {
     let (words, labels) = (&WORDS[..], &LABELS[..]);
     match layout {

@@ -27,7 +27,7 @@ use work::NewFolder;
 
 const ALL: &str = "motionfix.pth.tar";
 
-/// What becomes an entry of a dump, or why it does not.
+/// An entry of a dump, or the reason why it is left out.
 struct Triplet {
     id: String,
     split: Split,

@@ -23,9 +23,9 @@ use crate::recordings::Groups;
 /// Motions that are equal or nearly so.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct AlikeClips {
-    /// Their ids.
+    /// Ids of the clips.
     pub clips: Vec<String>,
-    /// Their splits: several where published lists, a list of the user or an earlier version put them apart.
+    /// Splits of the clips; several if published lists, a list of the user or an earlier version separated them.
     pub splits: Vec<Split>,
 }
 
@@ -40,7 +40,7 @@ pub(super) struct Alike {
     near: BTreeSet<usize>,
 }
 
-/// What is kept in memory of a motion.
+/// Fingerprint of a motion that is kept in memory.
 struct Numbers {
     id: String,
     /// Split of a clip that stays.

@@ -1,4 +1,4 @@
-//! What becomes of the clips of a dataset that grows. A clip leaves only if its owner says so.
+//! Fates of the clips of a dataset that grows. A clip is removed only if its owner asks for it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,18 +16,18 @@ use crate::clip_table::ClipRow;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fate {
-    /// Its source is not among those of this run, or cannot be read now.
+    /// The clip's source is not among those of this run, or cannot be read now.
     Elsewhere,
     Kept,
-    /// It is read again; whether its file is the same.
+    /// The clip is read again; `is_same_file` says whether its file is unchanged.
     ReadAgain {
         is_same_file: bool,
     },
-    /// Its file is not there, and it stays.
+    /// The clip's file is missing, and the clip stays.
     Missing,
-    /// Its file is there and gives it no more, and it stays as it was.
+    /// The file no longer gives the clip, and the clip stays as it was.
     Unusable,
-    /// It leaves, because its file is gone, or is there and gives it no more.
+    /// The clip is removed, because its file is missing or no longer gives it.
     Pruned {
         is_there: bool,
     },
@@ -74,7 +74,7 @@ impl<'a> Fates<'a> {
         fates
     }
 
-    /// Settles what was read again: clips that were not ingested stay as they were, or are pruned.
+    /// Decides the fate of clips that were read again but not ingested: they stay unchanged, or are pruned.
     pub(super) fn settle(&mut self, ingested: impl Fn(&str) -> bool) {
         for (clip, fate) in self.recorded.clips.iter().zip(&mut self.fates) {
             if matches!(fate, Fate::ReadAgain { .. }) && !ingested(clip.id.as_str()) {
@@ -86,7 +86,7 @@ impl<'a> Fates<'a> {
         }
     }
 
-    /// What becomes of a clip; none if the dataset did not have it.
+    /// Fate of a clip; none if the dataset did not have it.
     pub(super) fn of_clip(&self, id: &MotionId) -> Option<Fate> {
         self.of_id.get(id.as_str()).map(|&index| self.fates[index])
     }
@@ -114,7 +114,7 @@ impl<'a> Fates<'a> {
         beside.count() as u64
     }
 
-    /// Clips that stay as they were although the files of the others are read anew.
+    /// Clips that stay unchanged although the files of the others are read again.
     pub(super) fn not_read_again(&self) -> Vec<&'a MotionId> {
         let clips = self.recorded.clips.iter().zip(&self.fates);
         let stay = clips
@@ -205,7 +205,7 @@ impl<'a> Fates<'a> {
         Ok(files)
     }
 
-    /// What became of the clips. `plan` is the one the fates are of.
+    /// Counts of the fates. `plan` is the plan that the fates were computed from.
     pub(super) fn report(&self, plan: &Plan, ingested: &BTreeSet<String>) -> Growth {
         let with = |wanted: fn(Fate) -> bool| -> Vec<String> {
             let clips = self.recorded.clips.iter().zip(&self.fates);
@@ -239,7 +239,7 @@ impl<'a> Fates<'a> {
 }
 
 impl Plan {
-    /// What becomes of a recorded clip that is none of the items of this run.
+    /// Fate of a recorded clip that is not among the items of this run.
     fn fate(&self, recorded: &Recorded, clip: &RecordedClip, prune: bool) -> Fate {
         let leaves = |is_there: bool, stays: Fate| match prune {
             true => Fate::Pruned { is_there },
@@ -252,8 +252,8 @@ impl Plan {
         }
     }
 
-    /// Whether a recorded path is of one of the sources of this run, and can be read if it is there. `name` is that
-    /// of its source.
+    /// Whether a recorded path belongs to a source of this run, and can be read if it exists. `name` is the name of its
+    /// source.
     pub(super) fn is_of_run(&self, name: &str, path: &str) -> bool {
         let mut given = self.given.iter();
         let Some(given) = given.find(|given| given.label.name == name) else {

@@ -1,4 +1,4 @@
-//! What a run would do, told without writing anything.
+//! Forecast of a run, made without writing anything.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -21,7 +21,7 @@ use crate::Error;
 use crate::annotation::pairs::RefusedLine;
 use crate::versions::check_lost;
 
-/// What a run would do.
+/// Forecast of a run.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Forecast {
     /// Every source that would be read.
@@ -34,15 +34,15 @@ pub struct Forecast {
     pub refused_splits: Vec<RefusedLine>,
     /// Remarks on sources and splits.
     pub remarks: Vec<String>,
-    /// Why the run would be refused as it was asked for.
+    /// Reasons why this run would be refused.
     pub refusals: Vec<String>,
 }
 
-/// What would become of the clips of a source. Files are compared by their hashes and not read as motions, so some
-/// clips may be quarantined yet.
+/// Forecast of the clips of a source. Files are compared by their hashes and not read as motions, so some clips may
+/// still be quarantined.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SourceForecast {
-    /// Its name.
+    /// Name of the source.
     pub name: String,
     /// Whether the dataset does not have it yet.
     pub is_new: bool,
@@ -58,7 +58,7 @@ pub struct SourceForecast {
     pub read_again: Vec<String>,
     /// Clips whose files lie elsewhere now, with the new paths.
     pub moved: BTreeMap<String, String>,
-    /// Clips that stay as they are.
+    /// Clips that stay unchanged.
     pub equal: Vec<String>,
     /// Clips whose files are missing; the clips stay in the dataset.
     pub missing: Vec<String>,

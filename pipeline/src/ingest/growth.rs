@@ -1,15 +1,15 @@
-//! What a dataset that grows reports.
+//! Report on a dataset that grew.
 
 use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-/// What became of the clips and labels that a dataset had.
+/// Counts of the fates of the clips and labels that a dataset had.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Growth {
     /// Clips that the dataset did not have.
     pub new: u64,
-    /// Clips that stay as they are, without their files being read.
+    /// Clips that stay unchanged without their files being read.
     pub kept: u64,
     /// Clips that were read again although their files did not change: labels or settings did.
     pub read_again: Vec<String>,
@@ -19,10 +19,9 @@ pub struct Growth {
     pub moved: Vec<String>,
     /// Clips whose files are missing; the clips stay in the dataset.
     pub missing: Vec<String>,
-    /// Clips whose files are there and give them no more: damaged, without a key, or not asked for. They stay as
-    /// they were.
+    /// Clips whose files exist and no longer give them: damaged, without the key, or not chosen. They stay unchanged.
     pub kept_unusable: Vec<String>,
-    /// Clips that left, because pruning was asked for.
+    /// Clips that were removed, because pruning was requested.
     pub pruned: Vec<String>,
     /// Masks and pairs that stay.
     pub labels: BTreeMap<String, u64>,

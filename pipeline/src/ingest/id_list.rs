@@ -60,7 +60,7 @@ impl IdList {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// What the lines name, in a few words.
+    /// Summary of the listed names, in a few words.
     pub(super) fn shown(&self) -> String {
         const SHOWN: usize = 3;
         let first: Vec<&str> = self.names.iter().take(SHOWN).map(String::as_str).collect();

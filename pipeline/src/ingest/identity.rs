@@ -22,7 +22,7 @@ impl Plan {
     /// source and is no longer where it was. Motions that the dataset quarantined or skipped are so again while
     /// nothing they are read from has changed.
     pub(super) fn identify(&mut self, recorded: &Recorded, same_settings: bool) {
-        // A clip whose file cannot be read now stays as it is.
+        // A clip whose file cannot be read now stays unchanged.
         let (sources, remarks) = (&self.sources, &mut self.remarks);
         self.rejected.retain(|row| {
             let unreadable = sources
@@ -49,7 +49,7 @@ impl Plan {
 
     /// Takes over the rows of items that were quarantined or skipped and have not changed.
     fn refuse_again(&mut self, items: &mut Vec<Planned>, recorded: &Recorded) {
-        // What could not be read may be readable now. Of a piece that failed, most motions are not to blame.
+        // Items that could not be read may be readable now. If a piece failed, most of its motions are not the cause.
         let quarantine = recorded.quarantine.iter();
         let quarantine = quarantine.filter(|row| row.code != "E-IO" && row.stage != PIECE_STAGE);
         let quarantine: BTreeMap<(&str, &str), &QuarantineRow> = quarantine
@@ -208,8 +208,8 @@ impl Plan {
         }
     }
 
-    /// The motions of this run whose split changes now that every motion is known, by id: motions that are alike share
-    /// a split, whatever their files.
+    /// Motions of this run whose split changes once every motion is known, by id: similar motions share a split,
+    /// whatever their files.
     pub(super) fn moves(
         &self,
         recorded: &Recorded,
@@ -257,7 +257,7 @@ impl Plan {
                 key
             })
             .collect();
-        // What decides on the split of each motion, the strongest first.
+        // Sources of the split of each motion, the strongest first.
         let reasons: Vec<[Option<Split>; 4]> = self
             .items
             .iter()
@@ -359,10 +359,10 @@ impl Plan {
     }
 }
 
-/// What separates the number of a release among those of its format from a key. Names have no control characters.
+/// Separator between a release's number among those of its format and a key. Names have no control characters.
 const AMONG_RELEASES: char = '\u{1f}';
 
-/// What the split of a key is drawn by: the same whether its release is alone or not.
+/// Text that the split of a key is drawn from; it is the same whether its release is alone or one of several.
 fn drawn_by(key: &str) -> &str {
     key.rsplit(AMONG_RELEASES).next().unwrap_or(key)
 }

@@ -1,5 +1,5 @@
-//! What a clip is read from: its file and the files that may say something about it. A clip is read again
-//! when one of them changes.
+//! Files that a clip is read from: its own file and the files that may hold labels of it. A clip is read again when one
+//! of them changes.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -24,7 +24,7 @@ use work::{self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, P
 
 pub(crate) const JOB: &str = "ingest";
 
-/// What a piece needs beside its shard's motions.
+/// Data of a piece besides the motions of its shard.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Detail {
@@ -132,7 +132,7 @@ pub(crate) fn open_job(plan: &work::Plan) -> Result<Box<dyn Job>, Failed> {
     let (options, _) = effective(newest.as_ref(), &given);
     let read = Plan::read(plan.path(), store, &options)?;
     let paths = read.sources.keys().cloned().collect();
-    // Of each split, the first shard that is read; those before it are written again by the commit.
+    // For each split, the first shard that this run reads; the commit rewrites the shards before it.
     let mut before: BTreeMap<Split, usize> = BTreeMap::new();
     for piece in plan.pieces() {
         let Detail { split, index, .. } = piece.detail()?;
@@ -154,7 +154,7 @@ struct Ingestion {
     shards: Vec<Dealt>,
     /// Paths of the sources by number.
     paths: Vec<String>,
-    /// The options as they were given, and as a run uses them.
+    /// The given options, and the options as resolved for the run.
     given: IngestOptions,
     options: IngestOptions,
     facts: [(&'static str, String); 6],

@@ -1,4 +1,4 @@
-//! What a dataset that grows keeps of its labels, rejected items and sources.
+//! Labels, rejected items and sources that a growing dataset keeps.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -80,7 +80,7 @@ impl Fates<'_> {
 }
 
 impl Plan {
-    /// Recorded problems of labels that are as they were.
+    /// Recorded label problems of files that have not changed.
     pub(super) fn recorded_problems(
         &self,
         recorded: &Recorded,

@@ -1,7 +1,7 @@
-//! Which of a dataset's sources a place is.
+//! Matches places with the recorded sources of a dataset.
 //!
-//! A source is known by its name, or by the place that was recorded under a name. Nothing is compared by likeness:
-//! what cannot be known is asked for.
+//! A source is known by its name, or by the place that was recorded under a name. There is no matching by similarity:
+//! the user has to name an ambiguous source.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use super::recorded::Recorded;
 use super::sources::{Given, Kind, SourceArg, SourceLabel, below, check_name, free};
 use crate::Error;
 
-/// What a run knows of the sources of its dataset.
+/// Matches of a run's places with the sources of its dataset.
 pub(super) struct Known<'a> {
     pub(super) out: &'a Path,
     pub(super) recorded: &'a Recorded,

@@ -20,10 +20,10 @@ use crate::Error;
 
 #[derive(Clone, Debug)]
 pub(super) struct Source {
-    /// The source it is of, by its place in [`Plan::given`](super::plan::Plan).
+    /// Index of its source in [`Plan::given`](super::plan::Plan).
     pub(super) of: usize,
     pub(super) hash: Result<String, String>,
-    /// Where it begins in its archive, if it is a damaged member of one.
+    /// Offset in its archive, if it is a damaged member.
     pub(super) damaged_at: Option<u64>,
     pub(super) head: Vec<u8>,
     /// Size; 0 if it is not known.
@@ -51,7 +51,7 @@ const FOLDER_LINK: &str =
 
 pub(crate) struct Listed {
     pub(super) name: Option<String>,
-    /// The path as it was given; of several files, the first.
+    /// The given path; of several files, the first.
     pub(super) given: PathBuf,
     /// The folder, without links where that can be had, as text.
     pub(super) place: String,
@@ -60,7 +60,7 @@ pub(crate) struct Listed {
     pub(super) is_whole: bool,
     /// Names of the files that were given, if not all is listed; archives are among them, and not their members.
     given_files: BTreeSet<String>,
-    /// What is recorded of where it is.
+    /// Places to record for the source, with their kinds.
     pub(super) places: Vec<(String, Kind)>,
     /// Folders that are left out because they are datasets, and whether each is the one that is written.
     left_out: BTreeMap<String, bool>,
@@ -169,7 +169,7 @@ impl Listed {
             .is_ok_and(|located| located.file.is_some() || holds_files(&located.folder))
     }
 
-    /// Keeps only these files, as if they alone had been given.
+    /// Keeps only these files, as if no others had been given.
     pub(super) fn keep_files(&mut self, files: &BTreeSet<&str>) {
         self.listing
             .files
@@ -240,7 +240,7 @@ impl Listed {
         Ok(())
     }
 
-    /// What was left out, in words. `name` is that of the source.
+    /// Remarks on skipped files. `name` is that of the source.
     pub(super) fn left_out_remarks(&self, name: &str) -> Vec<String> {
         let left_out = self.left_out.iter();
         let remarks = left_out.map(|(folder, is_own)| match is_own {

@@ -44,7 +44,7 @@ pub struct IngestOptions {
     /// Seed of the splits, where a dataset is made; one that is there keeps the seed it was made
     /// with.
     pub seed: Seed,
-    /// What drawn splits keep together; without it, what the dataset was made with, or else clips.
+    /// Grouping that keeps its clips in one drawn split; if none, the dataset's recorded grouping, or else clips.
     pub split_by: Option<SplitBy>,
     /// A list of pairs, by whose lines a styled clip gets the split of its original.
     pub pairs: Option<PairList>,
@@ -62,7 +62,7 @@ pub struct IngestOptions {
     pub humanml3d_index: Option<PathBuf>,
     /// Compute the features of the HumanML3D recipe and store them beside the motions.
     pub humanml3d_features: bool,
-    /// What becomes of motions with jumps.
+    /// Handling of motions with jumps.
     pub teleports: Teleports,
     /// Read everything again where the settings differ from those the dataset was made with.
     pub new_version: bool,
@@ -303,7 +303,7 @@ impl Settings {
         Self(values.map(|(name, value)| (name.to_owned(), value)).into())
     }
 
-    /// As JSON.
+    /// JSON text of the settings.
     pub(super) fn text(&self) -> String {
         serde_json::to_string(self).expect("texts serialise")
     }

@@ -42,20 +42,20 @@ pub(super) struct Plan {
     /// Files found broken while planning, and folders that cannot be listed.
     pub(super) rejected: Vec<QuarantineRow>,
     pub(super) unlisted: Vec<String>,
-    /// Files whose clips stay as they are, because their labels cannot be read now.
+    /// Files whose clips stay unchanged, because their labels cannot be read now.
     pub(super) staying: BTreeSet<String>,
-    /// What a reader of the dataset should know about its splits.
+    /// Remarks on the splits of the dataset.
     pub(super) remarks: Vec<String>,
-    /// What the user's choice of clips left out, and its lines that name none.
+    /// Remarks on the clips that the user's choice left out, and on its lines that name no clip.
     pub(super) choice: Vec<String>,
     /// How the sources were recognised, and what was left out of them.
     pub(super) said: Vec<String>,
-    /// What folders say of the motions in them.
+    /// Labels of motions from files of their folders.
     pub(super) folder_labels: FolderLabels,
     /// Lines of the list of splits that gave no clip a split.
     pub(super) refused_splits: Vec<RefusedLine>,
     pub(super) claimed: BTreeSet<String>,
-    /// What drawn splits keep together.
+    /// Grouping that keeps its clips in one drawn split.
     pub(super) split_by: SplitBy,
 }
 
@@ -82,7 +82,7 @@ pub(super) struct Planned {
     /// The clip of the version before that this one is, by its place in
     /// [`Recorded::clips`](super::recorded::Recorded).
     pub(super) known: Option<usize>,
-    /// Whether that clip stays as it is.
+    /// Whether that clip stays unchanged.
     pub(super) is_kept: bool,
     pub(super) split: Split,
 }
@@ -429,7 +429,7 @@ impl Plan {
         let mut unreadable = unreadable.into_iter();
         items.retain(|item| match unreadable.next().flatten() {
             None => true,
-            // A clip that the dataset has stays as it is.
+            // A clip of the dataset stays unchanged.
             Some(reason) if item.known.is_some() => {
                 let remark = format!("{} stays as it was: {}", item.id, reason.reason);
                 self.remarks.push(remark);

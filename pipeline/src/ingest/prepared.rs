@@ -1,4 +1,4 @@
-//! What a run knows before it identifies its sources: its options, and what its dataset holds.
+//! Options of a run and contents of its dataset, known before the sources are identified.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ use super::split_by::SplitBy;
 use super::split_list::SplitList;
 use crate::Error;
 
-/// What a run knows before it identifies its sources.
+/// Options of a run and contents of its dataset, known before the sources are identified.
 pub(super) struct Prepared {
     pub(super) options: IngestOptions,
     pub(super) settings: Settings,
@@ -30,9 +30,9 @@ pub(super) struct Prepared {
     pub(super) is_new: bool,
     /// The settings that differ from those the dataset was made with, in words.
     pub(super) differing: Option<String>,
-    /// Those of them that are one for all clips of a dataset.
+    /// The differing settings that must be the same for all clips of a dataset.
     must_agree: Option<String>,
-    /// Remarks where the dataset keeps splits that were drawn otherwise than asked for.
+    /// Remarks on splits that the dataset keeps although they were drawn in another way than requested.
     pub(super) kept: Vec<String>,
 }
 
@@ -89,7 +89,7 @@ impl Prepared {
         })
     }
 
-    /// Refuses other settings than those of the dataset, unless a new version was asked for.
+    /// Refuses settings that differ from those of the dataset, unless a new version was requested.
     pub(super) fn refuse_other_settings(&self, root: &Path) -> Result<(), Error> {
         match &self.differing {
             Some(differing) if !self.options.new_version => Err(Error::OtherSettings {
@@ -145,7 +145,7 @@ impl Prepared {
 }
 
 impl SplitList {
-    /// Which recorded clips it would move, in words.
+    /// The recorded clips that it would move, in words.
     fn changes(&self, recorded: &Recorded) -> String {
         const SHOWN: usize = 3;
         let moved: Vec<String> = recorded
@@ -190,7 +190,7 @@ pub(super) fn effective(
     (options, kept_seed.into_iter().chain(kept_by).collect())
 }
 
-/// What splits are drawn by, and a remark if it is not what was asked for.
+/// The grouping that splits are drawn by, and a remark if it differs from the requested one.
 fn split_by(base: Option<&Manifest>, asked: Option<SplitBy>) -> (SplitBy, Option<String>) {
     let recorded = SplitBy::recorded(base);
     let kept = recorded
@@ -205,8 +205,8 @@ fn split_by(base: Option<&Manifest>, asked: Option<SplitBy>) -> (SplitBy, Option
     (recorded.or(asked).unwrap_or_default(), remark)
 }
 
-/// The seed of the splits, and a remark if it is not the one asked for: a dataset that is there
-/// keeps its own, so that no clip moves.
+/// The seed of the splits, and a remark if it is not the requested one: an existing dataset keeps its seed, so that no
+/// clip moves.
 fn split_seed(base: Option<&Manifest>, asked: Seed) -> (Seed, Option<String>) {
     let recorded = base
         .filter(|base| base.plans.contains_key(MotionRow::TABLE))

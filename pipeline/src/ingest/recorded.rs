@@ -1,4 +1,4 @@
-//! What a dataset already holds of its sources.
+//! Recorded sources and clips of an existing dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -69,7 +69,7 @@ pub(super) struct Recorded {
 pub(super) struct RecordedClip {
     pub(super) id: MotionId,
     pub(super) split: Split,
-    /// Its source, by its place in [`Recorded::sources`].
+    /// Index of the clip's source in [`Recorded::sources`].
     pub(super) source: usize,
     pub(super) path: String,
     pub(super) hash: String,
@@ -81,7 +81,7 @@ pub(super) struct RecordedClip {
     pub(super) num_frames: i32,
     /// Columns `centre_x` to `centre_z`; none in files of older formats.
     pub(super) centre: Option<[f32; 3]>,
-    /// Its place in [`Recorded::shards`].
+    /// Index of the clip's shard in [`Recorded::shards`].
     pub(super) shard: usize,
 }
 
@@ -287,11 +287,11 @@ pub(crate) fn recorded_settings(dataset: &Dataset) -> BTreeMap<String, String> {
         .unwrap_or_default()
 }
 
-/// What merging two datasets makes of their sources.
+/// Sources of two datasets after a merge.
 pub(crate) struct MergedSources {
     /// Facts of the result: those on which the two agree, and the sources of both.
     pub(crate) facts: BTreeMap<String, String>,
-    /// What the paths of the second begin with in the result.
+    /// Prefix of the second dataset's paths in the result.
     pub(crate) label: String,
     names: [SourceNames; 2],
 }

@@ -52,7 +52,7 @@ pub struct IngestReport {
     pub already_complete: bool,
     /// Motions of this run that are nearly equal to others, and equal ones in several splits.
     pub alike: Vec<AlikeClips>,
-    /// What became of the clips and labels that were there; none for a new dataset.
+    /// Counts of the fates of existing clips and labels; none for a new dataset.
     pub growth: Option<Growth>,
 }
 
@@ -94,7 +94,7 @@ pub(super) struct Tally {
     pub(super) skipped: Vec<SkippedRow>,
     /// Recorded clips that are not read again, with their splits.
     pub(super) staying: BTreeMap<String, Split>,
-    /// Clips of this run that moved into the split of an equal one.
+    /// Clips of this run that moved into the split of an equal clip.
     pub(super) moves: BTreeMap<String, Split>,
     pub(super) ingested: BTreeSet<String>,
     pub(super) alike: Alike,

@@ -177,7 +177,7 @@ fn stored(
     Ok((motion, quality))
 }
 
-/// The features that a clip comes with, if they are of the stored frames, else those of the stored motion.
+/// The clip's own features, if they are of the stored frames; else features computed from the stored motion.
 fn stored_features(
     clip: &mut SourceClip,
     motion: &Motion,

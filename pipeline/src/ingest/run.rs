@@ -50,9 +50,9 @@ struct Run<'a> {
 
 /// Where the shards of a run come from.
 pub(super) enum Pieces {
-    /// They are read, or taken from an interrupted run of the same plan.
+    /// Make the shards: read the motions, or take them from an interrupted run of the same plan.
     Make,
-    /// Workers made them: the shard and its notes, or why there is none.
+    /// Take the shards made by workers: each with its notes, or the reason why it is missing.
     Taken(Vec<Result<(FileEntry, ShardNotes), Failed>>),
 }
 
@@ -231,7 +231,7 @@ impl<'a> Run<'a> {
         Ok((IngestReport { alike, ..report }, growth))
     }
 
-    /// Refuses clips that stay as they were while settings change that all clips of a dataset share.
+    /// Refuses the run if clips would keep old settings that all clips of a dataset must share.
     fn refuse_mixture(&self) -> Result<(), Error> {
         let Some(differing) = self.must_agree else {
             return Ok(());
@@ -408,7 +408,7 @@ impl<'a> Run<'a> {
         Ok(tables)
     }
 
-    /// Labels that could not be used, of this run and those recorded that are as they were.
+    /// Label problems of this run, and recorded ones of files that have not changed.
     fn label_problems(&self, tally: &Tally) -> Vec<LabelProblem> {
         let mut problems = tally.label_problems(self.plan);
         let recorded = self.base.label_problems.clone();
@@ -533,7 +533,7 @@ pub(super) fn foreseen<'a>(
     foreseen
 }
 
-/// Refuses clips that stay as they were while settings change that all clips of a dataset share.
+/// Refuses the run if clips would keep old settings that all clips of a dataset must share.
 pub(super) fn refuse_mixture(root: &Path, fates: &Fates<'_>, differing: &str) -> Result<(), Error> {
     const SHOWN: usize = 5;
     let staying = fates.not_read_again();

@@ -1,4 +1,4 @@
-//! Sources: as they are given, and as a dataset records them.
+//! Sources as given on the command line, and as recorded in a dataset.
 
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
@@ -15,9 +15,9 @@ pub(super) const SOURCES_FACT: &str = "sources";
 /// alone.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SourceArg {
-    /// Its name; without one it has that of its folder.
+    /// Name of the source; if none, the name of its folder.
     pub name: Option<String>,
-    /// Where it is.
+    /// Path or URL of the source.
     pub path: PathBuf,
 }
 
@@ -117,9 +117,9 @@ pub(super) fn name_of_folder(folder: &Path) -> String {
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct SourceLabel {
-    /// What the paths of its files begin with; empty for the first source of a dataset.
+    /// Prefix of the paths of its files; empty for the first source of a dataset.
     pub(super) label: String,
-    /// Its name. Datasets of earlier builds have the name of the folder, which several sources may share.
+    /// Name of the source. Datasets of earlier builds use the name of the folder, which several sources may share.
     pub(super) name: String,
 }
 

@@ -1,4 +1,4 @@
-//! What clips that share a drawn split have in common.
+//! Grouping of clips that share a drawn split.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,7 +8,7 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
 use serde::{Deserialize, Serialize};
 
-/// What drawn splits keep together.
+/// Grouping of clips that share a drawn split.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SplitBy {
@@ -33,7 +33,7 @@ impl SplitBy {
         }
     }
 
-    /// What a dataset that exists was drawn by; none for a new one.
+    /// Grouping of an existing dataset; none for a new one.
     pub(super) fn recorded(base: Option<&Manifest>) -> Option<Self> {
         let base = base.filter(|base| base.plans.contains_key(MotionRow::TABLE))?;
         let fact = base.facts.get(SPLIT_BY_FACT);

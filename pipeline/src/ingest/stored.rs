@@ -93,7 +93,7 @@ datasets_spec::table! {
     }
 }
 
-/// What a plan holds beside its tables.
+/// Parts of a plan besides its tables.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Rest {
@@ -216,7 +216,7 @@ impl Plan {
         };
         match &source.hash {
             Ok(hash) => self.files.is_equal(place, source.bytes, hash),
-            // What could not be read then is rejected for that, whatever it is now.
+            // An item that was unreadable when the plan was made is rejected, even if it is readable now.
             Err(_) => Ok(true),
         }
     }

@@ -50,7 +50,7 @@ impl Plan {
         self.skipped.extend(left);
     }
 
-    /// Leaves out the clips that the user does not choose. Those that the dataset has stay as they are.
+    /// Skips the clips that the user did not choose. Those that the dataset has stay unchanged.
     pub(super) fn choose(&mut self, list: &IdList) {
         const SHOWN: usize = 10;
         let mut known = BTreeSet::new();

@@ -34,7 +34,7 @@ impl Check {
         Self::Accounting,
     ];
 
-    /// Its name.
+    /// Name of the check.
     pub fn name(self) -> &'static str {
         match self {
             Self::Files => "files",

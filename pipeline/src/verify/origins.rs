@@ -1,4 +1,4 @@
-//! What must be one: the split of a recording, and the rate and recipe of a dataset.
+//! Checks of values that must be equal: the split within a recording, and the rate and recipe within a dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,4 +1,4 @@
-//! Which clips of a dataset somebody means, and what is left of them in the accounts.
+//! Selection of clips of a dataset, and the accounting of the rest.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -16,17 +16,17 @@ use crate::clips::Clips;
 /// Ids named in an error.
 const SHOWN: usize = 5;
 
-/// What follows the id in the reason of a clip that its owner removed.
+/// Text after the id in the reason of a clip that its owner removed.
 pub(super) const REMOVED: &str = " was removed by its owner";
-/// What follows the id in the reason of a clip that is not in a selection.
+/// Text after the id in the reason of a clip that is not in a selection.
 pub(super) const NOT_SELECTED: &str = " was not selected";
 
 /// Clips that somebody means.
 #[derive(Clone, Debug)]
 pub enum Choice {
-    /// Those for which a condition holds.
+    /// Clips for which a condition is true.
     Where(Condition),
-    /// Those whose ids a file lists, one a line.
+    /// Clips whose ids are listed in a file, one a line.
     Ids {
         /// The file, for errors.
         path: PathBuf,
@@ -85,8 +85,8 @@ impl Choice {
     }
 }
 
-/// The id of a clip that a row accounts for, where its owner removed it or did not select it: ingestion leaves the clip
-/// out while its file is as it was.
+/// Id of the clip of a skipped row, if its owner removed it or did not select it: ingestion leaves the clip out while
+/// its file is as it was.
 pub fn taken_out(row: &SkippedRow) -> Option<&str> {
     let reason = row.reason.as_str();
     let id = reason.strip_suffix(REMOVED);

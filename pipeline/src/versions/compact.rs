@@ -19,7 +19,7 @@ use crate::clip_table::{CLIP_TABLES, borrowed};
 pub struct Layout {
     /// Files of all tables.
     pub files: u64,
-    /// Their size in bytes.
+    /// Total size of the files in bytes.
     pub bytes: u64,
     /// Files of each table.
     pub tables: BTreeMap<String, u64>,
@@ -39,7 +39,7 @@ impl Layout {
     }
 }
 
-/// What [`compact`] did.
+/// Result of [`compact`].
 #[derive(Clone, Debug, Serialize)]
 pub struct Compacted {
     /// Number of the version that was made; that of the newest one where there was nothing to do.

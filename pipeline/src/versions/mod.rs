@@ -37,9 +37,9 @@ pub use self::select::{SELECTED_FACT, Selected, select};
 /// A version of a dataset.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Version {
-    /// Its number.
+    /// Number of the version.
     pub version: u64,
-    /// Whether readers of the dataset get this one.
+    /// Whether readers of the dataset get this version.
     pub current: bool,
     /// Clips.
     pub clips: u64,
@@ -47,13 +47,13 @@ pub struct Version {
     pub tables: BTreeMap<String, u64>,
     /// Files of all tables.
     pub files: u64,
-    /// Their size in bytes.
+    /// Total size of the files in bytes.
     pub bytes: u64,
     /// Tables whose files are others than in the version before, with their rows then and now; all of the oldest one.
     pub changed: BTreeMap<String, [u64; 2]>,
-    /// The program that wrote it.
+    /// Program and version that wrote it.
     pub tool_version: String,
-    /// Hash of all it holds.
+    /// Root hash of the version.
     pub root_hash: String,
 }
 

@@ -18,7 +18,7 @@ use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipRow, borrowed, clip_ids};
 use crate::ingest::LostLabel;
 
-/// What [`remove`] did, or would do.
+/// Result of [`remove`], or of its dry run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Removed {
     /// The clips.
@@ -31,7 +31,7 @@ pub struct Removed {
     pub dropped: BTreeMap<String, u64>,
     /// Tables made of all clips, which the result has not; their commands make them again.
     pub left_tables: Vec<String>,
-    /// Whether nothing was changed, because only a report was asked for.
+    /// Whether nothing was changed, because a dry run was requested.
     pub dry_run: bool,
     /// Rows of each table of the result; of the version there is after a dry run.
     pub tables: BTreeMap<String, u64>,
@@ -42,7 +42,7 @@ pub struct Removed {
 /// How clips are removed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RemoveOptions {
-    /// Go on although labels that people made are lost.
+    /// Continue although labels that people made are lost.
     pub drop_labels: bool,
     /// Only report.
     pub dry_run: bool,
@@ -201,7 +201,7 @@ impl Shards {
         ids.collect::<BTreeSet<_>>().len()
     }
 
-    /// The files of all shards without some clips. Shards that hold none of them stay as they are.
+    /// Files of all shards after removing clips. Shards without any of the clips stay unchanged.
     fn without(
         &mut self,
         transaction: &Transaction,

@@ -13,7 +13,7 @@ use super::labels::{KeptLabel, Labels, check_lost, is_mask_of_people, is_pair_of
 use crate::Error;
 use crate::ingest::LostLabel;
 
-/// What [`restore`] did.
+/// Result of [`restore`].
 #[derive(Clone, Debug, Serialize)]
 pub struct Restored {
     /// The version that was gone back to.
@@ -178,7 +178,7 @@ impl Merge {
         }
     }
 
-    /// Adds a mask. It takes the place of an automatic one of the same parts, as it did when it was made.
+    /// Adds a mask. It replaces an automatic mask of the same parts, as when the mask was made.
     fn insert_mask(&mut self, mask: MaskRow) {
         if self.labels.masks.get(&mask.id) == Some(&mask) {
             return;

@@ -107,7 +107,7 @@ impl ClipIndex {
         Ok(tables)
     }
 
-    /// What the first file of each table says of itself.
+    /// Footer facts of the first file of each table.
     fn facts(&self) -> Result<[Vec<(String, String)>; 3], Error> {
         let mut facts: [Vec<(String, String)>; 3] = Default::default();
         for (facts, files) in facts.iter_mut().zip(&self.files) {

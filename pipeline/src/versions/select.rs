@@ -1,4 +1,4 @@
-//! A new dataset of some clips of another one.
+//! Makes a new dataset from some clips of another.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -30,12 +30,12 @@ struct Origin {
     condition: String,
 }
 
-/// What [`select`] did.
+/// Result of [`select`].
 #[derive(Clone, Debug, Serialize)]
 pub struct Selected {
     /// Clips of the result.
     pub clips: u64,
-    /// Clips that it has not.
+    /// Clips that are not selected.
     pub left: u64,
     /// Captures without a motion, for which no condition holds; they are among those left.
     pub left_captures: u64,
@@ -45,9 +45,9 @@ pub struct Selected {
     pub left_masks: u64,
     /// Pairs whose clips are both left.
     pub left_pairs: u64,
-    /// Pairs of which one clip is selected and the other is not; the result has none of them.
+    /// Pairs with only one selected clip; the result has none of them.
     pub parted_pairs: Vec<String>,
-    /// Tables made of all clips, which the result has not; their commands make them again.
+    /// Tables made from all clips, which the result does not contain; their commands make them again.
     pub left_tables: Vec<String>,
     /// Hash of the result.
     pub root_hash: String,

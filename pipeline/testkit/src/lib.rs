@@ -1,4 +1,4 @@
-//! What the tests of several crates are made of: synthetic motions with their rows, and small files.
+//! Shared fixtures of the tests of several crates: synthetic motions with their rows, and small files.
 
 mod files;
 mod motions;

@@ -21,7 +21,7 @@ use crate::Error;
 /// How far the work on a plan is.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Status {
-    /// Whether it was committed.
+    /// Whether the plan was committed.
     pub committed: bool,
     /// Pieces of the plan.
     pub pieces: u64,
@@ -35,7 +35,7 @@ pub struct Status {
     pub secs: f64,
 }
 
-/// A piece as it is found.
+/// State of a piece before the commit.
 enum Found {
     Done(Made, f64),
     Failed(Record),

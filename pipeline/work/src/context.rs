@@ -1,4 +1,4 @@
-//! Where work reports, and who does it.
+//! Context of a stage: progress sink, lock holder, and the commit of tables.
 
 use std::path::Path;
 

@@ -71,10 +71,10 @@ pub enum Error {
         failed: usize,
         /// Pieces of the plan.
         of: usize,
-        /// The first of them, with code and reason.
+        /// The first failed pieces, with code and reason.
         shown: String,
     },
-    /// The job of a plan cannot go on.
+    /// The job of a plan cannot continue.
     #[error("{reason} ({code})")]
     Job {
         /// Code of the failure.

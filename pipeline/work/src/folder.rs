@@ -1,4 +1,4 @@
-//! Folders that appear whole or not at all, and what is left of those whose process was killed.
+//! Folders that appear whole or not at all, and cleanup after processes that were killed.
 //!
 //! A folder is written to `.stance.NUMBER.partial/new` beside its destination and renamed from there. The file `LOCK`
 //! beside `new` is locked as long as the process lives, whatever ends it; the system lets go of it then. Whoever writes
@@ -17,7 +17,7 @@ use crate::Error;
 /// the longest length would be too long.
 const BEGIN: &str = "stance";
 const END: &str = "partial";
-/// What is in a partial folder: the folder that is being written, and the locked file.
+/// Contents of a partial folder: the new folder, and the locked file.
 const CONTENT: &str = "new";
 const LOCK: &str = "LOCK";
 
@@ -85,17 +85,17 @@ impl NewFolder {
         }
     }
 
-    /// Where it is written.
+    /// Path at which the folder is written.
     pub fn path(&self) -> &Path {
         &self.content
     }
 
-    /// Partial folders beside it that another machine left, which may be at work on them.
+    /// Partial folders of another machine beside it; that machine may still be writing them.
     pub fn left_by_others(&self) -> Vec<PathBuf> {
         self.abandoned.clone()
     }
 
-    /// Gives it its name. An empty folder of that name is replaced.
+    /// Renames the partial folder to its final name. An empty folder with that name is replaced.
     ///
     /// # Errors
     /// Something else has the name, or the system refuses.
@@ -115,7 +115,7 @@ struct Held {
     file: Option<File>,
 }
 
-/// Locks a partial folder that this process made; none if another process removes it.
+/// Locks a partial folder that this process made; none if another process removed it meanwhile.
 fn lock(place: &Path) -> io::Result<Option<Held>> {
     let path = place.join(LOCK);
     let opened = File::options()
@@ -134,7 +134,7 @@ fn lock(place: &Path) -> io::Result<Option<Held>> {
             Some(file)
         }
         Err(TryLockError::WouldBlock) => return Ok(None),
-        // Nobody else gets a lock either, so that nobody takes the folder for an abandoned one.
+        // No other process can lock it either, so none can mistake the folder for an abandoned one.
         Err(TryLockError::Error(_)) => None,
     };
     // Locking a file that was removed since it was opened succeeds too.
@@ -157,8 +157,8 @@ fn remove_abandoned(parent: &Path) -> Vec<PathBuf> {
             .write(true)
             .open(place.join(LOCK))
         else {
-            // Killed before it made the file, or another process is removing it: the folder is empty. Whoever is about
-            // to make the file makes another folder.
+            // Killed before it made the file, or another process is removing it: the folder is empty. A process that
+            // was about to make the file makes another folder instead.
             let _removed = fs::remove_dir(place);
             return false;
         };
@@ -195,7 +195,7 @@ fn remove(place: &Path) {
     }
 }
 
-/// What tells this machine, and its present start, from others; empty where the system says nothing.
+/// Identity of this machine and its present boot; empty where the system does not provide one.
 fn machine() -> String {
     let said = |name: &str| {
         let text = fs::read_to_string(Path::new("/proc/sys/kernel").join(name));
@@ -204,8 +204,8 @@ fn machine() -> String {
     format!("{} {}", said("random/boot_id"), said("hostname"))
 }
 
-/// Whether a lock file names this machine: containers of one machine differ in the name, and a machine that was started
-/// anew differs in the start. A file without a name is of a process that was killed at once.
+/// Whether a lock file names this machine: containers of one machine differ in name, and a restarted machine differs in
+/// boot id. A file without a name is of a process that was killed at once.
 fn is_this_machine(said: &str, own: &str) -> bool {
     let (said, own) = (said.trim_end(), own.trim_end());
     let mut names = said.split(' ').zip(own.split(' '));
@@ -265,10 +265,10 @@ mod tests {
         let own = dead("1-0", Some(&machine()));
         let silent = dead("2-0", Some(""));
         let other = dead("3-0", Some("another-start another-name"));
-        // Killed before it had a lock.
+        // The process was killed before it took a lock.
         let empty = at(".stance.4-0.partial");
         fs::create_dir(&empty).expect("made");
-        // Of an earlier version, whose process holds no lock, and of somebody else.
+        // Folders of an earlier version, whose process holds no lock, and of somebody else.
         let foreign = [at(".a.123.partial"), dead("5-0", None)];
         fs::create_dir_all(foreign[0].join("file")).expect("made");
         let next = NewFolder::beside(&at("b")).expect("begun");

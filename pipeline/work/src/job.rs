@@ -40,7 +40,7 @@ pub trait Job: Send + Sync {
     ) -> Result<Committed, Error>;
 }
 
-/// What a piece notes for the commit.
+/// Notes of a piece for the commit.
 ///
 /// # Errors
 /// The notes are those of another job.

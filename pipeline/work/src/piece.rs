@@ -71,7 +71,7 @@ impl Piece {
         }
     }
 
-    /// What its job needs to make it.
+    /// Inputs of the job for this piece.
     ///
     /// # Errors
     /// The detail is of another job.

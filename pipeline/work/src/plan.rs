@@ -60,7 +60,7 @@ struct Header {
 pub struct Draft {
     /// The job.
     pub job: &'static str,
-    /// Its settings.
+    /// Settings of the plan.
     pub settings: Value,
     /// Where the result goes.
     pub destination: PathBuf,
@@ -166,14 +166,14 @@ pub fn absolute(path: &Path) -> Result<PathBuf, Error> {
     std::path::absolute(path).map_err(Error::io("find", path))
 }
 
-/// Where the destination of a plan stands.
+/// State of the destination of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// It is as it was when the plan was made.
+    /// The destination has not changed since the plan was made.
     Open,
     /// The plan was committed.
     Committed,
-    /// It has another version now, of this number.
+    /// The destination has another version now, with this number.
     Changed(u64),
 }
 
@@ -228,7 +228,7 @@ impl Plan {
         &self.path
     }
 
-    /// The job, as the command line names it.
+    /// Name of the job on the command line.
     pub fn job(&self) -> &str {
         &self.header.job
     }
@@ -310,7 +310,7 @@ impl Plan {
         }
     }
 
-    /// What the commit of a folder of files noted.
+    /// Notes of the commit of a folder of files.
     pub(crate) fn published(&self) -> Result<Option<Committed>, Error> {
         let kept = self.path.join(COMMITTED);
         if kept.is_file() {
@@ -331,7 +331,7 @@ impl Plan {
         self.header.is_dataset
     }
 
-    /// Where the destination stands.
+    /// State of the destination.
     ///
     /// # Errors
     /// The destination is there and cannot be read.
@@ -357,7 +357,7 @@ impl Plan {
         })
     }
 
-    /// What a commit of this plan did, by the manifest that it wrote.
+    /// Result of a commit of this plan, from the manifest that it wrote.
     pub fn committed(&self, manifest: &Manifest) -> Committed {
         let tables = manifest.tables.keys();
         Committed {

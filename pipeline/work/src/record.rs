@@ -1,4 +1,4 @@
-//! Answers of workers, and what becomes of them.
+//! Records of workers, and their use by the commit.
 
 use std::collections::BTreeMap;
 use std::error::Error as StdError;
@@ -12,15 +12,15 @@ use serde_json::Value;
 use super::piece::Piece;
 use crate::Error;
 
-/// What became of a piece.
+/// Outcome of a piece.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
-    /// It was made.
+    /// The piece was made.
     Done,
-    /// It was there already and nothing was done.
+    /// The piece already existed, and nothing was done.
     DoneBefore,
-    /// It could not be made.
+    /// The piece could not be made.
     Failed,
 }
 
@@ -29,13 +29,13 @@ pub enum Outcome {
 pub struct Record {
     /// Id of the piece.
     pub piece: String,
-    /// Its number in the plan.
+    /// Number of the piece in the plan.
     pub number: u64,
-    /// What it is called in the plan.
+    /// Name of the piece in the plan.
     pub name: String,
-    /// What became of it.
+    /// Outcome of the piece.
     pub outcome: Outcome,
-    /// The files it consists of; none where it failed.
+    /// Files of the piece; empty if it failed.
     pub files: Vec<FileEntry>,
     /// Code of the failure, such as `E-IO`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -153,12 +153,12 @@ pub fn staged(staging: &Staging, piece: &str) -> Result<Option<Stored>, Error> {
     Ok(is_whole.then_some(stored))
 }
 
-/// What a job made for a piece.
+/// Result of a job for a piece.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Made {
     /// The files.
     pub files: Vec<FileEntry>,
-    /// What the job needs to know of the piece when it commits.
+    /// Notes of the piece for the job's commit.
     pub notes: Value,
 }
 
@@ -180,7 +180,7 @@ impl Made {
 pub struct Finished {
     /// The piece.
     pub piece: Piece,
-    /// What was made, or why it failed.
+    /// The result, or the failure.
     pub made: Result<Made, Failed>,
 }
 
@@ -193,7 +193,7 @@ pub struct CommitOptions {
     pub holder: String,
 }
 
-/// What a commit did.
+/// Result of a commit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Committed {
     /// The destination.
@@ -210,7 +210,7 @@ pub struct Committed {
     pub accounting: Option<Accounting>,
     /// Hash over all files.
     pub root_hash: String,
-    /// What the job says of the result.
+    /// Notes of the job on the result.
     #[serde(default, skip_serializing_if = "Value::is_null")]
     pub notes: Value,
 }

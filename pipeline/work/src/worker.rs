@@ -22,7 +22,7 @@ pub struct Worker {
     job: OnceLock<Result<Box<dyn Job>, Failed>>,
 }
 
-/// What making some items took.
+/// Time that some items took.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// Items that were made.
@@ -51,10 +51,10 @@ impl Worker {
         &self.plan
     }
 
-    /// Makes the piece with this id, unless it is there. A piece that is there is passed over in milliseconds: its
-    /// files are checked against their hashes, and nothing else is read.
+    /// Makes the piece with this id, unless it exists. An existing piece takes milliseconds: only the hashes of its
+    /// files are checked.
     ///
-    /// What fails, also by a panic, is told by the record.
+    /// The record reports failures, including panics.
     pub fn make(&self, id: &str) -> Record {
         let Some(piece) = self.plan.piece(id) else {
             let unknown = Piece {

@@ -1,4 +1,4 @@
-//! The result is that of `stance ingest`, whatever made the pieces.
+//! The result equals that of `stance ingest`, however the pieces were made.
 
 use crate::harness::{Cluster, Job, document, real_data, run_local, run_on};
 

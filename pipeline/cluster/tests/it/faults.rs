@@ -14,12 +14,12 @@ use crate::harness::{
     Cluster, Job, Said, document, real_data, run_local, run_on, stance, stance_json, text,
 };
 
-/// Executors that are killed in all.
+/// Number of executors to kill.
 fn kills() -> usize {
     std::env::var("STANCE_KILLS").map_or(4, |text| text.parse().expect("a number"))
 }
 
-/// Runs a plan while `heard` is told every line of an executor.
+/// Runs a plan; `heard` receives every log line of an executor.
 fn run_and_watch(
     cluster: &mut Cluster,
     plan: &str,

@@ -145,7 +145,7 @@ impl Process {
             .spawn()
             .expect("the program starts");
         let stderr = child.stderr.take().expect("it was asked for");
-        // It reads to the end, also when nobody listens: a full pipe would stop the process.
+        // Read stderr to the end, even if the test no longer receives: a full pipe would block the process.
         let listener = thread::spawn(move || {
             for line in BufReader::new(stderr).lines().map_while(Result::ok) {
                 let _heard = said.send(Said { by, line });
@@ -157,7 +157,7 @@ impl Process {
         }
     }
 
-    /// Ends it at once, like a machine that is lost. All that it said has then been heard.
+    /// Kills the process, like a lost machine, and returns once all its output was read.
     pub(crate) fn kill(&mut self) {
         let _killed = self.child.kill();
         let _ended = self.child.wait();
@@ -184,7 +184,7 @@ pub(crate) struct Cluster {
 }
 
 impl Cluster {
-    /// Starts both.
+    /// Starts the scheduler and its executors.
     pub(crate) fn start(executors: usize) -> Self {
         let (say, said) = channel();
         let (scheduler, address) = scheduler("127.0.0.1:0");

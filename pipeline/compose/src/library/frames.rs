@@ -68,7 +68,7 @@ impl FrameFile {
             .open(&part)
             .map_err(failed)?;
         file.lock().map_err(failed)?;
-        // Another process may have written it meanwhile.
+        // Another process may have written the file meanwhile.
         if let Some(found) = Self::found(&path, num_frames, fps)? {
             return Ok(found);
         }

@@ -1,5 +1,5 @@
-//! The motions, masks and pairs of one split, and every rule on them: which rows fit together, which
-//! clips partners are drawn from, and who may be blended with whom.
+//! The motions, masks and pairs of one split, and every rule on them: which rows belong together, which clips are
+//! partners, and which clips may be blended.
 
 #[cfg(test)]
 mod cached_tests;
@@ -32,19 +32,19 @@ pub(super) struct Clip {
     pub(super) id: MotionId,
     /// Number shared by all clips of one source clip: mirrored and cropped copies.
     pub(super) origin: usize,
-    /// Kind of source it came from.
+    /// Kind of the clip's source.
     pub(super) source: Arc<str>,
     pub(super) action: Option<Arc<str>>,
     pub(super) style: Option<Arc<str>>,
     frames: FileFrames,
-    /// Whether it may be drawn as a partner. Time-warped copies may not.
+    /// Whether the clip may be drawn as a partner. Time-warped copies may not.
     pub(super) in_base: bool,
 }
 
 #[derive(Clone, Debug)]
 struct FileFrames {
     file: Arc<FrameFile>,
-    /// Its first frame there.
+    /// First frame of the clip in that file.
     first: u64,
     len: usize,
 }
@@ -120,7 +120,7 @@ struct Pair {
     halves: Vec<BodyPart>,
     /// Names of the parts that the pair says it changes.
     parts: Arc<[String]>,
-    /// Whether it is a pair of MotionFix, which is evaluated without a donor.
+    /// Whether the pair is from MotionFix, which is evaluated without a donor.
     is_motionfix: bool,
     instruction: Arc<str>,
 }
@@ -134,19 +134,19 @@ pub struct Library {
     split: Split,
     fps: Fps,
     skeleton: Skeleton,
-    /// Clips as they were captured, by id, and then time-warped copies.
+    /// Captured clips, by id, and then time-warped copies.
     clips: Vec<Clip>,
     num_captured: usize,
     annotations: Vec<Annotation>,
     pairs: Vec<Pair>,
     alignment: Alignment,
     cache: FrameCache,
-    /// The key of the file of the clips as they were captured.
+    /// Cache key of the file with the captured clips.
     key: String,
 }
 
 impl Library {
-    /// The split all motions are of.
+    /// Split of all motions of the library.
     pub fn split(&self) -> Split {
         self.split
     }

@@ -1,4 +1,4 @@
-//! Who is edited and who may be blended with whom.
+//! Drawing of subjects, partners and donors.
 
 use std::collections::BTreeSet;
 use std::ops::{Range, RangeInclusive};
@@ -30,7 +30,7 @@ pub(crate) struct Pairing {
     /// Half of the body that a blended pair is edited in.
     pub(crate) half: Option<BodyPart>,
     pub(crate) alpha: f64,
-    /// Which wording of the instruction is used, as a fraction of their number.
+    /// Position of the chosen wording among all wordings of the instruction, in [0, 1).
     pub(crate) wording: f64,
     /// Overlap of the partner with the annotated motion, or of the two motions of a pair.
     pub(crate) crop: Crop,

@@ -65,7 +65,7 @@ impl Library {
             let clips = shards.iter().flat_map(|(.., clips)| clips);
             clips.map(|(_, clip)| clip)
         };
-        // The hashes of the shards are those of the motions and their order; a condition says which of them.
+        // The shards' hashes identify the motions and their order; a condition selects some of them.
         let mut hasher = blake3::Hasher::new();
         hasher.update(dataset.condition().unwrap_or_default().as_bytes());
         for (_, hash, _) in &shards {

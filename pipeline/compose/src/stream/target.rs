@@ -14,7 +14,7 @@ pub(super) struct Target {
     pub(super) subject: Subject,
     /// Frames that its windows are taken from.
     pub(super) num_frames: usize,
-    /// The ways it can be blended: one for an annotation, one for each half of a pair.
+    /// The ways to blend the target: one for an annotation, one for each half of a pair.
     pub(super) sides: Vec<Side>,
     /// Wordings of the instruction of a pair without a donor.
     pub(super) plain: Wordings,
@@ -24,7 +24,7 @@ pub(super) struct Target {
 
 pub(super) type Wordings = Arc<[String]>;
 
-/// What many targets have in common, held once: a dataset has more masks than body parts.
+/// Data that many targets share, stored once: a dataset has more masks than body parts.
 #[derive(Debug, Default)]
 pub(super) struct SharedSides {
     plans: HashMap<BlendMask, Arc<BlendPlan>>,

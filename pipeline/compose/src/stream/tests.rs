@@ -256,7 +256,7 @@ fn pair_stream(config: ComposeConfig, same_motion: bool) -> Stream {
 
 #[test]
 fn one_donor_is_under_both_windows_of_a_pair() {
-    // The pair is a motion and itself: whatever is drawn, both windows must be the same.
+    // The pair consists of a motion and itself: whatever is drawn, both windows must be equal.
     let stream = pair_stream(
         ComposeConfig {
             kinds: vec![EditKind::Style],

@@ -322,7 +322,7 @@ fn lay_bone(
     }
 }
 
-/// A direction on the ground, in the frame of a heading.
+/// Rotates a ground vector into the frame of a heading.
 #[inline(always)]
 fn see(cosine: f64, sine: f64, x: f64, z: f64) -> [f64; 2] {
     [cosine * x + sine * z, cosine * z - sine * x]

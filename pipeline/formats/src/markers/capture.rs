@@ -18,19 +18,19 @@ const CODE: &str = "E-MARKERS";
 /// Code of captures whose unit is wrong.
 pub(crate) const UNIT_CODE: &str = "E-UNIT";
 
-/// What a file holds.
+/// Contents of a marker file.
 #[derive(Clone, Debug)]
 pub struct Capture {
     /// The markers in metres, in the file's own axes.
     pub markers: Markers,
     pub(crate) unit: CaptureUnit,
-    /// Decisions that a reader may want to check.
+    /// Decisions of the reader that a user may want to check.
     pub notes: Vec<String>,
     pub(crate) flags: u32,
 }
 
 impl Capture {
-    /// The clip of one subject, by its key of [`super::keys`], or of the one that there is.
+    /// The clip of one subject: of the subject with this key of [`super::keys`], or of the only subject.
     ///
     /// # Errors
     /// As [`Capture::check`].
@@ -72,7 +72,7 @@ impl Capture {
         solvable.map(drop).map_err(|error| unit.rejected(error))
     }
 
-    /// A subject, its markers, and notes. The markers of the only one are all that there are.
+    /// A subject, its markers, and notes. If there is only one subject, it gets all markers.
     fn subject(
         self,
         key: &str,
@@ -107,7 +107,7 @@ impl Capture {
     }
 }
 
-/// The columns of one subject, which then are its first ones.
+/// The columns of one subject; afterwards they are its first columns.
 fn only(markers: &Markers, subject: &mut Subject) -> Markers {
     let count = markers.labels.len().max(1);
     let columns = std::mem::take(&mut subject.columns);
@@ -149,7 +149,7 @@ pub(crate) struct Positions {
     /// Negative where a marker is not seen.
     residuals: Vec<f32>,
     pub(crate) seen: usize,
-    /// Of those seen, the ones that are too far away, which then count as not seen.
+    /// Markers that were recorded but are too far away; they count as not seen.
     pub(crate) far: usize,
 }
 
@@ -164,7 +164,7 @@ impl Positions {
         self.residuals.push(residual as f32);
     }
 
-    /// Whether so many are too far away that unit or number format must be wrong.
+    /// Whether so many markers are too far away that the unit or number format must be wrong.
     pub(crate) fn are_implausible(&self) -> bool {
         const MAX_IMPLAUSIBLE: f64 = 0.1;
         self.far as f64 > MAX_IMPLAUSIBLE * self.seen as f64

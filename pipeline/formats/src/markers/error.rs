@@ -8,7 +8,7 @@ pub(super) enum SolveError {
     /// The labels are of no known set, or the markers do not give the pose of a body; the text says which.
     #[error("{0}")]
     Markers(String),
-    /// Nobody is of that height.
+    /// The height of the markers is not that of a person.
     #[error(
         "the markers of the set {set} reach as high as on a person of {} m, expected .5 to 2.5 m: nobody stands \
          upright in the capture, or the labels are wrong",
@@ -26,7 +26,7 @@ impl SolveError {
     }
 }
 
-/// Words in a row, of many the first ones.
+/// Joins words, at most the first few.
 pub(super) fn some_of<'a>(words: impl Iterator<Item = &'a str>) -> String {
     const SHOWN: usize = 60;
     let words: Vec<&str> = words.collect();

@@ -49,7 +49,7 @@ const UNNAMED: &str = "unnamed";
 const MIN_KNOWN: usize = 6;
 const MIN_MARKERS: usize = 12;
 
-/// The subjects of a capture, and the points that are of none of them.
+/// The subjects of a capture, and the points that belong to no subject.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Subjects {
     pub(super) people: Vec<Subject>,
@@ -82,7 +82,7 @@ impl Subjects {
         };
         let (people, others): (Vec<_>, Vec<_>) = subjects.into_values().partition(is_person);
         match people.len() {
-            // None stands out, or one: the whole capture is one's.
+            // With no such prefix, or one, the whole capture is of one subject.
             0 => Self {
                 people: vec![Subject {
                     name: String::new(),
@@ -118,13 +118,13 @@ pub(crate) fn keys(labels: &[String], own: Option<&MarkerSet>) -> Vec<String> {
     Subjects::of(labels, own).keys()
 }
 
-/// The subject that a key stands for; none for that of markers without a subject.
+/// The subject of a key; none for the key of markers without a subject.
 pub(crate) fn subject_of(key: &str) -> Option<&str> {
     (!key.is_empty() && key != UNNAMED).then_some(key)
 }
 
-/// Words before an underscore that stand for subjects: most labels behind them are known, and the labels as
-/// they are written are not.
+/// Prefixes before an underscore that name subjects: most labels after such a prefix are known, and the whole labels
+/// are not.
 fn underscored<'a>(labels: &'a [String], own: Option<&MarkerSet>) -> BTreeSet<&'a str> {
     let mut counts: BTreeMap<&str, (usize, usize)> = BTreeMap::new();
     let plain = labels.iter().filter(|label| !label.contains(':'));

@@ -50,7 +50,7 @@ const PARTS: [Needs; 7] = [
 ];
 
 impl Part {
-    /// Parts whose pose cannot be told from markers on these joints.
+    /// Parts whose pose cannot be determined from markers on these joints.
     pub(super) fn untold(joints: &[usize]) -> BTreeSet<Self> {
         let untold = PARTS.iter().filter(|(_, _, of, needed, ends)| {
             let on = |of: &[usize]| joints.iter().filter(|joint| of.contains(joint)).count();

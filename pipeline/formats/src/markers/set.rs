@@ -60,7 +60,7 @@ pub struct MarkerSet {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MarkerSetError {
-    /// It is not JSON, or has unknown fields.
+    /// The text is not JSON, or has unknown fields.
     #[error(
         "a marker set is JSON with name and markers and, if needed, like, optional, at_rest and source; a marker \
          is a label of a known set, or a joint and an offset of three numbers"

@@ -79,7 +79,7 @@ pub(super) struct Solvable<'a> {
 }
 
 impl<'a> Solvable<'a> {
-    /// Looks at the markers of a subject in a capture.
+    /// Finds the marker set of a subject, and the markers' placement on the body.
     ///
     /// # Errors
     /// The labels are of no known set, tell too little of a body, or the markers do not lie as on one.
@@ -308,7 +308,7 @@ impl<'a> Solver<'a> {
             }
         }
         ratios.sort_by(f64::total_cmp);
-        // People stand in the tallest frames; the very tallest may contain a mislabelled marker.
+        // People stand upright in the tallest frames; the very tallest may contain a mislabelled marker.
         ratios.get(ratios.len().checked_sub(1)? * 9 / 10).copied()
     }
 

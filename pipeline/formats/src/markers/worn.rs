@@ -28,7 +28,7 @@ impl LabelledMarkers {
         };
         let mut names: Vec<&str> = Vec::new();
         for (column, name) in subject.columns.iter().zip(&subject.bare) {
-            // Of repeated labels, the first is used.
+            // The first of repeated labels is used.
             if names.contains(&name.as_str()) {
                 continue;
             }

@@ -89,7 +89,7 @@ pub(super) fn by_rest_pose(
         };
         alignment[foot] = alignment[ankle];
     }
-    // These are the body's rotations in the pose; divide by the source's.
+    // `alignment` holds the body's rotations in the pose; divide by the source's.
     for (rotation, source) in alignment.iter_mut().zip(&rest.rotations) {
         *rotation = source.inverse() * *rotation;
     }
@@ -185,7 +185,7 @@ pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
     estimate.alignment
 }
 
-/// The alignment of a source by its motion, as far as it is estimated: from the pelvis outwards.
+/// Estimated alignment of a source from its motion; it is extended from the pelvis outwards.
 struct Estimate<'a> {
     track: &'a Track,
     skeleton: &'a Skeleton,

@@ -25,7 +25,7 @@ pub(super) struct Evidence {
     symmetry: f64,
     /// How upright the trunk is over the legs.
     posture: f64,
-    /// Whether names support it.
+    /// Whether joint names support the mapping.
     named: bool,
 }
 

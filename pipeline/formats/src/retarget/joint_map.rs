@@ -1,4 +1,4 @@
-//! Which joint of a source skeleton is which joint of the body.
+//! Mapping from the joints of a source skeleton to the joints of the body.
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
@@ -375,7 +375,7 @@ fn common_ancestor(bones: &[Bone<'_>], a: usize, b: usize) -> Option<usize> {
     ancestors(bones, b).find(|candidate| above.contains(candidate))
 }
 
-/// Whether a bone descends from another one.
+/// Whether a bone is a descendant of another bone.
 pub(super) fn hangs_from(bones: &[Bone<'_>], bone: usize, from: usize) -> bool {
     ancestors(bones, bone).any(|ancestor| ancestor == from)
 }

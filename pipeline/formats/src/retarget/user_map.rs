@@ -25,7 +25,7 @@ pub struct UserMap {
     pub(super) unit: Option<f64>,
     /// The axis that is up.
     pub(super) up: Option<Up>,
-    /// The pose in which the source stands.
+    /// The source's rest pose.
     pub(super) rest: Option<RestPose>,
 }
 
@@ -74,11 +74,11 @@ pub(super) enum RestPose {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum UserMapError {
-    /// It is not JSON, or has unknown fields.
+    /// The text is not JSON, or has unknown fields.
     #[error("a joint map is JSON with name, joints and, if needed, unit, up and rest")]
     Syntax(#[from] serde_json::Error),
-    /// It names an unknown body joint, gives a source joint to two body joints, or its unit is no positive number. The
-    /// text says which.
+    /// The map names an unknown body joint, gives a source joint to two body joints, or its unit is not a positive
+    /// number. The text says which.
     #[error("joint map {0}")]
     Content(String),
 }

@@ -176,13 +176,13 @@ impl Subjects {
         &self.hash
     }
 
-    /// The folder they were read from.
+    /// The folder that the models were read from.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Reads the models for both genders below a folder: npz files that are called by the gender, or
-    /// lie in a folder that is, as in `smplh/female/model.npz` and `SMPLX_MALE.npz`.
+    /// Reads the models for both genders below a folder: npz files whose name or folder contains the gender, as in
+    /// `smplh/female/model.npz` and `SMPLX_MALE.npz`.
     ///
     /// # Errors
     /// There is none or more than one for a gender, or one cannot be read.
@@ -420,7 +420,7 @@ fn complete(joints: Vec<DVec3>) -> Result<[DVec3; NUM_JOINTS], Rejected> {
     }
     let mut whole = [DVec3::ZERO; NUM_JOINTS];
     for joint in 0..NUM_JOINTS {
-        // A parent stands before its children.
+        // A parent precedes its children.
         let parent = usize::try_from(PARENTS[joint]).map_or(DVec3::ZERO, |parent| whole[parent]);
         whole[joint] = known[joint].unwrap_or(parent + neutral.offset(joint));
     }

@@ -85,7 +85,7 @@ impl Files {
         read(path).map_err(|error| rejected!("E-IO", "cannot read {relative}: {error}"))
     }
 
-    /// Size in bytes of a file that lies beside a source; none if it cannot be told.
+    /// Size in bytes of a file beside a source; none if it cannot be determined.
     pub fn size_beside(&self, path: &Path) -> Option<u64> {
         self.may_be_there(path)
             .then(|| self.store.size(path).ok())?

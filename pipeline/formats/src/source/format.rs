@@ -22,7 +22,7 @@ pub trait SourceFormat: Send + Sync {
         None
     }
 
-    /// Whether the first bytes of a file without a known name are of this format.
+    /// Whether the first bytes of a file without a known name have this format.
     fn by_content(&self, _head: &[u8]) -> bool {
         false
     }
@@ -125,7 +125,7 @@ impl fmt::Debug for Format {
     }
 }
 
-/// What a file is, judged by its name and first bytes.
+/// Kind of a file, recognised by its name and first bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Recognised {
     /// A motion in this format.
@@ -142,13 +142,13 @@ pub enum Recognised {
 pub struct Entry {
     /// Relative path of the file it is read from.
     pub file: String,
-    /// Which of the file's motions; empty if it holds one.
+    /// Key of the motion in its file; empty if the file holds one motion.
     pub key: String,
     /// Id of the motion.
     pub id: String,
     /// The published split; without one, a split is drawn.
     pub split: Option<Split>,
-    /// Motions that share a drawn split; none for a motion that shares it with its source clip alone.
+    /// Motions that share a drawn split; if none, a motion shares it only with its source clip.
     pub group: Option<String>,
     /// Id of the motion it mirrors.
     pub mirrored_of: Option<String>,
@@ -157,14 +157,14 @@ pub struct Entry {
 /// The files of a release.
 #[derive(Debug, Default)]
 pub struct Contents {
-    /// Its motions, in an order that depends on the files alone.
+    /// Motions of the release, in an order that depends on the files alone.
     pub entries: Vec<Entry>,
     /// Files without a motion of their own, with the reason why each is skipped. Every file of the
     /// release is named here, in `rejected` or by an entry.
     pub passed_over: Vec<(String, String)>,
     /// Files that were found broken before any motion was read.
     pub rejected: Vec<(String, Rejected)>,
-    /// What a reader of the dataset should know about the splits of its motions.
+    /// Remarks on the splits of the release's motions.
     pub remarks: Vec<String>,
 }
 
@@ -198,7 +198,7 @@ impl Contents {
 
 /// A release: files that belong together and are read by their own rules.
 pub trait Release: Send + Sync {
-    /// Its files.
+    /// Files of the release.
     fn contents(&self) -> &Contents;
 
     /// Reads one motion. Called from many threads at once.
@@ -218,7 +218,7 @@ pub(super) fn boxed<R: Release + 'static>(
         .collect()
 }
 
-/// Refuses a stored pose on another skeleton than the one that is asked for.
+/// Refuses a stored pose whose skeleton differs from the requested one.
 pub(super) fn check_skeleton(found: &str, options: &ReadOptions) -> Result<(), Rejected> {
     let wanted = options.skeleton.name();
     match found == wanted {

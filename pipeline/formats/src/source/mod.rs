@@ -57,7 +57,7 @@ pub const FORMATS: &[Format] = &[
     trc::FORMAT,
     gltf::FORMAT,
     fbx::FORMAT,
-    // These two before `humanml3d`, which would list their captions as captions without a motion.
+    // These two stand before `humanml3d`, which would report their captions as captions without a motion.
     humanml3d_amass::FORMAT,
     representation_272::FORMAT,
     // Before `humanml3d`, which knows no other arrays than its own.
@@ -171,8 +171,8 @@ fn archive_kind(name: &str, extension: &str, head: &[u8]) -> Option<&'static str
 
 /// Turns the bytes of one file into a clip on the given body.
 ///
-/// `companions` reads a file beside it by its name (`/` separates folders), or returns none if it does not
-/// exist. `around` is what its folders say of it.
+/// `companions` reads a file beside it by its name (`/` separates folders), or returns none if it does not exist.
+/// `around` holds the labels from its folders.
 pub fn read_clip(
     format: Format,
     path: &Path,

@@ -30,7 +30,7 @@ pub(super) fn file_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
 
-/// What lies before the first folder of a path that has one of some names, that name, and what lies behind it.
+/// Splits a path at its first folder with one of these names: the part before it, the name, and the part after it.
 pub(super) fn around_folder<'a, 'b>(
     path: &'a str,
     folders: &[&'b str],
@@ -84,7 +84,7 @@ fn escape(bytes: &[u8], text: &mut String) {
     }
 }
 
-/// The file name of a text made by [`text_of_name`]. Escapes it does not make are taken as they are.
+/// The file name of a text made by [`text_of_name`]. Other escapes are kept unchanged.
 pub fn name_of_text(text: &str) -> OsString {
     let mut bytes = Vec::with_capacity(text.len());
     let mut rest = text.as_bytes();

@@ -18,7 +18,7 @@ pub struct ReadOptions {
     pub user_map: Option<UserMap>,
     /// The user's marker set, which takes precedence over known ones.
     pub markers: Option<MarkerSet>,
-    /// Unit of the files, whatever they state.
+    /// Unit of the files; it replaces the unit that they state.
     pub unit: Option<Unit>,
     /// The wanted rate, interpolated at exact times. Readers that can skip frames use it; the others keep the
     /// file's own rate.

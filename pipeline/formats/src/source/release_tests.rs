@@ -1,4 +1,4 @@
-//! What tests of readers share.
+//! Shared parts of the readers' tests.
 
 use std::path::{Path, PathBuf};
 

@@ -5,8 +5,8 @@ use pickle::{Array, Value};
 
 use super::head::UTF8_BOM;
 
-/// Columns of a Unitree G1's motion: position and quaternion of the root, and 29 joint angles. So Unitree's
-/// retargeted LAFAN1, `BeyondMimic`, Kimodo and `MuJoCo` have it.
+/// Columns of a Unitree G1's motion: position and quaternion of the root, and 29 joint angles. Unitree's retargeted
+/// LAFAN1, `BeyondMimic`, Kimodo and `MuJoCo` use this layout.
 const G1_COLUMNS: usize = 36;
 /// Columns seen of a first line that is longer than what is looked at, from which it is recognised.
 const MIN_COLUMNS_SEEN: usize = 20;
@@ -15,7 +15,7 @@ const QUATERNION_TOLERANCE: f64 = 0.02;
 /// First columns of BONES-SEED's motions of the G1.
 const SEED_HEADER: &str = "frame,root_translatex,";
 
-/// What to do about any of them.
+/// Advice for a rejected robot motion.
 const ADVICE: &str = "robots have no body to pose; ingest the human motion it was made from";
 
 /// Why a CSV file is skipped, if its first bytes are rows of a robot.

@@ -71,7 +71,7 @@ impl Unit {
         known.map(|(_, _, metres)| Self { metres: *metres })
     }
 
-    /// Its length in metres.
+    /// Length of the unit in metres.
     pub fn metres(self) -> f64 {
         self.metres
     }

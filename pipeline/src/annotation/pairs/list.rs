@@ -59,7 +59,7 @@ fn is_default_kind(kind: &EditKind) -> bool {
 pub struct RefusedLine {
     /// Number of the line, from 1.
     pub line: u64,
-    /// What is wrong with it.
+    /// What is wrong with the line.
     pub reason: String,
 }
 

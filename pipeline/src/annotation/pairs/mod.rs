@@ -81,18 +81,18 @@ pub struct StylePairs {
     pub alone: Vec<MotionId>,
 }
 
-/// What pairs are made from.
+/// Columns of a clip from which pairs are made.
 #[derive(Clone, Debug, Deserialize)]
 pub struct LabelledClip {
     /// Id of the clip.
     pub id: MotionId,
-    /// Its split.
+    /// Split of the clip.
     pub split: Split,
     /// Path of its source file.
     pub source_path: String,
-    /// Its action.
+    /// Action of the clip.
     pub action: Option<String>,
-    /// Its style.
+    /// Style of the clip.
     pub style: Option<String>,
 }
 

@@ -10,7 +10,7 @@ fn ingested(source: &Path, out: &Path) -> Dataset {
     dataset
 }
 
-/// What an export must keep of the motions, the pairs and the masks, in lines.
+/// Motions, pairs and masks that an export must keep, as lines of text.
 #[derive(Debug, PartialEq)]
 struct Kept {
     motions: BTreeSet<String>,

@@ -20,7 +20,7 @@ pub enum Parsed<'a> {
     Parameters(Box<Parameters<'a>>),
     /// Something that belongs to AMASS and is no motion.
     NoMotion {
-        /// What it is.
+        /// Kind of the file.
         reason: String,
     },
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 /// A subset of AMASS.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Subset {
-    /// Its current name.
+    /// Current name of the subset.
     pub name: &'static str,
     /// Names its folder had in other releases.
     pub former_names: &'static [&'static str],
@@ -83,12 +83,12 @@ impl Subset {
             .find(|subset| subset.name == name || subset.former_names.contains(&name))
     }
 
-    /// The archive on the AMASS download page that holds it.
+    /// The archive on the AMASS download page that holds the subset.
     pub fn archive(&self) -> String {
         format!("{}.tar.bz2", self.name)
     }
 
-    /// Whether HumanML3D was made of it.
+    /// Whether HumanML3D contains clips of the subset.
     pub fn is_in_humanml3d(&self) -> bool {
         const OTHERS: [&str; 7] = [
             "CNRS", "DanceDB", "GRAB", "HUMAN4D", "MOYO", "SOMA", "WEIZMANN",

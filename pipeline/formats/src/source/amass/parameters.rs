@@ -19,7 +19,7 @@ pub struct Parameters<'a> {
     pub stated_fps: f64,
     /// The body model.
     pub(crate) variant: Variant,
-    /// The subject's gender, if the file states one.
+    /// The subject's gender, if the file states it.
     pub(crate) gender: Result<Option<String>, String>,
     /// Shape of the subject's body; empty if the file has none that can be used.
     pub(crate) betas: Vec<f64>,

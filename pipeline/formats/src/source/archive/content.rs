@@ -1,4 +1,4 @@
-//! What is in an archive, and what is wrong with it.
+//! Contents of an archive, and the errors in it.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,14 +9,14 @@ use clip::Rejected;
 
 /// An archive or a member that is damaged, or is something else than its name says.
 pub const DAMAGED: &str = "E-ARCHIVE-DAMAGED";
-/// A member whose name leads out of the archive, or is that of another one.
+/// A member whose name leads out of the archive, or equals that of another member.
 pub(super) const NAME: &str = "E-ARCHIVE-NAME";
 /// More members, bytes or levels than are read.
 pub(super) const LIMIT: &str = "E-ARCHIVE-LIMIT";
 /// A member that is packed in a way that is not read, or encrypted.
 pub(super) const PACKING: &str = "E-ARCHIVE-PACKING";
 
-/// What is in an archive.
+/// Contents of an archive.
 #[derive(Debug, Default)]
 pub(super) struct Content {
     /// Files by name.
@@ -24,7 +24,7 @@ pub(super) struct Content {
     pub(super) special: Vec<(String, String)>,
     /// Members that cannot be used; the name is empty for the archive itself.
     pub(super) refused: Vec<(String, Rejected)>,
-    /// What the members are read from.
+    /// Open archive from which the members are read.
     pub(super) read_from: Option<ReadFrom>,
 }
 
@@ -52,12 +52,12 @@ impl Content {
     }
 }
 
-/// What a member's name means.
+/// Meaning of a member's name.
 pub(super) enum Named {
     File(String),
-    /// It is passed over, and why.
+    /// A name of a member that is skipped, and the reason.
     Special(String, &'static str),
-    /// It cannot be the name of a member.
+    /// A text that cannot be the name of a member, and the reason.
     Refused(String),
 }
 

@@ -1,11 +1,11 @@
-//! How archives are packed, by their names.
+//! Packing of archives, recognised by file name.
 
-/// How an archive is packed.
+/// Packing of an archive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// Members packed one by one, with a directory at the end.
     Zip,
-    /// Members one after the other, as they are.
+    /// Uncompressed members one after the other.
     Tar,
     /// A tar in a gzip stream.
     Gzip,
@@ -28,16 +28,16 @@ const ENDINGS: [(&str, Kind); 9] = [
     (".txz", Kind::Xz),
 ];
 
-/// Dumps of PyTorch and joblib that are no tars whatever their name says.
+/// Extensions of PyTorch and joblib dumps that are not tars despite their name.
 const NO_TARS: [&str; 3] = [".pth.tar", ".pt.tar", ".ckpt.tar"];
 
 impl Kind {
-    /// The kind that a name states; none if it is of no archive.
+    /// The kind that a name states; none if the name is not that of an archive.
     pub(super) fn of_name(name: &str) -> Option<Self> {
         split_ending(name).map(|(_, kind)| kind)
     }
 
-    /// Whether members can be read without what lies before them.
+    /// Whether members can be read without reading the bytes before them.
     pub(super) fn is_random_access(self) -> bool {
         matches!(self, Self::Zip | Self::Tar)
     }

@@ -24,7 +24,7 @@ impl Default for Limits {
     }
 }
 
-/// What is left of the limits of an archive.
+/// Remaining limits of an archive.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Budget {
     limits: Limits,

@@ -18,7 +18,7 @@ const MAX_IN_MEMORY: u64 = 2 << 30;
 /// Where a member is.
 #[derive(Clone, Debug)]
 pub(super) enum Member {
-    /// At a range of the archive, as it is.
+    /// An uncompressed range of the archive.
     Range {
         /// First byte.
         start: u64,
@@ -27,7 +27,7 @@ pub(super) enum Member {
     },
     /// In a zip, by its number there.
     Zipped {
-        /// Its number.
+        /// Index of the member.
         number: usize,
         /// Bytes unpacked.
         size: u64,
@@ -51,14 +51,14 @@ impl Member {
     }
 }
 
-/// What members are read from.
+/// Open archive from which members are read.
 #[derive(Debug)]
 pub(super) enum ReadFrom {
-    /// An archive whose members lie in it as they are.
+    /// An archive with uncompressed members.
     Tar(Arc<dyn ReadAt>),
     /// A zip archive.
     Zip(Arc<dyn ReadAt>, ZipArchive<Reader>),
-    /// The folder that the members are in; it goes when no archive needs it.
+    /// The folder of the unpacked members; it is removed when no archive uses it.
     Scratch(#[expect(dead_code, reason = "it is kept, not read")] Arc<Scratch>),
 }
 
@@ -91,7 +91,7 @@ impl Members {
         member.ok_or_else(|| io::ErrorKind::NotFound.into())
     }
 
-    /// The part of the archive that a stored member is, or the packed bytes of another one.
+    /// A stored member as a part of the archive, or the compressed bytes of another member.
     fn zipped(&self, number: usize) -> io::Result<Zipped> {
         let Some(ReadFrom::Zip(file, zip)) = &self.from else {
             return Err(io::ErrorKind::NotFound.into());

@@ -54,7 +54,7 @@ fn archive_of(folder: &Path) -> Option<&Path> {
     })
 }
 
-/// What archives hold.
+/// Members of the opened archives.
 #[derive(Debug, Default)]
 pub struct Opened {
     /// Members by their relative paths, which begin with that of the archive.
@@ -71,7 +71,7 @@ pub struct Opened {
 #[derive(Clone, Debug, Default)]
 pub struct Archives {
     open: Vec<Arc<Mounted>>,
-    /// Those that had to be unpacked.
+    /// Paths of the archives that had to be unpacked.
     unpacked: Vec<PathBuf>,
 }
 
@@ -116,7 +116,7 @@ impl Opened {
     }
 }
 
-/// Where archives are unpacked, and who is told of it.
+/// Folder for unpacking archives, and the progress sink.
 struct Unpacking<'a> {
     scratch: Arc<Scratch>,
     progress: &'a dyn Progress,
@@ -141,7 +141,7 @@ impl<'a> Unpacking<'a> {
         (!sizes.is_empty()).then(|| (sizes.len(), unpacked::shown(sizes.iter().sum())))
     }
 
-    /// Tells how much will be unpacked. Where nothing is, nothing is told.
+    /// Reports how many bytes will be unpacked, if any.
     fn begin(&self, archives: &[(String, PathBuf)]) {
         if let Some((count, megabytes)) = Self::packed(archives) {
             self.progress.begin("unpack", Some(megabytes));
@@ -157,8 +157,8 @@ impl<'a> Unpacking<'a> {
     }
 }
 
-/// Opens the archives among some files and takes their names out of these. Files that are named like an archive and
-/// are of a format that is read as it is stay.
+/// Opens the archives among some files and removes them from the files. Files with an archive's name that have a format
+/// of their own stay.
 ///
 /// # Errors
 /// There is no room to unpack an archive.
@@ -211,7 +211,7 @@ fn refuse(relative: &str, path: &Path, rejected: Rejected) -> Opened {
     }
 }
 
-/// Opens an archive. None if the file is of a format that is read as it is.
+/// Opens an archive. None if the file has a format of its own.
 fn open(
     relative: &str,
     path: &Path,
@@ -279,7 +279,7 @@ fn open(
     Ok(Some(opened))
 }
 
-/// Lists an archive, and unpacks it where its kind asks for that.
+/// Lists an archive, and unpacks it if its kind requires that.
 fn content(
     kind: Kind,
     path: &Path,

@@ -8,7 +8,7 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::Error;
 
-/// What the names of scratch folders begin with.
+/// Prefix of the names of scratch folders.
 const PREFIX: &str = "stance-unpacked-";
 /// The file in a scratch folder that its process keeps locked.
 const LOCK: &str = "LOCK";
@@ -58,7 +58,7 @@ fn make(parent: &Path) -> io::Result<(PathBuf, File)> {
         let folder = tempfile::Builder::new().prefix(PREFIX).tempdir_in(parent)?;
         let path = folder.path().join(LOCK);
         let Ok(file) = File::create(&path) else {
-            // Another process took the folder for an abandoned one.
+            // Another process mistook the folder for an abandoned one.
             continue;
         };
         if file.try_lock().is_ok() && path.exists() {
@@ -67,7 +67,7 @@ fn make(parent: &Path) -> io::Result<(PathBuf, File)> {
     }
 }
 
-/// Removes the folders whose process is gone: its lock went with it.
+/// Removes folders of processes that ended: the lock of such a folder is free.
 fn remove_abandoned(parent: &Path) {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
         let is_ours = entry.file_name().to_string_lossy().starts_with(PREFIX);
@@ -82,11 +82,11 @@ fn remove_abandoned(parent: &Path) {
                 let _removed = fs::remove_dir(&folder);
                 true
             }
-            // Of another user.
+            // The folder belongs to another user.
             Err(_) => true,
         };
         if !is_held {
-            // What cannot be removed now is removed by the next run.
+            // A folder that cannot be removed now is removed by the next run.
             let _removed = fs::remove_dir_all(&folder);
         }
     }

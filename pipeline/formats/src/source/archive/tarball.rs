@@ -1,4 +1,4 @@
-//! Tar archives, as they are or packed.
+//! Tar archives, uncompressed or compressed.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -102,7 +102,7 @@ fn file_name<R: Read>(content: &mut Content, entry: &tar::Entry<'_, R>) -> Optio
     None
 }
 
-/// What to say of an archive that is broken.
+/// Error message for a damaged archive.
 fn broken(end: u64, error: &io::Error) -> String {
     match end {
         0 => format!("it is no tar archive, or damaged at its beginning ({error})"),

@@ -104,7 +104,7 @@ pub(super) struct DamagedMember {
     pub(super) at: u64,
 }
 
-/// Where a member of a zip lies, and what its directory says of it.
+/// Position of a zip member, and its entry in the directory.
 #[derive(Clone, Debug)]
 pub(super) struct Zipped {
     pub(super) packed: Slice,
@@ -117,7 +117,7 @@ pub(super) struct Zipped {
 }
 
 impl Zipped {
-    /// Unpacks it from its beginning.
+    /// Starts unpacking the member from its beginning.
     pub(super) fn open(&self) -> Box<dyn Read> {
         let packed = Reader::new(Arc::new(self.packed.clone()));
         match self.is_stored {
@@ -176,7 +176,7 @@ impl<R: Read> Read for Checked<R> {
         let length = usize::try_from(self.left).map_or(buffer.len(), |left| left.min(buffer.len()));
         let read = self.inner.read(&mut buffer[..length]);
         let read = read.map_err(|error| match error.kind() {
-            // What the decoder says of bytes that it cannot unpack.
+            // Errors that the decoder returns for damaged data.
             io::ErrorKind::InvalidInput | io::ErrorKind::InvalidData => damaged(error.to_string()),
             _ => error,
         })?;
@@ -231,7 +231,7 @@ pub(super) fn shown(bytes: u64) -> u64 {
     bytes / SHOWN
 }
 
-/// Gives no more than so many bytes, and says if there were more.
+/// Reads at most a number of bytes, and reports whether there were more.
 pub(super) struct Capped<R> {
     inner: R,
     left: u64,

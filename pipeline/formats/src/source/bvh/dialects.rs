@@ -18,11 +18,11 @@ use testkit::walk;
 pub(crate) struct RigJoint {
     name: String,
     parent: Option<usize>,
-    /// The body joint it lies in and turns with.
+    /// Body joint whose position and rotation the joint follows.
     body: usize,
     /// From that joint, in metres.
     beyond: DVec3,
-    /// Its frame while the body stands in its rest pose.
+    /// Frame of the joint while the body stands in its rest pose.
     frame: DQuat,
     has_positions: bool,
 }

@@ -114,11 +114,11 @@ impl Header {
     }
 }
 
-/// The text of a file, piece by piece.
+/// The text of a file, read in pieces.
 struct Pieces<'a> {
     file: &'a mut dyn Read,
     text: Vec<u8>,
-    /// Bytes of `text` that were handed out.
+    /// Number of bytes of `text` that were returned.
     used: usize,
     /// Bytes after them that are known to hold no line end.
     searched: usize,
@@ -144,7 +144,7 @@ impl<'a> Pieces<'a> {
         }
     }
 
-    /// Forgets what was handed out.
+    /// Drops the text that was returned.
     fn forget_used(&mut self) {
         self.text.drain(..self.used);
         self.offset += std::mem::take(&mut self.used);
@@ -167,7 +167,7 @@ impl<'a> Pieces<'a> {
             self.read()?;
             let last = self.ended || self.text.len() >= Self::MAX_HEADER;
             match Header::parse(&self.text) {
-                // The frame time may go on in the next piece.
+                // The frame time may continue in the next piece.
                 Ok((header, at)) if last || at < self.text.len() => {
                     self.used = at;
                     return Ok(header);
@@ -178,7 +178,7 @@ impl<'a> Pieces<'a> {
         }
     }
 
-    /// The next whole lines with their place, and at the end what is left; none after it.
+    /// The next whole lines with their offset, and at the end of the file the remaining text; then none.
     fn lines(&mut self) -> Result<Option<(usize, &[u8])>, Rejected> {
         loop {
             self.forget_used();

@@ -60,7 +60,7 @@ fn long_files_are_read_piece_by_piece_as_if_whole() {
         ];
         assert_eq!(bvh.frame(frame), expected);
     }
-    // Without any line break between them, rows are told apart by their number of values.
+    // Rows without line breaks between them are separated by their number of values.
     let flat = header.clone() + &rows(FRAMES).replace('\n', " ");
     assert_eq!(parse(&flat).expect("valid"), bvh);
     let broken = text.clone() + "1 2 here\n";

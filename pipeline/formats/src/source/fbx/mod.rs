@@ -1,7 +1,7 @@
 //! The FBX reader: skeletons and the takes they perform, from binary and ASCII files.
 //!
-//! The crate `ufbx` parses the file and evaluates it: pivots, pre-rotations, geometric transforms, scale that is
-//! not inherited, and layers of curves are its business. Here its nodes become bones.
+//! The crate `ufbx` parses the file and evaluates it: pivots, pre-rotations, geometric transforms, scale that is not
+//! inherited, and layers of curves are evaluated by the crate. This module turns its nodes into bones.
 
 mod performance;
 

@@ -1,4 +1,4 @@
-//! What the skeletons of a file do in its takes.
+//! Animation of the skeletons of a file in its takes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -101,7 +101,7 @@ impl Performances {
         unique_keys(self.all.iter().map(name), |index| index.to_string())
     }
 
-    /// What of the file is not read.
+    /// Note on parts of the file that are not read.
     pub(super) fn notes(&self) -> Option<String> {
         let read: BTreeSet<usize> = self.all.iter().map(|(take, _)| *take).collect();
         let stacks = self.scene.anim_stacks.into_iter().enumerate();
@@ -371,7 +371,7 @@ impl Rig for Performance<'_> {
                 ufbx::evaluate_scene(self.scene, &self.stack.anim, time, EvaluateOpts::default());
             let bones = match scene {
                 Ok(scene) => self.placed(&scene),
-                // It can lack memory alone; a motion that is not finite is refused.
+                // Evaluation fails only if memory runs out; the NaN frame is then rejected.
                 Err(_) => vec![NOWHERE; self.skeleton.nodes.len()],
             };
             visit(frame, &bones);
@@ -387,7 +387,7 @@ const NOWHERE: Placed = Placed {
 
 /// Frames of a take of this length in seconds.
 fn frames_in(seconds: f64, fps: Fps) -> Result<usize, Rejected> {
-    /// Share of a frame by which a take may end early and have it.
+    /// Fraction of a frame by which a take may end early without losing the frame.
     const SLACK: f64 = 1e-3;
     let frames = (seconds * fps.get() + SLACK).floor() + 1.0;
     if frames.is_nan() || frames < 2.0 {

@@ -14,8 +14,8 @@ use clip::{MAX_FPS, MIN_FPS, Rejected};
 
 /// Rate in 1/s at which unevenly spaced keys are sampled, the one most animations are made at.
 pub(super) const DEFAULT_FPS: f64 = 30.0;
-/// Lowest rate in 1/s of evenly spaced keys that counts as a frame rate: an animator's two poses a
-/// second do not.
+/// Lowest rate in 1/s of evenly spaced keys that counts as a frame rate: sparser keys, such as two poses a second, are
+/// an animator's.
 const MIN_KEY_RATE: f64 = 10.0;
 /// Tolerance, in grid steps, for a key to count as on an even grid. Times are stored as `f32`, which
 /// resolves a hundredth of a frame at 240 fps after an hour.
@@ -49,7 +49,7 @@ pub(super) fn read_times(document: &Document, accessor: usize) -> Result<Vec<f64
     Ok(times)
 }
 
-/// What the frame rate depends on of the key times of an animation.
+/// Properties of an animation's key times that determine its frame rate.
 pub(super) struct Grid {
     pub(super) start: f64,
     pub(super) end: f64,

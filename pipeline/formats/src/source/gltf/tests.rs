@@ -33,7 +33,7 @@ impl Parts {
         }
     }
 
-    /// As text, with the binary data in a URI.
+    /// Text form of the file, with the binary data in a URI.
     fn embedded(mut self) -> Vec<u8> {
         let data = STANDARD.encode(&self.binary);
         let uri = &mut self.json["buffers"][0]["uri"];
@@ -112,7 +112,7 @@ fn embedded_buffers_read_as_the_binary_chunk_does() {
 fn a_turned_and_scaled_world_above_the_skeleton_does_not_matter() {
     let plain = clip_of(&Parts::walking().embedded());
     let turned = Parts::walking().with(|json| {
-        // As exporters of scenes in centimetres do; the bind pose knows nothing of it.
+        // A scale at the root, as exporters of scenes in centimetres write it; the bind pose does not contain it.
         let root = json["nodes"].as_array_mut().expect("nodes");
         root.push(json!({
             "rotation": [0.0, 0.5_f64.sqrt(), 0.0, 0.5_f64.sqrt()],

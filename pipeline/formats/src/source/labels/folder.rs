@@ -36,12 +36,12 @@ pub fn names_in_folder() -> impl Iterator<Item = &'static str> {
     [TOML, CSV].into_iter().chain(LICENSES)
 }
 
-/// What the folders of a clip say of it.
+/// Labels of a clip from files of its folders.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClipLabels {
-    /// Of this clip, by its name or a pattern.
+    /// Labels of this clip, by its name or a pattern.
     pub(super) of_clip: Sidecar,
-    /// Of all clips of its folders.
+    /// Labels of all clips of its folders.
     pub(super) of_folder: Sidecar,
     /// Files of its folders that could not be used.
     pub(super) problems: Vec<LabelProblem>,
@@ -56,7 +56,7 @@ pub struct FolderLabels {
     problems: Vec<LabelProblem>,
 }
 
-/// What the files of one folder say.
+/// Labels from the files of one folder.
 #[derive(Debug, Default)]
 struct Folder {
     all: Sidecar,
@@ -195,7 +195,7 @@ impl FolderLabels {
             .extend(content.problems.into_iter().map(problem));
     }
 
-    /// What the folders of a motion say of it.
+    /// Labels of a motion from the files of its folders.
     pub fn of(&self, files: &Files, entry: &Entry) -> ClipLabels {
         let mut labels = ClipLabels::default();
         for (folder, relative) in self.around(files, entry) {
@@ -231,7 +231,7 @@ impl FolderLabels {
         })
     }
 
-    /// What could not be used: files, lines, and names that no motion has.
+    /// Unusable files and lines, and names that no motion has.
     pub fn problems<'a>(
         &self,
         files: &Files,

@@ -20,7 +20,7 @@ pub(super) fn is_named(name: &str) -> bool {
         && (stem == "readme" || NAMES.iter().any(|known| stem.starts_with(known)))
 }
 
-/// Whether a file of [`is_named`] speaks of more than a licence.
+/// Whether a file accepted by [`is_named`] is about more than a licence.
 pub(super) fn is_readme(name: &str) -> bool {
     name.to_lowercase().starts_with("readme")
 }
@@ -39,7 +39,7 @@ pub(super) fn stated_in(name: &str, text: &str) -> BTreeSet<String> {
     }
 }
 
-/// The lines of a readme that speak of a licence.
+/// The lines of a readme that mention a licence.
 fn about_licenses(text: &str) -> String {
     let mut in_section = false;
     let mut kept = String::new();

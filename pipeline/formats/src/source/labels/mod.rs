@@ -1,5 +1,5 @@
-//! What is said of a motion beside its file: `<stem>.stance.json`, captions in `<stem>.txt`, `stance.toml`,
-//! `captions.csv` and licences of its folders, and the names of the Bandai-Namco motion dataset.
+//! Labels of a motion from other files: `<stem>.stance.json`, captions in `<stem>.txt`, `stance.toml`, `captions.csv`
+//! and licences of its folders, and the names of the Bandai-Namco motion dataset.
 
 mod bandai_namco;
 mod captions;
@@ -115,8 +115,8 @@ fn take_captions(clip: &mut SourceClip, captions: Vec<LabelCaption>) {
     }
 }
 
-/// What is known of a motion file's labels before it is read. A release has its own rules of action and
-/// style: `companions` is none for its motions. `subject` is the one that the file itself names.
+/// Labels of a motion file that are known before it is read. A release has its own rules for action and style, so
+/// `companions` is none for its motions. `subject` is the one that the file itself names.
 pub fn stated(
     path: &Path,
     companions: Option<&Companions<'_>>,
@@ -243,7 +243,7 @@ impl Sidecar {
         self.split = self.split.or(farther.split);
     }
 
-    /// As [`Sidecar::fill`], but captions add up.
+    /// Fills missing labels as [`Sidecar::fill`], but captions add up.
     fn add(&mut self, farther: &Sidecar) {
         let mut captions = std::mem::take(&mut self.captions);
         let mut parts = std::mem::take(&mut self.parts);
@@ -302,7 +302,7 @@ mod tests {
             assert_eq!(clip.style.as_deref(), Some(style));
             assert_eq!(texts(&clip.made_captions), [text]);
             assert!(clip.captions.is_empty() && clip.notes.is_empty());
-            // Whoever wrote the same text into a file took it from the rule.
+            // A caption file with the same text adds no caption: its author copied the rule's text.
             let again = format!("{text}\n");
             let beside = |name: &str| name.ends_with(".txt").then(|| again.clone().into_bytes());
             let clip = labelled(&format!("x/{stem}.bvh"), &beside, &around);

@@ -10,7 +10,7 @@ pub fn matches(pattern: &str, name: &str) -> bool {
     let (pattern, name): (Vec<char>, Vec<char>) =
         (pattern.chars().collect(), name.chars().collect());
     let (mut at, mut place) = (0, 0);
-    // The last `*`, and the end of what it stands for so far.
+    // Position of the last `*`, and the end of its match so far.
     let mut star: Option<(usize, usize)> = None;
     while place < name.len() {
         match pattern.get(at) {

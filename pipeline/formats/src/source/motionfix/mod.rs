@@ -56,7 +56,7 @@ struct Pair {
     source: Result<Parameters, Rejected>,
     target: Result<Parameters, Rejected>,
     text: String,
-    /// How its split was found, if no list names it.
+    /// How the split was found, if no list names the pair.
     note: Option<String>,
 }
 
@@ -127,7 +127,7 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
     }
     for (folder, dumps) in folders {
         let mut release = MotionFixRelease {
-            // What belongs to no folder is named once.
+            // Contents outside of any folder are listed once.
             contents: std::mem::take(&mut shared.contents),
             parts: shared.parts.clone(),
             ..MotionFixRelease::default()

@@ -15,7 +15,7 @@ use clip::ReadClip;
 
 /// Folders whose files are motions, named by their paths below.
 const MOTIONS: [&str; 2] = ["smplx_322", "smplx322"];
-/// The folder above them that holds faces and no bodies.
+/// Sibling folder with faces, which holds no bodies.
 const FACES: &str = "face_motion_data";
 /// Folders with the captions of whole clips, under the names of the motions.
 const CAPTIONS: [&str; 3] = ["semantic_labels", "semantic_label", "motionx_seq_text_v1.1"];
@@ -59,7 +59,7 @@ impl MotionXFolder {
             .iter()
             .map(|root| Self::plan(files, root, &roots, &captions))
             .collect();
-        // What belongs to no motion is named once.
+        // Contents outside of any motion are listed once.
         if let Some(first) = folders.first_mut() {
             let faces = files
                 .all()
@@ -121,7 +121,7 @@ impl MotionXFolder {
                 folder.notes.insert(file.to_owned(), note);
             }
             let own = captions.get(name).into_iter().flatten().filter(is_own);
-            // Of several copies of the release, the captions nearest to the motion.
+            // If there are several copies of the release, use the captions nearest to the motion.
             let nearest = own.max_by_key(|text| common_start(text, file));
             if let Some(text) = nearest {
                 folder.captions.insert(file.to_owned(), (*text).to_owned());

@@ -96,7 +96,7 @@ fn what_is_wrong_is_rejected_with_its_place() {
         ("E-NOT-FINITE", Some(at as u64))
     );
     assert_contains(&rejected.reason, "frame 1, column 5");
-    // Faces are not used, whatever they hold.
+    // Faces are not used, whatever they contain.
     let mut face = good.clone();
     let at = start + 8 * 200;
     face[at..at + 8].copy_from_slice(&f64::NAN.to_le_bytes());

@@ -78,7 +78,7 @@ struct Folder {
     contents: Contents,
     /// File of each id's captions.
     texts: BTreeMap<String, String>,
-    /// What is to be said of the split of an id.
+    /// Notes on the splits of ids.
     notes: BTreeMap<String, String>,
 }
 

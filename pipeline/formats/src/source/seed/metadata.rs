@@ -1,4 +1,4 @@
-//! The table of the motions: what each shows, and who performs it.
+//! The table with the description and performer of each motion.
 
 use std::collections::BTreeMap;
 
@@ -33,7 +33,7 @@ const BATCH_ROWS: usize = 1024;
 /// Limit on the unpacked bytes of these columns: those of 142,220 motions take some 100 MB.
 const MAX_UNPACKED_LEN: i64 = 2 << 30;
 
-/// What the table says of a motion.
+/// Row of a motion in the table.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Described {
     pub captions: Vec<String>,

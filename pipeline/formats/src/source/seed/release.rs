@@ -1,4 +1,4 @@
-//! A folder of the dataset: BVH files, and what the tables say of them.
+//! A folder of the dataset: BVH files, and their tables of metadata.
 
 use std::collections::{BTreeMap, BTreeSet};
 

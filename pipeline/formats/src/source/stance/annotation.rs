@@ -19,7 +19,7 @@ pub(super) struct Annotations {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Annotation {
     pub(super) masks: Vec<SourceMask>,
-    /// What could not be understood.
+    /// Parts of the annotation that could not be parsed.
     pub notes: Vec<String>,
 }
 

@@ -9,7 +9,7 @@ use crate::source::format::Entry;
 use crate::source::stored_labels::StoredLabels;
 use clip::{Rejected, RotationSource, SourceClip, rejected};
 
-/// What an export says of its motions.
+/// Labels of an export's motions.
 pub(super) struct Labels {
     record: Record,
     stored: StoredLabels,
@@ -54,7 +54,7 @@ impl Labels {
         &self.record.skeleton
     }
 
-    /// Hash of a list of the release, as it was written.
+    /// Hash of a list of the release when it was written.
     pub(super) fn list(&self, name: &str) -> Option<&str> {
         self.record.lists.get(name).map(String::as_str)
     }

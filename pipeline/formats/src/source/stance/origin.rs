@@ -1,4 +1,4 @@
-//! What an export says beside the layout of the release: `origin.json`, `masks.jsonl` and `pairs.jsonl`.
+//! Files of an export that the published layout does not have: `origin.json`, `masks.jsonl` and `pairs.jsonl`.
 //!
 //! `origin.json` names the motion of each file, by its id in the dataset, and says what the layout has no place for.
 //! `masks.jsonl` and `pairs.jsonl` hold the masks and pairs of the dataset, a row of its tables in each line, as
@@ -25,7 +25,7 @@ pub const PAIRS: &str = "pairs.jsonl";
 
 /// Code of what an export says of itself.
 pub(super) const CODE_OF_ORIGIN: &str = "E-STANCE-ORIGIN";
-/// Value of `format`. Exports of earlier versions hold the motions alone.
+/// Value of `format`. Exports of earlier versions hold only the motions.
 const FORMAT: &str = "stance-export";
 /// Version of the three files.
 const VERSION: u32 = 2;
@@ -45,7 +45,7 @@ pub struct Record {
     pub(crate) skeleton: String,
     /// BLAKE3 of the files of the release that say in part what the other two say, by path.
     pub lists: BTreeMap<String, String>,
-    /// The clips that the motions are of.
+    /// Origins of the motions.
     pub motions: Origins,
 }
 
@@ -65,22 +65,22 @@ pub struct Origin {
     /// Where its rotations come from.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub rotation_source: String,
-    /// How far they are from what they were fitted to, in metres.
+    /// Error of the fitted rotations against the source positions, in metres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fit_error_m: Option<f32>,
     /// Id of the motion it mirrors.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mirrored_of: Option<String>,
-    /// What it shows.
+    /// Captions of the motion.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub captions: Vec<Caption>,
     /// Who wrote each of the captions.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub caption_origins: Vec<String>,
-    /// What single body parts do.
+    /// Captions of single body parts.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub part_captions: Vec<PartCaption>,
-    /// Who performs it.
+    /// Name of the performer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub subject: Option<String>,
     /// Action label.
@@ -108,11 +108,11 @@ impl Record {
     }
 }
 
-/// What `origin.json` says: a record, or the motions alone as earlier versions wrote them.
+/// Content of `origin.json`: a record, or only the motions, as earlier versions wrote them.
 pub enum Parsed {
     /// A record.
     Record(Record),
-    /// The motions alone.
+    /// Only the motions.
     Motions(Origins),
 }
 

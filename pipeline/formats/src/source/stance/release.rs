@@ -20,7 +20,7 @@ use clip::{EditOf, ReadClip, Rejected, SourceClip, rejected};
 use pickle::Value;
 use pickle::joblib;
 
-/// Folder of motions as they were captured.
+/// Folder of captured motions.
 pub const BASE_MOTION: &str = "base_motion";
 /// Folder of motions in a style.
 pub const STYLE_TRANSFER: &str = "style_transfer";
@@ -104,7 +104,7 @@ pub(super) struct StanceRelease {
     annotations: Annotations,
     /// Body part and text of adjustments whose pickle lacks them, by file stem.
     adjustments: Json,
-    /// What an export says of its motions, in place of what its files and lists say.
+    /// Labels from the export's own files; they replace those of the release's files and lists.
     labels: Option<Labels>,
 }
 
@@ -324,7 +324,7 @@ impl<'a> Planner<'a> {
         self.release.labels = Some(labels);
     }
 
-    /// Whether a list of an export is as it was written. What it says is read from the files beside it.
+    /// Whether a list of an export is unchanged; the export's own files hold its content.
     fn is_as_written(&mut self, file: &str) -> bool {
         let name = file.strip_prefix(self.root).unwrap_or(file);
         let labels = self.release.labels.as_ref();
@@ -424,7 +424,7 @@ impl<'a> Planner<'a> {
         self.take(file, parse)
     }
 
-    /// What a file of the release says; none if it is broken, which is recorded.
+    /// Parses a file of the release; none if it is damaged, which is recorded.
     fn take<T>(&mut self, file: &str, parse: impl FnOnce(&[u8]) -> Result<T, String>) -> Option<T> {
         let read = self.files.read(file).and_then(|bytes| {
             refuse_pointer(&bytes)?;

@@ -15,7 +15,7 @@ pub(super) struct Lists {
 }
 
 impl Lists {
-    /// The split a list is of, by its file name.
+    /// Split of a list, by its file name.
     pub(super) fn split_of(stem: &str) -> Option<Split> {
         match stem.to_lowercase().as_str() {
             "train" => Some(Split::Train),

@@ -12,7 +12,7 @@ const TRAJECTORIES: &str = "4";
 /// Limit on markers; real captures have a few hundred.
 const MAX_MARKERS: usize = 10_000;
 
-/// What the first lines say.
+/// Fields of the header lines.
 pub(super) struct Header {
     /// Frames per second; none if the file states none that can be used.
     pub(super) rate: Option<f64>,

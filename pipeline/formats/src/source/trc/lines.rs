@@ -5,7 +5,7 @@ use crate::source::head::UTF8_BOM;
 /// A line of the text.
 #[derive(Clone, Copy)]
 pub(super) struct Line<'a> {
-    /// Its place in the file.
+    /// Position of the line in the file.
     pub(super) at: usize,
     pub(super) text: &'a [u8],
     /// Whether a line break follows.

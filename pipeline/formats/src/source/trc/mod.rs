@@ -75,8 +75,8 @@ pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Capture, Rejected>
     })
 }
 
-/// Drops the rows beyond the number that the header states, if that is asked for. Returns what a reader may want to
-/// know about it.
+/// Drops the rows beyond the number that the header states, if the options ask for it. Returns a note about the dropped
+/// rows.
 fn cut_to_stated(
     rows: &mut Rows,
     stated: usize,

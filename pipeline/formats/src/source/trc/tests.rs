@@ -284,7 +284,7 @@ fn a_capture_of_a_known_set_becomes_the_motion_it_shows() {
             }
         }
     }
-    // Of an unknown set, there is no motion.
+    // Markers of an unknown set give no motion.
     let outcome = FORMAT.read(Path::new("a.trc"), "", SMALL.as_bytes(), &options);
     let Outcome::Rejected(rejected) = outcome else {
         panic!("{outcome:?}");

@@ -26,7 +26,7 @@ const FACTS: &str = "json";
 const MAX_MEMBER_LEN: u64 = 1 << 28;
 const CODE: &str = "E-WEBDATASET-MEMBER";
 
-/// What `KEY.json` says of a clip.
+/// Metadata of a clip in `KEY.json`.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 struct Facts {
@@ -66,7 +66,8 @@ pub(super) struct Shards {
 impl Shards {
     /// Finds the folders with shards or unpacked files.
     pub(super) fn find(files: &Files) -> Vec<Self> {
-        // Folder, key and, for archives, its name: a key is unique in a shard.
+        // By folder, then by archive name (empty for unpacked files) and key, because a key is unique only within a
+        // shard.
         let mut found: BTreeMap<&str, BTreeMap<(String, String), Members>> = BTreeMap::new();
         for file in files.all() {
             let (folder, name) = file.rsplit_once('/').unwrap_or(("", file));
@@ -105,7 +106,7 @@ impl Shards {
             {
                 continue;
             }
-            // What is wrong with the facts is reported when the clip is read.
+            // Invalid metadata is reported when the clip is read.
             let facts = facts(files, &members).unwrap_or_default();
             let file = members[ARRAYS[0].0].file.clone();
             for place in members.values().filter(|place| place.range.is_none()) {
@@ -190,7 +191,7 @@ fn rows<const D: usize>(values: &[f32]) -> Vec<[f32; D]> {
     values.as_chunks().0.to_vec()
 }
 
-/// Key and ending of a member of a clip; none if the name is of no such member.
+/// Key and ending of a clip's member; none if the name is not that of such a member.
 fn member(name: &str) -> Option<(&str, &'static str)> {
     let (key, ending) = name.split_once('.')?;
     let endings = ARRAYS.iter().map(|(ending, _)| *ending).chain([FACTS]);
