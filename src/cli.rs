@@ -269,7 +269,7 @@ mod tests {
                 let command = words.join(" ");
                 let all = std::iter::once("stance".to_owned()).chain(words);
                 match Cli::try_parse_from(all) {
-                    // Help and the version are asked for by what clap calls errors.
+                    // clap returns requests for help and for the version as errors.
                     Err(error) if error.use_stderr() => {
                         refused.push(format!("{}: stance {command}\n{error}", path.display()));
                     }

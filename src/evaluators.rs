@@ -202,8 +202,8 @@ pub(crate) struct WeakJudgeArgs {
 }
 
 impl WeakJudgeArgs {
-    /// The exit of a command whose scores rank nothing for a reason; `otherwise` where they rank, or where --weak-judge
-    /// accepts it.
+    /// Exit code for scores that cannot rank systems for the reason `unranked`; `otherwise` if they can, or if
+    /// --weak-judge is given.
     pub(crate) fn exit(self, unranked: Option<String>, otherwise: Exit) -> Exit {
         let Some(reason) = unranked else {
             return otherwise;

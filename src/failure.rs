@@ -5,7 +5,7 @@ use std::error::Error;
 use datasets_spec::Code;
 use serde::Serialize;
 
-/// What `--json` prints on stdout when a command fails or refuses an item.
+/// The `--json` document of a command that fails or refuses an item.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct Failure {
     /// Code that scripts may rely on, such as `E-IO` or a code of the quarantine table.

@@ -12,7 +12,7 @@ use train::tmr::TmrEncoder;
 
 use crate::device::device;
 
-/// What names it in place of a run folder.
+/// Name of the built-in encoder, in place of a run folder.
 pub(crate) const BUILTIN: &str = "builtin";
 
 const CONFIG: &str = include_str!("../eval/judge/builtin/config.json");
@@ -36,7 +36,7 @@ pub(crate) enum EncoderConfig {
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Builtin {
-    /// As `--encoder builtin`.
+    /// The built-in encoder, as with `--encoder builtin`.
     Builtin,
 }
 
@@ -50,7 +50,7 @@ impl EncoderConfig {
     /// The encoder that ships with the program.
     pub(crate) const BUILTIN: Self = Self::Named(Builtin::Builtin);
 
-    /// Whether it is the one that ships with the program.
+    /// Whether this is the built-in encoder.
     pub(crate) fn is_builtin(&self) -> bool {
         matches!(self, Self::Named(_))
     }
@@ -81,7 +81,7 @@ pub(crate) fn check_skeleton(skeleton: &Skeleton) -> anyhow::Result<()> {
     Ok(check_skeleton_of(CONFIG, name, "the encoder", skeleton)?)
 }
 
-/// Its report.
+/// Report of the built-in encoder.
 pub(crate) fn report() -> anyhow::Result<JudgeReport> {
     serde_json::from_str(REPORT).context("the report of the built-in encoder")
 }

@@ -30,7 +30,7 @@ pub(crate) fn failure(failure: &Failure) {
     text(&document);
 }
 
-/// Appends a list under a title, if there is anything in it.
+/// Appends a list under a title, unless the list is empty.
 pub(crate) fn append_list(text: &mut String, title: &str, lines: &[String]) {
     if !lines.is_empty() {
         *text += &format!("{title}\n{}", listing(lines));
@@ -39,7 +39,7 @@ pub(crate) fn append_list(text: &mut String, title: &str, lines: &[String]) {
 
 /// Lines with two spaces before each. Of many only the first are shown.
 pub(crate) fn listing(lines: &[String]) -> String {
-    /// Lines that are shown; `--json` has all.
+    /// Number of printed lines; `--json` prints all.
     const SHOWN: usize = 10;
     let shown = lines.iter().take(SHOWN);
     let mut text: String = shown.map(|line| format!("  {line}\n")).collect();

@@ -37,7 +37,7 @@ impl Seeds {
         global.seed_or(self.sample)
     }
 
-    /// All of them, for a report.
+    /// All seeds in words, for a report.
     pub(crate) fn in_words(&self, global: &Global) -> String {
         format!(
             "split {}, items {}, training {}, sampling {}",

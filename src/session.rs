@@ -1,4 +1,4 @@
-//! What the process provides to the library crates: signals, the clock, a progress sink.
+//! Services of the process for the library crates: signals, clock, progress sink.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock, Once};
@@ -24,7 +24,7 @@ pub(crate) fn is_stopped() -> bool {
     STOP.load(Ordering::Relaxed)
 }
 
-/// Reports that an interrupt ended a chain of stages between two of them.
+/// Reports an interrupt between two stages of a chain.
 pub(crate) fn stopped() -> Exit {
     report::note("stopped and saved; the same command continues from here");
     Exit::Interrupted
@@ -67,7 +67,7 @@ pub(crate) fn hub_cache() -> Option<HubCache> {
     HubCache::from_variables(|name| std::env::var_os(name))
 }
 
-/// What this process adds to a plan whose job runs a model.
+/// Process-specific additions to a plan whose job runs a model.
 pub(crate) fn surroundings() -> Surroundings {
     Surroundings {
         device: device(),

@@ -26,7 +26,7 @@ pub(crate) fn parse<T: DeserializeOwned>(text: &str, path: &Path) -> anyhow::Res
     })
 }
 
-/// File, line and column of a byte, as editors take them.
+/// File, line and column of a byte offset, in the format that editors recognise.
 fn place(text: &str, path: &Path, byte: usize) -> String {
     let before = &text[..byte.min(text.len())];
     let line_start = before.rfind('\n').map_or(0, |end| end + 1);
@@ -88,8 +88,8 @@ pub(crate) fn over<T: Serialize + DeserializeOwned>(
     })
 }
 
-/// What some settings change of a preset: those that only repeat it are left out, so that equal settings are equal
-/// however they were written.
+/// The settings that differ from a preset. Settings that repeat the preset are left out, so that equal settings compare
+/// equal however they were written.
 pub(crate) fn changes(preset: &Value, own: Value) -> Value {
     let Value::Object(own) = own else {
         return own;

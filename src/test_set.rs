@@ -30,11 +30,11 @@ impl FromStr for TestSet {
 
 /// Name of the set.
 pub(crate) const BUILTIN_1: &str = "builtin-1";
-/// Its items.
+/// Number of items in the set.
 const COUNT: usize = 300;
-/// The items that the demo is scored on, if it is not asked for all.
+/// Number of items that the demo is scored on, unless all are requested.
 const PART: usize = 150;
-/// What the ids of its items come to, as [`compose::digest_of_ids`] has it.
+/// Digest of the item ids, by [`compose::digest_of_ids`].
 const DIGEST: &str = "099accb8ce2b9bbe74622c0a5611bf21";
 /// Adjusted clips of each neutral one, which make the fine-grained pairs.
 pub(crate) const ADJUSTED: usize = 2;

@@ -126,7 +126,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
                 format!("[export] names {name:?}, which is none of {known}")
             })?;
         let out = config.out.join(name);
-        // An export appears whole and depends on the dataset alone, so an existing one is current.
+        // An export appears complete or not at all and depends only on the dataset, so an existing one is current.
         if !out.exists() {
             export(&Clips::all(&dataset), layout, &out, &bars)
                 .with_context(|| format!("stage export {name}"))?;

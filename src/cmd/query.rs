@@ -93,7 +93,7 @@ fn objects(answer: &Answer) -> Vec<Map<String, Value>> {
     (0..answer.len()).map(object).collect()
 }
 
-/// A value as text stands in a line.
+/// A value as the text of a table cell.
 fn cell(value: &Value) -> String {
     match value {
         Value::Null => String::new(),

@@ -79,7 +79,7 @@ pub(crate) fn open_for_clips(path: &Path) -> anyhow::Result<Dataset> {
     })
 }
 
-/// Longest label that stands on one line.
+/// Longest label that fits on one line.
 const LABEL_CHARS: usize = 15;
 
 /// Labels of clips by their names. Where a name is too long for a line, what all have in common at their
@@ -199,7 +199,7 @@ fn further_edits<'a>(args: &'a Args, dataset: Option<&Dataset>) -> anyhow::Resul
     Ok(others)
 }
 
-/// What is drawn.
+/// Options of a picture.
 #[derive(Default)]
 struct Picture {
     rows: Vec<Row>,

@@ -179,9 +179,9 @@ struct Planned<'a> {
     pieces: u64,
     items: u64,
     bytes: u64,
-    /// What was made to estimate the hours; none without --dry-run.
+    /// Pieces made to estimate the hours; none without --dry-run.
     sample: Option<SampleOf>,
-    /// Of one process like this one.
+    /// Estimated hours of one process like this one.
     estimated_hours: Option<f64>,
 }
 
@@ -428,7 +428,7 @@ fn ended(status: ExitStatus) -> String {
     format!("the process that made this piece ended without a record ({status})")
 }
 
-/// What a commit of edits notes.
+/// Notes of a commit of edits.
 #[derive(Deserialize)]
 struct TimesOf {
     times: EditTimes,
@@ -440,7 +440,7 @@ fn commit(args: &CommitArgs, global: &Global) -> anyhow::Result<Exit> {
         holder: global.holder(),
     };
     let done = work::commit(&args.plan, &jobs(), &options, &global.bars())?;
-    // As `stance edit` does.
+    // Write the times of editing, as `stance edit` does.
     if let Ok(TimesOf { times }) = TimesOf::deserialize(&done.notes) {
         per_window(&times).write(&done.destination)?;
     }

@@ -149,8 +149,8 @@ fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
     global.say(&counted, &table(&counted))
 }
 
-/// Twelve triplets below each other: the original, what the edit takes from, the edit with a hard
-/// mask alone and with its soft ring, whose joints have a halo.
+/// Draws twelve triplets below each other: the original, the partner or donor, the edit with only the hard mask, and
+/// the edit with the soft ring, whose joints have a halo.
 fn sheet(stream: &Stream, skeleton: &Skeleton) -> anyhow::Result<String> {
     const TRIPLETS: usize = 12;
     const COLUMNS: usize = 2;

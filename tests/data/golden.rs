@@ -11,9 +11,9 @@ use safetensors::{Dtype, SafeTensors};
 
 /// One recorded case.
 pub(crate) struct Recorded {
-    /// Its file.
+    /// Path of the file.
     pub(crate) path: PathBuf,
-    /// Its tensors by name.
+    /// Tensors of the file by name.
     pub(crate) tensors: BTreeMap<String, Tensor>,
 }
 

@@ -16,7 +16,7 @@ use crate::util::{
     typed_with,
 };
 
-/// A failure, as a script relies on it.
+/// The JSON of a failure; the fields that scripts rely on.
 #[derive(Debug, Deserialize)]
 struct Failure {
     code: String,
@@ -447,7 +447,7 @@ fn a_row_too_many_or_too_few_is_read_where_that_is_asked_for() {
     put(source.join("good.bvh"), &text);
     let strict = ingest(&source, &out, &[], 3);
     assert_eq!((strict.ingested, strict.codes["E-BVH-FRAMES"]), (1, 2));
-    // It is another plan.
+    // The command has another plan.
     typed(
         "ingest {} --out {} --lenient --fps native",
         &[&source, &out],

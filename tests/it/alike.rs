@@ -43,7 +43,7 @@ fn nearly_equal_motions_share_a_split() {
             .iter()
             .any(|group| group["splits"] != json!(["train"]))
     );
-    // Those that come later follow the clips that are there.
+    // Clips that are ingested later take the split of equal clips that exist.
     ingest(&[&source], &grown, &[], 0);
     let before = clips(&grown);
     ingest(&[&copies], &grown, &[], 0);

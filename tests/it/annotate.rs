@@ -1,4 +1,4 @@
-//! `stance annotate` as a person starts it, and as a power cut ends it.
+//! `stance annotate`, started by a user and killed like in a power cut.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader};
@@ -79,7 +79,7 @@ impl Process {
         }
     }
 
-    /// Ends it as a power cut would.
+    /// Kills the server like a power cut.
     fn kill(&mut self) {
         self.child.kill().expect("a running server");
         self.child.wait().expect("an end");
@@ -88,7 +88,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // It may have ended already.
+        // The server may have ended already.
         let _killed = self.child.kill();
         let _ended = self.child.wait();
     }
@@ -585,7 +585,7 @@ fn a_server_says_who_else_can_reach_it() {
     ] {
         let mut command = command(&["annotate", arg(&dataset), "--listen", listen]);
         let (mut child, line) = begun(command.args(more).stderr(Stdio::piped()));
-        // It listens; what it had to say before is said.
+        // The server is listening, so its messages are already printed.
         child.kill().expect("a running server");
         let said = child.wait_with_output().expect("an end").stderr;
         let said = String::from_utf8_lossy(&said);
@@ -725,7 +725,7 @@ fn where_the_disk_takes_no_more_answers_are_refused_and_none_is_lost() {
     assert_eq!(refused.0, 507, "{text}");
     assert!(text.contains("read_only"), "{text}");
     assert!(rev > 10, "{rev} drafts were saved");
-    // It still answers, and says on every page that nothing is saved.
+    // The server still responds, and says on every page that nothing is saved.
     let ask = |path: &str| -> (u16, String) {
         let mut response = ann
             .agent
@@ -942,7 +942,7 @@ fn two_servers_of_one_store_give_nothing_twice() {
     let begun = Instant::now();
     std::thread::scope(|scope| {
         for (number, person) in clients.iter().enumerate() {
-            // Everybody changes the server from task to task: their lease is known to both.
+            // Every person changes the server from task to task: both servers know each lease.
             let (servers, times, done) = (&servers, &times, &done);
             scope.spawn(move || {
                 for task in 0..each {
@@ -1047,7 +1047,7 @@ fn styles_go_into_another_project_as_they_come_out() {
     styles(stores[0], &[arg(&file)]).expect_refused("#rrggbb");
 }
 
-/// What is still to capture shrinks as style pairs come into the dataset.
+/// The list of missing takes shrinks as style pairs come into the dataset.
 #[test]
 fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_import() {
     let (dir, dataset) = dataset(24);

@@ -76,7 +76,7 @@ fn npz(arrays: &[(&str, &[f32], usize)], fps: f64) -> Vec<u8> {
     archive.finish().expect("in memory").into_inner()
 }
 
-/// What a Python script of ten lines writes of edits: an archive for each, y up.
+/// Edits as a short Python script writes them: one archive each, y up.
 fn write_answers(edits: &[EditRow], folder: &Path) {
     fs::create_dir_all(folder).expect("made");
     for row in edits {
@@ -99,7 +99,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     let (items, here) = (at("items"), bench.edits("here", &["--name", "Here"]));
     let made = rows_of::<EditRow>(&here);
 
-    // As a script writes them: the numbers of the store.
+    // Arrays as a script writes them: the stored numbers.
     write_answers(&made, &at("answers"));
     let settings = ["--settings", "{\"steps\": 300, \"guidance\": 2.0}"];
     let report: Value = import(
@@ -120,7 +120,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
         assert!(row.checkpoint_hash != own.checkpoint_hash && row.settings.contains("300"));
         assert_eq!((row.fit_error_m, row.bone_drift_m), (None, None));
     }
-    // As AMASS has them: z up, through double precision.
+    // Axes of AMASS: z up, converted in double precision.
     let exported = at("exported");
     let json: Value = typed("--json export {} --to amass --out {}", &[&here, &exported]).done();
     assert_eq!(json["clips"], 8);
@@ -195,7 +195,7 @@ fn the_sources_of_exported_items_score_as_the_identity() {
         let tolerance = 1e-3 * identity[key].abs().max(1.0);
         assert!((value - identity[key]).abs() < tolerance, "{key:?}");
     }
-    // It is best in nothing, in any form: with an encoder that ranks, alone and beside a system.
+    // The answers are never marked best, in any format: with an encoder that ranks, alone or beside a system.
     let editor = bench.edits("here", &["--name", "Here"]);
     let page = at("page.html");
     for systems in [vec![at("lazy")], vec![at("lazy"), editor]] {
@@ -312,7 +312,7 @@ fn what_cannot_be_imported_is_named_and_the_counts_add_up() {
         .find(|refusal| refusal["code"] == "E-NPZ-TRUNCATED")
         .expect("refused");
     assert!(truncated["byte_offset"].is_u64());
-    // What was refused stays on record, and a table with holes is not scored.
+    // Refused answers stay on record, and a table with missing answers is not scored.
     stance(&["verify", arg(&out)]).expect_code(0);
     let inspected: Value = stance(&["--json", "inspect", arg(&out)]).done();
     assert_eq!(inspected["tables"]["quarantine"], 6);

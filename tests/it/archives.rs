@@ -52,7 +52,7 @@ fn zipped(files: &Files) -> Vec<u8> {
     zip.finish().expect("in memory").into_inner()
 }
 
-/// A tar whose names are written as they are, also those that lead out of it.
+/// A tar with unchecked names, including names that lead out of the archive.
 fn tarred(files: &Files) -> Vec<u8> {
     let mut tar = tar::Builder::new(Vec::new());
     for (name, bytes) in files {
@@ -386,7 +386,7 @@ fn put_hostile(place: &Place) {
         "in/climbs.zip",
         zipped(&named(&["a/../../up_poses.npz", "in_poses.npz"])),
     );
-    // Links, as a tar has them.
+    // Symbolic and hard links in a tar.
     let mut links = tar::Builder::new(Vec::new());
     for (kind, name) in [
         (tar::EntryType::Symlink, "link_poses.npz"),
@@ -489,7 +489,7 @@ fn hostile_archives_are_quarantined_and_the_rest_goes_on() {
             "{path}: {}",
             row.reason
         );
-        // What a damaged member would hold is not known.
+        // The content of a damaged member is unknown.
         let is_damaged_member = path.starts_with("altered.zip") || path.starts_with("second.zip");
         let is_hashed = !row.source_hash.is_empty();
         assert!(is_hashed || is_damaged_member || is_placeless, "{path}");
@@ -538,7 +538,7 @@ fn what_a_killed_run_unpacked_is_removed_by_the_next_one() {
     place.put("tmp/stance-unpacked-dead/0", "unpacked");
     // `ingest` checks that nothing is left.
     place.ingest("in", "out", 0);
-    // Without room it says where it wanted to unpack.
+    // Without disk space the error names the folder for unpacking.
     fs::remove_dir(place.path("tmp")).expect("removed");
     let (source, out) = (place.path("in"), place.path("other"));
     let ran: Ran = command(&["ingest", arg(&source), "--out", arg(&out)])
@@ -578,7 +578,7 @@ fn many_processes_read_archives_as_one_does() {
         .run(&["--json", "stage", "commit", arg(&plan)], 0)
         .json();
     assert_eq!(done["root_hash"], one["root_hash"]);
-    // Each process would have to unpack this one.
+    // A plan for many processes would make each process unpack this archive, so it is refused.
     place.put(
         "in/walks.tar.gz",
         packed(
@@ -605,7 +605,7 @@ fn many_processes_read_archives_as_one_does() {
 #[test]
 fn unpacking_shows_how_far_it_is() {
     let place = Place::new(corpus(2));
-    // Of more than a megabyte also when it is packed.
+    // The archive is larger than a megabyte even when compressed.
     let mut state = 1u32;
     let mut draw = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);

@@ -74,7 +74,7 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     put(&pairs, format!("data = \"pairs\"\n{SMALL_TMED}"));
     let refused = workshop.train_with("tmed", "pairs", &["--config", arg(&pairs)]);
     refused.expect_refused("composed");
-    // It follows one instruction, of some frames or of all.
+    // The system follows one instruction, for some frames or for all.
     let clip = workshop.clip();
     let (run, out) = (workshop.path("mixed"), workshop.path("part.npz"));
     let (wave, bow) = ("0:10 The person is waving.", "10:20 The person is bowing.");

@@ -137,7 +137,7 @@ fn bundles_are_ranked_in_one_table_with_paired_differences() {
         )
     };
     let found = tables(&eval("builtin").printed());
-    // The items of one task; tables of novelties follow.
+    // The first table holds the items of one task; tables for each novelty follow.
     let table = &found[0];
     assert_eq!(table.names(), ["Real Data", "Identity", "First", "Second"]);
     assert_eq!(
@@ -347,6 +347,6 @@ fn the_commands_of_the_leaderboard_exist() {
         checked += 1;
     }
     assert!(checked > 10, "{checked} commands");
-    // What the page says of the judge and the set holds.
+    // The page's statements about the judge and the test set are true.
     assert!(page.contains("--set builtin-1") && page.contains("judge/builtin/README.md"));
 }

@@ -64,7 +64,7 @@ impl Capture {
         self
     }
 
-    /// As a C3D file of an Intel machine in floating point.
+    /// Encodes the capture as a C3D file with Intel byte order and floating-point data.
     fn c3d(&self) -> Vec<u8> {
         const BLOCK: usize = 512;
         let mut parameters: Vec<u8> = vec![1, 80, 0, 84];
@@ -124,7 +124,7 @@ impl Capture {
         bytes
     }
 
-    /// As a TRC file.
+    /// Encodes the capture as a TRC file.
     fn trc(&self) -> String {
         let mut text = format!(
             "PathFileType\t4\t(X/Y/Z)\ta.trc\nDataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\n\
@@ -294,7 +294,7 @@ fn unknown_labels_are_quarantined_until_a_marker_set_is_given() {
     }
     let said = stance(&["doctor", arg(&source), "--markers", arg(&own)]).expect_code(0);
     assert!(!said.stdout.contains("E-MARKERS"), "{}", said.stdout);
-    // The set is a setting of the dataset.
+    // The marker set is a setting of the dataset: a run without it is refused.
     let again = [
         "ingest",
         arg(&source),
@@ -470,7 +470,7 @@ fn a_wrong_unit_is_named_and_overridden() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let poses = walk(30, FPS.into());
     let whole = Capture::of(set("cmu-41"), &poses);
-    // What the file says, its numbers for a metre, and the unit that makes a person of it.
+    // The unit that the file states, its numbers per metre, and the unit that gives a person's size.
     for (said, per_metre, unit) in [
         ("mm", 1.0, "m"),
         ("m", 1000.0, "mm"),
@@ -619,7 +619,7 @@ fn real_captures_are_all_accounted_for_with_a_reason() {
     let done: serde_json::Value = ran.json();
     let dataset = Dataset::open(&out).expect("a dataset");
     let rows = motions_of(dataset.root());
-    // What is counted as ingested is a motion.
+    // Every item counted as ingested is a motion.
     assert_eq!(done["ingested"], rows.len(), "{done}");
     let ids: Vec<&str> = rows.keys().map(String::as_str).collect();
     for id in [

@@ -66,7 +66,7 @@ fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
     assert!(triplets.iter().any(|triplet| triplet.kind == "style"));
     assert!(triplets.iter().any(|triplet| triplet.kind == "semantic"));
 
-    // What is exported is read as a release, pairs included.
+    // The export is read again as a release, pairs included.
     let (release, back) = (out.join("stance"), dir.path().join("back"));
     stance(&["ingest", arg(&release), "--out", arg(&back)]).expect_code(0);
     let back = Dataset::open(&back).expect("a dataset");

@@ -1,4 +1,4 @@
-//! Edits of some frames: all others stay those of the source, bit for bit.
+//! Edits of some frames: all other frames stay equal to the source, bit for bit.
 
 use std::fs;
 use std::ops::Range;
@@ -141,7 +141,7 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     let out = workshop.path("timed.npz");
     let args = ["edit", arg(&editor), "--motion", arg(&file)];
     stance(&[&args[..], &["--during", &during, "--out", arg(&out)]].concat()).expect_code(0);
-    // What a file of this format keeps of the source, axes turned and turned back.
+    // Source after a round trip through this format: axes turned and turned back.
     let unedited = workshop.path("unedited.npz");
     let bytes = formats::write::amass::encode(&source, &skeleton).expect("an archive");
     put(&unedited, bytes);

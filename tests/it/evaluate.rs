@@ -121,7 +121,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     let both: Value = bench.eval(&[&first, &second], &["--json"]).done();
     let rows = both.as_array().expect("rows").iter();
     let systems: BTreeSet<&str> = rows.map(name_in("system")).collect();
-    // What differs from the settings of the training stands in the name.
+    // The system's name contains the settings that differ from those of the training.
     assert_eq!(
         Vec::from_iter(systems),
         [
@@ -940,7 +940,7 @@ fn items_do_not_change_with_the_seed_of_sampling() {
         assert_eq!(a.id, b.id);
         assert_ne!(a.body_pose, b.body_pose, "another sample of {}", a.id);
     }
-    // Two takes of one system: the value of each repeat is that of one of them.
+    // Two takes of one system: the value of each repeat is that of one of the takes.
     let error = |edits: &[&Path]| {
         let scores: Value = bench.eval(edits, &["--json"]).done();
         let rows = of_system(&scores, "MotionReFit");
@@ -951,7 +951,7 @@ fn items_do_not_change_with_the_seed_of_sampling() {
     };
     let (a, b, both) = (error(&[&zero]), error(&[&one]), error(&[&zero, &one]));
     assert!((both - (a + b) / 2.0).abs() < 1e-9, "{a} {b} {both}");
-    // Items drawn with another seed are other items, and their edits are not united with these.
+    // Items drawn with another seed differ, and their edits cannot be merged with the first ones.
     bench.items("others", &["--count", "8", "--seed", "5"]);
     let others = bench.answers("editor", "others", "elsewhere", &[]);
     let refused = bench.eval(&[&zero, &others], &[]).expect_code(1);
@@ -1044,7 +1044,7 @@ fn an_item_that_was_changed_under_its_id_is_refused() {
             .contains(&rows[3].id),
         "the changed item is not named"
     );
-    // What needs no system is scored on the items alone.
+    // Rows that need no system are scored on the items alone.
     let scores: Value = typed(
         "--json eval --items {} --encoder {} --weak-judge",
         &[&items, &bench.encoder],

@@ -35,11 +35,11 @@ const MOST_WORDS: usize = 1_500;
 
 /// A table of the document.
 struct Shown {
-    /// Plan that made it.
+    /// Plan of the results.
     plan: String,
     /// File of the program that it was copied from, such as `table-1`.
     file: String,
-    /// The heading above it.
+    /// Heading above the table.
     heading: String,
     head: Vec<String>,
     rows: Vec<Vec<String>>,
@@ -114,7 +114,7 @@ fn printed(row: &Value, like: &str) -> String {
     }
 }
 
-/// A value of a setting as tables show it.
+/// Text of a setting's value in tables.
 fn label(value: &Value) -> String {
     value
         .as_str()

@@ -1,4 +1,4 @@
-//! What is exported can be ingested again, and is the same.
+//! Exports can be ingested again and give the same data.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -40,7 +40,7 @@ fn apart(a: &Motion, b: &Motion) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// Motions come back within the tolerance in metres, with what was said of them.
+/// Motions survive the round trip within the tolerance in metres, with their captions and labels.
 fn round_trip(layout: &str, tolerance: f64, name: impl Fn(&str) -> String) {
     let dir = corpus(CLIPS);
     let before = ingested(dir.path(), "corpus", "dataset");
@@ -200,7 +200,7 @@ fn two_releases_that_use_the_same_names_are_one_dataset() {
     }
     let rows = ingested(dir.path(), "both", "again");
     assert_eq!(rows.len(), 2 * CLIPS);
-    // What is one clip in two releases must not be trained on in one and tested in the other.
+    // A clip that is in two releases must not be in the training split of one and the test split of the other.
     let prefixed: Vec<&String> = rows.keys().filter(|id| id.starts_with("stance/")).collect();
     assert_eq!(prefixed.len(), CLIPS, "{:?}", rows.keys());
     for id in prefixed {

@@ -166,7 +166,7 @@ fn archives_have_the_keys_of_smplx_tools() {
         let bytes = std::fs::read(&file).expect("written");
         let mut archive = Archive::open(Cursor::new(&bytes)).expect("an archive");
         let mut shape = |name: &str| archive.numbers(name).expect("numbers").shape;
-        // What GMR's loader reads: betas of one axis, a rate that is one number.
+        // Fields that GMR's loader reads: betas of one axis, a rate that is one number.
         let frames = shape("pose_body")[0];
         assert_eq!(shape("pose_body"), [frames, 63]);
         assert_eq!(shape("root_orient"), [frames, 3]);
@@ -266,7 +266,7 @@ fn stats_count_masks_of_a_clip_and_pairs_of_a_style() {
     assert!(text.contains("style of edit"), "{text}");
 }
 
-/// What people made of a dataset, in lines.
+/// Labels that people made in a dataset, as lines.
 fn labels(rows: &BTreeMap<String, MotionRow>) -> Vec<String> {
     let label = |row: &MotionRow| {
         let texts: Vec<&str> = row.captions.iter().map(|said| said.text.as_str()).collect();
@@ -310,7 +310,7 @@ fn a_dataset_among_the_sources_keeps_what_people_made() {
     };
     put(&list, line(train[1]) + &line(train[2]));
     stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
-    // As the annotation tool exports them.
+    // Masks in the format that the annotation tool exports.
     let stored = Dataset::open(&dataset).expect("a dataset");
     let own = Some("own".to_owned());
     let mut masks: Vec<MaskRow> = stored.read(None).expect("rows");
@@ -461,7 +461,7 @@ fn captions_without_tags_are_said_before_anything_is_written() {
     let file = dir.path().join("file");
     put(&file, "");
     export("humanml3d", &file.join("out")).expect_refused(&said);
-    // So it is where any number of processes will write them.
+    // A plan for any number of processes behaves in the same way.
     let (out, plan) = (dir.path().join("out"), dir.path().join("plan"));
     let planned = typed(
         "stage plan export {} --to humanml3d --into {} --out {}",

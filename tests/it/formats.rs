@@ -16,7 +16,7 @@ use serde::Deserialize;
 
 use crate::util::{arg, assert_counted, assert_has, stance, typed_with};
 
-/// What `ingest --json` says, as far as it matters here.
+/// The fields of `ingest --json` that the tests use.
 #[derive(Debug, Deserialize)]
 pub(crate) struct Ingested {
     pub(crate) ingested: u64,
@@ -55,7 +55,7 @@ pub(crate) fn all_in_train(folder: &Path) -> std::path::PathBuf {
     folder.join("splits.csv")
 }
 
-/// What `inspect` says of a clip.
+/// Output of `inspect` for a clip.
 pub(crate) fn inspected(dataset: &Path, id: &str) -> serde_json::Value {
     let ran = stance(&["--json", "inspect", arg(dataset), "--clip", id]);
     ran.done()

@@ -1,4 +1,4 @@
-//! Datasets that grow, as several tests make and read them.
+//! Helpers for tests of growing datasets.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -37,7 +37,7 @@ pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) ->
     done
 }
 
-/// What an ingestion says that fails.
+/// Messages of an ingestion that fails.
 pub(crate) fn refused(sources: &[&Path], out: &Path, more: &[&str]) -> String {
     ran(sources, out, more).refusal()
 }

@@ -14,8 +14,8 @@ use crate::grown::{
 };
 use crate::util::{arg, assert_has, corpus, len_of, put, rows_of, stance, stem_of, text_of, typed};
 
-/// Checks that equal motions share a split. Returns how many motions outside of `train` have an equal one:
-/// a rule that does nothing would part some of them.
+/// Checks that equal motions share a split. Returns the number of motions outside of `train` that have an equal one:
+/// without the rule some of these would be separated.
 fn equal_motions_share_a_split(dataset: &Path) -> usize {
     let mut splits: BTreeMap<String, Vec<Split>> = BTreeMap::new();
     for (split, content) in clips(dataset).into_values() {
@@ -257,7 +257,7 @@ fn labels_of_clips_that_change_are_not_lost_unasked() {
         serde_json::json!([row.id.as_str()])
     );
     verified(&dataset);
-    // The version before keeps them.
+    // The previous version keeps the labels.
     let versions = fs::read_dir(dataset.join("meta")).expect("listed").count();
     assert!(versions > 3);
 }
@@ -510,7 +510,7 @@ fn masks_that_a_stage_derived_are_no_loss_when_their_file_changes() {
     let (_dir, source, more, dataset) = begun_with_half(12);
     stance(&["masks", arg(&dataset)]).expect_code(0);
     let derived = masks(&dataset);
-    // Their texts are those of captions, and a stage cut them out.
+    // The captions of the masks were imported, and a stage derived the masks.
     assert!(derived.values().any(|mask| mask.text_origin == "imported"));
     let is_derived = |row: &MotionRow| {
         let mut of_clip = derived.values().filter(|mask| mask.motion_id == row.id);

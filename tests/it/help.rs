@@ -146,7 +146,7 @@ fn shells_and_man_know_every_verb() {
     }
 }
 
-/// What GitHub makes of a heading: lower case, blanks as hyphens, without punctuation.
+/// Anchor that GitHub makes from a heading: lower case, blanks as hyphens, without punctuation.
 fn anchor(heading: &str) -> String {
     let heading = heading.trim_start_matches('#').trim().to_lowercase();
     let kept = |c: &char| c.is_alphanumeric() || matches!(c, '-' | '_' | ' ');

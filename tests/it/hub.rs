@@ -157,7 +157,7 @@ fn a_dataset_comes_back_byte_for_byte_and_is_sent_once() {
         );
     }
 
-    // What is there is not sent again.
+    // Existing files are not sent again.
     hub.state().calls.clear();
     let again = hub.push(&dataset, CLIPS, &[]);
     assert_eq!(again["commit"], Value::Null);
@@ -190,7 +190,7 @@ fn only_what_changed_is_committed_and_nothing_is_deleted_silently() {
         BTreeSet::from(["meta/manifest-1.json"])
     );
 
-    // Of versions, the newest is pulled.
+    // Of several versions, the newest is pulled.
     let out = dir.path().join("second");
     let pulled: Value = hub.pull(None, CLIPS, &out, &[]).done();
     assert_eq!(
@@ -199,7 +199,7 @@ fn only_what_changed_is_committed_and_nothing_is_deleted_silently() {
     );
     assert_eq!(published(&out), published(&dataset));
 
-    // What somebody else committed stays until it is named.
+    // Files that somebody else committed stay until their deletion is requested by name.
     hub.state()
         .write("datasets/lab/clips", "notes/NOTES.md", b"of others");
     hub.try_push(&dataset, CLIPS, &["--delete", "README.md"])
@@ -224,7 +224,7 @@ fn only_what_changed_is_committed_and_nothing_is_deleted_silently() {
     expected.insert(".gitattributes".to_owned());
     assert_eq!(paths, expected);
 
-    // Another dataset of a lower version would be hidden by this one.
+    // A dataset with a lower version would be hidden by the published one, so it is refused.
     let older = dir.path().join("older");
     let row = quarantined();
     let skeleton = Skeleton::smplx_neutral();
@@ -299,7 +299,7 @@ fn tokens_and_names_are_checked() {
     assert!(!wrong.stderr.contains("secret"), "{}", wrong.stderr);
     assert!(hub.state().paths("models/lab/editor").is_empty());
 
-    // The token of `hf auth login`, and a repo that needs one.
+    // The token of `hf auth login`, and a private repo.
     put(hub.token_file(), format!("{TOKEN}\n"));
     let args = [&args[..], &["--private"]].concat();
     hub.run(None, &args).expect_code(0);

@@ -16,7 +16,7 @@ use crate::util::{
     text_of, typed, typed_with,
 };
 
-/// The document of `ingest --json`, as a script relies on it.
+/// The document of `ingest --json`; the fields that scripts rely on.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Ingested {

@@ -23,7 +23,7 @@ fn ingest(sources: &[&Path], out: &Path) -> Value {
     done
 }
 
-/// Split of every motion by its content. Equal motions share one.
+/// Split of every motion by its content hash. Equal motions share a split.
 fn splits(dataset: &Path) -> BTreeMap<String, Split> {
     let mut splits = BTreeMap::new();
     for row in rows_of::<MotionRow>(dataset) {
@@ -236,7 +236,7 @@ fn two_folders_of_every_exported_layout_stay_two() {
 
 /// An array of Motion-X: a person who bends, by a number.
 fn motionx(number: usize) -> Vec<u8> {
-    // Of lengths of their own, so that no two are nearly equal.
+    // Motions with distinct lengths, so that no two are nearly equal.
     let num_frames = 60 + 3 * number;
     let rows = (0..num_frames).flat_map(|frame| {
         let mut row = [0.0f32; 322];

@@ -1,5 +1,4 @@
-//! What folders, sidecars and names say of motions, through the command: labels, captions, licences and
-//! splits.
+//! Labels, captions, licences and splits of motions from folders, sidecars and names, through the command.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -45,7 +44,7 @@ impl Sources {
         put(path, content);
     }
 
-    /// Writes motions under these names, each another one.
+    /// Writes a different motion under each name.
     fn motions(&self, names: &[&str]) {
         for (name, motion) in names.iter().zip(&self.motions) {
             self.write_bytes(name, motion);
@@ -284,7 +283,7 @@ fn captions_made_from_names_are_marked_and_never_exported_without_the_mark() {
         }
         assert_eq!(num_marked > 0, left_out == 0, "{layout}");
     }
-    // What was exported comes back with its marks, and no caption twice.
+    // Exports are ingested again with their marks, and no caption twice.
     for layout in ["amass", "bvh", "stance", "webdataset"] {
         let again = sources.path(&format!("{layout}-again"));
         let exported = sources.path(layout);
@@ -543,7 +542,7 @@ fn resampling_that_would_not_fit_into_memory_is_refused() {
         "slow.bvh",
         &format!("{head}MOTION\nFrames: {frames}\nFrame Time: 1\n{rows}"),
     );
-    // It is the only motion, so the dataset has none.
+    // The clip is the only motion, so the dataset has none.
     sources.run("out", &["--fps", "1000"]).expect_code(1);
     let rows: Vec<QuarantineRow> = rows_of(&sources.path("out"));
     assert_eq!(rows[0].code, "E-TOO-LARGE");

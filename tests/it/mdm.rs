@@ -68,8 +68,8 @@ fn mdm_edits_body_parts_and_stands_in_the_table() {
                 .map(|(a, b)| a[joint].distance(b[joint]))
                 .fold(0.0, f64::max)
         };
-        // The network knows nothing yet: what it makes of a part is far from the source, and the
-        // bones around the part give way to it.
+        // The network is untrained: its motion of a part is far from the source, and the bones around the part follow
+        // it.
         let most = |is_free: bool| {
             let joints = (0..NUM_BODY_JOINTS).filter(|&joint| free.contains(joint) == is_free);
             joints.map(moved).fold(0.0, f64::max)

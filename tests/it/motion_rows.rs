@@ -1,4 +1,4 @@
-//! Tables whose motions stay in their files until somebody asks for them.
+//! Tables whose motions are read from the files on demand.
 
 use std::fs::File;
 
@@ -73,7 +73,7 @@ fn motions_are_read_by_the_positions_of_their_rows_and_not_before() {
         let file = File::options().write(true).open(file).expect("a file");
         file.set_len(0).expect("emptied");
     }
-    // What the rows say was read before, and their motions were not.
+    // The other columns are in memory; motions of the removed file cannot be read any more.
     assert_eq!(answered.edits.facts()[0], EditFacts::from(&expected[0]));
     assert!(answered.edits.rows(&[0]).is_err());
     assert!(answered.edits.rows(&[expected.len() - 1]).is_ok());

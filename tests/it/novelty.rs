@@ -1,4 +1,4 @@
-//! What of a test question training has shown: decided by labels, printed with every table, and asked for in equal parts.
+//! Novelty of test questions: decided by labels, printed with every table, and requested in equal parts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

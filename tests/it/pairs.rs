@@ -1,4 +1,4 @@
-//! Splits of style sets, pairs from labels and from lists, MotionFix, and what is composed of them.
+//! Splits of style sets, pairs from labels and from lists, MotionFix, and edits composed from them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -317,7 +317,7 @@ fn recaptured_clips_follow_the_published_split_of_their_original() {
     }
     let in_test = rows.iter().filter(|row| row.split == Split::Test).count();
     assert_eq!(in_test, 4);
-    // Without the list they are strewn over the splits, and pairs that cross are refused.
+    // Without the list the motions are spread over the splits, and pairs across splits are refused.
     run("strewn", &[], 0);
     let crossed = stance(&["pairs", arg(&at("strewn")), "--csv", arg(&file)]).expect_code(3);
     crossed.expect_said("`stance ingest --pairs`");

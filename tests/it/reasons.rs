@@ -1,4 +1,4 @@
-//! What cannot be used is said, with where it is and what to do, before work is done for nothing.
+//! Errors of unusable inputs state the place and the remedy before long work starts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
@@ -148,7 +148,7 @@ fn put_sparse(path: &Path, members: &[(&str, Vec<u8>, u64)]) {
     for (name, head, length) in members {
         let start = file.stream_position().expect("a place");
         let length32 = u32::try_from(*length).expect("below 4 GiB").to_le_bytes();
-        // Of a member that is not written whole, the checksum is never looked at.
+        // The checksum of a partly written member is not checked.
         let crc = crc32fast::hash(head).to_le_bytes();
         let sizes = [crc, length32, length32].concat();
         let name_length = (name.len() as u16).to_le_bytes();
@@ -266,7 +266,7 @@ fn a_name_of_254_bytes_is_shortened_and_said() {
     }
     let files = files_with_extension(&dir.path().join("bvh"), "bvh");
     assert_eq!(files.len(), 4);
-    // It comes back under the short names.
+    // The masks are imported again under the short names.
     let again = dir.path().join("again");
     ingest(&dir.path().join("bvh"), &again, &[], 0);
     assert_eq!(ids(&again).len(), 4);
@@ -326,7 +326,7 @@ fn edited_texts_without_a_verdict_are_kept() {
         (row.text_origin.as_str(), row.author.as_str()),
         ("draft", "ann")
     );
-    // It is open still, and no run of the stage discards it.
+    // The task is still open, and no run of the stage discards it.
     stance(&["masks", arg(&out), "--drafts", arg(&file)]).expect_code(0);
     let lines = text_of(&file);
     let line = lines

@@ -14,7 +14,7 @@ use crate::util::{Ran, arg, command, corpus, rows_of, stance};
 /// Files by path.
 type Files = BTreeMap<String, Vec<u8>>;
 
-/// What an object store says of a bucket that is not there.
+/// Error response of an object store for a missing bucket.
 const NO_BUCKET: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<Error><Code>NoSuchBucket</Code><Message>The \
                          specified bucket does not exist</Message><BucketName>missing</BucketName></Error>";
 

@@ -1,4 +1,4 @@
-//! What tables and pages say about their numbers.
+//! Notes of tables and pages about their numbers.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ fn items_of(bench: &Bench) -> Vec<ItemRow> {
     folder.read(None).expect("rows")
 }
 
-/// Items changed by hand and named anew, as another program would write them.
+/// Items with changed content and new ids, as another program would write them.
 fn changed(bench: &Bench, name: &str, change: impl Fn(&mut ItemRow)) -> PathBuf {
     let mut rows = items_of(bench);
     for row in &mut rows {
@@ -93,7 +93,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
             .clone()
             .all(|row| row.items_digest == digest && row.targets > 0)
     );
-    // What training has shown of the items is counted, and scored by itself where it differs.
+    // Novelty of the items is counted, and scored separately if it differs.
     let shown = of_task.clone().next().expect("a row").novelty.clone();
     let counted: usize = shown
         .split(", ")

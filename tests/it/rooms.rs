@@ -26,7 +26,7 @@ const FLOORS: [(&str, &str); 18] = [
     ("stance", "."),
 ];
 
-/// What neither the trainer nor the annotation server builds.
+/// Crates that neither the trainer nor the annotation server builds.
 const READERS: [&str; 3] = ["formats", "pipeline", "corpus"];
 
 fn root() -> &'static Path {
@@ -207,7 +207,7 @@ impl House {
         }
     }
 
-    /// What each module imports from others. What a module only hands on is no import.
+    /// Imports of each module from others. Re-exports do not count as imports.
     fn edges(&self) -> BTreeMap<Module, BTreeSet<Module>> {
         let mut edges: BTreeMap<Module, BTreeSet<Module>> = BTreeMap::new();
         for (module, path) in &self.files {

@@ -1,4 +1,4 @@
-//! What leaves a dataset or a project comes back, and what cannot is counted.
+//! Exports of a dataset or a project can be imported again, and losses are counted.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -214,7 +214,7 @@ fn style(number: usize) -> Answer {
     }
 }
 
-/// What people and sources say of the motions, in lines.
+/// Labels of the motions by people and sources, as lines.
 fn said(rows: Vec<MotionRow>) -> BTreeSet<String> {
     let line = |row: MotionRow| {
         let MotionRow {
@@ -267,7 +267,7 @@ fn every_mask_and_pair_of_a_dataset_comes_back_by_way_of_the_stance_layout() {
     assert_eq!(kinds.len(), 3, "{kinds:?}");
     assert_eq!(pairs("again"), pairs("dataset"));
 
-    // What only files of this program hold is counted: masks that the two lists of the release do not have.
+    // Data that only this program's own files can hold is counted: masks that the release's two lists do not have.
     let lists = ["mask_all", "part_annotations"].map(|name| {
         let list = std::fs::read(made.path(&format!("stance/regen/{name}.json"))).expect("written");
         serde_json::from_slice::<BTreeMap<String, Vec<String>>>(&list).expect("JSON")
@@ -450,7 +450,7 @@ fn pairs_whose_motions_are_in_two_splits_are_left_out_of_a_project_and_counted()
         &said,
         &[&format!("{across} pairs have their motions in two splits")],
     );
-    // No answer of the project is about one of them.
+    // No answer of the project is about a pair across splits.
     let answers = made.answers("parted", "parted.sqlite").into_iter();
     let of_pairs = answers.filter_map(|row| row.target_id.clone().zip(Some(row)));
     for (target, row) in of_pairs {

@@ -36,7 +36,7 @@ fn record(run: &Path) -> Value {
     json_of(run.join("config.json"))
 }
 
-/// A copy of a run whose record says something else.
+/// A copy of a run with a changed record.
 fn copy_with(run: &Path, copy: &Path, change: impl FnOnce(&mut Value)) {
     let (from, to) = (run.join("checkpoint/best"), copy.join("checkpoint/best"));
     fs::create_dir_all(&to).expect("a folder");
@@ -107,7 +107,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         record["config"]["compose"]["config"]["anchor"] = json!("pelvis");
     });
     assert_ne!(edit(&other, "other").1.transl, edited.transl);
-    // A record as it was written before tells the same.
+    // A record of an earlier version gives the same result.
     let old = workshop.path("old-record");
     copy_with(&editor, &old, |record| {
         let compose = record["config"]["compose"].take();
@@ -321,7 +321,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     assert_eq!(settings["fit"], "paper");
 }
 
-/// What `eval --further` says of a system's motion.
+/// The fields of `eval --further` for a system's motions.
 #[derive(Debug)]
 struct Quality {
     seam: f64,

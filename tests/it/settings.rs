@@ -31,7 +31,7 @@ fn a_wrong_setting_is_named_once_by_file_line_and_column() {
     );
     let compose = [&train[..], &["--compose", arg(&file)]].concat();
     refused("fsp = 10\n", &compose, "1:1", "unknown field `fsp`");
-    // Sections that hold equal keys are told apart, and keys outside of sections are read as the file is.
+    // Keys with equal names in different sections are distinguished; keys outside of sections are accepted.
     let run = ["run", "--config", arg(&file)];
     let base = "sources = [\"corpus\"]\nout = \"made\"\n";
     refused(

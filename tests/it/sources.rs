@@ -294,7 +294,7 @@ fn a_clip_whose_file_is_damaged_stays_as_it_was() {
         assert_eq!(masks(&dataset), judged);
         verified(&dataset);
     }
-    // It is whole again, and then pruned while it is not.
+    // The file is restored, and then pruned while it is damaged.
     put(&file, &kept);
     ingest(&[&source], &dataset, &[], 0);
     assert_eq!(clips(&dataset), before);
@@ -321,7 +321,7 @@ fn a_file_that_moves_keeps_its_clip_within_its_source_alone() {
     assert_eq!(growth["new"], 1);
     let after = clips(&dataset);
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
-    // Of two equal files none is known to be the other.
+    // With two equal files, neither can be recognised as the other.
     fs::copy(
         &all[2],
         source
@@ -538,7 +538,7 @@ fn a_dataset_of_an_earlier_build_asks_for_names_and_deletes_nothing() {
         }
     }
     let before = clips(&dataset);
-    // It has two sources whose folders are called data, and their files are not here.
+    // The dataset has two sources whose folders are both called `data`, and their files are not here.
     let said = asked(&[bare(&source)], &dataset);
     assert_has(&said, &["one-data (2 clips), two-data (2 clips)"]);
     assert!(

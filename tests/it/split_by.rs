@@ -92,7 +92,7 @@ fn clips_of_a_subject_share_a_drawn_split_also_when_more_of_them_come() {
     assert_eq!(lacking, without);
     let card = text_of(dataset.join("README.md"));
     assert!(card.contains("drawn by subject"), "{card}");
-    // What the dataset was made with holds.
+    // The dataset's own grouping is kept.
     let other = ingest(&[&source], &dataset, &["--split-by", "action"], 0);
     assert!(
         other["remarks"]

@@ -35,7 +35,7 @@ struct Committed {
     tables: BTreeMap<String, u64>,
     accounting: Option<Counts>,
     root_hash: String,
-    /// What the job says of the result.
+    /// Notes of the job on the result.
     #[serde(default)]
     #[expect(dead_code, reason = "part of the contract")]
     notes: serde_json::Value,
@@ -397,7 +397,7 @@ fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
         .rposition(u8::is_ascii_digit)
         .expect("a digit");
     changed[digit] = if changed[digit] == b'1' { b'2' } else { b'1' };
-    // What cannot be read may not have changed.
+    // An unreadable file may be unchanged: its piece fails and can be made again.
     fs::remove_file(bvh).expect("removed");
     std::os::unix::fs::symlink(bvh, bvh).expect("a link to itself");
     let reasons = work(&plan, &[], 3)
@@ -490,7 +490,7 @@ fn a_label_file_that_is_added_after_planning_fails_the_pieces_that_it_speaks_of(
         let staged = place.at("dataset").join("meta/staged");
         fs::remove_dir_all(staged).expect("removed");
     }
-    // What says nothing of a motion stops nothing.
+    // A file that is not about a motion does not stop the run.
     put(source.join("job-17.out"), "made\n");
     by_four(&plan);
     assert_eq!(commit(&plan, &[], 0).root_hash, clean);

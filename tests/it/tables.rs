@@ -7,7 +7,7 @@ use serde_json::Value;
 pub(crate) struct Table {
     /// The task, or the title of a table of times.
     pub(crate) heading: String,
-    /// Why it ranks no system.
+    /// Reason why the encoder cannot rank systems.
     pub(crate) unranked: Option<String>,
     /// The conditions of measurement; empty where none are printed.
     pub(crate) conditions: String,

@@ -294,7 +294,7 @@ fn every_kind_of_run_is_extended_and_begins_with_anothers_weights() {
             (&lineage[0]["by"], &lineage[0]["step"]),
             (&"extend".into(), &4.into())
         );
-        // The same command without the word goes on with what is recorded.
+        // The same command without `--extend` continues the recorded run.
         workshop.train_with(model, model, &longer).expect_code(0);
         let (first, begun) = (workshop.path(model), format!("{model}-begun"));
         let init = [&longer[..], &["--init", arg(&first)]].concat();
@@ -571,7 +571,7 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     import(&broken).expect_refused("broken.pth");
 }
 
-/// Losses of a run, as its metrics file has them.
+/// Losses in the metrics file of a run.
 fn losses(run: &Path) -> Vec<f64> {
     text_of(run.join("metrics.jsonl"))
         .lines()
@@ -601,7 +601,7 @@ fn training_is_the_same_without_the_fused_operations_and_on_burn_ndarray() {
     let fused = train("fused", "20", &[]);
     // Rounding of twenty steps.
     near(&fused, &train("composed", "20", &["--no-fused"]), 3e-4);
-    // Its derivative of GELU is an approximation whose error is up to 1e-3.
+    // The GELU derivative of ndarray is an approximation with an error of up to 1e-3.
     let ndarray = train("ndarray", "20", &["--device", "ndarray"]);
     near(&fused, &ndarray, 3e-3);
     assert_ne!(fused, ndarray, "both are the same device");

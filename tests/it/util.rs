@@ -12,7 +12,7 @@ use datasets_spec::table::Row;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-/// What a command printed and how it ended.
+/// Output and exit code of a command.
 pub(crate) struct Ran {
     pub(crate) code: i32,
     pub(crate) stdout: String,
@@ -50,12 +50,12 @@ impl Ran {
         );
     }
 
-    /// What a command printed that ended well.
+    /// Stdout of a command that succeeded.
     pub(crate) fn printed(self) -> String {
         self.expect_code(0).stdout
     }
 
-    /// What a command said on stderr that ended with 1.
+    /// Stderr of a command that exited with 1.
     pub(crate) fn refusal(self) -> String {
         self.expect_code(1).stderr
     }
@@ -110,7 +110,7 @@ pub(crate) fn typed(line: &str, values: &[&dyn AsRef<OsStr>]) -> Ran {
     typed_with(line, values, &[])
 }
 
-/// Runs a command as it is typed, with further arguments behind it.
+/// Runs a command line as typed in a shell, with further arguments appended.
 pub(crate) fn typed_with(line: &str, values: &[&dyn AsRef<OsStr>], more: &[&str]) -> Ran {
     let mut values = values.iter();
     let words = line.split_whitespace().map(|word| match word {
@@ -123,7 +123,7 @@ pub(crate) fn typed_with(line: &str, values: &[&dyn AsRef<OsStr>], more: &[&str]
     ran.expect("stance starts").into()
 }
 
-/// Panics with the whole text unless all of these are in it.
+/// Panics with the whole text unless it contains all of these parts.
 #[track_caller]
 pub(crate) fn assert_has(text: &str, parts: &[&str]) {
     for part in parts {

@@ -132,7 +132,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     let masks = store.claim(1, TaskKind::MaskText, 0, 0).expect("an answer");
     assert!(masks.is_err(), "variants are no mask tasks");
 
-    // Nor are they once all their pairs were judged unusable and left the dataset.
+    // Pairs that were all judged unusable leave the dataset, and none is made again.
     let import = |store: &str| -> Value {
         let store = workshop.path(store);
         typed("--json annotate {} --store {} import", &[&paired, &store]).done()

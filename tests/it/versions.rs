@@ -206,7 +206,7 @@ fn a_run_that_was_killed_before_its_files_were_moved_is_completed() {
         .expect("the version that was opened before");
     assert_eq!(ids.len() as u64, first.manifest().rows("motions", None));
     stance(&["stats", arg(&dataset)]).expect_code(0);
-    // Whatever takes the lock completes it.
+    // The next run that takes the lock completes the interrupted one.
     stance(&["dataset", "prune", arg(&dataset), "--keep", "9"]).expect_code(0);
     only_current_rows_are_found(&dataset, "the next command");
 }
@@ -501,7 +501,7 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
     only_current_rows_are_found(&dataset, "remove");
     let manifest = opened(&dataset).manifest().clone();
     assert!(manifest.accounting.balances());
-    // A growth leaves it out, and says so once.
+    // Growing the dataset leaves the clip out, and reports this once.
     days.add(2);
     let grown = ingest(&days.source, &dataset, &[]);
     assert_eq!(grown["growth"]["new"], 2);
@@ -512,7 +512,7 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
     assert!(!clips(&dataset).contains_key(&labelled));
     let again = ingest(&days.source, &dataset, &[]);
     assert_eq!(again["already_complete"], true);
-    // Going back brings it back, with its labels.
+    // Restoring the old version brings the clip back, with its labels.
     json(&[
         "dataset",
         "restore",

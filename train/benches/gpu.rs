@@ -19,7 +19,7 @@ use train::sample::{Condition, Sampler};
 use train::schedule::Schedule;
 use train::throughput::{network, of_training};
 
-/// Seconds of training that are measured.
+/// Minimum duration of the measured training in seconds.
 const LEAST_SECS: u64 = 10;
 
 fn main() {

@@ -45,7 +45,7 @@ pub(crate) fn mapped(frames: Tensor<3>, map: Tensor<2>) -> Tensor<3> {
     rows.matmul(map).reshape([batch, window, width])
 }
 
-/// What numbers of keypoints add to each number of a frame in bones, row by row.
+/// Matrix from the keypoint coordinates of a frame to bone vectors, row by row.
 fn to_bones(numbers: &[usize], width: usize) -> Vec<f32> {
     map_rows(numbers, width, |from, to| {
         if from == to {
@@ -58,7 +58,7 @@ fn to_bones(numbers: &[usize], width: usize) -> Vec<f32> {
     })
 }
 
-/// What numbers of bones add to each number of a frame in keypoints, row by row.
+/// Matrix from the bone vectors of a frame to keypoint coordinates, row by row.
 fn to_points(numbers: &[usize], width: usize) -> Vec<f32> {
     map_rows(numbers, width, |from, to| {
         let mut ancestor = to;
@@ -114,7 +114,7 @@ mod tests {
                     frame[wrist + 1] - frame[elbow + 1]
                 );
                 for (back, was) in read(mapped(bones, to_points)).iter().zip(&frame) {
-                    // Sums of a dozen numbers of size one.
+                    // Rounding error of sums of a dozen numbers of size one.
                     assert!((back - was).abs() < 1e-5, "{back} {was}");
                 }
             }

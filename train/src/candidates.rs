@@ -46,7 +46,7 @@ impl Default for VariantConfig {
 /// A variant of a motion.
 #[derive(Clone, Debug)]
 pub struct Variant {
-    /// Its row; none where the motion failed the checks of [`generated_row`].
+    /// Row of the variant; none if the motion failed the checks of [`generated_row`].
     pub row: Option<MotionRow>,
     /// Mean distance of its bones from their lengths in metres; 0 where that is not known.
     pub bone_drift_m: f32,
@@ -57,13 +57,13 @@ pub struct Variant {
 pub struct VariantGroup {
     /// Names the group.
     pub base: String,
-    /// What the variants show.
+    /// Caption of the variants.
     pub text: String,
     /// The variants.
     pub variants: Vec<Variant>,
 }
 
-/// What became of variants. Each pair is counted once, by the first bound that it breaks.
+/// Counts of the variants by outcome. Each pair is counted once, by the first bound that it breaks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VariantCounts {
     /// Motions that variants were made of.
@@ -98,11 +98,11 @@ pub struct Candidates {
     /// The pairs, of kind `fine-grained`; their instruction says what both motions show until a person
     /// describes the difference.
     pub pairs: Vec<PairRow>,
-    /// What became of the variants.
+    /// Counts of the variants by outcome.
     pub counts: VariantCounts,
 }
 
-/// The row of a motion that a model generated.
+/// Row of a motion that a model generated.
 ///
 /// # Errors
 /// The motion fails the checks of every ingested one.

@@ -1,4 +1,4 @@
-//! Crops of captioned motions, as models of motions and captions are trained on them.
+//! Crops of captioned motions, for training models of motion and text.
 
 use std::ops::Range;
 
@@ -20,7 +20,7 @@ use crate::transfer::send;
 /// A clip with its captions.
 #[derive(Clone, Debug)]
 pub struct CaptionedClip {
-    /// Its id, which names it in errors.
+    /// Id of the clip, for errors.
     pub id: String,
     /// The motion.
     pub motion: Motion,
@@ -28,7 +28,7 @@ pub struct CaptionedClip {
     pub captions: Vec<String>,
 }
 
-/// What a model of motions and captions learns from.
+/// Training data of a model of motion and text.
 #[derive(Clone, Copy)]
 pub struct CaptionedCorpus<'a> {
     /// Training clips.
@@ -95,8 +95,8 @@ pub(crate) fn captioned_rows(
     Ok(rows)
 }
 
-/// Mean and standard deviation of the features, the latter averaged over each group of features, as
-/// HumanML3D publishes them.
+/// Mean and standard deviation of the features; standard deviations are averaged over each group of features, as
+/// published by HumanML3D.
 pub(crate) fn grouped_stats(clips: &[CaptionedRows]) -> FeatureStats {
     /// Lower bound of a spread: what never changes in the training split is not blown up.
     const LEAST_STD: f32 = 1e-3;

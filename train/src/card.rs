@@ -13,7 +13,7 @@ use crate::registry;
 pub const FILE: &str = "README.md";
 /// Lists of settings are written out up to this length. Longer ones were fitted, such as means and vocabularies.
 const MAX_LIST_LEN: usize = 16;
-/// The method, as `CITATION.cff` has it.
+/// BibTeX entry of the method, as in `CITATION.cff`.
 const CITATION: &str = "@inproceedings{jiang2025motionrefit,
   title     = {Dynamic Motion Blending for Versatile Motion Editing},
   author    = {Jiang, Nan and Li, Hongjie and Yuan, Ziye and He, Zimo and Chen, Yixin and Liu, Tengyu and Zhu, Yixin and Huang, Siyuan},
@@ -21,7 +21,7 @@ const CITATION: &str = "@inproceedings{jiang2025motionrefit,
   year      = {2025}
 }";
 
-/// What a card says that the record of a run does not.
+/// Facts for a card that are not in the run's record.
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
     /// Repo of the model: `OWNER/NAME`.
@@ -55,7 +55,7 @@ pub struct Score {
     pub encoder_hash: String,
 }
 
-/// The card of a run. It follows from the record and what is said about it.
+/// The card of a run, made from its record and the given facts.
 pub fn text(record: &RunRecord<Value>, about: &About<'_>) -> String {
     let kind = registry::model(&record.kind);
     let settings = abridged(record.config.get("train").unwrap_or(&record.config));

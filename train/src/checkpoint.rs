@@ -183,7 +183,7 @@ struct FileEntry {
 #[derive(Clone, Debug)]
 pub struct Run {
     dir: PathBuf,
-    /// Weights it begins with, and the folder they are from.
+    /// Weights to start from, with their folder.
     init: Option<(PathBuf, Files)>,
     /// The record of the extended run, until the extension is certain to succeed.
     extended: Option<(Value, Vec<Ancestor>)>,
@@ -475,8 +475,7 @@ pub(crate) fn take(files: &mut Files, name: &str, run_dir: &Path) -> Result<Vec<
     })
 }
 
-/// What identifies the weights of a checkpoint, as editors and tables do: the BLAKE3 of configuration and weight files,
-/// hexadecimal.
+/// Hash of a checkpoint's weights, used by editors and tables: BLAKE3 of configuration and weight files, hexadecimal.
 fn weights_hash<C: Serialize>(config: &C, files: &Files) -> String {
     let mut hasher = blake3::Hasher::new();
     let config = serde_json::to_vec(config).expect("a configuration that was read can be written");

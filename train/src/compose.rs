@@ -1,4 +1,4 @@
-//! How the windows of a run were composed, as its record keeps it.
+//! Composition settings of a run's windows, as stored in its record.
 
 use compose::ComposeConfig;
 use datasets_spec::Seed;

@@ -152,7 +152,7 @@ impl WindowSource<CoordinatorBatch> for Stream {
     }
 }
 
-/// What the coordinator learns from.
+/// Training data of the coordinator.
 #[derive(Clone, Copy)]
 pub struct Segments<'a> {
     /// Training segments: natural and composed windows in equal numbers.
@@ -364,7 +364,7 @@ impl TrainedCoordinator {
         &self.record
     }
 
-    /// What identifies the weights: BLAKE3, hexadecimal.
+    /// Hash of the weights: BLAKE3, hexadecimal.
     pub fn hash(&self) -> &str {
         &self.hash
     }

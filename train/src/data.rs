@@ -41,7 +41,7 @@ pub trait WindowSource<B = WindowBatch>: Sync {
         Ok(())
     }
 
-    /// Replaces the contents of `batch` by `num_items` items of an epoch, from `first_item` on.
+    /// Replaces the contents of `batch` by `num_items` items of an epoch, starting at `first_item`.
     ///
     /// # Errors
     /// The items cannot be composed.
@@ -123,7 +123,7 @@ pub enum Texts<'a> {
 }
 
 impl Texts<'_> {
-    /// What a network is given of texts.
+    /// Encodes texts as the input of a network.
     ///
     /// # Errors
     /// A text has no vector.
@@ -323,8 +323,8 @@ fn check_shape(
     Ok(())
 }
 
-/// Prepares values on a thread of its own, a few ahead of whoever takes them. The thread ends when
-/// the last value is made, when making one fails, or when the receiver is dropped.
+/// Prepares values on a separate thread, a few ahead of the receiver. The thread ends when the last value is made, when
+/// making one fails, or when the receiver is dropped.
 pub(crate) fn prefetch<'scope, T: Send + 'scope>(
     scope: &'scope Scope<'scope, '_>,
     steps: Range<u64>,

@@ -102,9 +102,9 @@ impl FromStr for DeviceName {
 pub struct FoundDevice {
     /// Name to ask for it by.
     pub name: String,
-    /// Its place among the devices of that name.
+    /// Index among the devices of that kind.
     pub index: usize,
-    /// What it calls itself.
+    /// Name that the device reports.
     pub description: String,
 }
 
@@ -177,7 +177,7 @@ pub fn list() -> Vec<FoundDevice> {
 /// How a device computes matrix products of single precision. Cards round their factors where that is faster.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Products {
-    /// As they are.
+    /// Unrounded.
     Single,
     /// With factors of 11 bits, as NVIDIA's tensor cores do.
     Tf32,
@@ -204,12 +204,12 @@ impl Products {
         }
     }
 
-    /// Which of them a product `[M, N]` of `a` `[M, K]` and `b` `[K, N]` is. It is the product of factors that are rounded
-    /// to nearest or cut off, but for errors of the sums; hardware that rounds in another way is known by the bound
-    /// `2u + u^2` on the error of a term, of the largest error `u` of a factor.
+    /// Finds the precision of a product `[M, N]` of `a` `[M, K]` and `b` `[K, N]`. A precision matches if the result is
+    /// the product of factors that are rounded to nearest or truncated, up to errors of the sums; hardware that rounds
+    /// in another way is known by the bound `2u + u^2` on the error of a term, of the largest error `u` of a factor.
     ///
     /// # Errors
-    /// It is none: the first number that is wrong.
+    /// No precision matches; the error names the first wrong number.
     fn of(found: &[f32], a: &[f32], b: &[f32], inner: usize) -> Result<Self, String> {
         const WHAT: &str = "a matrix product";
         let columns = b.len() / inner;
@@ -334,7 +334,7 @@ fn layer(device: &Device) -> Result<Vec<(&'static str, Vec<f32>)>, String> {
     Ok(found)
 }
 
-/// Compares numbers, their differences in units of the largest of them.
+/// Compares numbers; differences are relative to the largest number.
 fn compare(what: &str, found: &[f32], expected: &[f32], tolerance: f32) -> Result<(), String> {
     let unit = expected
         .iter()
@@ -364,7 +364,7 @@ fn wrong_count(what: &str, found: usize, expected: usize) -> String {
     format!("computes {what} wrongly: {found} numbers in place of {expected}")
 }
 
-/// What the features of this build reach. Errors say what is wrong with the device.
+/// Backends enabled by this build's features. Errors say what is wrong with the device.
 mod backend {
     use super::{Adapter, Device, DeviceName};
 

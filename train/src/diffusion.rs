@@ -1,4 +1,4 @@
-//! What MotionReFit's denoiser predicts, its guidance and its loss.
+//! Predictions, guidance and loss of MotionReFit's denoiser.
 
 use burn::tensor::activation::sigmoid;
 use burn::tensor::{Device, Tensor};
@@ -26,7 +26,7 @@ pub(crate) fn num_gates(noise: NoiseKind) -> usize {
 }
 
 impl Schedule {
-    /// What a prediction says the clean window is, not yet clipped.
+    /// Clean window implied by a prediction, before clipping.
     ///
     /// # Shapes
     /// All `[B, W, D]`; `timesteps` `[B]`.
@@ -174,7 +174,7 @@ impl Windows {
 pub struct Objective<'a> {
     /// Noise added to windows.
     pub schedule: &'a Schedule,
-    /// What gated predictions are relative to; none of other predictions.
+    /// Linear guess that gated predictions are relative to; none for other predictions.
     pub extrapolation: Option<&'a Extrapolation>,
     /// Prediction, losses and their weights.
     pub config: &'a DiffusionConfig,
@@ -248,8 +248,8 @@ impl Objective<'_> {
         loss
     }
 
-    /// What is compared with each other: a prediction in its own form, or where it has gates the change it
-    /// makes, in units of the `spread` of what is left open.
+    /// Prediction and target in the form that the loss compares: as predicted, or for gated predictions the change in
+    /// units of the residual's `spread`.
     fn compared(
         &self,
         predicted: Tensor<3>,
@@ -300,8 +300,8 @@ impl Objective<'_> {
         }
     }
 
-    /// What the network sees of windows: noisy frames, with the fixed ones as the settings say. A first window
-    /// of a motion has none.
+    /// Input of the network: noisy frames, with the fixed ones as the settings say. A first window of a motion has no
+    /// fixed frames.
     fn shown(&self, windows: &Windows, timesteps: &[usize], basis: &Basis) -> Tensor<3> {
         let Windows {
             x0, noise, starts, ..
@@ -451,7 +451,8 @@ mod tests {
         };
         let basis = Basis::new(frames(&original), &[false], Some(&guess));
         let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
-        // Of the last frame; `open` are the gates that are open, for the left wrist and for all other bones.
+        // Clean prediction of the last frame; `wrist` and `others` are the open gates of the left wrist and of all
+        // other bones.
         let clean = |wrist: [bool; NUM_GATES], others: [bool; NUM_GATES]| {
             let logits = (0..NUM_GATES).flat_map(|gate| {
                 (0..NUM_KEYPOINTS).map(move |slot| {
@@ -478,7 +479,7 @@ mod tests {
         let of = |values: &[f32], frame: usize, at: usize| values[frame * FRAME_WIDTH + at];
         let change = |frame, at| of(&shown, frame, at) - of(&original, frame, at);
         let near = |found: f32, expected: f32| {
-            // Sums of a dozen numbers of size one.
+            // Rounding error of sums of a dozen numbers of size one.
             assert!((found - expected).abs() < 1e-5, "{found} {expected}");
         };
         let copied = clean(kept, kept);
@@ -528,7 +529,7 @@ mod tests {
             let signal = schedule.alphas_cumprod[t].sqrt();
             let expected = centre.clone() + (x_t.clone() - centre.clone()).mul_scalar(signal);
             for (a, b) in read(clean).iter().zip(read(expected)) {
-                // Sums of a dozen numbers of size one.
+                // Rounding error of sums of a dozen numbers of size one.
                 assert!((a - b).abs() < 1e-4, "{a} {b}");
             }
         }
@@ -615,7 +616,7 @@ mod tests {
         let one = 4.0 / FRAME_WIDTH as f32;
         let body = loss(&|_| true);
         assert!((body - one).abs() < 1e-6, "{body} {one}");
-        // The forearm is turned, and the hand hangs from it.
+        // Rotating the forearm moves the hand too.
         let arm = loss(&|slot| slot >= NUM_KEYPOINTS - 2 || slot == Joint::RightWrist.index());
         assert!((arm - one).abs() < 1e-6, "{arm} {one}");
     }

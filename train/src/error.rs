@@ -1,4 +1,4 @@
-//! What can go wrong in training and editing.
+//! Errors of training and editing.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use datasets_spec::Code;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// What was asked for cannot be done. Nothing but the message tells why.
+    /// The request cannot be carried out. Only the message tells why.
     #[error("{0}")]
     Refused(String),
     /// A setting is outside the range the model is defined for.
@@ -84,7 +84,7 @@ pub enum Error {
         path: PathBuf,
         /// First part of the recorded configuration that differs.
         field: String,
-        /// What can be done.
+        /// What to do next.
         remedy: &'static str,
     },
     /// A folder is not a run of the expected kind.
@@ -94,7 +94,7 @@ pub enum Error {
         path: PathBuf,
         /// Kind of run looked for.
         kind: String,
-        /// What was missing.
+        /// What is missing or wrong in the folder.
         reason: String,
     },
     /// A checkpoint file differs from what its manifest records.
@@ -110,19 +110,19 @@ pub enum Error {
     Weights {
         /// The file.
         path: PathBuf,
-        /// What the loader says.
+        /// Error of the loader.
         detail: String,
     },
     /// There is nothing to train on.
     #[error("the {what} is empty; give at least one item")]
     Empty {
-        /// What holds no item.
+        /// Name of the empty input.
         what: &'static str,
     },
     /// Two models that are to work together were made for different things.
     #[error("{what} does not fit the editor: {problem}")]
     Misfit {
-        /// What does not fit.
+        /// Name of the model that does not fit.
         what: &'static str,
         /// The difference.
         problem: String,
@@ -130,7 +130,7 @@ pub enum Error {
     /// The work was stopped from outside before it was done.
     #[error("{what} was stopped before it was done")]
     Stopped {
-        /// What was stopped.
+        /// Name of the stopped work.
         what: &'static str,
     },
     /// A loss became NaN or infinite.
@@ -147,7 +147,7 @@ pub enum Error {
         }
     )]
     Diverged {
-        /// Which loss.
+        /// Name of the loss.
         what: &'static str,
         /// Step whose loss is not finite.
         step: u64,
@@ -199,7 +199,7 @@ pub enum Error {
     NotEmbedded {
         /// Texts that are missing.
         count: usize,
-        /// The first of them.
+        /// The first ones.
         examples: Vec<String>,
     },
     /// A JSON document of a run folder is malformed.
@@ -288,7 +288,7 @@ impl Error {
     }
 }
 
-/// What becomes of an error of a motion.
+/// Converts an error of a motion to an error with its id.
 pub(crate) fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error + Copy {
     move |source| Error::Motion {
         id: id.to_owned(),
@@ -296,7 +296,7 @@ pub(crate) fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E
     }
 }
 
-/// What becomes of a document that is no JSON, or not of the form that is read.
+/// Converts an error of a JSON document to an error with its path.
 pub(crate) fn json_error(path: &Path) -> impl Fn(serde_json::Error) -> Error + Copy {
     move |source| Error::Json {
         path: path.to_owned(),

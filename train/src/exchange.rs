@@ -166,7 +166,7 @@ pub fn import_motion_encoder(
         features,
         text,
     };
-    // Its features do not depend on the body.
+    // The features do not depend on the body.
     let skeleton = Skeleton::smplx_neutral();
     let record = RunRecord::new(checkpoint::MOTION_KIND, "imported", &skeleton, record);
     let run = Run::open(run_dir, &record)?;
@@ -271,8 +271,7 @@ fn matrix_shape(file: &SafeTensors<'_>, name: &str, path: &Path) -> Result<[usiz
         .map_err(|_| Error::weights(path, format!("{name} is no matrix")))
 }
 
-/// What the `args.json` beside a released checkpoint of MDM says of it. Keys that it lacks have the
-/// released defaults.
+/// Settings in the `args.json` beside a released checkpoint of MDM. Missing keys have the released defaults.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(default)]
 pub struct MdmArgs {
@@ -342,7 +341,7 @@ pub fn import_mdm(
     record.train.check()?;
     let mut network = record.network(device).network;
     from_safetensors(&mut network, weights, "", path)?;
-    // Its features do not depend on the body.
+    // The features do not depend on the body.
     let skeleton = Skeleton::smplx_neutral();
     write_imported(run_dir, &skeleton, (mdm::KIND, record), &network)
 }

@@ -15,12 +15,12 @@ use crate::transfer::send;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Extrapolation {
-    /// What of the change of each fixed frame is expected in each frame, `[W, 2]`; the identity on
-    /// the fixed frames themselves.
+    /// Regression weights of each frame's change on the change of the fixed frames, `[W, 2]`; the identity for the
+    /// fixed frames themselves.
     pub(crate) gains: Vec<[f32; FIXED_FRAMES]>,
-    /// Standard deviation in model units of what is left in each frame, `[W]`.
+    /// Standard deviation of the residual in each frame, in model units, `[W]`.
     pub(crate) spreads: Vec<f32>,
-    /// That of the change where nothing is fixed, `[W]`.
+    /// Standard deviation of the change in windows without fixed frames, in model units, `[W]`.
     pub(crate) start_spreads: Vec<f32>,
     /// Covariance of the residual; present exactly if the noise is shaped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -151,14 +151,14 @@ impl Extrapolation {
     }
 }
 
-/// What a prediction is relative to, beside the noisy window.
+/// Inputs besides the noisy window that a prediction is relative to.
 #[derive(Clone, Debug)]
 pub struct Basis {
     /// Normalised original windows, `[B, W, D]`.
     pub(crate) original: Tensor<3>,
     /// Gains and spreads of the linear guess, for predictions that are relative to one.
     tables: Option<(Tensor<3>, Tensor<3>)>,
-    /// What shaped noise adds; none with white noise.
+    /// Standardisation for shaped noise; none for white noise.
     pub(crate) shaped: Option<ShapedBasis>,
 }
 
@@ -174,9 +174,9 @@ pub(crate) struct ShapedBasis {
 }
 
 impl Basis {
-    /// What predictions for normalised original windows, `[B, W, D]`, are relative to. `is_start` says
-    /// whether nothing is fixed in a window, `[B]`; `extrapolation` is there for predictions that are relative to
-    /// one.
+    /// Builds the inputs that predictions for normalised original windows, `[B, W, D]`, are relative to. `is_start`
+    /// marks windows without fixed frames, `[B]`; `extrapolation` is given for predictions that are relative to a
+    /// linear guess.
     pub fn new(
         original: Tensor<3>,
         is_start: &[bool],
@@ -219,8 +219,8 @@ impl Basis {
         (mapped(windows, to_bones) - mean.clone()) * scale.clone()
     }
 
-    /// What shaped noise is about: the guessed windows, for windows whose fixed frames are clean. White noise
-    /// is about zero.
+    /// Mean of the shaped noise: the linear guess, for windows whose fixed frames are clean. White noise has mean zero,
+    /// so the result is none.
     pub fn centre(&self, windows: &Tensor<3>) -> Option<Tensor<3>> {
         self.shaped
             .as_ref()
@@ -279,11 +279,11 @@ mod tests {
             assert!((second - frame as f32).abs() < 1e-3, "{frame}: {second}");
         }
         for (spread, [first, second]) in fitted.spreads.iter().zip(&fitted.gains) {
-            // What is left is the ridge, seen through the gains.
+            // The residual comes from the ridge alone, scaled by the gains.
             let seen = f64::from(first.hypot(*second)).max(1.0) * LEAST_SPREAD;
             assert!(f64::from(*spread) < 1.01 * seen, "{spread} {seen}");
         }
-        // Of nothing fixed nothing follows: the spread is that of the change itself.
+        // Without fixed frames nothing can be guessed: the spread is that of the change itself.
         assert!((fitted.start_spreads[0] - 1.0).abs() < 0.05);
 
         let windows = |values: &[f32]| {

@@ -1,4 +1,4 @@
-//! What the evaluation encoder sees of a motion.
+//! Motion features of the evaluation encoder.
 
 use std::borrow::Cow;
 use std::f64::consts::FRAC_PI_2;
@@ -49,7 +49,7 @@ pub fn smpl135(poses: &[Pose]) -> Vec<FeatureFrame> {
         .collect()
 }
 
-/// What of a motion an encoder sees.
+/// Motion features of an encoder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FeatureRecipe {
@@ -58,8 +58,7 @@ pub enum FeatureRecipe {
     /// The 263 numbers of HumanML3D at 20 fps, of the whole clip: the input of the released TMR. They
     /// lie on HumanML3D's own skeleton, so the body of a motion does not matter.
     HumanMl3d,
-    /// As [`FeatureRecipe::Smpl135`], but z up and at 30 fps: the input of the released evaluator of
-    /// MotionFix.
+    /// As [`FeatureRecipe::Smpl135`], but z up and at 30 fps: the input of MotionFix's released evaluator.
     MotionFix,
 }
 
@@ -96,9 +95,9 @@ impl FeatureRecipe {
     fn min_std(self, column: usize) -> f64 {
         /// In metres, or metres a frame.
         const LENGTH: f64 = 0.01;
-        /// Of an entry of a rotation matrix; 0.1 is a turn of about 6 degrees.
+        /// For an entry of a rotation matrix; 0.1 is a rotation by about 6 degrees.
         const ROTATION: f64 = 0.1;
-        /// Of 0 or 1.
+        /// For a contact flag, 0 or 1.
         const CONTACT: f64 = 0.1;
         match self {
             Self::Smpl135 | Self::MotionFix if column < 3 => LENGTH,

@@ -30,7 +30,7 @@ pub(crate) const KIND: &str = "motionrefit";
 /// is estimated.
 const EXTRAPOLATED_WINDOWS: usize = 4_096;
 
-/// What the editor learns from.
+/// Training data of the editor.
 #[derive(Clone, Copy)]
 pub struct Corpus<'a> {
     /// Training windows.
@@ -51,7 +51,7 @@ pub struct Corpus<'a> {
     pub compose: &'a ComposeRecord,
 }
 
-/// What is recorded of an editor's run: its settings and what was fitted to the training split.
+/// Record of an editor's run: its settings and the values fitted to the training split.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EditorRecord {
@@ -59,11 +59,11 @@ pub struct EditorRecord {
     pub train: TrainConfig,
     /// Range the windows are scaled by.
     pub normalizer: Normalizer,
-    /// What the network is told instructions by.
+    /// Text encoder of the network.
     pub text: TextRecord,
     /// How the windows were composed.
     pub compose: ComposeRecord,
-    /// What gated predictions are relative to; none of other predictions.
+    /// Linear guess that gated predictions are relative to; none for other predictions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub extrapolation: Option<Extrapolation>,
 }
@@ -106,7 +106,7 @@ impl EditorRecord {
     }
 }
 
-/// What a network is told instructions by.
+/// Text encoder of a network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TextRecord {
@@ -114,7 +114,7 @@ pub enum TextRecord {
     Learned(Vocabulary),
     /// The frozen encoder.
     Frozen {
-        /// What identifies it: the hash of its weights, or the name that a table gives it.
+        /// Identity of the encoder: the hash of its weights, or the name that a table gives it.
         encoder_hash: String,
         /// Numbers of its vectors.
         width: usize,
@@ -122,8 +122,8 @@ pub enum TextRecord {
 }
 
 impl TextRecord {
-    /// What settings ask for: what is known from the run whose weights are taken over, else the words of
-    /// `texts` or the encoder of `vectors`.
+    /// Text encoder for the settings: that of the run whose weights are taken over, else one with the words of `texts`,
+    /// or the encoder of `vectors`.
     ///
     /// # Errors
     /// Known and wanted encoders differ, the settings of the words are out of range, or the frozen encoder
@@ -164,7 +164,7 @@ impl TextRecord {
         }
     }
 
-    /// That of a frozen encoder.
+    /// Record of a frozen encoder.
     pub fn frozen(encoder: &impl FrozenText, vectors: BertVectors) -> Self {
         Self::Frozen {
             encoder_hash: encoder.identity(vectors),
@@ -179,7 +179,7 @@ impl TextRecord {
         }
     }
 
-    /// Words of texts that the learned encoder has never seen. A frozen encoder has seen all.
+    /// Words of texts that are not in the learned encoder's vocabulary; none for a frozen encoder.
     pub(crate) fn unknown_words(&self, texts: &[&str]) -> BTreeSet<String> {
         match self {
             Self::Learned(vocabulary) => {
@@ -309,8 +309,8 @@ pub fn train_motionrefit<'a>(
     Ok(train(&task, network, &run, session)?.1)
 }
 
-/// The extrapolation of the run whose weights are taken over; without one, that of the first windows of
-/// `sampler`. None where the prediction is not relative to one.
+/// The extrapolation of the run whose weights are taken over; without one, that of the first windows of `sampler`. None
+/// if the prediction is not relative to an extrapolation.
 fn chosen_extrapolation(
     config: &TrainConfig,
     known: Option<Extrapolation>,

@@ -8,7 +8,7 @@ use crate::config::ensure;
 use crate::sample::reverse;
 use crate::schedule::Schedule;
 
-/// Which steps are made where a motion is sampled in fewer steps than the network was trained with.
+/// Selection of steps when sampling uses fewer steps than training.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Respacing {

@@ -34,7 +34,7 @@ pub struct HistoryStep {
     pub seed: u64,
     /// Guidance weight.
     pub guidance: f64,
-    /// What identifies the weights that made it.
+    /// Hash of the weights that made the edit.
     pub editor: String,
     /// How far the generated points were from a body.
     pub misfit: Misfit,
@@ -144,7 +144,7 @@ impl EditHistory {
         self.opened.motion(&self.id)
     }
 
-    /// The motion as it is now.
+    /// The present motion.
     ///
     /// # Errors
     /// Its numbers are no motion.

@@ -29,13 +29,13 @@ pub(crate) const KIND: &str = "j2s";
 
 const VAL_POSES: usize = 512;
 
-/// Which of the two published networks.
+/// One of the two published networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum J2sPreset {
-    /// That of the paper: 84-512-512-66 with layer norm.
+    /// The paper's network: 84-512-512-66 with layer norm.
     Paper,
-    /// That of the released code: 72-64-64-132 with batch norm.
+    /// The released code's network: 72-64-64-132 with batch norm.
     Official,
 }
 
@@ -418,7 +418,7 @@ impl PoseNet {
         }
     }
 
-    /// Which of the two published networks it is.
+    /// The preset of the network.
     pub fn preset(&self) -> J2sPreset {
         match self.network {
             Network::Paper(_) => J2sPreset::Paper,
@@ -426,7 +426,7 @@ impl PoseNet {
         }
     }
 
-    /// What the network makes of rows of points.
+    /// Raw output of the network for rows of points.
     ///
     /// # Shapes
     /// `[T, 84]` give `[T, 66]`, or `[T, 72]` give `[T, 132]`.

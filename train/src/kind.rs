@@ -26,7 +26,7 @@ pub struct ModelKind {
     pub about: &'static str,
     /// All settings of a preset: a JSON object, or nothing for a model without settings.
     pub preset: fn(Preset) -> Value,
-    /// Trains it on a dataset.
+    /// Trains a model of this kind on a dataset.
     pub train: fn(&TrainRequest<'_>, &Session<'_>) -> Result<Trained, Error>,
     /// Opens a trained one as an editing system; `None` for models that do not edit motions.
     pub open: Option<OpenSystem>,
@@ -43,7 +43,7 @@ pub type OpenSystem =
 /// A training run as it is asked for. Models ignore inputs that they have no use for.
 #[derive(Clone, Copy, Debug)]
 pub struct TrainRequest<'a> {
-    /// The dataset, or what was chosen of it.
+    /// The dataset, or the chosen part of it.
     pub dataset: &'a Dataset,
     /// Run folder, and what the run begins with.
     pub start: Start<'a>,
@@ -55,7 +55,7 @@ pub struct TrainRequest<'a> {
     pub compose: &'a ComposeConfig,
     /// Windows recorded before, in place of composing them.
     pub windows: Option<&'a Path>,
-    /// Where a frozen text encoder is found, for settings that use one.
+    /// Source of a frozen text encoder, for settings that use one.
     pub text_encoder: &'a TextEncoderSource,
     /// Seed in place of that of the settings.
     pub seed: Option<u64>,

@@ -241,7 +241,7 @@ struct MdmBatch {
     text_kept: Vec<f32>,
 }
 
-/// How motions become noisy ones, and what is asked of those.
+/// Forward diffusion of motions, and the target of the network.
 struct Noising<'a> {
     record: &'a MdmRecord,
     schedule: Schedule,

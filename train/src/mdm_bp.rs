@@ -132,9 +132,8 @@ pub struct PartInpainting {
 }
 
 impl PartInpainting {
-    /// Starts from the source with the noise of step `start`, the last one if none is given, and replaces
-    /// nothing in the last `release` steps: as large a share of all steps as published, 20 of 1,000, if
-    /// none is given.
+    /// Starts from the source with the noise of step `start`, the last one if none is given, and replaces nothing in
+    /// the last `release` steps. Without `release`, the published share of all steps is used: 20 of 1,000.
     ///
     /// # Errors
     /// The schedule has no step `start`.
@@ -248,7 +247,7 @@ impl<'a> Item<'a> {
         }
     }
 
-    /// Generated features as a motion of the rate and length that is asked for.
+    /// Converts generated features to a motion with the requested rate and length.
     fn motion(&self, features: &[Features]) -> Result<(Motion, Misfit), Error> {
         let (motion, misfit) = self
             .source

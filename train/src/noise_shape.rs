@@ -34,7 +34,7 @@ const RIDGE: f64 = 1e-4;
 pub struct NoiseShape {
     /// Mean of each number of a frame in bones over edited windows, in model units, `[84]`.
     mean: Vec<f32>,
-    /// Its standard deviation, bounded from below, `[84]`.
+    /// Standard deviation of each number, bounded from below, `[84]`.
     standard: Vec<f32>,
     /// Where the first frames are fixed.
     after_fixed: Covariance,

@@ -206,7 +206,7 @@ impl Schedule {
     }
 }
 
-/// So many numbers from the first to the last, evenly spread.
+/// `count` evenly spaced numbers from the first to the last.
 fn evenly([first, last]: [f64; 2], count: usize) -> impl Iterator<Item = f64> {
     let stride = (last - first) / (count - 1) as f64;
     (0..count).map(move |step| first + step as f64 * stride)

@@ -1,4 +1,4 @@
-//! Editing systems: an item in, a motion out. Verbs that edit know a system by [`EditSystem`] alone.
+//! Editing systems: an item in, a motion out. Commands use systems only through [`EditSystem`].
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -23,7 +23,7 @@ use crate::{Error, Session};
 
 /// An editing system, ready to edit motions on one skeleton.
 pub trait EditSystem: Send {
-    /// Name, weights and settings, as rows of edits record them.
+    /// Name, weights and settings, as recorded in rows of edits.
     fn identity(&self) -> &SystemIdentity;
 
     /// Frame rate the system generates at.
@@ -32,8 +32,7 @@ pub trait EditSystem: Send {
     /// Weight of the text guidance.
     fn guidance(&self) -> f64;
 
-    /// Warnings about edits that are asked for: motions as numbers of frames and rates, and the
-    /// instructions.
+    /// Warnings about requested edits: motions as numbers of frames and rates, and the instructions.
     fn remarks(&self, motions: &[(usize, Fps)], texts: &[&str]) -> Remarks;
 
     /// Prepares the system for the instructions it will be given. Called before [`EditSystem::edit`].
@@ -99,14 +98,14 @@ pub struct EditedMotions {
 pub struct SystemIdentity {
     /// Name in tables.
     pub name: String,
-    /// What identifies the weights: BLAKE3, hexadecimal.
+    /// Hash of the weights: BLAKE3, hexadecimal.
     pub checkpoint_hash: String,
-    /// What the system edits with, as a JSON object; its hash stands beside it in every row.
+    /// Settings of the system as a JSON object; every row of edits also has its hash.
     pub settings: String,
 }
 
 impl SystemIdentity {
-    /// What identifies the settings: BLAKE3, hexadecimal; empty where they are not known.
+    /// Hash of the settings: BLAKE3, hexadecimal; empty if they are not known.
     pub fn settings_hash(&self) -> String {
         if self.settings.is_empty() {
             return String::new();
@@ -224,15 +223,15 @@ impl Remarks {
 /// Where a system is loaded from.
 #[derive(Clone, Debug)]
 pub struct SystemSource {
-    /// Its run folder.
+    /// Run folder of the model.
     pub run: PathBuf,
-    /// Which of its checkpoints.
+    /// Checkpoint of the run.
     pub slot: Slot,
-    /// Run folder of the coordinator that guides it.
+    /// Run folder of the coordinator.
     pub coordinator: Option<PathBuf>,
     /// Run folder of the pose network whose twists its poses get.
     pub poses: Option<PathBuf>,
-    /// Where its frozen text encoder is found, if it has one.
+    /// Source of the frozen text encoder, if the model uses one.
     pub text_encoder: TextEncoderSource,
 }
 
@@ -370,7 +369,7 @@ fn ranges_of(instructions: &[TimedInstruction]) -> Vec<Range<usize>> {
     asked.map(|asked| asked.frames.clone()).collect()
 }
 
-/// What a system made of a request, with the frames that no instruction is about as they were.
+/// The generated motion, with the original frames outside all instructions.
 fn kept_outside<'a>(request: &EditRequest<'_>, made: &'a Motion) -> Result<Cow<'a, Motion>, Error> {
     let ranges = ranges_of(request.instructions);
     if !leaves_frames(request.motion.len(), &ranges) {

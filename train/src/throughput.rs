@@ -22,14 +22,14 @@ use crate::transfer::read;
 const WARM_UP: usize = 3;
 const DIFFUSION_STEPS: usize = 100;
 
-/// What was measured.
+/// Result of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Throughput {
     /// Steps that were timed.
     pub steps: usize,
     /// Windows of a step.
     pub rows: usize,
-    /// Their time in seconds.
+    /// Duration in seconds.
     pub secs: f64,
 }
 

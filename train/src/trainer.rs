@@ -216,7 +216,7 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
         }
         self.state.step += 1;
         let due = self.due();
-        // A card is waited for here alone, so the time of a line holds all that its steps took.
+        // Reading the loss is the only wait for the card, so the time of a line covers its steps.
         if due.line || due.validation {
             self.read()?;
         }

@@ -214,7 +214,7 @@ fn states_are_those_that_were_recorded() {
         check(&states[..WIDTH], &first, kind);
         check(&states[6 * WIDTH..], &last, kind);
         check(&encode(&encoder, text, BertVectors::Pooled), &pooled, kind);
-        // Beside a longer text a short one is filled up, which it does not feel.
+        // A short text is padded to the length of a longer one, which does not change its vectors.
         let both = ["wave", text];
         let both = encoder.encode(&both, BertVectors::States).expect("encoded");
         check(
@@ -355,7 +355,7 @@ fn long_texts_are_cut_where_the_files_say() {
         let encoder = load(dir).expect("loads");
         encode(&encoder, &long, BertVectors::States).len() / WIDTH
     };
-    // As many as the network has places.
+    // At most as many tokens as the network has positions.
     assert_eq!(tokens(dir.path()), 8);
     write(
         dir.path(),

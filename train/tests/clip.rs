@@ -124,7 +124,7 @@ fn golden_clip_text() {
     let hidden = network.hidden(&end_pad, Some(&lengths));
     let pooled = network.project(hidden.clone(), &end_pad);
     check(pooled, &golden, "out.end_pad_masked.text_embeds");
-    // What padding itself becomes is recorded as zeros.
+    // The vectors of padding are recorded as zeros.
     let kept: Vec<f32> = mask.values.iter().map(|&kept| kept as f32).collect();
     let kept = TensorData::new(kept, mask.shape.clone());
     let kept = Tensor::<2>::from_data(kept, &Device::flex()).unsqueeze_dim::<3>(2);
@@ -296,7 +296,7 @@ fn as_torch(
 
     let mut pickle = b"\x80\x02".to_vec();
     for key in around {
-        // Beside the state dict a checkpoint holds plain values, such as the epoch.
+        // Besides the state dict, a checkpoint holds plain values, such as the epoch.
         pickle.extend([b"}(", text("epoch").as_slice(), b"K\x07", &text(key)].concat());
     }
     pickle.extend([&empty, b"(".as_slice()].concat());

@@ -47,7 +47,6 @@ use train::vocabulary::TokenBatch;
 
 use recorded::Recorded;
 
-/// A recorded case.
 struct Golden(Recorded);
 
 impl Golden {
@@ -85,8 +84,8 @@ impl Golden {
         self.metadata()[key].parse().expect("a number")
     }
 
-    /// What stands between `before` and `after` in the names of tensors, such as sizes and parameters of a
-    /// case. At least one tensor has such a name.
+    /// Parts of tensor names between `before` and `after`, such as sizes and parameters of a case. At least one tensor
+    /// has such a name.
     fn between(&self, before: &str, after: &str) -> Vec<String> {
         let names = self.0.tensors.keys();
         let found: Vec<String> = names
@@ -498,7 +497,7 @@ fn the_gradient_of_the_coordinator_is_that_of_finite_differences() {
         let p: f32 = network.probability(x, t, &Pass::default()).into_scalar();
         f64::from(p)
     };
-    // Along directions that mix all numbers, so that the difference stands out of f32 rounding.
+    // Along directions that mix all numbers, so that the difference exceeds f32 rounding.
     for seed in 0..6 {
         let direction: Vec<f32> = (0..values.len())
             .map(|index| ((index * (7 + seed) + seed) as f32 * 0.731).sin())
@@ -819,7 +818,7 @@ fn golden_tmr_is_imported_as_an_encoder_of_motions() {
         mean: vec![0.0; width],
         std: vec![1.0; width],
     };
-    // All three networks in one file, as Lightning keeps them, and the motion encoder alone.
+    // All three networks in one file, as Lightning stores them, and only the motion encoder.
     for taken in ["weights.", "weights.motion_encoder."] {
         let tensors = reference
             .tensors()
@@ -853,7 +852,7 @@ fn golden_tmr_is_imported_as_an_encoder_of_motions() {
         let codes = encoder.encode_features(golden.f32s("in.motion"), &lengths, steps);
         let difference = max_difference(&codes.concat(), &golden.f32s("out.motion_mu"));
         assert!(difference < 3e-5, "{difference}");
-        // The released text side stands on another network.
+        // The released text encoder uses another network.
         assert!(encoder.encode_texts(&["walk"]).is_err());
         let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 30]).expect("finite");
         let code = encoder.encode(&[&motion]).expect("long enough");

@@ -54,7 +54,7 @@ static COMPOSE: LazyLock<ComposeRecord> = LazyLock::new(|| ComposeRecord {
 /// Numbers of a window of 16 frames.
 const WINDOW_NUMBERS: usize = WINDOW_FRAMES * FRAME_WIDTH;
 
-/// Pairs of waves: the instruction says by how much the edited one is raised.
+/// Pairs of waves: the instruction says how far the edited wave is raised.
 struct Waves {
     items: u64,
 }
@@ -504,7 +504,7 @@ fn an_interrupted_run_ends_as_an_uninterrupted_one() {
     assert_eq!(logged_losses(parts.path()), logged_losses(whole.path()));
     for slot in ["last", "best"] {
         for name in ["denoiser.safetensors", "text.safetensors", "state.json"] {
-            // What is used later needs no place in the run.
+            // The best slot has no optimiser state.
             if slot == "best" && name == "state.json" {
                 continue;
             }
@@ -562,7 +562,7 @@ fn a_run_with_everything_is_continued_exactly() {
             "{slot}"
         );
     }
-    // What is used are the averaged weights.
+    // The editor uses the averaged weights.
     assert!(weights(whole.path(), "best") != weights(whole.path(), "last"));
 }
 
@@ -594,7 +594,7 @@ fn a_batch_in_parts_and_on_several_devices_is_the_whole_batch() {
     let whole = losses(8, &[]);
     let parts = losses(3, &[]);
     let spread = losses(3, &[Device::flex(), Device::flex()]);
-    // The same parts in the same order, whoever computes them.
+    // Each device gives the same micro-batches in the same order.
     assert_eq!(parts, spread);
     for ((step, whole), (_, parts)) in whole.iter().zip(&parts) {
         // Sums in another order, carried through ten steps of the optimiser.
@@ -783,7 +783,7 @@ fn a_run_begins_with_the_weights_of_another() {
     let (first, second) = (first.expect("a folder"), second.expect("a folder"));
     let stop = AtomicBool::new(false);
     train(first.path(), &small_config(10), &Waves { items: 8 });
-    // A rate of zero leaves the weights as they were.
+    // A learning rate of zero keeps the weights.
     let mut still = small_config(1);
     still.run.optimizer.learning_rate = 0.0;
     let start = Start {
@@ -800,7 +800,7 @@ fn a_run_begins_with_the_weights_of_another() {
     let lineage = &record(second.path())["lineage"];
     assert_eq!(lineage[0]["by"], "init");
     assert_eq!(lineage[0]["weights"], editor.hash());
-    // It goes on without the other run, which is not its own beginning any more either.
+    // The run continues without naming the other run again.
     train_until(second.path(), &still, &other, &NoProgress, &stop).expect("goes on");
     let third = tempfile::tempdir().expect("a folder");
     train(third.path(), &small_config(2), &Waves { items: 8 });
@@ -926,8 +926,8 @@ fn walk(num_frames: usize, speed: f64, phase: f64) -> Motion {
 fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut config = small_config(10);
-    // As published, an edit starts on the first frames of the original, and noise is white: in ten steps nothing is
-    // learned that would tell shaped noise apart.
+    // As published, an edit starts on the first frames of the original, and noise is white. Ten steps are too few to
+    // learn the shape of the noise.
     config.diffusion.generated_starts = 0.0;
     config.diffusion.noise = NoiseKind::White;
     train(dir.path(), &config, &Waves { items: 20 });
@@ -1026,7 +1026,7 @@ fn edit_settings(record: &EditorRecord) -> EditSettings {
     }
 }
 
-/// A motion that is asked for the same in all of its frames.
+/// A motion with one instruction for all of its frames.
 fn whole_item(
     id: &str,
     motion: &Motion,
@@ -1099,7 +1099,7 @@ fn windows_hear_the_instruction_their_frames_belong_to() {
     for (found, expected) in windows.iter().zip(expected) {
         assert!((found.progress - expected).abs() < 1e-6);
     }
-    // Windows that share four frames with the one before, but for those that nothing is asked of.
+    // Windows share four frames with the previous one, except those without an instruction.
     let mut overlapping = untrained_record();
     overlapping.train.diffusion.overlap = 4;
     assert_eq!(
@@ -1154,7 +1154,7 @@ fn windows_without_an_instruction_stay_as_they_were() {
             pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
         })
         .collect();
-    // The third window is edited: it adds frames 30 to 43. Before, f32 rounding alone is seen.
+    // The third window is edited: it adds frames 30 to 43. Earlier frames differ only by f32 rounding.
     assert!(away[..30].iter().all(|&away| away < 1e-5), "{away:?}");
     assert!(away[30..44].iter().any(|&away| away > 0.05), "{away:?}");
     // Some frames later every body has its own shape again, wherever the edit left it.
@@ -1244,7 +1244,7 @@ fn the_coordinator_learns_what_was_composed() {
         .count();
     assert!(wrong < 8, "{wrong} of 64");
 
-    // It guides no editor of another range.
+    // The coordinator does not guide an editor with another normaliser.
     let editor_dir = tempfile::tempdir().expect("a folder");
     train(editor_dir.path(), &small_config(10), &Waves { items: 20 });
     let editor = Editor::load(editor_dir.path(), Slot::Best, &Device::flex()).expect("loads");

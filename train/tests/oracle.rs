@@ -31,7 +31,7 @@ use train::{Error, Session};
 /// move 6 cm a frame.
 #[derive(Clone, Copy)]
 struct Walk {
-    /// Of the root, in m/s and rad/s.
+    /// Speed of the root, in m/s and rad/s.
     speed: f64,
     turn: f64,
     /// Lowest and highest angle of arms and leg in radians.
@@ -130,7 +130,7 @@ impl Oracle<'_> {
         let mut poses: Vec<Pose> = (window.start..window.start + compose.window)
             .map(|frame| {
                 let secs = compose.fps.secs_at(frame);
-                // What lies more than a frame past the end is held, and cut off again.
+                // Time more than a frame past the end is held, and cut off again.
                 let past = secs - self.end_secs;
                 let step = compose.fps.secs_at(1);
                 self.target
@@ -303,8 +303,8 @@ fn the_true_windows_give_the_target_back_at_every_frame() {
     }
 }
 
-/// As published, a motion starts on the first frames of the original: those two are not the target's,
-/// and nothing after them is led astray.
+/// As published, a motion starts on the first frames of the original: these two frames differ from the target's, and no
+/// later frame does.
 #[test]
 fn a_start_on_the_original_is_wrong_for_its_two_frames_alone() {
     let record = record(16, Fps::MODEL, Anchor::Pelvis, 0.0);

@@ -17,7 +17,7 @@ use crate::global::Global;
 const MODEL_URL: &str = "STANCE_MODEL_URL";
 /// Name of the model.
 const MODEL_NAME: &str = "STANCE_MODEL_NAME";
-/// Its key, if it needs one.
+/// Environment variable with the model's API key.
 const MODEL_KEY: &str = "STANCE_MODEL_KEY";
 
 /// The language model, if its variables are set.

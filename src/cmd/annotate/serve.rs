@@ -80,7 +80,7 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
     Ok(Exit::Done)
 }
 
-/// What an operator should know about the addresses before somebody else finds out.
+/// Warnings about the listening addresses.
 fn warnings(args: &Args) -> impl Iterator<Item = &'static str> {
     let is_reached = !args.listen.ip().is_loopback();
     let is_measured = args
@@ -149,7 +149,7 @@ fn announce(
     std::io::stdout().flush().context("cannot write to stdout")
 }
 
-/// Copies the store when that is due; to be called often. The server goes on without a copy that fails.
+/// Copies the store when a copy is due; call it often. The server continues after a failed copy.
 fn copies(args: &Args) -> impl FnMut(&Store) {
     let folder = args.folder().join("backups");
     let every = args.backup_hours.map(|hours| i64::from(hours) * HOUR);

@@ -1,4 +1,4 @@
-//! What several actions need: the time, and lines of counts.
+//! Helpers of several actions: the time, and lines of counts.
 
 use std::collections::BTreeMap;
 use std::time::{SystemTime, UNIX_EPOCH};

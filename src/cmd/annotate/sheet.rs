@@ -112,7 +112,7 @@ fn line(cell: &CaptureCell, captions: &Captions<'_>) -> String {
     format!("<li>\u{2610} <strong>{motion}</strong>, {takes}{said}{notes}</li>\n")
 }
 
-/// What has to be known about a cell with missing takes.
+/// Notes on a cell with missing takes.
 pub(super) fn notes(cell: &CaptureCell) -> Vec<&'static str> {
     let mut notes = Vec::new();
     if cell.rejected > 0 {

@@ -16,7 +16,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
-/// What a file of SQLite begins with.
+/// First bytes of an SQLite file.
 const MAGIC: &[u8] = b"SQLite format 3\0";
 
 /// Opens the store, and says what people should know about it first.
@@ -180,7 +180,7 @@ pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Resul
     let (store, people) = match opened {
         Ok(opened) => opened,
         Err(error) => {
-            // It was made here, and is no project.
+            // This command created the file, and it is not a project.
             let _removed = std::fs::remove_file(&to);
             return Err(error).with_context(|| format!("{} is no packed project", file.display()));
         }

@@ -106,7 +106,7 @@ pub(super) fn operator(store: &Store) -> anyhow::Result<Who> {
     Ok(Who { id, name, role })
 }
 
-/// Makes a token. It is the result, and goes to stdout alone.
+/// Makes a token. It is the command's result, so only the token is printed to stdout.
 pub(super) fn token(
     store: &Store,
     user: &User,

@@ -1,4 +1,4 @@
-//! What a folder holds, and which files of it are published.
+//! Kinds of folders, and the files of each that are published.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -23,7 +23,7 @@ use crate::local;
 /// Scores of a model, which `stance eval --json` printed into its run folder.
 const SCORES: &str = "scores.json";
 
-/// What is published: known by the files that this program writes.
+/// Kind of a published folder, recognised by the files that this program writes.
 pub(super) enum Thing {
     Dataset(Box<Dataset>),
     Edits(Box<Dataset>),
@@ -67,7 +67,7 @@ impl Thing {
         }
     }
 
-    /// What it is, in a line.
+    /// Title of the folder's card, in a line.
     pub(super) fn title(&self) -> String {
         match self {
             Self::Dataset(dataset) | Self::Edits(dataset) => {
@@ -160,7 +160,7 @@ fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<Option<T>> {
 
 /// Checks that a run was trained on the tables of a dataset.
 fn check_trained_on(record: &RunRecord<Value>, dataset: &Dataset) -> anyhow::Result<()> {
-    // What models learn from: motions alone, with captured pairs, or all that edits are composed of.
+    // Inputs of training: only motions, motions with captured pairs, or all tables that edits are composed from.
     let of_models: [&[&str]; 3] = [
         &COMPOSED,
         &[MotionRow::TABLE],
@@ -190,8 +190,8 @@ fn licenses_of(dataset: &Dataset, given: &[String]) -> anyhow::Result<BTreeMap<S
     )
 }
 
-/// The licences under which motions are passed on, with how many each is of: those that are stated, and the given one for
-/// the others. `count` is of all motions, for folders that state nothing.
+/// Licences of the published motions, each with its number of motions: the stated ones, and the given one for all
+/// others. `count` is the number of all motions, for folders that state no licence.
 fn settled(
     mut stated: BTreeMap<String, u64>,
     count: u64,

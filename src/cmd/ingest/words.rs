@@ -1,4 +1,4 @@
-//! What is told of an ingestion, before and after it.
+//! Messages before and after an ingestion.
 
 use clip::LabelProblem;
 use pipeline::annotation::pairs::RefusedLine;
@@ -6,7 +6,7 @@ use pipeline::ingest::{AlikeClips, Forecast, Growth, IngestReport};
 
 use crate::report::append_list;
 
-/// What is said of clips that stay although their files are gone, or give them no more.
+/// Message about clips that stay although their files are missing or no longer give them.
 const MISSING: &str = "missing, kept; --prune removes them";
 const UNUSABLE: &str = "kept as they were, their files give them no more; --prune removes them";
 
@@ -108,7 +108,7 @@ pub(crate) fn summary(done: &IngestReport) -> String {
     text
 }
 
-/// How many files were rejected with a code, and the first of them.
+/// Number of files that were rejected with a code, and the first of them.
 fn quarantined(done: &IngestReport, code: &str, count: u64) -> String {
     const SHOWN: usize = 3;
     let mut text = format!("  {code:<20} {count:>6}\n");
@@ -180,7 +180,7 @@ fn alike_clips(alike: &[AlikeClips]) -> String {
     text
 }
 
-/// What became of the clips and labels that the dataset had.
+/// Message about the clips and labels that the dataset had.
 fn grown(growth: &Growth) -> String {
     let mut text = format!(
         "{} clips are new, {} changed, {} were read again, {} moved, {} stay as they are\n",

@@ -8,8 +8,8 @@ use crate::report;
 pub(super) struct Failed(pub(super) Vec<String>);
 
 impl Failed {
-    /// Reports a part that failed. An interrupt or a lock ends the command; the other parts go on after any
-    /// other failure.
+    /// Records a part that failed. An interrupt or a lock ends the command; after other failures the remaining parts
+    /// continue.
     pub(super) fn add(&mut self, part: &str, error: anyhow::Error) -> anyhow::Result<()> {
         if Exit::of_error(&error) != Exit::Failed {
             return Err(error.context(part.to_owned()));

@@ -23,7 +23,7 @@ pub(super) struct FigureMade {
     pub(super) charts: Vec<(String, Chart)>,
     /// Names of the metrics and tasks that it shows.
     pub(super) shows: [Vec<String>; 2],
-    /// Its numbers.
+    /// Values of the figure.
     pub(super) grid: Grid,
     pub(super) points: Vec<PointMade>,
     /// Items that are too short for some point.
@@ -83,7 +83,7 @@ pub(super) fn drawn(
 struct AtPoints {
     /// Means over the trainings.
     scores: Vec<Vec<ScoreRow>>,
-    /// Those of each training, where there are several.
+    /// Scores of each training, if there are several.
     trainings: Vec<Vec<Vec<ScoreRow>>>,
     /// Items that are too short for some point.
     left_out: usize,

@@ -1,4 +1,4 @@
-//! What `stance reproduce` ends with: files of tables and figures, the page, and what is printed.
+//! Final output of `stance reproduce`: files of tables and figures, the page, and the printed text.
 
 use std::path::{Path, PathBuf};
 
@@ -26,7 +26,7 @@ use crate::report;
 /// Items in the viewer of the page.
 const SHOWN_ITEMS: usize = 12;
 
-/// What has been made of a plan.
+/// Results of a plan so far.
 #[derive(Default)]
 pub(super) struct Done {
     /// For each system its name, and a folder of edits for each of its trainings.
@@ -136,10 +136,10 @@ fn page_of(work: &Work<'_>, done: &Done, global: &Global) -> anyhow::Result<Repo
     }
 }
 
-/// Results as they are written one after the other.
+/// Collects results as they are written one after the other.
 struct Results<'a> {
     out: &'a Path,
-    /// What is printed.
+    /// Printed texts.
     texts: Vec<String>,
     document: Document,
     record: Record,

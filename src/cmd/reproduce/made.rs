@@ -24,7 +24,7 @@ pub(super) struct TableMade {
     pub(super) trainings: Vec<Vec<ScoreRow>>,
     /// Table A4 in place of scores.
     pub(super) grids: Vec<format::grid::Grid>,
-    /// Why it ranks no system.
+    /// Reason why the encoder cannot rank systems.
     pub(super) unranked: Option<String>,
 }
 

@@ -166,7 +166,7 @@ fn read(args: &Args, path: &Path) -> anyhow::Result<Plan> {
     let (dataset, out) = (args.dataset.as_deref(), args.out.as_deref());
     let own = PLANS.iter().find(|(name, _)| path == Path::new(name));
     match own.filter(|_| !path.exists()) {
-        // Their paths are relative to the folder in which the command runs.
+        // Relative paths start from the folder in which the command runs.
         Some((_, text)) => Plan::read(text, Path::new("plan.toml"), dataset, out),
         None => {
             let text = std::fs::read_to_string(path).with_context(|| {

@@ -19,13 +19,13 @@ use crate::cmd::page::strip_of;
 #[serde(deny_unknown_fields)]
 pub(super) struct Picture {
     pub(super) name: String,
-    /// The systems, from above to below; without any, all.
+    /// Systems from top to bottom; if empty, all.
     #[serde(default)]
     pub(super) systems: Vec<String>,
-    /// Tasks of the items; without any, all.
+    /// Tasks of the items; if empty, all.
     #[serde(default)]
     tasks: Vec<String>,
-    /// Novelties of the items; without any, all.
+    /// Novelties of the items; if empty, all.
     #[serde(default)]
     novelty: Vec<String>,
     /// Number of items.
@@ -35,16 +35,16 @@ pub(super) struct Picture {
     order: Order,
 }
 
-/// Which items a picture has.
+/// Selection of a picture's items.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Order {
-    /// The first ones whose edits are of different parts.
+    /// The first items whose edits change different parts.
     #[default]
     Parts,
-    /// Those whose edits by the first system take most off the distance from the source to the target.
+    /// Items whose edits by the first system reduce the distance to the target most, compared with the source.
     Best,
-    /// Those whose edits take least off it.
+    /// Items whose edits reduce it least.
     Worst,
 }
 
@@ -103,8 +103,8 @@ pub(super) fn draw(
     Ok(path)
 }
 
-/// Positions of the items of a picture; with how many metres closer the edit is to the target than the source, where
-/// that chooses them.
+/// Positions of the items of a picture; for selections by distance, with the number of metres by which the edit is
+/// closer to the target than the source.
 fn chosen(picture: &Picture, answered: &Answered) -> anyhow::Result<Vec<(usize, Option<f64>)>> {
     let items = answered.items.facts();
     let is_one_of =

@@ -43,7 +43,7 @@ pub(super) const ENCODER: &str = "tmr";
 /// Settings in place of those of a preset.
 type Own = Map<String, Value>;
 
-/// The plan as its file holds it.
+/// The plan in its file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Plan {
@@ -100,7 +100,7 @@ pub(super) struct Plan {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct System {
-    /// Its name in tables.
+    /// Name of the system in tables.
     name: String,
     #[serde(default = "editor")]
     model: String,
@@ -113,7 +113,7 @@ struct System {
     /// Settings of editing beside those of the plan.
     #[serde(default)]
     edit: Own,
-    /// Whether a coordinator guides it.
+    /// Whether a coordinator guides the system.
     #[serde(default)]
     coordinator: bool,
     /// Whether a pose network finds its rotations.
@@ -127,13 +127,13 @@ struct System {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PaperTable {
-    /// Its number: 1, 2, a1, a2, a3 or a4.
+    /// Number of the table: 1, 2, a1, a2, a3 or a4.
     #[serde(deserialize_with = "number")]
     pub(super) paper: TableArg,
-    /// Names of the systems that it shows; without any, all.
+    /// Names of the systems in the table; if empty, all.
     #[serde(default)]
     systems: Vec<String>,
-    /// Whether it shows the published rows too.
+    /// Whether the table also shows the published rows.
     #[serde(default)]
     pub(super) published: bool,
 }
@@ -172,7 +172,7 @@ pub(super) struct Training {
     pub(super) own: Value,
     /// All settings of the preset: another version of the program may have others under its name.
     pub(super) settings_of_preset: Value,
-    /// Hash of the table of text vectors, or of the files of BERT, if the model is told instructions by one.
+    /// Hash of the table of text vectors, or of BERT's files, if the model uses one as its text encoder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) text_table: Option<String>,
     pub(super) compose: ComposeConfig,
@@ -186,7 +186,7 @@ fn name_of<S: serde::Serializer>(model: &&'static ModelKind, to: S) -> Result<S:
 
 /// A system, or a point of a figure, with a specification for each of its trainings.
 pub(super) struct Trained {
-    /// Its name in tables.
+    /// Name of the system in tables.
     pub(super) name: String,
     pub(super) specs: Vec<Spec>,
 }
@@ -199,7 +199,7 @@ pub(super) struct Spec {
     pub(super) coordinator: Option<Training>,
     pub(super) poses: Option<Training>,
     pub(super) edit: EditConfig,
-    /// Epoch of its checkpoint; none for the best one.
+    /// Epoch of the checkpoint; none for the best one.
     epoch: Option<u64>,
 }
 
@@ -355,7 +355,7 @@ impl Plan {
         self.systems_named(&table.systems)
     }
 
-    /// These names, or all if there are none.
+    /// The systems with these names, or all if no name is given.
     pub(super) fn systems_named<'a>(&'a self, names: &'a [String]) -> Vec<&'a str> {
         let all = self.systems.iter().map(|system| system.name.as_str());
         match names.is_empty() {
@@ -422,7 +422,7 @@ impl Plan {
             .collect()
     }
 
-    /// Settings of a system, by section: those of the plan with its own over them.
+    /// Settings of a system, by section: the plan's, overridden by its own.
     fn sections(&self, system: &System) -> anyhow::Result<Sections> {
         let over = |base: Option<&Own>, own: &Own| -> anyhow::Result<Value> {
             let base = Value::Object(base.cloned().unwrap_or_default());
@@ -478,7 +478,7 @@ impl Plan {
         };
         let coordinator = match system.coordinator {
             true => {
-                // It has to see the windows of the editor that it guides.
+                // The coordinator must be trained on the windows of the editor that it guides.
                 let train: TrainConfig =
                     overlay(&TrainConfig::preset(self.preset), &sections["train"])?;
                 let shared = json!({ "window": train.window, "keypoints": train.keypoints });
@@ -502,8 +502,7 @@ impl Plan {
         })
     }
 
-    /// The training of a model, with `own` over the settings of the plan for it, and with the seed of `train_seeds` if
-    /// there is one.
+    /// The training of a model: `own` overrides the plan's settings for it, and `train_seeds` sets its seed if given.
     fn training(
         &self,
         name: &str,

@@ -7,7 +7,7 @@ use serde_json::Value;
 /// A score.
 #[derive(Serialize)]
 struct Line<'a> {
-    /// The table or figure that shows it.
+    /// The table or figure that shows the value.
     shown_in: &'a str,
     /// Values of the settings at the point of a figure.
     #[serde(skip_serializing_if = "<[Value]>::is_empty")]

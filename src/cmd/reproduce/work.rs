@@ -36,11 +36,11 @@ pub(super) struct Work<'a> {
     /// Root hash of the items.
     asked: String,
     encoder: PathBuf,
-    /// Hash of the encoder, and what is known of it.
+    /// Hash of the encoder, and facts about it.
     judge: (String, Judge),
 }
 
-/// What an interrupt has ended is none.
+/// None if an interrupt ended the work.
 type Unless<T> = anyhow::Result<Option<T>>;
 
 impl<'a> Work<'a> {

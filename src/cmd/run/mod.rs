@@ -216,14 +216,14 @@ fn edit_all(
     Ok(tables)
 }
 
-/// What training gives to the page.
+/// Training results for the page.
 struct Trained {
     editor: TrainReport,
     /// None where the built-in encoder evaluates.
     encoder: Option<TrainReport>,
     /// Whether there is a coordinator.
     is_guided: bool,
-    /// Whether there is an editor of captured pairs alone.
+    /// Whether there is an editor trained only on captured pairs.
     is_captured_alone: bool,
 }
 
@@ -293,7 +293,7 @@ fn train_all(
     }))
 }
 
-/// Trains one model. Returns none for a pose network, whose report is of another kind.
+/// Trains one model. Returns none for a pose network, whose report has another type.
 fn train_one(
     model: Trains,
     plan: &Plan,

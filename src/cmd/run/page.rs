@@ -1,4 +1,4 @@
-//! What a run ends with: the table on stdout, and the report page.
+//! Final output of a run: the table on stdout, and the report page.
 
 use std::collections::BTreeSet;
 use std::path::Path;

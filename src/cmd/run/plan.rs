@@ -77,7 +77,7 @@ pub(crate) struct RunConfig {
     pub(super) eval: Protocol,
 }
 
-/// Stages beside dataset, encoder and editor; each is skipped where the data do not allow it.
+/// Optional stages besides dataset, encoder and editor; each is skipped if the data do not allow it.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Stages {
@@ -89,7 +89,7 @@ pub(crate) struct Stages {
     pub(super) poses: bool,
     /// An editor trained on pairs that were composed once, and its row of the table.
     pub(crate) composed_once: bool,
-    /// An editor trained on captured pairs alone, and its row of the table; where there are pairs.
+    /// Whether to train an editor only on captured pairs, if there are any, and add its row to the table.
     pub(crate) captured_alone: bool,
 }
 

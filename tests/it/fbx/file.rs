@@ -45,7 +45,7 @@ pub(super) fn vector(name: &str, at: DVec3) -> Record {
     property(name, name, "", at.to_array().map(Value::Real).to_vec())
 }
 
-/// As text.
+/// Encodes the records as text.
 pub(super) fn ascii(records: &[Record]) -> Vec<u8> {
     fn write(record: &Record, depth: usize, text: &mut String) {
         let indent = "\t".repeat(depth);
@@ -88,7 +88,7 @@ pub(super) fn ascii(records: &[Record]) -> Vec<u8> {
     text.into_bytes()
 }
 
-/// As binary data of version 7.4.
+/// Encodes the records as binary data of version 7.4.
 pub(super) fn binary(records: &[Record]) -> Vec<u8> {
     fn write(record: &Record, bytes: &mut Vec<u8>) {
         let start = bytes.len();

@@ -25,7 +25,7 @@ struct Scene {
     /// Whether z is up; the front is then -y.
     z_up: bool,
     fps: f64,
-    /// What the names of bones begin with.
+    /// Prefix of the bone names.
     prefix: &'static str,
     /// Whether joints have frames of their own, as pre-rotations.
     joint_frames: bool,
@@ -33,7 +33,7 @@ struct Scene {
     scale: f64,
     /// Scale of the spine, which its children do not inherit.
     scaled_spine: bool,
-    /// Whether the file states a bind pose, and the nodes are stored in another one.
+    /// Whether the file states a bind pose while its nodes are stored in another pose.
     bind_pose: bool,
 }
 
@@ -122,7 +122,7 @@ impl Scene {
             }
             Some(above) => {
                 let frame = self.frame(above).inverse();
-                // Places in a scaled bone are scaled, whoever inherits it.
+                // Positions below a scaled bone are scaled, whatever the inherit type.
                 let scale = if self.scaled_spine && above == SPINE {
                     2.0
                 } else {

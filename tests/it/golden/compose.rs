@@ -30,7 +30,7 @@ fn recorded_body(golden: &Golden) -> Skeleton {
     Skeleton::new("recorded", rest)
 }
 
-/// Which keypoints a case of the recorded fits knows, and the keypoints of its frames.
+/// Known keypoints of a recorded fit, and the keypoints of its frames.
 fn recorded_keypoints(golden: &Golden, case: &str) -> (Vec<usize>, Vec<[DVec3; NUM_KEYPOINTS]>) {
     let shift = golden.get("in.pelvis_shift").points()[0];
     let slots: Vec<usize> = golden

@@ -47,8 +47,8 @@ fn golden_smplx_fk() {
     }
     let flat =
         |points: &[DVec3]| -> Vec<f64> { points.iter().flat_map(|p| p.to_array()).collect() };
-    // The reference adds 1e-8 to every component before it takes the angle; the recorded f64 run
-    // has the same habit, so it cannot be met more closely than that.
+    // The reference adds 1e-8 to every component before it computes the angle, also in the recorded f64 run, so the
+    // tolerance cannot be smaller.
     let recorded = golden.get("out.joints_f64").points();
     for (frame, points) in recorded
         .chunks_exact(NUM_JOINTS)

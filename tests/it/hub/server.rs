@@ -38,7 +38,7 @@ pub(crate) struct Call {
     pub(crate) is_storage: bool,
 }
 
-/// What the hub holds, and how it fails.
+/// Contents of the hub, and its simulated failures.
 #[derive(Default)]
 pub(crate) struct State {
     /// Commits of each repo, the oldest first.

@@ -61,7 +61,7 @@ impl<'a> Matrix<'a> {
 pub enum Write {
     /// The output is overwritten.
     Replace,
-    /// The product is added to it.
+    /// The product is added to the output.
     Add,
 }
 

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 /// Rows a task works on. It is fixed, so that sums over rows do not depend on the threads.
 const TASK_ROWS: usize = 16;
 
-/// What LayerNorm adds to the variance (PyTorch's default).
+/// Constant that LayerNorm adds to the variance (PyTorch's default).
 const EPSILON: f32 = 1e-5;
 
 /// A dropout mask. Which numbers of an array it drops depends on the key and their indices alone, so that
@@ -15,7 +15,7 @@ const EPSILON: f32 = 1e-5;
 pub struct Mask {
     /// Smallest hash, of 24 bits, of a number that is kept.
     threshold: i32,
-    /// What kept numbers are multiplied with.
+    /// Factor of the numbers that dropout keeps.
     scale: f32,
     key: [u32; 2],
 }
@@ -83,7 +83,7 @@ pub fn factors(mask: Mask, count: usize) -> Vec<f32> {
 /// e^x, relative error below 2e-7, for vector instructions.
 #[inline(always)]
 pub(crate) fn exp(x: f32) -> f32 {
-    /// Adding and subtracting it rounds to an integer, which is then in the last bits of the sum.
+    /// Adding and subtracting this constant rounds to an integer, which is then in the last bits of the sum.
     const SHIFT: f32 = 12_582_912.0;
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
     // Below -87 the result is smaller than the smallest normal number; 88 is the last power.
@@ -276,7 +276,7 @@ pub fn times_derivatives(grad: &mut [f32], derivatives: &[f32], width: usize) ->
 pub struct Norm<'a> {
     /// Factors of the normalised numbers.
     pub gamma: &'a [f32],
-    /// Added after that.
+    /// Added after the scaling by gamma.
     pub beta: &'a [f32],
 }
 
@@ -376,11 +376,11 @@ fn sum(row: &[f32]) -> f32 {
 /// Gradients of the trainable numbers of [`residual_norm`].
 #[derive(Clone, Debug)]
 pub struct NormGrads {
-    /// Of gamma.
+    /// Gradient of gamma.
     pub gamma: Vec<f32>,
-    /// Of beta.
+    /// Gradient of beta.
     pub beta: Vec<f32>,
-    /// Of the bias of the branch.
+    /// Gradient of the branch's bias.
     pub bias: Vec<f32>,
 }
 

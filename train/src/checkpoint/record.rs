@@ -55,11 +55,11 @@ pub struct RunRecord<C> {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ancestor {
-    /// How they were taken over.
+    /// How the weights are used.
     pub by: Inheritance,
-    /// What identifies them: BLAKE3, hexadecimal.
+    /// Hash of the weights: BLAKE3, hexadecimal.
     pub weights: String,
-    /// Step they were made by, counted in the run they come from; 0 if it was not trained here.
+    /// Training step of the weights, counted in their own run; 0 if they were not trained here.
     pub step: u64,
     /// Settings that changed: name, value before and value after.
     pub changed: BTreeMap<String, [Value; 2]>,
@@ -71,7 +71,7 @@ pub struct Ancestor {
 pub enum Inheritance {
     /// The run itself continues, with other settings.
     Extend,
-    /// A new run begins with them.
+    /// A new run starts from the weights.
     Init,
 }
 
@@ -110,7 +110,7 @@ pub fn check_skeleton(
     check_skeleton_of(&text, run_dir, what, skeleton)
 }
 
-/// As [`check_skeleton`], from the text of a run's `config.json`. Errors name the run by `run_dir`.
+/// Checks the skeleton as [`check_skeleton`], from the text of a run's `config.json`. Errors name the run by `run_dir`.
 ///
 /// # Errors
 /// As [`check_skeleton`].

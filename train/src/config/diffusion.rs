@@ -17,8 +17,7 @@ pub enum Loss {
     Mse,
 }
 
-/// What the network sees in place of the fixed frames while training. The editor always shows them
-/// clean.
+/// Fixed frames as the network sees them in training. The editor always shows them clean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FixedFrames {
@@ -28,7 +27,7 @@ pub enum FixedFrames {
     Clean,
 }
 
-/// What the network is asked for.
+/// Target of the network.
 ///
 /// # Source
 /// The paper leaves it open: Eq. 2 reads as the noise, Eq. 4 as the clean window. The released code
@@ -55,7 +54,7 @@ pub enum Prediction {
 }
 
 impl Prediction {
-    /// Whether it is relative to an [extrapolation](crate::extrapolation::Extrapolation) of the change.
+    /// Whether the target is relative to an [extrapolation](crate::extrapolation::Extrapolation) of the change.
     pub fn is_extrapolated(self) -> bool {
         self == Self::Gated
     }
@@ -84,11 +83,11 @@ pub struct DiffusionConfig {
     /// Noise that windows are mixed with.
     #[serde(default, skip_serializing_if = "is_default")]
     pub noise: NoiseKind,
-    /// What the network predicts.
+    /// Target of the network.
     pub prediction: Prediction,
     /// Loss on the prediction.
     pub loss: Loss,
-    /// What the network sees in place of the fixed frames while training.
+    /// Fixed frames as the network sees them in training.
     pub fixed_frames: FixedFrames,
     /// How the fixed frames enter the network.
     pub previous: PreviousFrames,
@@ -145,7 +144,7 @@ pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PreviousFrames {
-    /// They are frames of the noisy window like any other (released code).
+    /// The frames are noisy like all other frames of the window (released code).
     Inpainted,
     /// A network of two layers encodes each into the token of its place (paper, Sec. 5.1; that the
     /// tokens stand in the place of the frames is our reading).

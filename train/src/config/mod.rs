@@ -76,8 +76,8 @@ impl NetworkConfig {
         let [width, hidden, layers] =
             [self.width, self.feed_forward, self.num_layers].map(|size| size as u64);
         let weights = layers * (4 * width * width + 2 * width * hidden);
-        // Of a token: projections, attention, norms and dropout; the hidden layer, its activation and
-        // dropout; and a row of attention weights, its softmax and dropout for each head.
+        // Activations per token: projections, attention, norms and dropout; the hidden layer with activation and
+        // dropout; and for each head a row of attention weights with softmax and dropout.
         let kept = 14 * width + 3 * hidden + 3 * (self.num_heads * tokens) as u64;
         let sample = BYTES * layers * tokens as u64 * kept;
         let left = memory.saturating_sub(4 * BYTES * weights);
@@ -104,7 +104,7 @@ impl NetworkConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GuidanceConfig {
-    /// What is moved.
+    /// Tensor that the guidance moves.
     pub target: GuidanceTarget,
     /// Factor of the gradient.
     pub strength: f64,
@@ -112,7 +112,7 @@ pub struct GuidanceConfig {
     pub num_steps: usize,
 }
 
-/// What the coordinator's guidance moves.
+/// Tensor that the coordinator's guidance moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GuidanceTarget {
@@ -124,14 +124,14 @@ pub enum GuidanceTarget {
     PosteriorMean,
 }
 
-/// What turns instructions into vectors.
+/// Text encoder settings.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TextConfig {
     /// The encoder.
     pub encoder: TextEncoder,
-    /// What a model is given of a text by the encoder `bert`; if it is not set, states if the model reads tokens, else
-    /// the pooled vector.
+    /// Output of the encoder `bert` that a model uses; if none, token states if the model reads tokens, else the pooled
+    /// vector.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vectors: Option<BertVectors>,
     /// Words of the learned encoder.
@@ -183,7 +183,7 @@ impl TextConfig {
     }
 }
 
-/// What a model is given of a text by a frozen encoder.
+/// Output of a frozen text encoder that a model uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BertVectors {
@@ -221,7 +221,7 @@ pub enum TextEncoder {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Preset {
-    /// What the paper says.
+    /// Settings of the paper.
     Paper,
     /// The released configuration.
     Official,

@@ -166,9 +166,9 @@ pub struct OptimizerConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Decay {
-    /// It stays.
+    /// A constant rate.
     Constant,
-    /// It falls linearly to zero at the last step.
+    /// Linear decay to zero at the last step.
     Linear,
 }
 

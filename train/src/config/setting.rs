@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 pub struct SettingError {
     /// Path of keys to the setting; empty if the error is not about one setting.
     pub keys: Vec<String>,
-    /// What is wrong with it.
+    /// What is wrong with the setting.
     pub problem: String,
 }
 

@@ -27,7 +27,7 @@ use crate::{Error, Session};
 pub(crate) struct MldRecord {
     pub(crate) train: MldConfig,
     pub(crate) text: TextRecord,
-    /// What identifies the autoencoder: BLAKE3, hexadecimal.
+    /// Hash of the autoencoder: BLAKE3, hexadecimal.
     pub(crate) autoencoder: String,
     /// Standard deviation of the latent vectors of the training split, over all their numbers.
     pub(crate) latent_std: f32,
@@ -163,7 +163,7 @@ struct LatentBatch {
     texts: TextBatch,
 }
 
-/// How motions become noisy latent vectors, and what is asked of those.
+/// Forward diffusion of latent vectors, and the target of the network.
 struct Noising<'a> {
     record: &'a MldRecord,
     autoencoder: &'a Autoencoder,

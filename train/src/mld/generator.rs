@@ -1,4 +1,4 @@
-//! A trained MLD at work: motions of captions, and variants of them.
+//! Inference with a trained MLD: motions for captions, and variants of them.
 
 use std::path::Path;
 
@@ -27,11 +27,11 @@ use crate::{Error, Session};
 /// A motion to generate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Base {
-    /// Names it, and with the seed decides its noise.
+    /// Id of the base; with the seed it determines the noise.
     pub id: String,
-    /// What it shows.
+    /// Caption of the motion.
     pub text: String,
-    /// Its frames at 20 fps.
+    /// Length in frames at 20 fps.
     pub frames: usize,
 }
 
@@ -90,7 +90,7 @@ impl Generator {
         })
     }
 
-    /// What identifies the weights of both networks: BLAKE3, hexadecimal.
+    /// Hash of the weights of both networks: BLAKE3, hexadecimal.
     pub fn hash(&self) -> &str {
         &self.hash
     }

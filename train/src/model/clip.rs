@@ -25,7 +25,7 @@ const RENAMES: [(&str, &str); 3] = [
     (r"^text_model\.", ""),
 ];
 
-/// What the names of the text tower begin with, in files that may hold the vision tower too.
+/// Prefixes of the text tower's tensors, in files that may hold the vision tower too.
 const TEXT_TOWER: [&str; 2] = ["text_model.", "text_projection."];
 
 /// End token of configurations that were written before the real one was recorded. The reference
@@ -281,7 +281,7 @@ impl ClipLayer {
     }
 }
 
-/// Multi-head self-attention to a token itself and those before it.
+/// Causal multi-head self-attention: a token attends to itself and earlier tokens.
 #[derive(Module, Debug)]
 struct ClipAttention {
     q_proj: Linear,

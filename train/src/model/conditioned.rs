@@ -1,4 +1,4 @@
-//! A network that hears texts, with the text encoder trained with it, where there is one.
+//! A network with text input, together with the text encoder trained with it, if there is one.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! The body-part coordinator: tells windows composed of several motions from natural ones.
+//! The body-part coordinator: classifies windows as natural or composed of several motions.
 
 use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
@@ -27,7 +27,7 @@ pub struct Coordinator {
     embed_prog_ind: TwoLayers,
     transformer: Encoder,
     out: Linear,
-    /// What follows the mean over frames.
+    /// Head on the mean over frames.
     pred: TwoLayers,
     dropout: Dropout,
 }

@@ -12,7 +12,7 @@ use super::transformer::{Encoder, PreparedWeights};
 use super::weights::Networks;
 use crate::config::{NetworkConfig, PreviousFrames};
 
-/// What the text feature is divided by before it joins the condition token (released code).
+/// Divisor of the text feature before it joins the condition token (released code).
 pub const TEXT_DIVISOR: f64 = 10.0;
 
 /// Steps progress in [0, 1] is divided into before it is looked up (released code).
@@ -128,7 +128,7 @@ impl Denoiser {
         self
     }
 
-    /// Tokens of frames with the condition, where they are told it.
+    /// Tokens of frames, plus the condition if the model adds it to every frame.
     fn told(&self, frames: Tensor<3>, condition: &Tensor<3>) -> Tensor<3> {
         if self.tells_frames {
             frames + condition.clone()
@@ -137,7 +137,7 @@ impl Denoiser {
         }
     }
 
-    /// What tokens of frames say.
+    /// Output of the network for the tokens of frames.
     fn read(&self, frames: Tensor<3>) -> Tensor<3> {
         match &self.gate {
             None => self.out.forward(frames),

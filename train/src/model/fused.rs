@@ -116,13 +116,13 @@ struct Saved {
     attended: Vec<f32>,
     /// Normalised rows of the first norm, `[R, d]`, and their scales.
     first: (Vec<f32>, Vec<f32>),
-    /// What enters the feed-forward block, `[R, d]`.
+    /// Input of the feed-forward block, `[R, d]`.
     middle: Vec<f32>,
     /// Derivatives of the dropped-out GELU, `[R, f]`.
     derivatives: Vec<f32>,
-    /// Its values, `[R, f]`.
+    /// Values of the hidden layer, `[R, f]`.
     hidden: Vec<f32>,
-    /// As `first`, of the second norm.
+    /// Normalised rows of the second norm, `[R, d]`, and their scales.
     second: (Vec<f32>, Vec<f32>),
 }
 

@@ -147,7 +147,7 @@ impl LatentDenoiser {
     ) -> Self {
         let linear = |from, to| LinearConfig::new(from, to).init(device);
         Self {
-            // As in the released code, the sinusoidal embedding of the timestep has the width of the text vectors.
+            // Like in the released code, the sinusoidal timestep embedding has the width of the text vectors.
             time_embedding: TimeEmbedding {
                 linear_1: linear(text_width, config.width),
                 linear_2: linear(config.width, config.width),

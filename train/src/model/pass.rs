@@ -47,7 +47,7 @@ pub fn has_bf16(device: &Device) -> bool {
 #[derive(Debug, Default)]
 pub struct Pass {
     arithmetic: Arithmetic,
-    /// What dropout masks follow from, and how many were drawn of it.
+    /// Seed of the dropout masks, and the number of masks drawn so far.
     seed: u64,
     num_drawn: Cell<u64>,
 }

@@ -10,11 +10,11 @@ use super::weights::Networks;
 
 /// Numbers of a frame the network of the paper sees: 28 keypoints.
 pub(crate) const PAPER_INPUT: usize = 3 * NUM_KEYPOINTS;
-/// Numbers it gives: 22 rotation vectors.
+/// Output width: 22 rotation vectors.
 pub(crate) const PAPER_OUTPUT: usize = 3 * NUM_BODY_JOINTS;
 /// Numbers of a frame the released network sees: 24 joints.
 pub(crate) const OFFICIAL_INPUT: usize = 3 * FIT_KEYPOINTS.len();
-/// Numbers it gives: the first two rows of 22 rotation matrices.
+/// Output width: the first two rows of 22 rotation matrices.
 pub(crate) const OFFICIAL_OUTPUT: usize = 6 * NUM_BODY_JOINTS;
 
 /// Where the names of a plain sequence of layers differ from ours: (pattern, ours). The recorded network of the

@@ -35,7 +35,7 @@ pub struct Tmed {
     dropout: Dropout,
 }
 
-/// What targets are generated from. Tokens and frames past a row's length are hidden from the network.
+/// Condition of the generated targets. Tokens and frames past a row's length are masked.
 #[derive(Clone, Debug)]
 pub struct Condition {
     /// Tokens of the instructions, `[B, N, text_width]`.

@@ -1,4 +1,4 @@
-//! The TMR networks: two encoders into one space, and a decoder out of it.
+//! The TMR networks: encoders of motion and text into one space, and a decoder of motions.
 
 use burn::module::{Initializer, Module, Param};
 use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, LinearConfig};
@@ -36,7 +36,7 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// What encoded sequences say in place of their learned tokens.
+    /// Values of the leading learned tokens after encoding.
     ///
     /// # Shapes
     /// `[B, 2 + T, d]`
@@ -251,7 +251,7 @@ pub fn info_nce(
 /// # Shapes
 /// `[A, d]` and `[B, d]` give `[A, B]`.
 pub fn cosine_similarity(a: Tensor<2>, b: Tensor<2>) -> Tensor<2> {
-    // PyTorch's floor for the length of a vector that is divided by it.
+    // PyTorch's lower bound for a norm used as a divisor.
     const MIN_LENGTH: f64 = 1e-12;
     let unit = |x: Tensor<2>| {
         let length = x.clone().square().sum_dim(1).sqrt().clamp_min(MIN_LENGTH);

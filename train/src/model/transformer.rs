@@ -14,8 +14,8 @@ use super::fused::{LayerTensors, PreparedEncoder, PreparedLayer, encoder_layer};
 use super::pass::{Arithmetic, Pass, probability};
 use crate::config::NetworkConfig;
 
-/// Which tokens of a batch of sequences are padding. The program knows it, so that nothing is read from a
-/// device; the mask is sent once, to the first layer that needs it there.
+/// Padding tokens of a batch of sequences. The lengths are kept on the host, so nothing is read from the device; the
+/// mask is sent once, to the first layer that needs it there.
 #[derive(Clone, Debug)]
 pub struct Padding {
     /// Row by row, true where a token is padding.
@@ -42,7 +42,7 @@ impl Padding {
         Self::new(padded.collect(), lengths.len())
     }
 
-    /// As [`Padding::after`], or nothing if no row ends before `width` tokens.
+    /// As [`Padding::after`], or none if all rows have `width` tokens.
     pub(crate) fn where_shorter(lengths: &[usize], width: usize) -> Option<Self> {
         let is_shorter = lengths.iter().any(|&length| length < width);
         is_shorter.then(|| Self::after(lengths, width))
@@ -168,7 +168,7 @@ impl SingleMemoryAttention {
         }
     }
 
-    /// What every token receives from the memory, `[B, 1, d]` to `[B, 1, d]`.
+    /// Contribution of the memory to every token, `[B, 1, d]` to `[B, 1, d]`.
     fn forward(&self, memory: Tensor<3>, pass: &Pass) -> Tensor<3> {
         let [_, _, width] = memory.dims();
         let weight = self.in_proj.weight.val().narrow(1, 2 * width, width);
@@ -502,9 +502,9 @@ mod tests {
                 layer.forward(x, Some(&padding), &Pass::default())
             })
         });
-        // The backend's derivative of GELU is that of its approximation by tanh, which differs from the exact
-        // one by up to 1e-3: burn-backend's `gelu_backward`. Only the result, and the gradients of what lies
-        // behind GELU, do not depend on it.
+        // The backend's derivative of GELU uses the tanh approximation, which differs from the exact one by up to 1e-3:
+        // burn-backend's `gelu_backward`. Only the result, and the gradients of what lies behind GELU, do not depend on
+        // it.
         const EXACT: [usize; 4] = [0, 5, 12, 13];
         for (index, (ours, theirs)) in ours.iter().zip(&theirs).enumerate() {
             let tolerance = if EXACT.contains(&index) { 3e-5 } else { 1e-3 };

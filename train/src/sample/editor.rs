@@ -94,8 +94,7 @@ impl Editor {
         &self.device
     }
 
-    /// Gives the editor the vectors of the instructions it will be asked, of the frozen encoder it
-    /// listens to.
+    /// Sets the vectors of the instructions, from the editor's frozen encoder.
     ///
     /// # Errors
     /// They are of another encoder.
@@ -151,7 +150,7 @@ impl Editor {
         &self.record.config.normalizer
     }
 
-    /// What identifies the weights, those of a coordinator included: BLAKE3, hexadecimal.
+    /// Hash of the weights, including a coordinator's: BLAKE3, hexadecimal.
     pub fn hash(&self) -> &str {
         &self.hash
     }

@@ -21,7 +21,7 @@ use crate::fit::EditorRecord;
 pub struct TimedInstruction {
     /// The frames, at the motion's own rate.
     pub frames: Range<usize>,
-    /// What is asked for.
+    /// Instruction of the range.
     pub text: String,
 }
 
@@ -50,7 +50,7 @@ pub struct EditItem {
     pub id: String,
     /// The windows, each of which begins no earlier than the one before.
     pub windows: Vec<EditWindow>,
-    /// Where the first window stands in the world.
+    /// Position and heading of the first window in the world.
     pub placement: GroundTransform,
     /// The original at the rate of the edit, which becomes equally long. What an edit keeps of it are
     /// the twists that no keypoint shows.
@@ -64,15 +64,15 @@ pub struct EditItem {
 pub struct EditWindow {
     /// Canonical, normalised frames of the original, `W` of them.
     pub original: Vec<NormalizedFrame>,
-    /// What is asked for; nothing keeps the window as it is.
+    /// Instruction; none keeps the window unchanged.
     pub instruction: Option<Arc<str>>,
     /// Position of the window in what its instruction covers, in [0, 1].
     pub progress: f32,
-    /// Its first frame, at the model's rate. The window replaces what earlier ones made of the frames
-    /// after its two fixed ones, but for those it is blended with.
+    /// First frame of the window, at the model's rate. The window overwrites earlier output from its third frame on,
+    /// except for frames that it is blended with.
     pub start: usize,
-    /// Its first frames that are used, the fixed ones included; `W` but where its instruction, or the
-    /// motion, ends within it.
+    /// Number of leading frames that are used, including the fixed ones; less than `W` only if the instruction or the
+    /// motion ends within the window.
     pub used: usize,
 }
 
@@ -317,7 +317,7 @@ fn spans(
     instructions: &[TimedInstruction],
 ) -> Vec<Span> {
     let owner = |frame: usize| {
-        // A frame past the end belongs to whom the last one belongs to.
+        // A frame past the end has the instruction of the last frame.
         let at = (frame as f64 / to_model).min((length - 1) as f64) + 1e-6;
         instructions
             .iter()
@@ -328,8 +328,8 @@ fn spans(
         let instruction = owner(frame);
         match spans.last_mut() {
             Some(span) if span.instruction == instruction => span.frames.end = frame + 1,
-            // Nothing can be fixed before the second frame: what is asked then, is asked from the
-            // first on.
+            // No frame can be fixed before the second frame: an instruction that starts there starts at the first
+            // frame.
             Some(span) if span.frames.end < FIXED_FRAMES => {
                 span.frames.end = frame + 1;
                 span.instruction = instruction;
@@ -343,7 +343,7 @@ fn spans(
     spans
 }
 
-/// Where a window lies in its motion, at the model's rate, and what it is asked for.
+/// Position of a window in its motion, at the model's rate, and its instruction.
 #[derive(Clone, Copy)]
 struct Place {
     start: usize,
@@ -356,7 +356,7 @@ fn places_of_spans(spans: &[Span], num_frames: usize, editor: &EditorRecord) -> 
     spans
         .iter()
         .flat_map(|span| {
-            // What is kept as it was meets what was there.
+            // Overlap of the unchanged window with earlier output.
             let overlap = span
                 .instruction
                 .map_or(0, |_| editor.train.diffusion.overlap);

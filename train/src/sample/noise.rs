@@ -110,7 +110,7 @@ impl<'a> Noise<'a> {
     }
 }
 
-/// So many numbers of the standard normal distribution.
+/// Draws `count` numbers from the standard normal distribution.
 pub(crate) fn normal(rng: &mut Rng, count: usize) -> Vec<f32> {
     (0..count).map(|_| rng.sample(StandardNormal)).collect()
 }

@@ -13,7 +13,7 @@ use crate::model::pass::Pass;
 use crate::model::transformer::PreparedWeights;
 use crate::schedule::Schedule;
 
-/// What a batch of windows is generated from.
+/// Inputs from which a batch of windows is generated.
 #[derive(Clone, Debug)]
 pub struct Condition {
     /// Normalised original windows, `[B, W, 84]`.
@@ -30,7 +30,7 @@ pub struct Condition {
 pub struct Guide<'a> {
     /// The network.
     pub network: &'a Coordinator,
-    /// What it moves, and how far.
+    /// Which tensor the guide moves, and how far.
     pub config: GuidanceConfig,
     /// Seconds since any fixed moment.
     pub clock: &'a dyn Fn() -> f64,
@@ -73,13 +73,13 @@ impl Guide<'_> {
 pub struct Sampler<'a> {
     /// The network.
     pub denoiser: &'a Denoiser,
-    /// Its weights, and the operations that it and the coordinator are computed by.
+    /// Weights of the denoiser, and the arithmetic of the denoiser and the coordinator.
     pub weights: &'a PreparedWeights,
-    /// The schedule it was trained with.
+    /// The schedule the denoiser was trained with.
     pub schedule: &'a Schedule,
-    /// What it predicts.
+    /// Quantity that the denoiser predicts.
     pub prediction: Prediction,
-    /// What gated predictions are relative to.
+    /// Linear guess that gated predictions are relative to; none for other predictions.
     pub extrapolation: Option<&'a Extrapolation>,
     /// Whether estimates of the clean window are clipped to [-1, 1].
     pub clip: bool,

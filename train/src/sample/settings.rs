@@ -64,7 +64,7 @@ pub struct EditTimes {
     pub fit_secs: f64,
     /// Windows generated.
     pub num_windows: usize,
-    /// Batches they were generated in.
+    /// Number of batches of the generation.
     pub num_batches: usize,
     /// Frames of a window.
     pub window: usize,

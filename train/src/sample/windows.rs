@@ -10,7 +10,7 @@ use super::settings::EditSettings;
 use crate::fit::EditorRecord;
 use crate::{Error, Session};
 
-/// Frames over which a window that is kept as it was finds back from the edit before it.
+/// Frames over which an unchanged window is blended from the end of the edit before it to the original.
 const RETURN_FRAMES: usize = 6;
 
 /// A window to be made.
@@ -20,13 +20,13 @@ pub struct WindowRequest<'a> {
     pub item: usize,
     /// The window.
     pub window: &'a EditWindow,
-    /// Its normalised first frames; none if the model generates them as well.
+    /// Normalised first frames; none if the model generates them as well.
     pub fixed: Option<[NormalizedFrame; FIXED_FRAMES]>,
     /// Generator of its noise.
     pub rng: Rng,
 }
 
-/// What makes windows.
+/// A model that generates windows.
 pub trait WindowModel {
     /// Makes a window for each request, `[B, W, 84]` normalised. The first window of a motion and
     /// later ones are never asked for together.
@@ -105,13 +105,13 @@ struct Joining<'a> {
     items: &'a [EditItem],
     settings: &'a EditSettings,
     stitchers: Vec<Stitcher>,
-    /// What the next window of each motion is blended with.
+    /// Frames for blending into the next window of each motion.
     former: Vec<Vec<KeypointFrame>>,
 }
 
 impl<'a> Joining<'a> {
-    /// Goes on to a window of every motion that has one: adds those that are kept as they were, and gives the items
-    /// whose windows are to be made. Longer motions go on while shorter ones are done.
+    /// Advances every motion by one window: adds the unchanged windows, and returns the items whose windows must be
+    /// generated. Longer motions continue after shorter ones are finished.
     fn advance(&mut self, window_index: usize, session: &Session<'_>) -> Vec<usize> {
         let mut active = Vec::new();
         for (index, item) in self.items.iter().enumerate() {
@@ -174,8 +174,8 @@ impl<'a> Joining<'a> {
     }
 }
 
-/// Adds a window as it was. After an edit its frames stand where the edit left the body, and the pose
-/// finds back to the original within a few frames.
+/// Adds an unchanged window. After an edit, its frames are placed where the edit ended, and the pose is blended to the
+/// original within a few frames.
 fn keep(stitcher: &mut Stitcher, window: &EditWindow, normalizer: &Normalizer) {
     let mut frames: Vec<KeypointFrame> = window.original[..window.used]
         .iter()

@@ -12,8 +12,7 @@ use crate::text::clip::ClipModel;
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
-/// The clips of a split, each with the captions that speak of all of it. A caption that speaks of a part
-/// makes that part a clip of its own.
+/// The clips of a split, each with its captions of the whole clip. A caption of a part makes that part a separate clip.
 ///
 /// # Source
 /// `Text2MotionDatasetV2` of HumanML3D.

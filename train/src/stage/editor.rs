@@ -27,14 +27,14 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     open: Some(edit::open),
 };
 
-/// What the editor is trained on besides a dataset.
+/// Inputs of the editor's training besides a dataset.
 #[derive(Clone, Copy, Debug)]
 pub struct EditorInputs<'a> {
     /// How edits are composed.
     pub compose: &'a ComposeConfig,
     /// Windows recorded before, in place of composing them.
     pub windows: Option<&'a Path>,
-    /// Where a frozen text encoder is found, for settings that use one.
+    /// Source of a frozen text encoder, for settings that use one.
     pub text_encoder: &'a TextEncoderSource,
 }
 

@@ -25,7 +25,7 @@ use crate::compose::ComposeRecord;
 use crate::text::source::EMBEDDINGS;
 use crate::text::table::EmbeddingTable;
 
-/// Tables that models of motions alone follow from.
+/// Tables that models of motions without text depend on.
 const MOTIONS: [&str; 1] = [MotionRow::TABLE];
 
 /// Composed windows of the training and the validation split, in one normaliser.

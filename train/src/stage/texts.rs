@@ -1,4 +1,4 @@
-//! What models of a dataset are told.
+//! Texts that models of a dataset take as input.
 
 use std::collections::BTreeSet;
 
@@ -10,9 +10,9 @@ use datasets_spec::{Dataset, Seed, Split};
 use super::unthinned;
 use crate::Error;
 
-/// Every text that a model of a dataset can be told in training, validation and evaluation: the instructions of
-/// composed edits of all splits, all captions, and the empty text, in alphabetical order. A table of vectors that
-/// has all of them serves them all.
+/// Every text that a model of a dataset can receive in training, validation and evaluation: the instructions of
+/// composed edits of all splits, all captions, and the empty text, in alphabetical order. A table of vectors that has
+/// all of them serves them all.
 ///
 /// # Errors
 /// The dataset cannot be read, or its training split cannot be composed.

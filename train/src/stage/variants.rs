@@ -31,12 +31,12 @@ const BATCH: usize = 32;
 /// Lengths of generated motions are multiples of this number of frames.
 const LENGTH_UNIT: usize = 4;
 
-/// What variants are made of.
+/// Source of the instructions of variants.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Instructions {
-    /// The captions of the dataset's clips, each once, as long as its clip; of those alone for which a condition is true, if
-    /// there is one.
+    /// Captions of the dataset's clips, each once, with the length of its clip; if a condition is given, only of clips
+    /// that meet it.
     Captions(Option<String>),
     /// Texts; lengths are drawn.
     Texts(Vec<String>),
@@ -49,14 +49,14 @@ pub struct MakeVariants {
     pub count: Option<usize>,
     /// Variants of an instruction.
     pub variants: usize,
-    /// Noise between them.
+    /// Noise between the variants of a base.
     pub noise: LatentNoise,
     /// Bounds of a candidate pair.
     pub filter: VariantConfig,
 }
 
 impl Default for MakeVariants {
-    /// As published: 16 variants with noise of 0.1.
+    /// The published settings: 16 variants with noise of 0.1.
     fn default() -> Self {
         Self {
             count: None,
@@ -72,7 +72,7 @@ impl Default for MakeVariants {
 pub struct VariantReport {
     /// The dataset of candidates.
     pub dataset: Dataset,
-    /// What became of the variants; none where the dataset was there already.
+    /// Counts of the variants by outcome; none if the dataset already existed.
     pub counts: Option<VariantCounts>,
     /// Standard deviation of the generator's latent vectors; none for motions made elsewhere.
     pub latent_std: Option<f32>,

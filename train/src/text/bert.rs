@@ -31,7 +31,7 @@ const MODULES: &str = "modules.json";
 const PAPERS: [&str; 3] = ["README.md", "LICENSE", "LICENSE.txt"];
 /// Shortest limit of a text: start, one token, end.
 const LEAST_TOKENS: usize = 3;
-/// PyTorch's floor for the length of a vector that is divided by it.
+/// PyTorch's lower bound for a norm used as a divisor.
 const MIN_LENGTH: f64 = 1e-12;
 
 /// The files of a BERT.
@@ -124,7 +124,7 @@ struct SentenceModule {
 }
 
 impl SentenceModule {
-    /// Whether it has a folder, directly within that of the model.
+    /// Whether the module's folder lies directly within the model's folder.
     fn has_plain_folder(&self) -> bool {
         let path = self.path.as_str();
         !(path.is_empty() || path.starts_with('.') || path.contains(['/', '\\', ':']))
@@ -299,7 +299,7 @@ impl BertEncoder {
         Ok(encoder)
     }
 
-    /// Hash of everything that a vector depends on, whatever files it came in.
+    /// Hash of everything that a vector depends on, independent of the file formats.
     fn hashed(&self) -> Result<String, Error> {
         let mut hasher = blake3::Hasher::new();
         hasher.update_rayon(&to_safetensors(
@@ -383,7 +383,7 @@ impl FrozenText for BertEncoder {
     }
 }
 
-/// Reads a `tokenizer.json` or a `vocab.txt`, which cuts texts after so many tokens.
+/// Reads a `tokenizer.json` or a `vocab.txt`; texts are truncated to `max_tokens` tokens.
 fn read_tokenizer(
     path: &Path,
     settings: &TokenizerConfig,

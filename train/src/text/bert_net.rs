@@ -19,7 +19,7 @@ use crate::model::transformer::{Padding, join_heads, split_heads};
 use crate::model::weights::from_safetensors;
 use crate::vocabulary::TokenBatch;
 
-/// What names may begin with: the network alone has no prefix, one with a head has that of its kind.
+/// Prefixes of tensor names: none for the bare network, and the kind for a network with a head.
 const PREFIXES: [&str; 4] = ["", "bert.", "distilbert.", "model."];
 const WORDS: &str = "embeddings.word_embeddings.weight";
 /// Parts of a layer: our name, that of BERT, that of DistilBERT.
@@ -54,7 +54,7 @@ pub(super) enum Activation {
     Relu,
 }
 
-/// Sizes of a network, as its `config.json` says them.
+/// Sizes of a network from its `config.json`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct BertConfig {
     kind: BertKind,

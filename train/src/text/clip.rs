@@ -43,7 +43,7 @@ impl ClipModel {
         }
     }
 
-    /// Where it is published.
+    /// Hugging Face repo of the model.
     pub fn repo(self) -> &'static str {
         match self {
             Self::VitB32 => "openai/clip-vit-base-patch32",
@@ -65,7 +65,7 @@ impl ClipModel {
 pub struct ClipFiles {
     /// Weights: safetensors, or a file of `torch.save`. The vision tower may be among them.
     pub weights: PathBuf,
-    /// Tokenizer, as [`ClipTokenizer::read`] takes it.
+    /// Tokenizer file for [`ClipTokenizer::read`].
     pub tokenizer: PathBuf,
 }
 
@@ -158,7 +158,7 @@ impl ClipEncoder {
     /// The weights cannot be hashed.
     pub fn new(network: ClipText, tokenizer: ClipTokenizer) -> Result<Self, Error> {
         let mut hasher = blake3::Hasher::new();
-        // Serialise the network: equal weights give equal bytes, whatever file they came in.
+        // Hash the serialised network: equal weights give equal bytes, whatever their file format.
         hasher.update_rayon(&to_safetensors(&network, Path::new("weights of CLIP"))?);
         tokenizer.hash_into(&mut hasher)?;
         Ok(Self {

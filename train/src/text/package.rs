@@ -40,7 +40,7 @@ pub fn unpack(package: &Path, out: &Path, device: &Device) -> Result<Vec<PathBuf
     Ok(files.iter().map(|name| out.join(name)).collect())
 }
 
-/// What stands before the names of the files of the only encoder of a package.
+/// Common prefix of the file names of a package's only encoder.
 fn encoder_of(names: &[String], package: &Path) -> Result<String, Error> {
     let has = |prefix: &str, name: &str| names.contains(&format!("{prefix}{name}"));
     let found: Vec<&str> = names

@@ -200,7 +200,7 @@ impl TextEncoderSource {
         let encoder = match (stored, &self.given) {
             (Some(table), None) => return Ok(table),
             (Some(table), Some(_)) => {
-                // What is named may be for another model of the same command.
+                // The named encoder may be for another model of the same command.
                 let Ok(encoder) = load() else {
                     return Ok(table);
                 };

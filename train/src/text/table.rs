@@ -44,8 +44,8 @@ struct Metadata {
 }
 
 impl EmbeddingTable {
-    /// Encodes texts, each once: their pooled vectors, or those of every token. `progress` is told how many of how many
-    /// are done.
+    /// Encodes texts, each once: their pooled vectors, or those of every token. `progress` receives the number of
+    /// finished texts and the total.
     ///
     /// # Errors
     /// A text cannot be encoded.
@@ -256,7 +256,7 @@ impl EmbeddingTable {
         Ok(replace_file(path, &bytes).map_err(datasets_spec::Error::io("write", path))?)
     }
 
-    /// Reads a table and holds its content against the recorded hash.
+    /// Reads a table and checks its content against the recorded hash.
     ///
     /// # Errors
     /// The file cannot be read, is of another kind or version, or is damaged.

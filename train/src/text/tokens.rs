@@ -26,7 +26,7 @@ const GZIP_MAGIC: &[u8] = &[0x1f, 0x8b];
 /// space, and letters beyond ASCII.
 pub(super) const PROBE: &str = "Raise  it's 2nd\tArm, café 90°-ÉÅ &amp; \u{1f600}!";
 
-/// Byte-pair encoding of texts as CLIP was trained with it.
+/// Byte-pair encoding used by CLIP.
 #[derive(Clone, Debug)]
 pub struct ClipTokenizer {
     tokenizer: Tokenizer,
@@ -236,8 +236,8 @@ fn byte_letters() -> Vec<char> {
         .collect()
 }
 
-/// Replaces character references of HTML: numbers, and the few names that captions hold.
-/// Everything else is left as it stands.
+/// Replaces HTML character references: numeric ones, and the few names that occur in captions. All other text stays
+/// unchanged.
 fn unescape(text: &str) -> String {
     /// Longest reference looked for, as in `&#x10ffff;`.
     const MAX_LEN: usize = 10;
@@ -311,7 +311,7 @@ pub(crate) mod tests {
             tokenizer.encode(" LEFT  arm\nup ", 77).expect("encoded"),
             [start, left, arm, up, end]
         );
-        // A letter alone is its byte at the end of a word: 256 on from its place in the alphabet.
+        // A single letter is its byte at the end of a word: 256 plus its place in the alphabet.
         let a = 256 + i32::from(b'a' - b'!');
         assert_eq!(tokenizer.encode("a", 77).expect("encoded"), [start, a, end]);
         assert_eq!(tokenizer.encode("", 77).expect("encoded"), [start, end]);

@@ -1,4 +1,4 @@
-//! Whole clips before and after an edit, on their way to the network.
+//! Batches of whole clips before and after an edit, for the network.
 
 use std::sync::Arc;
 
@@ -30,7 +30,7 @@ pub struct ClipEdit {
     pub target: Motion,
 }
 
-/// Clips to train on, each the same whenever it is asked for.
+/// Training clips; a clip is equal each time it is read.
 pub trait ClipSource: Sync {
     /// Clips of an epoch.
     fn num_clips(&self) -> u64;
@@ -57,7 +57,7 @@ impl ClipSource for Stream {
     }
 }
 
-/// The pairs of a split as they were captured.
+/// The captured pairs of a split.
 #[derive(Clone, Debug)]
 pub struct CapturedPairs(pub Arc<Library>);
 
@@ -151,7 +151,7 @@ pub(crate) struct ClipSampler<'a> {
     pub(crate) texts: Texts<'a>,
     pub(crate) seed: Seed,
     pub(crate) timesteps: Timesteps,
-    /// Whether instructions and sources are hidden at random.
+    /// Whether instructions and sources are dropped at random.
     pub(crate) hides: bool,
 }
 

@@ -18,7 +18,7 @@ pub struct TmedConfig {
     pub model: NetworkConfig,
     /// Text encoder: the tokens of CLIP ViT-L/14, or learned word vectors.
     pub text: TextConfig,
-    /// Which clips it is trained on.
+    /// Training data.
     pub data: ClipData,
     /// Frame rate of the motions.
     pub fps: Fps,
@@ -39,7 +39,7 @@ pub struct TmedConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ClipData {
-    /// The pairs of the dataset as they were captured, which may differ in length (released code).
+    /// The captured pairs of the dataset, whose motions may differ in length (released code).
     Pairs,
     /// Whole clips of the composer: MotionCutMix, or fixed pairs by the rule of SINC where its settings
     /// say `fixed_pairs`.
@@ -72,20 +72,20 @@ pub struct TmedDiffusion {
     pub guidance: f64,
     /// Guidance weight of the source.
     pub source_guidance: f64,
-    /// Where the target stands in the position table.
+    /// Position of the target in the position table.
     pub places: TargetPlaces,
-    /// What the network sees of the source where guidance asks what it does without one.
+    /// Input in place of the source for guidance without a source.
     pub no_source: NoSource,
-    /// What an edit begins from.
+    /// Start of an edit.
     pub start: EditStart,
     /// Steps of an edit; those of training if not set.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub edit_steps: Option<usize>,
-    /// Which steps an edit makes where they are fewer than in training.
+    /// Selection of steps when an edit uses fewer than training.
     pub respacing: Respacing,
 }
 
-/// Where the target stands in the position table.
+/// Position of the target in the position table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TargetPlaces {
@@ -96,7 +96,7 @@ pub enum TargetPlaces {
     Own,
 }
 
-/// What the network sees of the source where it is asked what it does without one.
+/// Input of the network in place of the source, for guidance without a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum NoSource {
@@ -106,7 +106,7 @@ pub enum NoSource {
     Zeros,
 }
 
-/// What an edit begins from.
+/// Start of an edit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EditStart {
@@ -262,7 +262,7 @@ impl TmedDiffusion {
         self.steps(self.edit_steps).map(|_| ())
     }
 
-    /// The steps of an edit: so many, or else those of training.
+    /// Number of steps of an edit: the given one, or else that of training.
     ///
     /// # Errors
     /// There is no step, or there are more than in training.

@@ -159,7 +159,7 @@ struct Question<'a> {
     first: Pose,
     /// Frames of the edit at the network's rate.
     frames: usize,
-    /// Places of the result's frames among them.
+    /// Positions of the result's frames among the generated ones.
     places: Vec<(usize, f64)>,
     fps: Fps,
 }
@@ -263,7 +263,7 @@ impl TmedSystem {
         Ok(values.as_chunks::<NUM_FEATURES>().0.to_vec())
     }
 
-    /// What the network is given, the rows of a branch of guidance together.
+    /// Inputs of the network; the rows of a guidance branch are consecutive.
     fn condition(
         &self,
         questions: &[&Question<'_>],
@@ -303,7 +303,7 @@ impl TmedSystem {
 }
 
 impl Question<'_> {
-    /// The motion of generated features, at the rate and of the length asked for.
+    /// The motion of generated features, with the requested rate and length.
     fn motion(
         &self,
         record: &TmedRecord,

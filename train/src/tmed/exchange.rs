@@ -18,12 +18,12 @@ use crate::model::weights::{from_safetensors, to_safetensors};
 /// Parameters that released checkpoints hold and the released network never uses.
 const UNUSED: [&str; 2] = ["feat_comb_coeff", "first_pose_proj."];
 
-/// What a released checkpoint does not say of itself.
+/// Properties of a released checkpoint that are not in its file.
 #[derive(Clone, Debug)]
 pub struct TmedImport {
     /// Attention heads.
     pub num_heads: usize,
-    /// What the features were normalised by.
+    /// Statistics that the features were normalised with.
     pub statistics: FeatureStatistics,
     /// The frozen text encoder: CLIP ViT-L/14.
     pub text: TextRecord,

@@ -1,4 +1,4 @@
-//! The 207 features of TMED: made of a motion, and a motion made of them.
+//! The 207 features of TMED: conversion from and to motions.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -21,9 +21,9 @@ pub type FeatureFrame = [f32; NUM_FEATURES];
 /// A group of features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FeatureGroup {
-    /// Its first feature.
+    /// Index of its first feature.
     pub start: usize,
-    /// Its features.
+    /// Number of its features.
     pub width: usize,
     /// Whether it is a change since the frame before, which the first frame has not.
     pub is_delta: bool,

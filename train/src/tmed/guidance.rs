@@ -10,9 +10,9 @@ use crate::model::tmed::{Condition, Tmed};
 pub struct Branch {
     /// Factor of its prediction.
     pub weight: f64,
-    /// Whether it is given the instruction.
+    /// Whether the branch has the instruction.
     pub has_text: bool,
-    /// Whether it is given the source.
+    /// Whether the branch has the source.
     pub has_source: bool,
 }
 

@@ -52,7 +52,7 @@ pub fn group_loss(
     (groups.clone().mean(), groups)
 }
 
-/// Tokens of texts as the network takes them.
+/// Input tokens of texts for the network.
 ///
 /// # Shapes
 /// `[B, N, text_width]`
@@ -74,7 +74,7 @@ pub(crate) fn text_tokens(model: &TmedModel, texts: &TextBatch, device: &Device)
     }
 }
 
-/// Places in the position table for sources of so many frames, `padded` being the longest of them.
+/// Positions in the position table for sources of these lengths, of which `padded` is the longest.
 pub(crate) fn places(config: &TmedConfig, source_frames: &[usize], padded: usize) -> Places {
     Places {
         text: config.text_places(),

@@ -21,7 +21,7 @@ use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "tmed";
 
-/// What TMED learns from.
+/// Training data of TMED.
 #[derive(Clone, Copy)]
 pub struct TmedCorpus<'a> {
     /// Training clips.
@@ -40,7 +40,7 @@ pub struct TmedCorpus<'a> {
     pub compose: Option<&'a ComposeRecord>,
 }
 
-/// What is recorded of a run of TMED: its settings and what was fitted to the training split.
+/// Record of a run of TMED: its settings and the values fitted to the training split.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct TmedRecord {

@@ -1,4 +1,4 @@
-//! Clips of motion with captions, on their way to the evaluation encoder.
+//! Batches of captioned motions for the evaluation encoder.
 
 use std::ops::Range;
 

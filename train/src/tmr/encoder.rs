@@ -36,7 +36,7 @@ const ENCODE_BATCH: usize = 32;
 pub(crate) struct MotionEncoderRecord {
     pub(crate) model: NetworkConfig,
     pub(crate) features: FeatureStats,
-    /// Its text side, if that was imported too.
+    /// Text encoder, if it was imported too.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) text: Option<ImportedText>,
 }
@@ -159,7 +159,7 @@ impl TmrEncoder {
         self
     }
 
-    /// What it sees and was trained on, in words.
+    /// Features and training data of the encoder, in words.
     pub fn description(&self) -> String {
         format!(
             "{} at {} fps, trained on dataset {:.12}",
@@ -184,7 +184,7 @@ impl TmrEncoder {
         &self.dataset_hash
     }
 
-    /// What identifies the weights: BLAKE3, hexadecimal.
+    /// Hash of the weights: BLAKE3, hexadecimal.
     pub fn hash(&self) -> &str {
         &self.hash
     }

@@ -44,9 +44,9 @@ impl<M: Module> Devices<M> {
 
 pub(super) struct Step<'a, M, B> {
     pub(super) task: &'a Task<'a, M, B>,
-    /// Its micro-batches, each with its share of the loss.
+    /// Micro-batches of the step, each with its share of the loss.
     pub(super) parts: &'a [(f64, B)],
-    /// What its dropout masks follow from.
+    /// Seed of the step's dropout masks.
     pub(super) masks: Seed,
     pub(super) arithmetic: Arithmetic,
 }

@@ -1,4 +1,4 @@
-//! What a model is to the trainer.
+//! Interface of a model to the trainer.
 
 use burn::tensor::{Device, Tensor};
 
@@ -6,11 +6,11 @@ use crate::Error;
 use crate::config::RunSettings;
 use crate::model::pass::Pass;
 
-/// What the trainer needs to know of a training of networks `M` on micro-batches `B`.
+/// A training of networks `M` on micro-batches `B`: its data, loss and settings.
 pub(crate) struct Task<'a, M, B> {
     /// Kind of model, shown with the progress.
     pub(crate) kind: &'static str,
-    /// What a sample is called, in the plural.
+    /// Plural noun for a sample.
     pub(crate) samples: &'static str,
     pub(crate) run: RunSettings,
     pub(crate) epoch_len: u64,

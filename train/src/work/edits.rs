@@ -40,7 +40,7 @@ struct Stored {
     text_encoder: Option<PathBuf>,
     config: EditConfig,
     seed: Seed,
-    /// What the command line says of the device.
+    /// Device options of the command line.
     device: Value,
 }
 
@@ -204,7 +204,7 @@ impl Job for Editing {
                 let system = in_turn(&self.system);
                 remarks_of(&**system, &self.rows[detail.first..detail.end])?
             }
-            // They are of the items, whatever the take.
+            // These remarks depend only on the items, not on the take.
             _ => Remarks::default(),
         };
         let name = ShardName {

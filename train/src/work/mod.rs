@@ -21,7 +21,7 @@ use crate::model::pass::Arithmetic;
 use crate::text::source::TextEncoderSource;
 use crate::{Error, Session};
 
-/// What the process of a worker adds to a plan.
+/// Process-specific additions of a worker to a plan.
 #[derive(Clone, Debug)]
 pub struct Surroundings {
     /// Device that models run on.
@@ -54,7 +54,7 @@ impl Surroundings {
     }
 }
 
-/// What the command line said of the device when a plan was made.
+/// Device options of the command line that made the plan.
 ///
 /// # Errors
 /// The plan is of another job.
@@ -84,7 +84,7 @@ fn write_plan(
     Ok(draft.write(out, |_| Ok(()))?)
 }
 
-/// What pieces take turns at.
+/// Locks a value that pieces use one at a time.
 fn in_turn<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }

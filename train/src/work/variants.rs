@@ -30,7 +30,7 @@ struct Stored {
     config: MakeVariants,
     text_encoder: Option<PathBuf>,
     seed: Seed,
-    /// What the command line says of the device.
+    /// Device options of the command line.
     device: Value,
 }
 

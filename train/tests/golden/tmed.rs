@@ -40,7 +40,7 @@ fn lengths(golden: &Golden, name: &str) -> Vec<usize> {
         .collect()
 }
 
-/// The condition of the case: the released network stands targets behind the padded sources.
+/// Condition of the case: the released network places targets after the padded sources.
 fn condition(golden: &Golden) -> Condition {
     let text: Tensor<3> = golden.tensor("in.text");
     let source = golden.tensor::<3>("in.source").swap_dims(0, 1);

@@ -277,7 +277,7 @@ fn tmed_learns_and_its_edits_have_the_length_asked_for() {
         (&short, raise, Some(14)),
         (&long, lower, None),
         (&short, "lower it", None),
-        // It shares a batch with the first.
+        // The item shares a batch with the first.
         (&alike, "lower an arm", Some(14)),
     ];
     let motions = edited(&*system, &all);
@@ -287,7 +287,7 @@ fn tmed_learns_and_its_edits_have_the_length_asked_for() {
         let apart = (made.pose(0).transl - source.pose(0).transl).length();
         assert!(apart < 1e-5, "an edit begins where its source stands");
     }
-    // A request does not see the others, and the seed alone decides.
+    // Each result depends only on its own request and the seed.
     for (one, motion) in all.iter().zip(&motions) {
         assert_eq!(edited(&*system, std::slice::from_ref(one))[0], *motion);
     }
