@@ -29,8 +29,8 @@ fn moving_joints(part: BodyPart) -> Vec<usize> {
 /// Positions of the joints of the body.
 type Joints = [DVec3; NUM_BODY_JOINTS];
 
-/// Positions of arm joints in the frame of the chest, and of other joints in the frame of pelvis and heading.
-/// Movement of the root or the spine thus does not count as movement of the arms.
+/// Positions of arm joints in the frame of the chest, and of other joints in the frame of pelvis and heading. Movement
+/// of the root or the spine therefore does not count as movement of the arms.
 fn carried(motion: &Motion, skeleton: &Skeleton) -> Vec<Joints> {
     motion
         .poses()
@@ -190,7 +190,7 @@ pub(crate) mod tests {
                 && !arm.contains(&"LOWER_BODY")
         );
         assert_eq!(lit(&moving(&[1, 2], 2.0)), ["LOWER_BODY"]);
-        // Arms that ride on the spine do nothing of their own.
+        // Arms that are only carried by the spine are not active.
         let spine = lit(&moving(&[3], 0.0));
         assert!(
             !spine.contains(&"LEFT_ARM") && !spine.contains(&"RIGHT_ARM"),

@@ -111,7 +111,7 @@ fn is_given<T: PartialEq>(ours: Option<T>, imported: Option<T>) -> bool {
     imported.is_none() || ours == imported
 }
 
-/// Checks a submitted answer about a clip with `frames` frames: a draft that lacks nothing.
+/// Checks a submitted answer about a clip with `frames` frames: a valid draft without missing fields.
 pub(crate) fn check_submission(
     answer: &Answer,
     kind: TaskKind,
@@ -632,7 +632,7 @@ mod tests {
         let unclear = rejected(Verdict::Unclear);
         for (a, b, expected) in [
             (&arm, &legs, 1.0),
-            // One of two masks has a counterpart; the one mask of the other side has one.
+            // One of two masks has a counterpart, and so does the only mask of the other answer.
             (&arm, &both, 0.25),
             // Half of the joints of both arms.
             (&arm, &arms, 0.5),

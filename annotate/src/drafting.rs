@@ -19,7 +19,7 @@ use crate::wire::{SuggestionSource, TaskKind};
 const BATCH: usize = 64;
 /// Requests to the model at the same time.
 const PARALLEL: usize = 4;
-/// Failures after which nothing more is asked for: the model is gone, or the key is wrong.
+/// Maximum number of failures before the run stops: the model is offline, or the key is wrong.
 const MAX_FAILURES: usize = 20;
 
 /// Counts of one run that drafts texts with a language model.
@@ -33,7 +33,7 @@ pub struct Drafted {
     pub without_parts: usize,
     /// Requests that failed; run the command again for them.
     pub failures: usize,
-    /// Why the last of them failed.
+    /// Cause of the last failure.
     pub last_failure: Option<String>,
 }
 

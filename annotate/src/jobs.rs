@@ -30,7 +30,7 @@ pub(crate) fn abandon(store: &Store, now: Millis) -> Result<(), Error> {
     store.abandon(now - SILENT, now)
 }
 
-/// Starts a job on a thread of its own.
+/// Starts a job on a separate thread.
 fn start(
     app: &Arc<App>,
     kind: &str,
@@ -160,7 +160,7 @@ pub(crate) fn start_export(
     })
 }
 
-/// Keeps files in the store, for the other servers on it.
+/// Stores the files of a job, so that other servers on this store can send them.
 fn keep_files(store: &Store, job: i64, folder: &Path, names: &[String]) -> Result<(), Error> {
     for name in names {
         let path = folder.join(name);

@@ -1,7 +1,6 @@
 //! Masks as JSON lines for any editor: drafts out, checked judgements in.
 //!
-//! Every line is checked, every problem is reported with its line number, and nothing is accepted
-//! unless all of it is.
+//! Every line is checked, every problem is reported with its line number, and either all lines are accepted or none.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -123,7 +122,7 @@ pub struct Taken {
     pub open_edits: usize,
 }
 
-/// Origin of the text of a mask that a person wrote and nobody has judged.
+/// Origin of a mask text that a person wrote and nobody has judged.
 const DRAFT: &str = "draft";
 
 /// Reads edited lines and returns the new masks of the dataset: pending drafts stay as they were edited, accepted

@@ -155,7 +155,7 @@ pub(crate) fn check_ranges(masks: &[MaskAnswer], frames: i64) -> Result<(), Erro
     Ok(())
 }
 
-/// Joints that a mask takes whole, and the frames that it takes them in: the first, and the one after the last.
+/// Joints of a mask in full, and its range of frames: the first, and the one after the last.
 pub(crate) type Cells = (JointSet, [i64; 2]);
 
 impl MaskAnswer {
@@ -261,7 +261,7 @@ mod tests {
             let found = entered(&arm, mask_of(&arm, soft, chosen));
             assert_eq!(found, (soft, chosen.to_vec()));
         }
-        // Legs have no ring of their own: they get one joint by joint.
+        // Legs have no ring of their own: joints are chosen one by one.
         let leg = mask_of(
             &parts(&["LEFT_LEG"]),
             true,

@@ -84,7 +84,7 @@ impl Said {
 /// A task with several answers.
 struct Shared<'a> {
     said: &'a [Said],
-    /// How far each answer agrees with the others, in the mean.
+    /// Mean agreement of each answer with the others.
     alike: Vec<f64>,
 }
 
@@ -180,7 +180,7 @@ fn agreement(all: &[&Said], shared: &[Shared<'_>]) -> Agreement {
         })
         .collect();
     let drafts: Vec<f64> = all.iter().flat_map(|said| said.drafts.clone()).collect();
-    // Too few seconds of work say nothing.
+    // A median needs at least [`MIN_ITEMS`] answers.
     let median_secs = |counts: fn(&Said) -> bool| {
         let counted = all.iter().filter(|said| counts(said));
         let mut secs: Vec<f64> = counted.map(|said| said.secs).collect();

@@ -12,7 +12,7 @@ names! {
         Filled = "filled",
         /// A clip of the task was ingested anew, with other content.
         ClipChanged = "clip_changed",
-        /// Somebody said that the answers hold for the new content of the clip.
+        /// A reviewer confirmed the answers for the new content of the clip.
         ClipKept = "clip_kept",
         /// A lease was taken, to answer or to review.
         Claimed = "claimed",

@@ -177,7 +177,7 @@ impl BodyPart {
         }
     }
 
-    /// The part as an instruction says it: "upper body", "left arm".
+    /// The part in words, as in an instruction: "upper body", "left arm".
     pub fn phrase(self) -> String {
         self.name().to_lowercase().replace('_', " ")
     }

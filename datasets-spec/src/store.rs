@@ -1,7 +1,7 @@
 //! Where datasets and sources are kept: on a disk, or at a URL.
 //!
-//! The trait says what the storage does, not how. A file appears whole or not at all, whether a disk renames
-//! a temporary file or an object store takes one request. A test can make any operation fail.
+//! Every file appears complete or not at all: a disk renames a temporary file, and an object store takes one request. A
+//! test can make any operation fail.
 
 mod by_path;
 mod disk;
@@ -28,7 +28,7 @@ pub trait NewFile: Write + Send {
     /// The storage refuses or fails. The file may have appeared nevertheless, where the answer was lost.
     fn publish(self: Box<Self>) -> io::Result<()>;
 
-    /// Makes the file appear unless there is one of that name. Of several that do so at the same time, one
+    /// Makes the file appear unless a file with that name exists. If several writers do so at the same time, one
     /// succeeds.
     ///
     /// # Errors
@@ -145,7 +145,7 @@ pub trait Lock: Debug + Send + Sync {}
 /// Result of an attempt to lock a dataset.
 #[derive(Debug)]
 pub enum Locking {
-    /// Nobody else writes until this is dropped.
+    /// This run holds the lock until the value is dropped.
     Held(Box<dyn Lock>),
     /// Another run holds the lock.
     Taken {
@@ -195,8 +195,8 @@ pub trait Store: Debug + Send + Sync {
         Ok((found != blake3).then(|| format!("BLAKE3 expected {blake3}, found {found}")))
     }
 
-    /// Says what a committed file holds. An object store need not ask for its size then, and reads what it
-    /// kept of files with this hash.
+    /// Announces the size and hash of a committed file. An object store then need not request its size, and can use
+    /// cached bytes with this hash.
     fn expect(&self, _path: &Path, _bytes: u64, _blake3: &str) {}
 
     /// All files below a folder, sorted.

@@ -106,7 +106,7 @@ fn matrix_product(bencher: Bencher) {
         });
 }
 
-/// Latents that cost nothing: the body rotations of the first frame.
+/// An encoder of negligible cost: the body rotations of the first frame.
 struct FirstFrame;
 
 impl MotionEncoder for FirstFrame {

@@ -26,7 +26,7 @@ pub struct BestEdit {
     pub gain: Option<Gain>,
 }
 
-/// How far the best edit got, and how far the others did. Errors are mean distances to the target's 28
+/// How much closer to the target the best edit is, and the other edits. Errors are mean distances to the target's 28
 /// keypoints over the frames that both motions have, with every pelvis moved over one point of the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gain {
@@ -48,9 +48,9 @@ impl Gain {
     }
 }
 
-/// The edit that takes most off the distance from its source to its target, among the edits of the system
-/// listed first; of equal ones that of the first item by id. Of several takes of an item, the one with the
-/// lowest seed counts. `None` without edits.
+/// The edit that reduces the distance from source to target most, among the edits of the system listed first; of equal
+/// ones, that of the first item by id. Of several takes of an item, the one with the lowest seed counts. `None` without
+/// edits.
 ///
 /// Distances are measured as by a camera that follows the pelvis, which is how a page shows the motions: a
 /// body that is off by a constant way over the ground looks right there.

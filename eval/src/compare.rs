@@ -23,7 +23,7 @@ use crate::score::{
 use crate::table::Items;
 use crate::table::notes::{shortage_of_fid, shortage_of_targets};
 
-/// Resamples behind an interval of a Fréchet distance, each of which decomposes three covariances.
+/// Number of resamples for the interval of a Fréchet distance; each decomposes three covariances.
 const FID_RESAMPLES: usize = 200;
 
 /// Share of the resamples beyond either end of an interval.
@@ -368,10 +368,10 @@ impl Comparison {
         }
     }
 
-    /// Which of the metrics of [`CLAIMS`] agree on the second system against the first, as a sentence; none where the
-    /// encoder ranks nothing or none of them was measured.
+    /// The metrics of [`CLAIMS`] that rank the second system above or below the first, as a sentence; none if the
+    /// encoder cannot rank systems or no such metric was measured.
     ///
-    /// A claim needs two of them: each can be had at the cost of the others.
+    /// A claim needs two of them, because a system can improve each at the cost of the others.
     pub fn claim(&self) -> Option<String> {
         if self.unranked.is_some() {
             return None;
@@ -515,7 +515,7 @@ mod tests {
 
     const ALL_FOUR: [(&Metric, [f64; 3]); 4] = [
         (&E2T_RECALL_1, [40.0, 64.0, 100.0]),
-        // As far above the target's slide as the other is below.
+        // The edit's slide is as far above the target's as the other's is below.
         (&FOOT_SLIDE, [0.0, 0.2, 0.1]),
         (&ERROR_INSIDE, [10.0, 8.0, 0.0]),
         (&ERROR_OUTSIDE, [0.0, 1.0, 0.0]),

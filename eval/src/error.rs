@@ -112,7 +112,7 @@ pub enum Error {
         /// The cause.
         source: std::io::Error,
     },
-    /// There is nothing to be scored on.
+    /// There are no items to score.
     #[error("the table holds no items; draw them with `stance items`")]
     NoItems,
     /// An item cannot be used.
@@ -123,7 +123,7 @@ pub enum Error {
         /// The cause, boxed because it is larger than any other variant.
         source: Box<datasets_spec::Error>,
     },
-    /// An item has nothing to be compared with.
+    /// An item has no target to compare with.
     #[error("item {id:?} has no target to compare with; score items drawn by `stance items`")]
     NoTarget {
         /// The item.
@@ -299,7 +299,7 @@ pub enum Error {
         /// Row index.
         row: usize,
     },
-    /// A protocol asks for nothing.
+    /// A protocol's settings measure nothing.
     #[error("protocol: {field} must be at least {needed}, got {found}")]
     Protocol {
         /// The setting.

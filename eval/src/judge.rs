@@ -169,7 +169,7 @@ impl JudgeReport {
         })
     }
 
-    /// Why an encoder with this report ranks nothing; none if it ranks.
+    /// Reason why an encoder with this report cannot rank systems; none if it can.
     pub fn weakness(&self) -> Option<String> {
         let lower = self
             .text_to_motion
@@ -322,7 +322,7 @@ fn of_random_order(gallery: usize, hits: usize, k: usize) -> f64 {
     1.0 - none.product::<f64>()
 }
 
-/// Why the encoder of a run folder with these weights ranks nothing; none if its report shows that it ranks.
+/// Reason why the encoder of a run folder with these weights cannot rank systems; none if its report shows that it can.
 ///
 /// # Errors
 /// The report cannot be read.

@@ -16,7 +16,8 @@ pub const ALL_TASKS: &str = "all";
 /// floor.
 pub const RECAPTURED: &str = "recaptured";
 
-/// Tasks of a score over the items of one novelty: what of them training has shown, from all of it to not even the edit.
+/// Tasks of a score over the items of one novelty: how much of the item is in the training split, from everything to
+/// not even the edit.
 pub const NOVELTIES: [&str; 4] = ["retake", "combination", "action", "unshown"];
 
 /// Whether items of several tasks are scored together under this name.

@@ -174,7 +174,7 @@ impl<R: MotionTable> Extend<R> for Rows<R> {
 }
 
 impl<R: MotionTable> Rows<R> {
-    /// Reads what the rows of a dataset say. No motion is read.
+    /// Reads all columns of a dataset's rows except the motions.
     ///
     /// # Errors
     /// A file cannot be read.
@@ -215,7 +215,7 @@ impl<R: MotionTable> Rows<R> {
         &self.facts
     }
 
-    /// The same, to be changed. Rows with their motions say what they said before.
+    /// Mutable access to the columns. Rows that hold their motions keep the old columns.
     pub(crate) fn facts_mut(&mut self) -> &mut [R::Facts] {
         &mut self.facts
     }

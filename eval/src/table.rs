@@ -84,7 +84,7 @@ pub struct Row {
 pub struct Cell {
     /// Mean over the repeats.
     pub mean: f64,
-    /// Half width of the 95 % interval; none where nothing varies or a publication prints none.
+    /// Half width of the 95 % interval; none if there is no variation or a publication prints none.
     pub ci95: Option<f64>,
     /// Whether the value is the best of the measured systems and better than that of the identity editor.
     pub best: bool,
@@ -260,7 +260,7 @@ struct Found<'a> {
 }
 
 impl<'a> Found<'a> {
-    /// Scores of unknown metrics are left out, and no value is the best where the table ranks nothing.
+    /// Skip scores of unknown metrics; mark no best value if the table does not rank.
     fn of(scores: &[&'a ScoreRow], standings: &[Standing], ranks: bool) -> Self {
         let mut names: Vec<&str> = Vec::new();
         let mut takes = BTreeMap::new();

@@ -143,7 +143,7 @@ fn to_parquet(bencher: Bencher) {
 
 fn row(motion: &Motion) -> MotionRow {
     let skeleton = Skeleton::smplx_neutral();
-    // The synthetic joints whirl faster than any body, which the check says; its work is done.
+    // The synthetic joints move faster than any body, so the check reports an error; its cost is the same.
     let quality = check(motion, &skeleton).unwrap_or(Quality {
         flags: 0,
         max_speed: 0.0,

@@ -132,7 +132,7 @@ mod calibration {
     const ROWS: usize = 4;
     const COLUMNS: usize = 8;
 
-    /// Bytes read and written.
+    /// Bandwidth of a copy, counting bytes read and written.
     #[divan::bench]
     fn copy(bencher: Bencher) {
         let from = vec![1.0f32; COPIED];

@@ -60,7 +60,7 @@ pub struct Browser {
 }
 
 impl Drop for Browser {
-    /// Ends the browser. That of a failed test may answer no command, and would keep running.
+    /// Kills the browser: after a failed test it may not respond to commands and would keep running.
     fn drop(&mut self) {
         if !std::thread::panicking() {
             wait(self.client.clone().close()).expect("Chromium ends");

@@ -48,7 +48,7 @@ impl Browser {
         assert_eq!(ended["status"], 204, "{ended}");
     }
 
-    /// Waits until the server answers a request as expected: the page says what was done before it is stored.
+    /// Waits until the server answers a request as expected: the page shows a change before it is stored.
     ///
     /// # Panics
     /// It does not happen in time.

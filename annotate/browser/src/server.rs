@@ -36,7 +36,7 @@ fn temporary() -> TempDir {
     TempDir::new().expect("a temporary folder")
 }
 
-/// The report page of a run: the one named by STANCE_REPORT, or that of a short demo.
+/// The report page of a run: the page named by STANCE_REPORT, or the page of a short demo.
 pub fn report_page() -> PathBuf {
     static MADE: LazyLock<TempDir> = LazyLock::new(|| {
         let folder = temporary();

@@ -50,7 +50,7 @@ pub struct Route {
 pub struct Context {
     pub(crate) app: Arc<App>,
     pub(crate) who: Option<Who>,
-    /// Address of the client: that of the connection, or the one that a trusted proxy names.
+    /// Address of the client: the peer's address, or the one that a trusted proxy reports.
     pub(crate) client: IpAddr,
     pub(crate) params: RawPathParams,
     pub(crate) uri: Uri,
@@ -67,7 +67,7 @@ pub struct ServerConfig {
     pub operators: Option<SocketAddr>,
     /// Whether browsers reach it through TLS.
     pub secure: bool,
-    /// Names by which browsers reach it, beside `localhost` and addresses.
+    /// Host names under which browsers reach the server, besides `localhost` and IP addresses.
     pub hosts: Vec<String>,
     /// Proxies whose `X-Forwarded-For` header is trusted.
     pub trusted_proxies: Vec<TrustedProxy>,
@@ -77,7 +77,7 @@ pub struct ServerConfig {
     pub dataset: PathBuf,
     /// The language model, if there is one.
     pub model: Option<Model>,
-    /// Timeout of a request, of its headers, and of a reader that takes nothing; [`PATIENCE`] in production.
+    /// Timeout of a request, of its headers, and of a reader that reads nothing; [`PATIENCE`] in production.
     pub patience: Duration,
     /// Timeout of an upload; [`UPLOAD_PATIENCE`] in production.
     pub upload_patience: Duration,

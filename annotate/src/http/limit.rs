@@ -72,7 +72,7 @@ mod tests {
         limiter
             .count("logins", "a", 10, 60_000)
             .expect("room again");
-        // A clock set back locks nobody out.
+        // A clock that is set back does not lock anybody out.
         limiter.count("logins", "a", 1, -1_000_000).expect("room");
     }
 }

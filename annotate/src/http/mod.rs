@@ -306,7 +306,7 @@ async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Resul
     let params = RawPathParams::from_request_parts(&mut parts, &())
         .await
         .map_err(|error| Error::refused(Code::BadRequest, error.to_string()))?;
-    // Files, settings and capture plans have limits of their own, and the time of an upload.
+    // Files, settings and capture plans have size limits of their own, and the timeout of an upload.
     let (what, time) = match route.max_body > MAX_BODY_BYTES {
         true => ("the upload", app.config.upload_patience),
         false => ("the request", patience),

@@ -9,8 +9,8 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::Sleep;
 
-/// A socket whose writes fail once the reader has taken nothing for a while. A reader that takes a byte now and
-/// then is dropped too: the system reports room again only when a good part of its buffer is free.
+/// A socket whose writes fail once the peer has read nothing for a while. A peer that reads a byte now and then is
+/// dropped too: the system reports a socket as writable only when much of its buffer is free.
 pub(super) struct Socket {
     stream: TcpStream,
     patience: Duration,

@@ -260,7 +260,7 @@ impl Taking<'_> {
         Ok(result)
     }
 
-    /// Whether somebody else holds the task, or it wants no more answers.
+    /// Whether another user holds the task, or the task needs no more answers.
     fn taken(&self, tx: &mut dyn Tx) -> Result<bool> {
         tx.has(
             "SELECT 1 FROM task t WHERE t.id = ?1 AND t.claimable = 0

@@ -70,7 +70,7 @@ pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<()> {
     ))
 }
 
-/// Adds an entry to the work of its actor. What rules and bulk actions decide is nobody's work.
+/// Adds an entry to its actor's work. Decisions by rules and bulk actions do not count as work.
 fn count_work(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: i64) -> Result<()> {
     let (secs, request) = entry.body.work();
     let (answers, skips, reviews): (i64, i64, i64) = match &entry.body {
@@ -307,7 +307,7 @@ impl Change<'_> {
                     &Acceptance::imported(answer, credit.as_ref(), self.entry),
                 )
             }
-            // Nobody has to be asked about a task without an answer.
+            // A task without an answer needs no new decision.
             Body::ClipChanged { source, target } => tx.run(
                 "UPDATE task SET source = ?2, target = ?3, changed = CASE WHEN gold IS NOT NULL
                    OR EXISTS (SELECT 1 FROM revision WHERE task = ?1)

@@ -1,5 +1,5 @@
-//! The capture plan, and what has arrived of it. The plan is stored beside the settings; what has arrived is read from
-//! the style tasks at each call, so nothing has to be kept in step.
+//! The capture plan and its progress. The plan is stored with the settings; progress is computed from the style tasks
+//! at each call, so the two cannot diverge.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -46,7 +46,7 @@ impl Store {
         })
     }
 
-    /// The capture plan with what has arrived of it; empty without a plan.
+    /// The capture plan with its progress; empty without a plan.
     pub fn captures(&self) -> Result<Captures> {
         self.read(captures)
     }
@@ -144,8 +144,9 @@ fn takes(tx: &mut dyn Tx) -> Result<(BTreeMap<Place, Takes>, u32)> {
     Ok((all, without_style))
 }
 
-/// The style of a pair, and whether the pair was rejected. An accepted answer that keeps the pair says its style, as in
-/// an export; before that the label of the dataset does. A rejection does not hold for a clip that was ingested anew.
+/// The style of a pair, and whether the pair was rejected. The style is that of an accepted answer that keeps the pair,
+/// as in an export; before acceptance, the dataset's label. A rejection does not apply to a clip that was ingested
+/// again.
 fn judged(
     label: Option<String>,
     state: TaskState,

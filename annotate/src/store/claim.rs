@@ -26,8 +26,8 @@ const IN_BUNDLES: &str =
     "COALESCE(g.bundle, t.bundle, 0), COALESCE(g.bundle_index, t.bundle_index), l.id";
 
 impl Store {
-    /// Claims the next task of a kind, or returns the one that the user holds, with the hashes of the
-    /// motions of the next `ahead` tasks; or says why there is none.
+    /// Claims the next task of a kind, or returns the one that the user holds, with the hashes of the motions of the
+    /// next `ahead` tasks; or returns the reason why there is none.
     pub fn claim(
         &self,
         user: i64,
@@ -313,8 +313,8 @@ fn room(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<Room>> {
     Ok(Some(room))
 }
 
-/// The conditions under which tasks are looked for, one after the other, each with its category: that which has the
-/// fewest pairs first. Of a category whose quota is reached, only pairs that count already and want another answer.
+/// SQL conditions for claiming, in the order in which they are tried, each with its category: the category with the
+/// fewest pairs first. In a category whose quota is reached, only pairs that count already and need another answer.
 fn category_limits(room: Option<&Room>) -> Vec<(&'static str, Option<&String>)> {
     let Some(room) = room else {
         return vec![("", None)];
@@ -335,9 +335,9 @@ fn category_limits(room: Option<&Room>) -> Vec<(&'static str, Option<&String>)> 
         .collect()
 }
 
-/// The conditions under which pairs are looked for within a category: those that are stated to be of the edit type
-/// whose quota is furthest behind first, then all but those of a type of which there is enough, and these last. None is
-/// held back. Without quotas, one condition that holds for all.
+/// SQL conditions for claiming pairs within a category, in the order in which they are tried: first pairs whose stated
+/// edit type is furthest behind its quota, then all types except those with enough pairs, then the rest. Nothing is
+/// withheld. Without quotas, one condition that is always true.
 fn type_limits(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Vec<String>> {
     let quotas = turn.settings.edit_type_quota.iter();
     let quotas: Vec<(EditType, i64)> = quotas
@@ -347,7 +347,7 @@ fn type_limits(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Vec<Strin
     if kind != TaskKind::Pair || quotas.is_empty() {
         return Ok(vec![String::new()]);
     }
-    // A pair that somebody is at work on counts as what it is stated to be.
+    // A pair in work counts with its stated type.
     let sql = "SELECT COALESCE(kept_type, stated_type), COUNT(*) FROM task WHERE kind = 'pair' AND counted = 1
          GROUP BY COALESCE(kept_type, stated_type)";
     let counted_as = counts(tx, sql)?;

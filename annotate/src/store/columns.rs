@@ -1,5 +1,5 @@
-//! Reads the columns of a row, one after the other, into a value: a number, a text, a tuple, or a struct whose
-//! fields are in the order of the columns. What is none of these, such as a list or an answer, is a column of JSON.
+//! Reads the columns of a row, one after the other, into a value: a number, a text, a tuple, or a struct whose fields
+//! are in the order of the columns. A field of another type, such as a list or an answer, is read from a JSON column.
 
 use rusqlite::types::Value;
 use serde::de::{DeserializeSeed, Deserializer, Error as _, IntoDeserializer, SeqAccess, Visitor};

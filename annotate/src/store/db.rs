@@ -71,7 +71,7 @@ pub(crate) trait Tx {
 
     /// Runs statements; an error says that the store cannot do the action.
     fn batch(&mut self, sql: &str, action: &'static str) -> Result<()>;
-    /// Runs statements that define tables, each database with its own word for what `schema.sql` writes once.
+    /// Runs statements that define tables; each database replaces the placeholders in `schema.sql` by its own keywords.
     fn define(&mut self, sql: &str) -> Result<()>;
 }
 
@@ -126,7 +126,7 @@ impl dyn Tx + '_ {
 /// Closure run in a transaction.
 pub(crate) type Work<'a> = Box<dyn FnOnce(&mut dyn Tx) -> Result<()> + Send + 'a>;
 
-/// A database: write transactions run one after the other, read transactions beside them. A snapshot can only be read.
+/// A database: write transactions run one after the other, read transactions in parallel. A snapshot can only be read.
 pub(crate) trait Database: Send + Sync {
     /// Runs read-only work on a consistent snapshot.
     fn read(&self, work: Work<'_>) -> Result<()>;

@@ -20,7 +20,7 @@ impl Store {
         self.write(move |tx| put_job(tx, job, now))
     }
 
-    /// Stores a file of a job, and removes those of all jobs but the last `kept` that have some.
+    /// Stores a file of a job, and removes the files of all but the last `kept` jobs with files.
     pub(crate) fn put_file(
         &self,
         job: i64,

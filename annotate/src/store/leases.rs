@@ -39,7 +39,7 @@ impl Store {
         })
     }
 
-    /// Releases a lease; a reviewer may release those of others. Refused with `not_found`.
+    /// Releases a lease; a reviewer may release other users' leases. Refused with `not_found`.
     pub fn release(&self, who: &Who, lease: i64, now: Millis) -> Result<()> {
         let (user, role) = (who.id, who.role);
         self.write(move |tx| {
@@ -215,8 +215,7 @@ impl Turn {
         self.prolong(tx, held)
     }
 
-    /// The task of a lease that the person goes on with. The lease, with those of its bundle, is prolonged, but not at
-    /// every request.
+    /// Extends the lease of a task that the person resumes, with those of its bundle, but not at every request.
     pub(super) fn resume(&self, tx: &mut dyn Tx, held: &LeaseRow) -> Result<i64> {
         if held.lease.expires < self.lease_end() - MINUTE {
             self.prolong_bundle(tx, held)?;

@@ -54,7 +54,7 @@ fn failed(action: &'static str) -> impl Fn(postgres::Error) -> Error {
     }
 }
 
-/// Connects, and creates missing tables. Says what upgrade that made.
+/// Connects, and creates missing tables. Also returns the upgrade, if one was made.
 pub(crate) fn open(url: &str, schema: &str) -> Result<(Pool<Postgres>, Option<Upgrade>)> {
     let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     if schema.is_empty() || !schema.chars().all(plain) {

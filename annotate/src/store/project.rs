@@ -339,7 +339,7 @@ fn settle_changed(
             rule: None,
             request: String::new(),
         },
-        // Somebody decides about it in any case, and is told.
+        // A reviewer decides in any case, and sees the change.
         (false, _) => return Ok(()),
     };
     log::note(tx, now, actor, Some(task), body)
@@ -356,7 +356,7 @@ pub(super) fn motions_where(
     tx.list(&sql, params)
 }
 
-/// Frames of a motion; 1 for one that the store does not know, of which no range of frames can be chosen.
+/// Number of frames of a motion; 1 for an unknown motion, so that no range can be chosen.
 pub(super) fn frames(tx: &mut dyn Tx, hash: &str) -> Result<i64> {
     let sql = "SELECT frames FROM motion WHERE hash = ?1";
     let frames = tx.find(sql, params![hash])?;

@@ -154,8 +154,8 @@ pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<
 }
 
 /// Derives whether a pair counts toward the quota of its category: an accepted answer keeps it; or, before a decision,
-/// a submitted answer keeps it, or somebody is at work on it. A claim can so leave room for those who are at work. A
-/// kept pair has the edit type of the answer that keeps it.
+/// a submitted answer keeps it, or somebody is at work on it. This reserves quota for people at work. A kept pair has
+/// the edit type of the answer that keeps it.
 fn count(tx: &mut dyn Tx, task: i64) -> Result<()> {
     tx.run(
         "UPDATE task SET counted = CASE

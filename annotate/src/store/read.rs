@@ -392,7 +392,7 @@ fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEnt
             if is_mine(&entry) {
                 return entry;
             }
-            // A gold task stands in for this one until the user gets it; of several, the one held.
+            // A gold task replaces this one in the user's queue; if several do, the held one.
             golds
                 .iter()
                 .filter(|(at, gold)| *at == index && is_mine(gold))

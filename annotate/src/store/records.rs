@@ -173,7 +173,7 @@ pub struct TaskRecord {
     pub distance: Option<f64>,
     /// Whether it is a practice task: its known answer is shown to those who answered it.
     pub practice: bool,
-    /// Whether a clip of it was ingested anew, with other content, after somebody answered.
+    /// Whether one of its clips was ingested again with other content after somebody answered.
     pub changed: bool,
 }
 
@@ -281,7 +281,7 @@ pub struct ShelfFilter {
     pub kind: Option<TaskKind>,
     /// With a part.
     pub part: Option<String>,
-    /// With these words.
+    /// Only answers with these words.
     #[serde(rename = "q")]
     pub text: Option<String>,
     /// Before this sequence number of the log.
@@ -294,7 +294,7 @@ pub struct ShelfFilter {
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AuditFilter {
-    /// By somebody.
+    /// Only entries of this user.
     pub actor: Option<i64>,
     /// Only entries of this kind.
     pub kind: Option<LogKind>,

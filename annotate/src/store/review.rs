@@ -18,7 +18,7 @@ use crate::wire::{
 };
 
 impl Store {
-    /// Claims the next task to review, or says why there is none.
+    /// Claims the next task to review, or returns the reason why there is none.
     pub fn review_next(
         &self,
         user: i64,

@@ -35,7 +35,7 @@ impl Store {
     /// Applies the enabled rules to up to 2,000 tasks that wait for review, with ids above `after`.
     pub fn apply_rules(&self, after: i64, now: Millis) -> Result<RulesApplied> {
         self.write(move |tx| {
-            // Nobody in particular decides.
+            // The actor is no user.
             let turn = Turn::of(tx, 0, now)?;
             let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
             let (looked_at, last) = (tasks.len() as i64, tasks.last().map(|task| task.id));
@@ -152,7 +152,7 @@ pub(super) fn waiting_answers(tx: &mut dyn Tx, task: i64) -> Result<Vec<Revision
     rows::revisions(tx, condition, params![task])
 }
 
-/// Accepts a task if a rule says so, and returns the name of the rule.
+/// Accepts a task if a rule matches, and returns the name of the rule.
 fn decide(tx: &mut dyn Tx, turn: &Turn, task: &TaskRecord) -> Result<Option<String>> {
     let settings = &turn.settings;
     let answers = waiting_answers(tx, task.id)?;

@@ -32,7 +32,7 @@ pub(crate) struct Sqlite {
     path: PathBuf,
 }
 
-/// Opens the file, or creates it with all tables. Says what upgrade that made.
+/// Opens the file, or creates it with all tables. Also returns the upgrade, if one was made.
 pub(crate) fn open(path: &Path) -> Result<(Pool<Sqlite>, Option<Upgrade>)> {
     if let Some(kind) = network_file_system(path) {
         return Err(open_error(
@@ -246,8 +246,8 @@ fn network_file_system(path: &Path) -> Option<String> {
 
 /// Looks a folder up in a table of mounts; the longest mount point above it counts.
 fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
-    // With and without the prefix `fuse.`. Those of clusters and of virtual machines are among them: each host
-    // maps the shared memory of the write-ahead log for itself.
+    // File systems, with and without the prefix `fuse.`. Cluster and virtual-machine file systems are included: each
+    // host maps the shared memory of the write-ahead log separately.
     const NETWORK: &str = "9p acfs afs beegfs beegfs_nodev blobfuse2 ceph ceph-fuse cifs coda cvmfs2 davfs davfs2 \
         fhgfs gcsfuse gfs2 glusterfs goofys gpfs grpcfuse juicefs kafs lustre mount-s3 mountpoint-s3 ncpfs nfs nfs4 \
         ocfs2 orangefs panfs prl_fs pvfs2 quobyte rclone s3fs seaweedfs smb2 smb3 smbfs sshfs vboxsf virtiofs vmhgfs \
@@ -426,7 +426,7 @@ mod tests {
             std::fs::copy(dir.path().join("s.sqlite"), &path).expect("a copy");
             let kept = &log[..log.len() - cut * log.len() / 8];
             std::fs::write(crashed.path().join("s.sqlite-wal"), kept).expect("a copy");
-            // Cut to nothing, the first transaction is gone with the tables; they are made anew.
+            // With an empty file, the first transaction is lost together with the tables, which are created again.
             let (reopened, _) = open(&path).expect("opens without repair");
             let found = names(&reopened);
             assert_eq!(found, written[..found.len()], "a prefix, in order");

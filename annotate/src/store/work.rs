@@ -33,7 +33,7 @@ impl Store {
 fn days(tx: &mut dyn Tx, from: Millis, to: Millis) -> Result<Vec<DayWork>> {
     let zone = project::settings(tx)?.time_zone;
     let mut days: BTreeMap<(Millis, i64, TaskKind), DayWork> = BTreeMap::new();
-    // The database adds up quarters of an hour, of which the days of every time zone consist.
+    // The database sums by quarters of an hour, because day boundaries of every time zone fall on quarter hours.
     let rows = tx.list::<(i64, String, Millis, TaskKind, f64, [i64; 3])>(
         "SELECT w.usr, MAX(COALESCE(u.name, '')), w.at / 900000, t.kind, SUM(w.secs), CAST(SUM(w.answers) AS BIGINT),
            CAST(SUM(w.skips) AS BIGINT), CAST(SUM(w.reviews) AS BIGINT)

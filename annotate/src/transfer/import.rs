@@ -50,7 +50,7 @@ impl Taken {
         *self.counts.entry(what.to_owned()).or_default() += count;
     }
 
-    /// Counts items that are left out, if there are any, and says so.
+    /// Counts skipped items, if there are any, and adds a message.
     fn report(&mut self, what: &str, count: usize, message: impl FnOnce() -> String) {
         if count > 0 {
             self.count(what, count as i64);

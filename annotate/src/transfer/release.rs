@@ -270,7 +270,7 @@ fn parse(document: &Value) -> Result<Release, String> {
 fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
     let (mut unknown, mut problems) = (Map::new(), Vec::new());
     let names = names(masks);
-    // Texts that say nothing of parts belong to the masks at their places.
+    // Texts without part names belong to the masks by position.
     let in_order: Vec<Vec<String>> = match said {
         Value::Array(items) if items.len() == names.len() => items.iter().map(texts).collect(),
         Value::Array(_) if names.len() == 1 => vec![texts(said)],

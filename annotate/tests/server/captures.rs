@@ -73,7 +73,7 @@ fn a_cell_fills_as_pairs_arrive_and_a_rejected_pair_empties_it() {
         assert_eq!(counts(&state())[0], (1, 0, 0));
         site.judge(Decision::Accept);
         assert_eq!(counts(&state())[0], (0, 1, 1));
-        // A clip that was ingested anew is another take, until somebody says that the rejection holds.
+        // A clip that was ingested again is another take, until a reviewer confirms the rejection.
         let anew = MotionRecord {
             hash: "new hash".to_owned(),
             ..bare_motion()
@@ -85,7 +85,7 @@ fn a_cell_fills_as_pairs_arrive_and_a_rejected_pair_empties_it() {
         kept.expect("the rejection holds");
         assert_eq!(counts(&state())[0], (0, 1, 1));
 
-        // People saw another style than the label says.
+        // The accepted style differs from the label.
         let seen = |decision: Decision| {
             site.hand_in(site.ann, style());
             site.judge(decision);

@@ -1,4 +1,4 @@
-//! The server as operators run it: behind a proxy, beside other servers, and watched.
+//! The server in production setups: behind a proxy, beside other servers, and monitored.
 
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -14,7 +14,7 @@ use serde_json::json;
 use crate::support::person;
 use crate::support::{Client, DAY, MINUTE, ROOT, Site, agent, masks, send, serve};
 
-/// How a login with a token that nobody has is refused, with more headers.
+/// The refusal of a login with an unknown token, sent with additional headers.
 fn guess(site: &Site, headers: &[(&str, &str)]) -> Code {
     site.log_in("guess", headers).code()
 }
@@ -193,7 +193,7 @@ fn an_upload_that_never_ends_is_given_up() {
 fn a_reader_that_takes_nothing_is_dropped() {
     let site = Site::with_patience(Duration::from_secs(2));
     let mut stream = connect(&site);
-    // Requests until the answers fill every buffer between, and the server reads no more of them.
+    // Send requests until the responses fill all buffers and the server stops reading.
     let request = b"GET /assets/vendor-three.js HTTP/1.1\r\nHost: localhost\r\n\r\n";
     let error = loop {
         if let Err(error) = stream.write_all(request) {
@@ -351,7 +351,7 @@ fn a_server_that_starts_leaves_the_jobs_of_others_running_and_lost_ones_fail() {
     let other = boss.at(format!("http://{}", server.address()));
     let state = |job: i64| other.get(&format!("jobs/{job}")).ok::<Job>().state;
     assert_eq!([state(lost), state(kept)], ["running", "running"]);
-    // One of the two is reported on, and the other is not heard of again.
+    // One of the two jobs keeps reporting, and the other stops.
     for _ in 0..4 {
         site.clock.advance(MINUTE / 2);
         site.store.beat(kept, site.clock.now()).expect("a report");

@@ -16,7 +16,7 @@ fn quotas(store: &Store, quotas: &[(EditType, u32)]) {
     });
 }
 
-/// Pair tasks that the source states to be of these types.
+/// Pair tasks with these edit types, stated by the source.
 fn stated(types: &[Option<EditType>]) -> Vec<NewTask> {
     let mut tasks = pair_tasks(types.len());
     for (task, edit_type) in tasks.iter_mut().zip(types) {

@@ -698,7 +698,7 @@ fn a_new_annotator_practises_until_the_score_is_reached() {
         assert_eq!(own().standing, Standing::Practice);
         assert_eq!(own().feedback, Some(wrong));
         assert_eq!(queue().open, 1, "it is given again");
-        // She tries it again herself; the known answer is not shown beside a draft.
+        // She practises the task again; the known answer is not shown beside a draft.
         let undo = event(EventKind::Undo, 0, 1, None);
         assert_eq!(site.send(site.ann, practice, undo).status, 200);
         assert_eq!((own().standing, own().feedback), (Standing::Draft, None));

@@ -262,7 +262,7 @@ impl Project {
             let took = kinds
                 .into_iter()
                 .find_map(|kind| self.work(person, kind, now));
-            // Where nothing is left but what others hold: look again in a quarter of an hour.
+            // Only tasks held by others remain: try again in a quarter of an hour.
             let pause = took.map_or(15 * MINUTE, |secs| (secs * 1000.0) as i64 + 1);
             turns.push(std::cmp::Reverse((now + pause, person, number)));
         }

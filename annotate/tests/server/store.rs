@@ -221,7 +221,7 @@ impl Fixture {
         self.store.accepted(&all_keys()).expect("answers")
     }
 
-    /// When the leases end that somebody holds.
+    /// Times at which the current leases end.
     fn lease_ends(&self) -> Vec<i64> {
         let leases = self.store.leases(self.now()).expect("leases");
         leases.iter().map(|held| held.lease.expires).collect()
@@ -653,7 +653,7 @@ fn a_bundle_is_leased_together_and_handed_in_one_by_one() {
     });
 }
 
-/// Makes gold tasks from answers that nobody here gave, and has them given out at this rate.
+/// Makes gold tasks from imported answers, and sets the rate at which they are given out.
 fn make_golds(site: &Fixture, count: usize, kind: TaskKind, percent: u32) -> Vec<i64> {
     site.set(|settings| settings.gold_percent = percent);
     let known = (0..count).map(|number| NewTask {
@@ -1265,7 +1265,7 @@ fn a_category_gets_no_more_pairs_than_its_quota_and_the_emptiest_comes_first() {
         let category = |task: i64| site.record(task).category.expect("a category");
         let answer = |user: i64, verdict| category(site.hand_in(user, pair(verdict)));
         quota(6);
-        // Ann is at work on six walks, which is all there is room for; Bob gets the other category.
+        // Ann holds pairs for six walks, which fills the quota; Bob gets the other category.
         assert_eq!(answer(site.ann, Verdict::Keep), "walk");
         assert_eq!(site.lease_ends().len(), 5);
         assert_eq!(answer(site.bob, Verdict::Unclear), "wave");

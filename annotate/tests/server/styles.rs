@@ -71,7 +71,7 @@ fn a_new_style_is_proposed_with_an_answer_and_taken_by_who_accepts_it() {
     site.set(|settings| settings.rules = vec![all]);
     let known = names(&ann);
 
-    // A rule accepts what names a style of the project, and leaves the others to reviewers.
+    // A rule accepts answers with a style of the project, and leaves the others to reviewers.
     ann.answer(styled("masculine"));
     let first = ann.answer(styled("limping"));
     let second = bob.answer(styled("Limping"));

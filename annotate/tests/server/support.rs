@@ -191,7 +191,7 @@ impl Site {
         format!("http://{}{path}", self.server.address())
     }
 
-    /// A response to nobody in particular.
+    /// The response to a request without a session.
     pub(crate) fn get(&self, path: &str) -> Answered {
         self.get_with(path, &[])
     }

@@ -125,7 +125,7 @@ fn answers(store: &Store) -> BTreeMap<String, Answer> {
     all.map(|one| (one.task.key, one.answer)).collect()
 }
 
-/// A store with the tasks of the site's dataset and nobody's answers.
+/// A store with the tasks of the site's dataset and without answers.
 fn fresh_store(site: &Site, name: &str) -> Arc<Store> {
     let store = empty_store(site, name);
     plain_settings(&store);
@@ -571,7 +571,7 @@ fn an_export_is_one_point_in_time() {
     assert_eq!(answers(&frozen).len(), count);
     assert_eq!(frozen.last_seq().expect("a place"), seq);
     assert!(frozen.import(None, vec![unusable(1)], START).is_err());
-    // Every unusable pair is in two tables, also while more of them come.
+    // Every unusable pair is in both tables, even while more are added.
     let stop = AtomicBool::new(false);
     std::thread::scope(|scope| {
         scope.spawn(|| {
@@ -719,7 +719,7 @@ fn a_clip_that_was_ingested_anew_stops_nobody_and_its_tasks_ask() {
     assert!(detail.clip_changed, "{detail:?}");
     assert!(detail.comment.is_none(), "{detail:?}");
     whole(store);
-    // The server starts with it, and exports say so.
+    // The export counts the answers that were accepted before their clip changed.
     let folder = site.folder.path().join("f");
     let done = write_to(&site, store, &folder, ExportFormat::Csv);
     assert_eq!(done.counts["accepted_before_clip_changed"], 2);

@@ -103,7 +103,7 @@ fn a_store_of_each_older_version_is_upgraded_after_a_copy() {
         let again = open_sqlite(&path).expect("opens");
         assert_eq!(again.upgrade(), None, "an upgrade is made once");
         drop(again);
-        // The copy is a store like any other, and its own copy gets a name of its own.
+        // The copy opens like any other store, and its own copy gets another name.
         drop(open_sqlite(&copy).expect("opens"));
     }
 }

@@ -88,7 +88,7 @@ export class App {
   private readonly chip = h("output", { class: "chip tint", attrs: { "aria-live": "polite", "aria-label": "State of saving" } });
   private readonly stuck = h("button", { class: "stuck danger", attrs: HIDDEN, on: { click: () => void showUnsent(this.outbox, this.parts) } });
   private readonly banner = h("div", { class: "banner warn tint", attrs: { role: "alert", ...HIDDEN } });
-  /** Says that the session has ended, without taking the focus from a text. */
+  /** Shows that the session has ended, without taking the focus from a text. */
   private readonly ended = h("div", { class: "banner warn tint", attrs: { role: "alert", ...HIDDEN }, data: { region: "session" } });
   private readonly disk = new DiskWatch({
     ask: async () => (await this.api.attempt<Me>("GET", "me")).read_only,

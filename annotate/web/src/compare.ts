@@ -4,7 +4,7 @@ import { maskWords } from "./masks";
 import type { Parts } from "./parts";
 import type { Answer, MaskAnswer } from "./wire";
 
-/** `open` is not scored: words may differ. */
+/** `open` marks free text, which is not scored. */
 export type Mark = "same" | "differs" | "open";
 
 export interface Compared {
@@ -28,7 +28,7 @@ export function compare(parts: Parts, mine: Answer, known: Answer): Compared[] {
     return mine.kind === "mask_text" && known.kind === "mask_text" ? compareMasks(parts, mine, known) : [];
   }
   const verdict = row("verdict", mine.verdict, known.verdict);
-  // Nothing else counts once the verdicts differ, and a rejected pair has nothing else.
+  // If the verdicts differ, nothing else is compared; a rejected pair has nothing else to compare.
   if (mine.verdict !== known.verdict || known.verdict !== "keep") return [verdict];
   const rows = [verdict, sets(parts, "parts", mine.parts, known.parts)];
   if (mine.kind === "pair" && known.kind === "pair") rows.push(row("edit type", mine.edit_type, known.edit_type));

@@ -27,7 +27,7 @@ export class DiskWatch {
     this.asking = true;
     while (this.why !== null) {
       await this.hooks.sleep(ASK_AFTER_MS);
-      // No answer says nothing about the disk.
+      // A failed request does not tell the state of the disk, so keep the last one.
       this.set(await this.hooks.ask().catch(() => this.why));
     }
     this.asking = false;

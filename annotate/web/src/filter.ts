@@ -72,7 +72,7 @@ export function filterOf(values: Iterable<readonly [string, string]>): { filter:
   return { filter, refused };
 }
 
-/** Reads the query of an address. What it says and this page does not know is listed in `refused`. */
+/** Reads the query of an address. Unknown parameters are listed in `refused`. */
 export function readAddress(search: string): { chosen: Chosen; refused: string[] } {
   const query = new URLSearchParams(search);
   const sort = query.get("sort");

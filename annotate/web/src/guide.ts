@@ -1,4 +1,4 @@
-/** The guide: what it says about a kind of task, as a page and beside the work. */
+/** The guide of a kind of task, as a page and as a column beside the work. */
 
 import { html } from "lit";
 import { reason } from "./api";
@@ -77,7 +77,7 @@ export function kindGuide(guide: Guide, kind: TaskKind, styles: readonly Style[]
   ];
 }
 
-/** The styles of the project with what is said of each; those of which nothing is said follow in one line. */
+/** The styles of the project with their guidelines; styles without one follow in one line. */
 function styleList(styles: readonly Style[]): HTMLElement[] {
   const isTold = ({ text, guideline }: Style): boolean => text !== "" || (guideline ?? "") !== "";
   const [told, bare] = [styles.filter(isTold), styles.filter((style) => !isTold(style))];

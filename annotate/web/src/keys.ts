@@ -133,7 +133,7 @@ export function isAction(name: string): name is ActionId {
 /** Handlers by action; a handler returns `false` if its action does not apply now. */
 export type Deeds = { readonly [K in ActionId]?: () => unknown };
 
-/** Performs an action; false if it is none of these or does not apply now. */
+/** Performs an action; false if it has no handler or does not apply now. */
 export function perform(deeds: Deeds, id: ActionId): boolean {
   const deed = deeds[id];
   return deed !== undefined && deed() !== false;

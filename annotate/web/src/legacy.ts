@@ -17,7 +17,10 @@ const UNKNOWN_PROJECT: Problem = {
     "to this project, open the task and copy what is missing; then discard it here.",
 };
 
-/** Leaves such events to the user. They are never sent: they may be of another project with tasks of these numbers. */
+/**
+ * Asks the user about unsent events of earlier versions. They are never sent: they may belong to another project
+ * with the same task numbers.
+ */
 export async function adoptUnsent(store: KeyValue): Promise<void> {
   const known = (await indexedDB.databases?.()) ?? [];
   if (!known.some((database) => database.name === SHARED)) return;

@@ -6,10 +6,10 @@ import { SHORTEST_RANGE, type JointWeight, type MaskAnswer } from "./wire";
 /** The first frame, and the one after the last. */
 export type Span = readonly [number, number];
 
-/** How a joint is said to be taken: "hard left collar", "no left wrist". */
+/** Words for a joint's weight: "hard left collar", "no left wrist". */
 const WEIGHT_WORDS: Readonly<Record<JointWeight, string>> = { hard: "hard", soft: "soft", none: "no" };
 
-/** The name of a joint as people say it: "left collar". */
+/** The name of a joint in words: "left collar". */
 export const jointPhrase = (joint: string): string => joint.replaceAll("_", " ");
 
 /** A range as people count frames, from 1: "frames 41 to 70", with its length in seconds where the rate is known. */
@@ -37,7 +37,7 @@ export function movedEnd([start, end]: Span, edge: 0 | 1, to: number, frames: nu
   return [start, Math.min(Math.max(to, start + 1), frames)];
 }
 
-/** A mask in words: its parts, what differs from them, and its frames. */
+/** A mask in words: its parts, its joint choices, and its frames. */
 export function maskWords(parts: Parts, mask: MaskAnswer): string {
   const more = [
     ...(mask.soft ? [] : ["no ring"]),

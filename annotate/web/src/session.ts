@@ -49,7 +49,10 @@ export class TaskSession<A extends Answer> implements OpenSession {
     app.sessions.add(this);
   }
 
-  /** Opens a task with this tab's last state; with the server's, and its own one undo away, if somebody wrote since. */
+  /**
+   * Opens a task with this tab's last state. If somebody else wrote since, opens the server's state, with this
+   * tab's one undo step away.
+   */
   static async open<A extends Answer>(
     app: App,
     view: TaskView,
@@ -249,7 +252,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     this.history.seal();
     this.history.push(chosen);
     if (!same(chosen, mine)) this.onReplaced(chosen);
-    // Before anything waits, so that the page never says that this is saved.
+    // Refresh before an event waits, so that the page never shows this version as saved.
     if (same(chosen, other)) this.app.refreshChip();
     else this.schedule();
     await this.app.outbox.discard(this.chain);
@@ -324,7 +327,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     } catch (error) {
       this.lease = null;
       const lost = error instanceof ApiError && !transient(error);
-      // Unless somebody said that the task is taken, the next heartbeat asks again.
+      // Unless the server says that the task is taken, the next heartbeat tries again.
       const words = lost
         ? `This task is no longer yours: ${reason(error)}. Your text is kept as your draft.`
         : `The server does not answer (${reason(error)}). Your text is kept; the page goes on asking.`;

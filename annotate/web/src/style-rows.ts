@@ -25,7 +25,7 @@ export class StyleRows {
     for (const style of styles) this.add(style, false);
   }
 
-  /** The styles, without rows that have no name, and what `now` has beside those that were shown. */
+  /** The edited styles without unnamed rows, and styles in `now` that were added after the rows were shown. */
   read(now: readonly Style[]): Style[] {
     const read = this.rows.map((own) => own.read()).filter((style) => style.name !== "");
     const names = new Set(read.map((style) => style.name));

@@ -13,7 +13,7 @@ export interface TabLocks {
   request(name: string, options: { ifAvailable?: boolean }, held: (lock: unknown) => Promise<void>): Promise<unknown>;
 }
 
-/** The name of this tab, the same over reloads. A duplicated tab, which has a copy of the name, gets one of its own. */
+/** The name of this tab, the same over reloads. A duplicated tab, which has a copy of the name, gets a new name. */
 export async function nameOfTab(storage: TabStorage, locks: TabLocks | undefined): Promise<string> {
   const known = storage.getItem(NAME);
   const free = storage.getItem(FREE) !== null;

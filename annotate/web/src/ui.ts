@@ -30,7 +30,7 @@ export class Toasts {
     this.element.append(toast);
   }
 
-  /** Shows why something failed, after words that say what. */
+  /** Shows the reason of a failure after the name of the failed action. */
   fail(error: unknown, what = "", options: { id?: string; kind?: "info"; ms?: number } = {}): void {
     this.show(what + reason(error), { kind: "error", ...options });
   }
@@ -189,7 +189,10 @@ export function select<T extends string>(options: readonly (readonly [T, string]
   return own;
 }
 
-/** Repeats a step, which says how much is done, until it returns false or the user stops. Returns whether they did. */
+/**
+ * Repeats a step, which returns its progress, until it returns false or the user stops it. Returns whether the user
+ * did.
+ */
 export async function inSteps(title: string, total: number, step: (done: (count: number) => void) => Promise<boolean>): Promise<boolean> {
   let stopped = false;
   const bar = h("progress", { attrs: { max: Math.max(1, total), value: 0, "aria-label": title } });

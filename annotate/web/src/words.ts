@@ -120,7 +120,7 @@ export function becameOf({ decision, state, authors }: Pick<DecisionRow, "decisi
   return decision === "reopened" ? again : `reopened since; ${again}`;
 }
 
-/** How far the choices of answers lie apart, which says nothing of their texts: "are 12 % apart; what differs glows". */
+/** The distance between answers in words; texts do not count: "are 12 % apart; what differs glows". */
 export function apartWords(distance: number): string {
   if (distance === 0) return "choose the same; compare their texts";
   const share = distance < 0.005 ? "less than 1 %" : `${Math.round(distance * 100)} %`;

@@ -1,4 +1,4 @@
-//! From parameters to keypoints and back, beside what the machine can do in the same run.
+//! Benchmarks from parameters to keypoints and back, with a calibration of the machine in the same run.
 //!
 //! `cargo bench --bench kinematics`; one thread. Rates are frames a second.
 
@@ -19,7 +19,7 @@ fn main() {
     divan::main();
 }
 
-/// A body whose joints all swing at rates of their own, as far as those of people do.
+/// A body whose joints swing at different rates, within the range of people.
 fn motion(num_frames: usize) -> Motion {
     let mut rng = Pcg64::seed_from_u64(1);
     let mut vector = |size: f64| DVec3::from_array([0; 3].map(|_| rng.random_range(-size..size)));

@@ -324,7 +324,7 @@ mod tests {
             points: [None; NUM_KEYPOINTS],
         };
         let skeleton = Skeleton::smplx_neutral();
-        // More than a block of lanes, the second of them not full.
+        // The poses fill one block of lanes and part of a second.
         let poses: Vec<Pose> = (0..21)
             .map(|frame| {
                 let turn = |joint: usize| 0.3 * (frame + 2 * joint) as f64;

@@ -50,8 +50,8 @@ fn wait<T: Send + 'static>(
     receive.recv().map_err(|_| ended())?
 }
 
-/// The runtime of this process. One that was forked, as a worker of a loader in Python is, has none of the threads of
-/// its parent and starts its own.
+/// The runtime of this process. A forked process, such as a worker of a Python loader, has no threads of its parent and
+/// starts its own runtime.
 fn runtime() -> io::Result<Handle> {
     static RUNTIME: Mutex<Option<(u32, Handle)>> = Mutex::new(None);
 
@@ -457,7 +457,7 @@ fn sentence(text: &str) -> Option<String> {
     })
 }
 
-/// The text of an error, and that of its innermost cause: a failed request says no more than "error sending request".
+/// The text of an error, and that of its innermost cause: reqwest's own text is only "error sending request".
 fn with_cause(error: &dyn std::error::Error) -> String {
     let text = error.to_string();
     let innermost = std::iter::successors(error.source(), |error| error.source()).last();

@@ -51,7 +51,7 @@ impl Bucket {
     }
 }
 
-/// A failure that does not say its cause.
+/// An error without a readable cause.
 #[derive(Debug)]
 struct Failed(io::Error);
 
@@ -239,7 +239,7 @@ fn a_dataset_in_a_bucket_is_that_of_a_disk() {
     assert_eq!(remote.manifest(), local.manifest());
     let opened = Dataset::open(&root).expect("opens");
     assert_eq!(opened.read::<MotionRow>(None).expect("reads"), rows);
-    // A second version has names of its own, and pruning leaves what it needs.
+    // The files of a second version have other names, and pruning keeps the files that it needs.
     let second = committed(&root, &rows[..3]);
     assert_eq!(second.manifest().version, 2);
     let pruned = begin(&root).prune(1, false).expect("prunes");
@@ -349,7 +349,7 @@ fn of_committers_of_one_version_one_wins() {
         assert_eq!((path, *version), (&root, 1));
         assert_eq!(error.code().map(|(code, _)| code), Some("E-OVERTAKEN"));
     }
-    // No file of the winner was replaced by that of another.
+    // No file of the first committer was replaced by the other.
     let opened = Dataset::open(&root).expect("opens");
     let rows = opened.read::<MotionRow>(None).expect("reads");
     assert_eq!(rows, [row(winners[0], 5)]);

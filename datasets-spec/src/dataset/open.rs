@@ -42,8 +42,8 @@ impl Dataset {
         }
     }
 
-    /// The same dataset restricted to some clips: [`Dataset::read`] gives the rows that are about these, and
-    /// [`Dataset::content_hash`] is another one. Its files are those of the whole dataset.
+    /// The same dataset restricted to some clips: [`Dataset::read`] returns only rows about these clips, and
+    /// [`Dataset::content_hash`] differs. Its files are still those of the whole dataset.
     pub fn of_clips(&self, condition: &str, clips: BTreeSet<MotionId>) -> Self {
         let condition = match &self.chosen {
             Some(before) => format!("({}) AND ({condition})", before.condition),
@@ -59,7 +59,7 @@ impl Dataset {
         }
     }
 
-    /// Whether a clip is one of those that were chosen; all are where nobody chose.
+    /// Whether a clip is among the chosen ones; true for all clips if none were chosen.
     pub fn has_clip(&self, clip: &MotionId) -> bool {
         self.chosen
             .as_ref()

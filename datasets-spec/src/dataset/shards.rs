@@ -30,7 +30,7 @@ pub(super) fn shard_path(name: &ShardName, replacing: Option<u64>) -> String {
     format!("{DATA}/{}/{}{suffix}.parquet", name.table, name.stem())
 }
 
-/// Writes a shard to a path, whole or not at all. Its entry says that it is at `relative`.
+/// Writes a shard to a path, complete or not at all. Its entry has the path `relative`.
 pub(super) fn write_shard_at<R: Row>(
     store: &dyn Store,
     relative: String,
@@ -175,8 +175,8 @@ impl Transaction {
         self.write_made(split, rows.len() as u64, made, facts)
     }
 
-    /// Writes rows that `make` produces shard by shard, so that few are in memory at a time. `make` gets
-    /// the range of rows.
+    /// Writes rows that `make` produces for one shard after another, so that only one shard's rows are in memory.
+    /// `make` gets the range of rows.
     ///
     /// # Errors
     /// `make` fails, the rows cannot be encoded, or a file cannot be written.

@@ -29,7 +29,7 @@ pub struct Staging {
     store: Arc<dyn Store>,
     /// Number of the version that the commit makes.
     version: u64,
-    /// Tables of the versions before: shards of them get new names.
+    /// Names of shards of earlier versions: new shards get other names.
     taken: BTreeSet<String>,
     folder: PathBuf,
 }

@@ -87,7 +87,7 @@ fn single_clips_are_read_as_they_were_written() {
     let bytes = crate::table::write_rows(Vec::new(), &path, &rows, &[]).expect("written");
     std::fs::write(&path, bytes).expect("written");
     let reader = ShardReader::open(&path).expect("a shard");
-    // On several threads: they share the file and nothing else.
+    // Read on several threads, which share only the file.
     std::thread::scope(|scope| {
         for start in 0..4 {
             let (reader, rows, path) = (&reader, &rows, &path);
@@ -189,7 +189,7 @@ fn the_lock_names_its_holder_and_ends_with_the_run() {
 fn a_staged_shard_takes_no_lock_and_is_found_until_its_file_changes() {
     let dir = tempfile::tempdir().expect("dir");
     let staging = Staging::new(Disk::store(), dir.path(), Default::default(), "plan");
-    // Another run holds the lock, ends, and removes half-written files: not those of a worker.
+    // Another run takes the lock, ends, and removes half-written files, but not those of a worker.
     let other = Transaction::begin(dir.path(), "t").expect("lock");
     let entry = staging
         .write_shard(&shard(0, 2), &[row(1)], &[])
@@ -255,7 +255,7 @@ fn a_replaced_table_keeps_the_old_version_readable() {
             .len(),
         2
     );
-    // Each version has its file, the new one where tools look for it, and nothing else is left.
+    // Each version has its file, the newest one where tools look for it, and no other files exist.
     let names = |folder: &str| -> Vec<String> {
         let entries = fs::read_dir(dir.path().join(folder)).expect("lists");
         let names = entries.map(|entry| entry.expect("entry").file_name());

@@ -23,7 +23,7 @@ pub struct Transaction {
     pub(super) root: PathBuf,
     pub(super) store: Arc<dyn Store>,
     pub(super) base: Option<Manifest>,
-    /// Tables of all versions: shards of them get new names.
+    /// Names of shards of all versions: new shards get other names.
     pub(super) taken: BTreeSet<String>,
     /// None where the storage has no locks.
     lock: Option<Box<dyn Lock>>,
@@ -36,7 +36,7 @@ pub struct Commit {
     pub tables: BTreeMap<String, Vec<FileEntry>>,
     /// Hash of the plan that made the tables.
     pub plan_hash: String,
-    /// Hashes of the plans of tables that have one of their own.
+    /// Plan hashes of tables whose plan differs from the run's.
     pub plans: BTreeMap<String, String>,
     /// The skeleton motions are posed on.
     pub skeleton: Skeleton,
@@ -86,7 +86,7 @@ impl Transaction {
             store,
             lock,
         };
-        // Where others may write, nothing of theirs is removed. Object stores have no temporary files.
+        // Where other runs may write, do not remove their files. Object stores have no temporary files.
         if transaction.is_alone() {
             transaction.remove_half_written()?;
             if let Some(base) = &transaction.base {

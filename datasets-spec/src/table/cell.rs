@@ -281,7 +281,7 @@ macro_rules! list_cell {
 
             fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
                 let list = array.as_list::<i32>();
-                // The values of a sliced list are those of the whole one.
+                // A sliced list still refers to the values of the whole list.
                 let (first, end) = (list.offsets()[0], list.offsets()[list.len()]);
                 let items = list.values().slice(first as usize, (end - first) as usize);
                 let mut items = <$ty as Cell>::decode(items.as_ref())?.into_iter();

@@ -133,7 +133,7 @@ fn json(value: &pl::AnyValue<'_>) -> Value {
         pl::AnyValue::String(text) => Value::String((*text).to_owned()),
         pl::AnyValue::StringOwned(text) => Value::String(text.to_string()),
         pl::AnyValue::Float32(number) => {
-            // The shortest digits that give the number, and not those of its double.
+            // The shortest digits of the single-precision number, not those of its conversion to double.
             let shortest = number.to_string().parse::<f64>().ok();
             shortest
                 .and_then(Number::from_f64)

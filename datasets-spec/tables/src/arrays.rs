@@ -1,4 +1,4 @@
-//! Arrays of Arrow become those of polars, and back.
+//! Conversion between Arrow arrays and polars series.
 
 use std::sync::Arc;
 

@@ -172,7 +172,7 @@ impl Scan {
     }
 }
 
-/// Whether two types are the same but for what they say of missing values.
+/// Whether two types are equal except for their nullability.
 fn same_type(a: &DataType, b: &DataType) -> bool {
     polars_type(a) == polars_type(b)
 }

@@ -109,7 +109,7 @@ pub(crate) mod tests {
             } else if !tag.ends_with('/') {
                 let name = tag.split_whitespace().next().expect("a name");
                 if name == "style" {
-                    // Style sheets have a grammar of their own.
+                    // A style sheet has another grammar, so skip it.
                     rest = &rest[rest.find("</style>").expect("a closed style")..];
                 }
                 if !VOID.contains(&name) {

@@ -386,7 +386,7 @@ fn legend(svg: &mut String, title: &str, curves: &[Curve]) {
     }
 }
 
-/// The ranges of a plot, those of the ordinate on the scale it is drawn on.
+/// Ranges of a plot's axes; the y range is in the scale of the drawing.
 struct Axes {
     x: (f64, f64),
     y: (f64, f64),
@@ -641,7 +641,7 @@ fn tick_text(value: f64, span: f64) -> String {
     } else if value.abs() < SMALL {
         format!("{value:.0e}")
     } else {
-        // Two digits more than the span has leave a step of it readable.
+        // Two more digits than the span keep neighbouring ticks distinct.
         let digits = (2.0 - span.log10().floor()).clamp(0.0, 6.0) as usize;
         trimmed(value, digits)
     }

@@ -91,7 +91,7 @@ pub fn png(svg: &str, zoom: f32) -> Result<Vec<u8>, RasterError> {
     })
 }
 
-/// Clips beside each other as a GIF that repeats without end.
+/// Draws clips side by side as an endlessly repeating GIF.
 ///
 /// # Errors
 /// There is no clip, or the picture is too large.

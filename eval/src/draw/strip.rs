@@ -653,7 +653,7 @@ mod tests {
     const LONG: &str = "<use the waving of the other clip with your left hand and keep \
                         Donaudampfschifffahrt going>";
 
-    /// The words a drawing writes, in order.
+    /// The texts in a drawing, in order.
     fn words(svg: &str) -> String {
         let written: Vec<&str> = svg
             .split("<text ")

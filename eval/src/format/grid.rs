@@ -9,7 +9,7 @@ use super::csv::line;
 pub struct Grid {
     /// Title.
     pub title: String,
-    /// Names of the columns, that of the row names first.
+    /// Names of the columns; the first heads the row names.
     pub head: Vec<String>,
     /// Rows, each as long as the head.
     pub rows: Vec<Vec<String>>,

@@ -14,8 +14,8 @@ const MIN_NAME_WIDTH: usize = 8;
 /// Mark of the best measured value.
 const BEST: char = '*';
 
-/// Writes tables one below the other. Lines stay within [`MAX_WIDTH`]: the head is wrapped and
-/// long system names are cut, as far as they stay apart.
+/// Writes tables one below the other. Lines stay within [`MAX_WIDTH`]: the head is wrapped, and long system names are
+/// shortened as long as they stay distinct.
 pub fn render(tables: &[Table]) -> String {
     let mut text = String::new();
     for (index, table) in tables.iter().enumerate() {

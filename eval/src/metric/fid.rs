@@ -333,7 +333,7 @@ mod tests {
                 "{angle}: {value}"
             );
         }
-        // Directions at right angles share nothing: only the traces remain.
+        // For orthogonal principal axes the cross term is zero: only the traces remain.
         let a = Gaussian::new(vec![0.0; 2], Matrix::diagonal(&[4.0, 0.0])).expect("valid");
         let b = Gaussian::new(vec![0.0; 2], Matrix::diagonal(&[0.0, 9.0])).expect("valid");
         let value = Reference::new(a).distance(&b).expect("same size");

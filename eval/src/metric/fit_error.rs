@@ -1,4 +1,4 @@
-//! Errors of generated keypoints that are recorded beside an edit.
+//! Errors of generated keypoints that are recorded with an edit.
 
 use super::definition::{Better, Measure, Metric, Part};
 

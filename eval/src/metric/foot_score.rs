@@ -142,7 +142,7 @@ mod tests {
             assert_eq!(terms.len(), speeds.len());
             for (frame, term) in terms.iter().enumerate() {
                 golden.check_scalar("speed", term.excess_speed, speeds[frame], 0.0, 1e-9);
-                // The reference lists the heights of all frames, the score those of the interior.
+                // The reference lists the heights of all frames; the score uses interior frames only.
                 golden.check_scalar("height", term.excess_height, heights[frame + 1], 0.0, 1e-9);
             }
         }

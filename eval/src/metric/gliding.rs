@@ -20,10 +20,10 @@ pub static GLIDING: Metric = Metric {
     }),
 };
 
-/// Distance in metres over the ground from which a root is said to move.
+/// Least distance in metres over the ground for a root to count as moving.
 pub const LEAST_WAY_M: f64 = 0.5;
 
-/// Share of the target's swing below which ankles are said not to walk.
+/// Share of the target's swing below which ankles do not count as walking.
 const LEAST_SWING: f64 = 0.5;
 
 const PELVIS: usize = 0;

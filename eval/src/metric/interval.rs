@@ -25,7 +25,7 @@ pub const MIN_TARGETS: u32 = 10;
 pub struct Interval {
     /// Mean over the repeats.
     pub mean: f64,
-    /// Half width of the interval; none where nothing varies.
+    /// Half width of the interval; none if there is no variation.
     pub ci95: Option<f64>,
 }
 
@@ -167,8 +167,7 @@ mod tests {
             None
         );
         assert_eq!(Interval::of_resamples(1.0, &[], &[]).ci95, None);
-        // A variance of 1 in the resamples, of which repeats of variance 1/4 explain three quarters
-        // of their own: two of four repeats' scatter stays.
+        // The resamples have variance 1, of which the repeats' own variance of 1/4 explains a part: the rest remains.
         let repeats = [0.5, -0.5, 0.5, -0.5];
         let ci95 = Interval::of_resamples(0.0, &[1.0, -1.0], &repeats).ci95;
         let expected = NORMAL_95 * (1.0 - 0.25 * 0.75f64).sqrt();

@@ -48,7 +48,7 @@ pub static FOOT_SLIDE: Metric = Metric {
     measure: Measure::Motion(|sample| foot_slide(sample.keypoints, sample.motion.fps())),
 };
 
-/// [`FOOT_SLIDE`] of the item's target, in m/s: what that of an edit is held against.
+/// [`FOOT_SLIDE`] of the item's target, in m/s: the reference value for an edit.
 pub static TARGET_FOOT_SLIDE: Metric = Metric {
     name: "Target's foot slide (m/s)",
     part: Part::Main,

@@ -156,7 +156,7 @@ pub(crate) fn measured<'a>(
     })
 }
 
-/// An item with its motions, and what all of them are compared with.
+/// An item with its motions, and the data that all of them are compared with.
 struct Asked<'a> {
     id: &'a str,
     source: Motion,

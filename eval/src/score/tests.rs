@@ -204,7 +204,7 @@ fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
         &BONE_DRIFT,
         &COMPOSED,
         &MULTIMODALITY,
-        // No system says where its seams are.
+        // No system records its seams.
         &SEAM_ACCELERATION,
         // No item has locomotion.
         &GLIDING,
@@ -390,7 +390,7 @@ fn repeats_that_draw_nothing_have_the_values_of_their_takes() {
             (both - expected).abs() < 1e-9 * expected.abs().max(1.0),
             "{metric}: {both} {expected}"
         );
-        // Without takes that differ, nothing varies.
+        // If takes are equal, there is no variation.
         assert_eq!(
             found(&scores, "all", "first", metric).ci95,
             None,

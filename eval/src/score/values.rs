@@ -117,7 +117,7 @@ pub(super) fn of_repeats(
         .collect()
 }
 
-/// The values of a system in one repeat, but for those of whole sets.
+/// Values of a system in one repeat, except those of whole sets.
 fn of_repeat(
     system: &System<'_>,
     ranks: &Ranks,
@@ -162,7 +162,7 @@ fn of_sets_by_repeat(
             Draws::Halves => protocol.fid_sample == FidSample::Halves,
             Draws::Pairs => true,
         };
-        // Where nothing is drawn, repeats of the same takes are equal.
+        // Without random draws, repeats of the same takes are equal.
         let distinct = match is_drawn_anew {
             true => protocol.repeats,
             false => protocol.repeats.min(most_takes.unwrap_or(1)),
@@ -252,9 +252,8 @@ fn of_sets(
     })
 }
 
-/// Values of each item, in the order of the items: means over the repeats, each of which scores one
-/// take and ranks some of the items. NaN where no repeat has a value. For a median rank they are the
-/// ranks it is the median of.
+/// Values of each item, in the order of the items: means over the repeats, each of which scores one take and ranks some
+/// of the items. NaN where no repeat has a value. For a median rank, the values are the ranks.
 pub(crate) fn of_items(
     system: &System<'_>,
     ranks: &Ranks,

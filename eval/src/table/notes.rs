@@ -1,4 +1,4 @@
-//! Sentences below a table: systems that are no better than doing nothing, and what is left out for want of items.
+//! Sentences below a table: systems no better than the identity editor, and values left out because of too few items.
 
 use datasets_spec::record::ScoreRow;
 
@@ -9,7 +9,7 @@ use crate::metric::interval::MIN_TARGETS;
 use crate::metric::{Metric, fid};
 use crate::protocol::Protocol;
 
-/// Names the systems that do nothing, and those behind the identity editor in some of the columns.
+/// Names the systems that do not edit, and those behind the identity editor in some of the columns.
 pub(super) fn of_ranking(
     scores: &[&ScoreRow],
     standings: &[Standing],
@@ -69,7 +69,7 @@ pub(super) fn of_ranking(
     notes
 }
 
-/// Says which of the metrics, and whether the intervals, are left out of a table for want of items; `row` is any score
+/// Names the metrics that are left out of a table because of too few items, and missing intervals; `row` is any score
 /// of the table. Scores from before the counts were recorded have none.
 pub(crate) fn of_shortages(row: &ScoreRow, metrics: &[&Metric]) -> Vec<String> {
     let of_metric = |metric: &&Metric| {
@@ -95,7 +95,7 @@ pub(crate) fn of_shortages(row: &ScoreRow, metrics: &[&Metric]) -> Vec<String> {
     notes
 }
 
-/// Says that a Fréchet distance lacks items, if it does.
+/// A note that there are too few items for a Fréchet distance, if that is so.
 pub(crate) fn shortage_of_fid(name: &str, items: usize, latent_width: usize) -> Option<String> {
     let needed = fid::min_items(latent_width);
     (items < needed).then(|| {
@@ -106,7 +106,7 @@ pub(crate) fn shortage_of_fid(name: &str, items: usize, latent_width: usize) -> 
     })
 }
 
-/// Says that intervals lack targets, if they do.
+/// A note that there are too few targets for intervals, if that is so.
 pub(crate) fn shortage_of_targets(targets: u32) -> Option<String> {
     (targets < MIN_TARGETS).then(|| {
         format!(

@@ -52,10 +52,10 @@ pub(crate) fn standings(scores: &[ScoreRow], judges: &Judges) -> Vec<Standing> {
     standings
 }
 
-/// Where each score of one table stands, if the table ranks.
+/// Compares the scores of one table, if the table ranks systems.
 ///
-/// The best of a metric are the systems with the best value as printed, if it is better than that of the identity
-/// editor: a system that ties with doing nothing has shown nothing. One that does nothing ([`idle`]) is never best.
+/// The best systems of a metric are those with the best printed value, provided that it is better than the identity
+/// editor's. A system that does not edit ([`idle`]) is never best.
 pub(super) fn of_table(scores: &[&ScoreRow]) -> Vec<Standing> {
     let idle = idle(scores);
     let mut of_metrics: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
@@ -102,8 +102,8 @@ pub(super) fn of_table(scores: &[&ScoreRow]) -> Vec<Standing> {
     standings
 }
 
-/// Systems that do nothing: they print as the identity editor in every metric that both have. Such a system may have
-/// values where the identity editor has none, such as an error of its fit.
+/// Systems that do not edit: their printed values equal the identity editor's in every metric that both have. Such a
+/// system may have values where the identity editor has none, such as an error of its fit.
 pub(super) fn idle<'a>(scores: &[&'a ScoreRow]) -> BTreeSet<&'a str> {
     let printed = |row: &ScoreRow| {
         let metric = metric::from_name(&row.metric)?;

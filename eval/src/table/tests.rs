@@ -228,7 +228,7 @@ fn a_row_that_does_nothing_is_never_best() {
     let columns = [error, fit];
     let shown = table(&rows, &columns);
     assert!(best(&shown, error).is_empty());
-    // The identity editor has no fit, but what does nothing has the best one without merit.
+    // The identity editor has no fit error; a system that does not edit has the smallest one without merit.
     assert_eq!(best(&shown, fit), ["editor"]);
     assert_eq!(
         shown.notes[0],
@@ -237,11 +237,11 @@ fn a_row_that_does_nothing_is_never_best() {
     let marks = standings(&rows, &BTreeMap::new());
     let best_rows: Vec<usize> = (0..rows.len()).filter(|&place| marks[place].best).collect();
     assert_eq!(best_rows, [5]);
-    // In a table of its own it is not marked either.
+    // In a table without other systems it is not marked either.
     rows.truncate(4);
     let shown = table(&rows, &columns);
     assert!(best(&shown, error).is_empty() && best(&shown, fit).is_empty());
-    // A value of its own is enough to be a system.
+    // A single different value makes it count as a system that edits.
     rows[2].mean = 39.0;
     let shown = table(&rows, &columns);
     assert_eq!(best(&shown, error), ["imported sources"]);
@@ -268,7 +268,7 @@ fn what_is_left_out_for_want_of_items_is_explained() {
             "There are no intervals: they need 10 targets, and there are 9.",
         ]
     );
-    // A table without these columns misses none of them.
+    // A table without these columns needs no note.
     assert!(notes(row(299, 64, 10), &[&FOOT_SCORE]).is_empty());
     // Intervals over repeats need no targets.
     let over_repeats = ScoreRow {

@@ -68,7 +68,7 @@ pub struct SourceClip {
     pub style: Option<String>,
     /// Licence tag.
     pub license: Option<String>,
-    /// Labels beside the file that could not be used.
+    /// Labels from files beside the motion that could not be used.
     pub label_problems: Vec<LabelProblem>,
     /// Decisions a reader may want to check, such as the unit that was assumed.
     pub notes: Vec<String>,

@@ -166,10 +166,10 @@ fn say(args: &Args, document: &Document) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Has the cluster make pieces until each is there or has failed, and returns the records of those that failed.
+/// Lets the cluster make pieces until each exists or has failed, and returns the records of the failed ones.
 ///
-/// The answer of a job lies on the executors that gave it. Where one is lost with its answers, the job ends, although
-/// the pieces are there: another job then makes those that are missing.
+/// The result of a job lies on its executors. If an executor is lost with its results, the job fails although the
+/// pieces exist: another job then makes the missing pieces.
 async fn work(
     args: &Args,
     plan: &Plan,

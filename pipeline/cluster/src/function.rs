@@ -17,7 +17,7 @@ use work::{Failed, Outcome, Record, Worker};
 /// Name of the function, on scheduler, executors and client.
 pub(crate) const NAME: &str = "stance_piece";
 
-/// How pieces are made: in this process, or each in a child process of its own.
+/// How pieces are made: in this process, or each in a child process.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) enum Isolation {
     /// A crash of a piece ends the executor.
@@ -129,7 +129,7 @@ fn worker(plan: &Path) -> std::result::Result<Arc<Worker>, String> {
     Ok(worker)
 }
 
-/// Makes a piece in a process of its own. If that ends without an answer, the piece has failed.
+/// Makes a piece in a child process. If the child ends without a record, the piece has failed.
 fn in_child(stance: &Path, worker: &Worker, piece: &str) -> Record {
     let begun = Instant::now();
     let output = Command::new(stance)

@@ -67,8 +67,7 @@ impl FrameCache {
         }
     }
 
-    /// Removes the files that were not used for longest, until the others take no more than they may.
-    /// `added` stays.
+    /// Removes the least recently used files, except `added`, until the rest fits the size limit.
     pub(super) fn remove_others(&self, added: &Path) {
         let Ok(entries) = fs::read_dir(&self.folder) else {
             return;

@@ -17,21 +17,20 @@ const SUBJECTS: &str = "person man woman boy girl guy lady human figure characte
      subject he she they";
 /// Words that may precede the subject.
 const DETERMINERS: &str = "a an the this one";
-/// Words that may introduce another clause, whose verb would need another form too.
+/// Words that may introduce another clause, whose verb would also have to be converted.
 const CONJUNCTIONS: &str =
     "and then while but before after until till as when which who that so because or where if";
 /// Verbs of another clause that are not in the list.
 const OTHER_FINITE: &str = "is are was were has had seems appears";
 
-/// Words in -s that begin no clause where they follow a conjunction.
+/// Words in -s that are not verbs after a conjunction.
 const NO_VERBS_IN_S: &str = "his its hers theirs this always arms hands legs feet across towards";
 
-/// Words after which a word that is a third person and a plural, such as "steps", is the plural.
+/// Words after which an ambiguous word such as "steps" is a plural and not a verb.
 const BEFORE_PLURALS: &str = "two three four five six seven eight nine ten few some several many more multiple both half \
      couple small big large little huge tiny wide in of with doing making performing taking \
      practicing";
-/// Words that say how or where to as well as what kind: "four slow steps", but "walks slow, steps back".
-/// The word before them tells.
+/// Words that are adverbs or adjectives: "four slow steps", but "walks slow, steps back". The preceding word decides.
 const ADJECTIVES_OR_ADVERBS: &str =
     "forward backward sideways straight fast slow quick long short high low heavy deep";
 
@@ -84,7 +83,7 @@ static VERBS: LazyLock<Verbs> = LazyLock::new(|| {
 pub enum Described {
     /// The continuation of "The person is ...", such as "walking forward".
     Doing(String),
-    /// A caption or label in its own words.
+    /// A caption or label, unchanged.
     AsSaid(String),
 }
 

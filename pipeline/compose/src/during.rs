@@ -1,4 +1,4 @@
-//! Edits of some frames of a motion: all others stay those of the original.
+//! Edits of some frames of a motion: all other frames stay those of the original.
 
 use std::ops::Range;
 
@@ -178,8 +178,8 @@ mod tests {
                 && found.body_pose()[frame] == original.body_pose()[frame];
             assert_eq!(same, outside, "frame {frame}");
         }
-        // The walk goes 5 cm a frame. Over 30 frames the turn of 0.6 rad carries it 0.45 m aside, which
-        // is spread evenly, so that no step is longer than twice that of the walk.
+        // The walk goes 5 cm a frame. Over 30 frames the turn of 0.6 rad displaces it by 0.45 m, which is spread evenly
+        // over the frames, so that no step is longer than two steps of the walk.
         for frame in 1..FRAMES {
             let (before, after) = (found.pose(frame - 1), found.pose(frame));
             let step = after.transl.distance(before.transl);

@@ -234,7 +234,7 @@ pub enum Error {
         /// Stored frames a window spans.
         frames: usize,
     },
-    /// The items drawn are not those of a published set.
+    /// The drawn items differ from those of a published set.
     #[error(
         "{count} items were drawn whose ids come to {found}, and those of the set come to {expected}: the dataset is not that \
          of the set, or was made by another version"

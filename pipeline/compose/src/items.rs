@@ -96,12 +96,12 @@ pub struct ItemConfig {
     pub tasks: Vec<ItemTask>,
     /// Novelties of the items, in equal parts; if empty, items of any novelty are drawn in random order.
     pub novelty: Vec<Novelty>,
-    /// How many of those drawn are kept, the first ones of each novelty in equal parts; all if there is no such number.
+    /// Number of drawn items that are kept: the first ones of each novelty, in equal parts; none keeps all.
     pub part: Option<usize>,
-    /// Digest that the sorted ids of those drawn must have ([`digest_of_ids`]), before a part of them is kept: that of a
+    /// Expected digest of the sorted ids of the drawn items ([`digest_of_ids`]), before a part is kept: that of a
     /// published set.
     pub digest: Option<String>,
-    /// How they are composed; `mcm_ratio` and `annotated_ratio` are ignored.
+    /// Composition settings; `mcm_ratio` and `annotated_ratio` are ignored.
     pub compose: ComposeConfig,
 }
 
@@ -291,7 +291,7 @@ struct Drawer<'a> {
 }
 
 impl Drawer<'_> {
-    /// Goes through the subjects again and again until nothing is wanted any more, or a round gives nothing new.
+    /// Draws from the subjects in rounds until all items are drawn, or a round gives no new item.
     fn draw(&self, subjects: &[(u64, Subject)], wanted: &mut Quota) -> Result<Vec<ItemRow>, Error> {
         let mut rows: Vec<ItemRow> = Vec::with_capacity(wanted.left);
         let mut seen = BTreeSet::new();

@@ -29,7 +29,7 @@ datasets_spec::table! {
 }
 
 datasets_spec::table! {
-    /// What a recorded window says beside its numbers.
+    /// Columns of a recorded window besides its numbers.
     pub struct WindowWords = "windows" {
         /// Where the window starts in the motion its instruction speaks of, as a share of its length
         pub progress: f32 [""],
@@ -64,7 +64,7 @@ pub struct WindowLoader {
     held: Mutex<Vec<Arc<Group>>>,
 }
 
-/// Windows that lie beside each other in a file.
+/// Consecutive windows in a file.
 #[derive(Clone, Copy, Debug)]
 struct Block {
     file: usize,

@@ -21,10 +21,10 @@ pub enum Novelty {
     Retake,
     /// Its parts, but not together.
     Combination,
-    /// The edit, on other actions: no clip has the source's action. Of a pair, that of its motions.
+    /// The edit, with other actions: no clip has the source's action. For a pair, the action of its motions.
     Action,
-    /// Not the edit: no clip has the target's action, and nothing the instruction. Such a question cannot be answered from
-    /// what was learned.
+    /// Not even the edit: no clip has the target's action, and no annotation the instruction. The training data cannot
+    /// answer such a question.
     Unshown,
 }
 

@@ -85,8 +85,8 @@ struct Recording {
     plan_hash: String,
 }
 
-/// Records the training stream of the dataset at `root` as a dataset of its own. One that is there by the same plan
-/// stays.
+/// Records the training stream of the dataset at `root` as a separate dataset. An existing recording of the same plan
+/// is kept.
 ///
 /// # Errors
 /// The training split cannot be composed, or the folder cannot be written.

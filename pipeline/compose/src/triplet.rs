@@ -31,14 +31,14 @@ pub struct Triplet {
     pub source_start: usize,
     /// First stored frame taken of the target.
     pub target_start: usize,
-    /// First stored frame taken of the donor; 0 without one.
+    /// First stored frame of the donor; 0 without a donor.
     pub donor_start: usize,
     /// Time alignment of the motions of a pair; with `time-warp`, the source's start counts frames of the warped
     /// motion.
     pub alignment: &'static str,
     /// Joints that the edit takes from the target.
     pub mask: BlendMask,
-    /// Frames of both motions that the edit may change; the others are the original's.
+    /// Frames of both motions that the edit may change; all others equal the original's.
     pub edited_frames: Range<usize>,
     /// Weight of the target on soft joints.
     pub alpha: f64,
@@ -50,7 +50,7 @@ pub struct Triplet {
     pub recipe_hash: String,
     /// The motion before the edit.
     pub original: Motion,
-    /// The motion after it.
+    /// The motion after the edit.
     pub edited: Motion,
 }
 

@@ -44,7 +44,7 @@ impl Frame {
         rotations: [[0.0; QUAT]; NUM_BODY_JOINTS],
     };
 
-    /// Fills `frames` with the requested parts of stored frames. The other parts keep what they had.
+    /// Computes the requested parts of stored frames. Other parts of `frames` keep their values.
     pub(super) fn prepare(
         rows: &[StoredFrame],
         parts: FrameParts,

@@ -97,7 +97,7 @@ pub(super) struct Facts {
 pub(super) struct Asked {
     /// Another number of repetitions.
     pub(super) times: Option<usize>,
-    /// The other arm, leg or direction than the take has.
+    /// Whether to use the other arm, leg or direction than the take.
     pub(super) is_mirrored: bool,
     /// Minimum duration in seconds; the body stands still at the end.
     pub(super) least_secs: f64,

@@ -566,7 +566,7 @@ impl Tracks {
             (coupling.elbow_bend, style.elbow_bend)
         };
         let hanging_bend = (more + 0.3 * less + 0.55 * swing).max(MIN_ELBOW_BEND);
-        // The upper arm swings about the vertical; the wrist of a bent arm is ahead of it.
+        // The upper arm swings about the vertical; the wrist of a bent arm leads it.
         let ahead = swing + 0.45 * hanging_bend;
         let hanging = hanging_direction(ahead, style.arms_out + 0.5 * noise[1]);
         let hanging_elbow = DVec3::new(HANGING_ELBOW_OUT, -ahead.sin(), -ahead.cos());

@@ -293,7 +293,7 @@ pub(super) fn throw(script: &mut Script, style: &Style, side: Side, from: f64) -
         .then(0.19, release)
         .then(0.22, follow_through)
         .rest(0.75);
-    // The other arm points at the target and is pulled in.
+    // The other arm points at the target and is then pulled in.
     ArmScript::begin(script, style, side.other(), from)
         .then(0.40, BEFORE_CHEST)
         .then(0.55, FORWARD)

@@ -210,7 +210,7 @@ pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip
     Adjustment::draw(action, options.adjusted, &mut options.seed.rng(&of_take))
         .into_iter()
         .map(|adjustment| {
-            // The name of the style, and with it every draw, is that of the neutral performance.
+            // The style's name, and so every random draw, equals that of the neutral performance.
             let (motion, facts) = perform_take(action, &adjustment.of(style), take, options.seed);
             let mut words = options.seed.rng(&[
                 "corpus",

@@ -19,7 +19,7 @@ use super::{
     perform, write_clip, write_list,
 };
 
-/// Name of the list that pairs the motions of [`Limit::Wording`] in the words of training.
+/// Name of the list that pairs the motions of [`Limit::Wording`] with the instructions of the training split.
 pub const SEEN_PAIR_LIST: &str = "pairs-seen.csv";
 /// Takes of each question of a limit.
 const TAKES: usize = 5;
@@ -57,13 +57,13 @@ impl Limit {
     }
 }
 
-/// A performance, by what distinguishes it from the others of its take.
+/// Properties of a performance that distinguish it from the others of its take.
 struct Performance {
     style: Style,
     asked: Asked,
 }
 
-/// Two performances of a take, and what leads from the one to the other.
+/// Two performances of a take, and the instruction from one to the other.
 struct Question {
     action: Action,
     take: String,
@@ -114,7 +114,8 @@ fn repetitions() -> Vec<Question> {
     questions
 }
 
-/// Actions of one side, with what asks for the other: `{side}` is that of the source, `{other}` of the target.
+/// Actions with a side, and the instruction for the other side: `{side}` is that of the source, `{other}` of the
+/// target.
 const SIDED: [(Action, &str, BodyPart); 6] = [
     (
         Action::WalkWave,
@@ -352,7 +353,7 @@ impl Question {
         both.map(|performance| play(performance, longest))
     }
 
-    /// Writes both clips. Also returns the line of the question, and the one in the words of training.
+    /// Writes both clips. Returns the line of the question, and the line with the training split's instruction.
     fn write(&self, folder: &Path, seed: Seed) -> Result<(CorpusSummary, [String; 2]), Error> {
         let mut summary = CorpusSummary::default();
         let styles = [&self.before, &self.after].map(|performance| match self.kind {

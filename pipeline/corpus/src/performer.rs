@@ -27,7 +27,7 @@ impl Performer {
             return *style;
         }
         let mut rng = seed.rng(&["corpus", "performer", &self.0.to_string()]);
-        // Tempo and size leave the middle: a performer who moves like the first one would ask nothing new.
+        // Tempo and size differ clearly from neutral: a performer who moves like the first one would test nothing new.
         let mut factor = |least: f64, most: f64| {
             let factor = rng.random_range(least..most);
             if rng.random_bool(0.5) {

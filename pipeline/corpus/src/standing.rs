@@ -253,8 +253,7 @@ pub(super) fn throwing(style: &Style, facts: Facts, scatter: &mut Rng) -> Script
         DVec3::new(side.sign() * half_width, 0.0, forward - Gait::ANKLE_BEHIND)
     };
     let leading = facts.side.other();
-    // Twice: the leading foot steps towards the target just before the release, and the other one
-    // follows.
+    // Two steps: the leading foot towards the target just before the release, then the other foot.
     let mut steps = [Vec::new(), Vec::new()];
     let mut way = vec![(0.0, [0.0])];
     let mut starts = Vec::new();

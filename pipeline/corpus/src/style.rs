@@ -39,7 +39,7 @@ pub(super) struct Style {
     pub(super) restlessness: f64,
 }
 
-/// The reference the others are described against.
+/// The reference style; the others are stated as differences from it.
 pub(super) const NEUTRAL: Style = Style {
     name: "neutral",
     tempo: 1.0,

@@ -199,7 +199,7 @@ impl Travel {
     pub(super) fn sideways(take: &mut Rng, side: Side) -> Self {
         let walk = Self::walk(take);
         let step_secs = 0.48 * take.random_range(0.95..1.06);
-        // Distance covered by a pair of steps: the leading foot opens, the other one closes.
+        // Distance covered by a pair of steps: the leading foot opens, the other foot closes.
         let pair = 0.36 * take.random_range(0.9..1.1);
         Self {
             velocity: DVec3::X * (side.sign() * 0.5 * pair / step_secs),

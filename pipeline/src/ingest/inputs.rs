@@ -99,7 +99,7 @@ pub(super) fn of_single_files<'a>(
 pub(super) struct FilesOfRelease<'a> {
     /// By file: it, and those of the same name elsewhere in the release.
     pub(super) own: BTreeMap<&'a str, Vec<&'a str>>,
-    /// Files that have the name of none: every motion is read from them.
+    /// Files that have no motion's name: every motion may read them.
     pub(super) common: Vec<&'a str>,
 }
 

@@ -93,7 +93,7 @@ impl Places {
         places.map(|(place, kind)| (place.as_str(), *kind))
     }
 
-    /// Names of the sources that were found at a place in one of these ways.
+    /// Names of the sources that were found at this place in one of the given ways.
     pub(super) fn names_at(&self, place: &str, kinds: &[Kind]) -> BTreeSet<&str> {
         let is_there = |places: &BTreeMap<String, Kind>| {
             places.get(place).is_some_and(|kind| kinds.contains(kind))

@@ -73,7 +73,8 @@ pub(super) struct RecordedClip {
     pub(super) source: usize,
     pub(super) path: String,
     pub(super) hash: String,
-    /// Empty for captures without a motion, and in datasets of older formats.
+    /// Hash of all files that the clip was read from; empty for captures without a motion, and in datasets of older
+    /// formats.
     pub(super) inputs: String,
     /// Hash of the motion; empty for captures without one.
     pub(super) content: String,

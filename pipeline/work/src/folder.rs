@@ -185,8 +185,8 @@ fn is_partial(name: &OsStr) -> bool {
     number.is_some_and(|rest| rest.starts_with('.') && rest.ends_with(&format!(".{END}")))
 }
 
-/// Removes a partial folder, the lock file last: without it, nobody could tell what is left of the folder. Failures
-/// are left to the next run.
+/// Removes a partial folder, the lock file last: without it, the owner of the remains could not be determined. What
+/// cannot be removed is left to the next run.
 fn remove(place: &Path) {
     let _content = fs::remove_dir_all(place.join(CONTENT));
     if !place.join(CONTENT).exists() {

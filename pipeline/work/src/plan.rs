@@ -48,7 +48,7 @@ struct Header {
     plan_hash: String,
     /// Version of the dataset that the plan starts from; 0 for none.
     base: u64,
-    /// Tables of that version and of those before.
+    /// Tables of that version and of earlier ones.
     base_tables: BTreeSet<String>,
     pieces: u64,
     /// BLAKE3 of `pieces.parquet`.
@@ -253,7 +253,7 @@ impl Plan {
         self.pieces.iter().find(|piece| piece.id == id)
     }
 
-    /// The settings of the job.
+    /// Settings of the job.
     ///
     /// # Errors
     /// They are those of another job.
@@ -270,7 +270,7 @@ impl Plan {
         Staging::new(ByPath::store(), &self.home(), base, self.hash())
     }
 
-    /// The folder that pieces are staged in: the dataset, or one beside the folder of files.
+    /// The folder for staged pieces: the dataset, or a folder beside the output folder.
     pub fn home(&self) -> PathBuf {
         let destination = &self.header.destination;
         if self.header.is_dataset {

@@ -43,7 +43,7 @@ pub struct Record {
     /// What failed and what to do.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// Seconds of work; 0 where nothing was done.
+    /// Seconds of work; 0 if nothing was done.
     pub secs: f64,
 }
 
@@ -94,7 +94,7 @@ impl Failed {
         }
     }
 
-    /// The failure of an error with its causes; `E-FAILED` where it has no code of its own.
+    /// The failure of an error with its causes; `E-FAILED` if the error has no code.
     pub fn of(code: Option<datasets_spec::Code>, error: &dyn StdError) -> Self {
         let mut reason = error.to_string();
         let mut cause = error.source();
@@ -144,7 +144,7 @@ pub fn keep(staging: &Staging, piece: &Piece, made: Made) -> Result<(), Error> {
     Ok(staging.put(&piece.id, &stored)?)
 }
 
-/// A piece that is staged, if its files are whole. The files are hashed; nothing else is read.
+/// A staged piece, if its files are complete. Only their hashes are checked.
 pub fn staged(staging: &Staging, piece: &str) -> Result<Option<Stored>, Error> {
     let Some(stored) = staging.get::<Stored>(piece) else {
         return Ok(None);

@@ -46,7 +46,7 @@ fn project() -> (Desk, i64) {
     (desk, copies[0])
 }
 
-/// Waits for the feedback on a practice task, and checks what it says.
+/// Waits for the feedback on a practice task, and checks its text.
 fn feedback(desk: &Desk, task: i64, words: &[&str]) {
     desk.shows(&format!(".work.feedback[data-task=\"{task}\"]"));
     desk.reads(".panel-scroll", words);
@@ -93,7 +93,7 @@ fn practises(desk: &Desk, rejected: i64) {
     let first = desk.task();
     desk.reads(".practice-note", &["task 1 of 2"]);
 
-    // A wrong answer is told from the known one, in words and marks.
+    // The page shows how a wrong answer differs from the known one, in words and marks.
     desk.press(&["i"]);
     feedback(desk, first, &["0 % right", "Different: verdict."]);
     desk.reads(".compared.differs", &["✗ differs", "identical"]);

@@ -272,7 +272,7 @@ fn a_skip_needs_a_reason() {
 fn a_task_whose_clip_changed_asks_in_words_of_its_own() {
     let desk = Desk::at("app/home");
     desk.shows(".queue");
-    // Clips are ingested anew while no server runs; here its reply says so.
+    // Clips are ingested again only while no server runs, so the test fakes the server's reply.
     desk.js(
         "const real = window.fetch; \
              window.fetch = async (...asked) => { \

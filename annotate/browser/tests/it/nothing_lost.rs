@@ -145,7 +145,7 @@ fn a_duplicated_tab_is_a_tab_of_its_own() {
     desk.is(NAME, name);
 }
 
-/// Takes both versions in the box with two of them, once it listens.
+/// Takes both versions in the box with two of them, once its keys are active.
 fn merge(desk: &Desk) {
     desk.shows(".conflict [aria-disabled=false]");
     assert!(desk.reaches(".conflict"), "F6 does not reach the box");
@@ -345,7 +345,7 @@ fn answers_of_another_person_are_not_sent_as_mine() {
     desk.log_out();
     desk.enter("bob", "app/mask");
     desk.task();
-    // The task of somebody else begins empty.
+    // The other user's task begins empty.
     desk.is(TEXT, "");
     desk.server.down();
 }

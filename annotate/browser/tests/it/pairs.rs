@@ -81,7 +81,7 @@ fn views_of_a_pair_share_the_frame() {
     desk.until("both on one stage", "document.querySelector('.stage').dataset.bodies === '2' && document.querySelectorAll('.stage:not([hidden])').length === 1");
     // Changing the view does not move the clock.
     desk.is(FRAME, frame);
-    // The largest difference is one of poses: the ghost stands where the other body stands.
+    // The largest difference is of the poses, not of the positions: the ghost stays in its own place.
     desk.is(TOGETHER, "false");
     desk.press(&["d"]);
     desk.until("the ghost is moved", &format!("{TOGETHER} === 'true'"));

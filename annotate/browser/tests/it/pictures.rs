@@ -70,7 +70,7 @@ fn every_screen_fits_in_both_sizes_and_themes() {
     }
 }
 
-/// Opens a screen. Those of the README are shown in the middle of work.
+/// Opens a screen. The README's screens are shown with work in progress.
 fn open(desk: &Desk, name: &str, shown: &str) {
     match name {
         "login" => desk.go(""),

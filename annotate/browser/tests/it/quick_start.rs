@@ -24,7 +24,7 @@ fn follow(desk: &Desk, label: &str) {
     desk.lacks("[data-left]");
 }
 
-/// Opens a page, waits for an element of it, and takes a picture of this name.
+/// Opens a page, waits for an element on it, and takes a picture with this name.
 fn visit(desk: &Desk, label: &str, shown: &str, picture: &str) {
     follow(desk, label);
     desk.shows(shown);

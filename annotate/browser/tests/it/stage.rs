@@ -86,7 +86,7 @@ fn stepping_scrubbing_and_looping_are_exact() {
     frame(&desk, 12);
     desk.press(&["[", keys::RIGHT, keys::RIGHT, keys::RIGHT, "]"]);
     desk.shows(".viewer[data-loop='12-15']");
-    // A few times round the loop; nothing outside of it is shown meanwhile.
+    // The clip loops a few times; no frame outside the loop is shown.
     let seen = desk.js_async(
         "{ const stage = document.querySelector('.stage'); const seen = new Set(); \
                document.querySelector('.stage').focus(); \

@@ -47,7 +47,7 @@ impl Desk {
             dataset,
             tokens,
         };
-        // Nothing by chance: no gold tasks and no blind tasks.
+        // Turn off all random choices: no gold tasks and no blind tasks.
         desk.set(json!({ "gold_percent": 0, "blind_percent": 0, "review_percent": 100 }));
         desk
     }

@@ -75,7 +75,7 @@ impl Desk {
         ));
     }
 
-    /// Sets a field of the form, as a person does: the element changes and says so.
+    /// Sets a field of the form and sends its change event, as user input does.
     fn choose(&self, label: &str, value: &str) {
         let done = self.js_with(
             "const label = [...document.querySelectorAll('label')].find((own) => own.textContent.trim().startsWith(arguments[0])); \
@@ -93,7 +93,7 @@ impl Desk {
         }
     }
 
-    /// Waits until a dialog of this heading is open, and checks that it says this.
+    /// Waits until a dialog with this heading is open, and checks its text.
     fn dialog(&self, heading: &str, words: &[&str]) {
         let shown = format!(
             "document.querySelector('dialog[open] h2')?.textContent === {}",
@@ -103,7 +103,7 @@ impl Desk {
         self.reads("dialog[open]", words);
     }
 
-    /// Waits until the record says this.
+    /// Waits until the record shows this text.
     fn record_says(&self, words: &str) {
         let shown = format!(
             "document.querySelector('task-record')?.textContent.replace(/\\s+/g, ' ').includes({})",
@@ -182,7 +182,7 @@ fn ten_thousand_tasks_are_a_few_rows_of_the_page_and_the_last_one_is_reached() {
     );
     let expected = json!({ "inside": true, "row": format!("list-row-{}", total - 1), "count": (total + 1).to_string() });
     assert_eq!(seen, expected);
-    // Everywhere in the list there are few rows, and they are those of the place.
+    // Anywhere in the list only a few rows are drawn, and they match the scroll position.
     for share in [0.75, 0.5, 0.1] {
         let place = office.js_with(
             "const list = document.querySelector('task-list'); list.scrollTop = list.scrollHeight * arguments[0]; \
@@ -303,7 +303,7 @@ fn a_rule_is_added_applied_named_in_the_record_and_undone() {
     office.push(&["Undo…: all-of-them", "Take back 2 acceptances"]);
     is("off02");
     assert_eq!(office.state(task), "submitted");
-    // A rule that was removed is listed while what it accepted stands: reviewers see it, and change nothing.
+    // A removed rule stays listed while answers that it accepted stand: reviewers see it, and cannot change it.
     office.push(&["Remove: all-of-them", "Remove"]);
     office.says(".dashboard", "There are no rules");
     office.join("eve");

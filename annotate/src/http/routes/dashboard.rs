@@ -15,7 +15,7 @@ use crate::wire::{EditType, EditTypeCount, Funnel, QuotaRow, TaskKind};
 /// Weeks the dashboard shows.
 const WEEKS: i64 = 12;
 
-/// Figures of all answers; those of the last minute are not computed again.
+/// Figures of all answers, cached for a minute.
 pub(super) fn figures(cx: &Context) -> Result<Arc<Figures>, Error> {
     cx.app.figures.get(cx.store(), cx.now)
 }

@@ -18,7 +18,7 @@ pub(super) fn healthy(_: &Context) -> Result<Response, Error> {
     Ok(plain("ok\n"))
 }
 
-/// Whether answers can be saved. It writes nothing: everybody may ask, as often as they like.
+/// Whether answers can be saved. The check writes nothing: anybody may call it at any rate.
 pub(super) fn ready(cx: &Context) -> Result<Response, Error> {
     if let Some(reason) = lock(&cx.app.read_only).clone() {
         return Err(Error::refused(Code::ReadOnly, reason));

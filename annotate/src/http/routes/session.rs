@@ -11,8 +11,8 @@ use crate::lock::lock;
 use crate::store::Who;
 use crate::wire::{Limits, Login, Me, Project, User};
 
-/// Maximum number of wrong tokens per minute from one address. A right one is never refused: many people may share an
-/// address, and nobody guesses 32 random bytes.
+/// Maximum number of wrong tokens per minute from one address. Correct tokens are never refused: many people may share
+/// an address, and 32 random bytes cannot be guessed.
 const WRONG_PER_MINUTE: u32 = 10;
 /// Seconds between renewals of a lease.
 const HEARTBEAT_SECS: i64 = 60;

@@ -24,7 +24,7 @@ pub(super) fn shown(mut suggestion: Suggestion, kind: TaskKind) -> Suggestion {
     suggestion
 }
 
-/// Suggestions as annotators see them: those of the store, and the active parts of a clip.
+/// Suggestions as annotators see them: the stored ones, and the active parts of a clip.
 pub(super) fn offered(
     app: &App,
     task: &TaskRecord,

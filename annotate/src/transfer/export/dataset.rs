@@ -15,7 +15,7 @@ use crate::store::AcceptedAnswer;
 use crate::transfer::import::{PAIR_SOURCE, pair_id};
 use crate::wire::{Answer, Extent, TaskKind};
 
-/// Facts of the manifest that say which point in time of which store the tables hold.
+/// Facts of the manifest that name the store and the point in its log that the tables were exported from.
 const STORE_FACT: &str = "annotate_store";
 const SEQ_FACT: &str = "annotate_seq";
 

@@ -41,7 +41,7 @@ impl Exported {
     }
 }
 
-/// File that says where an export is from.
+/// File that records the origin of an export.
 pub(super) const STAMP: &str = "export.json";
 /// Characters of the store's id in a pseudonym.
 const STORE_CHARS: usize = 6;
@@ -69,7 +69,7 @@ impl<'a> Exporter<'a> {
         })
     }
 
-    /// Says how answers were accepted, and how many before their clip was ingested anew.
+    /// Records how answers were accepted, and how many were accepted before their clip was ingested again.
     pub(super) fn note_decisions(&mut self) -> Result<(), Error> {
         let mut own = 0;
         for (basis, count) in self.store.accepted_by()? {
@@ -170,7 +170,7 @@ impl<'a> Exporter<'a> {
         Ok(all)
     }
 
-    /// Loads the motions of a batch of tasks and drops the others.
+    /// Loads the motions of a batch of tasks, and drops all other motions.
     pub(super) fn meet<'t>(
         &mut self,
         tasks: impl Iterator<Item = &'t TaskRecord>,

@@ -94,7 +94,7 @@ const LOST: [(&str, &str); 5] = [
     ("extents", "style pairs have an extent"),
 ];
 
-/// Counts of masks of which the files have no place for something.
+/// Counts of mask properties that the files cannot hold.
 fn lost_of(masks: &[MaskAnswer]) -> [(&'static str, usize); 3] {
     let count =
         |is_lost: fn(&MaskAnswer) -> bool| masks.iter().filter(|mask| is_lost(mask)).count();

@@ -1,4 +1,4 @@
-/** The base of components, and the pieces that several of them show. */
+/** The base class of components, and elements that several of them use. */
 
 import { LitElement, html, nothing, render, type TemplateResult } from "lit";
 import type { Lint } from "../lints";

@@ -57,7 +57,7 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
     return this.suggestions.filter(({ id, text }) => text !== "" && !this.discarded.has(id));
   }
 
-  /** Takes a draft; without one asks for one about these parts, or says why there is none. */
+  /** Takes a draft; if there is none, requests one for these parts, or shows why there is none. */
   protected async takeDraft(draft: Suggestion | null, take: (draft: Suggestion) => void, parts: readonly string[] | null, none: string): Promise<void> {
     const { askDraft } = this.host;
     if (draft) {

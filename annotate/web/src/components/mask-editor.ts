@@ -120,7 +120,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     return complete;
   }
 
-  /** Says why a mask cannot be handed in. */
+  /** Shows why a mask cannot be submitted. */
   private refuse(mask: MaskAnswer | undefined, problem: string): null {
     const index = Math.max(0, this.answer.masks.findIndex((own) => own === mask));
     this.select(index);

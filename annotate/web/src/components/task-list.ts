@@ -92,7 +92,7 @@ export class TaskList extends Component {
   }
 
   private clicked(event: MouseEvent, index: number): void {
-    // A link opens another tab where the browser says so.
+    // Let the browser open a link in another tab.
     if (event.ctrlKey || event.metaKey || event.shiftKey) return;
     event.preventDefault();
     this.at = index;

@@ -13,7 +13,7 @@ import { listOf, pageScreen, panelOf, workScreen } from "./frame";
 import { ROUTE_OF } from "./home";
 import { practiceFirst } from "./practice";
 
-/** Milliseconds without an acknowledgement after which the page says that it waits. */
+/** Milliseconds without an acknowledgement after which the page shows that it is waiting. */
 const SAY_AFTER_MS = 3000;
 
 /** Opens the task with a number, which is claimed unless it is held; else the next one of the queue. */
@@ -62,7 +62,7 @@ export function hostOf<A extends Answer>(app: App, view: TaskView, session: Task
 /** Prepares the end of a task, for example by asking for a reason; `null` if the user goes on working. */
 type Prepare = () => Promise<(() => Promise<Ending>) | null>;
 
-/** Ends the work on a task, opens `to` (the next task unless it says otherwise), and then calls `after`. */
+/** Ends the work on a task, opens `to` (by default the next task), and then calls `after`. */
 export type Finish = (prepare: Prepare, after?: () => void, to?: string) => Promise<void>;
 
 /** Ends a task and opens the next of `route`. Calls during another are ignored, so that an answer is sent once. */

@@ -130,7 +130,7 @@ async function askRequest(app: App, filter: TaskFilter, people: readonly Person[
   }
 }
 
-/** Says what would change; false if the user cancels or nothing would. */
+/** Shows the counts of a bulk action; false if the user cancels or nothing would change. */
 async function confirm(request: BulkRequest, preview: BulkDone, people: readonly Person[]): Promise<boolean> {
   const { action } = request;
   const [name, done, means] = WORDS[action];

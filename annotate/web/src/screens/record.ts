@@ -75,7 +75,7 @@ class TaskRecord extends Component {
     this.requestUpdate();
   }
 
-  /** The answers, and the accepted one if it is none of them: a reviewer merged it, or it was imported. */
+  /** The answers, and the accepted answer if it is not among them: a reviewer merged it, or it was imported. */
   private get candidates(): Candidate[] {
     const { answers, accepted, task, row } = this.file;
     if (accepted === null || answers.some(({ revision }) => revision.state === "accepted")) return answers;

@@ -80,7 +80,7 @@ export async function openRules(app: App): Promise<Screen> {
     ["Would leave to reviewers now", (own) => (own.known ? own.left_to_review : "")],
   ];
   const buttonsOf = ({ rule, known, accepted }: RuleState, index: number): HTMLElement => {
-    // The name of a button says which rule it is for.
+    // Button labels include the name of the rule.
     const named = (label: string, run: () => Promise<void>): HTMLElement => {
       const own = button(label, run, app);
       own.setAttribute("aria-label", `${label}: ${rule.name}`);

@@ -54,7 +54,7 @@ export function around(task: number): { list: string; previous: number | null; n
   return { list: pathOf(left.query), previous: near(-1), next: near(1) };
 }
 
-/** Says that another task of the list is read now. */
+/** Records that another task of the list is open now. */
 export function moveTo(task: number): void {
   const at = left.rows.findIndex((row) => row.id === task);
   if (at >= 0) left.at = at;
@@ -144,7 +144,7 @@ export async function openTasks(app: App): Promise<Screen> {
     fill(often, tabs(app, "Filters that are often wanted", OFTEN.map(([own, label]) => [pathOf(own), label] as const), pathOf(query), "true"));
     return list.show(page, at, top);
   };
-  /** Says what of an address or the form is no filter. */
+  /** Lists the parameters of the address or the form that are not valid filters. */
   const sayRefused = (what: readonly string[]): void => {
     trouble.hidden = what.length === 0;
     trouble.textContent = `Not a filter of this page, so the list is longer than that: ${what.join(", ")}`;

@@ -180,7 +180,7 @@ export function headingAt(track: Track, frame: number): number {
   return Math.hypot(x, z) < 1e-6 ? 0 : Math.atan2(-z, x);
 }
 
-/** A clip moved so that its pelvis has the place and heading of that of another clip at the same time; heights stay. */
+/** Moves a clip so that its pelvis has the position and heading of another clip's at the same time; heights stay. */
 export function aligned(track: Track, to: Track, frameOfOther: (frame: number) => number): Track {
   const data = new Float32Array(track.data.length);
   for (let frame = 0; frame < track.frames; frame += 1) {

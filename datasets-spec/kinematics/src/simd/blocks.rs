@@ -44,7 +44,7 @@ fn quaternions_of_any(vectors: &Vectors) -> Quaternions {
         let [x, y, z] = lane(vectors, at);
         longest = longest.max(x.abs().max(y.abs()).max(z.abs()));
     }
-    // By any one component, with room for the other two.
+    // A bound on the largest component leaves room for the other two.
     if longest < 0.5 * MAX_TURN {
         return quaternions(vectors);
     }

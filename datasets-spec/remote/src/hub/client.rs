@@ -213,7 +213,7 @@ impl Hub {
             is_authorized: self.has_token() && self.is_own(address),
             status: parts.status,
             headers: parts.headers,
-            // Some answers are plain words.
+            // Some responses are plain text.
             body: serde_json::from_slice(&text).unwrap_or(Value::Null),
         })
     }
@@ -362,7 +362,7 @@ fn failed(address: &str, problem: String) -> Error {
     }
 }
 
-/// Text in which all bytes but letters, digits, `-._~` and those of `kept` are percent-encoded.
+/// Percent-encodes all bytes except letters, digits, `-._~` and the bytes in `kept`.
 pub(super) fn quoted(text: &str, kept: &str) -> String {
     let mut quoted = String::with_capacity(text.len());
     for byte in text.bytes() {

@@ -19,7 +19,7 @@ pub enum Error {
         /// What is wrong with the variable.
         problem: String,
     },
-    /// A name is not that of a repo.
+    /// A name is not a valid repo name.
     #[error("{name:?} is no name of a repo: {problem}; expected OWNER/NAME")]
     Name {
         /// The name.
@@ -75,7 +75,7 @@ pub enum Error {
         /// Why not.
         problem: &'static str,
     },
-    /// A repo holds nothing that this program made.
+    /// A repo holds no contents made by this program.
     #[error("{repo} holds no {kind} of this program: it has no {missing}")]
     Foreign {
         /// The repo.
@@ -107,7 +107,7 @@ pub enum Error {
         /// Cause of the failure.
         problem: String,
     },
-    /// A downloaded file is not what its checksum says.
+    /// A downloaded file does not match its checksum.
     #[error(
         "{} is damaged ({name} expected {expected}, found {found}); delete it and download it again",
         path.display()

@@ -27,7 +27,7 @@ pub struct Pulled {
     pub passed_over: Vec<String>,
 }
 
-/// A repo that lies beside the folder that it is to become, complete and checked file by file.
+/// A downloaded repo beside its output folder, complete and with every file checked.
 #[derive(Debug)]
 pub struct Staged {
     folder: PathBuf,

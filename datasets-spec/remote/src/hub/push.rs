@@ -18,7 +18,7 @@ use super::repo::{Repo, Tree, commit_of, create, tree};
 const BATCH: usize = 256;
 /// First bytes of a file by which the server tells text from data.
 const SAMPLE_LEN: u64 = 512;
-/// The file by which the hub says what LFS keeps. It is the repo's own.
+/// The hub's file of LFS patterns. It belongs to the repo.
 const ATTRIBUTES: &str = ".gitattributes";
 
 /// How files are published.

@@ -26,7 +26,7 @@ pub enum RepoKind {
 }
 
 impl RepoKind {
-    /// The word of the hub.
+    /// Name of the kind in the hub's API.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Dataset => "dataset",
@@ -150,7 +150,7 @@ pub(super) fn commit_of(hub: &Hub, repo: &Repo, revision: &str) -> Result<Option
     }
 }
 
-/// Whether a name is that of a dataset or of a model.
+/// Finds whether a name belongs to a dataset or to a model.
 ///
 /// # Errors
 /// It is that of both or of neither, or the server cannot be reached or fails.

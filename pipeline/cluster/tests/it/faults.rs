@@ -33,7 +33,7 @@ fn run_and_watch(
         output
     });
     while ended.try_recv().is_err() {
-        // The client prints nothing here, and executors that idle say nothing: look at both in turn.
+        // The client prints nothing here, and idle executors print nothing: poll both in turn.
         if let Ok(said) = cluster
             .said
             .recv_timeout(std::time::Duration::from_millis(50))
@@ -45,7 +45,7 @@ fn run_and_watch(
 }
 
 /// Makes datasets while one executor after another is killed in the middle of a piece, until enough were killed. Every
-/// dataset must be that of `stance ingest`.
+/// dataset must equal that of `stance ingest`.
 #[expect(clippy::print_stderr, reason = "how many were killed")]
 fn survives(job: &Job, wanted: usize, seed: u64) {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
@@ -145,7 +145,7 @@ fn faults_that_ballista_injects_change_nothing() {
     );
 }
 
-/// A command `stance` that ends one piece as `how` says.
+/// A `stance` command that ends one piece in the way `how`.
 fn spoiled(folder: &Path, piece: &str, how: &str) -> PathBuf {
     let path = folder.join("stance");
     let stance = stance();

@@ -17,7 +17,7 @@ pub(crate) fn stance() -> PathBuf {
     set.expect("STANCE_BIN names the command; pipeline/cluster/check sets it")
 }
 
-/// The real files, if the environment says where they are.
+/// The real files, if the environment names them.
 #[expect(clippy::print_stderr, reason = "a test says aloud that it is skipped")]
 pub(crate) fn real_data() -> Option<PathBuf> {
     let set = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from);
@@ -122,13 +122,13 @@ impl Job {
     }
 }
 
-/// A line that a process said, and which process.
+/// A line of stderr, and the process that printed it.
 pub(crate) struct Said {
     pub(crate) by: usize,
     pub(crate) line: String,
 }
 
-/// A process and what it says on stderr.
+/// A process and its stderr.
 pub(crate) struct Process {
     child: Child,
     listener: Option<JoinHandle<()>>,
@@ -228,7 +228,7 @@ impl Cluster {
         (self.scheduler, _) = scheduler(&self.address);
     }
 
-    /// Ends all processes and returns what executors said since the last look.
+    /// Ends all processes and returns the executors' output since the last call.
     pub(crate) fn end(mut self) -> Vec<String> {
         self.executors.clear();
         self.scheduler.kill();

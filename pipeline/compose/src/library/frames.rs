@@ -1,4 +1,4 @@
-//! Frames of motions in a flat file, read by their place.
+//! Frames of motions in a flat file with random access.
 //!
 //! A page of Parquet holds a whole clip, compressed, and decoding one takes fifty times as long as composing a
 //! window of it. Each clip is therefore decoded once and its frames are written one after another to a file of a cache

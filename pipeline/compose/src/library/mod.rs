@@ -118,7 +118,7 @@ struct Pair {
     target: usize,
     /// Halves of the body that may be edited.
     halves: Vec<BodyPart>,
-    /// Names of the parts that the pair says it changes.
+    /// Names of the parts that the pair changes.
     parts: Arc<[String]>,
     /// Whether the pair is from MotionFix, which is evaluated without a donor.
     is_motionfix: bool,

@@ -14,7 +14,7 @@ use super::{Library, frames_of_file};
 use crate::{Error, FrameCache};
 
 datasets_spec::table! {
-    /// What a library holds of a clip beside its frames.
+    /// Columns of a clip besides its frames.
     pub struct LabelledClip = "motions" {
         /// Id of the clip
         pub id: MotionId [""],

@@ -402,7 +402,7 @@ fn a_warped_pair_lasts_as_long_as_its_target() {
     let warped_frames = warped.library.frames_of(pair.expect("a pair"));
     assert_eq!(warped_frames, clips(&warped)[1]);
     assert!(frames(&plain) <= warped_frames);
-    // A warped motion is nobody's partner.
+    // A time-warped motion is never a partner.
     assert!(warped.base.iter().all(|&clip| clip < CLIPS));
     assert_ne!(epoch(&plain, 0), epoch(&warped, 0));
 }

@@ -124,8 +124,8 @@ impl Clip {
         lowest.into_iter().fold(f64::INFINITY, f64::min)
     }
 
-    /// The forward vector on the ground, x and z, of every frame: that of the published inverse
-    /// kinematics, for which the hips are swapped and the shoulders are not.
+    /// The forward vector on the ground, x and z, of every frame: as in the published inverse kinematics, which swaps
+    /// the hips and not the shoulders.
     pub(super) fn forwards(&self) -> Vec<[f64; 2]> {
         let mut forwards = Vec::with_capacity(self.blocks.len() * LANES);
         for block in &self.blocks {
@@ -393,7 +393,7 @@ fn write_contacts(run: &Run, columns: &mut Columns) {
     }
 }
 
-/// The rotation of the root is that of the heading.
+/// The root's rotation is the heading.
 #[inline(always)]
 fn turn_root((cosines, sines): Angles<'_>, root: &mut Turns) {
     for lane in 0..LANES {

@@ -53,7 +53,7 @@ const MIN_MARKERS: usize = 12;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Subjects {
     pub(super) people: Vec<Subject>,
-    /// Labels of points that belong to objects, or to nothing.
+    /// Labels of points on objects, or on nothing.
     pub(super) others: Vec<String>,
 }
 
@@ -163,7 +163,7 @@ mod tests {
         assert_eq!(keys(&underscored), ["Anna", "Ben", "Dan"]);
         let mixed = [worn("", 41), worn("Ben:", 41)].concat();
         assert_eq!(keys(&mixed), ["unnamed", "Ben"]);
-        // Somebody whose labels are unknown is not lost.
+        // A subject with unknown labels is not dropped.
         let strange: Vec<String> = (0..41).map(|number| format!("Ben:M{number}")).collect();
         assert_eq!(keys(&[one.clone(), strange].concat()), ["Anna", "Ben"]);
     }

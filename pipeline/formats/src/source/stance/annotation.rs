@@ -101,7 +101,7 @@ impl Annotation {
         masks.into_iter().filter(|mask| !mask.is_empty()).collect()
     }
 
-    /// One text for all masks, a list of texts in their order, or a map from names to texts.
+    /// Assigns texts to masks: one text for all masks, a list of texts in their order, or a map from names to texts.
     fn texts_of(&mut self, value: &Value, masks: &[Vec<BodyPart>]) -> Vec<(Vec<BodyPart>, String)> {
         let for_each = |mask: &Vec<BodyPart>, texts: &Value| -> Vec<(Vec<BodyPart>, String)> {
             all_texts(texts)
