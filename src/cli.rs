@@ -161,7 +161,7 @@ fn grouped(command: clap::Command) -> clap::Command {
             verbs += &format!("  {name:<13}{about}\n");
         }
     }
-    // clap has no groups of verbs: its own list of them is hidden.
+    // clap has no groups of verbs, so its own list of verbs is hidden.
     command
         .override_usage("stance [OPTIONS] <COMMAND>")
         .help_template(format!(
@@ -208,7 +208,7 @@ mod tests {
         }
     }
 
-    /// The documents, apart from those of packages of npm.
+    /// Finds the documents, except those in npm packages.
     fn documents(folder: &Path, found: &mut Vec<PathBuf>) {
         for entry in fs::read_dir(folder).expect("a folder") {
             let path = entry.expect("an entry").path();
@@ -220,7 +220,7 @@ mod tests {
         }
     }
 
-    /// The commands of this program in the blocks of shell of a document, as words.
+    /// The commands of this program in a document's shell blocks, split into words.
     fn commands(text: &str) -> Vec<Vec<String>> {
         let blocks = text.split("```sh\n").skip(1);
         let blocks = blocks.filter_map(|block| block.split("```").next());

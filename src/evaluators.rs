@@ -66,7 +66,7 @@ impl EvaluatorRuns<'_> {
     }
 }
 
-/// An encoder with the reason why it ranks nothing; none if it ranks.
+/// An encoder, and the reason why it cannot rank systems; none if it can.
 struct Encoder {
     network: TmrEncoder,
     weakness: Option<String>,

@@ -16,7 +16,7 @@ pub(crate) struct Failure {
     pub(crate) reason: String,
 }
 
-/// Code of failures without one of their own.
+/// Code of failures without a specific code.
 const FAILED: &str = "E-FAILED";
 
 impl Failure {

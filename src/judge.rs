@@ -75,7 +75,7 @@ pub(crate) fn load() -> anyhow::Result<TmrEncoder> {
     Ok(TmrEncoder::from_bytes(CONFIG, WEIGHTS, name, &device())?)
 }
 
-/// Refuses motions on another skeleton than that of the encoder.
+/// Refuses motions whose skeleton differs from the encoder's.
 pub(crate) fn check_skeleton(skeleton: &Skeleton) -> anyhow::Result<()> {
     let name = Path::new(BUILTIN);
     Ok(check_skeleton_of(CONFIG, name, "the encoder", skeleton)?)

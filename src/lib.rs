@@ -36,7 +36,7 @@ const USAGE: u8 = 2;
 pub fn run(words: impl IntoIterator<Item = OsString>, itself: Itself<'_>) -> u8 {
     let words: Vec<OsString> = words.into_iter().collect();
     let code = run_words(&words, itself);
-    // A program in Rust does so when it ends; Python knows nothing of this buffer.
+    // A Rust program flushes stdout at exit; Python does not flush this buffer.
     report::flush();
     code
 }
@@ -59,7 +59,7 @@ fn run_words(words: &[OsString], itself: Itself<'_>) -> u8 {
     let cli = match Cli::of_words(words) {
         Ok(cli) => cli,
         Err(error) => {
-            // The command line did not parse, so --json is looked for among its words.
+            // The command line did not parse, so search its words for --json.
             if has_json && error.use_stderr() {
                 report::failure(&Failure::of_usage(&error));
             }

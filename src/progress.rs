@@ -10,7 +10,7 @@ use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::report;
 
-/// The bars that are drawn now: those of stages side by side stand one below the other.
+/// The visible bars; bars of parallel stages are drawn below each other.
 static DRAWN: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
 
 /// Draws the progress of one stage after another on stderr.
@@ -23,8 +23,8 @@ pub(crate) struct Bars {
 }
 
 impl Bars {
-    /// Bars if stderr is a terminal and they were not switched off; else a line when a stage ends,
-    /// or nothing when asked to be quiet.
+    /// Bars if stderr is a terminal and bars are not switched off; else a line at the end of a stage, or nothing with
+    /// --quiet.
     pub(crate) fn new(no_progress: bool, quiet: bool) -> Self {
         Self {
             visible: !no_progress && !quiet && std::io::stderr().is_terminal(),

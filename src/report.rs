@@ -1,4 +1,4 @@
-//! The one place that prints: results to stdout, everything else to stderr.
+//! The only module that prints: results to stdout, everything else to stderr.
 #![expect(
     clippy::print_stderr,
     reason = "printing is this module's job; every other module hands it values"

@@ -48,8 +48,8 @@ impl Seeds {
         )
     }
 
-    /// The seed of a model whose own settings may hold one; `resolved` is that of its settings with
-    /// the preset's in place of what they leave out.
+    /// The seed of a model whose own settings may hold one; `resolved` is the seed in its settings, completed by the
+    /// preset.
     pub(crate) fn of_model(
         &self,
         resolved: u64,

@@ -56,7 +56,7 @@ pub(crate) fn at(path: &Path, error: anyhow::Error) -> anyhow::Error {
     error.context(place)
 }
 
-/// Where keys lead from any table of a document on: the bytes at which the last of them begins.
+/// Finds a path of keys starting at any table of a document: the byte offsets of the last key.
 fn find(table: &DeTable<'_>, keys: &[String], found: &mut Vec<usize>) {
     let mut inner = Some(table);
     let mut at = None;
@@ -107,7 +107,7 @@ pub(crate) fn changes(preset: &Value, own: Value) -> Value {
     Value::Object(kept.collect())
 }
 
-/// Whether two values are equal, numbers by their size: a file may say 1 for 1.0.
+/// Whether two values are equal; numbers are compared by value, because a file may say 1 for 1.0.
 fn is_equal(one: &Value, other: &Value) -> bool {
     match (one.as_f64(), other.as_f64()) {
         (Some(one), Some(other)) => one == other,

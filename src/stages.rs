@@ -101,7 +101,7 @@ pub(crate) fn note_remarks(remarks: &Remarks) {
     }
 }
 
-/// Words of the instructions that some system of the tables has never seen.
+/// Words of the instructions that the vocabulary of some system in the tables lacks.
 pub(crate) fn unknown_words(edits: &[PathBuf]) -> anyhow::Result<BTreeSet<String>> {
     let mut words = BTreeSet::new();
     for folder in edits {

@@ -48,7 +48,7 @@ pub(crate) fn corpus(seed: Seed) -> CorpusOptions {
     }
 }
 
-/// How its items are drawn: all of them, or the part that the demo is scored on. Of another seed it is another set.
+/// Number of items to draw: all, or the part that the demo is scored on. Another seed gives another set.
 pub(crate) fn items(seed: Seed, is_full: bool) -> ItemConfig {
     ItemConfig {
         count: ItemCount::Exactly(COUNT),

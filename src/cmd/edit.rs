@@ -278,7 +278,7 @@ fn opened(args: &Args, motion: &str, skeleton: &Skeleton) -> anyhow::Result<Moti
     }
 }
 
-/// The skeleton motions are on: that of --dataset.
+/// The skeleton of the motions: that of --dataset.
 fn skeleton(args: &Args) -> anyhow::Result<Skeleton> {
     match &args.dataset {
         Some(dataset) => Ok(Dataset::open_unverified(dataset)?.skeleton()?),
@@ -475,7 +475,7 @@ impl Interactive<'_> {
             .iter()
             .map(|asked| asked.text.clone())
             .collect();
-        // Every edit of a history draws noise of its own.
+        // Each edit of a history draws different noise.
         let count = history.edits().len().to_string();
         let seed = self.global.seed().derive(&["history", &count]);
         let (id, current) = (history.id(), history.current()?);

@@ -126,7 +126,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 #[derive(Serialize)]
 struct Document<'a> {
     system: &'a str,
-    /// None where nothing was written.
+    /// None if nothing was written.
     out: Option<&'a Path>,
     root_hash: Option<&'a str>,
     #[serde(flatten)]

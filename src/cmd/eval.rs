@@ -348,8 +348,8 @@ pub(crate) fn result_tables(scores: &Scores, table: TableArg, paper: PaperTable)
     }
 }
 
-/// The scores in the shape of a table of the paper: its tasks, where the edits are of any of them,
-/// and the tasks there are otherwise.
+/// Scores in the layout of a table of the paper: the table's tasks if the edits have any of them, else the tasks that
+/// exist.
 fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     let mut tables = Table::from_scores(&scores.rows, &scores.judges, &table.columns());
     let wanted = |found: &Table| {

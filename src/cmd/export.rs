@@ -126,7 +126,7 @@ impl Args {
     }
 }
 
-/// Says what a user should know before clips are exported, and returns it.
+/// Prints warnings before clips are exported, and returns them.
 fn remark_before(layout: Layout, clips: &Clips) -> anyhow::Result<Vec<String>> {
     let mut remarks = before(layout, clips)?;
     remarks.extend(remark_on_tags(untagged_captions(layout, clips)));
@@ -139,8 +139,8 @@ fn remark_before(layout: Layout, clips: &Clips) -> anyhow::Result<Vec<String>> {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let layout = args.to;
     let dataset = match &args.chosen.condition {
-        // Hashing every file would read every clip; those that are chosen are checked one by one. Stored
-        // features of HumanML3D have no hashes of their own.
+        // Hashing every file would read every clip; chosen clips are checked one by one. Stored features of HumanML3D
+        // have no hashes of their own.
         Some(_) if layout != Layout::HumanMl3d => Dataset::open_unverified(&args.dataset)?,
         _ => Dataset::open(&args.dataset)?,
     };
@@ -225,7 +225,7 @@ fn remark_on_tags(untagged: u64) -> Option<String> {
     })
 }
 
-/// What was left out, and what lies beside the layout.
+/// Items that were left out, and items in files beside the layout.
 pub(crate) fn said(done: &Exported) -> Vec<String> {
     let list = |counts: &Counts| {
         let named = counts.iter().map(|(name, count)| match name.as_str() {

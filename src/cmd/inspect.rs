@@ -57,7 +57,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         let clip = Clip::of(&stored_clip(&dataset, id)?);
         return global.say(&clip, &clip.text());
     }
-    // A URL is that of a file if its name has an extension and there is such an object.
+    // A URL is a file if its name has an extension and the object exists.
     let is_folder = if is_url(path) {
         path.extension().is_none() || ByPath.size(path).is_err()
     } else {
@@ -223,7 +223,7 @@ fn listing(facts: &BTreeMap<String, String>) -> String {
     lines.concat()
 }
 
-/// Lines below a title; nothing for none.
+/// Lines below a title; an empty text if there are none.
 fn section(title: &str, lines: &[String]) -> String {
     match lines {
         [] => String::new(),

@@ -398,8 +398,7 @@ fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Added to the standard deviations of released statistics, as the released code does, so that nothing
-/// is divided by zero.
+/// Constant that the released code adds to standard deviations, to avoid division by zero.
 const TINY_SPREAD: f32 = 1e-12;
 
 fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> anyhow::Result<()> {
@@ -444,7 +443,7 @@ fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> any
 }
 
 fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
-    // Newer checkpoints hold the averaged weights beside the others.
+    // Newer checkpoints also hold averaged weights.
     let options = StateDictOptions {
         nested: &["model_avg", "model"],
         ..StateDictOptions::default()

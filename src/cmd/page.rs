@@ -207,8 +207,7 @@ fn settings_of(edits: &[EditFacts]) -> BTreeMap<&str, serde_json::Value> {
     settings
 }
 
-/// The edit that a page opens with: that of [`best_edit`], between its source and its target. `None` without
-/// edits.
+/// The first edit on a page: [`best_edit`], between its source and its target. `None` without edits.
 pub(crate) fn opening(
     answered: &Answered,
     unknown: &BTreeSet<String>,
@@ -286,15 +285,15 @@ fn marked_strip(
     })
 }
 
-/// The joints an item asks to change: those its target took, or those of its parts where nothing was
-/// blended; none where neither is known.
+/// Joints that an item asks to change: those its target took, or, if nothing was blended, those of its parts; none if
+/// neither is known.
 fn edited_joints(item: &ItemRow) -> anyhow::Result<JointSet> {
     if !item.hard_joints.is_empty() {
         return Ok(JointSet::try_from(item.hard_joints.clone())?);
     }
     let mut joints = JointSet::EMPTY;
     for part in &item.parts {
-        // Items made elsewhere may name parts that have no joints of their own here.
+        // Items made elsewhere may name parts that this program does not know.
         if let Ok(part) = part.parse::<BodyPart>() {
             joints = joints.union(part.mask().hard());
         }

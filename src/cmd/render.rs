@@ -246,7 +246,7 @@ impl Picture {
         Ok(())
     }
 
-    /// The file, of the format that its extension says.
+    /// The picture in the format of its extension.
     fn encoded(&self, args: &Args) -> anyhow::Result<Vec<u8>> {
         let style = Style {
             num_figures: args.figures,

@@ -219,7 +219,7 @@ fn dry_run(
     /// Items of a sample.
     const SAMPLE: u64 = 16;
     let folder = NewFolder::beside(&temporary_beside(&std::env::temp_dir().join("stance")))?;
-    // A plan is written where nothing is.
+    // A plan needs an unused path, so a dry run writes it into a temporary folder.
     let place = folder.path().join("plan");
     let plan = make(&place)?;
     let worker = Worker::open(&place, jobs())?;
@@ -358,7 +358,7 @@ fn chosen(args: &WorkArgs, plan: &Plan) -> anyhow::Result<Vec<String>> {
     Ok(ids)
 }
 
-/// Makes a piece in a process of its own.
+/// Makes a piece in a child process.
 fn isolated(
     args: &WorkArgs,
     worker: &Worker,

@@ -210,7 +210,7 @@ fn a_failure_is_json_too_where_json_is_asked_for() {
             (code, item),
             "{args:?}"
         );
-        // The reason is what stderr says.
+        // The recorded reason equals the message on stderr.
         assert!(
             ran.stderr
                 .contains(failure.reason.lines().next().expect("a reason"))
@@ -260,7 +260,7 @@ fn names_that_are_not_text_stay_apart_and_never_reach_the_terminal() {
     let mut ids: Vec<&str> = rows.iter().map(|row| row.id.as_str()).collect();
     ids.sort_unstable();
     assert_eq!(ids, [r"a\\xff", r"a\xfe", r"a\xff", r"red\x1b[31m"]);
-    // The labels beside each are found under their true names.
+    // Labels beside each file are found under the file's true name.
     assert!(rows.iter().all(|row| row.captions.len() == 1), "{rows:?}");
 }
 

@@ -50,7 +50,7 @@ fn nearly_equal_motions_share_a_split() {
     verified(&grown);
     let after = clips(&grown);
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
-    // A list that puts them apart is obeyed, and said.
+    // A list that separates the clips is obeyed, with a remark.
     let list = dir.path().join("splits.csv");
     put(&list, "clip,split\ncopies/*,test\ncorpus/*,train\n");
     let apart = dir.path().join("apart");

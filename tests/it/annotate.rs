@@ -52,7 +52,7 @@ fn begun(command: &mut Command) -> (Child, String) {
     (child, line)
 }
 
-/// A server that is a process of its own.
+/// A server in a separate process.
 struct Process {
     child: Child,
     url: String,
@@ -137,7 +137,7 @@ impl Person {
         Self::of_store(&[], dataset, name, role)
     }
 
-    /// Somebody of a store that options name.
+    /// A user of the store that the options name.
     fn of_store(options: &[&str], dataset: &Path, name: &str, role: &str) -> Self {
         let add = ["--json", "user", "add", name, "--role", role];
         let args = [&["annotate", arg(dataset)], options, &add].concat();
@@ -222,7 +222,7 @@ fn wants_one_answer(dataset: &Path) {
     set(&dataset.join("annotate/store.sqlite"));
 }
 
-/// Gives a store the settings of these tests.
+/// Applies the settings of these tests to a store.
 fn set(file: &Path) {
     let store = open_sqlite(file).expect("a store");
     store.put_settings(1, settings(), 0).expect("settings");
@@ -396,7 +396,7 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
             assert!(read(folder) == read(folders[0]), "{folder}/{name} differs");
         }
     }
-    // Every layout marks what somebody accepted of their own.
+    // Every layout marks answers that a reviewer wrote and accepted.
     let rows: Vec<AnnotationRow> =
         read_rows(&file("parquet1").join("annotations.parquet")).expect("rows");
     let marked = |marks: Vec<Option<String>>| {
@@ -484,7 +484,7 @@ fn backups_are_made_on_a_schedule_and_the_last_ones_kept() {
     let folder = dataset.join("annotate").join("backups");
     let mut command = command(&["annotate", data, "--listen", "127.0.0.1:0"]);
     command.args(["--backup-hours", "1", "--backups", "1"]);
-    // The first copy is made before the server says where it listens.
+    // The first backup is made before the server prints its address.
     drop(Process::spawn(command));
     let copies = |folder: &Path| -> Vec<PathBuf> {
         let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
@@ -621,7 +621,7 @@ fn the_store_can_be_named_where_others_do_not_see_it() {
     assert!(run(Some(arg(&file)), &["user", "add", "ann"]).0);
     assert!(file.is_file());
     assert!(!dataset.join("annotate/store.sqlite").exists());
-    // Nobody answers at this address. The password is in no message.
+    // No server listens at this address. The password must not be in any message.
     let address = "postgres://ann:secret@127.0.0.1:1/stance";
     for (store, args, is_warned) in [
         (None, &["--store", address, "user", "list"][..], true),
@@ -690,7 +690,7 @@ fn where_the_disk_takes_no_more_answers_are_refused_and_none_is_lost() {
     let (_dir, dataset) = dataset(4);
     let ann = Person::new(&dataset, "ann", "annotator");
     wants_one_answer(&dataset);
-    // No file of the server may grow beyond so many kilobytes; the signal that says so is ignored.
+    // Limits the size of the server's files in kilobytes; the signal for exceeding it is ignored.
     let mut shell = Command::new("bash");
     shell
         .args(["-c", "trap '' XFSZ; ulimit -f 1500; exec \"$@\"", "limited"])
@@ -749,7 +749,7 @@ fn where_the_disk_takes_no_more_answers_are_refused_and_none_is_lost() {
         next.task.expect("the task is still hers")
     };
     assert_eq!(view.mine.as_ref().expect("her draft").rev, rev);
-    // The one that was refused is sent again and taken once.
+    // The refused event is sent again and stored once.
     let path = format!("tasks/{}/events", view.task.id);
     let results: EventResults = ann.post(&server.url, &path, &draft(rev));
     assert_eq!(results.results[0].status, 200);
@@ -971,7 +971,7 @@ fn two_servers_of_one_store_give_nothing_twice() {
         times.sort();
         [0.5, 0.99].map(|share| times[((times.len() - 1) as f64 * share).round() as usize])
     });
-    // Figures are printed and not judged: they are those of the machine.
+    // Times are printed and not asserted: they depend on the machine.
     let _said = writeln!(
         std::io::stderr().lock(),
         "load on PostgreSQL: {people} annotators x {each} of {tasks} tasks on two servers in {took:.1?}; \
@@ -994,7 +994,7 @@ fn two_servers_of_one_store_give_nothing_twice() {
     assert_eq!(store.verify().expect("checks"), Vec::<String>::new());
 }
 
-/// The styles of a dataset are those of its project; texts and colours come from a file and go out as one.
+/// Styles of a dataset become those of its project; texts and colours are imported from a file and exported as one.
 #[test]
 fn styles_go_into_another_project_as_they_come_out() {
     let (dir, dataset) = dataset(24);

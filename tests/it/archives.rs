@@ -149,7 +149,7 @@ pub(crate) fn packed(name: &str, files: &Files) -> Vec<u8> {
     }
 }
 
-/// A workplace with a folder for temporary files of its own.
+/// A test folder with its own folder for temporary files.
 struct Place {
     dir: tempfile::TempDir,
 }
@@ -170,7 +170,7 @@ impl Place {
         fs::write(path, bytes).expect("written");
     }
 
-    /// Runs the command. Nothing it unpacks stays.
+    /// Runs the command, and checks that no unpacked file remains.
     fn run(&self, args: &[&str], code: i32) -> Ran {
         let ran: Ran = command(args)
             .env("TMPDIR", self.path("tmp"))
@@ -257,7 +257,7 @@ fn every_kind_of_archive_is_a_folder_of_its_name() {
                 row.id
             );
         }
-        // The next day nothing changed, and the folder of the user holds what it held.
+        // The next day nothing changed, and the user's folder is unchanged too.
         let again = place.ingest(&source, &out, 0);
         assert_eq!(again["already_complete"], true, "{name} {again}");
         assert_eq!(again["root_hash"], done["root_hash"], "{name}");

@@ -25,7 +25,7 @@ struct Capture {
 }
 
 impl Capture {
-    /// Somebody who wears a set and does this.
+    /// A capture of a person with a marker set, in these poses.
     fn of(set: &MarkerSet, poses: &[Pose]) -> Self {
         let skeleton = Skeleton::smplx_neutral();
         let labels: Vec<String> = set.labels().map(str::to_owned).collect();
@@ -272,7 +272,7 @@ fn unknown_labels_are_quarantined_until_a_marker_set_is_given() {
     );
     let markers: Vec<MarkerRow> = dataset.read(None).expect("rows");
     assert!(markers.is_empty());
-    // The same is said before any work, and of the file alone.
+    // `doctor` reports the same before any work, from the file alone.
     let said = stance(&["doctor", arg(&source)]).printed();
     assert!(said.contains("2 motions of 2 captures"), "{said}");
     assert!(said.contains(reason.as_str()), "{said}");
@@ -374,14 +374,14 @@ fn each_person_of_a_capture_is_a_clip() {
     let ben = |who: usize| Capture::of(set("plug-in-gait"), &walks[who]).named("Ben:");
     put(&source, "take.c3d", anna.and(ben(1)).c3d());
     put(&source, "other.trc", third.and(ben(3)).trc());
-    // One person with a name, beside an object, keeps the id of the file.
+    // One named person beside an object: the clip keeps the id of the file.
     let mut object = fifth;
     object.labels.push("Box:1".to_owned());
     for frame in &mut object.frames {
         frame.push(Some(DVec3::new(5.0, 1.0, 0.5)));
     }
     put(&source, "alone.c3d", object.c3d());
-    // Somebody whose labels are unknown is not lost.
+    // A subject with unknown labels is reported, not dropped.
     let mut strange = sixth.and(ben(1));
     for label in &mut strange.labels[41..] {
         *label = label.replace(':', ":q");
@@ -412,7 +412,7 @@ fn each_person_of_a_capture_is_a_clip() {
         };
         let subject = id.contains('#').then_some(name);
         assert_eq!(row.subject.as_deref(), subject, "{id}");
-        // Ben stands 2 m beside.
+        // Ben stands 2 m to the side.
         let mut poses = walks[who].clone();
         for pose in poses.iter_mut().filter(|_| name == "Ben") {
             pose.transl.x += 2.0;
@@ -528,7 +528,7 @@ fn points_at_the_origin_are_not_seen() {
     let mut unseen = whole.clone();
     unseen.frames.iter_mut().for_each(|frame| frame.fill(None));
     put(&source, "unseen.c3d", unseen.c3d());
-    // A file that writes the origin for a marker that was not seen is read as if it said so.
+    // In a file that writes the origin for unseen markers, these count as unseen.
     let mut some = whole;
     for frame in &mut some.frames[..10] {
         frame[3] = Some(DVec3::ZERO);

@@ -109,7 +109,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         assert!(!report.contains(foreign), "the report holds {foreign}");
     }
 
-    // Nothing is left to do, so the models are not trained again and the numbers are the same.
+    // Nothing remains to do, so the models are not trained again and the numbers are the same.
     let before = fs::read(run.join("runs/motionrefit/metrics.jsonl")).expect("metrics");
     let again: Run = stance(&["--json", "run", "--weak-judge", "--config", arg(&config)]).done();
     let after = fs::read(run.join("runs/motionrefit/metrics.jsonl")).expect("metrics");
@@ -144,7 +144,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         &["builtin.toml:1:11: encoder is \"builtin\", or a section [encoder]"],
     );
 
-    // Each stage is also a verb of its own.
+    // Each stage also has its own verb.
     let dataset = run.join("dataset");
     let explained = typed(
         "--json triplets {} --explain train-semantic-0-3",

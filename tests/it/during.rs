@@ -131,7 +131,7 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     assert_eq!(kept_by(first, second), outside(40..70));
     assert_eq!(kept_by(opened, second), outside(30..70));
 
-    // A file of another rate than that of edits keeps it, so that frames are those of the file.
+    // A file whose rate differs from that of edits keeps its rate, so that frame numbers refer to the file.
     let file = workshop.clip();
     let skeleton = Skeleton::smplx_neutral();
     let source = clip_of_file(&file, &skeleton).expect("a clip");

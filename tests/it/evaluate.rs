@@ -79,7 +79,7 @@ impl Bench {
         out
     }
 
-    /// Evaluates edits; without a table among `more`, in that of the paper's columns.
+    /// Evaluates edits; unless `more` names a table, with the paper's columns.
     pub(crate) fn eval(&self, edits: &[&Path], more: &[&str]) -> Ran {
         let mut args = vec![
             "eval",
@@ -379,7 +379,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     assert!(out.join("figures/both.png").exists());
     let pictures = first["pictures"].as_array().expect("a list");
     assert_eq!(pictures.len(), 3);
-    // The rule by which these are chosen stands beside the instruction: how much closer to the target an edit is.
+    // The selection rule is printed beside the instruction: how much closer to the target an edit is.
     let [worst, best] = ["worst", "best"].map(|name| {
         let drawn = text_of(out.join(format!("figures/{name}.svg")));
         let (before, _) = drawn.split_once(" cm closer)").expect("a gain");
@@ -460,7 +460,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     assert_eq!(text_of(&old), "old");
     assert!(text_of(&page).contains("guidance"));
 
-    // Trainings one after the other give the same scores.
+    // Trainings in sequence give the same scores.
     let other = bench.workshop.path("one-by-one");
     let one_by_one: Value = typed(
         "--json reproduce --weak-judge {} --at-once 1 --out {}",
@@ -883,7 +883,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
 
     // The same edits are ranked by the encoder of the program; a folder without a report is not believed.
     let ranked = typed("eval {} --encoder builtin --repeats 2", &[&edits]).printed();
-    // Novelties of few items have tables of their own below, which need not rank.
+    // Novelties with few items get separate tables below, which may be unranked.
     let first = ranked.lines().next().expect("a table");
     assert!(
         !first.contains(sentence) && ranked.starts_with("semantic"),

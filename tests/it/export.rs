@@ -59,7 +59,7 @@ fn round_trip(layout: &str, tolerance: f64, name: impl Fn(&str) -> String) {
 
 #[test]
 fn amass_archives_come_back() {
-    // The archives have 60 fps, of which every third frame is read; numbers pass through f32.
+    // The archives have 60 fps, of which every third frame is read; numbers are stored as f32.
     round_trip("amass", 1e-5, |id| format!("{id}_stageii"));
 }
 

@@ -324,7 +324,7 @@ fn a_dataset_among_the_sources_keeps_what_people_made() {
     commit_rows(&dataset, &masks, Some(of_mask), &skeleton, "masks", "test").expect("masks");
     commit_rows(&dataset, &pairs, Some(of_pair), &skeleton, "pairs", "test").expect("pairs");
 
-    // A second source beside it: the dataset is one of several folders.
+    // A second source: the dataset now has several folders.
     let (_, second) = again(dir.path(), &[&dataset], "second");
     assert_eq!(labels(&second), labels(&rows));
     let read = |name: &str| Dataset::open(&dir.path().join(name)).expect("a dataset");
@@ -457,7 +457,7 @@ fn captions_without_tags_are_said_before_anything_is_written() {
         stance(&["export", arg(&dataset), "--to", layout, "--out", arg(out)])
     };
     let said = format!("{untagged} captions have no tokens with part-of-speech tags");
-    // The folder cannot be made, and yet it is said.
+    // The folder cannot be created, and the warning is still printed.
     let file = dir.path().join("file");
     put(&file, "");
     export("humanml3d", &file.join("out")).expect_refused(&said);

@@ -98,7 +98,7 @@ fn bvh(rig: &Rig, six_channels: &[&str], poses: &[Pose], frame_time: &str, ends:
     bvh_in(100.0, rig, six_channels, poses, frame_time, ends)
 }
 
-/// The same in another unit, of which a metre has so many.
+/// The same in another unit, with this many units per metre.
 fn bvh_in(
     per_metre: f64,
     rig: &Rig,
@@ -585,7 +585,7 @@ fn bvh_is_one_motion_in_any_unit_and_a_wrong_unit_is_refused() {
     for row in &rows {
         assert_shows(row, &poses, 1);
     }
-    // A short person in centimetres is as good, and that is said.
+    // A short person in centimetres is plausible too, and a note says so.
     for (id, words) in [
         ("cm", "unit centimetres (a leg measures"),
         ("m", "unit metres (a leg measures"),

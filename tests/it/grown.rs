@@ -109,7 +109,7 @@ pub(crate) fn halves(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
     (dir, first, second)
 }
 
-/// A corpus of so many clips, and a dataset of it.
+/// A corpus of this many clips, and a dataset of it.
 pub(crate) fn begun(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
     let dir = corpus(clips);
     let [source, dataset] = ["corpus", "dataset"].map(|name| dir.path().join(name));

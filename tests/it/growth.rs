@@ -49,7 +49,7 @@ fn judged_masks_survive_a_file_that_is_added() {
     let old = Dataset::open(&dataset).expect("a dataset");
     let kept = old.manifest().tables["motions"].iter();
     assert!(kept.clone().any(|file| !file.path.contains(".v")));
-    // The new clip gets an automatic mask, and those of people stay.
+    // The new clip gets an automatic mask, and masks by people stay.
     stance(&["masks", arg(&dataset)]).expect_code(1);
     stance(&["masks", arg(&dataset), "--add"]).expect_code(0);
     let all = masks(&dataset);
@@ -236,7 +236,7 @@ fn labels_of_clips_that_change_are_not_lost_unasked() {
             .root_hash,
         root_hash
     );
-    // The file is back: nothing happened.
+    // The file is restored: the dataset does not change.
     put(&file, &kept);
     assert_eq!(
         ingest(&[&source], &dataset, &[], 0)["already_complete"],
@@ -274,7 +274,8 @@ fn a_file_that_moves_keeps_its_clip_and_so_does_one_that_goes() {
     assert_eq!(grown["growth"]["new"], 0);
     assert_eq!(clips(&dataset), before);
     assert_eq!(masks(&dataset), judged);
-    // A file goes. Its clip stays until pruning is asked for, with its labels until that is said too.
+    // A file is removed. Its clip stays until pruning is requested, and pruning needs another flag if labels would be
+    // lost.
     fs::remove_file(&all[3]).expect("removed");
     let kept = ingest(&[&source], &dataset, &[], 0);
     assert_eq!(len_of(&kept["growth"]["missing"]), 1);
@@ -342,7 +343,7 @@ fn a_file_that_could_not_be_read_is_tried_again_by_the_same_command() {
     let file = files(&source)[0].clone();
     let aside = dir.path().join("aside");
     fs::rename(&file, &aside).expect("moved");
-    // A link to nothing cannot be read.
+    // A broken link cannot be read.
     std::os::unix::fs::symlink(dir.path().join("nothing"), &file).expect("linked");
     let first = ingest(&[&source], &dataset, &[], 3);
     assert_eq!(first["codes"]["E-IO"], 1);

@@ -384,7 +384,7 @@ fn what_may_not_be_passed_on_is_refused() {
         .expect_refused(tag);
     hub.push(&restricted, "lab/other", &["--license", tag]);
 
-    // A run is under what its data is under.
+    // A run's licence is that of its data.
     let run = dir.path().join("run");
     let data = Dataset::open(&restricted).expect("a dataset");
     run_folder(&run, &data.content_hash(&[MotionRow::TABLE]));

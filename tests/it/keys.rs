@@ -37,7 +37,7 @@ fn splits(dataset: &Path) -> BTreeMap<String, Split> {
     splits
 }
 
-/// Writes pairs of MotionFix under the keys from 0, whose motions are those of the numbers from `first`.
+/// Writes pairs of MotionFix under the keys from 0; their motions have the numbers from `first`.
 fn put_pairs(folder: &Path, first: usize, count: usize) -> Vec<String> {
     let keys: Vec<String> = (0..count).map(|key| format!("{key:06}")).collect();
     let pairs = keys.iter().zip(first..).map(|(key, number)| {
@@ -284,7 +284,7 @@ fn two_folders_of_motionx_stay_two() {
         let is_first = row.source_path.starts_with("motionx-a/");
         assert_eq!(row.captions.is_empty(), !is_first, "{}", row.source_path);
     }
-    // A listed id without a motion is said.
+    // A listed id without a motion is reported.
     let done = ingest(&[&dir.path().join("motionx-a")], &dir.path().join("said"));
     assert!(
         done["remarks"]

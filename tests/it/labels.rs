@@ -155,7 +155,7 @@ fn a_folder_says_what_its_clips_are_and_the_nearer_wins() {
     );
     stance(&["verify", arg(&sources.path("out"))]).expect_code(0);
 
-    // A file that is a source of its own has the labels beside it.
+    // The labels beside a file also apply if the file is a source by itself.
     let lone = sources.path("lone");
     let file = sources.path("in/inner/run.bvh");
     stance(&["ingest", arg(&file), "--out", arg(&lone)]).expect_code(0);
@@ -207,7 +207,7 @@ fn a_bad_label_costs_the_label_and_not_the_motion() {
         let notes = labelled[id].notes.join("\n");
         assert!(notes.contains(file), "{id}: {notes}");
     }
-    // Run again, nothing is done, and the same is said.
+    // A second run does nothing, and prints the same report.
     let again: Value = sources.run("out", &[]).done();
     assert_eq!(again["already_complete"], true);
     assert_eq!(problems(&again), found);

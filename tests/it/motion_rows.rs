@@ -73,7 +73,7 @@ fn motions_are_read_by_the_positions_of_their_rows_and_not_before() {
         let file = File::options().write(true).open(file).expect("a file");
         file.set_len(0).expect("emptied");
     }
-    // The other columns are in memory; motions of the removed file cannot be read any more.
+    // The other columns are in memory; motions of the emptied file cannot be read any more.
     assert_eq!(answered.edits.facts()[0], EditFacts::from(&expected[0]));
     assert!(answered.edits.rows(&[0]).is_err());
     assert!(answered.edits.rows(&[expected.len() - 1]).is_ok());

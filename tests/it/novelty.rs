@@ -185,7 +185,7 @@ fn a_dataset_that_is_not_that_of_a_test_set_is_refused() {
 fn clips_without_labels_have_no_novelty() {
     let dir = tempfile::tempdir().expect("a folder");
     let dataset = dataset(dir.path(), "330");
-    // All that training shows is gone, so nothing is known of what it shows.
+    // The training split is removed, so the novelty is unknown.
     let alone = dir.path().join("alone");
     typed(
         "dataset select {} --where {} --out {}",
@@ -197,7 +197,7 @@ fn clips_without_labels_have_no_novelty() {
     assert_eq!(done["novelty"]["not known"], 12, "{done}");
 }
 
-/// Ingests the questions of a limit by one of its lists, and draws all of them.
+/// Ingests the questions of one limit with one of its lists, and draws all of them.
 fn questions(dir: &Path, limit: &str, list: &str) -> Vec<ItemRow> {
     let sources = dir.join("limits").join(limit);
     let pairs = sources.join(list);
@@ -224,7 +224,7 @@ fn limits_are_asked_in_a_set_each_and_wordings_beside_those_of_training() {
         let with_words = items.iter().filter(|item| item.instruction.contains(words));
         assert_eq!(with_words.count(), if limit == "spatial" { 60 } else { 20 });
     }
-    // The same motions, donors and parts, asked for in other words.
+    // The same motions, donors and parts, with other instructions.
     let key = |item: &ItemRow| (item.origin.clone(), item.parts.clone());
     let by_origin = |items: Vec<ItemRow>| -> BTreeMap<_, ItemRow> {
         items.into_iter().map(|item| (key(&item), item)).collect()

@@ -112,7 +112,7 @@ fn a_dataset_that_grows_keeps_the_splits_and_the_seed_it_was_made_with() {
     let before = splits(&dataset);
     assert!(before.len() < 60 && before.values().any(|split| *split != Split::Train));
 
-    // Another seed changes nothing, and says so.
+    // Another seed changes nothing, and a remark says so.
     let again = ingest(&part, &dataset, &["--seed", "9"], 0);
     assert_eq!(again["already_complete"], true);
     assert_eq!(again["root_hash"], made["root_hash"]);
@@ -224,7 +224,7 @@ fn adjusted_clips_of_the_corpus_become_fine_grained_items() {
     let made = ingest(&source, &dataset, &["--pairs", arg(&list)], 0);
     assert_eq!(made["ingested"], CLIPS_PER_TAKE + 52);
     assert_eq!(made["tables"]["pairs"], 52);
-    // Pairs from labels stand beside those of the list, and an adjusted clip is no style.
+    // Pairs from labels are added to those of the list, and an adjusted clip does not count as a style.
     let both: Json = stance(&["--json", "pairs", arg(&dataset)]).done();
     assert_eq!(
         (&both["pairs"], &both["alone"]),
@@ -537,7 +537,7 @@ fn a_coordinator_without_two_clips_to_compose_says_what_is_missing() {
     let source = dir.path().join("corpus");
     let dataset = dir.path().join("dataset");
     ingest(&source, &dataset, &[], 0);
-    // One BVH clip of the training split is left, and pairs are made of the other kind.
+    // One BVH clip of the training split remains, and pairs of the other kind are added.
     let rows = rows_of::<MotionRow>(&dataset);
     let is_kept = |row: &&MotionRow| row.source == "bvh" && row.split == Split::Train;
     let kept = rows

@@ -25,7 +25,7 @@ fn ids(dataset: &Path) -> BTreeSet<String> {
     rows.into_iter().map(|row| row.id.to_string()).collect()
 }
 
-/// A folder with motions of these names and nothing else.
+/// A folder with motions of these names and no other files.
 fn motions(dir: &Path, names: &[&str]) -> PathBuf {
     let files = files_with_extension(&dir.join("corpus"), "npz");
     let source = dir.join("source");

@@ -40,7 +40,7 @@ fn changed(bench: &Bench, name: &str, change: impl Fn(&mut ItemRow)) -> PathBuf 
     out
 }
 
-/// The one row of a system and a metric over all tasks there are.
+/// The only row of a system and a metric over all tasks.
 pub(crate) fn score<'a>(scores: &'a Value, system: &str, metric: &str) -> &'a Value {
     let rows = scores.as_array().expect("rows");
     rows.iter()
@@ -168,7 +168,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     let of_repeats = table(&["--interval", "repeats"]);
     assert_eq!(of_repeats.conditions, conditions("over the repeats"));
     of_repeats.check_measured(&names, &over_repeats);
-    // The rate in the documents is the one that is printed here.
+    // The rate in the documents equals the printed one.
     let document = include_str!("../../eval/docs/encoders.md");
     let line = document
         .lines()
@@ -475,7 +475,7 @@ fn pairs_of_motionfix_fill_its_tables() {
             .contains("28 and 22")
     );
 
-    // Nothing was blended, and the part is marked all the same.
+    // Nothing was blended, and the part is still highlighted.
     let page = bench.workshop.path("page.html");
     stance(&["report", arg(&edits), "--out", arg(&page)]).expect_code(0);
     let html = text_of(&page);
@@ -590,7 +590,7 @@ fn how_motions_move_stands_beside_real_data() {
         for system in ["Real Data", "Identity", "MotionReFit"] {
             let mean = score(&scores, system, metric.name)["mean"].as_f64();
             let mean = mean.expect("a number");
-            // Nobody needs to glide, and targets do not by definition.
+            // A share of zero is valid for gliding, and targets have it by definition.
             match metric.name {
                 "Gliding (%)" if system == "Real Data" => assert_eq!(mean, 0.0),
                 "Gliding (%)" => assert!((0.0..=100.0).contains(&mean), "{system} {mean}"),

@@ -239,8 +239,8 @@ fn reached<'a>(
     found
 }
 
-/// The one circle that stands, in `datasets-spec`. It is cut in a file whose change asks for another run of the cluster
-/// (`pipeline/cluster/check`).
+/// The only allowed import cycle, in `datasets-spec`. Removing it changes a file whose changes require another run of
+/// the cluster (`pipeline/cluster/check`).
 const STANDING: [&str; 3] = [
     "dataset::shards",
     "dataset::staging",

@@ -489,7 +489,7 @@ fn an_export_that_was_changed_is_refused_with_both_names() {
     let listed = stance(&["inspect", arg(&again), "--list", "quarantine"]).printed();
     assert_has(&listed, &[first.0, second.0]);
     assert!(listed.contains("masks.jsonl holds the masks"), "{listed}");
-    // The other motions are as they were.
+    // All other motions are unchanged.
     let motions: Vec<MotionRow> = made.rows("again");
     let all: Vec<MotionRow> = made.rows("dataset");
     assert_eq!(motions.len() + 1, all.len());
@@ -525,7 +525,7 @@ fn every_answer_of_a_project_comes_back_by_way_of_the_stance_layout() {
     );
     assert_eq!(answers.iter().filter(|row| row.extent.is_some()).count(), 6);
     assert_eq!(made.answers("dataset", "fresh.sqlite"), answers);
-    // Lists that say something else than the table are not passed over in silence.
+    // Lists that contradict the table are reported.
     put(to.join("mask_all.json"), "{}");
     let (dataset, store) = (made.path("dataset"), made.path("third.sqlite"));
     let refused =
@@ -561,7 +561,8 @@ fn a_spreadsheet_and_the_dataset_count_what_they_leave_out() {
     );
 }
 
-/// Unfinished work moves to a dataset that was ingested elsewhere, with other content of its clips and without one.
+/// A project with unfinished work moves to another computer, where the dataset was ingested again: one clip has other
+/// content, and one is missing.
 #[test]
 fn a_packed_project_goes_on_where_it_is_unpacked() {
     let made = Labelled::new();
@@ -589,7 +590,7 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
     of(&dataset, &store, &["pack", arg(&file)]).expect_code(1);
     of(&dataset, &store, &["unpack", arg(&file)]).expect_refused("stays");
 
-    // The same dataset: nothing is asked again, and nobody can log in with an old token.
+    // With the same dataset, no task is asked again, and old tokens are invalid.
     let moved: Value = of(&dataset, &fresh, &["unpack", arg(&file)]).done();
     assert_eq!(
         (&moved["people"], &moved["changed"]),
@@ -619,7 +620,7 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
         serde_json::json!([])
     );
 
-    // Not a project: nothing is left.
+    // The file is not a project: no store remains.
     let nothing = made.path("nothing.sqlite");
     put(made.path("text"), "no project");
     of(&dataset, &nothing, &["unpack", arg(&made.path("text"))]).expect_code(1);
@@ -769,7 +770,7 @@ fn features_and_chosen_clips_are_counted_too() {
     };
     let said = export(&dataset, "stance", "a", &[]);
     assert_eq!(said["left_out"]["humanml3d_features"], rows, "{said}");
-    // A pair of which one motion is not chosen.
+    // A pair with only one chosen motion.
     let pairs: Vec<PairRow> = made.rows("dataset");
     let chosen = format!("id = '{}'", pairs[0].source_id);
     let touched = pairs
@@ -777,7 +778,7 @@ fn features_and_chosen_clips_are_counted_too() {
         .filter(|pair| [&pair.source_id, &pair.target_id].contains(&&pairs[0].source_id));
     let said = export(&made.path("dataset"), "stance", "b", &["--where", &chosen]);
     assert_eq!(said["left_out"]["pairs"], touched.count(), "{said}");
-    // Plans say it as well.
+    // A planned export gives the same warning.
     let (plan, out) = (made.path("plan"), made.path("planned"));
     let dataset = made.path("dataset");
     typed(

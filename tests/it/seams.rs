@@ -1,5 +1,4 @@
-//! An edit has the length of its source, the rate and the anchor of the training, and says what it does
-//! not know.
+//! An edit has the length of its source and the rate and anchor of the training, and warns about unknown words.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -223,7 +222,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
             "{word} is in no instruction"
         );
     }
-    // The report says so beside the instruction.
+    // The report shows the unknown words beside the instruction.
     let (page, edits) = (workshop.path("page.html"), workshop.path("edits"));
     let remarks = edits.join("remarks.json");
     let first = asked[0].instruction.to_lowercase();
@@ -255,7 +254,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
         "{found:?}"
     );
 
-    // A model of longer windows edits what is shorter than one, and says how many those are.
+    // A model with longer windows edits shorter motions, and warns how many these are.
     let toml = workshop.path("long.toml");
     let small = text_of(workshop.path("small.toml"));
     put(&toml, format!("window = 28\n{small}"));
@@ -283,7 +282,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     assert_eq!(said["num_short"], short);
     ran.expect_said("shorter than a window");
 
-    // Words of no training instruction, and a range of half a second.
+    // An instruction with unknown words, and a range of half a second.
     let clip = workshop.clip();
     let out = workshop.path("said");
     let ran = typed(
@@ -295,7 +294,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     assert_eq!(said["unknown_words"], json!(["levitate", "ultrasonically"]));
     ran.expect_said("never seen levitate, ultrasonically");
 
-    // The published fit needs its network, and its rows say that it was used.
+    // The published fit needs its network, and its rows record that it was used.
     let refused = |args: &[&str]| stance(args).refusal();
     let published = [
         "edit",
@@ -349,7 +348,7 @@ fn windows_of_a_trained_editor_join() {
     let bench = Bench::open();
     bench.items("asked", &["--count", "24"]);
     let small = text_of(bench.workshop.path("small.toml"));
-    // The steps and the noise of the predictions that are compared; those of the preset belong to another one.
+    // The steps and the noise of the compared predictions; the preset's belong to another prediction.
     let plain = "[diffusion]\nnoise = \"white\"\nschedule = \"rescaled\"\nnum_steps = 50\ntemperature = 1.0\nbone_weight = 0.0\ntell_frames = false\n";
     for (run, diffusion) in [
         (

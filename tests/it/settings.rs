@@ -1,4 +1,4 @@
-//! Errors in files of settings are said once, with file, line and column; log lines say whose they are.
+//! Errors in settings files are reported once, with file, line and column; log lines name the run that they belong to.
 
 use crate::train::Workshop;
 use crate::util::{arg, put, stance};

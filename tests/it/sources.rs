@@ -33,7 +33,7 @@ fn named(name: &str, path: &Path) -> String {
     format!("{name}={}", arg(path))
 }
 
-/// Makes an ingestion that asks, and returns what it says.
+/// Runs an ingestion that must be refused with a question, and returns its message.
 fn asked(sources: &[String], out: &Path) -> String {
     let said = grow(sources, out, &[], 2);
     assert_eq!(said["code"], "E-SOURCE-NAME", "{said}");

@@ -73,7 +73,7 @@ fn clips_of_a_subject_share_a_drawn_split_also_when_more_of_them_come() {
         first["remarks"].to_string().contains("state no subject"),
         "{first}"
     );
-    // The files that come later are of another source, whose subjects are other people; those of the first stay.
+    // Files that are added later belong to another source with other subjects; earlier clips keep their splits.
     let before = of_subjects(&dataset);
     move_files(&files(&later), &source);
     ingest(&[&source], &dataset, &[], 0);

@@ -20,7 +20,7 @@ use crate::util::{
 };
 use crate::variants::{ANY as ANY_PAIR, SMALL as SMALL_GENERATOR};
 
-/// Clips of the corpus of which the training split takes two shards.
+/// Number of clips for which the training split has two shards.
 const CLIPS: usize = 340;
 
 /// The document of `stage commit --json`, as a script relies on it.
@@ -188,7 +188,7 @@ fn root_hash_in_pieces(job: &[&str], into: &Path, plan: &Path) -> String {
     assert_eq!(done.pieces, ids.len() as u64);
     let again = commit(plan, &[], 0);
     assert!(again.already_committed && again.root_hash == done.root_hash);
-    // A late worker finds that nothing is left to do, and leaves nothing behind.
+    // A late worker has nothing to do, and leaves no files.
     let late = work(plan, &[], 0);
     assert_eq!(count(&late, Outcome::DoneBefore), ids.len());
     assert!(status(plan).committed);
@@ -748,7 +748,7 @@ fn exports_in_pieces_are_those_of_one_process() {
         assert!(files_below(&into) == files_below(&clean), "{layout}");
         let again = commit(&plan, &[], 0);
         assert!(again.already_committed && again.root_hash == done.root_hash);
-        // A late worker finds that nothing is left to do, and leaves nothing behind.
+        // A late worker has nothing to do, and leaves no files.
         assert_eq!(
             count(&work(&plan, &[], 0), Outcome::DoneBefore),
             ids.len(),

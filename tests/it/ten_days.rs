@@ -31,7 +31,7 @@ fn copy_twins(names: &[PathBuf], motions: &[PathBuf], from: &Path, to: &Path) {
     }
 }
 
-/// A dataset, with what is known of it by the people whose it is.
+/// A dataset, and the state that its owners expect.
 struct Days {
     dataset: PathBuf,
     /// The split in which each clip was first seen.
@@ -71,7 +71,7 @@ impl Days {
         }
     }
 
-    /// Ingests sources. Every change is told before it is made, and telling changes nothing.
+    /// Ingests sources. A dry run first predicts every change, and changes nothing.
     fn grow(&self, sources: &[&Path], more: &[&str]) -> Value {
         let mut args = vec!["--json", "ingest", "--dry-run", "--out", arg(&self.dataset)];
         args.extend(sources.iter().map(|source| arg(source)));
@@ -129,7 +129,7 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     days.check("a second person");
     let of_friend = |row: &&datasets_spec::record::MotionRow| row.source_name == "friend";
     assert_eq!(motions(&dataset).iter().filter(of_friend).count(), 4);
-    // 6 change a file that people have labelled: refused until they say so.
+    // 6 change a file with labels by people: refused until a flag allows it.
     let rows = motions(&dataset);
     let row = rows
         .iter()
@@ -194,7 +194,7 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     let same = days.grow(&[Path::new(&named), &more], &[]);
     assert_eq!(same["already_complete"], true);
     days.check("a folder moved");
-    // Somebody removes labelled clips by mistake; a restore brings the clips and their labels back.
+    // Somebody removes labelled clips by mistake; a restore brings back the clips and their labels.
     let before = (clips(&dataset), days.version());
     let row = rows.iter().find(|row| days.is_labelled(&row.id));
     let condition = format!("split = '{}'", row.expect("a labelled clip").split);

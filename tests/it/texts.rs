@@ -238,7 +238,7 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
         states.strip_prefix("tokens-")
     );
 
-    // Vectors that a training left, which failed before it began, are not taken for those of another encoder.
+    // Vectors left by a training that failed at its start are not mistaken for those of another encoder.
     let other = path("other");
     write_distilbert(&other, 0.5);
     let anew = path("anew");

@@ -79,7 +79,7 @@ impl Workshop {
         })
     }
 
-    /// Trains a model with other settings than those of the workshop.
+    /// Trains a model with settings other than the workshop's.
     pub(crate) fn train_with(&self, model: &str, out: &str, more: &[&str]) -> Ran {
         let (dataset, out) = (self.dataset(), self.path(out));
         let args = ["--json", "train", model, arg(&dataset), "--out", arg(&out)];

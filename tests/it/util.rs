@@ -20,20 +20,20 @@ pub(crate) struct Ran {
 }
 
 impl Ran {
-    /// Panics with everything the command said unless it ended with `code`.
+    /// Panics with the whole output unless the command ended with `code`.
     pub(crate) fn expect_code(self, code: i32) -> Self {
         assert_eq!(self.code, code, "expected exit code {code}: {self}");
         self
     }
 
-    /// Panics with everything the command said unless it ended with 1 and this is on stderr.
+    /// Panics with the whole output unless the command ended with 1 and stderr contains this text.
     pub(crate) fn expect_refused(self, text: &str) -> Self {
         let refused = self.expect_code(1);
         refused.expect_said(text);
         refused
     }
 
-    /// Panics with everything the command said unless this is on stderr.
+    /// Panics with the whole output unless stderr contains this text.
     pub(crate) fn expect_said(&self, text: &str) -> &Self {
         assert!(
             self.stderr.contains(text),
@@ -42,7 +42,7 @@ impl Ran {
         self
     }
 
-    /// Panics with everything the command said unless this is on stdout.
+    /// Panics with the whole output unless stdout contains this text.
     pub(crate) fn expect_printed(&self, text: &str) {
         assert!(
             self.stdout.contains(text),
@@ -72,7 +72,7 @@ impl Ran {
     }
 }
 
-/// Everything the command said.
+/// The whole output of the command.
 impl fmt::Display for Ran {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
@@ -105,7 +105,7 @@ pub(crate) fn stance(args: &[&str]) -> Ran {
     command(args).output().expect("stance starts").into()
 }
 
-/// Runs a command as it is typed: words between spaces, each `{}` in place of the next of the values.
+/// Runs a command line: words are separated by spaces, and each `{}` is replaced by the next of the values.
 pub(crate) fn typed(line: &str, values: &[&dyn AsRef<OsStr>]) -> Ran {
     typed_with(line, values, &[])
 }
@@ -178,7 +178,7 @@ pub(crate) fn corpus(clips: usize) -> tempfile::TempDir {
     dir
 }
 
-/// The folder of real motion files, or none with a word about what is skipped.
+/// The folder of real motion files; if it is not set, none, and a message that the test is skipped.
 pub(crate) fn real_data(test: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from);
     if folder.is_none() {

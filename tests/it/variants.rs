@@ -104,7 +104,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
         assert!(pair.source_id.as_str().starts_with("seed0/batch0000/"));
     }
 
-    // The same command makes nothing anew; another folder gets the same bytes.
+    // The same command makes nothing again; another folder gets the same bytes.
     let repeated = made(&out, &[]);
     assert!(repeated["counts"].is_null() && repeated["root_hash"] == first["root_hash"]);
     assert_eq!(made(&again, &[])["root_hash"], first["root_hash"]);

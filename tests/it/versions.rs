@@ -39,7 +39,7 @@ fn judge(dataset: &Path) -> BTreeMap<String, MaskRow> {
     masks(dataset)
 }
 
-/// A corpus, half of whose motion files lie elsewhere with what lies beside them, to be added later.
+/// A corpus; half of its motion files, with their label files, are kept elsewhere to be added later.
 struct Days {
     dir: tempfile::TempDir,
     source: PathBuf,
@@ -75,7 +75,7 @@ impl Days {
     }
 }
 
-/// Moves a file with the files of its name beside it, and returns where it lies then.
+/// Moves a file with the files of the same name beside it, and returns its new path.
 fn moved(file: &Path, from: &Path, to: &Path) -> PathBuf {
     let below = file.strip_prefix(from).expect("below");
     let place = to.join(below);
@@ -302,7 +302,7 @@ fn going_back_keeps_what_people_made_since_and_lists_what_has_no_clip() {
         &newest.to_string(),
     ]);
     assert_eq!(again["is_current"], true);
-    // The restored dataset grows like any other one.
+    // The restored dataset can grow like any other.
     days.add(1);
     ingest(&days.source, &dataset, &[]);
     assert_eq!(masks(&dataset), judged);
@@ -379,7 +379,7 @@ fn many_growths_become_few_files_with_the_same_rows_in_the_same_order() {
             "{table}"
         );
     }
-    // Nothing is composed again, and nothing is read again.
+    // Triplets are not composed again, and no motion is read again.
     let recorded = opened(&triplets).manifest().clone();
     stance(&record).expect_code(0);
     assert_eq!(*opened(&triplets).manifest(), recorded);
@@ -433,7 +433,7 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
         pairs.iter().filter(whole).count()
     );
     only_current_rows_are_found(&part, "select");
-    // Every source is accounted for, and the selection says where it comes from.
+    // Every source is accounted for, and the selection records its origin.
     let manifest = opened(&part).manifest().clone();
     assert!(manifest.accounting.balances());
     assert_eq!(
@@ -446,7 +446,7 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
             && origin.contains("split = 'train'"),
         "{origin}"
     );
-    // Another ingest of the source brings in nothing that was not selected.
+    // Another ingest of the source does not add clips that were not selected.
     let again = ingest(&days.source, &part, &[]);
     assert_eq!(again["growth"]["new"].as_u64().unwrap_or(0), 0, "{again}");
     assert_eq!(clips(&part), expected);
@@ -581,7 +581,7 @@ fn clips_of_one_file_share_a_split_when_datasets_are_merged() {
     let [a, b] = ["a", "b"].map(|name| days.dir.path().join(name));
     ingest(&days.source, &a, &[]);
     ingest(&days.source, &b, &["--seed", "3"]);
-    // The same files, read to shorter motions, so that no motion is like one of the other dataset.
+    // The same files with shorter motions, so that no motion resembles one of the other dataset.
     rewrite(&b, |row| {
         let motion = row.motion().expect("a motion");
         let motion = motion.crop(0..motion.len() - 8).expect("frames");

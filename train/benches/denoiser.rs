@@ -91,7 +91,7 @@ fn training_step(bencher: Bencher, dropout: f64) {
     step(bencher, dropout, Arithmetic::default());
 }
 
-/// The same composed of the backend's operations, whose products are those of the crate `gemm`.
+/// The same step, composed of the backend's operations; its matrix products are from the crate `gemm`.
 #[divan::bench(sample_count = 5, sample_size = 1)]
 fn training_step_without_kernels(bencher: Bencher) {
     step(bencher, 0.0, WITHOUT_KERNELS);

@@ -35,7 +35,7 @@ pub(crate) fn bones(keypoints: usize, device: &Device) -> [Tensor<2>; 2] {
     [&TO_BONES, &TO_POINTS].map(|map| map.rows(&numbers, width, device))
 }
 
-/// Frames through a linear map, as one product of all of them.
+/// Maps all frames by a linear map, as one matrix product.
 ///
 /// # Shapes
 /// `[B, W, D]` and `[D, D]` give `[B, W, D]`.

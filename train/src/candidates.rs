@@ -70,9 +70,9 @@ pub struct VariantCounts {
     pub bases: usize,
     /// Variants.
     pub variants: usize,
-    /// Variants left over where a motion has an odd number of them.
+    /// Variants left over from motions with an odd number of them.
     pub unpaired: usize,
-    /// Pairs of which a motion failed the checks, such as a jump that no person can make.
+    /// Pairs with a motion that failed the checks, such as a jump that no person can make.
     pub broken: usize,
     /// Pairs of motions of different lengths.
     pub lengths: usize,
@@ -80,11 +80,11 @@ pub struct VariantCounts {
     pub identical: usize,
     /// Pairs of motions that are too far apart.
     pub different: usize,
-    /// Pairs of which a motion slides over the floor.
+    /// Pairs with a motion that slides over the floor.
     pub sliding: usize,
-    /// Pairs of which a motion has bones of other lengths than a body.
+    /// Pairs with a motion whose bone lengths differ from a body's.
     pub drifting: usize,
-    /// Pairs of which a motion sinks into the floor or never touches it.
+    /// Pairs with a motion that sinks into the floor or never touches it.
     pub floating: usize,
     /// Pairs that are kept.
     pub kept: usize,

@@ -41,7 +41,7 @@ pub struct About<'a> {
 pub struct Score {
     /// Name of the system.
     pub system: String,
-    /// The items: `all`, those of a task, or those of a novelty.
+    /// Task of the items: `all`, a task, or a novelty.
     pub task: String,
     /// Name of the metric, with its unit.
     pub metric: String,

@@ -37,7 +37,7 @@ use self::record::{differences, not_a_run, parse_record, text_of, to_value};
 
 pub(crate) const METRICS: &str = "metrics.jsonl";
 const MANIFEST: &str = "manifest.json";
-/// Prefix of the files with the averaged weights, in a checkpoint: those of the model under their names.
+/// Prefix of the files with averaged weights in a checkpoint; the rest of the name is that of the model's file.
 pub(crate) const EMA_PREFIX: &str = "ema-";
 pub(crate) const STATE: &str = "state.json";
 
@@ -46,9 +46,9 @@ pub(crate) const STATE: &str = "state.json";
 pub enum Slot {
     /// The newest.
     Last,
-    /// The one with the lowest validation loss.
+    /// The checkpoint with the lowest validation loss.
     Best,
-    /// The one kept after so many epochs.
+    /// The checkpoint kept after this epoch.
     Epoch(u64),
 }
 
@@ -89,7 +89,7 @@ pub type Files = BTreeMap<String, Vec<u8>>;
 pub struct Start<'a> {
     /// The run folder.
     pub run: &'a Path,
-    /// Whether an existing run continues with other settings, of those that may change.
+    /// Whether an existing run continues with other settings, as far as these may change.
     pub extend: bool,
     /// Run folder whose weights a new run begins with. What was fitted to its training split is kept for
     /// the new run too.
@@ -107,8 +107,7 @@ impl<'a, P: AsRef<Path> + ?Sized> From<&'a P> for Start<'a> {
 }
 
 impl Start<'_> {
-    /// The record whose fitted parts hold for the run: its own if it has begun, else that of the run
-    /// it begins with.
+    /// The record with the run's fitted parts: its own if it has begun, else that of the run it starts from.
     pub(crate) fn fitted<C: DeserializeOwned>(
         &self,
         kind: &'static str,
@@ -294,8 +293,7 @@ impl Run {
         }
     }
 
-    /// The weights the run begins with, if it has no checkpoint of its own, and the folder they are
-    /// from.
+    /// The initial weights and their folder, if the run has no checkpoint yet.
     pub(crate) fn init(&self) -> Option<(&Path, Files)> {
         let (dir, files) = self.init.as_ref()?;
         Some((dir, files.clone()))
@@ -538,7 +536,7 @@ fn check_beginning(dir: &Path, recorded: &[Ancestor], past: &[Ancestor]) -> Resu
     })
 }
 
-/// Checks that a run that began with the weights of another has weights of its own by now.
+/// Checks that a run that was started from another run's weights has its own weights by now.
 fn check_needs_no_init<C>(dir: &Path, recorded: &RunRecord<C>) -> Result<(), Error> {
     let mut lineage = recorded.lineage.iter();
     if let Some(begun) = lineage.find(|ancestor| ancestor.by == Inheritance::Init)

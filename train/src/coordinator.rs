@@ -41,15 +41,15 @@ const NOISE_STEPS: usize = 20;
 pub struct CoordinatorConfig {
     /// Sizes of the network.
     pub model: NetworkConfig,
-    /// Noise schedule; that of the editor it is to guide.
+    /// Noise schedule; equal to that of the guided editor.
     pub schedule: ScheduleName,
-    /// Diffusion steps; those of the editor it is to guide.
+    /// Diffusion steps; equal to those of the guided editor.
     pub diffusion_steps: usize,
     /// Last diffusion steps whose noise is put on the windows.
     pub noise_steps: usize,
     /// Frames of a window.
     pub window: usize,
-    /// Keypoints of a frame that the network sees: those of the editor it is to guide.
+    /// Keypoints of a frame; equal to those of the guided editor.
     #[serde(default = "all_keypoints", skip_serializing_if = "is_all_keypoints")]
     pub keypoints: usize,
     /// Share of training windows that are mirrored, where the composer's settings mirror none: a mirrored motion is as
@@ -314,8 +314,8 @@ impl SegmentSampler<'_> {
     }
 }
 
-/// The mean cross entropy of logits `z` and labels `y` in [0, 1]:
-/// `max(z, 0) - z y + ln(1 + exp(-|z|))`, in which nothing overflows.
+/// The mean cross entropy of logits `z` and labels `y` in [0, 1]: `max(z, 0) - z y + ln(1 + exp(-|z|))`, which does not
+/// overflow.
 fn binary_cross_entropy(logits: Tensor<2>, labels: Tensor<2>) -> Tensor<1> {
     let softened = logits.clone().abs().neg().exp().log1p();
     (relu(logits.clone()) - logits * labels + softened).mean()

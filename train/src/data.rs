@@ -54,8 +54,7 @@ pub trait WindowSource<B = WindowBatch>: Sync {
     ) -> Result<(), Error>;
 }
 
-/// Reads items of a run, whose count goes on from one epoch to the next. `read` is asked for a number of items of an
-/// epoch, from one of them on.
+/// Reads items of a run, counted across epochs. `read` gets an epoch, its first item, and a number of items.
 pub(crate) fn across_epochs(
     epoch_len: u64,
     items: Range<u64>,
@@ -116,7 +115,7 @@ impl WindowSource for WindowLoader {
 /// How instructions become what a network is given.
 #[derive(Clone, Copy, Debug)]
 pub enum Texts<'a> {
-    /// The numbers of their words.
+    /// Word numbers of a vocabulary.
     Words(&'a Vocabulary),
     /// The vectors of a frozen encoder.
     Vectors(&'a EmbeddingTable),
@@ -248,7 +247,7 @@ impl WindowSampler<'_> {
                 } else {
                     1.0
                 };
-                // Nothing is drawn where the setting is unused, so that its runs stay what they were.
+                // If the setting is unused, nothing is drawn, so that such runs stay reproducible.
                 let is_start =
                     self.generated_starts > 0.0 && rng.random_bool(self.generated_starts);
                 let first = if is_start || self.fixed_noise > 0.0 {
@@ -445,7 +444,7 @@ mod tests {
                 .sum::<f64>();
         }
         let count = (64 * (16 - FIXED_FRAMES) * FRAME_WIDTH) as f64;
-        // Four standard deviations of the mean square of that many normal numbers.
+        // Four standard deviations of the mean square of this many normal numbers.
         assert!((square / count - 1.0).abs() < 4.0 * (2.0 / count).sqrt());
         assert_eq!(batch.timesteps.first(), Some(&0));
         assert_eq!(batch.timesteps.last(), Some(&9));

@@ -35,7 +35,7 @@ pub enum DeviceName {
 /// A kind of card that wgpu knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Adapter {
-    /// A card with memory of its own.
+    /// A card with its own memory.
     Discrete,
     /// A card that shares the memory of the processor.
     Integrated,

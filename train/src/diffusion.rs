@@ -277,7 +277,7 @@ impl Objective<'_> {
         }
     }
 
-    /// The error on the frames that are not fixed, those of the first windows of motions included.
+    /// The error on the frames that are not fixed, including those of first windows.
     fn of_frames(
         &self,
         predicted: &Tensor<3>,
@@ -488,8 +488,7 @@ mod tests {
         for at in 0..FRAME_WIDTH {
             near(copied[at], of(&original, 2, at));
             near(guessed[at], 1.5 * change(1, at) - 0.5 * change(0, at));
-            // The wrist hangs from the elbow by a bone of the network's own; fingers follow it, and nothing
-            // else moves.
+            // The wrist is moved by the network's bone from the elbow; fingers follow, and no other keypoint moves.
             let (slot, axis) = (at / 3, at % 3);
             let [wrist, elbow] =
                 [Joint::LeftWrist, Joint::LeftElbow].map(|joint| 3 * joint.index() + axis);
@@ -521,7 +520,7 @@ mod tests {
         let basis = Basis::new(original, &[false], Some(&guess));
         let centre = basis.centre(&x_t).expect("noise is shaped");
         let schedule = Schedule::new(ScheduleName::Cosine, 20).expect("enough steps");
-        // All gates open, and nothing made.
+        // All gates are open, and the network's bones are zero.
         let logits = Tensor::<3>::full([1, WINDOW, 4 * NUM_KEYPOINTS], 60.0, &device);
         let predicted = Tensor::cat(vec![x_t.zeros_like(), logits], 2);
         for t in [0, 9, 19] {
@@ -574,8 +573,8 @@ mod tests {
             }
             send(values, [1, WINDOW, FRAME_WIDTH], &Device::flex())
         };
-        // The ankle rests, the foot walks at 0.5 m/s; both are said to stand still but for one jump of
-        // the ankle by 6 cm.
+        // The ankle rests and the foot moves at 0.5 m/s; the prediction says that both stand still, except for one jump
+        // of the ankle by 6 cm.
         let wanted = window(&|frame| [0.3, 0.05 * frame as f32]);
         let jump = window(&|frame| [if frame < 5 { 0.3 } else { 0.33 }, 0.0]);
         let loss_at = |clean: &Tensor<3>, t: usize| -> f32 {
@@ -591,7 +590,7 @@ mod tests {
             assert!((found - expected).abs() < 1e-4, "{found} {expected}");
         }
         let loss = |clean: &Tensor<3>| loss_at(clean, 0);
-        // A foot that moves may move as it likes.
+        // A moving foot is not penalised.
         assert!(loss(&wanted) == 0.0 && loss(&window(&|_| [0.3, 0.0])) == 0.0);
     }
 

@@ -127,7 +127,7 @@ fn system_name(editor: &Editor, slot: Slot, settings: &EditSettings) -> String {
     if compose.annotated_ratio < 1.0 {
         name += &format!(", {} % annotated", percent(compose.annotated_ratio));
     }
-    // Both kinds of captured pairs are said already.
+    // Both kinds of captured pairs already have a warning.
     if compose.kinds != EditKind::ALL && !(are_captured && compose.kinds.len() == 2) {
         let kinds: Vec<&str> = compose.kinds.iter().map(|kind| kind.as_str()).collect();
         name += &format!(", {} only", kinds.join(" and "));

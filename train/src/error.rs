@@ -40,7 +40,7 @@ pub enum Error {
         /// The cause.
         source: compose::Error,
     },
-    /// The settings a user gave are not those of the model.
+    /// The user's settings do not match those of the model.
     #[error("the settings cannot be used")]
     Settings {
         /// The setting.
@@ -113,7 +113,7 @@ pub enum Error {
         /// Error of the loader.
         detail: String,
     },
-    /// There is nothing to train on.
+    /// There are no items to train on.
     #[error("the {what} is empty; give at least one item")]
     Empty {
         /// Name of the empty input.

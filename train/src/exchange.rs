@@ -117,7 +117,7 @@ pub(crate) fn write_imported<C: Serialize + DeserializeOwned>(
 pub struct TextSide<'a> {
     /// Safetensors file under the released names.
     pub weights: Vec<u8>,
-    /// Name of that file in errors.
+    /// Name of the file in errors.
     pub path: &'a Path,
     /// Folder of the network whose last hidden states it reads: DistilBERT for the released ones. The run keeps a copy.
     pub folder: &'a Path,
@@ -197,7 +197,7 @@ fn sequence_encoder(
     Ok((network, model, num_features))
 }
 
-/// Loads the text encoder of TMR, and makes the record of it. `latent` is the width that the motion encoder gives.
+/// Loads TMR's text encoder, and makes its record. `latent` is the output width of the motion encoder.
 fn text_side(
     side: TextSide<'_>,
     num_heads: usize,

@@ -10,8 +10,8 @@ use crate::config::NoiseKind;
 use crate::noise_shape::{LEAST_SPREAD, NoiseShape};
 use crate::transfer::send;
 
-/// The best linear guess of the change of a window from that of its fixed frames: one matrix for all
-/// numbers of a frame, fitted to training windows.
+/// The best linear prediction of the change of a window from the change of its fixed frames: one matrix for all
+/// coordinates, fitted to training windows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Extrapolation {

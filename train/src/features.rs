@@ -109,7 +109,7 @@ impl FeatureRecipe {
     }
 }
 
-/// A clip on its way to features: segments of it can be had.
+/// A clip from which features of segments can be computed.
 pub(crate) enum Prepared {
     /// Poses at the encoder's rate; features depend on where a segment begins.
     Poses(FeatureRecipe, Vec<Pose>),
@@ -187,7 +187,7 @@ pub(crate) fn face_forward(segment: &mut [Pose]) {
     }
 }
 
-/// Sums of which the mean and the standard deviation of columns are made; those of several motions can be merged.
+/// Sums for the mean and the standard deviation of columns; sums of several motions can be merged.
 #[derive(Clone, Debug)]
 pub(crate) struct Moments {
     count: f64,

@@ -26,8 +26,7 @@ use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "motionrefit";
 
-/// Windows that the linear guess of a residual is fitted to: 84 numbers each, of which a 2 by 2 matrix
-/// is estimated.
+/// Windows to which the linear prediction is fitted: each gives 84 samples for a 2 by 2 matrix.
 const EXTRAPOLATED_WINDOWS: usize = 4_096;
 
 /// Training data of the editor.
@@ -37,7 +36,7 @@ pub struct Corpus<'a> {
     pub train: &'a dyn WindowSource,
     /// Validation windows.
     pub val: &'a dyn WindowSource,
-    /// Instructions of the training split, whose words are the vocabulary of a learned encoder.
+    /// Instructions of the training split; their words are the vocabulary of a learned encoder.
     pub instructions: &'a [String],
     /// Vectors of the instructions of both splits, of a frozen encoder.
     pub vectors: Option<&'a EmbeddingTable>,
@@ -110,7 +109,7 @@ impl EditorRecord {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TextRecord {
-    /// Words the learned encoder knows.
+    /// Vocabulary of the learned encoder.
     Learned(Vocabulary),
     /// The frozen encoder.
     Frozen {

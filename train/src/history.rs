@@ -12,7 +12,7 @@ use crate::system::{Edited, Misfit};
 
 const VERSION: u32 = 2;
 
-/// A motion and the edits made of it, one after another.
+/// A motion and the edits made from it, one after another.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EditHistory {

@@ -31,7 +31,7 @@ pub fn feature_mask(joints: JointSet) -> [bool; HUMANML3D_WIDTH] {
     const CONTACTS: usize = 259;
     let mut mask = [false; HUMANML3D_WIDTH];
     for joint in joints.iter().map(kinematics::Joint::index) {
-        // The root has no position and rotation of its own.
+        // The root has no position and rotation relative to itself.
         if let Some(place) = joint.checked_sub(1) {
             mask[POSITIONS + 3 * place..][..3].fill(true);
             mask[ROTATIONS + 6 * place..][..6].fill(true);

@@ -24,7 +24,7 @@ pub struct ModelKind {
     pub name: &'static str,
     /// Description in one line.
     pub about: &'static str,
-    /// All settings of a preset: a JSON object, or nothing for a model without settings.
+    /// All settings of a preset: a JSON object, or null for a model without settings.
     pub preset: fn(Preset) -> Value,
     /// Trains a model of this kind on a dataset.
     pub train: fn(&TrainRequest<'_>, &Session<'_>) -> Result<Trained, Error>,
@@ -49,7 +49,7 @@ pub struct TrainRequest<'a> {
     pub start: Start<'a>,
     /// Named settings.
     pub preset: Preset,
-    /// Settings in place of those of the preset: a JSON object.
+    /// Settings that override the preset's: a JSON object.
     pub own: &'a Value,
     /// How edits are composed.
     pub compose: &'a ComposeConfig,
@@ -57,16 +57,16 @@ pub struct TrainRequest<'a> {
     pub windows: Option<&'a Path>,
     /// Source of a frozen text encoder, for settings that use one.
     pub text_encoder: &'a TextEncoderSource,
-    /// Seed in place of that of the settings.
+    /// Seed that overrides that of the settings.
     pub seed: Option<u64>,
-    /// Length in place of that of the settings.
+    /// Length that overrides that of the settings.
     pub length: Option<RunLength>,
     /// Memory of the device in bytes, which decides the micro-batches in place of the settings.
     pub memory: Option<u64>,
 }
 
 impl TrainRequest<'_> {
-    /// The preset with the request's own settings in place of some of it.
+    /// The preset overridden by the request's own settings.
     ///
     /// # Errors
     /// A setting is unknown or of another type.

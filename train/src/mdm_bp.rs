@@ -238,7 +238,7 @@ impl<'a> Item<'a> {
         })
     }
 
-    /// Joints that may change: all where the request does not say.
+    /// Joints that may change; all if the request does not state them.
     fn edited_joints(&self) -> JointSet {
         if self.request.joints.is_empty() {
             JointSet::ALL
@@ -268,7 +268,7 @@ fn refused(request: &EditRequest<'_>, problem: impl std::fmt::Display) -> Error 
 }
 
 impl MdmBpSystem {
-    /// Edits items of which the network sees equally many frames; gives the features of each.
+    /// Edits items for which the network sees the same number of frames; returns the features of each.
     fn generate(
         &self,
         items: &mut [&mut Item<'_>],
@@ -386,7 +386,7 @@ impl EditSystem for MdmBpSystem {
         let weights = self.model.network.prepare(session.arithmetic);
         let progress = session.progress;
         progress.begin("edit", Some(items.len() as u64));
-        // A row never sees padding that depends on the other rows.
+        // Group items by length, so that padding does not depend on other rows.
         let mut by_length: Vec<(usize, &mut Item<'_>)> = items.iter_mut().enumerate().collect();
         by_length.sort_by_key(|(index, item)| (item.seen_frames, *index));
         let mut generated: Vec<Vec<Features>> = vec![Vec::new(); by_length.len()];

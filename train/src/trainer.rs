@@ -36,7 +36,7 @@ const OPTIMIZER: &str = "optimizer.bpk";
 /// Result of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrainReport {
-    /// Steps made, those of earlier sessions included.
+    /// Number of steps made, including earlier sessions.
     pub steps: u64,
     /// Whether the run reached its last step.
     pub is_complete: bool,

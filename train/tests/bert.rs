@@ -181,7 +181,7 @@ fn mean(states: &[f32]) -> Vec<f32> {
     (0..WIDTH).map(column).collect()
 }
 
-/// A kind of network, and three vectors of it.
+/// A kind of network, and three of its recorded vectors.
 type Recorded = (&'static str, [f32; WIDTH], [f32; WIDTH], [f32; WIDTH]);
 
 /// Vectors of the first and the last token of a text, and the mean of all, by kind of network: recorded with `states`
@@ -430,7 +430,7 @@ fn a_package_gives_its_encoder_or_nothing() {
     fs::rename(at("encoder"), at("site/deep/model")).expect("moved");
     unpack(&at("site"), &at("again"), &device).expect("unpacked");
 
-    // Nothing appears of an encoder that does not load.
+    // An encoder that does not load leaves no output.
     fs::write(at("site/deep/model/model.safetensors"), "cut").expect("written");
     unpack(&at("site"), &at("never"), &device).expect_err("broken");
     assert!(!at("never").exists());

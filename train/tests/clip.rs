@@ -373,7 +373,7 @@ fn a_state_dict_of_torch_becomes_safetensors() {
         ["vision_model.encoder.layers.0.self_attn.q_proj.weight"]
     );
 
-    // A checkpoint whose key is not among those looked for says what it has.
+    // The error for a checkpoint without a known key lists its keys.
     let elsewhere = as_torch(&weights, "", &["ema"]);
     let error = import(&elsewhere, &options).expect_err("nothing found");
     assert!(error.to_string().contains("ema, epoch"), "{error}");

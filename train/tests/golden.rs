@@ -55,7 +55,7 @@ impl Golden {
         Self(Recorded::read(&root, name))
     }
 
-    /// Reads a case that the project does not carry; none, said aloud, where it is not found.
+    /// Reads a case that the project does not contain; if it is not found, none, with a message.
     #[expect(clippy::print_stderr, reason = "a skipped test says so")]
     fn find(name: &str) -> Option<Self> {
         if std::env::var_os("STANCE_GOLDEN").is_some() {

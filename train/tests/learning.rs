@@ -745,7 +745,7 @@ fn a_run_is_extended_and_says_so() {
     );
     let steps = &ancestor["changed"]["config.train.length.steps"];
     assert_eq!(*steps, serde_json::json!([4, 9]));
-    // The same again has nothing left to do, with and without the word.
+    // The same command again does nothing, with and without `--extend`.
     for start in [extend, Start::from(run)] {
         let again = train_until(start, &longer, &source, &NoProgress, &stop).expect("there");
         assert_eq!(again.steps, 9);
@@ -826,7 +826,7 @@ fn a_run_begins_with_the_weights_of_another() {
     ));
 }
 
-/// Windows of which one number is infinite.
+/// Windows with one infinite number.
 struct Broken(Waves);
 
 impl WindowSource for Broken {
@@ -1000,7 +1000,7 @@ fn untrained_record() -> EditorRecord {
     }
 }
 
-/// Surroundings that tell nobody and never stop.
+/// A session that reports nothing and never stops.
 fn quietly<T>(act: impl FnOnce(&Session<'_>) -> T) -> T {
     let begun = Instant::now();
     act(&Session {
@@ -1076,8 +1076,8 @@ fn windows_hear_the_instruction_their_frames_belong_to() {
             None
         ]
     );
-    // A range of fewer frames than a window has a window of its own, which begins two frames before it
-    // and is used up to its end.
+    // A range with fewer frames than a window gets its own window, which begins two frames before it and is used up to
+    // the range's end.
     assert_eq!(
         texts(&[timed(40..60, "raise")]),
         [None, None, some("raise"), None, None, None, None]
@@ -1165,7 +1165,7 @@ fn windows_without_an_instruction_stay_as_they_were() {
     }
 }
 
-/// Windows whose two halves swing together, and windows whose halves come from two of them.
+/// Natural windows, whose two halves swing together, and composed windows, whose halves come from two of them.
 struct Swings {
     first: u64,
 }

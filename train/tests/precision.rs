@@ -1,4 +1,4 @@
-//! Training with products in bfloat16 beside single precision.
+//! Training with products in bfloat16, compared with single precision.
 
 mod support;
 
@@ -38,7 +38,7 @@ fn losses_with_products_in_bf16_are_those_of_single_precision_within_two_per_cen
         });
         metrics::read(&run).expect("metrics")
     };
-    // Side by side in one process: neither run feels the precision of the other.
+    // Both runs share a process: the precision of one does not affect the other.
     let (single, half) = std::thread::scope(|scope| {
         let half = scope.spawn(|| losses("bf16", true));
         let single = losses("f32", false);

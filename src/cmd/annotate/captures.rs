@@ -1,5 +1,5 @@
-//! The capture plan of a project, as a CSV file, and what of it is still to capture. A plan comes from a spreadsheet,
-//! which writes CSV and no TOML.
+//! The capture plan of a project, as a CSV file, and its missing takes. A plan comes from a spreadsheet, which writes
+//! CSV and no TOML.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ use crate::report;
 /// Head of a plan; the last column may be left out.
 const HEAD: [&str; 3] = ["motion", "style", "takes"];
 
-/// Takes the plan of a file, or prints the plan, or what of it is missing, or writes the sheet of performers.
+/// Stores the plan of a file, or prints the plan or its missing takes, or writes the performers' sheet.
 pub(super) fn captures(
     store: &Store,
     file: Option<&Path>,

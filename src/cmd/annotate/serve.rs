@@ -121,7 +121,7 @@ fn announce(
     admin: &User,
     global: &Global,
 ) -> anyhow::Result<()> {
-    // A shared store has a clock of its own.
+    // A shared store has its own clock.
     let now = store.clock()?.map_or_else(now, |clock| clock());
     let token = store
         .issue(admin.id, TokenUse::Once, now + 60 * MINUTE, now)?

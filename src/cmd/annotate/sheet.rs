@@ -1,4 +1,4 @@
-//! The sheet of performers: a page of HTML that needs nothing beside it, to be sent, read on a telephone, and printed.
+//! The performers' sheet: a self-contained HTML page to send, read on a phone, and print.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -19,7 +19,7 @@ use crate::report;
 /// First bytes of an SQLite file.
 const MAGIC: &[u8] = b"SQLite format 3\0";
 
-/// Opens the store, and says what people should know about it first.
+/// Opens the store, and prints its warnings first.
 pub(super) fn open(args: &Args) -> anyhow::Result<Arc<Store>> {
     let is_typed = args.store.is_some() && std::env::var(STORE).ok() != args.store;
     if is_typed && args.store.as_deref().is_some_and(has_password) {
@@ -143,7 +143,7 @@ pub(super) fn pack(store: &Store, file: &Path, global: &Global) -> anyhow::Resul
     global.say(&json!({ "packed": file }), &text)
 }
 
-/// Makes a packed project that of a dataset.
+/// Unpacks a project for a dataset without one.
 pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Exit> {
     let Place::File(to) = place(args) else {
         bail!("a packed project is unpacked into a file; leave the address of PostgreSQL out");

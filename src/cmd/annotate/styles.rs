@@ -19,7 +19,7 @@ struct StyleFile {
     style: Vec<Style>,
 }
 
-/// Adds the styles of a file and takes over what it says of each, or prints those of the project.
+/// Adds the styles of a file with their texts, guidelines and colours, or prints the project's styles.
 pub(super) fn styles(store: &Store, file: Option<&Path>, global: &Global) -> anyhow::Result<Exit> {
     let mut project = store.settings()?;
     let Some(file) = file else {

@@ -147,7 +147,7 @@ impl Thing {
     }
 }
 
-/// A document beside a run, if it is there.
+/// Reads a document beside a run, if it exists.
 fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<Option<T>> {
     if !path.is_file() {
         return Ok(None);
@@ -235,7 +235,7 @@ fn settled(
     Ok(stated)
 }
 
-/// The files of the newest version, what lies beside them, and the descriptions with these licences.
+/// Files of the newest version, files beside its tables, and descriptions with these licences.
 fn files_of_dataset(
     dataset: &Dataset,
     licenses: &BTreeMap<String, u64>,

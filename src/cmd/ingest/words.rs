@@ -10,7 +10,7 @@ use crate::report::append_list;
 const MISSING: &str = "missing, kept; --prune removes them";
 const UNUSABLE: &str = "kept as they were, their files give them no more; --prune removes them";
 
-/// A forecast in words.
+/// A forecast as text.
 pub(super) fn foreseen(told: &Forecast) -> String {
     let mut text = "nothing was written\n".to_owned();
     for source in &told.sources {
@@ -127,7 +127,7 @@ fn quarantined(done: &IngestReport, code: &str, count: u64) -> String {
     text
 }
 
-/// Lines of a list that were of no use; nothing for none.
+/// Unusable lines of a list; an empty text if there are none.
 fn refused(what: &str, lines: &[RefusedLine]) -> String {
     if lines.is_empty() {
         return String::new();
@@ -139,7 +139,7 @@ fn refused(what: &str, lines: &[RefusedLine]) -> String {
     text
 }
 
-/// Labels that could not be used; nothing for none.
+/// Unusable labels; an empty text if there are none.
 fn problems(problems: &[LabelProblem]) -> String {
     let said = "labels could not be used; their motions were ingested without them";
     let lines: Vec<String> = problems.iter().map(ToString::to_string).collect();
@@ -214,7 +214,7 @@ fn grown(growth: &Growth) -> String {
     text
 }
 
-/// A count of clips; nothing for none.
+/// A number of clips; an empty text for none.
 fn counted(what: &str, count: usize) -> String {
     match count {
         0 => String::new(),
@@ -222,7 +222,7 @@ fn counted(what: &str, count: usize) -> String {
     }
 }
 
-/// A count of clips with the first of them; nothing for none.
+/// A number of clips with the first of them; an empty text for none.
 fn listed(what: &str, clips: &[String]) -> String {
     const SHOWN: usize = 5;
     let mut text = counted(what, clips.len());

@@ -7,7 +7,7 @@ use eval::draw::raster::png;
 
 use crate::local;
 
-/// Pixels of a drawing for each of its own.
+/// PNG pixels per SVG unit.
 const PNG_ZOOM: f32 = 2.0;
 
 /// Writes a result.

@@ -112,7 +112,7 @@ pub(super) fn finish(
     Ok(Exit::Failed)
 }
 
-/// Why figures compare nothing.
+/// Reason why the figures cannot compare systems.
 fn weakness_of(judges: &Judges) -> Option<String> {
     let weakness = judges.values().find_map(|judge| judge.weakness.as_ref())?;
     Some(format!(

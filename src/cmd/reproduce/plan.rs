@@ -40,7 +40,7 @@ const COORDINATOR: &str = "coordinator";
 const POSES: &str = "j2s";
 pub(super) const ENCODER: &str = "tmr";
 
-/// Settings in place of those of a preset.
+/// Settings that override those of a preset.
 type Own = Map<String, Value>;
 
 /// The plan in its file.
@@ -104,13 +104,13 @@ struct System {
     name: String,
     #[serde(default = "editor")]
     model: String,
-    /// Settings of its training beside those of its model.
+    /// Settings of the system's training that override those of its model.
     #[serde(default)]
     train: Own,
-    /// Settings of the composer beside those of the plan.
+    /// Settings of the composer that override the plan's.
     #[serde(default)]
     compose: Own,
-    /// Settings of editing beside those of the plan.
+    /// Settings of editing that override the plan's.
     #[serde(default)]
     edit: Own,
     /// Whether a coordinator guides the system.
@@ -119,7 +119,7 @@ struct System {
     /// Whether a pose network finds its rotations.
     #[serde(default)]
     poses: bool,
-    /// Seeds of training in place of those of the plan.
+    /// Training seeds that override the plan's.
     train_seeds: Option<Vec<u64>>,
 }
 
@@ -176,7 +176,7 @@ pub(super) struct Training {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) text_table: Option<String>,
     pub(super) compose: ComposeConfig,
-    /// Seed in place of that of the model's settings.
+    /// Seed that overrides that of the model's settings.
     pub(super) seed: Option<u64>,
 }
 
@@ -550,7 +550,7 @@ impl Plan {
         }
     }
 
-    /// The protocol, with a gallery of the paper's tables where it is one of them.
+    /// The protocol; for a table of the paper, with the paper's gallery.
     pub(super) fn protocol(&self, table: Option<TableArg>, global: &Global) -> Protocol {
         let scored = table.and_then(TableArg::scored);
         Protocol {
@@ -565,8 +565,8 @@ impl Plan {
     }
 }
 
-/// Checks the settings of a model. Those of an editor that its preset has too are left out, so that the point of a figure
-/// with the preset's own value needs no training of its own. What other models refuse is found when they are trained.
+/// Checks the settings of a model. Settings of an editor that equal its preset are left out, so that a figure's point
+/// with the preset's value needs no further training. Settings of other models are checked when they are trained.
 fn own_of(name: &str, preset: Preset, own: Value) -> anyhow::Result<Value> {
     let checked = match name {
         EDITOR => {

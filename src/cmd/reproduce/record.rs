@@ -28,7 +28,7 @@ struct Line<'a> {
 pub(super) struct Record(Vec<u8>);
 
 impl Record {
-    /// Adds the scores that a table, or a figure at a point, shows, with those of its trainings.
+    /// Adds the scores in a table, or in a figure at a point, with those of its trainings.
     pub(super) fn add(
         &mut self,
         (shown_in, at): (&str, &[Value]),

@@ -94,8 +94,8 @@ impl<'a> Work<'a> {
             .join(name_of(training, &self.data))
     }
 
-    /// Makes the trainings of some specifications, `at_once` of them at a time. One that fails is tried again, and its
-    /// error reported, where it is needed.
+    /// Makes the trainings of some specifications, `at_once` of them at a time. A failed training is repeated where it
+    /// is needed, and its error is reported there.
     pub(super) fn train_ahead<'s>(
         &self,
         specs: impl Iterator<Item = &'s Spec>,

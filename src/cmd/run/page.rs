@@ -32,7 +32,7 @@ pub(super) struct Done<'a> {
     pub(super) encoder: Option<&'a TrainReport>,
     pub(super) editor: &'a TrainReport,
     pub(super) edits: &'a Answered,
-    /// Words of the instructions that some system has never seen.
+    /// Words of the instructions that some system's vocabulary lacks.
     pub(super) unknown: &'a BTreeSet<String>,
     pub(super) scores: &'a Scores,
 }

@@ -27,7 +27,7 @@ struct Scene {
     fps: f64,
     /// Prefix of the bone names.
     prefix: &'static str,
-    /// Whether joints have frames of their own, as pre-rotations.
+    /// Whether joints have pre-rotations.
     joint_frames: bool,
     /// Scale of a node above the skeleton, which the skeleton's own size makes up for.
     scale: f64,
@@ -134,7 +134,7 @@ impl Scene {
         }
     }
 
-    /// The part of the turn that a pre-rotation holds: the one at rest.
+    /// The part of the rotation that a pre-rotation holds: that at rest.
     fn pre(&self, joint: usize) -> DQuat {
         match self.joint_frames {
             true => self.local(joint, &Pose::REST).1,
@@ -480,7 +480,7 @@ fn every_take_is_a_clip_of_one_split() {
     };
     let takes: [Take<'_>; 3] = [("Walk", &walks), ("Run", &runs), ("Take 001", &[])];
     put(&source, "all.fbx", binary(&scene.records(&takes)));
-    // A take without curves is no motion, and the other one keeps the id of the file.
+    // A take without curves is not a motion, so the other take keeps the id of the file.
     let jog: [Take<'_>; 2] = [("Jog", &jogs), ("Take 001", &[])];
     put(&source, "mixamo.fbx", ascii(&scene.records(&jog)));
     put(&source, "still.fbx", binary(&scene.records(&takes[2..])));

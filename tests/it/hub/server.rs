@@ -307,7 +307,7 @@ fn stored(request: &Request, state: &mut State) -> Option<Reply> {
     }
 }
 
-/// The API.
+/// Response of the hub's API to a request.
 fn called(request: &Request, state: &mut State, addresses: &[String; 2]) -> Reply {
     if request.token.as_deref().is_some_and(|token| token != TOKEN) {
         let problem = "Invalid credentials in Authorization header";

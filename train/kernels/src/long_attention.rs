@@ -127,7 +127,7 @@ struct Soften<'a> {
     scale: f32,
     padding: Option<&'a [bool]>,
     mask: Mask,
-    /// Index of the first weight among those of all heads.
+    /// Index of the first weight in the array of all heads.
     first: usize,
     weights: &'a mut [f32],
 }

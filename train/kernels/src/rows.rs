@@ -528,7 +528,7 @@ mod tests {
                 mask.iter()
                     .all(|&f| f == 0.0 || (f - 1.0 / 0.9).abs() < 1e-6)
             );
-            // Five standard deviations of that many draws.
+            // Five standard deviations of the number of kept values.
             assert!((kept(&mask) as f64 - 90_000.0).abs() < 5.0 * 95.0, "{key}");
             if key != 7 {
                 // Independent masks agree on 0.9^2 + 0.1^2 of their places.

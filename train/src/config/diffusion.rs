@@ -106,8 +106,8 @@ pub struct DiffusionConfig {
     #[serde(default, skip_serializing_if = "is_default")]
     pub contact_weight: f64,
     /// Weight of the loss on bones, as vectors from joint to joint in units of 10 cm, beside the loss on the
-    /// prediction. In points, the way of the root counts as often as there are keypoints, and what an arm
-    /// does hardly at all (our addition).
+    /// prediction. In the loss on keypoints, the path of the root counts once for every keypoint, and an arm's movement
+    /// hardly counts (our addition).
     #[serde(default, skip_serializing_if = "is_default")]
     pub bone_weight: f64,
     /// Guidance weight the editor uses unless told otherwise.
@@ -115,9 +115,9 @@ pub struct DiffusionConfig {
     /// Factor of the noise the editor draws, unless told otherwise: 1 samples what was learned, less
     /// stays nearer to its mean.
     pub temperature: f64,
-    /// Share of the training windows that are shown as the first of their motion, with nothing fixed.
-    /// At 0 the editor starts a motion on the first frames of the original, as published, although
-    /// training always fixes those of the edited motion; above 0 it generates them.
+    /// Share of the training windows that are shown as the first of their motion, without fixed frames. At 0 the editor
+    /// starts a motion on the first frames of the original, as published, although training always fixes those of the
+    /// edited motion; above 0 it generates them.
     #[serde(default, skip_serializing_if = "is_default")]
     pub generated_starts: f64,
     /// Standard deviation in model units of noise on the clean fixed frames shown while training. While
@@ -125,9 +125,9 @@ pub struct DiffusionConfig {
     /// unless the network has learned to mend it.
     #[serde(default, skip_serializing_if = "is_default")]
     pub fixed_noise: f64,
-    /// Generated frames that a window of an edit shares with the one before it, beside the fixed ones.
-    /// The two are blended there, so that a window that goes another way does so over some frames. At 0
-    /// each window begins where the one before ends, as published.
+    /// Generated frames that a window of an edit shares with the one before it, beside the fixed ones. The two are
+    /// blended there, so that windows that disagree change over gradually. At 0 each window begins where the one before
+    /// ends, as published.
     #[serde(default, skip_serializing_if = "is_default")]
     pub overlap: usize,
     /// Whether instruction, diffusion step and progress are added to every frame that the network sees,

@@ -1,4 +1,4 @@
-//! Settings of a training run. The resolved settings are saved beside every result.
+//! Settings of a training run. The resolved settings are saved with every result.
 
 mod check;
 mod diffusion;
@@ -134,12 +134,12 @@ pub struct TextConfig {
     /// vector.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vectors: Option<BertVectors>,
-    /// Words of the learned encoder.
+    /// Vocabulary settings of the learned encoder.
     pub words: WordsConfig,
 }
 
 impl TextConfig {
-    /// CLIP, and the words to learn where it is replaced.
+    /// CLIP, and the vocabulary for runs that replace it by a learned encoder.
     pub(crate) fn clip() -> Self {
         Self {
             encoder: TextEncoder::Clip,
@@ -193,13 +193,13 @@ pub enum BertVectors {
     States,
 }
 
-/// How texts become words with numbers.
+/// How texts are split into numbered words.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WordsConfig {
-    /// Buckets unknown words fall into.
+    /// Number of buckets for unknown words.
     pub num_buckets: usize,
-    /// Words after which a text is cut.
+    /// Number of words after which a text is truncated.
     pub max_words: usize,
 }
 
@@ -207,7 +207,7 @@ pub struct WordsConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TextEncoder {
-    /// One that is trained with the denoiser and needs no download.
+    /// A text encoder that is trained with the denoiser and needs no download.
     Learned,
     /// The text tower of CLIP, frozen: ViT-B/32, or ViT-L/14 for TMED. Its vectors are made before training.
     Clip,

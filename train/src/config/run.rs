@@ -128,7 +128,7 @@ impl RunLength {
         }
     }
 
-    /// Steps of the run, given those of an epoch.
+    /// Number of steps of the run, given the steps of an epoch.
     pub fn num_steps(&self, steps_per_epoch: u64) -> u64 {
         match self.epochs {
             Some(epochs) => self.steps.min(epochs.saturating_mul(steps_per_epoch)),
@@ -173,7 +173,7 @@ pub enum Decay {
 }
 
 impl OptimizerConfig {
-    /// A constant rate with PyTorch's weight decay, and nothing else.
+    /// A constant learning rate and PyTorch's weight decay; no clipping, warm-up or averaging.
     pub(crate) fn of_rate(learning_rate: f64) -> Self {
         Self {
             learning_rate,

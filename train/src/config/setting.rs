@@ -14,7 +14,7 @@ pub struct SettingError {
     pub problem: String,
 }
 
-/// A preset with the user's own values in place of some of its own. Names of version 0.1 are known.
+/// A preset overridden by the user's values. Names of version 0.1 are known.
 ///
 /// # Errors
 /// A key is unknown, or a value is of another type.
@@ -40,7 +40,7 @@ pub fn overlay<T: Serialize + DeserializeOwned>(
         serde_json::from_value::<T>(settings)
     };
     over(own).map_err(|error| {
-        // Serde names the last key at most. The first setting that fails alone is the one to name.
+        // Serde names at most the last key. Report the first setting that fails by itself.
         let fails_alone = |(keys, alone)| Some((keys, over(&alone).err()?));
         let (keys, error) = settings_of(own)
             .into_iter()

@@ -19,7 +19,7 @@ pub struct AutoencoderConfig {
     pub min_frames: usize,
     /// Longest crop trained on, in frames at 20 fps.
     pub max_frames: usize,
-    /// Weight of the loss on the positions of joints beside that on features.
+    /// Weight of the loss on joint positions, relative to that on features.
     pub joints_weight: f64,
     /// Weight of the divergence of the latent vectors from standard normal ones.
     pub kl_weight: f64,

@@ -17,8 +17,8 @@ use super::weights::from_safetensors_named;
 use crate::Error;
 use crate::vocabulary::TokenBatch;
 
-/// Where a name of ours differs from that of Hugging Face's `CLIPTextModelWithProjection`, whose
-/// names `CLIPModel` shares.
+/// Differences between our names and those of Hugging Face's `CLIPTextModelWithProjection`, whose names `CLIPModel`
+/// shares.
 const RENAMES: [(&str, &str); 3] = [
     (r"^text_model\.embeddings\.", ""),
     (r"^text_model\.encoder\.", ""),
@@ -142,7 +142,7 @@ impl ClipText {
             .iter()
             .filter_map(|(name, view)| Some((name.strip_prefix(prefix)?, view)))
             .filter(|(name, _)| TEXT_TOWER.iter().any(|part| name.starts_with(part)))
-            // Positions as token numbers, which older files hold beside the parameters.
+            // Older files store position indices as a tensor, which is not a parameter.
             .filter(|(name, _)| !name.ends_with("position_ids"))
             .map(|(name, view)| Ok((name.to_owned(), float_tensor(name, &view, path)?)))
             .collect::<Result<_, Error>>()?;

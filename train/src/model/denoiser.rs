@@ -72,7 +72,7 @@ pub struct Denoiser {
     out: Linear,
     /// Gates of each keypoint, for predictions that have them.
     gate: Option<Linear>,
-    /// Whether the condition is added to every frame, beside its own token.
+    /// Whether the condition is added to every frame, in addition to its own token.
     #[module(skip)]
     tells_frames: bool,
     dropout: Dropout,
@@ -112,7 +112,7 @@ impl Denoiser {
         }
     }
 
-    /// Adds the condition to every frame, beside its own token.
+    /// Adds the condition to every frame, in addition to its own token.
     #[must_use]
     pub fn telling_frames(mut self) -> Self {
         self.tells_frames = true;

@@ -303,7 +303,7 @@ struct BlockGrads {
 }
 
 impl LayerState {
-    /// Gradients of the input, the weights and the vectors, those of weights only where asked for.
+    /// Gradients of the input, the weights and the vectors; those of weights only if requested.
     fn backward(&self, grad: Buffer, has_grad: [bool; 13]) -> [Option<Buffer>; 13] {
         let mut residual = numbers(&grad.to_contiguous()).to_vec();
         let mut branch = branch_buffer(self.masks.output, residual.len());
@@ -459,7 +459,7 @@ impl LayerState {
     }
 }
 
-/// Buffer for the gradient of a branch, where it differs from that of the residual.
+/// Buffer for the gradient of a branch; only needed with dropout, without which it equals the residual's.
 fn branch_buffer(mask: Mask, count: usize) -> Vec<f32> {
     if mask.is_active() {
         vec![0.0; count]

@@ -96,7 +96,7 @@ impl Mdm {
         self.frames(self.sequence_encoder.infer(weights, tokens))
     }
 
-    /// The token of step and text, and those of the frames, with their positions: `[B, 1 + T, d]`.
+    /// Tokens of step and text and of the frames, with positional encoding: `[B, 1 + T, d]`.
     fn tokens(&self, x: Tensor<3>, timesteps: &[usize], text: Tensor<2>) -> Tensor<3> {
         let device = x.device();
         let condition = self.embed_timestep.embed(timesteps) + self.embed_text.forward(text);

@@ -68,7 +68,7 @@ impl LearnedText {
 /// Texts as a network is given them.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TextBatch {
-    /// The numbers of their words.
+    /// Word numbers of the texts.
     Words(TokenBatch),
     /// The vectors of a frozen encoder.
     Vectors {
@@ -89,7 +89,7 @@ impl TextBatch {
     }
 }
 
-/// The vectors of texts: those of a frozen encoder as they are, and words by the encoder that is trained
+/// The vectors of texts: for a frozen encoder, its stored vectors; for words, the output of the encoder that is trained
 /// with the model.
 ///
 /// # Shapes

@@ -173,7 +173,7 @@ fn place_table(
     sinusoid(&distinct.concat(), width, device).reshape([distinct.len(), length, width])
 }
 
-/// The tokens that are padding, or nothing if no row has any.
+/// Mask of the padding tokens; none if no row has any.
 fn padding(visible: &[[usize; 3]], parts: [usize; 3]) -> Option<Padding> {
     if visible.iter().all(|row| *row == parts) {
         return None;
@@ -200,7 +200,7 @@ pub struct TmedModel {
     pub words: Option<Embedding>,
 }
 
-/// Word vectors alone.
+/// Word vectors without a denoiser.
 impl Networks for Embedding {
     const FILE: &'static str = "words.safetensors";
 }

@@ -173,7 +173,7 @@ pub(crate) fn load_network<M: Module>(
 
 /// Networks as files of a checkpoint.
 pub trait Networks: Module + ModuleDisplay {
-    /// Name of the file; where there are several, of that of the main network.
+    /// Name of the weight file; of several, that of the main network.
     const FILE: &'static str;
 
     /// The networks as files by name.

@@ -397,7 +397,7 @@ fn read_tokenizer(
     }
     let tokenizer = Tokenizer::from_bytes(content.as_slice());
     let mut tokenizer = tokenizer.map_err(|error| Error::tokenizer(path, error))?;
-    // The file's own limit is that of a training, and rows are filled up here.
+    // The limit in the file is from training; here, rows are padded to the longest text.
     let truncation = TruncationParams {
         max_length: max_tokens,
         ..TruncationParams::default()

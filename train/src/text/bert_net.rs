@@ -22,7 +22,7 @@ use crate::vocabulary::TokenBatch;
 /// Prefixes of tensor names: none for the bare network, and the kind for a network with a head.
 const PREFIXES: [&str; 4] = ["", "bert.", "distilbert.", "model."];
 const WORDS: &str = "embeddings.word_embeddings.weight";
-/// Parts of a layer: our name, that of BERT, that of DistilBERT.
+/// Parts of a layer: our name, BERT's, and DistilBERT's.
 const PARTS: [(&str, &str, &str); 8] = [
     ("query", "attention.self.query", "attention.q_lin"),
     ("key", "attention.self.key", "attention.k_lin"),

@@ -7,7 +7,7 @@ use remote_store::hub::read_checked;
 use crate::Error;
 use crate::model::torch::{StateDictOptions, state_dict_from_torch};
 
-/// File names of the weights, safetensors first; the other is a pickle.
+/// File names of the weights: safetensors first, then the pickle.
 pub(super) const WEIGHTS: [&str; 2] = ["model.safetensors", "pytorch_model.bin"];
 /// First bytes of the files `torch.save` writes: a zip archive, or before PyTorch 1.6 a pickle.
 const TORCH_MAGIC: [&[u8]; 2] = [b"PK\x03\x04", &[0x80, 0x02]];

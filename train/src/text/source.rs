@@ -113,7 +113,7 @@ impl TextEncoderSource {
             .exists()
             .then(|| EmbeddingTable::load(&path))
             .transpose()?;
-        // A folder is that of CLIP or BERT, for other models of the same command.
+        // The given folder may belong to CLIP or BERT for another model of the same command.
         let given = self.given.as_ref().filter(|given| !given.is_dir());
         let table = given.map(|path| EmbeddingTable::load(path)).transpose()?;
         let texts = texts.iter().map(String::as_str);

@@ -134,7 +134,7 @@ impl EmbeddingTable {
         })
     }
 
-    /// A text for which the other table has another vector.
+    /// A text whose vectors in the two tables differ.
     pub(crate) fn contradiction(&self, other: &Self) -> Option<String> {
         let differs = |text: &&String| {
             let theirs = other.get(text);

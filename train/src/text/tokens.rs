@@ -18,7 +18,7 @@ const WORD_END: &str = "</w>";
 /// Merges of CLIP's vocabulary of 49,408: all but 512 bytes, the start and the end. OpenAI's list
 /// is longer.
 const NUM_MERGES: usize = 49_152 - 256 - 2;
-/// How a text is cut into words that are encoded one by one.
+/// Regular expression that splits a text into words, which are encoded one by one.
 const WORDS: &str = r"'s|'t|'re|'ve|'m|'ll|'d|[\p{L}]+|[\p{N}]|[^\s\p{L}\p{N}]+";
 const MAX_MERGES_LEN: u64 = 64 << 20;
 const GZIP_MAGIC: &[u8] = &[0x1f, 0x8b];

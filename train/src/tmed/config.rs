@@ -66,7 +66,8 @@ pub struct TmedDiffusion {
     pub text_dropout: f64,
     /// Probability of hiding the source.
     pub source_dropout: f64,
-    /// Probability of hiding both, beside those. The released settings say 5 %, and its code makes it 15 %.
+    /// Probability of dropping both instruction and source, in addition to the single ones. The released settings say 5
+    /// %, and its code makes it 15 %.
     pub both_dropout: f64,
     /// Guidance weight of the instruction.
     pub guidance: f64,
@@ -78,7 +79,7 @@ pub struct TmedDiffusion {
     pub no_source: NoSource,
     /// Start of an edit.
     pub start: EditStart,
-    /// Steps of an edit; those of training if not set.
+    /// Number of steps of an edit; if none, that of training.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub edit_steps: Option<usize>,
     /// Selection of steps when an edit uses fewer than training.
@@ -100,7 +101,7 @@ pub enum TargetPlaces {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum NoSource {
-    /// Nothing, as in training.
+    /// A hidden source, as in training.
     Hidden,
     /// Frames of zeros (released code).
     Zeros,

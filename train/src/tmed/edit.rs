@@ -353,7 +353,7 @@ impl EditSystem for TmedSystem {
             .par_iter()
             .map(|request| self.question(request))
             .collect::<Result<Vec<_>, Error>>()?;
-        // Nothing is padded for another request, so that a result does not depend on the others.
+        // Group requests by length, so that results do not depend on padding.
         let mut groups: BTreeMap<[usize; 3], Vec<usize>> = BTreeMap::new();
         for (index, question) in questions.iter().enumerate() {
             let tokens = self.tokens(&[question.text])?.lengths()[0];

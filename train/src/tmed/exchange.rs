@@ -57,7 +57,7 @@ pub fn import_tmed(
     let mut model = record.model(device);
     check_names(&to_safetensors(&model.denoiser, path)?, &weights, path)?;
     from_safetensors(&mut model.denoiser, weights, "", path)?;
-    // MotionFix has a body of its own; motions are posed for it on the skeleton of this program.
+    // MotionFix uses another body model; here motions are posed on this program's skeleton.
     let skeleton = Skeleton::smplx_neutral();
     write_imported(run_dir, &skeleton, (KIND, record), &model.denoiser)
 }

@@ -103,8 +103,8 @@ pub fn features_of_poses(poses: &[Pose], joints: &[[DVec3; NUM_BODY_JOINTS]]) ->
         .collect()
 }
 
-/// The poses, +z up, that features describe, from a first heading and translation on. Joint positions
-/// and the changes of the first frame are not used, and of a turn only its heading.
+/// Converts features to poses, +z up, starting from a heading and translation. Joint positions and the changes of the
+/// first frame are not used, and of the root's rotation only the heading.
 ///
 /// # Source
 /// MotionFix, `diffout2motion`.

@@ -4,9 +4,8 @@ use burn::module::{Module, ModuleVisitor, Param};
 use burn::optim::GradientsParams;
 use burn::tensor::Tensor;
 
-/// Scales the gradients down to `max_norm` if their total norm is larger, as `clip_grad_norm_` of
-/// PyTorch does, and returns the norm before. Nothing is read: gradients within the norm are
-/// multiplied by one.
+/// Scales the gradients down to `max_norm` if their total norm is larger, as `clip_grad_norm_` of PyTorch does, and
+/// returns the norm before. The norm is not read from the device: gradients within the norm are multiplied by one.
 pub(super) fn clip_grad_norm<M: Module>(
     gradients: &mut GradientsParams,
     model: &M,

@@ -11,7 +11,7 @@ use crate::model::pass::{Arithmetic, Pass};
 
 pub(super) struct Devices<M> {
     first: Device,
-    /// The others, each with a copy of the model.
+    /// The other devices, each with a copy of the model.
     others: Vec<(Device, M)>,
 }
 
@@ -94,10 +94,10 @@ impl<M: Module, B: Send + Sync> Step<'_, M, B> {
             let running: Vec<_> = (1..)
                 .zip(&devices.others)
                 .map(|(place, (device, copy))| {
-                    // A handle of its own for the thread; the numbers are shared.
+                    // Each thread gets its own handle; the values are shared.
                     let copy = copy.clone();
                     scope.spawn(move || {
-                        // With fewer micro-batches than devices, some have nothing to do.
+                        // With fewer micro-batches than devices, some devices are idle.
                         (place < self.parts.len()).then(|| {
                             let share = self.of_device(&copy, place, device, num_devices);
                             (share.0, Flat::of_gradients(&copy, &share.1))

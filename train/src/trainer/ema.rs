@@ -60,8 +60,7 @@ impl Ema {
     }
 }
 
-/// The decay of the EMA in a step: less at first, so that an average over a short run is not that of
-/// the weights it began with.
+/// EMA decay in a step: smaller at first, so that the average of a short run is not dominated by its initial weights.
 fn warmed_up(decay: f64, step: u64) -> f64 {
     let step = step as f64;
     decay.min((1.0 + step) / (10.0 + step))

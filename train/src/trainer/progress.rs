@@ -19,7 +19,7 @@ pub(super) struct TrainState {
 }
 
 impl TrainState {
-    /// The mean of the losses since the last line, which a line now says.
+    /// Mean loss since the last log line; resets it.
     pub(super) fn take_loss(&mut self) -> f32 {
         let sum: f64 = self.pending.iter().map(|&loss| f64::from(loss)).sum();
         let loss = (sum / self.pending.len().max(1) as f64) as f32;
@@ -29,7 +29,7 @@ impl TrainState {
         loss
     }
 
-    /// Notes the loss of a validation after a step, and says whether it is the lowest yet.
+    /// Records the validation loss of a step, and returns whether it is the lowest so far.
     pub(super) fn note_validation(&mut self, val_loss: f32) -> bool {
         let is_best = self.best_val_loss.is_none_or(|best| val_loss < best);
         if is_best {

@@ -70,7 +70,7 @@ fn golden_tmed_schedule_arrays() {
     assert!(counts.len() > 1, "the case has fewer steps too");
     for steps in counts {
         let prefix = format!("out.T{steps}.");
-        // The case has the defect of the original: fewer steps are a schedule of their own.
+        // The case has the original's defect: fewer steps use a shorter schedule.
         let steps = SampleSteps::new(trained, steps, Respacing::Official).expect("steps");
         check_arrays(&golden, &prefix, steps.schedule());
         let map = golden.indices(&format!("{prefix}timestep_map"));

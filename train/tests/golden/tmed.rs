@@ -81,7 +81,7 @@ fn golden_tmed_denoiser() {
         ..whole.clone()
     };
     check(forward(&nothing), &golden, "out.x0_zero_source", 5e-5);
-    // Texts may be cut to the longest of them: their places stay.
+    // Texts may be truncated to the longest of them: positions of later tokens stay.
     let longest = *whole.text_lengths.iter().max().expect("rows");
     let cut = Condition {
         text: whole.text.clone().narrow(1, 0, longest),
