@@ -28,7 +28,7 @@ const REPORT: &str = include_str!("../eval/judge/builtin/report.json");
 pub(crate) enum EncoderConfig {
     /// The one that ships with the program.
     Named(Builtin),
-    /// One that is trained, with values in place of the preset's.
+    /// An encoder to train, with values that override the preset's.
     Trained(Map<String, Value>),
 }
 
@@ -90,7 +90,7 @@ pub(crate) fn report() -> anyhow::Result<JudgeReport> {
 mod tests {
     use super::*;
 
-    /// Hash of the shipped weights. Scores are comparable only while it stays.
+    /// Hash of the shipped weights. Scores with another hash are not comparable.
     const HASH: &str = "ff01422b20e7082a2e01c4f4f263b5f887fe4ae076d10ea26492674c435de3ab";
 
     #[test]

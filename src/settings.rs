@@ -160,7 +160,7 @@ steps = 3
         let own = json!({ "window": 8, "model": { "width": 128, "dropout": 0.1 }, "limit": 2 });
         let expected = json!({ "window": 8, "model": { "dropout": 0.1 }, "limit": 2 });
         assert_eq!(changes(&preset, own), expected);
-        // A preset leaves out what it does not use; saying so is kept.
+        // A preset leaves out unused settings; an explicit null is kept.
         assert_eq!(
             changes(&preset, json!({ "overlap": 0 })),
             json!({ "overlap": 0 })

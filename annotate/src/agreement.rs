@@ -45,7 +45,7 @@ fn estimate<T>(items: &[T], figure: impl Fn(&[&T]) -> f64) -> Option<Estimate> {
     })
 }
 
-/// Mean of some values; `None` if there are none.
+/// Mean of the values; `None` if there are none.
 pub(crate) fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }

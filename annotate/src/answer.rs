@@ -60,8 +60,8 @@ impl Fields<'_> {
     }
 }
 
-/// Checks a draft: fields may be missing, but each present field must be valid. The range of a mask may be too short: it is
-/// so while its ends are moved.
+/// Checks a draft: fields may be missing, but each present field must be valid. The range of a mask may be too short:
+/// this happens while its ends are dragged.
 pub(crate) fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
     let (said, own) = (answer.fields(), answer.kind());
     let problem = format!("the task is of kind {kind}, the answer of kind {own}");
@@ -409,7 +409,7 @@ pub(crate) fn distance(a: &Answer, b: &Answer, frames: i64) -> f64 {
     }
 }
 
-/// Mean distance of masks to the nearest of some others; 0 if there are neither, 1 if there are only others.
+/// Mean distance of masks to the nearest of the other masks; 0 if both lists are empty, 1 if only the others are not.
 fn to_nearest(masks: &[Cells], others: &[Cells]) -> f64 {
     if masks.is_empty() {
         return f64::from(u8::from(!others.is_empty()));
@@ -573,7 +573,7 @@ mod tests {
         assert!(says(&ours, &plain) && !says(&plain, &ours));
         let longer = two_arms(|masks| masks[0].range = Some([0, 21]));
         assert!(!says(&ours, &longer));
-        // A ring that is off, and one whose joint is chosen away, are the same.
+        // A ring that is off equals a ring whose joints are all deselected.
         let chosen = two_arms(|masks| masks[1].joints = collar(JointWeight::None));
         assert!(says(&ours, &chosen) && says(&chosen, &two_arms(|masks| masks[1].soft = false)));
     }

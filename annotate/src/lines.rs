@@ -15,7 +15,7 @@ use crate::wire::JointChoice;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Verdict {
-    /// Not judged. The draft stays, with the parts and the text of the line where these were edited.
+    /// Not judged yet. The draft stays, with the edited parts and text of its line.
     Todo,
     /// The parts and the text of the line replace the draft.
     Accept,

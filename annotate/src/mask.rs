@@ -33,8 +33,7 @@ pub(crate) fn mask_of(parts: &[String], soft: bool, choices: &[JointChoice]) -> 
     BlendMask::new(hard, soft.difference(hard)).unwrap_or(BlendMask::EMPTY)
 }
 
-/// Hard joints of some parts. Masks are compared by them, so that LEFT_ARM with RIGHT_ARM equals
-/// BOTH_ARMS.
+/// Hard joints of some parts. Masks are compared by their joints, so that LEFT_ARM with RIGHT_ARM equals BOTH_ARMS.
 pub(crate) fn joints(parts: &[String]) -> JointSet {
     mask_of(parts, true, &[]).hard()
 }
@@ -49,7 +48,7 @@ fn weight(mask: BlendMask, joint: Joint) -> JointWeight {
     }
 }
 
-/// The choices for single joints with which some parts give a mask.
+/// The joint choices that turn the mask of some parts into `mask`.
 pub(crate) fn choices(parts: &[String], soft: bool, mask: BlendMask) -> Vec<JointChoice> {
     let own = mask_of(parts, soft, &[]);
     JointSet::ALL
@@ -62,7 +61,7 @@ pub(crate) fn choices(parts: &[String], soft: bool, mask: BlendMask) -> Vec<Join
         .collect()
 }
 
-/// The mask of the joints of a row. None may be unknown, or both hard and soft.
+/// The mask of a row's joints. Every joint must be known, and none may be both hard and soft.
 pub(crate) fn mask_of_joints(
     hard: &[String],
     soft: &[String],
@@ -73,7 +72,8 @@ pub(crate) fn mask_of_joints(
     )
 }
 
-/// The soft ring and the choices with which some parts give a mask, with as few choices as possible.
+/// Whether the soft ring is on, and the joint choices that turn the mask of some parts into `mask`; as few choices as
+/// possible.
 pub(crate) fn entered(parts: &[String], mask: BlendMask) -> (bool, Vec<JointChoice>) {
     let (ring, none) = (choices(parts, true, mask), choices(parts, false, mask));
     if none.len() < ring.len() {

@@ -18,7 +18,7 @@ use crate::wire::{Agreement, Answer, Estimate, PartAgreement, RevisionState, Ver
 /// Tasks read at a time.
 const BATCH: usize = 2000;
 
-/// Mean edit distance of the texts of an answer from their drafts, or `None` without drafts.
+/// Mean edit distance of an answer's texts from their drafts, or `None` without drafts.
 pub(crate) fn draft_distance(store: &Store, answer: &Answer) -> Result<Option<f64>, Error> {
     let drafts = drafts_of(store, [answer])?;
     Ok(mean(&draft_distances(answer, &drafts)))
@@ -63,7 +63,7 @@ struct Said {
     state: RevisionState,
     /// Edit distances of its texts from their drafts.
     drafts: Vec<f64>,
-    /// Place of its verdict in [`Verdict::ALL`]; none for masks.
+    /// Index of the verdict in [`Verdict::ALL`]; none for masks.
     verdict: Option<usize>,
     /// Whether a mask contains all hard joints of each part of the release: BOTH_ARMS marks each arm.
     covers: [bool; NUM_RELEASE_PARTS],
@@ -106,7 +106,7 @@ impl<'a> Shared<'a> {
 /// answer is read once.
 #[derive(Default)]
 pub(crate) struct Gathered {
-    /// Sequence number of the log up to which it is up to date.
+    /// Sequence number of the last log entry that is included.
     seq: i64,
     /// The answers to each task.
     tasks: BTreeMap<i64, Vec<Said>>,

@@ -10,7 +10,7 @@ names! {
         Imported = "imported",
         /// An imported answer was accepted for a task that nobody had worked on.
         Filled = "filled",
-        /// A clip of the task was ingested anew, with other content.
+        /// A clip of the task was ingested again with other content.
         ClipChanged = "clip_changed",
         /// A reviewer confirmed the answers for the new content of the clip.
         ClipKept = "clip_kept",

@@ -62,7 +62,7 @@ pub(crate) fn text(manifest: &Manifest) -> String {
     text
 }
 
-/// The table that a reader gets who names none: the motions, else the edits, else the first one with rows.
+/// The default table for readers: the motions, else the edits, else the first table with rows.
 fn main_table(manifest: &Manifest) -> &str {
     let has_rows = |table: &&str| manifest.rows(table, None) > 0;
     let mut tables = manifest.tables.keys().map(String::as_str);

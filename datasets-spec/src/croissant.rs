@@ -11,7 +11,7 @@ use crate::record::all_tables;
 use crate::table::Column;
 
 pub(crate) const FILE: &str = "croissant.json";
-/// Files of a table beyond which they are described by a pattern.
+/// Number of files of a table above which a pattern describes them.
 const MOST_FILES: usize = 100;
 
 /// The metadata of a dataset. It follows from the manifest alone.
@@ -94,7 +94,7 @@ fn license_url(tag: &str) -> String {
 }
 
 fn record_set(id: &str, table: &str, columns: &[Column], source: &Value) -> Value {
-    // Croissant has no lists of structures; readers find those columns in the Parquet schema.
+    // Croissant cannot express lists of structures; readers find those columns in the Parquet schema.
     let fields: Vec<Value> = columns
         .iter()
         .filter(|column| !column.type_name().contains("struct"))

@@ -228,7 +228,7 @@ pub enum Error {
 pub type Code = (&'static str, Option<String>);
 
 impl Error {
-    /// The code of the error, if it has one, and what it happened to.
+    /// The code of the error, if it has one, and the item it happened to.
     pub fn code(&self) -> Option<Code> {
         let (code, path) = match self {
             Self::Io { path, .. } => ("E-IO", path),

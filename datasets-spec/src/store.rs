@@ -66,7 +66,7 @@ pub trait ReadAt: Debug + Send + Sync {
         ranges.iter().map(read).collect()
     }
 
-    /// Whether every read costs a request, so that a reader should name all it needs at once.
+    /// Whether every read costs a request; readers then read all they need at once.
     fn is_distant(&self) -> bool {
         false
     }
@@ -139,7 +139,7 @@ impl Seek for Reader {
     }
 }
 
-/// A lock of a dataset. Dropping it lets others in.
+/// A lock of a dataset. Dropping it releases the lock.
 pub trait Lock: Debug + Send + Sync {}
 
 /// Result of an attempt to lock a dataset.
@@ -158,14 +158,14 @@ pub enum Locking {
 
 /// Where files are read and written.
 pub trait Store: Debug + Send + Sync {
-    /// Makes a folder and those above it. Object stores have none to make.
+    /// Creates a folder and its parents. Object stores have no folders.
     ///
     /// # Errors
     /// The storage refuses or fails; so for every operation below.
     fn create_dir_all(&self, path: &Path) -> io::Result<()>;
     /// Begins a file.
     fn create(&self, path: &Path) -> io::Result<Box<dyn NewFile>>;
-    /// Gives a file another name, replacing what had it. On an object store this is a copy and a removal.
+    /// Renames a file, replacing any file of that name. On an object store this is a copy and a removal.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
     /// The bytes of a file.
     fn read(&self, path: &Path) -> io::Result<Vec<u8>>;

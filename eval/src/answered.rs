@@ -174,8 +174,7 @@ fn of_table(path: &Path, source: Error) -> Error {
     }
 }
 
-/// Refuses two checkpoints or two settings under one name, which would become one row of a table, and a
-/// take that is there twice.
+/// Refuses two checkpoints or settings under one name, which would share a row of a table, and duplicate takes.
 fn check_systems(edits: &[EditFacts]) -> Result<(), Error> {
     let mut known: BTreeMap<&str, &EditFacts> = BTreeMap::new();
     let mut takes: BTreeSet<(&str, &str, u64)> = BTreeSet::new();

@@ -69,7 +69,7 @@ impl Scores {
         tables
     }
 
-    /// Why the scores rank no system on the whole set of items; none if they do.
+    /// Reason why the scores cannot rank systems on the whole set of items; none if they can.
     pub fn unranked(&self) -> Option<String> {
         let of_all = self.rows.iter().find(|row| row.task == ALL_TASKS);
         let first = of_all.or(self.rows.first())?;

@@ -26,7 +26,7 @@ use crate::table::notes::{shortage_of_fid, shortage_of_targets};
 /// Number of resamples for the interval of a Fréchet distance; each decomposes three covariances.
 const FID_RESAMPLES: usize = 200;
 
-/// Share of the resamples beyond either end of an interval.
+/// Share of the resamples outside the interval at either end.
 const TAIL: f64 = 0.025;
 
 /// The difference of two systems in one metric, on the same items.
@@ -70,7 +70,7 @@ pub struct Comparison {
     pub protocol: String,
     /// Hash of the encoder, hexadecimal.
     pub encoder_hash: String,
-    /// Why no system is called better; none if the encoder ranks.
+    /// Reason why no system is called better; none if the encoder can rank systems.
     pub unranked: Option<String>,
     /// The metrics.
     pub differences: Vec<Difference>,
@@ -254,7 +254,7 @@ impl Pairing<'_> {
         [a, b]: [&Vec<f64>; 2],
         claim: Option<&'static Metric>,
     ) -> Option<Difference> {
-        // An item that no gallery ranked has no value.
+        // Items outside of all galleries have no value.
         let differences: Vec<f64> = a.iter().zip(b).map(|(a, b)| b - a).collect();
         let mean = |values: &[f64]| {
             let known = values.iter().zip(&differences);

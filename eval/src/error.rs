@@ -195,7 +195,7 @@ pub enum Error {
         /// The names there are.
         known: String,
     },
-    /// The columns of a row make no motion.
+    /// The columns of a row do not form a motion.
     #[error("system {system:?}, item {id:?}: not a motion")]
     Motion {
         /// The system.
@@ -338,7 +338,7 @@ pub enum Error {
 }
 
 impl Error {
-    /// The code of the error, if it has one, and what it happened to.
+    /// The code of the error, if it has one, and the item it happened to.
     pub fn code(&self) -> Option<Code> {
         match self {
             Self::Spec(error) => error.code(),

@@ -242,12 +242,12 @@ impl Figure {
     }
 }
 
-/// Whether this is the system whose setting changes, and no row that every table has.
+/// Whether the system is the one whose setting changes, and not a row that every table has.
 fn is_edited(system: &str) -> bool {
     ![REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&system)
 }
 
-/// A mean and its half width, NaN where there is none.
+/// A mean and its half width; NaN for missing values.
 fn value(
     rows: &[ScoreRow],
     metric: &Metric,

@@ -1,4 +1,4 @@
-//! Names of the table rows and tasks that no system and no dataset brings along.
+//! Names of table rows and tasks that are not from a system or dataset.
 
 /// Row of the real data: the targets scored as if a system had made them.
 pub const REAL_DATA: &str = "Real Data";

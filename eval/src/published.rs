@@ -187,8 +187,8 @@ impl PaperTable {
 }
 
 impl Table {
-    /// Appends the rows a table of the paper has about the same task, and a note of what they were
-    /// measured on. Returns whether there are any.
+    /// Appends the rows a table of the paper has about the same task, and a note of what they were measured on. Returns
+    /// whether there are such rows.
     pub fn append_published(&mut self, table: PaperTable) -> bool {
         let Some(published) = TABLES.iter().find(|published| {
             let of_table = published.title.split(',').next();

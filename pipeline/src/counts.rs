@@ -24,7 +24,7 @@ pub struct Share {
 /// order of the clips.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Group {
-    /// None where the source gave none.
+    /// None if the source stated none.
     pub(crate) label: Option<String>,
     pub(crate) fps: f64,
     clips: u64,

@@ -9,7 +9,7 @@ use work::Failed;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A dataset has no such clip.
+    /// A dataset does not contain the clip.
     #[error("no clip {id:?} in {}", path.display())]
     NoClip {
         /// The dataset.
@@ -17,7 +17,7 @@ pub enum Error {
         /// The requested id.
         id: String,
     },
-    /// A folder has no such item.
+    /// A folder does not contain the item.
     #[error("no item {id:?} in {}", path.display())]
     NoItem {
         /// The folder.
@@ -152,7 +152,7 @@ pub enum Error {
         .0.display()
     )]
     AllRemoved(PathBuf),
-    /// Two datasets differ in settings that are one for a whole dataset. The text names them, with both values.
+    /// Two datasets differ in settings that must be equal within a dataset. The text names them, with both values.
     #[error(
         "the datasets cannot be one: {0}; ingest one of them again with the setting of the other"
     )]
@@ -231,7 +231,7 @@ pub enum Error {
 }
 
 impl Error {
-    /// The code of the error, if it has one, and what it happened to.
+    /// The code of the error, if it has one, and the item it happened to.
     pub fn code(&self) -> Option<Code> {
         let (code, path) = match self {
             Self::Spec(error) => return error.code(),

@@ -13,7 +13,7 @@ use formats::source::{Format, ReadOptions, Recognised, read_clip, recognise};
 use crate::Error;
 use crate::clips::check_content;
 
-/// Code of a file that gives no motion and is not rejected either.
+/// Code of a file that contains no motion without being rejected.
 const NO_MOTION: &str = "E-NO-MOTION";
 
 /// The row of a clip of a dataset. Only ids are read, and the pages of the clip, which is checked against

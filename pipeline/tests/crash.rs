@@ -28,7 +28,7 @@ const HOLDER: &str = "the test";
 enum Fate {
     /// The operation fails with this kind of error.
     Fail(io::ErrorKind),
-    /// A write takes half of what it is given and the next one fails, as on a full disk.
+    /// A write stores half of its bytes and the next write fails, as on a full disk.
     WriteHalf,
     /// The process is killed, so that nothing after it can run.
     Kill,
@@ -204,7 +204,7 @@ fn run(
         new_version,
         ..IngestOptions::default()
     };
-    // One thread, so that the n-th operation is the same one every time.
+    // Use one thread, so that the n-th operation is always the same.
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(1)
         .build()
@@ -386,7 +386,7 @@ fn killed_anywhere_a_run_continues_to_the_same_dataset() {
     }
 }
 
-/// Copies a dataset, whose files are never changed in place.
+/// Copies a dataset; its files are never changed in place.
 fn copied(from: &Path, to: &Path) {
     for (path, is_dir) in Disk.list(from).expect("listed") {
         let target = to.join(path.file_name().expect("a name"));
@@ -405,7 +405,7 @@ fn a_dataset_whose_growth_fails_is_the_version_before() {
     let source = source(dir.path());
     let base = dir.path().join("base");
     let before = run(Disk::store(), &source, &base, false).expect("a healthy disk");
-    // A clip goes, one changes its labels, and one is new.
+    // One clip is removed, one has other labels, and one is new.
     let rows: Vec<MotionRow> = before.dataset.read(None).expect("reads");
     let mut files: Vec<PathBuf> = rows
         .iter()

@@ -305,7 +305,7 @@ fn whole_c3d() -> Vec<u8> {
     bytes
 }
 
-/// A copy of a file with other bytes at some place.
+/// A copy of a file with other bytes at an offset.
 fn poked(good: &[u8], at: usize, bytes: &[u8]) -> Vec<u8> {
     let mut broken = good.to_vec();
     broken[at..at + bytes.len()].copy_from_slice(bytes);

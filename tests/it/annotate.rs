@@ -755,7 +755,7 @@ fn where_the_disk_takes_no_more_answers_are_refused_and_none_is_lost() {
     assert_eq!(results.results[0].status, 200);
 }
 
-/// An acknowledged event: its place in the log, and what it was.
+/// An acknowledged event: its sequence number in the log, and its content.
 type Acknowledged = (i64, i64, i64);
 
 #[test]

@@ -201,7 +201,7 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
     bundle(&edits, &at("good.zip"), &license).expect_code(0);
     let good = fs::read(at("good.zip")).expect("written");
 
-    // Folders that make no bundle.
+    // Folders that cannot be packed as a bundle.
     let folder = Dataset::open(&edits).expect("edits");
     let rows: Vec<EditRow> = folder.read(None).expect("rows");
     let first = rows[0].id.clone();

@@ -1,4 +1,4 @@
-//! Releases whose keys are numbers that any other copy has too: two folders of one layout stay two.
+//! Releases whose keys are plain numbers, which every copy shares: two folders of one layout must stay separate.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

@@ -644,7 +644,7 @@ fn a_device_is_tested_and_measured_without_a_dataset() {
     assert_eq!(said["products"], "single precision");
     assert_eq!((&said["steps"], &said["windows"]), (&1.into(), &2.into()));
     assert!(said["windows_per_sec"].as_f64() > Some(0.0), "{said}");
-    // Another processor backend is named by what it is.
+    // Another processor backend is listed under its own name.
     let text = typed("device --device ndarray --secs 0 --windows 1", &[]).printed();
     assert_has(&text, &["burn-ndarray", "passed"]);
 }

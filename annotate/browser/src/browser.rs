@@ -423,7 +423,7 @@ impl Browser {
         self.shows(".chip[data-state=saved]");
     }
 
-    /// Marks the page that is shown with `data-left`, which the next one does not have.
+    /// Marks the present page with `data-left`; the next page does not have it.
     pub fn mark(&self) {
         self.js(
             "document.querySelector('#main')?.firstElementChild?.setAttribute('data-left', '');",
@@ -474,7 +474,7 @@ impl Browser {
         }
     }
 
-    /// Gives the page a size in pixels, and waits until it is drawn.
+    /// Sets the page's size in pixels, and waits until it is drawn.
     pub fn resize(&self, width: u32, height: u32) {
         let edge = self.value("[outerWidth - innerWidth, outerHeight - innerHeight]");
         let edge = |at: usize| edge[at].as_u64().unwrap_or(0) as u32;

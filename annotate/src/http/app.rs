@@ -95,7 +95,7 @@ pub(crate) struct App {
     pub(crate) config: ServerConfig,
     pub(crate) limiter: Limiter,
     pub(crate) metrics: Metrics,
-    /// Why the store accepts no writes, if it does not.
+    /// Why the store accepts no writes; none if it does.
     pub(crate) read_only: Mutex<Option<String>>,
     /// Agreement figures.
     pub(crate) figures: KeptFigures,

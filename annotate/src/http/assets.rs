@@ -12,7 +12,7 @@ pub(super) struct Asset {
     pub(super) bytes: &'static [u8],
 }
 
-/// Makes an asset of a file of the committed build, so that `cargo build` needs no Node.
+/// Declares an asset from a file of the committed build, so that `cargo build` does not need Node.
 macro_rules! asset {
     ($name:literal, $mime:ident) => {
         Asset {

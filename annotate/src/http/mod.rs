@@ -54,7 +54,7 @@ const CONNECTIONS: usize = 1024;
 const CSP: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; \
 connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'";
 
-/// Smaller bodies are not compressed: they fit into one packet anyway.
+/// Minimum size of compressed bodies: smaller ones fit into one packet.
 const WORTHWHILE: u16 = 1400;
 
 /// How often a store that accepted no writes is tried again.
@@ -147,7 +147,7 @@ fn failed(address: SocketAddr) -> impl FnOnce(std::io::Error) -> Error {
     }
 }
 
-/// Tries whether a store that accepted no writes accepts them again.
+/// Checks whether a store that accepted no writes accepts them again.
 async fn recover(app: Arc<App>) {
     loop {
         tokio::time::sleep(TRY_AGAIN).await;

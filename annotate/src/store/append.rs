@@ -63,7 +63,7 @@ impl Store {
     }
 }
 
-/// The reply to an event; `seq` is the place of its entry in the log, if it was logged.
+/// The reply to an event; `seq` is the sequence number of its log entry, if it was logged.
 fn told(
     tx: &mut dyn Tx,
     user: i64,

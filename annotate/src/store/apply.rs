@@ -163,7 +163,7 @@ struct Change<'a> {
     seq: i64,
     entry: &'a Entry,
     task: i64,
-    /// The actor of the entry; 0 where it has none.
+    /// The actor of the entry; 0 for none.
     actor: i64,
 }
 
@@ -430,7 +430,7 @@ impl Change<'_> {
         set_state(tx, self.task, TaskState::Accepted)
     }
 
-    /// Derives the state of the task after a lease for `purpose` began or ended. One for a review gives it the state
+    /// Derives the state of the task after a lease for `purpose` began or ended. The lease of a review sets the state
     /// `of_review`.
     fn after_lease(&self, tx: &mut dyn Tx, purpose: Purpose, of_review: TaskState) -> Result<()> {
         match purpose {

@@ -56,7 +56,7 @@ fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest, act: bool) -> Result<()> {
     }
 }
 
-/// Looks at tasks of a filter, and acts on them if `act` is set. Without it all tasks are counted.
+/// Plans an action on the tasks of a filter, and applies it if `act` is set. Without it all tasks are counted.
 fn bulk(
     tx: &mut dyn Tx,
     who: i64,

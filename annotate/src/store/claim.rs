@@ -35,8 +35,8 @@ impl Store {
         ahead: usize,
         now: Millis,
     ) -> Result<Result<(TaskDetail, Vec<String>), Empty>> {
-        // The writer does both in one transaction: its page cache is warm, a reader's is invalid after
-        // every commit.
+        // The writer runs both in one transaction: its page cache is warm, while a reader's is invalidated by every
+        // commit.
         self.write(move |tx| {
             let turn = Turn::begin(tx, user, now)?;
             let task = match claim(tx, &turn, kind)? {
@@ -75,12 +75,12 @@ struct Offer {
     counted: i64,
     /// Other tasks.
     others: i64,
-    /// Tasks whose leases have expired: the next claim frees room for as many.
+    /// Number of tasks with expired leases: the next claim frees quota for as many.
     freed: i64,
 }
 
-/// Number of new and postponed tasks that claims would give a user now. Pairs that the quota of their category holds
-/// back are left out.
+/// Number of new and postponed tasks that claims would give a user now. Pairs of categories whose quota is reached do
+/// not count.
 pub(super) fn on_offer(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<i64> {
     let quota = quota(turn, kind);
     let (columns, group) = match quota {
@@ -256,7 +256,7 @@ struct Category {
 }
 
 impl Category {
-    /// Whether there was room for one more pair.
+    /// Whether the quota had room for one more pair.
     fn use_one(&mut self) -> bool {
         let has_room = self.room > 0;
         self.room -= i64::from(has_room);
@@ -289,7 +289,7 @@ fn quota(turn: &Turn, kind: TaskKind) -> Option<i64> {
     (kind == TaskKind::Pair && wanted > 0).then_some(wanted)
 }
 
-/// The room in each category, if they have a quota.
+/// Open quota of each category, if there are quotas.
 fn room(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<Room>> {
     let Some(quota) = quota(turn, kind) else {
         return Ok(None);

@@ -152,7 +152,7 @@ pub(crate) enum Body {
         #[serde(default)]
         secs: f64,
         request: String,
-        /// The rule that accepted it; without one, the actor did.
+        /// Name of the rule that accepted the answer; none if the actor did.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         rule: Option<String>,
         /// Whether the actor answered the task too.

@@ -165,7 +165,7 @@ impl Turn {
         self.now + Millis::from(self.settings.returned_days) * DAY
     }
 
-    /// Leases a task that the caller has checked to be free. A gold task may have a place in a bundle.
+    /// Leases a task; the caller has checked that it is free. A gold task may replace a position in a bundle.
     pub(super) fn take(
         &self,
         tx: &mut dyn Tx,

@@ -1,4 +1,4 @@
-//! Writing to the log, and requests whose repetition gets the reply that the log holds.
+//! Writes log entries, and answers repeated requests with the logged reply.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -22,7 +22,7 @@ pub(crate) fn note(
     write(tx, &Entry::new(at, actor, task, None, body))
 }
 
-/// Writes an entry and applies it.
+/// Appends an entry to the log and applies it.
 pub(crate) fn write(tx: &mut dyn Tx, entry: &Entry) -> Result<()> {
     let seq = apply_next(tx, entry)?;
     put(tx, seq, entry, None, None)
@@ -34,7 +34,7 @@ fn apply_next(tx: &mut dyn Tx, entry: &Entry) -> Result<i64> {
     Ok(seq)
 }
 
-/// Stores an entry; one of a request with its key, the revision that it is based on, and its reply.
+/// Stores an entry. The entry of a request is stored with its key, its base revision and its reply.
 fn put(
     tx: &mut dyn Tx,
     seq: i64,

@@ -135,7 +135,7 @@ pub(super) fn prepare(
             return Err(not_opened(place, reason));
         }
     }
-    // An id, if it has none.
+    // Gives the store an id, if it has none.
     let sql = "INSERT INTO setting (name, body) VALUES (?1, ?2) ON CONFLICT (name) DO NOTHING";
     tx.run(sql, params![ID, people::random::<ID_BYTES>()?])?;
     Ok(upgrade)

@@ -43,7 +43,7 @@ impl Store {
         Ok((mime, decoded(&text)?))
     }
 
-    /// Stores a picture of the guide, in place of one of the same name. Refused with `invalid`.
+    /// Stores a picture of the guide, replacing one with the same name. Refused with `invalid`.
     pub fn put_picture(
         &self,
         actor: i64,

@@ -183,7 +183,7 @@ impl<B: Backend> Writer<B> {
         }
     }
 
-    /// Does a group of work and answers it once it is durable.
+    /// Runs a group of operations and replies once it is durable.
     fn answer(&mut self, group: Vec<Job>) {
         let mut answers = Vec::with_capacity(group.len());
         let failure = self.commit(group, &mut answers).err().map(|error| {

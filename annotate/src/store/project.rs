@@ -104,7 +104,7 @@ impl Store {
                     replaced.insert(before, motion.hash.clone());
                 }
             }
-            // Two clips may have changed places, so all earlier contents go before the first new one comes.
+            // Two clips may have swapped their contents, so remove all old contents first.
             for hash in replaced.keys() {
                 let sql = "UPDATE motion SET current = 0 WHERE hash = ?1";
                 tx.run(sql, params![hash])?;
@@ -129,8 +129,8 @@ impl Store {
         })
     }
 
-    /// Decides about tasks of [`Self::changed_tasks`]: with `keep` their answers hold, else accepted ones go back to
-    /// review.
+    /// Decides about tasks of [`Self::changed_tasks`]: with `keep` their answers stay valid; otherwise accepted ones
+    /// return to review.
     pub fn settle_changed(
         &self,
         actor: Option<i64>,
@@ -322,7 +322,7 @@ fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord, on_conflict: &str) -> Resu
     )
 }
 
-/// Decides about a task whose clip was ingested anew: its answers hold, or it goes back to review.
+/// Decides about a task whose clip was ingested again: its answers stay valid, or it returns to review.
 fn settle_changed(
     tx: &mut dyn Tx,
     actor: Option<i64>,

@@ -1,4 +1,4 @@
-//! Rows that entries of several kinds write, and the state of a task, which follows from these rows.
+//! Projections that several kinds of entries write, and the state of a task, which is derived from them.
 
 use super::db::{Result, Tx, json, params};
 use super::entry::Entry;

@@ -48,7 +48,7 @@ impl Store {
         self.read(|tx| tx.list(sql, &[]))
     }
 
-    /// Tasks with an answer about a clip that was ingested anew since, with other content.
+    /// Tasks with an answer whose clip was ingested again with other content since.
     pub fn changed_tasks(&self) -> Result<Vec<TaskRecord>> {
         self.read(|tx| rows::tasks(tx, "t.changed = 1 ORDER BY t.id", &[]))
     }
@@ -122,7 +122,7 @@ impl Store {
         self.read(|tx| tx.list(sql, &[]))
     }
 
-    /// Tasks whose answers changed after a place in the log, and the last place of the log.
+    /// Tasks whose answers changed after a sequence number, and the last sequence number of the log.
     pub fn answered_since(&self, after: i64) -> Result<(Vec<i64>, i64)> {
         self.read(|tx| {
             let last = last_seq(tx)?;
@@ -409,7 +409,7 @@ fn accepted(tx: &mut dyn Tx, from: &str, params: Params) -> Result<Vec<AcceptedA
     tx.list(&format!("SELECT {TASK}, {columns} FROM {from}"), params)
 }
 
-/// A query for labels that fit, behind other columns.
+/// SQL for labels that match a condition, after the given columns.
 fn labels(columns: &str, condition: &str) -> String {
     format!(
         "SELECT {columns} r.task, t.kind, CASE WHEN t.gold IS NULL THEN 0 ELSE 1 END, t.source, {REVISION}, r.blind,

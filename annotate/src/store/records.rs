@@ -331,7 +331,7 @@ pub struct Imported {
     pub known: i64,
     /// Tasks that existed before, untouched, and are accepted now.
     pub filled: i64,
-    /// Keys of tasks whose imported answer was left out, because of an answer or a decision they have already.
+    /// Keys of tasks whose imported answer was skipped, because the task already has an answer or a decision.
     pub conflicts: Vec<String>,
 }
 

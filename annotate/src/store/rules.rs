@@ -19,7 +19,7 @@ use crate::wire::{
 
 /// Tasks that one request looks at.
 const AT_ONCE: i64 = 2000;
-/// Share of a whole, as draws and percentages count it.
+/// Number of percent in the whole.
 const WHOLE: i64 = 100;
 
 /// SQL condition: no reviewer has returned or reopened task `t`.
@@ -160,7 +160,8 @@ fn decide(tx: &mut dyn Tx, turn: &Turn, task: &TaskRecord) -> Result<Option<Stri
     for rule in settings.rules.iter().filter(|rule| rule.enabled) {
         match fit(rule, settings, task, &answers, frames) {
             Fit::No => {}
-            // The first rule that fits decides, so that a later one does not accept what this one left to reviewers.
+            // Only the first matching rule decides, so that a later rule does not accept what the first one left to
+            // reviewers.
             Fit::Review => return Ok(None),
             Fit::Accept(author) => {
                 let body = Body::Accepted {

@@ -193,7 +193,7 @@ impl Backend for Sqlite {
     }
 }
 
-/// A database for one computation, gone with it. SQLite keeps it in memory until it is large.
+/// A temporary database for one computation. SQLite keeps it in memory until it is large.
 pub(crate) fn scratch() -> Result<Connection> {
     let mut db = Connection::open("").map_err(failed("make a scratch database"))?;
     db.set_prepared_statement_cache_capacity(STATEMENTS);

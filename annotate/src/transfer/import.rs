@@ -317,7 +317,7 @@ fn mask_tasks(
     Ok(tasks)
 }
 
-/// Tasks of the pairs whose motions are there: of style pairs, and bundles of fine-grained ones by their hint.
+/// Tasks of pairs whose motions exist: one for each style pair, and bundles of fine-grained pairs by their hint.
 fn tasks_of_pairs<'a>(
     pairs: impl Iterator<Item = &'a PairRow>,
     by_id: &BTreeMap<&str, &Clip>,

@@ -47,7 +47,7 @@ fn a_right_token_is_never_locked_out_and_counts_for_nothing() {
     let site = Site::new();
     let ann = site.person("ann");
     let log_in = || site.log_in(&ann.token, &[]).status;
-    // A team behind one address.
+    // Several people behind one address.
     for _ in 0..30 {
         assert_eq!(log_in(), 200);
     }
@@ -91,7 +91,7 @@ fn only_requests_to_the_servers_own_names_are_answered() {
         let said = (refused.status, refused.code);
         assert_eq!(said, (421, Code::WrongHost), "{other}");
     }
-    // After DNS rebinding the attacker's page has the origin that it asks.
+    // After DNS rebinding, the attacker's page has the same origin as the request.
     let rebound = [("host", "evil.example"), ("origin", "http://evil.example")];
     assert_eq!(guess(&site, &rebound), Code::WrongHost);
 }
@@ -319,7 +319,7 @@ fn the_event_stream_of_a_disabled_user_ends() {
     // The stream ends without an error and sends no more events.
     assert!(!of_ann.into_iter().any(|line| line.starts_with("data:")));
     assert!(of_eve.any(|line| line.contains("role_changed")));
-    // A reviewer who becomes an annotator no longer hears of others.
+    // A reviewer who becomes an annotator no longer receives events of others.
     change(eve.user.id, Some(Role::Annotator), None);
     let bob = site.person("bob");
     bob.claim(TaskKind::MaskText);

@@ -424,7 +424,7 @@ fn check_quota(
     let mut given = Vec::new();
     for (category, &[kept, left]) in now {
         assert!(kept <= quota, "{category}: {kept} of {quota}");
-        // Pairs that wait for a reviewer hold room, so that the last ones come in by the day.
+        // Pairs that wait for a reviewer use quota, so the last ones are only possible later.
         if 100 * kept >= 99 * quota {
             held_back += left;
         } else if is_end {
@@ -440,7 +440,7 @@ fn check_quota(
     held_back
 }
 
-/// Every acknowledged answer is in the store once, and no task has more than it wants.
+/// Every acknowledged answer is in the store once, and no task has more answers than it needs.
 fn check_answers(project: &Project, size: [usize; 3]) {
     let mut stored = BTreeSet::new();
     let (answered, _) = project.store.answered_since(0).expect("tasks");

@@ -733,7 +733,7 @@ fn a_gold_task_is_not_given_to_those_who_know_its_answer() {
             assert_ne!(given, gold, "its author and its reviewer know the answer");
         }
         assert_eq!(site.take(site.bob), gold);
-        // Once its answer is no longer accepted it is no measure.
+        // Once its answer is no longer accepted, the gold task is not given out.
         site.reopen(task);
         let zoe = site.join("zoe", Role::Annotator);
         assert_ne!(site.claim(zoe), Some(gold));
@@ -1269,7 +1269,7 @@ fn a_category_gets_no_more_pairs_than_its_quota_and_the_emptiest_comes_first() {
         assert_eq!(answer(site.ann, Verdict::Keep), "walk");
         assert_eq!(site.lease_ends().len(), 5);
         assert_eq!(answer(site.bob, Verdict::Unclear), "wave");
-        // A pair that is not kept makes room again once that is decided.
+        // A pair that is rejected frees quota once the decision is made.
         for decided in ["walk", "wave"] {
             assert_eq!(category(site.judge(Decision::Accept)), decided);
         }

@@ -38,7 +38,7 @@ export class Api {
     return this.json<T>("POST", path, body);
   }
 
-  /** Numbers as the server writes them, little-endian, which is the order of every browser's machine. */
+  /** Numbers of the server as a typed array. They are little-endian, like every browser's machine. */
   async floats(method: string, path: string, body?: unknown): Promise<Float32Array> {
     const response = await this.request(method, path, body);
     return new Float32Array(await response.arrayBuffer());

@@ -126,7 +126,7 @@ export class App {
     }
     this.parts = new Parts(skeleton);
     this.keys.override(this.me.prefs.keys as KeyOverrides);
-    // Keys that are taken no more would make the server refuse every change of a setting.
+    // Keys that are no longer valid would make the server refuse every change of a setting.
     this.me.prefs.keys = Object.fromEntries(Object.entries(this.keys.overrides).map(([id, chords]) => [id, [...chords]]));
     const journal = new Journal(this.keep("unstored:"), localStorage);
     this.outbox = new Outbox(this.store, journal, this.me.user.id, {

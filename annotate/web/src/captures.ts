@@ -2,7 +2,7 @@
 
 import type { CaptureCell, Captures } from "./wire";
 
-/** The cells whose motion or style holds a text. */
+/** The cells whose motion or style contains a text. */
 export function matching(cells: readonly CaptureCell[], text: string): CaptureCell[] {
   const sought = text.trim().toLowerCase();
   return cells.filter(({ motion, style }) => motion.toLowerCase().includes(sought) || style.toLowerCase().includes(sought));

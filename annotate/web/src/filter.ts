@@ -1,4 +1,4 @@
-/** The filter of the task browser. The address spells it as the API does, so that a link shows the same tasks. */
+/** The filter of the task browser. The page address uses the API's parameters, so that a link shows the same tasks. */
 
 import {
   EDIT_TYPES,

@@ -45,7 +45,7 @@ export function picturePath(name: string): string {
   return `guide/pictures/${encodeURIComponent(name)}`;
 }
 
-/** A name for an uploaded picture that the server takes and no other picture has. */
+/** A valid, unused name for an uploaded picture. */
 export function pictureName(file: string, taken: ReadonlySet<string>): string {
   const clean = (text: string): string => text.replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^-+|-+$/g, "");
   const ending = /\.[A-Za-z0-9]{1,8}$/.exec(file)?.[0].toLowerCase() ?? "";

@@ -175,7 +175,7 @@ export class Strip {
     this.forget();
   }
 
-  /** Draws all values once as an image of one pixel each, so that playback redraws little. */
+  /** Draws all values once as an image with one pixel each, so that playback redraws little. */
   private paint(): HTMLCanvasElement | null {
     if (this.image || this.columns === 0) return this.image;
     const image = document.createElement("canvas");

@@ -40,7 +40,7 @@ export class Toasts {
   }
 }
 
-/** Milliseconds without a key after which keys are meant for what is on the page now. */
+/** Milliseconds without a key press before keys are accepted again. */
 const DEAF_MS = 1000;
 
 /** Ignores keys until none was pressed for a second, then calls `after`: a box has opened by itself. */
@@ -63,7 +63,7 @@ export interface Choice<T> {
   label: string;
   value: T;
   kind?: "primary" | "danger";
-  /** Key position that chooses it while no text is typed. */
+  /** Key position that selects the choice while no text is typed. */
   code?: string;
   hint?: string;
 }

@@ -14,8 +14,8 @@ pub const FIXED_FRAMES: usize = 2;
 /// Frames a window adds to the motion.
 pub const WINDOW_ADVANCE: usize = WINDOW_FRAMES - FIXED_FRAMES;
 
-/// A turn about the vertical and a shift on the ground: what places a canonical segment in the
-/// world. The height is never touched.
+/// A rotation about the vertical and a shift on the ground that place a canonical segment in the world. The height does
+/// not change.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroundTransform {
     /// Rotation about +y in radians.

@@ -36,7 +36,7 @@ pub struct MotionBuilder {
 }
 
 impl MotionBuilder {
-    /// Makes room for this many frames.
+    /// Reserves memory for this many frames.
     pub fn with_capacity(frames: usize) -> Self {
         Self {
             transl: Vec::with_capacity(frames),

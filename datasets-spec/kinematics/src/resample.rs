@@ -47,7 +47,7 @@ fn exact(motion: &Motion, target: Fps) -> Result<Motion, Error> {
     let grid = grid(motion.len(), motion.fps(), target);
     let mut builder = MotionBuilder::with_capacity(grid.len());
     for places in grid.chunks(AT_ONCE) {
-        // The places ascend, and the last one may lie between two frames.
+        // The sample positions ascend, and the last one may lie between two frames.
         let (first, last) = (places[0].0, places[places.len() - 1].0);
         let poses = motion.poses_in(first..motion.len().min(last + 2));
         let places: Vec<(usize, f64)> = places

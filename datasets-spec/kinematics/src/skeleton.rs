@@ -254,7 +254,7 @@ impl Joint {
         JOINT_NAMES[self.index()]
     }
 
-    /// The joint this one hangs from; none for the pelvis.
+    /// The parent of the joint; none for the pelvis.
     pub fn parent(self) -> Option<Joint> {
         usize::try_from(PARENTS[self.index()])
             .ok()

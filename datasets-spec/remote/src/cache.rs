@@ -11,8 +11,8 @@ use bytes::Bytes;
 /// Bytes of a block; the last one of a file may be shorter.
 pub(crate) const BLOCK: u64 = 1 << 20;
 
-/// Blocks of files, below a folder. When they are too many, those that were not used for longest go.
-/// Processes may share the folder.
+/// Blocks of files, below a folder. When the size limit is reached, the least recently used ones are removed. Processes
+/// may share the folder.
 #[derive(Debug)]
 pub(crate) struct Cache {
     folder: PathBuf,
@@ -22,7 +22,7 @@ pub(crate) struct Cache {
 
 #[derive(Debug, Default)]
 struct State {
-    /// Bytes written since the folder was last measured; none if it never was.
+    /// Bytes written since the folder was last measured; none if it was never measured.
     since: Option<u64>,
     measured: u64,
 }
@@ -88,7 +88,7 @@ impl Cache {
         }
     }
 
-    /// Counts new bytes. Now and then the folder is measured, because other processes write to it too.
+    /// Counts new bytes, and measures the folder now and then, because other processes write to it too.
     fn shrink(&self, written: u64) {
         let Ok(mut state) = self.state.lock() else {
             return;
@@ -101,7 +101,7 @@ impl Cache {
         let mut blocks = blocks_below(&self.folder);
         blocks.sort();
         let mut total: u64 = blocks.iter().map(|(_, _, bytes)| bytes).sum();
-        // Some room is made, so that not every block measures the folder.
+        // Free more than needed, so that not every new block measures the folder.
         let allowed = self.max_bytes - self.max_bytes / 8;
         if total > self.max_bytes {
             for (_, path, bytes) in blocks {

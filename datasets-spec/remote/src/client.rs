@@ -128,7 +128,7 @@ impl Client {
                         builder = builder.with_config(AmazonS3ConfigKey::Client(key), value);
                     }
                 }
-                // An endpoint that the user names without encryption is meant so.
+                // An unencrypted endpoint is allowed if the user names it.
                 let endpoints = ["AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"];
                 let mut endpoints = endpoints.iter().filter_map(|name| std::env::var(name).ok());
                 if endpoints.any(|endpoint| endpoint.starts_with("http://")) {
@@ -296,7 +296,7 @@ impl Client {
         })
     }
 
-    /// Removes objects; one that is not there is no error.
+    /// Removes objects; a missing one is not an error.
     pub(crate) fn delete(&self, keys: Vec<Key>) -> io::Result<()> {
         let store = Arc::clone(&self.store);
         wait(async move {

@@ -202,7 +202,7 @@ impl RemoteFile {
     }
 }
 
-/// Ranges that cover these, joined where the gap between them is small.
+/// Merges ranges whose gap is small.
 fn joined(ranges: &[Range<u64>], max_gap: u64) -> Vec<Range<u64>> {
     let mut sorted: Vec<Range<u64>> = ranges.to_vec();
     sorted.retain(|range| !range.is_empty());

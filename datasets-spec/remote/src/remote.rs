@@ -89,7 +89,7 @@ impl Remote {
         }
     }
 
-    /// A file to be read by ranges, and its bytes if they came with the answer.
+    /// Opens a file for reading by ranges, with its bytes if the response already contains them.
     fn file(&self, path: &Path, place: &Place, client: Client) -> io::Result<RemoteFile> {
         let known = self.known(path);
         let (size, tag) = match &known {
@@ -352,7 +352,7 @@ impl Store for Remote {
         let mut known = lock(&self.known);
         for listed in client.list_all(&place.key)? {
             let path = place.url(&listed.key);
-            // Markers of folders, which some tools make, are no files.
+            // Skip folder markers, which some tools create.
             if listed.size == 0 && listed.key.as_ref().is_empty() {
                 continue;
             }

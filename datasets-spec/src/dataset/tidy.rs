@@ -64,7 +64,7 @@ impl Transaction {
         let (mut old, named) = (self.files_of(&versions)?, self.files_of(&kept)?);
         old.retain(|path, _| !named.contains_key(path));
         if !dry_run {
-            // A version whose manifest is gone is no version, so manifests go first.
+            // A version without a manifest does not exist, so remove manifests first.
             for version in &versions {
                 self.remove(&manifest_path(&self.root, *version))?;
             }
@@ -177,7 +177,7 @@ impl Transaction {
                 continue;
             }
             match self.store.remove_dir_all(&folder) {
-                // A late worker may still write to it; what it leaves goes with the next commit.
+                // A late worker may still write to the folder; its files are removed by the next commit.
                 Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}
                 removed => removed.map_err(Error::io("remove", &folder))?,
             }
@@ -257,7 +257,7 @@ impl Transaction {
     }
 }
 
-/// Where a file lies aside, relative to the dataset as its own path is.
+/// Path of a file while it is kept aside, relative to the dataset like its own path.
 fn beside(relative: &str) -> String {
     let below = relative.strip_prefix(DATA).unwrap_or(relative);
     format!("{ASIDE}{}", below.strip_suffix(".parquet").unwrap_or(below))

@@ -208,7 +208,7 @@ impl Transaction {
         self.publish(manifest, plan_hash)
     }
 
-    /// Writes the manifest, which makes the version, and brings all files to their places.
+    /// Writes the manifest, which creates the version, and moves all files to their places.
     fn publish(self, manifest: Manifest, plan_hash: &str) -> Result<Dataset, Error> {
         let path = manifest_path(&self.root, manifest.version);
         if !write_new(self.store.as_ref(), &path, &json(&path, &manifest)?)? {

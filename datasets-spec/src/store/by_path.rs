@@ -11,7 +11,7 @@ use super::{Disk, Locking, NewFile, ReadAt, Store, wherever};
 
 static REMOTE: OnceLock<Arc<dyn Store>> = OnceLock::new();
 
-/// Stores that serve what lies below a path, by it. Of several for one path the last serves.
+/// Mounted stores with their paths. If several match a path, the last one is used.
 type Mounts = BTreeMap<PathBuf, Vec<(u64, Arc<dyn Store>)>>;
 
 static MOUNTS: RwLock<Mounts> = RwLock::new(BTreeMap::new());
@@ -19,7 +19,7 @@ static MOUNTS: RwLock<Mounts> = RwLock::new(BTreeMap::new());
 /// Makes a store serve all URLs of this process. A program calls it once, before it opens anything; later
 /// calls change nothing.
 pub fn register(remote: Arc<dyn Store>) {
-    // The first one stays.
+    // A later registration has no effect.
     let _registered = REMOTE.set(remote);
 }
 

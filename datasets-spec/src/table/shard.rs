@@ -395,7 +395,7 @@ fn ranges_of(
     ranges
 }
 
-/// The pages of a column that hold some rows, and what lies before its first page: its dictionary.
+/// The pages of a column with the wanted rows, and the column's dictionary before its first page.
 fn pages_of(
     start: u64,
     pages: &[PageLocation],
@@ -420,7 +420,7 @@ fn pages_of(
     ranges
 }
 
-/// Reads one column of a file, and no other.
+/// Reads one column of a file and no other column.
 ///
 /// # Errors
 /// As [`read_rows`].

@@ -396,7 +396,7 @@ fn takes_texts(function: &Function) -> bool {
     )
 }
 
-/// Whether a list holds one of some values; neither true nor false without texts.
+/// Whether a list contains one of some values; null for lists without texts.
 fn one_of(list: &Expr, negated: bool, values: &[Expr]) -> String {
     let tests = values
         .iter()
@@ -512,7 +512,7 @@ pub(crate) fn check_columns(text: &str, names: &Names) -> Result<(), String> {
     visited(Visit::visit(&condition(text)?, checking))
 }
 
-/// There is no such thing: which was meant, and what there is.
+/// Error for an unknown name: similar names, and all names that exist.
 fn unknown(what: &str, name: &str, known: &[String]) -> String {
     /// Names farther away than this were hardly meant.
     const NEAR: f64 = 0.75;

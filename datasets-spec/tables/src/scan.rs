@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use crate::arrays::{polars_type, series};
 use crate::derived::Derived;
 
-/// Column with the row number, for [`crate::Condition`]. Its name is one that no query uses by chance.
+/// Column with the row number, for [`crate::Condition`]. Queries do not use this name by chance.
 pub(crate) const PLACE: &str = "__place";
 
 pub(crate) struct Scan {

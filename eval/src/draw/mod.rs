@@ -63,7 +63,7 @@ pub fn escaped(text: &str) -> String {
 pub struct Rgb(pub [f64; 3]);
 
 impl Rgb {
-    /// The colour at a share of the way from this one to another.
+    /// Mixes this colour with another one by a share.
     pub fn towards(self, other: Self, share: f64) -> Self {
         Self(std::array::from_fn(|i| {
             self.0[i] + share * (other.0[i] - self.0[i])

@@ -394,7 +394,7 @@ struct Axes {
 }
 
 impl Axes {
-    /// Axes that hold all drawable points; none if there is none.
+    /// Axes that contain all drawable points; none if there is no such point.
     fn around(plot: &Plot) -> Option<Self> {
         let scale = plot.y_scale;
         let points = || {

@@ -172,8 +172,8 @@ pub fn jerk(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
 /// Mean horizontal speed in m/s of the ankle or foot that is lowest in two consecutive frames together; none for fewer
 /// than two frames.
 ///
-/// One point of a body that stands or walks is on the floor and still, so it is near 0; of a body that glides it is the
-/// speed of the body. No height decides what is a contact, so a body that floats counts as well.
+/// A standing or walking body always has a foot at rest on the floor, so the value is near 0; for a gliding body it is
+/// the speed of the body. No height threshold defines contact, so a floating body is measured too.
 pub fn foot_slide(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
     let mut mean = Mean::default();
     for frames in points.windows(2) {

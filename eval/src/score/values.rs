@@ -1,4 +1,4 @@
-//! Values of the metrics: of one repeat, of one bootstrap resample, and of each item.
+//! Values of the metrics: per repeat, per bootstrap resample, and per item.
 
 use std::collections::BTreeMap;
 

@@ -195,7 +195,7 @@ fn no_system_is_best_where_returning_the_original_is_better() {
         score_row("style", "b", recall, 3.0),
     ];
     let shown = &table(&rows, &[error, recall]);
-    // 40.001 prints as the identity's 40.00: it is not behind it, and no better.
+    // 40.001 prints as the identity editor's 40.00, so it is neither behind nor better.
     assert!(best(shown, error).is_empty());
     assert_eq!(best(shown, recall), ["a"]);
     let behind = "Behind the identity editor, which returns the original unchanged: \

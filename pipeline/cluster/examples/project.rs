@@ -15,7 +15,7 @@ use anyhow::Context;
 /// Seconds until the last piece is done.
 fn simulated(pieces: &[f64], count: usize, executors: usize, cost: f64, wait: f64) -> f64 {
     let micros = |secs: f64| (secs * 1e6) as u64;
-    // Executors by the time when they ask next.
+    // Executors by the time of their next request.
     let mut asking: BinaryHeap<Reverse<u64>> = (0..executors).map(|_| Reverse(0)).collect();
     let (mut free, mut end) = (0, 0);
     for number in 0..count {

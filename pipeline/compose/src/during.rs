@@ -190,7 +190,8 @@ mod tests {
             let turn = angle_between(before.rotations[16], after.rotations[16]);
             assert!(turn < most, "frame {frame}: {turn}");
         }
-        // The middle is the edit: the arm is up, and the run turns as it does, less what leads back.
+        // The middle frames follow the edit: the arm is up, and the heading follows the edit except for the correction
+        // to the end.
         let middle = found.pose(25);
         let up = from_axis_angle(DVec3::Z);
         assert!(angle_between(middle.rotations[16], up) < 1e-6);

@@ -280,7 +280,7 @@ pub enum Error {
         /// The clip all motions of the base are made of; none if the base is empty.
         clip: Option<String>,
     },
-    /// Statistics were asked of this split, which is not train.
+    /// Statistics were requested for this split, which is not train.
     #[error("statistics are fitted on split train alone, the library holds split {0}")]
     NotTrain(Split),
     /// No motion of the training split is there to compare with.
@@ -313,7 +313,7 @@ pub enum Error {
 }
 
 impl Error {
-    /// The code of the error, if it has one, and what it happened to.
+    /// The code of the error, if it has one, and the item it happened to.
     pub fn code(&self) -> Option<Code> {
         let (code, path) = match self {
             Self::Spec(error) => return error.code(),

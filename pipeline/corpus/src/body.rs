@@ -130,7 +130,7 @@ const MIN_ELBOW_BEND: f64 = 0.08;
 const MAX_BEND: f64 = 2.6;
 /// Look-ahead in seconds in which the pelvis anticipates the limit of a leg.
 const PELVIS_FORESIGHT_SECS: f64 = 0.10;
-/// Height in metres by which a foot is lifted off its plan when it bears no weight.
+/// Height in metres by which a foot is raised above its planned path while it bears no weight.
 const UNLOADED_LIFT: f64 = 0.05;
 const SPINE_SHARES: [f64; 3] = [0.30, 0.35, 0.35];
 

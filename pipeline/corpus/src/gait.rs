@@ -162,7 +162,7 @@ impl FootShape {
     }
 }
 
-/// A foot standing at one place.
+/// A foot planted at one place.
 #[derive(Clone, Copy, Debug)]
 struct Plant {
     from: f64,
@@ -439,7 +439,7 @@ mod tests {
         let path = RootPath::integrate(0.0, 1.0, |_| DVec3::Z, |secs| quarter * secs);
         let (point, heading) = path.at(1.0);
         let expected = DVec3::new(1.0, 0.0, 1.0) / quarter;
-        // The midpoint rule errs by (turn per sample)^2 / 24 of the way, below 1e-5 here.
+        // The midpoint rule has an error of (rotation per sample)^2 / 24 of the path, here below 1e-5.
         assert!((point - expected).length() < 1e-5, "{point}");
         assert!((heading - quarter).abs() < 1e-12);
     }

@@ -13,7 +13,7 @@ use super::gait::{Gait, RootPath, Side, Swing};
 use super::gesture;
 use super::style::Style;
 
-/// A way of getting from place to place.
+/// A kind of locomotion.
 pub(super) struct Travel {
     /// Velocity of a neutral performance in m/s: left, up, forward.
     velocity: DVec3,

@@ -550,7 +550,7 @@ mod tests {
         joints
     }
 
-    /// Replaces the bone that ends in a joint; what hangs from it follows.
+    /// Replaces the bone that ends in a joint; the joint's descendants move along.
     fn move_bone(joints: &mut Joints, moved: usize, bone: DVec3) {
         let before = *joints;
         joints[moved] = joints[parent_of(moved)] + bone;

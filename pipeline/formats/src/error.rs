@@ -9,7 +9,7 @@ use datasets_spec::Code;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A file gives no motion.
+    /// A file contains no usable motion.
     #[error("{}: {reason}", path.display())]
     UnusableFile {
         /// The file.

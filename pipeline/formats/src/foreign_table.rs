@@ -170,7 +170,7 @@ pub fn list(values: &ArrayRef, row: usize) -> Option<(ArrayRef, std::ops::Range<
 /// Appends the numbers of a value, however deep they are nested.
 ///
 /// # Errors
-/// Something in it is no number.
+/// A nested value is not a number.
 pub fn numbers(
     values: &ArrayRef,
     row: usize,

@@ -96,7 +96,7 @@ pub(crate) fn ingest(
         .map(|source| SourceArg::parse(source.as_os_str()));
     let sources: Vec<SourceArg> = sources.collect::<Result<_, _>>().map_err(Failure::new)?;
     work::long(py, progress, |progress| {
-        // Anew for each call: a process that was forked has no threads of its parent, so none of its connections.
+        // A new client for each call: a forked process has no threads of its parent, so none of its connections work.
         remote_store::register()?;
         let options = IngestOptions {
             pairs: pairs.as_deref().map(PairList::read).transpose()?,

@@ -18,8 +18,8 @@ use crate::error::Failure;
 /// How often a long call looks for Ctrl-C.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// Threads of this process. A process that was forked, as a worker of a PyTorch loader is, has none of its parent's
-/// and makes its own.
+/// Threads of this process. A forked process, such as a worker of a PyTorch loader, has no threads of its parent and
+/// starts its own.
 static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
 fn pool() -> Result<Arc<ThreadPool>, Failure> {
@@ -89,7 +89,7 @@ pub(crate) fn long<T: Send>(
                 Err(RecvTimeoutError::Timeout) => {
                     if let Err(error) = py.check_signals() {
                         stop.store(true, Ordering::Relaxed);
-                        // The work is waited for: it holds the locks of what it writes.
+                        // Wait for the work to end: it holds the locks of its output.
                         let _ = py.detach(|| wait(Duration::MAX));
                         return Err(error);
                     }

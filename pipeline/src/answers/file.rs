@@ -149,7 +149,7 @@ fn npy(bytes: &[u8], skeleton: &Skeleton) -> Result<Recorded, Rejected> {
     }
     let clip = humanml3d::read_array(bytes, skeleton)?;
     Ok(Recorded {
-        // The vector has no origin and no heading.
+        // The feature vector has no origin and no heading.
         place: Place::Source,
         fit_error_m: clip.fit_error_m,
         ..Recorded::of_motion(&clip.motion)

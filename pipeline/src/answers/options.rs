@@ -29,7 +29,7 @@ pub struct AnswerOptions {
     pub settings: String,
     /// Seed of answers that state none; it distinguishes takes of one item.
     pub seed: Seed,
-    /// Rate of all answers, in place of the files' own.
+    /// Rate of all answers; it replaces the rates in the files.
     pub fps: Option<Fps>,
     /// Vertical axis of all answers, in place of that of their formats.
     pub up: Option<Up>,

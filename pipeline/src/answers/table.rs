@@ -118,7 +118,7 @@ fn whole(values: &ArrayRef, row: usize) -> Option<u64> {
             let mut found = Vec::new();
             numbers(values, row, MAX_DEPTH, &mut found).ok()?;
             let [value] = found[..] else { return None };
-            // Beyond this a double cannot hold odd numbers.
+            // Above 2^53, a double cannot represent every integer.
             let is_exact = value.fract() == 0.0 && (0.0..=2f64.powi(53)).contains(&value);
             is_exact.then_some(value as u64)
         }

@@ -292,7 +292,7 @@ fn hostile_files_are_refused_one_by_one_and_the_rest_goes_on() {
         "{}",
         refused(2).reason
     );
-    // The place of the name in the file, not in the pickle behind the header.
+    // Offset of the name in the file, not in the pickle after the header.
     assert!(refused(2).byte_offset.expect("a place") >= 64);
     assert_eq!(refused(3).code, "E-AMASS-SHAPE");
     assert_eq!(refused(4).code, "E-NOT-FINITE");
@@ -336,7 +336,7 @@ fn takes_are_told_apart_by_their_seed_and_two_imports_are_two_systems() {
     assert_ne!(a.report.checkpoint_hash, b.report.checkpoint_hash);
     let again = answers(first.path(), &items, &options());
     assert_eq!(again.rows, a.rows);
-    // The same bytes read in another way are other edits.
+    // The same bytes imported with other options are other edits.
     let turned = AnswerOptions {
         up: Some(Up::Z),
         ..options()
@@ -378,7 +378,7 @@ fn motionfix_items_go_by_the_number_of_their_pair() {
     );
 }
 
-/// Columns as different writers make them of the same frames.
+/// Columns of the same frames in the formats of different writers.
 #[derive(Clone, Copy, Debug)]
 enum Writer {
     /// pyarrow: lists of lists of doubles whose item is called `element`.
@@ -512,7 +512,7 @@ fn rows_of_a_table_are_refused_one_by_one() {
     .expect("valid");
     let motions = vec![motion.clone(); 6];
     let mut columns = motion_columns(&motions, Writer::Flat);
-    // The second row has a frame less in one column, the third a number that is none.
+    // The second row lacks a frame in one column, and the third has a NaN.
     let mut transl: Vec<Vec<[f32; 3]>> = vec![motion.transl().to_vec(); 6];
     transl[1] = broken.transl().to_vec();
     transl[2][7][1] = f32::NAN;

@@ -53,7 +53,7 @@ pub struct Findings {
     pub stance: Vec<ReleaseFindings>,
     /// Folders of the MotionFix release.
     pub motionfix: Vec<ReleaseFindings>,
-    /// Captures of markers that give no motion, by code.
+    /// Captures of markers that give no motion, by code of the rejection.
     pub captures: Vec<CaptureFindings>,
     /// Licences that its folders state.
     pub licenses: Vec<LicenseFindings>,

@@ -17,7 +17,7 @@ pub(super) type Note = Option<String>;
 
 /// A layout whose clips have files of their own, which can be written apart from each other.
 pub(super) trait ByClip: Send + Sync {
-    /// Writes the files of a clip, and returns why it was left out, if it was.
+    /// Writes the files of a clip; returns the reason if it was left out.
     fn write_clip(&self, row: MotionRow, folder: &Path) -> Result<Note, Error>;
 
     /// Writes what depends on all clips, whose files are in the folder. The notes are in the order of the clips.

@@ -14,7 +14,7 @@ use crate::clips::Clips;
 
 pub(super) enum Form {
     ByClip(Box<dyn ByClip>),
-    /// In one go, because they depend on each other.
+    /// Compute all of them together, because they depend on each other.
     Whole(fn(&Clips, &Path, &dyn Progress) -> Result<Exported, Error>),
 }
 

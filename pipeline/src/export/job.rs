@@ -202,7 +202,7 @@ impl Export {
             }
             (Some(_), _) => self.motions(part),
         };
-        // Other threads wait for the files that they would read as well.
+        // Other threads need the same files, so they wait for this one to read them.
         let mut checked = self.checked.lock().unwrap_or_else(PoisonError::into_inner);
         for (path, file) in files {
             if checked.contains(&path) {
@@ -282,8 +282,7 @@ impl Job for Export {
         let write = || {
             let written = self.write(&self.clips(), part.as_ref(), &made)?;
             let files = files_in(&made, &format!("{PIECES}/{}/", piece.id))?;
-            // Another worker may have been faster with the same files. Where a file was lost of what was made
-            // before, it makes way.
+            // Another worker may already have made the same files. An earlier result with a missing file is replaced.
             if fs::rename(&made, &folder).is_err() && !staging.holds(files.iter())? {
                 Disk.remove_dir_all(&folder)
                     .map_err(datasets_spec::Error::io("remove", &folder))?;
@@ -357,7 +356,7 @@ impl Job for Export {
             let prefix = format!("{PIECES}/{}/", piece.id);
             for file in &made.files {
                 let name = file.path.strip_prefix(&prefix).unwrap_or(&file.path);
-                // The piece stays, so that a commit that is killed can be repeated.
+                // The piece is kept, so that a commit that was killed can be repeated.
                 link(&staging.path(file), &result.join(name))?;
             }
             let written: Written = work::notes(plan, &piece, made.notes)?;
@@ -399,7 +398,7 @@ fn hash_of(files: &[FileEntry]) -> String {
     hasher.finalize().to_hex().to_string()
 }
 
-/// Gives a file a second name, or copies it where the file system knows none.
+/// Hard-links a file, or copies it if the file system has no hard links.
 fn link(from: &Path, to: &Path) -> Result<(), Error> {
     if let Some(folder) = to.parent() {
         fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?;

@@ -38,7 +38,7 @@ impl Exported {
         }
     }
 
-    /// Adds what the layout has no place for, and clips that the writer left out.
+    /// Adds counts of items that the layout cannot hold, and of clips that the writer left out.
     pub(super) fn complete(&mut self, layout: Layout, clips: &Clips) -> Result<(), Error> {
         for (name, count) in left_out(layout, clips)? {
             put(&mut self.left_out, &name, count);
@@ -106,7 +106,7 @@ fn held(layout: Layout) -> Vec<&'static str> {
         Layout::HumanMl3d272 | Layout::Babel272 | Layout::HyMotion => {
             [words, &[LICENSES, MIRROR_LINKS]].concat()
         }
-        // A caption of a part of a clip has no place.
+        // The layout cannot hold a caption of a part of a clip.
         Layout::MotionMillion => vec![CAPTIONS, LICENSES],
         Layout::LeRobot => vec![CAPTIONS, ACTIONS, STYLES, LICENSES],
         Layout::MotionFix => vec![LICENSES, PAIRS],
@@ -127,7 +127,7 @@ fn rate(layout: Layout) -> Option<Fps> {
     }
 }
 
-/// Counts what a layout has no place for. Only columns of labels are read.
+/// Counts items that a layout cannot hold. Only columns of labels are read.
 fn left_out(layout: Layout, clips: &Clips) -> Result<Counts, Error> {
     let mut counts = Counts::new();
     let held = held(layout);

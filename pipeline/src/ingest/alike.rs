@@ -51,7 +51,7 @@ struct Numbers {
 }
 
 impl Alike {
-    /// Compares the motions of shards that were made with each other and with the clips that stay.
+    /// Compares the motions of new shards with each other and with the clips that stay.
     pub(super) fn find(
         made: (&Staging, &[(ShardName, FileEntry)]),
         (root, recorded, fates): (&Path, &Recorded, &Fates<'_>),
@@ -210,7 +210,8 @@ impl Files {
         self.paths.len() - 1
     }
 
-    /// Makes something of the sketches of some motions, by their places in `all`. A thread has one file open at a time.
+    /// Runs a function on the sketches of some motions, given by their index in `all`. A thread has one file open at a
+    /// time.
     fn sketches<T: Send>(
         &self,
         all: &[Numbers],
@@ -383,7 +384,7 @@ struct Window<'a> {
     files: &'a Files,
     order: &'a Order<'a>,
     skeleton: &'a Skeleton,
-    /// Places whose sketches are still to be read, in ascending order.
+    /// Indices of the sketches that are not read yet, in ascending order.
     coming: VecDeque<usize>,
     held: BTreeMap<usize, Sketch>,
 }

@@ -1,5 +1,5 @@
-//! Motions that are alike share a split. That they are is known once they are read, so rows move between the shards
-//! that were written.
+//! Similar motions share a split. Similarity is known only after reading, so rows move between shards that are already
+//! written.
 
 use std::collections::BTreeMap;
 

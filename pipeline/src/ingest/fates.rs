@@ -38,7 +38,7 @@ pub(super) struct Fates<'a> {
     recorded: &'a Recorded,
     fates: Vec<Fate>,
     of_id: BTreeMap<&'a str, usize>,
-    /// Whether clips leave whose files give them no more.
+    /// Whether to remove clips that their files no longer give.
     prune: bool,
     /// Shards that were planned to be written again, in their order.
     rewritten: Vec<usize>,

@@ -62,7 +62,7 @@ pub struct SourceForecast {
     pub equal: Vec<String>,
     /// Clips whose files are missing; the clips stay in the dataset.
     pub missing: Vec<String>,
-    /// Clips whose files are there and give them no more. They stay.
+    /// Clips whose files exist and no longer give them. They stay.
     pub kept_unusable: Vec<String>,
     /// Clips that would leave.
     pub pruned: Vec<String>,

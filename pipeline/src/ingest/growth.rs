@@ -27,7 +27,7 @@ pub struct Growth {
     pub labels: BTreeMap<String, u64>,
     /// Masks and pairs that are lost, with the reason. The version before keeps them.
     pub lost: Vec<LostLabel>,
-    /// Tables that were composed of clips that changed or went; their commands make them again.
+    /// Tables that were composed of changed or removed clips; their commands make them again.
     pub dropped_tables: Vec<String>,
 }
 

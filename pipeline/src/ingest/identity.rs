@@ -1,4 +1,4 @@
-//! Ids and splits of motions. Both are kept once they were given.
+//! Ids and splits of motions. Once assigned, both are kept.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -299,7 +299,7 @@ impl Plan {
         before.filter(|(other, _)| *other == format).count()
     }
 
-    /// The label of a clip that its split is drawn by; none if it has none, or splits are drawn by clip.
+    /// The label of a clip that its split is drawn from; none if it has none, or splits are drawn by clip.
     fn split_label(&self, item: &Planned) -> Option<String> {
         match self.split_by {
             SplitBy::Clip => None,

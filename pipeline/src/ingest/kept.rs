@@ -14,7 +14,7 @@ use super::recorded::Recorded;
 use super::sources::SourceLabel;
 use crate::versions::{is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source};
 
-/// Labels of the version before: those that stay and those that are lost.
+/// Labels of the previous version that are kept, and those that are lost.
 #[derive(Default)]
 pub(super) struct Labels {
     pub(super) masks: Vec<MaskRow>,
@@ -63,7 +63,7 @@ impl Fates<'_> {
         labels
     }
 
-    /// Where a clip with a label is; the clip and what happened to it if its labels do not hold for it any more.
+    /// Where the clip of a label is now; if its labels do not apply any more, the clip and what happened to it.
     fn place(&self, id: &MotionId) -> Result<Place, (String, String)> {
         let reason = match self.of_clip(id) {
             Some(Fate::Kept | Fate::Elsewhere | Fate::Missing | Fate::Unusable) => {
@@ -181,7 +181,7 @@ impl Plan {
     }
 }
 
-/// Where a clip is whose labels stay.
+/// Present id of a clip whose labels are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Place {
     Stays,

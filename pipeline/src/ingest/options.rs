@@ -66,7 +66,7 @@ pub struct IngestOptions {
     pub teleports: Teleports,
     /// Read everything again where the settings differ from those the dataset was made with.
     pub new_version: bool,
-    /// Clips leave whose files are gone or give them no more.
+    /// Whether to remove clips whose files are missing or no longer give them.
     pub prune: bool,
     /// Commit although labels are lost, because their clips changed or went.
     pub drop_labels: bool,

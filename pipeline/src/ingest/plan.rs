@@ -63,7 +63,7 @@ pub(super) struct Plan {
 pub(super) struct Planned {
     pub(super) entry: Entry,
     pub(super) format: Format,
-    /// The release that reads it; none for single files.
+    /// Index of the release that reads it; none for single files.
     pub(super) release: Option<usize>,
     /// Id prefix that keeps two releases' ids apart.
     pub(super) prefix: String,
@@ -79,8 +79,7 @@ pub(super) struct Planned {
     pub(super) action: Option<String>,
     pub(super) id: String,
     pub(super) inputs: String,
-    /// The clip of the version before that this one is, by its place in
-    /// [`Recorded::clips`](super::recorded::Recorded).
+    /// Index of the same clip of the previous version in [`Recorded::clips`](super::recorded::Recorded).
     pub(super) known: Option<usize>,
     /// Whether that clip stays unchanged.
     pub(super) is_kept: bool,
@@ -623,7 +622,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("a temporary folder");
         let place = |name: &str| (name.to_owned(), dir.path().join(name));
         let large = std::fs::File::create(dir.path().join("large.glb")).expect("made");
-        // The file is sparse: it takes no room on the disk.
+        // The file is sparse: it uses no disk space.
         large.set_len(MAX_FILE_LEN + 1).expect("enlarged");
         let files = Files::new(["large.glb", "gone.glb"].map(place).into());
         let code = |name| {

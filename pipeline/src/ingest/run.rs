@@ -1,4 +1,4 @@
-//! A run whose plan is made: it reads the shards and commits the dataset.
+//! Executes a plan: reads the shards and commits the dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -505,7 +505,7 @@ fn staged_shard(
     }))
 }
 
-/// The labels of a dataset that stay, and those that are lost.
+/// Labels of a dataset that are kept, and those that are lost.
 pub(super) fn labels(base: &Base, fates: &Fates<'_>) -> Labels {
     fates.labels(base.masks.clone(), base.label_pairs.clone())
 }

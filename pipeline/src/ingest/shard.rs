@@ -36,7 +36,7 @@ pub(super) struct ShardNotes {
     pub(super) label_problems: Vec<LabelProblem>,
 }
 
-/// Bytes above which the headers of a file are looked at before it is read.
+/// Minimum size in bytes of a file whose headers are checked before it is read.
 const LARGE_LEN: usize = 64 << 20;
 
 /// Stage of a quarantined item whose piece failed as a whole.

@@ -149,7 +149,7 @@ pub(super) fn free(name: &str, mut is_free: impl FnMut(&str) -> bool) -> String 
     found.expect("numbers do not end")
 }
 
-/// A path without its label; none if it has another.
+/// A path without its label; none if its label is another.
 pub(super) fn below<'a>(label: &str, path: &'a str) -> Option<&'a str> {
     match label {
         "" => Some(path),

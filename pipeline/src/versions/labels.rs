@@ -42,7 +42,7 @@ impl Labels {
         })
     }
 
-    /// Writes those tables that differ from `before`. A table without rows has no files.
+    /// Writes the tables that differ from `before`. A table without rows has no files.
     pub(super) fn write(
         &self,
         before: &Self,

@@ -138,7 +138,7 @@ fn is_alike(a: &Manifest, b: &Manifest) -> bool {
     (tables(a), &a.facts, &a.skeleton) == (tables(b), &b.facts, &b.skeleton)
 }
 
-/// The labels of an older version, into which those come that people made since.
+/// Labels of an older version, to which newer labels by people are added.
 struct Merge {
     old: Clips,
     now: Clips,

@@ -10,7 +10,7 @@ use pickle::{Array, Value, encode};
 
 use crate::{npy, npy_f8};
 
-/// A walk whose every frame and joint differs, and from one `seed` to another too.
+/// A walk in which every frame and joint differs; another `seed` gives another walk.
 pub fn swinging(seed: usize, frames: usize) -> Motion {
     let poses: Vec<Pose> = (0..frames)
         .map(|frame| {

@@ -11,7 +11,7 @@ use crate::Error;
 const ID_DIGITS: usize = 32;
 
 datasets_spec::table! {
-    /// A piece of work: what one call of a worker makes.
+    /// A unit of work: the output of one call of a worker.
     pub struct Piece = "pieces" {
         /// Hash of the plan and of what the piece reads, 32 hexadecimal digits
         pub id: String [""],

@@ -22,7 +22,7 @@ use crate::folder::{NewFolder, is_occupied, publish};
 const FORMAT: &str = "stance-plan";
 /// Version of the files of a plan.
 const VERSION: u32 = 1;
-/// Program that makes and reads a plan. Another version could make other bytes.
+/// Program version of a plan. Another version could make other bytes.
 const TOOL_VERSION: &str = concat!("stance ", env!("CARGO_PKG_VERSION"));
 const HEADER: &str = "plan.json";
 const PIECES: &str = "pieces.parquet";
@@ -304,7 +304,7 @@ impl Plan {
         replace_file(&kept, &text).map_err(Error::io("write", &kept))?;
         let home = self.home();
         match ByPath.remove_dir_all(&home) {
-            // A late worker may still write to it; what it leaves goes with the next commit of the plan.
+            // A late worker may still write to the folder; its files are removed by the next commit of the plan.
             Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => Ok(()),
             removed => removed.map_err(Error::io("remove", &home)),
         }

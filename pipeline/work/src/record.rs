@@ -187,7 +187,7 @@ pub struct Finished {
 /// How a plan is committed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CommitOptions {
-    /// Put what failed pieces should have made into quarantine; without it, they stop the commit.
+    /// Quarantine the items of failed pieces; otherwise failed pieces stop the commit.
     pub quarantine_failed: bool,
     /// Names this run to another one that finds the destination locked.
     pub holder: String,

@@ -84,7 +84,7 @@ impl Worker {
         self.fail(piece, failed, begun.elapsed().as_secs_f64())
     }
 
-    /// Records that a piece failed; one that is there stays.
+    /// Records that a piece failed. A piece that exists is kept.
     pub fn fail(&self, piece: &Piece, failed: Failed, secs: f64) -> Record {
         let record = Record::failed(piece, failed, secs);
         // On a full disk the record cannot be kept either; the piece is then missing and not failed.

@@ -1,4 +1,4 @@
-//! The store: opening, copying and checking it, and its way to another machine.
+//! Opens, copies, checks and packs the store.
 
 use std::fs::File;
 use std::io::Read;

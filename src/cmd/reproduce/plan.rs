@@ -34,7 +34,7 @@ use crate::local;
 use crate::seeds::Seeds;
 use crate::settings;
 
-/// The editor that a system is if it names no model.
+/// Model of a system that names none.
 const EDITOR: &str = "motionrefit";
 const COORDINATOR: &str = "coordinator";
 const POSES: &str = "j2s";

@@ -61,8 +61,7 @@ pub(crate) struct RunConfig {
     /// Values in place of the preset's for the pose network.
     #[serde(default)]
     pub(super) poses: Map<String, Value>,
-    /// `"builtin"` for the encoder that ships with the program, or values in place of the preset's for one that is
-    /// trained.
+    /// `"builtin"` for the encoder that ships with the program, or settings of an encoder to train.
     #[serde(default)]
     pub(crate) encoder: EncoderConfig,
     /// Seeds of split, items, training and sampling.

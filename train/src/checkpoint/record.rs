@@ -96,7 +96,7 @@ impl<C> RunRecord<C> {
     }
 }
 
-/// Checks that the model of a run folder was trained on a skeleton; `what` names it.
+/// Checks that the model of a run folder was trained on the given skeleton; `what` names the model in errors.
 ///
 /// # Errors
 /// It was trained on another one, or the folder is no run.

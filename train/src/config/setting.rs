@@ -1,4 +1,4 @@
-//! Settings of a user in place of some of a preset's.
+//! User settings that override a preset.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;

@@ -347,7 +347,7 @@ mod tests {
         assert_eq!(end_place(&[8, 3, 9, 0, 0], 9), 2);
         assert_eq!(end_place(&[8, 2, 9, 0, 0], 9), 2);
         assert_eq!(end_place(&[8, 3, 0, 0, 0], 9), 0);
-        // The legacy end token stands for the largest number, even where 2 itself comes first.
+        // The legacy end token 2 means "the largest token number", even if token 2 itself comes first.
         assert_eq!(end_place(&[8, 2, 9, 9, 9], 2), 2);
         assert_eq!(end_place(&[8, 2, 9, 0, 0], 2), 2);
     }

@@ -11,7 +11,7 @@ use crate::steps::Desk;
 /// Tasks of each kind that are done.
 const TASKS: usize = 2;
 
-/// Two masks; the second one holds from the first frame on for as many frames as a range must have, and more.
+/// Two masks; the range of the second starts at the first frame and is a little longer than the minimum.
 fn mask(desk: &Desk) {
     desk.describe_two_masks();
     desk.press(&[keys::ESCAPE, keys::HOME, "["]);

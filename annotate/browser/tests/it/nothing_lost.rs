@@ -27,7 +27,7 @@ fn a_session_that_ends_amid_a_text_loses_nothing() {
     assert_eq!(desk.count("dialog"), 0);
     desk.press(&[keys::ESCAPE]);
     desk.shows("dialog.login[open]");
-    // Keys that were meant for the page are no part of the token.
+    // Keys for the page must not end up in the token.
     desk.type_text("15sb");
     desk.focuses("#token");
     desk.is("document.querySelector('#token').value", "");

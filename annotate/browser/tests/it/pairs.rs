@@ -130,7 +130,7 @@ fn a_style_that_is_not_listed_is_typed_and_joins_the_list_once_accepted() {
     let mut desk = Desk::at("app/style");
     let listed = "[...document.querySelectorAll('#styles-of-project option')].some((own) => own.value === 'limping')";
     let mut task = desk.task();
-    // The first that wants one answer, so that it can be reviewed at once.
+    // The first pair that needs only one answer, so that it can be reviewed at once.
     while desk.get(&format!("tasks/{task}"))["task"]["wanted"] != 1 {
         desk.press(&["x"]);
         task = desk.next_task(task);

@@ -44,7 +44,7 @@ fn a_team_is_added_from_lines_and_each_link_logs_one_person_in() {
             .is_some_and(|all| all.contains(&json!(name)));
         assert!(listed, "{name} is in the table of people: {people}");
     }
-    // The file for download holds them too.
+    // The downloaded file contains the new users too.
     let file = desk.js_async(
         "{ let blob = null; const make = URL.createObjectURL; URL.createObjectURL = (own) => { blob = own; return make.call(URL, own); }; \
            [...document.querySelectorAll('newcomers-form button')].find((own) => own.textContent.trim() === 'Download as CSV').click(); \

@@ -163,7 +163,7 @@ impl Exporter<'_> {
     }
 }
 
-/// Counts what the tables have no place for.
+/// Counts answers that the tables cannot hold.
 fn count_losses(answer: &Answer, done: &mut Exported) {
     let said = answer.fields();
     for (what, is_lost) in [

@@ -1,5 +1,5 @@
-//! Layout `stance`: the JSON files of the STANCE release, and the table `annotations`, which holds what they have no place
-//! for.
+//! Layout `stance`: the JSON files of the STANCE release, and the table `annotations` with the data that they cannot
+//! hold.
 
 use std::path::Path;
 

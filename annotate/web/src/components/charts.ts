@@ -158,7 +158,7 @@ export function daySpan(period: Period): string {
   return first && last ? `${shortDate(first)} to ${shortDate(last)}` : "";
 }
 
-/** The most that one person did on one day. */
+/** The largest count of one person on one day. */
 export function mostOf(period: Period, value: (work: Work) => number): number {
   return Math.max(0, ...period.people.flatMap((person) => person.days.map(value)));
 }

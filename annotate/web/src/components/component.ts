@@ -109,7 +109,7 @@ export function pageLink(app: { go(path: string): void }, path: string, label: s
 /** A column of a table: its head, and its cell in a row. */
 export type Column<T> = readonly [head: string, cell: (row: T, index: number) => unknown];
 
-/** A table; the first cell of a row names it. Without rows, `none` is shown in their place. */
+/** A table; the first cell of a row heads it. Without rows, `none` is shown instead. */
 export function figureTable<T>(caption: string, rows: readonly T[], columns: readonly Column<T>[], none = "None."): TemplateResult {
   const cells = (row: T, index: number): TemplateResult[] =>
     columns.map(([, cell], at) => (at === 0 ? html`<th scope="row">${cell(row, index)}</th>` : html`<td>${cell(row, index)}</td>`));
@@ -121,7 +121,7 @@ export function figureTable<T>(caption: string, rows: readonly T[], columns: rea
   </table>`;
 }
 
-/** Buttons of which one is chosen. */
+/** A group of buttons with one selected. */
 export function switcher<T extends string | number>(
   label: string,
   options: readonly (readonly [T, string])[],

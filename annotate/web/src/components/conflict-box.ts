@@ -14,7 +14,7 @@ const CHOICES: readonly (readonly [Version, string])[] = [
   ["both", "Keep both and edit"],
 ];
 
-/** Milliseconds after opening during which a click or key was meant for what was there before. */
+/** Milliseconds after opening in which clicks and keys are ignored, because the user meant the previous content. */
 const DEAF_MS = 1000;
 
 export class ConflictBox extends Component {

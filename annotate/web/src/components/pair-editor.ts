@@ -198,7 +198,7 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
     `;
   }
 
-  /** Buttons of the first styles and of the chosen one, and a field for any other, also for one that is new. */
+  /** Buttons of the first styles and of the chosen one, and a field for any other style, including new ones. */
   private styleChoices(chosen: string | null): TemplateResult {
     const { styles } = this;
     const known = styles.find((style) => style.name === chosen);

@@ -50,7 +50,7 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
 class GuideEditor extends Component {
   private guide: KindGuide;
   private readonly kept: string;
-  /** Pictures that were in the text or uploaded: those no guide shows in the end are deleted. */
+  /** Pictures that were in the text or uploaded; those that no guide shows at the end are deleted. */
   private readonly touched: Set<string>;
 
   constructor(

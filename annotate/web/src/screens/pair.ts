@@ -33,7 +33,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
   const reject = (verdict: Verdict): void => {
     const answer: TwoAnswer = { ...editor.current, verdict };
     const rejected = (): void => {
-      // The feedback on practice has its own way back.
+      // The feedback screen of practice has its own back link.
       if (task.practice) return;
       lastVerdict = { takeBack: () => takeBack(task.id), until: Date.now() + TOAST_MS };
       const action = { label: `Undo (${app.keys.hint("undo")})`, run: () => void takeBack(task.id) };

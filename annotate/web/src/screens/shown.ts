@@ -1,4 +1,4 @@
-/** The motions of a task, for those who answer it and those who judge its answers. */
+/** The motions of a task, for answering and for review. */
 
 import type { App } from "../app";
 import type { MaskStage } from "../components/mask-editor";
@@ -164,7 +164,7 @@ export class PairView {
       .map((row) => ({ column: this.strip.peak(row), value: this.strip.value(row, this.strip.peak(row)) }))
       .reduce((a, b) => (b.value > a.value ? b : a));
     this.viewer.clock.seek(best.column);
-    // The strip compares poses without place and heading; the ghost shows that frame so, too.
+    // The strip compares poses without position and heading; show the ghost in the same way.
     if (this.viewer.view.layout === "ghost" && !this.viewer.view.together) this.setTogether(true);
   }
 

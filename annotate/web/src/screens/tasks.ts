@@ -44,7 +44,7 @@ const OFTEN: readonly (readonly [string, string])[] = [
   ["skipped=everybody", "Nobody is left"],
 ];
 
-/** Where the reader was, so that the way back from a task leads there. */
+/** Position in the list, to return to from a task. */
 let left: { query: string; at: number; top: number; rows: readonly TaskRow[] } = { query: "", at: 0, top: 0, rows: [] };
 
 /** The list that the reader came from, and the tasks before and after this one in it. */

@@ -71,7 +71,7 @@ impl<'a> Fitter<'a> {
         let [own, before, own_before] = [own, before, own_before].map(|pose| self.body_of(pose));
         let mut body = own.clone();
         for joint in 0..NUM_BODY_JOINTS {
-            // In the joint's own axes, which does not depend on the heading of the body.
+            // In the joint's local axes, so that the result does not depend on the heading of the body.
             let turn = own_before.global[joint].inverse() * own.global[joint];
             let carried = (before.global[joint] * turn).normalize();
             body.global[joint] = slerp(own.global[joint], carried, alpha);

@@ -13,7 +13,7 @@ use ureq::{Agent, Body, Proxy, RequestBuilder, SendBody};
 
 use super::error::Error;
 
-/// The public server. Answers of other servers may name it where they mean themselves.
+/// The public server. Responses of other servers may name it instead of themselves.
 const ENDPOINT: &str = "https://huggingface.co";
 /// The branch that is followed where none is named.
 pub(super) const BRANCH: &str = "main";
@@ -256,12 +256,12 @@ pub(super) struct Answer {
     is_authorized: bool,
     pub(super) status: StatusCode,
     pub(super) headers: HeaderMap,
-    /// The document; null where it is none.
+    /// The JSON document; null if the body is not JSON.
     pub(super) body: Value,
 }
 
 impl Answer {
-    /// The answer, if it is no refusal.
+    /// Turns a refusal into an error.
     pub(super) fn checked(self) -> Result<Self, Error> {
         if self.status.is_success() {
             return Ok(self);
@@ -290,7 +290,7 @@ impl Answer {
         })
     }
 
-    /// The error that the answer is not understood.
+    /// The error for a malformed response.
     pub(super) fn malformed(&self, problem: &str) -> Error {
         failed(&self.address, format!("the answer {problem}"))
     }
@@ -325,7 +325,7 @@ pub fn token_from_variables(variable: impl Fn(&str) -> Option<OsString>) -> Opti
     Some(token.trim().to_owned()).filter(|token| !token.is_empty())
 }
 
-/// Where an answer redirects to; none if it does not.
+/// Redirect target of a response; none if it is not a redirect.
 pub(super) fn redirect(address: &str, response: &Response<Body>) -> Option<String> {
     let place = text_of(response.headers(), header::LOCATION.as_str())
         .filter(|_| response.status().is_redirection())?;

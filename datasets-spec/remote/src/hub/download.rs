@@ -105,7 +105,7 @@ pub(super) fn download(
     let mut done = file
         .seek(SeekFrom::End(0))
         .map_err(datasets_spec::Error::io("read", part))?;
-    // Too long: it holds something else.
+    // The file is longer than expected, so it is another file.
     if wanted.len.is_some_and(|len| done > len) {
         done = 0;
         file.set_len(0)

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use datasets_spec::Code;
 
-/// An error that names the item it happened to. None shows a token.
+/// An error that names the item it happened to. Errors never show a token.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

@@ -68,7 +68,7 @@ pub(super) fn send(
     Ok((count, bytes))
 }
 
-/// Uploads an object to the place that the server names, in one piece or in parts.
+/// Uploads an object to the address that the server names, in one piece or in parts.
 fn upload(hub: &Hub, object: &Object<'_>, actions: &Value) -> Result<(), Error> {
     let (size, upload) = (object.size, &actions["upload"]);
     let place = upload["href"].as_str();

@@ -88,7 +88,7 @@ pub fn pull(
     let commit =
         commit_of(hub, repo, revision)?.ok_or_else(|| Error::NotFound(repo.to_string()))?;
     let mut files = tree(hub, repo, &commit)?;
-    // Another commit has another folder, so that none of its files is taken for one of this.
+    // The folder name contains the commit, so that files of two commits are never mixed.
     let folder = out.with_file_name(format!(".{name}.{commit:.12}.part"));
     let source = Source {
         hub,

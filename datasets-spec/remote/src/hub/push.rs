@@ -16,7 +16,7 @@ use super::repo::{Repo, Tree, commit_of, create, tree};
 
 /// Files per request about existing files; the server's maximum.
 const BATCH: usize = 256;
-/// First bytes of a file by which the server tells text from data.
+/// First bytes of a file, from which the server decides between text and binary data.
 const SAMPLE_LEN: u64 = 512;
 /// The hub's file of LFS patterns. It belongs to the repo.
 const ATTRIBUTES: &str = ".gitattributes";
@@ -59,7 +59,7 @@ pub struct Push<'a> {
     hub: &'a Hub,
     repo: &'a Repo,
     options: PushOptions<'a>,
-    /// The commit that this one follows; none where there is no repo yet.
+    /// The parent commit; none if the repo does not exist yet.
     parent: Option<String>,
     changed: Vec<&'a HubFile>,
     preview: Pushed,
@@ -195,10 +195,10 @@ fn deleted(files: &[HubFile], there: &Tree, named: &[String]) -> Result<Vec<Stri
     Ok(deleted.into_iter().collect())
 }
 
-/// Files that a commit holds in itself, and those that LFS keeps.
+/// Files that are part of the commit itself, and files stored in LFS.
 type Modes<'a> = (Vec<&'a HubFile>, Vec<Object<'a>>);
 
-/// Asks the server which files a commit holds in itself.
+/// Asks the server which files are stored in the commit itself.
 fn by_mode<'a>(
     hub: &Hub,
     repo: &Repo,
@@ -246,7 +246,7 @@ fn by_mode<'a>(
     Ok((regular, large))
 }
 
-/// The objects without those that hold what one before them holds.
+/// The objects without duplicates of equal content.
 fn distinct<'a>(objects: &[Object<'a>]) -> Vec<Object<'a>> {
     let by_oid: BTreeMap<&str, &Object<'a>> = objects
         .iter()

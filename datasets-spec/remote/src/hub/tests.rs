@@ -23,7 +23,7 @@ const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
 struct Served {
     content: Vec<u8>,
     etag: String,
-    /// Bytes of an answer's body after which the server hangs up.
+    /// Number of body bytes after which the server closes the connection.
     cut: Option<usize>,
     /// Whether the server supports range requests for the file.
     ranges: bool,

@@ -1,4 +1,4 @@
-//! Libraries of datasets, whose frames lie in a file.
+//! Libraries of datasets whose frames are in a cache file.
 
 use std::fs;
 use std::path::{Path, PathBuf};

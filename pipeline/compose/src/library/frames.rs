@@ -167,7 +167,7 @@ impl FrameFile {
     }
 }
 
-/// Frames that were read, and room for their bytes, reused from one reading to the next.
+/// Frames that were read, and a byte buffer that is reused.
 #[derive(Debug, Default)]
 pub(crate) struct FrameRoom {
     bytes: Vec<u8>,
@@ -244,7 +244,7 @@ impl FrameWriter {
         self.most_at_once
     }
 
-    /// Makes the file durable and gives it its name.
+    /// Syncs the file and renames it to its final name.
     fn finish(&mut self, part: &Path) -> Result<(), Error> {
         assert_eq!(self.num_frames, self.expected, "frames of all clips");
         let done = self

@@ -97,7 +97,7 @@ struct Annotation {
     id: String,
     /// Index of the clip.
     clip: usize,
-    /// Frames of the clip that it holds for.
+    /// Frames of the clip that the mask applies to.
     frames: Range<usize>,
     mask: BlendMask,
     /// Names of the parts the mask is made of.
@@ -285,7 +285,7 @@ impl Library {
     }
 }
 
-/// The frames of clips that lie one after another in a file.
+/// Frames of clips stored one after another in a file.
 fn frames_of_file(
     file: Arc<FrameFile>,
     lens: impl IntoIterator<Item = usize>,

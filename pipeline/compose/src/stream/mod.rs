@@ -55,7 +55,7 @@ pub(super) struct WindowPlace {
     pub(super) start: usize,
 }
 
-/// Room for a window that is read, reused from one to the next.
+/// Buffer for a window, reused for the next one.
 #[derive(Debug, Default)]
 pub(super) struct Room {
     stored: FrameRoom,
@@ -440,7 +440,7 @@ impl Stream {
             WindowPlace { clip, start: at }
         };
         let (crop, held) = (pairing.crop, library.held_of(target.subject));
-        // Windows of a mask lie in the frames that it holds for.
+        // Windows of a mask lie within the mask's range.
         let first = library.edited_of(&pairing).start;
         let (windows, under, shown) = match target.subject {
             Subject::Annotation(_) => {
@@ -507,7 +507,7 @@ pub(super) fn item_rng(epoch_seed: Seed, item: u64) -> Rng {
 struct DrawnWindow<'a> {
     /// Windows before and after the edit; before a semantic edit there is only the partner.
     windows: [Option<WindowPlace>; 2],
-    /// The window of the partner, which they are blended into.
+    /// The partner's window, which the source is blended with.
     under: Option<WindowPlace>,
     plan: Option<&'a BlendPlan>,
     alpha: f64,

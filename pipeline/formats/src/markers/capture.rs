@@ -13,7 +13,7 @@ use crate::source::unit::{Unit, misfit, suspected};
 use clip::check::FLAG_GAPS_FILLED;
 use clip::{Markers, Rejected, RotationSource, SourceClip, rejected};
 
-/// Code of captures whose markers give no motion.
+/// Code of captures whose markers cannot be solved.
 const CODE: &str = "E-MARKERS";
 /// Code of captures whose unit is wrong.
 pub(crate) const UNIT_CODE: &str = "E-UNIT";
@@ -154,7 +154,7 @@ pub(crate) struct Positions {
 }
 
 impl Positions {
-    /// Adds a marker's place and residual in metres; none where it is not seen.
+    /// Adds a marker's position and residual in metres; none if it is not seen.
     pub(crate) fn add(&mut self, seen: Option<(DVec3, f64)>) {
         let plausible = seen.filter(|(place, _)| place.length() < MAX_DISTANCE_M);
         self.seen += usize::from(seen.is_some());
@@ -209,7 +209,7 @@ pub struct CaptureUnit {
 }
 
 impl CaptureUnit {
-    /// Why a capture in this unit gives no motion.
+    /// Reason why a capture in this unit is rejected.
     fn rejected(self, error: SolveError) -> Rejected {
         if let SolveError::Height { metres, .. } = error {
             let height = metres / self.unit.metres();

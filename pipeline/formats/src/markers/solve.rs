@@ -206,7 +206,7 @@ fn recognise<'a>(subject: &Subject, own: Option<&'a MarkerSet>) -> Result<Match<
     )))
 }
 
-/// Refuses markers that do not tell the pose of a whole body; whether the head has none.
+/// Refuses markers that do not determine the pose of a whole body. Returns whether the head has no markers.
 fn check_parts(joints: &[usize], set: &MarkerSet, missing: &[&str]) -> Result<bool, SolveError> {
     let mut untold = Part::untold(joints);
     untold.retain(|part| !set.at_rest().contains(part));

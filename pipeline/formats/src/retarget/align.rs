@@ -261,7 +261,7 @@ impl<'a> Estimate<'a> {
         }))
     }
 
-    /// The alignment of a joint that turns on average as another one does.
+    /// The alignment of a joint with the same mean rotation as another joint.
     fn in_line_with(&self, other: usize, joint: usize) -> DQuat {
         self.mean_of(joint, |frame| (self.body(frame, other), 1.0))
             .0
@@ -273,9 +273,9 @@ impl<'a> Estimate<'a> {
         arc(estimate * self.skeleton.offset(child), exact) * estimate
     }
 
-    /// Whether two points are on average so far apart that they give a direction.
+    /// Whether two points are on average far enough apart to define a direction.
     fn is_apart(&self, a: impl Fn(usize) -> DVec3, b: impl Fn(usize) -> DVec3) -> bool {
-        // Joints closer than this fraction of the leg's length coincide and give no direction.
+        // Joints closer than this fraction of the leg's length count as coincident and define no direction.
         let apart = 0.02 * self.track.leg_length;
         let distances = self.frames.clone().map(|frame| a(frame).distance(b(frame)));
         distances.sum::<f64>() > apart * self.frames.len() as f64

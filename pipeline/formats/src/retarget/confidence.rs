@@ -19,7 +19,7 @@ const NAMELESS: f64 = 0.8;
 pub(super) struct Evidence {
     /// Share of the body joints that were found.
     found: f64,
-    /// Share of the limb joints that hang from the joint they should.
+    /// Share of the limb joints with the expected parent chain.
     descent: f64,
     /// Likeness of the lengths of left and right limbs.
     symmetry: f64,

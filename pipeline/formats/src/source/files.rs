@@ -55,7 +55,7 @@ impl Files {
         self.store.hash(path).map_err(|error| error.to_string())
     }
 
-    /// Whether a file has this size, which is looked at first, and this BLAKE3. One that is gone has not.
+    /// Whether a file exists with this size, which is compared first, and this BLAKE3.
     pub fn is_equal(&self, path: &Path, bytes: u64, blake3: &str) -> io::Result<bool> {
         let size = self.store.size(path);
         let found = size.and_then(|size| Ok(size == bytes && self.store.hash(path)? == blake3));
@@ -127,7 +127,7 @@ impl Files {
         self.with(relative, |path| self.store.open(path))
     }
 
-    /// Opens a file to be read at any place.
+    /// Opens a file for random access.
     ///
     /// # Errors
     /// As [`Files::read`].

@@ -60,7 +60,7 @@ pub const FORMATS: &[Format] = &[
     // These two stand before `humanml3d`, which would report their captions as captions without a motion.
     humanml3d_amass::FORMAT,
     representation_272::FORMAT,
-    // Before `humanml3d`, which knows no other arrays than its own.
+    // Before `humanml3d`, which accepts only its own arrays.
     motionx::FORMAT,
     humanml3d::FORMAT,
     stance::FORMAT,

@@ -1,5 +1,5 @@
-//! Motions of robots, recognised by what they hold, so that they are skipped as what they are. They have no
-//! human body: nothing is retargeted from a robot.
+//! Motions of robots, recognised by their content, so that they are skipped with the reason. Robots have no human body,
+//! so their motions are not retargeted.
 
 use pickle::{Array, Value};
 
@@ -8,7 +8,7 @@ use super::head::UTF8_BOM;
 /// Columns of a Unitree G1's motion: position and quaternion of the root, and 29 joint angles. Unitree's retargeted
 /// LAFAN1, `BeyondMimic`, Kimodo and `MuJoCo` use this layout.
 const G1_COLUMNS: usize = 36;
-/// Columns seen of a first line that is longer than what is looked at, from which it is recognised.
+/// Minimum number of columns in the visible part of a longer first line to recognise the file.
 const MIN_COLUMNS_SEEN: usize = 20;
 /// How far the length of a quaternion of a file is from 1.
 const QUATERNION_TOLERANCE: f64 = 0.02;

@@ -84,7 +84,7 @@ const HIERARCHY: [FileJoint; 25] = [
     tip("RightHand", 23, Joint::RightWrist, RIGHT_MIDDLE),
 ];
 
-/// Length of the toes beyond the toe joint in metres: the skeleton has no joint there.
+/// Length in metres of the toes beyond the toe joint; the skeleton has no joint at their end.
 const TOE_LENGTH: f64 = 0.06;
 
 /// Encodes a motion as BVH: centimetres, y up, the T-pose of the skeleton as zero pose, rotation

@@ -91,7 +91,7 @@ fn canonicalise(poses: &mut [Pose]) {
     let Some(first) = poses.first() else { return };
     let (start, origin) = (heading(first), first.transl);
     let turn = poses.get(1).map_or(0.0, |second| heading(second) - start);
-    // Into half a turn to either side.
+    // Wraps the angle to at most half a turn in either direction.
     let turn = turn.sin().atan2(turn.cos());
     let turn = DQuat::from_rotation_z(FRAC_PI_4 + turn - start);
     for pose in poses {

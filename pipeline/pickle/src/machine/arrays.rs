@@ -14,7 +14,7 @@ use crate::value::Value;
 const RELEASE_LEN: usize = 4096;
 
 impl Machine<'_> {
-    /// The text of an object; none if it is no text.
+    /// The text of an object; none for other objects.
     pub(super) fn text_of(&self, id: Id) -> Option<&str> {
         match self.node(id) {
             Node::Leaf(Value::Str(text)) => Some(text),

@@ -117,7 +117,7 @@ fn what_is_no_known_set_or_no_body_says_so() {
         said.contains("21 of the 41 labels of marker set cmu-41"),
         "{said}"
     );
-    // Without its legs, it is no whole body.
+    // Without the markers of the legs the body is not complete.
     let mut legless = markers.clone();
     let count = legless.labels.len();
     for (column, label) in legless.labels.iter().enumerate() {

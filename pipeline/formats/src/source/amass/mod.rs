@@ -24,8 +24,7 @@ pub use archive::{parse_at, peek, read_fps};
 pub use parameters::Parameters;
 pub use variant::Variant;
 
-/// Relative difference up to which a stated frame rate agrees with the known one: the stored
-/// 120.000046 and 59.94 count as 120 and 60.
+/// Relative tolerance between a stated and a known frame rate: the stored 120.000046 and 59.94 count as 120 and 60.
 const FPS_TOLERANCE: f64 = 0.01;
 
 /// Reads an archive as a motion of the given body; an archive without motion is skipped. `path` names

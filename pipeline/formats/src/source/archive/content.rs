@@ -43,7 +43,7 @@ impl Content {
         self.refused.push((name.to_owned(), rejected));
     }
 
-    /// Adds a file. Of several members of one name the last is the file, as when it is unpacked.
+    /// Adds a file. If several members have the same name, the last one is used, as when unpacking.
     pub(super) fn add(&mut self, name: String, member: Member) {
         if self.members.insert(name.clone(), member).is_some() {
             let reason = "an earlier member of this name in its archive; the last one is read";

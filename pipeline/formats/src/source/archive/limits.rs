@@ -3,7 +3,7 @@
 /// Limits on one archive.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits {
-    /// Members. The largest release known to be packed as one archive has about 300,000.
+    /// Maximum number of members. The largest release known to be packed as one archive has about 300,000.
     pub(super) members: u64,
     /// Bytes of all members. All of AMASS takes about 50 GB.
     pub(super) bytes: u64,

@@ -38,7 +38,7 @@ pub(crate) use self::kind::stem;
 /// Archives in an archive are opened; archives in those are not.
 const MAX_DEPTH: usize = 1;
 
-/// Where in its archive a member begins that is damaged; none for other errors.
+/// Offset in its archive of a damaged member; none for other errors.
 pub fn offset_of_damaged(error: &io::Error) -> Option<u64> {
     let member: &DamagedMember = error.get_ref()?.downcast_ref()?;
     Some(member.at)
@@ -82,7 +82,7 @@ impl Archives {
         self.unpacked.extend(other.unpacked);
     }
 
-    /// One that had to be unpacked, so that other processes cannot read its members.
+    /// An archive that had to be unpacked; other processes cannot read its members.
     pub fn unpacked(&self) -> Option<&Path> {
         self.unpacked.first().map(PathBuf::as_path)
     }

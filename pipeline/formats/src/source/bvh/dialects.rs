@@ -103,7 +103,7 @@ impl RigText {
         rig
     }
 
-    /// The rig of BONES-SEED: 77 joints below a root that stays where it is, no end sites, bones along x.
+    /// The rig of BONES-SEED: 77 joints below a static root, no end sites, bones along x.
     pub(crate) fn soma() -> Self {
         let mut rig = Self::new(&soma_joints());
         rig.ends = false;
@@ -349,7 +349,7 @@ fn a_soma_file_gives_the_motion_it_was_made_of() {
     assert!((clip.source_fps.get() - 120.0).abs() < 0.01);
 }
 
-/// The left arm hangs down and the right forearm is bent upward: a pose whose joints one knows.
+/// The left arm hangs down and the right forearm is bent upward, so the joint positions are known.
 #[test]
 fn the_joints_of_a_known_soma_pose_lie_where_they_should() {
     let skeleton = Skeleton::smplx_neutral();
@@ -375,7 +375,7 @@ fn the_joints_of_a_known_soma_pose_lie_where_they_should() {
             along(from, to)
         );
     }
-    // The arms of the body at rest lie along x but for 18 degrees.
+    // The arms of the body at rest lie along x, except for 18 degrees.
     assert!(along(16, 18).dot(DVec3::NEG_Y) > 0.9);
     assert!(along(19, 21).dot(DVec3::Y) > 0.9);
     let leg = (points[1][7] - points[1][1]).length();

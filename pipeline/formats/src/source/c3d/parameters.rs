@@ -121,7 +121,7 @@ impl Parameters {
         start: usize,
         processor: Processor,
     ) -> Result<Self, Rejected> {
-        // Some files state too few blocks, so the section is read to its own end.
+        // Some files state too few blocks, so read the section to its actual end.
         let end = bytes.len();
         let stated_end = start + usize::from(bytes[start + 2]) * BLOCK;
         let mut groups: BTreeMap<u8, String> = BTreeMap::new();

@@ -15,7 +15,7 @@ use crate::source::release_tests::{assert_says, edited};
 use crate::write;
 use clip::SourceClip;
 
-/// A file that the writer makes, taken apart.
+/// Parts of a file made by the writer.
 struct Parts {
     json: Value,
     binary: Vec<u8>,

@@ -291,7 +291,7 @@ proptest! {
         lift in prop::array::uniform3(-0.1f64..0.1),
     ) {
         let skeleton = Skeleton::smplx_neutral();
-        // A body like no other: one joint is moved.
+        // A body with unusual proportions: one joint is moved.
         let body = Skeleton::new("subject", std::array::from_fn(|joint| {
             skeleton.rest(joint) + if joint == 16 { DVec3::from_array(lift) } else { DVec3::ZERO }
         }));

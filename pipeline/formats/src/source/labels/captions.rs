@@ -6,7 +6,7 @@ use crate::sidecar::caption;
 
 /// Longest line in bytes that is taken for a caption.
 const MAX_LINE_BYTES: usize = 1000;
-/// Most captions of one file; a longer file is no list of captions.
+/// Maximum number of captions of one file; a longer file is not a list of captions.
 const MAX_CAPTIONS: usize = 1000;
 
 /// Parses captions, one a line, and counts the lines that are none. A line is a text about the whole

@@ -183,7 +183,7 @@ fn stem_of(path: &Path) -> String {
 }
 
 impl Sidecar {
-    /// Drops what no table can hold and reports each.
+    /// Drops labels that no table can hold, and reports each.
     fn clean(&mut self, mut report: impl FnMut(String)) {
         self.captions.retain_mut(|said| {
             let caption = &mut said.caption;

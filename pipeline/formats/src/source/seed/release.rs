@@ -44,7 +44,7 @@ struct Tables<'a> {
 }
 
 impl SeedFolder {
-    /// The folders of the dataset among the files: those with metadata in it, or in a folder `metadata`.
+    /// Folders of the dataset among the files: those that contain metadata, directly or in a folder `metadata`.
     pub(super) fn find(files: &Files) -> Vec<Self> {
         let mut roots: BTreeMap<&str, Tables<'_>> = BTreeMap::new();
         for file in files.all() {

@@ -102,7 +102,7 @@ pub(super) struct StanceRelease {
     /// By file and key.
     details: BTreeMap<(String, String), Detail>,
     annotations: Annotations,
-    /// Body part and text of adjustments whose pickle lacks them, by file stem.
+    /// Body part and text of adjustments that are missing in their pickle, by file stem.
     adjustments: Json,
     /// Labels from the export's own files; they replace those of the release's files and lists.
     labels: Option<Labels>,
@@ -418,7 +418,7 @@ impl<'a> Planner<'a> {
         all.join(lists);
     }
 
-    /// The content of a JSON file of the release; none if it is broken, which is recorded.
+    /// Content of a JSON file of the release; none if it is damaged, which is recorded.
     fn json<T: serde::de::DeserializeOwned>(&mut self, file: &str) -> Option<T> {
         let parse = |bytes: &[u8]| serde_json::from_slice(bytes).map_err(|error| error.to_string());
         self.take(file, parse)
