@@ -54,7 +54,7 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
 
 /// FBX: takes of a skeleton.
 // Bytes per second: curves of 65 bones at 30 fps in a binary file, partly packed.
-pub const FORMAT: Format = Format::new("fbx", 60_000.0, &Fbx);
+pub const FORMAT: Format = Format::of_files("fbx", 60_000.0, &Fbx);
 
 struct Fbx;
 

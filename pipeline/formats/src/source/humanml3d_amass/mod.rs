@@ -16,7 +16,7 @@ pub use plan::find;
 pub use plan::{is_humanact12, recordings};
 
 /// HumanML3D's clips, cut from AMASS by its `index.csv`.
-pub const FORMAT: Format = Format::new(
+pub const FORMAT: Format = Format::of_releases(
     "humanml3d-amass",
     super::humanml3d::FORMAT.bytes_per_second(),
     &HumanMl3dAmass,

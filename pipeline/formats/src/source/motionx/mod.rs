@@ -24,7 +24,7 @@ pub use array::read_array;
 /// Motion-X: SMPL-X parameters of 322 columns.
 // Bytes per second: the columns in f4.
 pub const FORMAT: Format =
-    Format::new("motion-x", (4 * array::WIDTH) as f64 * array::FPS, &MotionX);
+    Format::of_releases("motion-x", (4 * array::WIDTH) as f64 * array::FPS, &MotionX);
 
 struct MotionX;
 

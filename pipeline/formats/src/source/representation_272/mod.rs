@@ -45,7 +45,7 @@ const HEAD_BYTES: u64 = 256;
 
 /// The 272 features of MotionStreamer and MotionMillion.
 // Bytes per second: the features in f4 at 30 fps.
-pub const FORMAT: Format = Format::new(
+pub const FORMAT: Format = Format::of_releases(
     "272",
     (size_of::<Features>() * 30) as f64,
     &Representation272,
