@@ -22,8 +22,8 @@ pub use definition::{
     RankSummary, SeamAcceleration, SetMeasure, SetSample, TakesMeasure, TakesSample, Target,
 };
 
-/// Version of the metrics. It is raised when a metric is added or gives other values for the same motions, so that stored
-/// scores are computed again.
+/// Version of the metrics. It is raised when a metric gives other values for the same motions, so that stored scores
+/// are computed again. They are too if the names of [`ALL`] change.
 pub const METRICS_VERSION: u32 = 4;
 
 /// All metrics: the columns of the paper's Table 1, those of the main table that are not among them, further ones, and
