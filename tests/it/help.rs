@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use eval::metric;
 use formats::source::FORMATS;
 use train::registry::MODELS;
 
@@ -88,9 +89,11 @@ fn without_lists(help: &str) -> String {
     let has_all = |part: &str, names: &[String]| names.iter().all(|name| part.contains(name));
     let formats: Vec<String> = FORMATS.iter().map(|of| of.as_str().to_owned()).collect();
     let models: Vec<String> = MODELS.iter().map(|of| format!("- {}: ", of.name)).collect();
+    let metrics: Vec<String> = metric::ALL.iter().map(|of| format!("\n  {of} ")).collect();
     let parts = help.split("\n\n").map(|part| match part {
         part if has_all(part, &formats) => "          (all formats)",
         part if has_all(part, &models) => "          (all models)",
+        part if has_all(part, &metrics) => "(all metrics)\n",
         part => part,
     });
     parts.collect::<Vec<_>>().join("\n\n")

@@ -16,6 +16,8 @@ use crate::rows::EditFacts;
 pub struct Metric {
     /// The name in the table of scores, with the unit where there is one.
     pub name: &'static str,
+    /// What it is, as the help of `stance eval` says it.
+    pub about: &'static str,
     /// The table it belongs to.
     pub part: Part,
     /// Which values are good for a task.
