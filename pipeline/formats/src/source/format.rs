@@ -83,21 +83,24 @@ pub type ReadCapture = fn(&[u8], &ReadOptions) -> Result<Option<Capture>, Reject
 #[derive(Clone, Copy)]
 pub struct Format {
     name: &'static str,
+    about: &'static str,
     of_releases: bool,
     bytes_per_second: f64,
     reader: &'static dyn SourceFormat,
 }
 
 impl Format {
-    /// A format of single files, each of which holds one recording: its name, the bytes per second of motion in its
-    /// files, and what it does.
+    /// A format of single files, each of which holds one recording: its name, what it is recognised by and where its
+    /// rotations come from, the bytes per second of motion in its files, and what it does.
     pub const fn of_files(
         name: &'static str,
+        about: &'static str,
         bytes_per_second: f64,
         reader: &'static dyn SourceFormat,
     ) -> Self {
         Self {
             name,
+            about,
             of_releases: false,
             bytes_per_second,
             reader,
@@ -107,18 +110,24 @@ impl Format {
     /// A format of releases, as [`Format::of_files`]. A file of a release may hold thousands of recordings.
     pub const fn of_releases(
         name: &'static str,
+        about: &'static str,
         bytes_per_second: f64,
         reader: &'static dyn SourceFormat,
     ) -> Self {
         Self {
             of_releases: true,
-            ..Self::of_files(name, bytes_per_second, reader)
+            ..Self::of_files(name, about, bytes_per_second, reader)
         }
     }
 
     /// Whether each of its files holds one recording.
     pub fn is_of_files(self) -> bool {
         !self.of_releases
+    }
+
+    /// What it is recognised by and where its rotations come from, as the help says it.
+    pub fn about(self) -> &'static str {
+        self.about
     }
 
     /// The name used in tables and on the command line.

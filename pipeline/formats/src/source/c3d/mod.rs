@@ -431,7 +431,13 @@ fn marker_labels(bytes: &[u8]) -> Option<Vec<String>> {
 
 /// C3D: marker positions of an optical capture.
 // Bytes per second: measured on 24 captures.
-pub const FORMAT: Format = Format::of_files("c3d", 60_000.0, &C3d);
+pub const FORMAT: Format = Format::of_files(
+    "c3d",
+    ".c3d of Intel, DEC and MIPS, whole and real numbers; one motion for each person in it; fitted to the \
+     markers, which are kept",
+    60_000.0,
+    &C3d,
+);
 
 struct C3d;
 

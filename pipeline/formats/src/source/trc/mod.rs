@@ -132,7 +132,13 @@ fn in_metres(rows: &Rows, header: &Header, unit: CaptureUnit) -> Result<Position
 
 /// TRC: marker positions as text.
 // Bytes per second: 40 markers of three coordinates of ten characters at 100 fps.
-pub const FORMAT: Format = Format::of_files("trc", 120_000.0, &Trc);
+pub const FORMAT: Format = Format::of_files(
+    "trc",
+    ".trc, or text that begins with PathFileType: markers of OpenSim, Theia, Cortex; one motion for each person \
+     in it; fitted to the markers, which are kept",
+    120_000.0,
+    &Trc,
+);
 
 struct Trc;
 
