@@ -13,13 +13,11 @@ use std::path::PathBuf;
 use datasets_spec::record::{MarkerRow, MotionRow};
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Split};
+use formats::source::{Format, format_named};
 use rayon::prelude::*;
 
 use crate::Error;
 use crate::likeness::{Sketch, near_pairs};
-
-/// Formats of single files, each of which holds one recording. All other formats are releases.
-const OF_FILES: [&str; 6] = ["amass", "bvh", "c3d", "fbx", "gltf", "trc"];
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Origin {
@@ -92,7 +90,7 @@ impl Origin {
         let mut recordings = vec![Recording::Clip(number, own)];
         recordings.extend(original.map(|original| Recording::Clip(number, original)));
         let hash = self.source_hash.clone();
-        if OF_FILES.contains(&self.source.as_str()) && !hash.is_empty() {
+        if format_named(&self.source).is_some_and(Format::is_of_files) && !hash.is_empty() {
             recordings.push(Recording::File(hash));
         } else if !hash.is_empty() {
             recordings.push(Recording::Member(hash, prefixes.strip(&name).to_owned()));
@@ -229,8 +227,6 @@ pub(crate) fn unite_alike(groups: &mut Groups, sketches: Vec<(usize, Sketch)>) {
 
 #[cfg(test)]
 mod tests {
-    use formats::source::FORMATS;
-
     use super::*;
 
     fn origin(id: &str, source: &str, hash: &str) -> Origin {
@@ -268,27 +264,5 @@ mod tests {
             &fix("000001"),
             &origin("b/000001", "motionfix", "2")
         ));
-    }
-
-    #[test]
-    fn every_format_is_of_files_or_of_releases() {
-        let releases = [
-            "272",
-            "bones-seed",
-            "dataset",
-            "humanml3d",
-            "humanml3d-amass",
-            "motion-x",
-            "motionfix",
-            "stance",
-            "webdataset",
-        ];
-        for format in FORMATS {
-            let name = format.as_str();
-            assert!(
-                OF_FILES.contains(&name) != releases.contains(&name),
-                "{name}: is a file of it one recording?"
-            );
-        }
     }
 }

@@ -30,7 +30,7 @@ use crate::{report, stages};
 /// that returns each original unchanged. Below the main table stand the paired differences of each system from
 /// the identity editor, and of each from the next one in R@1.
 #[derive(clap::Args, Debug)]
-#[command(subcommand_negates_reqs = true, args_conflicts_with_subcommands = true)]
+#[command(subcommand_negates_reqs = true, args_conflicts_with_subcommands = true, after_long_help = columns())]
 pub(crate) struct Args {
     #[command(subcommand)]
     action: Option<Action>,
@@ -60,6 +60,16 @@ pub(crate) struct Args {
     out: Option<PathBuf>,
     #[command(flatten)]
     measure: Measure,
+}
+
+/// What the columns are.
+fn columns() -> String {
+    let columns = metric::ALL.iter().map(|metric| {
+        let arrow = (metric.better)(ALL_TASKS).arrow();
+        format!("\n  {metric} {arrow}\n          {}", metric.about)
+    });
+    let title = "Columns (↓ lower, ↑ higher, → closer to the real data is better):".to_owned();
+    title + &columns.collect::<String>()
 }
 
 #[derive(clap::Subcommand, Debug)]

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
-use clap::builder::{OsStringValueParser, PossibleValuesParser, TypedValueParser};
+use clap::builder::{OsStringValueParser, PossibleValue, PossibleValuesParser, TypedValueParser};
 use clip::LabelProblem;
 use clip::check::Teleports;
 use datasets_spec::record::MotionRow;
@@ -69,7 +69,7 @@ pub(crate) struct Args {
     /// Marker set in JSON, for captures whose labels are unknown
     #[arg(long, value_name = "JSON")]
     markers: Option<PathBuf>,
-    /// Unit of C3D, TRC, BVH and FBX files, whatever they state: mm, cm, dm, m, in, ft or a number of metres
+    /// Unit of files such as C3D, TRC, BVH and FBX, whatever they state: mm, cm, dm, m, in, ft or a number of metres
     #[arg(long)]
     unit: Option<Unit>,
     /// Store the features of this recipe beside the motions
@@ -78,7 +78,7 @@ pub(crate) struct Args {
     /// How to treat motions with a jump faster than 20 m/s
     #[arg(long, value_parser = one_of(TELEPORTS), default_value = "quarantine")]
     teleports: Teleports,
-    /// Accept BVH and TRC files whose header states another number of frames than rows follow. Such clips are
+    /// Accept files such as BVH and TRC whose header states another number of frames than rows follow. Such clips are
     /// flagged
     #[arg(long)]
     lenient: bool,
@@ -122,11 +122,10 @@ pub(crate) struct Args {
 
 /// Turn motion files into one checked dataset.
 ///
-/// BVH, C3D, TRC, glTF, FBX and AMASS files are found by their content, and the folders of the HumanML3D, STANCE,
-/// MotionFix, Motion-X and BONES-SEED releases by their layout, in archives too: a zip, tar, tar.gz, tar.bz2 or tar.xz
-/// acts as a folder of its name. A file that cannot be used is listed in the
-/// `quarantine` table with a code and a reason, and the rest goes on. Interrupted and run again, it
-/// continues; run again after success, it changes nothing.
+/// Files such as BVH, C3D, glTF and AMASS are found by their content, and the folders of releases such as HumanML3D by
+/// their layout (see --format), in archives too: a zip, tar, tar.gz, tar.bz2 or tar.xz acts as a folder of its name. A
+/// file that cannot be used is listed in the `quarantine` table with a code and a reason, and the rest goes on.
+/// Interrupted and run again, it continues; run again after success, it changes nothing.
 ///
 /// A dataset that exists grows: files that are new or changed are read, and everything else stays, also sources that
 /// are not given and clips whose files are gone. Clips keep their ids, splits, masks and pairs. Nothing leaves without
@@ -154,8 +153,11 @@ pub(crate) fn parse_source() -> impl TypedValueParser<Value = SourceArg> {
 }
 
 fn format_parser() -> impl TypedValueParser<Value = Format> {
-    PossibleValuesParser::new(FORMATS.iter().map(|format| format.as_str()))
-        .map(|name| format_named(&name).expect("a listed name"))
+    let formats = FORMATS.iter();
+    PossibleValuesParser::new(
+        formats.map(|format| PossibleValue::new(format.as_str()).help(format.about())),
+    )
+    .map(|name| format_named(&name).expect("a listed name"))
 }
 
 const TELEPORTS: Names<Teleports> = &[

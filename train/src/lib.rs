@@ -81,7 +81,6 @@ pub mod mdm_bp;
 pub mod metrics;
 pub mod mld;
 pub mod model;
-mod nearest;
 pub mod noise_shape;
 pub mod optimizer;
 pub mod registry;

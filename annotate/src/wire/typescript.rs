@@ -27,21 +27,32 @@ pub(super) fn declaration<T: TS>(config: &Config) -> (String, String) {
     )
 }
 
-/// The text of a declaration: its comment on one line, its fields indented. The Rust source has the comments of fields.
+/// The text of a declaration: its comment on one line, then a line for each field. The Rust source has the comments of
+/// fields.
 fn laid_out(text: &str) -> String {
     let text = text.replace("\n */", " */").replace("/**\n *", "/**");
-    let mut indent = "";
-    let mut lines = String::new();
-    for line in text.replace("\n *", "").lines() {
-        if !indent.is_empty() && line.starts_with("/**") {
-            continue;
-        }
-        writeln!(lines, "{indent}{}", line.trim_end()).expect("a string takes text");
-        if line.starts_with("export") {
-            indent = "  ";
-        }
+    let text = text.replace("\n *", "");
+    let (head, declaration) = text.split_at(text.find("export type").expect("a declaration"));
+    let lines = declaration.lines();
+    let words = lines
+        .filter(|line| !line.starts_with("/**"))
+        .flat_map(str::split_whitespace);
+    let mut laid = String::new();
+    for word in words {
+        laid.push_str(if is_field(word) { "\n  " } else { " " });
+        laid.push_str(word);
     }
-    lines
+    format!("{head}{}\n", laid.trim_start())
+}
+
+/// Whether a word is the name of a field.
+fn is_field(word: &str) -> bool {
+    let name = word.strip_suffix(':').unwrap_or_default();
+    let name = name.strip_suffix('?').unwrap_or(name);
+    !name.is_empty()
+        && name
+            .chars()
+            .all(|letter| letter.is_ascii_alphanumeric() || letter == '_')
 }
 
 /// `EDIT_TYPES` for `EditType`.

@@ -8,6 +8,7 @@ use super::definition::{Better, Measure, Metric, Part};
 /// Paper, Sec. 5.2 and App. B.4 for the classifier; its use as a metric is ours.
 pub static COMPOSED: Metric = Metric {
     name: "Composed (%)",
+    about: "share of windows that a coordinator classifies as composed",
     part: Part::Further,
     better: |_| Better::NearReal,
     decimals: 2,

@@ -16,6 +16,8 @@ use crate::rows::EditFacts;
 pub struct Metric {
     /// The name in the table of scores, with the unit where there is one.
     pub name: &'static str,
+    /// Description of the metric in the help of `stance eval`.
+    pub about: &'static str,
     /// Table that shows the metric.
     pub part: Part,
     /// Good values of the metric for a task.

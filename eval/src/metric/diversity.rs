@@ -15,6 +15,7 @@ const METRIC: &str = "Diversity";
 /// Mean distance of latents paired at random; reported from as many items as there are pairs.
 pub static DIVERSITY: Metric = Metric {
     name: METRIC,
+    about: "mean distance of 300 random pairs of raw latents",
     part: Part::Paper,
     better: |_| Better::NearReal,
     decimals: 2,

@@ -10,6 +10,7 @@ const METRIC: &str = "FID";
 /// Fréchet distance of latents scaled to unit length.
 pub static FID: Metric = Metric {
     name: "FID",
+    about: "Fréchet distance of latents of unit length, halves of the set against each other",
     part: Part::Paper,
     better: |_| Better::Lower,
     decimals: 3,
@@ -22,6 +23,7 @@ pub static FID: Metric = Metric {
 /// Fréchet distance of latents as the encoder gives them.
 pub static FID_RAW: Metric = Metric {
     name: "FID (raw)",
+    about: "the same with latents as the encoder gives them",
     part: Part::Further,
     better: |_| Better::Lower,
     decimals: 2,

@@ -8,6 +8,7 @@ const CM_PER_M: f64 = 100.0;
 /// Mean distance of generated keypoints from the body fitted to them, in centimetres.
 pub static FIT_ERROR: Metric = Metric {
     name: "Fit error (cm)",
+    about: "mean distance of generated keypoints from the body fitted to them",
     part: Part::Further,
     better: |_| Better::Lower,
     decimals: 2,
@@ -17,6 +18,7 @@ pub static FIT_ERROR: Metric = Metric {
 /// Mean difference of generated bones from their lengths in the body, in centimetres.
 pub static BONE_DRIFT: Metric = Metric {
     name: "Bone drift (cm)",
+    about: "mean difference of generated bones from their lengths in the body",
     part: Part::Further,
     better: |_| Better::Lower,
     decimals: 2,

@@ -10,6 +10,8 @@ use crate::protocol::Floor;
 /// DIMOS contact score.
 pub static FOOT_SCORE: Metric = Metric {
     name: "FS",
+    about: "DIMOS contact score: mean of exp(-slide) exp(-height) over frames; the floor is the lowest foot \
+            unless --floor says otherwise",
     part: Part::Paper,
     better: |_| Better::Higher,
     decimals: 3,

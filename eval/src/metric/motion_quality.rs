@@ -15,6 +15,9 @@ use super::definition::{Better, Measure, Metric, Part, SeamAcceleration};
 /// for motions that were not generated, in the same frames.
 pub static SEAM_ACCELERATION: Metric = Metric {
     name: "Acceleration at seams (m/s²)",
+    about: "mean acceleration of the keypoints where two of the editor's windows meet, from the frame before the first \
+            new one of a window to its first that is not blended with the window before; real data, the identity \
+            editor and systems without windows are measured at the same frames",
     part: Part::Quality,
     better: |_| Better::NearReal,
     decimals: 2,
@@ -24,6 +27,7 @@ pub static SEAM_ACCELERATION: Metric = Metric {
 /// Mean acceleration of the keypoints in all other frames, in m/s².
 pub static INSIDE_ACCELERATION: Metric = Metric {
     name: "inside (m/s²)",
+    about: "mean acceleration of the keypoints elsewhere",
     part: Part::Quality,
     better: |_| Better::NearReal,
     decimals: 2,
@@ -33,6 +37,7 @@ pub static INSIDE_ACCELERATION: Metric = Metric {
 /// Mean jerk of the keypoints, in m/s³.
 pub static JERK: Metric = Metric {
     name: "Jerk (m/s³)",
+    about: "mean third derivative of the keypoints",
     part: Part::Quality,
     better: |_| Better::NearReal,
     decimals: 1,
@@ -42,6 +47,7 @@ pub static JERK: Metric = Metric {
 /// Mean speed over the ground of the lowest foot, in m/s.
 pub static FOOT_SLIDE: Metric = Metric {
     name: "Foot slide (m/s)",
+    about: "mean horizontal speed of the ankle or foot that is lowest, frame by frame",
     part: Part::Main,
     better: |_| Better::NearReal,
     decimals: 3,
@@ -51,6 +57,7 @@ pub static FOOT_SLIDE: Metric = Metric {
 /// [`FOOT_SLIDE`] of the item's target, in m/s: the reference value for an edit.
 pub static TARGET_FOOT_SLIDE: Metric = Metric {
     name: "Target's foot slide (m/s)",
+    about: "the same of the item's target",
     part: Part::Main,
     better: |_| Better::NearReal,
     decimals: 3,
@@ -60,6 +67,7 @@ pub static TARGET_FOOT_SLIDE: Metric = Metric {
 /// Largest rotation of a joint from one frame to the next, in degrees.
 pub static ROTATION_STEP: Metric = Metric {
     name: "Largest turn (°/frame)",
+    about: "largest rotation of a joint between two frames, mean over motions",
     part: Part::Quality,
     better: |_| Better::NearReal,
     decimals: 1,

@@ -15,6 +15,7 @@ const METRIC: &str = "Multimodality";
 /// Mean distance of latents of one item, generated from several seeds.
 pub static MULTIMODALITY: Metric = Metric {
     name: METRIC,
+    about: "mean distance of ten pairs of different takes of an item, over up to 100 random items",
     part: Part::Further,
     better: |_| Better::Higher,
     decimals: 2,

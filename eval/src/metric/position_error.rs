@@ -15,6 +15,9 @@ const CM_PER_M: f64 = 100.0;
 /// from where it began is in question.
 pub static POSITION_ERROR: Metric = Metric {
     name: "Position error (cm)",
+    about: "mean distance to the target's 28 keypoints, with --keypoints 22 over the body joints, both motions placed \
+            by their first frames (pelvis over one point of the ground, hips in one direction); surplus frames of the \
+            longer motion are ignored",
     part: Part::Further,
     better: |_| Better::Lower,
     decimals: 2,
@@ -25,6 +28,8 @@ pub static POSITION_ERROR: Metric = Metric {
 /// them.
 pub static ERROR_INSIDE: Metric = Metric {
     name: "Error inside the mask (cm)",
+    about: "position error of the keypoints that the item asks to change (eyes belong to the head, fingers to the \
+            wrist); items that do not tell which have none",
     part: Part::Main,
     better: |_| Better::Lower,
     decimals: 2,
@@ -37,6 +42,7 @@ pub static ERROR_INSIDE: Metric = Metric {
 /// asks to change all.
 pub static ERROR_OUTSIDE: Metric = Metric {
     name: "Error outside the mask (cm)",
+    about: "position error of all other keypoints",
     part: Part::Main,
     better: |_| Better::Lower,
     decimals: 2,

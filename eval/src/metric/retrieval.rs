@@ -46,6 +46,18 @@ pub static E2T_MEDIAN_RANK: Metric = ranked("E2T MedR", Target, Median);
 const fn ranked(name: &'static str, counterpart: Counterpart, summary: RankSummary) -> Metric {
     Metric {
         name,
+        about: match (counterpart, summary) {
+            (Source, Recall(_)) => {
+                "edits found by their originals: share among the first k, in percent"
+            }
+            (Source, Average) => "edits found by their originals: mean rank, from 1",
+            (Source, Median) => "edits found by their originals: median rank, from 1",
+            (Target, Recall(_)) => {
+                "edits found by their targets: share among the first k, in percent"
+            }
+            (Target, Average) => "edits found by their targets: mean rank, from 1",
+            (Target, Median) => "edits found by their targets: median rank, from 1",
+        },
         part: match summary {
             Recall(_) | Average => Part::Paper,
             Median => Part::Further,

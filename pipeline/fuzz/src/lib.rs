@@ -107,10 +107,22 @@ pub fn trc(bytes: &[u8]) {
 
 #[cfg(test)]
 mod tests {
+    use formats::source::{FORMATS, Format};
+
     use super::*;
 
+    /// Reads every motion of a file in a format.
+    fn read(format: Format, bytes: &[u8]) {
+        let options = ReadOptions::default();
+        let mut keys = format.keys(bytes, &options);
+        keys.push(String::new());
+        for key in keys {
+            let _outcome = format.read(Path::new("file"), &key, bytes, &options);
+        }
+    }
+
     #[test]
-    fn no_target_panics_on_the_beginnings_of_files() {
+    fn no_target_and_no_format_panics_on_the_beginnings_of_files() {
         let targets = [bvh, c3d, captions, fbx, glb, manifest, npz, pickle, trc];
         let seeds: [&[u8]; 11] = [
             b"",
@@ -125,9 +137,12 @@ mod tests {
             b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8'",
             b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\xff.",
         ];
-        for target in targets {
-            for seed in seeds {
+        for seed in seeds {
+            for target in targets {
                 target(seed);
+            }
+            for format in FORMATS {
+                read(*format, seed);
             }
         }
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use clip::Rejected;
 use datasets_spec::store::{ByPath, Store};
-use formats::source::{ReadOptions, Recognised, c3d, trc};
+use formats::source::{ReadCapture, ReadOptions, Recognised};
 use rayon::prelude::*;
 
 use super::Looked;
@@ -12,16 +12,17 @@ use super::findings::{CaptureFindings, EXAMPLES};
 
 /// Reads the captures among the files as ingestion would, short of solving, and says which give no motion.
 pub(super) fn captures(rest: &[&Looked], options: &ReadOptions) -> Vec<CaptureFindings> {
-    let captures: Vec<&&Looked> = rest
+    let captures: Vec<(&&Looked, ReadCapture)> = rest
         .iter()
-        .filter(|file| !file.is_pointer && is_capture(&file.kind))
+        .filter(|file| !file.is_pointer)
+        .filter_map(|file| Some((file, reader_of(&file.kind)?)))
         .collect();
     let refused: Vec<Vec<Rejected>> = captures
         .par_iter()
-        .map(|file| refused(file, options))
+        .map(|(file, read)| refused(file, *read, options))
         .collect();
     let mut by_code: BTreeMap<&str, CaptureFindings> = BTreeMap::new();
-    for (file, refused) in captures.iter().zip(refused) {
+    for ((file, _), refused) in captures.iter().zip(refused) {
         for rejected in refused {
             let found = by_code
                 .entry(rejected.code)
@@ -42,14 +43,15 @@ pub(super) fn captures(rest: &[&Looked], options: &ReadOptions) -> Vec<CaptureFi
     by_code.into_values().collect()
 }
 
-fn is_capture(kind: &Recognised) -> bool {
-    [c3d::FORMAT, trc::FORMAT]
-        .into_iter()
-        .any(|format| *kind == Recognised::Motion(format))
+fn reader_of(kind: &Recognised) -> Option<ReadCapture> {
+    match kind {
+        Recognised::Motion(format) => format.capture_reader(),
+        Recognised::NotMotion { .. } => None,
+    }
 }
 
 /// The reasons why a capture gives no motion, one for each person in it.
-fn refused(file: &Looked, options: &ReadOptions) -> Vec<Rejected> {
+fn refused(file: &Looked, read: ReadCapture, options: &ReadOptions) -> Vec<Rejected> {
     // Ingestion reports unreadable files with the reason.
     let Ok(bytes) = ByPath.read(&file.path) else {
         return Vec::new();
@@ -62,11 +64,8 @@ fn refused(file: &Looked, options: &ReadOptions) -> Vec<Rejected> {
         keys.push(String::new());
     }
     let check = |key: String| {
-        let capture = match format == trc::FORMAT {
-            true => trc::capture(&bytes, options).map(Some),
-            false => c3d::capture(&bytes, options),
-        };
-        capture?.map_or(Ok(()), |capture| capture.check(&key, options))
+        let capture = read(&bytes, options)?;
+        capture.map_or(Ok(()), |capture| capture.check(&key, options))
     };
     keys.into_iter()
         .filter_map(|key| check(key).err())

@@ -10,7 +10,7 @@ use datasets_spec::manifest::plan_hash;
 use datasets_spec::{Dataset, Seed};
 use eval::answers::{Answered, Scores};
 use eval::judge::{Judge, Judges};
-use eval::metric::METRICS_VERSION;
+use eval::metric::{self, METRICS_VERSION};
 use eval::protocol::Protocol;
 use eval::rows::ItemFacts;
 use serde::Serialize;
@@ -213,7 +213,8 @@ impl<'a> Work<'a> {
         let ids = answered.items.facts().iter();
         let ids: Vec<&str> = ids.map(|item| item.id.as_str()).collect();
         let encoder = (&self.judge.0, &self.judge.1.recipe);
-        let of = (names, ids, protocol, encoder, METRICS_VERSION);
+        let metrics: Vec<&str> = metric::ALL.iter().map(|metric| metric.name).collect();
+        let of = (names, ids, protocol, encoder, METRICS_VERSION, metrics);
         let key = short("scores", &of);
         let folder = self.plan.out.join("scores").join(key);
         if let Ok(done) = Dataset::open(&folder) {

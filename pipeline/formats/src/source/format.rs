@@ -9,6 +9,7 @@ use datasets_spec::store::Reader;
 
 use super::files::Files;
 use super::options::ReadOptions;
+use crate::markers::Capture;
 use clip::{Outcome, ReadClip, Rejected, rejected};
 
 /// A source format: how its files are recognised and read. Formats register in [`super::FORMATS`].
@@ -48,6 +49,11 @@ pub trait SourceFormat: Send + Sync {
         Outcome::Rejected(Rejected::read("E-INTERNAL", reason))
     }
 
+    /// What reads the markers of a file, for formats of captures.
+    fn capture_reader(&self) -> Option<ReadCapture> {
+        None
+    }
+
     /// Refuses a large file by what its headers say, before all of it is read.
     fn refuse_large(&self, _file: Reader) -> Option<Rejected> {
         None
@@ -70,26 +76,58 @@ pub trait SourceFormat: Send + Sync {
     }
 }
 
+/// Reads the markers of a file; none if it has none.
+pub type ReadCapture = fn(&[u8], &ReadOptions) -> Result<Option<Capture>, Rejected>;
+
 /// One of [`super::FORMATS`].
 #[derive(Clone, Copy)]
 pub struct Format {
     name: &'static str,
+    about: &'static str,
+    of_releases: bool,
     bytes_per_second: f64,
     reader: &'static dyn SourceFormat,
 }
 
 impl Format {
-    /// A format by its name, the bytes per second of motion in its files, and what it does.
-    pub const fn new(
+    /// A format of single files, each of which holds one recording: its name, what it is recognised by and where its
+    /// rotations come from, the bytes per second of motion in its files, and what it does.
+    pub const fn of_files(
         name: &'static str,
+        about: &'static str,
         bytes_per_second: f64,
         reader: &'static dyn SourceFormat,
     ) -> Self {
         Self {
             name,
+            about,
+            of_releases: false,
             bytes_per_second,
             reader,
         }
+    }
+
+    /// A format of releases, as [`Format::of_files`]. A file of a release may hold thousands of recordings.
+    pub const fn of_releases(
+        name: &'static str,
+        about: &'static str,
+        bytes_per_second: f64,
+        reader: &'static dyn SourceFormat,
+    ) -> Self {
+        Self {
+            of_releases: true,
+            ..Self::of_files(name, about, bytes_per_second, reader)
+        }
+    }
+
+    /// Whether each of its files holds one recording.
+    pub fn is_of_files(self) -> bool {
+        !self.of_releases
+    }
+
+    /// What it is recognised by and where its rotations come from, as the help says it.
+    pub fn about(self) -> &'static str {
+        self.about
     }
 
     /// The name used in tables and on the command line.

@@ -38,7 +38,7 @@ pub mod webdataset;
 use std::path::Path;
 
 pub use self::files::Files;
-pub use self::format::{Contents, Entry, Format, Recognised, Release, SourceFormat};
+pub use self::format::{Contents, Entry, Format, ReadCapture, Recognised, Release, SourceFormat};
 pub use self::head::{HEAD_BYTES, is_pointer, read_head, refuse_pointer};
 use self::labels::ClipLabels;
 pub use self::names::escaped;

@@ -90,7 +90,12 @@ fn subset_note(path: &Path) -> Option<String> {
 
 /// AMASS: SMPL, SMPL-H or SMPL-X parameters in an npz archive.
 // Bytes per second: SMPL-H at 120 fps in f8.
-pub const FORMAT: Format = Format::new("amass", 160_000.0, &Amass);
+pub const FORMAT: Format = Format::of_files(
+    "amass",
+    ".npz with poses and trans: SMPL, SMPL-H, SMPL-X, gendered or neutral; its own rotations",
+    160_000.0,
+    &Amass,
+);
 
 struct Amass;
 

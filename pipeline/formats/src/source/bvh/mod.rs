@@ -32,7 +32,12 @@ use clip::{Outcome, Rejected, SourceClip};
 
 /// Biovision hierarchy: a skeleton and Euler angles, as text.
 // Bytes per second: measured on 318 captured clips.
-pub const FORMAT: Format = Format::new("bvh", 40_000.0, &Bvh);
+pub const FORMAT: Format = Format::of_files(
+    "bvh",
+    ".bvh, or text that begins with HIERARCHY; rotations are retargeted",
+    40_000.0,
+    &Bvh,
+);
 
 struct Bvh;
 

@@ -16,7 +16,7 @@ use datasets_spec::Fps;
 use glam::DVec3;
 
 use self::parameters::{BLOCK, Parameters, Processor};
-use super::format::{Format, Recognised, SourceFormat};
+use super::format::{Format, ReadCapture, Recognised, SourceFormat};
 use super::options::ReadOptions;
 use super::unit::Unit;
 use crate::markers::{self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, is_model_output};
@@ -431,7 +431,13 @@ fn marker_labels(bytes: &[u8]) -> Option<Vec<String>> {
 
 /// C3D: marker positions of an optical capture.
 // Bytes per second: measured on 24 captures.
-pub const FORMAT: Format = Format::new("c3d", 60_000.0, &C3d);
+pub const FORMAT: Format = Format::of_files(
+    "c3d",
+    ".c3d of Intel, DEC and MIPS, whole and real numbers; one motion for each person in it; fitted to the \
+     markers, which are kept",
+    60_000.0,
+    &C3d,
+);
 
 struct C3d;
 
@@ -447,6 +453,10 @@ impl SourceFormat for C3d {
     fn keys(&self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
         let labels = marker_labels(bytes).unwrap_or_default();
         markers::keys(&labels, options.markers.as_ref())
+    }
+
+    fn capture_reader(&self) -> Option<ReadCapture> {
+        Some(capture)
     }
 
     fn subject_of<'a>(&self, key: &'a str) -> Option<&'a str> {

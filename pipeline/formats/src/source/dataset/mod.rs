@@ -12,7 +12,13 @@ use super::{Files, Format, Release, SourceFormat};
 
 /// A dataset folder.
 // Bytes per second: the 69 parameters of the store in f32 at 20 fps, before compression.
-pub const FORMAT: Format = Format::new("dataset", (4 * 69 * 20) as f64, &DatasetFolder);
+pub const FORMAT: Format = Format::of_releases(
+    "dataset",
+    "a dataset folder of this program (meta/manifest-*.json) on the same skeleton; a clip keeps id, split, labels \
+     and masks, and the first of its pairs",
+    (4 * 69 * 20) as f64,
+    &DatasetFolder,
+);
 
 struct DatasetFolder;
 

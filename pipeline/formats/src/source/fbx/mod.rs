@@ -54,7 +54,12 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
 
 /// FBX: takes of a skeleton.
 // Bytes per second: curves of 65 bones at 30 fps in a binary file, partly packed.
-pub const FORMAT: Format = Format::new("fbx", 60_000.0, &Fbx);
+pub const FORMAT: Format = Format::of_files(
+    "fbx",
+    ".fbx, binary or text; one motion for each take; rotations are retargeted",
+    60_000.0,
+    &Fbx,
+);
 
 struct Fbx;
 

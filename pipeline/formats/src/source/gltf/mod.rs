@@ -94,7 +94,12 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
 
 /// glTF or GLB: animations of a skinned skeleton.
 // Bytes per second: an exported character with two or three clips.
-pub const FORMAT: Format = Format::new("gltf", 50_000.0, &Gltf);
+pub const FORMAT: Format = Format::of_files(
+    "gltf",
+    ".glb, or .gltf with embedded buffers; one motion for each animation; rotations are retargeted",
+    50_000.0,
+    &Gltf,
+);
 
 struct Gltf;
 

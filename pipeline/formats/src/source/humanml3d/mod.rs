@@ -63,8 +63,10 @@ pub(crate) fn recognise_array(head: &[u8]) -> Recognised {
 
 /// A HumanML3D folder: joints, 263-d vectors, captions and split lists.
 // Bytes per second: the vectors in f4 at 20 fps.
-pub const FORMAT: Format = Format::new(
+pub const FORMAT: Format = Format::of_releases(
     "humanml3d",
+    "a folder with new_joint_vecs or new_joints; a lone array of their shape; rotations from the vector, else \
+     fitted",
     (size_of::<[f32; HUMANML3D_WIDTH]>() * 20) as f64,
     &HumanMl3d,
 );

@@ -16,8 +16,9 @@ pub use plan::find;
 pub use plan::{is_humanact12, recordings};
 
 /// HumanML3D's clips, cut from AMASS by its `index.csv`.
-pub const FORMAT: Format = Format::new(
+pub const FORMAT: Format = Format::of_releases(
     "humanml3d-amass",
+    "AMASS files and --humanml3d-index index.csv; its own rotations, with mirrored copies",
     super::humanml3d::FORMAT.bytes_per_second(),
     &HumanMl3dAmass,
 );

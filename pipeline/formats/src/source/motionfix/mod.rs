@@ -453,8 +453,10 @@ fn parse_parts(answer: &str) -> Vec<BodyPart> {
 
 /// A folder of the MotionFix release.
 // Bytes per second: source and target in f4 at 30 fps: translation, rotations and joint positions.
-pub const FORMAT: Format = Format::new(
+pub const FORMAT: Format = Format::of_releases(
     "motionfix",
+    "motionfix*.pth.tar (joblib, packed or not); splits.json beside it gives the splits; its own rotations, with \
+     pairs",
     (2 * 4 * 3 * (1 + 2 * NUM_BODY_JOINTS) * 30) as f64,
     &MotionFix,
 );

@@ -23,8 +23,12 @@ pub use array::read_array;
 
 /// Motion-X: SMPL-X parameters of 322 columns.
 // Bytes per second: the columns in f4.
-pub const FORMAT: Format =
-    Format::new("motion-x", (4 * array::WIDTH) as f64 * array::FPS, &MotionX);
+pub const FORMAT: Format = Format::of_releases(
+    "motion-x",
+    "a folder smplx_322 of Motion-X, or smplx322 of Motion-X++; a lone array of 322 columns; its own rotations",
+    (4 * array::WIDTH) as f64 * array::FPS,
+    &MotionX,
+);
 
 struct MotionX;
 

@@ -45,8 +45,10 @@ const HEAD_BYTES: u64 = 256;
 
 /// The 272 features of MotionStreamer and MotionMillion.
 // Bytes per second: the features in f4 at 30 fps.
-pub const FORMAT: Format = Format::new(
+pub const FORMAT: Format = Format::of_releases(
     "272",
+    "a folder motion_data of arrays with 272 columns (MotionMillion, HumanML3D-272, BABEL-272); a lone array of \
+     their shape; its own rotations",
     (size_of::<Features>() * 30) as f64,
     &Representation272,
 );

@@ -22,7 +22,12 @@ pub use timeline::Timelines;
 
 /// BONES-SEED.
 // Bytes per second: 240 numbers of nine characters at 120 fps.
-pub const FORMAT: Format = Format::new("bones-seed", 260_000.0, &Seed);
+pub const FORMAT: Format = Format::of_releases(
+    "bones-seed",
+    "BVH files with metadata/seed_metadata_* beside them; rotations are retargeted",
+    260_000.0,
+    &Seed,
+);
 
 struct Seed;
 

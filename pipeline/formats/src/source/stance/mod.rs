@@ -35,8 +35,10 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
 
 /// A folder of the STANCE release.
 // Bytes per second: the parameters of the store in f4 at 20 fps.
-pub const FORMAT: Format = Format::new(
+pub const FORMAT: Format = Format::of_releases(
     "stance",
+    "a folder of the STANCE release, in its present or older paths; a lone pickle; its own rotations, with masks \
+     and pairs",
     (4 * (3 + 3 + BODY_POSE_WIDTH) * 20) as f64,
     &Stance,
 );

@@ -18,7 +18,7 @@ use std::path::Path;
 use self::header::{Header, MAGIC};
 use self::lines::Lines;
 use self::rows::Rows;
-use super::format::{Format, Recognised, SourceFormat};
+use super::format::{Format, ReadCapture, Recognised, SourceFormat};
 use super::head::UTF8_BOM;
 use super::options::ReadOptions;
 use crate::markers::{self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, UNIT_CODE};
@@ -132,7 +132,13 @@ fn in_metres(rows: &Rows, header: &Header, unit: CaptureUnit) -> Result<Position
 
 /// TRC: marker positions as text.
 // Bytes per second: 40 markers of three coordinates of ten characters at 100 fps.
-pub const FORMAT: Format = Format::new("trc", 120_000.0, &Trc);
+pub const FORMAT: Format = Format::of_files(
+    "trc",
+    ".trc, or text that begins with PathFileType: markers of OpenSim, Theia, Cortex; one motion for each person \
+     in it; fitted to the markers, which are kept",
+    120_000.0,
+    &Trc,
+);
 
 struct Trc;
 
@@ -154,6 +160,10 @@ impl SourceFormat for Trc {
         let header = Header::parse(&mut Lines::of(bytes));
         let labels = header.map(|header| header.labels()).unwrap_or_default();
         markers::keys(&labels, options.markers.as_ref())
+    }
+
+    fn capture_reader(&self) -> Option<ReadCapture> {
+        Some(|bytes, options| capture(bytes, options).map(Some))
     }
 
     fn subject_of<'a>(&self, key: &'a str) -> Option<&'a str> {

@@ -12,7 +12,12 @@ use super::{Files, Format, Release, SourceFormat};
 
 /// A folder of shards, or of unpacked files.
 // Bytes per second: the 69 parameters of the store in f32 at 20 fps.
-pub const FORMAT: Format = Format::new("webdataset", (4 * 69 * 20) as f64, &WebDataset);
+pub const FORMAT: Format = Format::of_releases(
+    "webdataset",
+    "tar shards of `stance export --to webdataset`, or the files unpacked from them",
+    (4 * 69 * 20) as f64,
+    &WebDataset,
+);
 
 struct WebDataset;
 

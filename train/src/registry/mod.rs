@@ -1,4 +1,6 @@
-//! The models by name. A new model adds one line to [`MODELS`].
+//! The models by name, and those that are one file. A new model adds its line to [`MODELS`].
+
+mod nearest;
 
 use burn::tensor::Device;
 use datasets_spec::Skeleton;
@@ -7,7 +9,6 @@ use crate::Error;
 use crate::checkpoint::read_kind;
 use crate::fit;
 use crate::kind::ModelKind;
-use crate::nearest;
 use crate::stage::{coordinator, editor, encoder, mdm, mld, poses};
 use crate::system::{EditConfig, EditSystem, SystemSource};
 use crate::tmed;
