@@ -175,8 +175,7 @@ impl Manifest {
         }
     }
 
-    /// The value of [`LAID_OUT_FACT`] in a version in which `tables` hold the rows that they hold in this one, in other
-    /// files.
+    /// The value of [`LAID_OUT_FACT`] for a version that holds the rows of `tables` in other files than this version.
     pub fn laid_out(&self, tables: &BTreeMap<String, Vec<FileEntry>>) -> String {
         let laid_out: BTreeMap<&String, LaidOut> = self
             .tables

@@ -306,7 +306,7 @@ impl NormalizerRow {
     /// The range.
     ///
     /// # Errors
-    /// It is not the one the id is of.
+    /// The numbers do not match the id.
     pub fn normalizer(&self) -> Result<Normalizer, Error> {
         let normalizer = Normalizer {
             min: [self.min_x, self.min_y, self.min_z],

@@ -427,7 +427,7 @@ fn equal_motions_in_two_splits_fail_verification() {
         .into_iter()
         .find(|file| file.extension().is_some_and(|end| end == "bvh"));
     let bvh = bvh.expect("a BVH");
-    // The same motion in other bytes, and a list that wants it in another split.
+    // The same motion in other bytes, and a list that assigns it to another split.
     let text = text_of(&bvh);
     put(source.join("copy.bvh"), format!("{text}\n"));
     let stem = stem_of(&bvh);

@@ -228,7 +228,7 @@ fn training_leaves_the_dataset_as_it_was_and_every_run_goes_on() {
     }
     let range = |run: &str| workshop.record(run)["config"]["normalizer"].clone();
     assert_ne!(range("editor"), range("other"));
-    // The range is the run's own, and so is what it was trained on: another table changes neither.
+    // The run keeps its own range and dataset hash: another table changes neither.
     let hash = workshop.record("editor")["dataset_hash"].clone();
     assert_ne!(hash, before);
     assert_eq!(hash, workshop.record("other")["dataset_hash"]);

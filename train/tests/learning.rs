@@ -751,7 +751,7 @@ fn a_run_is_extended_and_says_so() {
         assert_eq!(again.steps, 9);
     }
     assert_eq!(record(run)["lineage"], lineage);
-    // Neither a network nor a length that is behind it already.
+    // Neither another network nor a length that the run has already passed is accepted.
     let mut wider = longer.clone();
     wider.model.width *= 2;
     assert!(matches!(

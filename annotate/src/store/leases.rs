@@ -133,7 +133,7 @@ pub(super) fn end(
     note(tx, held, actor, now, body)
 }
 
-/// A person who works at a time, under the settings of the project.
+/// The user of a request, its time, and the settings of the project.
 pub(super) struct Turn {
     pub(super) user: i64,
     pub(super) settings: Settings,

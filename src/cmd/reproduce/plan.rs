@@ -221,7 +221,7 @@ impl Spec {
 }
 
 impl Plan {
-    /// Checks that the dataset, where there is one already, has what each task of the items asks about.
+    /// Checks that the dataset, if it exists, has data for each task of the items.
     pub(super) fn check_tasks(&self) -> anyhow::Result<()> {
         let dataset = match Dataset::open_unverified(&self.dataset) {
             Err(datasets_spec::Error::NotADataset { .. }) => return Ok(()),

@@ -1,6 +1,6 @@
 //! Parity with the reference implementations, on numbers recorded by running them.
 //!
-//! Run them alone, those of the other crates too, with `cargo test --release golden`.
+//! To run only these tests, in all crates: `cargo test --release golden`.
 
 mod compose;
 mod contract;

@@ -182,8 +182,8 @@ impl ClipText {
 
     /// Encodes texts: the end token of each, projected and not normalised.
     ///
-    /// A token does not see those after it, so that rows may be filled up with anything behind
-    /// their end token, and may be cut to the longest of them.
+    /// Attention is causal, so rows may be padded with any tokens after their end token, and may be
+    /// truncated to the longest row.
     ///
     /// # Shapes
     /// `B` rows of tokens give `[B, d]`.

@@ -12,7 +12,7 @@ use super::transformer::Encoder;
 use super::weights::Networks;
 use crate::config::NetworkConfig;
 
-/// A transformer over a token of the diffusion step and the frames of a window, and a verdict on
+/// A transformer over a token of the diffusion step and the frames of a window, and a classifier of
 /// their mean.
 ///
 /// # Source
