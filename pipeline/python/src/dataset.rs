@@ -116,7 +116,7 @@ impl Dataset {
     }
 }
 
-/// A test question: a motion, its instruction, and the target motion.
+/// A test question: a motion, what is asked of it, and the motion it should become.
 #[pyclass(frozen, module = "stance")]
 #[derive(Clone, Debug)]
 pub(crate) struct Item {
