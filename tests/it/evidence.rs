@@ -187,9 +187,7 @@ fn verdicts_of_the_results_quote_their_tables() {
             continue;
         };
         let document = read(page.file);
-        let (_, verdicts) = document
-            .split_once(heading)
-            .expect("a section of verdicts");
+        let (_, verdicts) = document.split_once(heading).expect("a section of verdicts");
         let verdicts = verdicts.split("\n## ").next().expect("a section");
         check_quotes(verdicts, &page);
     }
