@@ -247,7 +247,11 @@ fn every_word_has_the_type_that_it_names() {
         let source = source.unwrap_or_else(|error| panic!("{path}: {error}"));
         let is_there = source.lines().any(|line| {
             let kinds = ["struct", "enum", "trait", "type"];
-            let rest = line.trim_start().strip_prefix("pub ").unwrap_or("");
+            let line = line.trim_start();
+            let rest = line.strip_prefix("pub ");
+            let rest = rest
+                .or_else(|| line.strip_prefix("pub(crate) "))
+                .unwrap_or("");
             rest.split_once(' ').is_some_and(|(kind, rest)| {
                 let end = rest
                     .find(|c: char| !c.is_alphanumeric())
