@@ -64,8 +64,7 @@ pub fn check(motion: &Motion, skeleton: &Skeleton) -> Result<Quality, Rejected> 
     }
 }
 
-/// As [`check`], with another handling of jumps. Returns the kept motion, and its frame range if it was
-/// trimmed.
+/// Like [`check`], with the given handling of jumps. Returns the kept motion, and its frame range if it was trimmed.
 ///
 /// # Errors
 /// As [`check`]; `E-TELEPORT` also if nothing is left of a trimmed motion.

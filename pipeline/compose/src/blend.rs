@@ -7,8 +7,8 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::{Error, SlerpRule};
 
-/// Blends two poses: hard joints follow the target, soft joints are interpolated by their `alpha`,
-/// the others stay with the source. The translation goes with a hard pelvis.
+/// Blends two poses: hard joints follow the target, soft joints are interpolated by their `alpha`, the others follow
+/// the source. If the pelvis is hard, the translation is the target's.
 ///
 /// # Shapes
 /// `alpha` is `[22]`, the weight of the target on each joint; only those of soft joints are read.
@@ -180,7 +180,7 @@ mod tests {
             let hard_only = BlendMask::new(mask.hard(), JointSet::EMPTY).expect("disjoint");
             let blend = |mask, alpha| blend_motion(&source, &target, mask, alpha, SlerpRule::Exact).expect("in step");
             prop_assert_eq!(blend(mask, 0.0), blend(hard_only, 0.5));
-            // Softly blended in whole, a pelvis takes the orientation and leaves the translation.
+            // With `alpha` 1, a soft pelvis gets the target's orientation but keeps the source's translation.
             let whole = blend(mask, 1.0);
             for joint in mask.soft().iter() {
                 prop_assert_eq!(

@@ -94,7 +94,7 @@ fn joined(original: &Motion, edited: &Motion, run: Range<usize>) -> Vec<Pose> {
     }
     let longest = (BLEND_SECS * original.fps().get()).round() as usize;
     let blended = longest.min(num_frames / 3);
-    // From the run's end inwards; an end of the motion is no seam.
+    // From the run's end inwards; an end of the motion is not blended.
     let share = |place: usize, is_seam: bool| {
         let share = (place + 1) as f64 / (blended + 1) as f64;
         if is_seam && share < 1.0 {

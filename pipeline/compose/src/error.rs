@@ -160,7 +160,7 @@ pub enum Error {
     /// A recording cannot continue.
     #[error(transparent)]
     Work(#[from] work::Error),
-    /// A condition on clips cannot be understood, or chooses none.
+    /// A condition on clips cannot be parsed, or selects none.
     #[error(transparent)]
     Tables(#[from] tables::Error),
     /// A variable of the environment cannot be read.
@@ -283,7 +283,7 @@ pub enum Error {
     /// Statistics were requested for this split, which is not train.
     #[error("statistics are fitted on split train alone, the library holds split {0}")]
     NotTrain(Split),
-    /// No motion of the training split is there to compare with.
+    /// There is no motion of the training split to compare with.
     #[error(
         "no motion of split train is present, and activity is measured relative to it; pass all motions of the dataset"
     )]
@@ -296,7 +296,7 @@ pub enum Error {
         /// The form expected.
         expected: String,
     },
-    /// Two motions to be blended do not run in step.
+    /// Two motions to be blended differ in length or rate.
     #[error(
         "cannot blend {source_frames} frames at {source_fps} fps with {target_frames} frames at {target_fps} fps; crop and resample them first"
     )]

@@ -27,7 +27,7 @@ const DIGEST_DIGITS: usize = 32;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "CountText", into = "CountText")]
 pub enum ItemCount {
-    /// One of every mask and every pair.
+    /// One item per mask and pair.
     All,
     /// This number of items. Every mask and pair is used once before any is used again.
     Exactly(usize),
@@ -120,11 +120,10 @@ impl Default for ItemConfig {
 
 /// Draws the items that systems are evaluated on, the same for the same arguments.
 ///
-/// Every usable mask and pair is a target before any is used again, in an order drawn from the seed.
-/// Partners are clips of other actions, where actions are known, and long enough for three windows,
-/// if such clips exist. Pairs of MotionFix are used without a donor, each once. All items differ in content:
-/// if nothing new can be drawn, fewer items are returned than requested. `shown` is what training shows: it decides on
-/// the novelty of items.
+/// Every usable mask and pair is a target before any is used again, in an order drawn from the seed. Partners are clips
+/// of other actions, where actions are known, and long enough for three windows, if such clips exist. Pairs of
+/// MotionFix are used without a donor, each once. All items differ in content: if nothing new can be drawn, fewer items
+/// are returned than requested. `shown` holds the contents of the training split, which determine the novelty of items.
 ///
 /// # Errors
 /// A setting is out of range, no mask or pair of the tasks can be used, one has no partner, or the motions
@@ -253,7 +252,7 @@ impl Quota {
         }
     }
 
-    /// The first items that are wanted.
+    /// Keeps the first items within the quota.
     fn first(mut self, mut rows: Vec<ItemRow>) -> Vec<ItemRow> {
         rows.retain(|row| {
             let novelty = row.novelty.as_deref().and_then(|name| name.parse().ok());
@@ -269,9 +268,9 @@ impl Quota {
 
 enum Attempt {
     Drawn(Box<ItemRow>),
-    /// A question of a novelty that is not wanted any more.
+    /// A question whose novelty has no quota left.
     Unwanted,
-    /// The subject has no more.
+    /// The subject has no further questions.
     Exhausted,
 }
 

@@ -23,7 +23,7 @@ pub struct Triplet {
     pub instruction: String,
     /// The motion the original was cut from.
     pub source_id: MotionId,
-    /// The motion the edit takes from.
+    /// The motion that the edit is taken from.
     pub target_id: MotionId,
     /// Motions blended under both sides; none for semantic edits.
     pub donor_ids: Vec<MotionId>,
@@ -75,9 +75,9 @@ impl Stream {
         self.library.compose(place, &pairing, &self.config)
     }
 
-    /// Composes the whole-clip triplet of one of the [`Stream::num_clips`] annotated motions and pairs in
-    /// use, with the partner, the mask and the alpha of an epoch. It is none of the [`Stream::triplet`]s,
-    /// of which a motion has as many as windows.
+    /// Composes the whole-clip triplet of one of the [`Stream::num_clips`] annotated motions and pairs in use, with the
+    /// partner, the mask and the alpha of an epoch. It differs from every [`Stream::triplet`], of which a motion has
+    /// one per window.
     ///
     /// # Errors
     /// The motions cannot be read.
@@ -120,7 +120,7 @@ impl Stream {
         self.triplet(epoch, item)
     }
 
-    /// The crop of the target that the edit of one of this stream's triplets takes from.
+    /// The crop of the target from which a triplet of this stream takes its edit.
     ///
     /// # Errors
     /// The motions cannot be read.
@@ -533,7 +533,7 @@ mod tests {
                 let (frames, start) = (triplet.original.len(), triplet.target_start);
                 lengths.insert(frames);
                 let edited = triplet.edited_frames.clone();
-                // A partner of fewer frames than the range has gives an edit of all of them.
+                // If the partner is shorter than the range, all its frames are edited.
                 assert_eq!(edited.len(), frames.min(40));
                 assert!(start + edited.start >= 50 && start + edited.end <= 90);
                 let row = triplet.to_row();

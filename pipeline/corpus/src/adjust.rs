@@ -17,7 +17,7 @@ pub(super) struct Adjustment {
     pub(super) manner: &'static str,
     /// The part of the body that moves differently.
     pub(super) part: BodyPart,
-    /// Changes the style. Angles change by 0.25 to 0.45 rad, so that the change is visible and no style.
+    /// Changes the style. Angles change by 0.25 to 0.45 rad: visible, but too little to look like a style.
     change: fn(&mut Style),
     suits: fn(Action) -> bool,
 }
@@ -108,7 +108,8 @@ impl Adjustment {
         changed
     }
 
-    /// Up to `count` different adjustments that suit an action. Fewer are the first ones of more.
+    /// Draws up to `count` different adjustments that suit an action. A smaller count gives the first ones of a larger
+    /// count.
     pub(super) fn draw(action: Action, count: usize, rng: &mut Rng) -> Vec<Self> {
         let mut suitable = Self::ALL.to_vec();
         suitable.retain(|adjustment| adjustment.suits(action));

@@ -1,5 +1,5 @@
-//! From a script to poses: the plan places the feet, the pelvis follows the legs, trunk and arms follow the
-//! legs, and gestures are added on top.
+//! Turns a script into poses: the plan places the feet, the pelvis follows the legs, trunk and arms follow the legs,
+//! and gestures are added on top.
 
 use datasets_spec::{Fps, Joint, Pose, Rng, Skeleton};
 use glam::{DQuat, DVec3};
@@ -35,7 +35,7 @@ pub(super) struct Script {
 pub(super) struct Coupling {
     /// Turn of the pelvis in radians per metre between the feet.
     pub(super) pelvis_turn: f64,
-    /// Turn of the chest against the pelvis, likewise.
+    /// Turn of the chest against the pelvis in radians per metre between the feet.
     pub(super) chest_turn: f64,
     /// Swing of an arm in radians per metre between the feet.
     pub(super) arm_swing: f64,
@@ -43,7 +43,7 @@ pub(super) struct Coupling {
     pub(super) lean: f64,
     /// Bend of the elbows beyond the style's.
     pub(super) elbow_bend: f64,
-    /// Share of the way sideways and forwards that the pelvis goes towards the standing foot.
+    /// Fractions of the sideways and forward distance by which the pelvis moves towards the standing foot.
     pub(super) shift: [f64; 2],
     /// Time over which weight passes from foot to foot, in seconds.
     pub(super) shift_secs: f64,
@@ -54,8 +54,7 @@ pub(super) struct Coupling {
     pub(super) bob: f64,
     /// Share of the style's bounce that is added to the gait.
     pub(super) bounce: f64,
-    /// How far a lifted foot counts as ahead, in metres per metre. It makes the arms swing when marching on the
-    /// spot.
+    /// Metres that a foot counts as ahead per metre of its lift. It makes the arms swing when marching on the spot.
     pub(super) lift_lead: f64,
 }
 
@@ -559,7 +558,7 @@ impl Tracks {
         // The left arm is ahead when the left foot is behind.
         let driven = -side.sign() * coupling.arm_swing * style.arm_swing * lead;
         let swing = MAX_ARM_SWING * (driven / MAX_ARM_SWING).tanh() + noise[0];
-        // Elbows bent by running are bent little more by the style.
+        // If running bends the elbows already, the style adds little.
         let (more, less) = if style.elbow_bend > coupling.elbow_bend {
             (style.elbow_bend, coupling.elbow_bend)
         } else {

@@ -150,7 +150,7 @@ pub(super) fn smooth_lower_bound(signal: &mut [f64], radius: usize) {
         })
         .collect();
     signal.copy_from_slice(&lowest);
-    // A raised cosine over the same frames: each average is of minima that all saw this frame.
+    // A raised cosine over the same frames: every averaged minimum covers this frame.
     let kernel: Vec<f64> = (0..=radius)
         .map(|lag| 0.5 + 0.5 * (std::f64::consts::PI * lag as f64 / (radius + 1) as f64).cos())
         .collect();

@@ -209,15 +209,15 @@ pub(super) struct FootTrack {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FootSample {
-    /// Where the ankle of the flat foot would be, in metres above the floor below the ankle.
+    /// Point below the ankle of the flat foot; y is the height of the foot above the floor in metres.
     pub(super) place: DVec3,
     pub(super) yaw: f64,
     pub(super) pitch: f64,
     pub(super) planted: bool,
 }
 
-/// The way of a swinging foot: it leaves and reaches the floor at rest, and is at most 1.6 times
-/// as fast as on average, between the 1.5 of a cubic and the 1.9 of a minimum-jerk profile.
+/// The fraction of its way that a swinging foot has covered: it leaves and reaches the floor at rest, and is at most
+/// 1.6 times as fast as on average, between the 1.5 of a cubic and the 1.9 of a minimum-jerk profile.
 fn stride(u: f64) -> f64 {
     let cubic = u * u * (3.0 - 2.0 * u);
     cubic + 0.3 * (ease(u) - cubic)
@@ -309,7 +309,7 @@ impl FootTrack {
         }
     }
 
-    /// Mid-times of the stances that begin and end, in seconds.
+    /// Mid-times in seconds of the stances that have a beginning and an end.
     pub(super) fn mid_stances(&self) -> impl Iterator<Item = f64> + '_ {
         self.plants
             .iter()

@@ -116,7 +116,7 @@ impl<'a> ArmScript<'a> {
         }
     }
 
-    /// Reaches a pose `pause` neutral seconds after the last one.
+    /// Reaches a pose `pause` seconds, at neutral tempo, after the last one.
     fn then(&mut self, pause: f64, pose: Hold) -> &mut Self {
         self.secs += pause * self.beat;
         self.keys.push(pose.key(self.secs, 1.0));
@@ -278,7 +278,7 @@ pub(super) fn guard(script: &mut Script, style: &Style, from: f64, to: f64) {
     }
 }
 
-/// Throws overarm; the ball leaves the hand 1.3 neutral seconds after the start.
+/// Throws overarm; the ball leaves the hand 1.3 seconds, at neutral tempo, after the start.
 pub(super) fn throw(script: &mut Script, style: &Style, side: Side, from: f64) -> f64 {
     let elbow_out = [1.0, 0.05, -0.2];
     let drawn_back = hold([0.72, 0.20, -0.62], 1.25, [0.9, -0.2, -0.5]);
@@ -374,7 +374,7 @@ pub(super) fn pick_up(script: &mut Script, style: &Style, side: Side, from: f64)
         .rest(1.0);
     let (low, rise) = (from + 1.0 * beat, from + 1.35 * beat);
     let up = from + 2.3 * beat;
-    // Who stoops already need not crouch as low for the hand to come near the floor.
+    // A stooping body need not crouch as low for the hand to come near the floor.
     let depth = 0.41 - 0.14 * style.lean.max(0.0);
     let turn = -0.22 * side.sign();
     script.pelvis.extend([
@@ -525,7 +525,7 @@ pub(super) fn bow(script: &mut Script, style: &Style, from: f64, depth: f64, hol
     end
 }
 
-/// The eyes wander now and then, as long as the clip lasts: keys of the head.
+/// Head keys for occasional glances over the whole clip.
 pub(super) fn glances(duration: f64, rng: &mut Rng) -> Keys<3> {
     let mut keys = vec![(0.0, [0.0; 3])];
     let mut secs = rng.random_range(0.5..2.0);

@@ -1,4 +1,4 @@
-//! Splits that ask something of a model: what training shows, and what it does not.
+//! Splits that test how a model generalises beyond its training clips.
 //!
 //! | held out of training | asks for |
 //! |---|---|
@@ -15,7 +15,7 @@ use super::style;
 
 /// Takes that the splits are made for: two each of two performers, and one of a third.
 pub(super) const TAKES: usize = 5;
-/// Takes of the performers that training shows.
+/// Takes of the performers whom training shows.
 const SHOWN_TAKES: usize = 4;
 /// Actions that are only in the test split: those that bend the body to the floor, and those that leave the floor with
 /// both feet.

@@ -6,8 +6,7 @@
 //! threads.
 //!
 //! On demand, neutral clips are performed again with a small change, such as "Lean forward more."; a list of pairs
-//! beside the clips says which clip is which other one, adjusted. Other pairs ask what editors are known to do badly
-//! ([`Limit`]).
+//! beside the clips names the neutral clip of each. Other pairs test known weaknesses of editors ([`Limit`]).
 //!
 //! Read [`CorpusOptions`] and [`clip`] first.
 //!
@@ -83,7 +82,7 @@ pub enum Error {
     },
 }
 
-/// How many clips, and which.
+/// Size and seed of a corpus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CorpusOptions {
     /// Number of clips without the adjusted ones; [`CLIPS_PER_TAKE`] of them hold every action in every style
@@ -198,8 +197,8 @@ pub fn clip(index: usize, options: &CorpusOptions) -> CorpusClip {
     }
 }
 
-/// Generates the adjusted performances of the clip of an index; none if it is not neutral. They depend on the seed
-/// and the index, and fewer of them are the first ones of more.
+/// Generates the adjusted performances of the clip of an index; none if it is not neutral. They depend on the seed and
+/// the index alone; a smaller number gives the first ones of a larger number.
 pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip> {
     let (action, style, take) = cast(index);
     if style.name != style::NEUTRAL.name {
@@ -314,10 +313,9 @@ fn clip_id(path: &Path) -> String {
     names.join("/")
 }
 
-/// Writes a corpus below `out`: half of the takes as AMASS archives under `amass/`, half as BVH
-/// under `bvh/`, and beside each motion its sidecar `<stem>.stance.json`. Adjusted clips lie beside the neutral
-/// ones, and [`PAIR_LIST`] pairs them. Files of the same names are replaced; each appears whole or not at all.
-/// The bytes depend on the options alone.
+/// Writes a corpus below `out`: half of the takes as AMASS archives under `amass/`, half as BVH under `bvh/`, and
+/// beside each motion its sidecar `<stem>.stance.json`. Adjusted clips lie beside the neutral ones, and [`PAIR_LIST`]
+/// pairs them. Files of the same names are replaced, each atomically. The bytes depend on the options alone.
 ///
 /// # Errors
 /// A folder or file cannot be written.
@@ -343,7 +341,7 @@ pub fn write_held_out_corpus(
     write_with(out, options, split, progress)
 }
 
-/// The split of the clip of an index, with its adjusted performances, in a corpus that holds out.
+/// The split of the clip of an index, and of its adjusted performances, in a held-out corpus.
 fn held_out_split(index: usize) -> Split {
     let (action, style, take) = cast(index);
     held_out::split(action, style, take)

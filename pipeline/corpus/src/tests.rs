@@ -10,7 +10,7 @@ use pipeline::stage::IngestConfig;
 use super::limb::Limb;
 use super::*;
 
-/// Actions with free flight, whose feet no score can call planted.
+/// Actions with a flight phase, to which no foot score applies.
 const AIRBORNE: [&str; 4] = ["run", "jog", "jump", "hop"];
 
 /// The foot score of DIMOS at 20 fps with the lowest foot joint on the floor: how still and how
@@ -466,7 +466,7 @@ fn the_list_names_clips_by_their_ids_and_no_line_is_refused() {
         let stem = source.trim_end_matches("_poses");
         assert!(target.starts_with(&format!("{stem}_adjusted-")), "{target}");
     }
-    // An adjusted clip takes no style out of the group of its take.
+    // All clips of an action are in one split, adjusted ones too.
     let mut of_action: BTreeMap<_, Vec<_>> = BTreeMap::new();
     for row in &motions {
         of_action.entry(&row.action).or_default().push(row.split);

@@ -94,7 +94,7 @@ pub fn motion_of_features(
 /// The path is scaled by the ratio of the body's leg length to the source's, `leg_m`.
 ///
 /// # Errors
-/// There is no frame, or a direction is no number.
+/// There is no frame, or a direction is NaN.
 pub fn motion_of_directions(
     frames: &[(DVec3, Joints)],
     leg_m: f64,
@@ -246,7 +246,7 @@ mod tests {
         let motion = wandering("to-motion", 40);
         let joints = smpl_joints(&motion);
         let (found, error) = motion_of_joints(&joints, Fps::STORE, &skeleton).expect("a body");
-        // The three bones at pelvis and chest are rigid both in the source and here, so only twists shown by hands and
+        // The three bones at pelvis and chest are rigid both in the source and here, so only the twists of hands and
         // head are free, and no bone of the body shows these.
         assert!(error < 1e-6, "{error}");
         for (a, b) in smpl_joints(&found).iter().zip(&joints) {

@@ -14,9 +14,9 @@ pub enum Error {
     UnusableFile {
         /// The file.
         path: PathBuf,
-        /// Code that scripts may rely on: that of the rejection, or `E-NO-MOTION`.
+        /// Stable error code for scripts: the rejection's, or `E-NO-MOTION`.
         code: &'static str,
-        /// Why.
+        /// Reason.
         reason: String,
     },
     /// An archive cannot be unpacked to be read.
@@ -28,7 +28,7 @@ pub enum Error {
     Scratch {
         /// The file or folder.
         path: PathBuf,
-        /// Why not.
+        /// Reason.
         reason: String,
     },
     /// A file is not a usable body model.
@@ -36,7 +36,7 @@ pub enum Error {
     BodyModel {
         /// The file.
         path: PathBuf,
-        /// Code that scripts may rely on, such as `E-BODY-SHAPE`.
+        /// Stable error code for scripts, such as `E-BODY-SHAPE`.
         code: &'static str,
         /// What is wrong, with what was found and expected.
         reason: String,

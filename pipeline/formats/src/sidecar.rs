@@ -39,7 +39,7 @@ pub struct Sidecar {
 pub(crate) struct Content {
     /// Labels of all clips of the folder.
     pub(crate) all: Sidecar,
-    /// Line, if there is one, name or pattern, and labels of some clips.
+    /// Labels of some clips: line number if there is one, name or pattern, and the labels.
     pub(crate) clips: Vec<(Option<u64>, String, Sidecar)>,
     /// Parts of the file that cannot be used.
     pub(crate) problems: Vec<String>,
@@ -50,10 +50,10 @@ impl Sidecar {
     pub const SUFFIX: &'static str = ".stance.json";
 }
 
-/// A caption of a label file: a text alone, or a text with any of the other fields.
+/// A caption of a label file: a plain text, or an object with a text and any of the other fields.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LabelCaption {
-    /// The caption; its times are 0 where it speaks of the whole clip.
+    /// The caption; its times are 0 if it describes the whole clip.
     #[serde(flatten)]
     pub caption: Caption,
     /// Author of the caption: `source`, or `rule` if it was made from a file name.

@@ -15,7 +15,7 @@ use crate::value::{Options, Value};
 /// MotionFix's, unpacks to about 2 GB, less than 10 times its packed size.
 const MAX_UNPACKED_LEN: u64 = 4 << 30;
 const MAX_RATIO: u64 = 200;
-/// Size below which the ratio does not matter.
+/// Size up to which the ratio is not checked.
 const SMALL_LEN: u64 = 64 << 20;
 /// Memory in KiB that an LZMA stream may ask for its dictionary; the strongest preset asks for 64
 /// MiB.

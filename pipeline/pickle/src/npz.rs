@@ -18,9 +18,9 @@ use crate::npy::{self, Array, Header, Number};
 /// not.
 pub(crate) const MAX_MEMBER_LEN: u64 = 2 << 30;
 const MAX_RATIO: u64 = 200;
-/// Size below which the ratio does not matter: a clip whose hands are all zero compresses well.
+/// Size up to which the ratio is not checked: a clip whose hands are all zero compresses well.
 const SMALL_MEMBER_LEN: u64 = 1 << 20;
-/// Most members of an archive; the richest AMASS files have about thirty.
+/// Maximum number of members; the largest AMASS files have about thirty.
 const MAX_MEMBERS: usize = 10_000;
 /// Bytes of a member that contain an array's header, whose length [`npy`] limits.
 const HEADER_LEN: u64 = 10_016;
@@ -41,8 +41,8 @@ impl<'a> Archive<Cursor<&'a [u8]>> {
         Self::open(Cursor::new(bytes))
     }
 
-    /// The bytes of an array's npy file as [`Archive::member`] gives them, without a copy where they
-    /// are stored as they are, which is how AMASS has them. `bytes` are those of the archive.
+    /// The bytes of an array's npy file as from [`Archive::member`], but without a copy if they are stored
+    /// uncompressed, as in AMASS. `bytes` are those of the archive.
     ///
     /// # Errors
     /// As [`Archive::member`].
@@ -161,7 +161,7 @@ impl<R: Read + Seek> Archive<R> {
         Ok(bytes)
     }
 
-    /// Checks that an array is small enough to be read. Of the archive only the list of members is.
+    /// Checks from the list of members alone that an array is small enough to be read.
     ///
     /// # Errors
     /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
@@ -180,7 +180,7 @@ impl<R: Read + Seek> Archive<R> {
         npy::read_numbers(key, &bytes)
     }
 
-    /// The shape that an array claims; no more of it than its header is unpacked.
+    /// The shape that an array's header states; only the header is unpacked.
     ///
     /// # Errors
     /// As [`Archive::member`], or those of [`npy`] for a header.
@@ -247,8 +247,8 @@ fn check_names<'a>(names: impl Iterator<Item = &'a [u8]>) -> Result<(), Error> {
 
 /// Writes an archive in memory.
 ///
-/// Members are stored, not compressed: compressors choose code paths by processor, and equal arrays
-/// are to give equal bytes everywhere. Their time stamps are the earliest a zip can hold.
+/// Members are stored, not compressed: compressors choose code paths by processor, and equal arrays must give equal
+/// bytes everywhere. Their time stamps are the earliest a zip can hold.
 pub struct Writer {
     zip: ZipWriter<Cursor<Vec<u8>>>,
 }

@@ -69,7 +69,7 @@ fn member(archive: &mut ZipArchive<Cursor<&[u8]>>, name: &str) -> Result<Vec<u8>
     Ok(bytes)
 }
 
-/// The storage in a nested file, which tensors have in an ordinary pickle.
+/// Reads the storage from a nested file, as tensors in an ordinary pickle have.
 pub(crate) fn read_storage(bytes: &[u8]) -> Result<Storage, Error> {
     let legacy = Legacy::read(bytes)?;
     let Node::Storage(Storage {

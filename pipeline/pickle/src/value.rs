@@ -46,7 +46,7 @@ impl Value {
     /// An array of single-precision numbers.
     ///
     /// # Panics
-    /// If the number of values is not that of the shape.
+    /// If the number of values does not match the shape.
     pub fn floats(shape: &[usize], numbers: impl IntoIterator<Item = f32>) -> Self {
         Self::Array(Arc::new(Array::from_f32(shape, numbers)))
     }
@@ -84,7 +84,7 @@ impl Value {
         }
     }
 
-    /// A number of either kind.
+    /// An integer or a floating-point number.
     pub fn as_float(&self) -> Option<f64> {
         match self {
             Self::Int(number) => Some(*number as f64),

@@ -4,8 +4,8 @@
 //! window of it. Each clip is therefore decoded once and its frames are written one after another to a file of a cache
 //! folder; a window is then one read at one place.
 //!
-//! The file's name is the hash of what it was made of, so that processes share it. It is written under another
-//! name and renamed when it is whole. Each frame ends with a checksum, because the file may stay for months.
+//! The file's name is the hash of its inputs, so that processes share it. It is written under another name and renamed
+//! when it is whole. Each frame ends with a checksum, because the file may stay for months.
 
 use std::fs::{self, File};
 use std::io::{BufWriter, ErrorKind, Write};
@@ -86,7 +86,7 @@ impl FrameFile {
             .and_then(|()| make(&mut writer))
             .and_then(|()| writer.finish(&part));
         if let Err(error) = made {
-            // The error counts, not that the unfinished file stays.
+            // Return the first error, even if the unfinished file cannot be removed.
             let _removed = fs::remove_file(&part);
             return Err(error);
         }
@@ -187,7 +187,7 @@ pub(super) struct FrameWriter {
     num_frames: u64,
     /// Frames that the whole file has.
     expected: u64,
-    /// Most motions that were in memory at once.
+    /// Largest number of motions in memory at once.
     most_at_once: usize,
 }
 
@@ -238,7 +238,7 @@ impl FrameWriter {
         Ok(())
     }
 
-    /// Most motions that were in memory at once.
+    /// Largest number of motions that were in memory at once.
     #[cfg(test)]
     pub(super) fn most_at_once(&self) -> usize {
         self.most_at_once

@@ -79,12 +79,12 @@ pub struct Stream {
     pub(super) seed: Seed,
     pub(super) recipe_hash: String,
     pub(super) composer: Composer,
-    /// Stored frames from one of a window to the next.
+    /// Stored frames per frame of a window.
     stride: usize,
     /// Indices of the clips partners are drawn from.
     pub(super) base: Vec<usize>,
     targets: Vec<Target>,
-    /// Items before each target.
+    /// Index of the first item of each target.
     first_items: Vec<u64>,
     num_items: u64,
     pub(super) span: usize,
@@ -195,7 +195,7 @@ impl Stream {
         self.targets.iter().map(|target| target.subject)
     }
 
-    /// Numbers of a window.
+    /// Number of values per window.
     pub fn window_len(&self) -> usize {
         self.config.window * FRAME_WIDTH
     }
@@ -487,8 +487,8 @@ impl Stream {
         }
     }
 
-    /// Whether a window is mirrored. It is the last draw of a window, and none if no window is mirrored, so that
-    /// all other draws do not depend on the setting.
+    /// Whether a window is mirrored. This is the last draw of a window, and it is skipped if no window is mirrored, so
+    /// that all other draws do not depend on the setting.
     pub(super) fn draws_mirrored(&self, rng: &mut Rng) -> bool {
         self.config.mirrored_ratio > 0.0 && rng.random_bool(self.config.mirrored_ratio)
     }

@@ -12,7 +12,7 @@ use crate::{ComposeConfig, Library};
 #[derive(Clone, Debug)]
 pub(super) struct Target {
     pub(super) subject: Subject,
-    /// Frames that its windows are taken from.
+    /// Frames of the target that windows are taken from.
     pub(super) num_frames: usize,
     /// The ways to blend the target: one for an annotation, one for each half of a pair.
     pub(super) sides: Vec<Side>,

@@ -177,7 +177,7 @@ fn a_mirrored_window_is_the_same_window_with_left_and_right_exchanged() {
             let mut back = image.to_vec();
             composer.mirror(&mut back);
             for (a, b) in plain.iter().zip(&back) {
-                // A difference from the middle, taken twice.
+                // Rounding: mirroring, done twice here, subtracts from twice the middle.
                 assert!((a - b).abs() < 1e-6, "{a} {b}");
             }
             // The left wrist of the image is as high as the right one was.

@@ -145,7 +145,7 @@ mod tests {
             let headings = Headings::of(&forwards);
             assert_eq!((headings.cosine[0], headings.half_sine[0]), (1.0, 0.0));
             for frame in 1..40 {
-                // Takes the forward direction back to +z.
+                // The heading rotates the forward direction back to +z.
                 assert!((headings.cosine[frame] - angle.cos()).abs() < 1e-12);
                 assert!((headings.sine[frame] + angle.sin()).abs() < 1e-12);
                 assert!((headings.half_cosine[frame] - (0.5 * angle).cos()).abs() < 1e-12);

@@ -1,11 +1,11 @@
-//! Why no body is solved from markers.
+//! Errors of solving a body from markers.
 
 use crate::source::unit::rounded;
 
-/// Why no body was solved.
+/// Why markers give no body.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(super) enum SolveError {
-    /// The labels are of no known set, or the markers do not give the pose of a body; the text says which.
+    /// The labels match no known marker set, or the markers do not determine a body's pose. The text says which.
     #[error("{0}")]
     Markers(String),
     /// The height of the markers is not that of a person.
@@ -26,7 +26,7 @@ impl SolveError {
     }
 }
 
-/// Joins words, at most the first few.
+/// Joins the first words, and says how many more there are.
 pub(super) fn some_of<'a>(words: impl Iterator<Item = &'a str>) -> String {
     const SHOWN: usize = 60;
     let words: Vec<&str> = words.collect();

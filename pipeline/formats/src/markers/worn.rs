@@ -1,4 +1,4 @@
-//! The markers of a capture that a set places on the body.
+//! The markers of a capture that have a placement on the body.
 
 use glam::{DQuat, DVec3};
 
@@ -7,13 +7,13 @@ use super::set::MarkerSet;
 use crate::retarget::{axis_name, y_up_from_axis};
 use clip::Markers;
 
-/// Markers that must be seen in a frame for its pose to be solved, and their share of all.
+/// Minimum number and share of the markers seen in a frame whose pose is solved.
 pub(super) const MIN_SEEN: usize = 6;
 const MIN_SEEN_SHARE: f64 = 0.5;
 
 /// The markers with a known placement.
 pub(super) struct LabelledMarkers {
-    /// Column of each among the labels.
+    /// Column of each marker in the capture.
     pub(super) columns: Vec<usize>,
     pub joints: Vec<usize>,
     pub(super) offsets: Vec<DVec3>,

@@ -8,8 +8,8 @@ use super::joint_map::{Mapping, Origin, hangs_from};
 use super::rig::Bone;
 use super::track::Track;
 
-/// Confidence below which a guessed map is not used. A body whose legs and head alone are named
-/// reaches 0.62; a fox that carries its head high stays at 0.5.
+/// Confidence below which a guessed map is not used. A body of which only legs and head are named reaches 0.62; a fox
+/// that carries its head high stays at 0.5.
 pub(super) const LEAST: f64 = 0.6;
 
 /// Confidence of a map without names, relative to one by names.
@@ -21,7 +21,7 @@ pub(super) struct Evidence {
     found: f64,
     /// Share of the limb joints with the expected parent chain.
     descent: f64,
-    /// Likeness of the lengths of left and right limbs.
+    /// Similarity of left and right limb lengths.
     symmetry: f64,
     /// How upright the trunk is over the legs.
     posture: f64,
@@ -94,7 +94,7 @@ impl Evidence {
     }
 }
 
-/// One for lengths that differ by a tenth at most, zero from one half on.
+/// 1 for length ratios of 0.9 or more, falling linearly to 0 at 0.5.
 fn likeness(ratio: f64) -> f64 {
     const ALIKE: f64 = 0.9;
     const UNLIKE: f64 = 0.5;

@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 pub struct UserMap {
     name: String,
     joints: BTreeMap<Joint, String>,
-    /// Metres of the file's unit.
+    /// Length of the file's unit in metres.
     pub(super) unit: Option<f64>,
     /// The axis that is up.
     pub(super) up: Option<Up>,
@@ -70,7 +70,7 @@ pub(super) enum RestPose {
     FirstFrame,
 }
 
-/// Why a joint map is refused.
+/// Error of parsing a joint map.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum UserMapError {
@@ -113,8 +113,8 @@ impl UserMap {
     /// Parses the JSON text of a map.
     ///
     /// # Errors
-    /// The text is no such JSON, a joint is unknown, a source joint is named twice, or the unit is
-    /// not positive.
+    /// The text is not JSON of this form, a joint is unknown, a source joint is named twice, or the unit is not
+    /// positive.
     pub fn parse(text: &str) -> Result<Self, UserMapError> {
         let file: File = serde_json::from_str(text)?;
         let mut joints: BTreeMap<Joint, String> = BTreeMap::new();

@@ -35,10 +35,10 @@ const HASH_DIGITS: usize = 8;
 
 /// Reads the rest joints of a body model, betas zero.
 ///
-/// Of an npz these are `J_regressor . v_template`, whose tree must be that of SMPL-X (55 joints) or
-/// SMPL-H (52); an npy holds the `[55, 3]` joints themselves. The jaw and the eyes, which SMPL-H
-/// does not have, are put where they are on the neutral SMPL-X body relative to the head. The name
-/// of the skeleton is that of the file and the start of the BLAKE3 of the joints.
+/// From an npz they are `J_regressor . v_template`, whose tree must be that of SMPL-X (55 joints) or SMPL-H (52); an
+/// npy holds the `[55, 3]` joints themselves. The jaw and the eyes, which SMPL-H does not have, are put where they are
+/// on the neutral SMPL-X body relative to the head. The name of the skeleton is that of the file and the start of the
+/// BLAKE3 of the joints.
 ///
 /// # Units
 /// Metres, y up, the body's left at +x.
@@ -79,7 +79,7 @@ fn unusable(path: &Path) -> impl Fn(Rejected) -> Error {
 pub struct BodyModel {
     /// Joints with all betas zero; 52 for SMPL-H, 55 for SMPL-X.
     joints: Vec<DVec3>,
-    /// How the joints move with each beta, by beta.
+    /// Joint displacements per unit of each beta, `[betas, joints]`.
     shapes: Vec<Vec<DVec3>>,
 }
 
@@ -377,8 +377,8 @@ fn smplx_index(joint: usize, num_joints: usize) -> usize {
     }
 }
 
-/// Checks that the first row of `kintree_table` names the parents of SMPL-X, the root's excepted,
-/// which is written as -1 or as that number without sign.
+/// Checks that the first row of `kintree_table` names the parents of SMPL-X, except for the root's, which is -1 or its
+/// unsigned value.
 fn check_tree(tree: &Array, num_joints: usize) -> Result<(), Rejected> {
     if tree.shape != [2, num_joints] {
         return Err(bad_shape("kintree_table", tree, "[2, joints]"));
@@ -536,7 +536,7 @@ pub(crate) mod tests {
         let neutral = Skeleton::smplx_neutral();
         let read = skeleton("SMPLX_NEUTRAL.npz", &npz(&smplx())).expect("a model");
         for joint in 0..NUM_JOINTS {
-            // Two halves of a sum in f64.
+            // Rounding of the mean of two vertices in f64.
             assert!((read.rest(joint) - neutral.rest(joint)).length() < 1e-12);
         }
         let (stem, hash) = read.name().rsplit_once('-').expect("a name and a hash");
@@ -666,7 +666,7 @@ pub(crate) mod tests {
     }
 
     proptest! {
-        // Each case writes a file.
+        // Few cases, because each writes a file.
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
         fn no_bytes_make_it_panic(

@@ -147,7 +147,7 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
 
 /// Kind of an archive, by its name or its first bytes.
 fn archive_kind(name: &str, extension: &str, head: &[u8]) -> Option<&'static str> {
-    /// Place of the magic of a tar header.
+    /// Offset of the magic of a tar header.
     const TAR_MAGIC_AT: usize = 257;
     if name.ends_with(".tar.gz") || extension == "tgz" {
         return Some("tar.gz");
@@ -189,8 +189,7 @@ pub fn read_clip(
     label(outcome, path, companions, around)
 }
 
-/// Adds the labels beside a file to the clip that was read from it. `companions` is that of
-/// [`read_clip`], as is `around`.
+/// Adds the labels beside a file to the clip that was read from it. `companions` and `around` are as in [`read_clip`].
 pub fn label(
     outcome: Outcome,
     path: &Path,

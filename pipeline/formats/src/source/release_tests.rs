@@ -101,7 +101,7 @@ pub(super) fn codes(release: &dyn Release) -> Vec<&str> {
     rejected.map(|(_, rejected)| rejected.code).collect()
 }
 
-/// Both motions have their keypoints in the same places.
+/// Asserts that the keypoints of both motions agree to within `metres`.
 #[track_caller]
 pub(crate) fn assert_same_places(found: &Motion, expected: &Motion, metres: f64) {
     let skeleton = Skeleton::smplx_neutral();
@@ -123,10 +123,10 @@ pub(crate) fn edited(bytes: &[u8], edits: Vec<(Index, u8)>) -> Vec<u8> {
     edited
 }
 
-/// A folder or file of the real ones; none where `STANCE_TEST_DATA` is not set.
+/// A folder or file of the real test data; none if `STANCE_TEST_DATA` is not set.
 ///
 /// # Panics
-/// If the variable is set and there is no such folder or file: a test that was asked for must not pass unrun.
+/// If the variable is set and there is no such folder or file: a requested test must not pass without running.
 #[track_caller]
 pub(super) fn test_data(path: &str) -> Option<PathBuf> {
     let Some(root) = std::env::var_os("STANCE_TEST_DATA") else {

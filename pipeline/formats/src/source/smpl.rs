@@ -103,7 +103,7 @@ impl Parameters {
     }
 }
 
-/// The frames of an array of `D` numbers a frame, in whatever dimensions they are laid out.
+/// The frames of an array of any shape with `D` numbers per frame.
 pub fn column<const D: usize>(value: &Value, key: &str) -> Result<Vec<[f32; D]>, Rejected> {
     let found = value.get(key).unwrap_or(&Value::None);
     let array = found.as_array().filter(|array| {

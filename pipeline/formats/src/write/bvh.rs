@@ -87,9 +87,8 @@ const HIERARCHY: [FileJoint; 25] = [
 /// Length in metres of the toes beyond the toe joint; the skeleton has no joint at their end.
 const TOE_LENGTH: f64 = 0.06;
 
-/// Encodes a motion as BVH: centimetres, y up, the T-pose of the skeleton as zero pose, rotation
-/// channels in the order Z, Y, X of the CMU conversions. Every body joint has a joint in the file, so only
-/// the last digits are lost.
+/// Encodes a motion as BVH: centimetres, y up, the T-pose of the skeleton as zero pose, rotation channels in the order
+/// Z, Y, X of the CMU conversions. Every body joint has a joint in the file, so the only loss is rounding.
 pub fn encode(motion: &Motion, skeleton: &Skeleton) -> String {
     // About 8 characters for each of the 3 positions and 75 rotations of a frame.
     let mut out = String::with_capacity(8192 + motion.len() * 8 * 80);

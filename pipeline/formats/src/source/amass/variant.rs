@@ -7,7 +7,7 @@ pub enum Variant {
     BodyOnly,
     /// SMPL, 24 joints.
     Smpl,
-    /// SMPL-H for the subject's gender, 52 joints: the variant HumanML3D is made of.
+    /// SMPL-H for the subject's gender, 52 joints: the variant that HumanML3D uses.
     SmplH,
     /// SMPL-X for the subject's gender, 55 joints.
     SmplXGendered,

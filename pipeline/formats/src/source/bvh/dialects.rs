@@ -20,19 +20,19 @@ pub(crate) struct RigJoint {
     parent: Option<usize>,
     /// Body joint whose position and rotation the joint follows.
     body: usize,
-    /// From that joint, in metres.
+    /// Offset from that joint in metres.
     beyond: DVec3,
     /// Frame of the joint while the body stands in its rest pose.
     frame: DQuat,
     has_positions: bool,
 }
 
-/// How a file says what a body does.
+/// How to write poses of the body as a BVH file.
 pub(crate) struct RigText {
     pub(crate) joints: Vec<RigJoint>,
-    /// Metres of the file's unit.
+    /// Length of the file's unit in metres.
     pub(crate) metres: f64,
-    /// The file's world, seen from y up.
+    /// Rotation from y-up axes to the file's axes.
     pub(crate) source_from_y_up: DQuat,
     pub(crate) order: (EulerRot, [&'static str; 3]),
     /// Whether leaves have an end site.
@@ -45,9 +45,9 @@ pub(crate) struct RigText {
 }
 
 impl RigText {
-    /// A rig of joints `NAME:BODY_JOINT` or `NAME:BODY_JOINT:PARENT`, parents first, with every frame that of the
-    /// world. The parent of a joint that names none is the last joint before it whose body joint is the same, or is the
-    /// parent of its body joint.
+    /// A rig of joints `NAME:BODY_JOINT` or `NAME:BODY_JOINT:PARENT`, parents first, with all joint frames aligned to
+    /// the world. The default parent is the last joint before it with the same body joint, or with the parent of its
+    /// body joint.
     fn new(joints: &str) -> Self {
         let mut found: Vec<RigJoint> = Vec::new();
         for joint in joints.split_whitespace() {
@@ -92,7 +92,7 @@ impl RigText {
         }
     }
 
-    /// The body's own skeleton in centimetres, with joint frames turned every way, as rigs do that lay bones along x.
+    /// The body's own skeleton in centimetres, with arbitrary joint frames, like rigs with bones along x.
     pub(crate) fn scrambled() -> Self {
         let mut rig = Self::smplx();
         rig.metres = 0.01;
@@ -171,11 +171,11 @@ impl RigText {
         )
     }
 
-    /// Poses of the body as a file.
+    /// Writes poses of the body as a file.
     pub(crate) fn write(&self, poses: &[Pose], skeleton: &Skeleton) -> String {
         let zero = self.zero.unwrap_or(Pose::REST);
         let zero_rotations = skeleton.global_rotations(&zero);
-        // World places and frames of the joints in the file's zero pose and in a pose.
+        // World positions and rotations of the joints in the file's zero pose and in a pose.
         let placed = |pose: &Pose| -> Vec<(DVec3, DQuat)> {
             let points = skeleton.keypoints(pose);
             let rotations = skeleton.global_rotations(pose);
@@ -319,7 +319,7 @@ fn read_text(text: &str) -> Result<SourceClip, Rejected> {
     super::read(&mut text.as_bytes(), text.len(), &ReadOptions::default())
 }
 
-/// The bones of the limbs point where those of the poses do, to within an angle in radians.
+/// The limb bones have the directions of the poses, to within an angle in radians.
 fn assert_same_limbs(clip: &SourceClip, poses: &[Pose], radians: f64) {
     let skeleton = Skeleton::smplx_neutral();
     for (found, expected) in clip.motion.poses().iter().zip(poses) {
@@ -475,7 +475,7 @@ fn soma_rigs_with_a_standing_zero_pose_are_read_by_it() {
             skeleton.global_rotations(expected),
         );
         for joint in 0..NUM_BODY_JOINTS {
-            // The smallest rotation between rest and A-pose has another twist than the arms' own.
+            // The minimal rotation from rest to the A-pose twists the arms differently.
             let angle = angle_between(found[joint], expected[joint]);
             assert!(angle < 0.15, "joint {joint} is off by {angle} rad");
         }

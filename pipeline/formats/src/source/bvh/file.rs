@@ -82,7 +82,7 @@ struct Header {
 }
 
 impl Header {
-    /// Parses the header, and returns where the rows begin.
+    /// Parses the header, and returns the offset of the rows.
     fn parse(bytes: &[u8]) -> Result<(Self, usize), Rejected> {
         let mut cursor = Cursor {
             bytes,
@@ -120,9 +120,9 @@ struct Pieces<'a> {
     text: Vec<u8>,
     /// Number of bytes of `text` that were returned.
     used: usize,
-    /// Bytes after them that are known to hold no line end.
+    /// Bytes after `used` known to contain no line end.
     searched: usize,
-    /// Place of `text` in the file; the end of the file, once there are no more lines.
+    /// Offset of `text` in the file; the end of the file, once there are no more lines.
     offset: usize,
     ended: bool,
 }
@@ -150,7 +150,7 @@ impl<'a> Pieces<'a> {
         self.offset += std::mem::take(&mut self.used);
     }
 
-    /// Reads a piece more.
+    /// Reads one more piece.
     fn read(&mut self) -> Result<(), Rejected> {
         self.forget_used();
         let before = self.text.len();

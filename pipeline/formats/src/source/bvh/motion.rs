@@ -30,13 +30,13 @@ pub(super) struct Rows {
     num_channels: usize,
     values: Vec<f64>,
     num_rows: usize,
-    /// The first row of another length: its number, its values and its place.
+    /// The first row of wrong length: its number, its number of values and its byte offset.
     odd_row: Option<(usize, usize, usize)>,
     first_extra_row: Option<usize>,
 }
 
 impl Rows {
-    /// Rows that a header announces. `length` is that of the text, in bytes.
+    /// Rows that a header announces. `length` is the text's length in bytes.
     pub(super) fn new(num_frames: usize, num_channels: usize, length: usize) -> Self {
         // Every value takes a digit and a separator, so the file's length limits the allocation that a
         // wrong header can cause.

@@ -63,7 +63,7 @@ fn orientation(name: &str) -> Option<DQuat> {
     Some(DQuat::from_rotation_x(front) * turn)
 }
 
-/// Whether these are the joints of the rig: all that its T-pose states.
+/// Whether the joints include all that the T-pose of the rig states.
 pub(super) fn is_soma(joints: &[BvhJoint]) -> bool {
     let has = |name: &str| joints.iter().any(|joint| bare(&joint.name) == name);
     let arms = ["Left", "Right"]

@@ -351,7 +351,7 @@ fn frame_count(
     };
     let whole = |name: &str| {
         let number = parameters.number("POINT", name)?;
-        // Sixteen bits are read with their sign, which a count does not have.
+        // Sixteen-bit words are read as signed, but a count is unsigned.
         let number = if number < 0.0 {
             number + 65_536.0
         } else {
@@ -386,7 +386,7 @@ fn frame_count(
     }
 }
 
-/// A name for each point, unique.
+/// A unique name for each point.
 fn labels(parameters: &Parameters, points: usize) -> Vec<String> {
     let mut stated = Vec::new();
     for number in 1.. {

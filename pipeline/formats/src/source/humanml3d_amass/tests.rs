@@ -302,7 +302,7 @@ proptest! {
         let motion = Motion::from_poses(Fps::STORE, &[pose]).expect("valid");
         let joints = body.keypoints(&motion.pose(0));
         let mirrored = mirrored_body(&body).keypoints(&mirror(&motion).pose(0));
-        // The pelvis moves with the mirrored body; everything else is as in the mirror.
+        // Relative to the pelvis, the joints are mirror images.
         let reflect = |v: DVec3| DVec3::new(-v.x, v.y, v.z);
         for joint in Joint::ALL {
             let here = mirrored[joint.index()] - mirrored[0];

@@ -97,7 +97,7 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
     boxed(found.map(|(root, clips)| Folder::new(files, root, &clips)))
 }
 
-/// The folder of a release, with a trailing slash, and the id of its clip that this file holds.
+/// The folder of a release, with a trailing slash, and the id of the clip in this file.
 fn place(file: &str) -> Option<(&str, &str)> {
     let at = match file.starts_with(MOTIONS) {
         true => 0,

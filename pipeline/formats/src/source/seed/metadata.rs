@@ -12,7 +12,7 @@ use crate::foreign_table::{self, ForeignTable, text};
 use crate::source::names::file_name;
 use clip::{Rejected, rejected};
 
-/// Columns that may name a motion, in which its file is called; the first that exists is used.
+/// Columns that may hold the file name of a motion; the first that exists is used.
 const NAME_COLUMNS: [&str; 2] = ["filename", "move_name"];
 const MIRROR_COLUMN: &str = "is_mirror";
 const SUBJECT_COLUMN: &str = "actor_uid";
@@ -86,7 +86,7 @@ pub(super) fn of_parquet(
     })
 }
 
-/// The text of a cell; of a truth value `true` or `false`. None if it is empty or there is no such column.
+/// The text of a cell; `true` or `false` for a Boolean. None if it is empty or there is no such column.
 fn cell(batch: &RecordBatch, column: &str, row: usize) -> Result<Option<String>, Rejected> {
     let Some(values) = batch.column_by_name(column) else {
         return Ok(None);
@@ -184,7 +184,7 @@ impl Described {
     fn of(cell: impl Fn(&str) -> Result<Option<String>, Rejected>) -> Result<Self, Rejected> {
         let stated = |column: &str| -> Result<Option<String>, Rejected> {
             let text = cell(column)?.map(|text| text.trim().to_owned());
-            // Pandas writes missing text so.
+            // Pandas writes missing text as `nan` or `None`.
             Ok(text.filter(|text| !["", "nan", "None"].contains(&text.as_str())))
         };
         let mut captions: Vec<String> = Vec::new();

@@ -1,4 +1,4 @@
-//! The temporal labels: what a person does from when to when.
+//! The temporal labels: descriptions of time spans of a motion.
 
 use std::collections::BTreeMap;
 

@@ -80,7 +80,7 @@ impl Annotation {
         annotation
     }
 
-    /// A name, a list of names, or a map from names to anything.
+    /// Parses masks: a name, a list of names, or a map from names to anything.
     fn masks_of(&mut self, value: &Value) -> Vec<Vec<BodyPart>> {
         let masks = match value {
             Value::String(name) => vec![self.parts(name)],

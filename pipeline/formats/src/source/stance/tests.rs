@@ -28,7 +28,7 @@ fn a_release_becomes_motions_masks_and_pairs() {
     assert_eq!(
         planned(&*release),
         [
-            // The style list takes the clip and its mirrored copy along.
+            // The style list also decides the split of the clip and its mirrored copy.
             ("000009", Some(Split::Test), None),
             ("000010", Some(Split::Val), None),
             ("000012", Some(Split::Train), None),

@@ -107,7 +107,7 @@ impl Rows {
         self.places.len()
     }
 
-    /// Place of a row in the file.
+    /// Byte offset of a row.
     pub(super) fn place_of(&self, row: usize) -> Option<usize> {
         self.places.get(row).copied()
     }
@@ -119,7 +119,7 @@ impl Rows {
         self.positions.truncate(len * self.num_markers);
     }
 
-    /// The stated rate, else that of the times, and what is doubtful about it.
+    /// The stated rate, else the rate of the times, and a note if it is doubtful.
     pub(super) fn rate(&self, stated: Option<f64>) -> Result<(Fps, Option<String>), Rejected> {
         let span = self.span();
         let by_times = span.map(|(steps, secs)| steps / secs);

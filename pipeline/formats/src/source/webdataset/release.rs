@@ -59,7 +59,7 @@ type Members = BTreeMap<&'static str, Place>;
 #[derive(Debug, Default)]
 pub(super) struct Shards {
     contents: Contents,
-    /// By file and key of the entry.
+    /// Clips by file and key of the entry.
     clips: BTreeMap<(String, String), Members>,
 }
 
@@ -214,7 +214,7 @@ pub(crate) fn is_shard(path: &Path) -> bool {
     })
 }
 
-/// The members of an archive, up to the first mistake in it.
+/// The members of an archive, up to the first error in it.
 fn members_of(files: &Files, file: &str) -> Vec<((String, String), &'static str, Place)> {
     let mut members = Vec::new();
     let Ok(opened) = files.open_at(file) else {
