@@ -96,8 +96,8 @@ pub fn check_with(
     }
 }
 
-/// Whether the first frame is a pose apart from the motion: the step into the second frame is a
-/// teleport, and the next step is none. Captures may begin with a T-pose.
+/// Whether the first frame is a pose apart from the motion: the step to the second frame is a teleport, and the next
+/// step is not. Captures may begin with a T-pose.
 pub fn starts_apart(motion: &Motion, skeleton: &Skeleton) -> bool {
     /// The frame apart, and the two frames that a motion has at least.
     const LOOKED_AT: usize = 1 + MIN_FRAMES;

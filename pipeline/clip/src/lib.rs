@@ -47,10 +47,10 @@ pub struct SourceClip {
     pub motion: Motion,
     /// The rate of the file.
     pub source_fps: Fps,
-    /// Where its rotations come from.
+    /// Origin of its rotations.
     pub rotation_source: RotationSource,
-    /// Mean distance in metres between the joints of the motion and those of the file, the latter
-    /// with their bones brought to this body's lengths; none for native rotations of a file without joints.
+    /// Mean distance in metres between the joints of the motion and those of the file, scaled to this body's bone
+    /// lengths; none for native rotations of a file without joints.
     pub fit_error_m: Option<f32>,
     /// Frames of the file that the motion was made from.
     pub source_frames: Range<usize>,
@@ -78,7 +78,7 @@ pub struct SourceClip {
     pub markers: Option<Markers>,
     /// Edits whose target is this clip.
     pub edits: Vec<EditOf>,
-    /// Body-part masks the source comes with.
+    /// Body-part masks from the source.
     pub masks: Vec<SourceMask>,
     /// The HumanML3D features that the motion was made from, a row per frame.
     pub features: Option<Vec<[f32; HUMANML3D_WIDTH]>>,
@@ -185,9 +185,9 @@ impl SourceClip {
         });
     }
 
-    /// Moves the ranges of masks when the motion is cut or resampled. `place` maps a frame of the motion before to one of
-    /// the motion after, which has `len` frames. A mask whose range gets shorter than [`MaskRow::SHORTEST`] is dropped and
-    /// becomes a note.
+    /// Moves the ranges of masks when the motion is cut or resampled. `place` maps a frame of the old motion to one of
+    /// the new motion, which has `len` frames. A mask whose range gets shorter than [`MaskRow::SHORTEST`] is dropped
+    /// and becomes a note.
     pub fn move_masks(&mut self, len: usize, place: impl Fn(f64) -> f64) {
         let end_of_motion = i32::try_from(len).unwrap_or(i32::MAX);
         let moved = |frame: &mut i32| {
@@ -268,7 +268,7 @@ pub struct EditOf {
     pub made: Option<PairRow>,
 }
 
-/// A body-part mask that a source comes with.
+/// A body-part mask from a source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SourceMask {
     /// Parts of the mask.
@@ -351,7 +351,7 @@ pub struct Rejected {
     pub stage: &'static str,
 }
 
-/// A [`Rejected`] for something found while reading a file: its code, and its reason in the words of `format!`.
+/// A [`Rejected`] of the reading stage, from a code and a reason in the syntax of `format!`.
 #[macro_export]
 macro_rules! rejected {
     ($code:expr, $($reason:tt)+) => {

@@ -40,8 +40,8 @@ pub fn blend_pose(
 
 /// Blends two motions of equal length and rate, all soft joints by the same `alpha`.
 ///
-/// With [`SlerpRule::Exact`], stored numbers are copied, not recomputed: hard joints are bit for bit those of the target, and
-/// joints outside the mask those of the source. An `alpha` of exactly 0 or 1 copies as well.
+/// With [`SlerpRule::Exact`], stored numbers are copied, not recomputed: hard joints equal the target's bit for bit,
+/// and joints outside the mask equal the source's. An `alpha` of exactly 0 or 1 copies as well.
 ///
 /// # Errors
 /// The motions differ in length or rate.

@@ -89,7 +89,7 @@ impl FrameCache {
             if path == added || is_being_written(&path) {
                 continue;
             }
-            // Where an open file cannot be removed, it stays until the next one is added.
+            // If an open file cannot be removed, it stays until another file is added.
             if fs::remove_file(&path).is_ok() {
                 total -= len;
             }

@@ -1,8 +1,8 @@
 //! Turns captions into descriptions of the person's action, for instructions in the phrasing of the release.
 //!
-//! Captions are written by people in many ways. Those of the form "A person walks forward" or "someone is waving" become
-//! "The person is walking forward". The grammar is a short list of forms; a caption of any other form keeps its own
-//! wording, because a guess would lose its subject or spoil its verb.
+//! Captions are written by people in many ways. Those of the form "A person walks forward" or "someone is waving"
+//! become "The person is walking forward". The grammar is a short list of forms; a caption of any other form keeps its
+//! own wording, because a guess would lose its subject or spoil its verb.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
@@ -43,7 +43,7 @@ struct Verbs {
     finite: BTreeMap<String, String>,
     gerunds: BTreeMap<String, String>,
     bare: BTreeMap<String, String>,
-    /// Third persons that are no plural nouns.
+    /// Third persons that are not also plural nouns.
     only_finite: BTreeSet<String>,
 }
 

@@ -18,17 +18,16 @@ pub const COMPOSE_VERSION: u32 = 3;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ComposeConfig {
-    /// Share of the motion base that partners are drawn from. A smaller share is a subset of a
-    /// larger one.
+    /// Share of the motion base that partners are drawn from. A smaller share selects a subset of a larger one.
     ///
     /// Source: the MotionCutMix ratio of the paper's ablation.
     pub mcm_ratio: f64,
-    /// Share of the masks that is used. A smaller share is a subset of a larger one.
+    /// Share of the masks that are used. A smaller share selects a subset of a larger one.
     ///
     /// Source: the annotated data size of the paper's ablation.
     pub annotated_ratio: f64,
-    /// Whether each mask and pair is composed once, with one fixed partner instead of a new one for each item. Partners are
-    /// then composed by the rule of SINC: whole parts without soft joints, from the middle of the longer motion.
+    /// Whether each mask and pair is composed once, with one fixed partner instead of a new one for each item. Partners
+    /// are then composed by the rule of SINC: whole parts without soft joints, from the middle of the longer motion.
     ///
     /// Source: the rows "w/o MCM" of Tables 1 and A1.
     pub fixed_pairs: bool,

@@ -96,8 +96,8 @@ impl Crop {
         }
     }
 
-    /// Crops the longer motion to the length of the shorter. `place` chooses the first frame that stays, from the range
-    /// that it is given. A target that is cropped keeps the frames `held`, or as many of them as the source has.
+    /// Crops the longer motion to the length of the shorter. `place` chooses the first frame that is kept, from the
+    /// given range. If the target is cropped, it keeps the frames `held`, or as many of them as the source has.
     pub(super) fn around(
         source_frames: usize,
         target_frames: usize,

@@ -1,4 +1,4 @@
-//! Edits of some frames of a motion: all other frames stay those of the original.
+//! Edits of some frames of a motion: all other frames equal the original's.
 
 use std::ops::Range;
 
@@ -71,7 +71,7 @@ fn joined(original: &Motion, edited: &Motion, run: Range<usize>) -> Vec<Pose> {
     let sources = original.poses_in(run.clone());
     let mut poses = edited.poses_in(run.clone());
     if let Some(before) = run.start.checked_sub(1) {
-        // The pelvis is at `transl` plus a constant, so that translations move as pelvises do.
+        // The pelvis is `transl` plus a constant, so moving the translation moves the pelvis.
         let (from, to) = (edited.pose(before), original.pose(before));
         let turn = heading_between(&from, &to);
         for pose in &mut poses {

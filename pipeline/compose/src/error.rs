@@ -104,7 +104,7 @@ pub enum Error {
         /// The motion of the row.
         motion: MotionId,
     },
-    /// The mask of this id takes no joint.
+    /// The mask of this id has no joint.
     #[error("mask {0:?} names no joint; annotate it again")]
     EmptyMask(String),
     /// A mask or pair has no instruction.

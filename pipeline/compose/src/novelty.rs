@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use super::EditKind;
 
-/// How much of a test question training has shown. It is decided by the labels of clips, masks and pairs: by action,
-/// style and performer, not by likeness.
+/// How much of a test question the training split contains. Labels of clips, masks and pairs decide (action, style and
+/// performer), not the similarity of motions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Novelty {
@@ -165,7 +165,7 @@ impl Shown {
         self.edits.insert(edit);
     }
 
-    /// The novelty of a question; none where an action is not known, or the dataset has no training split.
+    /// The novelty of a question; none if an action is not known, or the dataset has no training split.
     pub(super) fn novelty(&self, asked: Asked<'_>) -> Option<Novelty> {
         if self.actions.is_empty() {
             return None;

@@ -27,9 +27,9 @@ pub struct Triplet {
     pub target_id: MotionId,
     /// Motions blended under both sides; none for semantic edits.
     pub donor_ids: Vec<MotionId>,
-    /// First stored frame taken of the source.
+    /// First stored frame that is used of the source.
     pub source_start: usize,
-    /// First stored frame taken of the target.
+    /// First stored frame that is used of the target.
     pub target_start: usize,
     /// First stored frame of the donor; 0 without a donor.
     pub donor_start: usize,
@@ -269,7 +269,7 @@ impl Triplet {
         self.original.fps()
     }
 
-    /// First edited frame and one past the last, as tables state them; none where all may change.
+    /// First edited frame and one past the last, as in the tables; none if all frames may change.
     ///
     /// # Panics
     /// As [`Triplet::to_row`].

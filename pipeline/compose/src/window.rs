@@ -343,7 +343,7 @@ impl Composer {
         }
     }
 
-    /// Forward kinematics of up to 16 frames for the points the plan asks for.
+    /// Forward kinematics of up to 16 frames for the points of the plan.
     #[inline(always)]
     fn moved_points(
         &self,
@@ -661,7 +661,7 @@ mod tests {
         }
     }
 
-    /// The first frames of a motion. Numbers of parts that are not asked for are NaN.
+    /// The first frames of a motion. Numbers of parts that are not requested are NaN.
     fn known(motion: &Motion, parts: FrameParts) -> Vec<Frame> {
         const UNKNOWN: Frame = Frame {
             points: [f32::NAN; FRAME_WIDTH + 2 * MARGIN],

@@ -33,7 +33,7 @@ pub(super) enum Action {
 }
 
 /// The actions with their names in clip names and sidecars, in the order of the clips and of the declaration. A small
-/// corpus has the first ones, so these differ as much as possible.
+/// corpus has only the first actions, so these differ as much as possible.
 const NAMES: [(Action, &str); 26] = [
     (Action::Walk, "walk"),
     (Action::WaveRight, "wave-right"),

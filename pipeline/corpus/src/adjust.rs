@@ -13,7 +13,7 @@ pub(super) struct Adjustment {
     pub(super) name: &'static str,
     /// The instruction that leads from the neutral performance to the adjusted one.
     pub(super) instruction: &'static str,
-    /// Words for captions, after those of an action.
+    /// Words that follow those of an action in captions.
     pub(super) manner: &'static str,
     /// The part of the body that moves differently.
     pub(super) part: BodyPart,

@@ -41,7 +41,7 @@ pub(super) struct Coupling {
     pub(super) arm_swing: f64,
     /// Forward bend of the trunk by the speed.
     pub(super) lean: f64,
-    /// Bend of the elbows beyond the style's.
+    /// Bend of the elbows in addition to the style's.
     pub(super) elbow_bend: f64,
     /// Fractions of the sideways and forward distance by which the pelvis moves towards the standing foot.
     pub(super) shift: [f64; 2],
@@ -129,7 +129,7 @@ const MIN_ELBOW_BEND: f64 = 0.08;
 const MAX_BEND: f64 = 2.6;
 /// Look-ahead in seconds in which the pelvis anticipates the limit of a leg.
 const PELVIS_FORESIGHT_SECS: f64 = 0.10;
-/// Height in metres by which a foot is raised above its planned path while it bears no weight.
+/// Height in metres by which an unloaded foot is raised above its planned path.
 const UNLOADED_LIFT: f64 = 0.05;
 const SPINE_SHARES: [f64; 3] = [0.30, 0.35, 0.35];
 
@@ -416,7 +416,7 @@ const KNEE_SPLAY: f64 = 0.10;
 /// Greatest bend of the toes in radians.
 const MAX_TOE_BEND: f64 = 0.9;
 
-/// A track through the keys; constantly zero if there is none.
+/// A track through the keys; constantly zero without keys.
 fn track<const N: usize>(keys: &Keys<N>) -> Track<N> {
     if keys.is_empty() {
         Track::new(vec![(0.0, [0.0; N])])
@@ -463,7 +463,7 @@ impl Tracks {
         }
     }
 
-    /// Places pelvis, spine and head of a frame, the pelvis at the height the script asks for.
+    /// Places pelvis, spine and head of a frame, with the pelvis at the script's height.
     #[expect(clippy::too_many_arguments, reason = "all the inputs of one frame")]
     fn torso(
         &self,
@@ -492,7 +492,7 @@ impl Tracks {
         let shift = DVec3::new(
             left + answers.shift[0][frame] * style.sway.sqrt() + self.drift.at(secs),
             body.standing + up + bob - style.crouch,
-            // Bending forward takes the pelvis back, so that the body stays over its feet.
+            // Bending forward moves the pelvis back, so that the body stays over its feet.
             forward + answers.shift[1][frame] - 0.10 * (style.lean + style.tilt),
         );
         let pelvis = ground.point + DQuat::from_rotation_y(ground.heading) * shift;
@@ -502,7 +502,7 @@ impl Tracks {
             + trunk_bend
             + self.breath.at(secs)
             + self.trunk_noise[0].at(secs);
-        // The shoulders stay level while the pelvis lists; a swaying style lets them follow.
+        // The shoulders stay level while the pelvis drops to one side; a swaying style lets them follow.
         let lean =
             trunk_lean + list * (0.35 * (style.sway - 1.0) - 0.85) + self.trunk_noise[1].at(secs);
         let turn = trunk_turn
@@ -515,7 +515,7 @@ impl Tracks {
         });
         let chest = rotation * spine[0] * spine[1] * spine[2];
 
-        // The eyes look ahead: the head stays level while the trunk moves, except in a deep bend.
+        // The gaze stays ahead: the head stays level while the trunk moves, except in a deep bend.
         let follow = 0.35 * (trunk_bend + tilt - style.tilt);
         let gaze = DQuat::from_rotation_y(
             ground.heading + head_turn + 0.3 * trunk_turn + self.head_noise[2].at(secs),

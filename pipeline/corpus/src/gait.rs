@@ -133,8 +133,8 @@ pub(super) struct FootShape {
     heel: DVec3,
 }
 
-/// Distance of the heel's contact point behind the ankle in metres. The skeleton has no heel joint;
-/// 5 cm is that of an adult foot.
+/// Distance of the heel's contact point behind the ankle in metres. The skeleton has no heel joint; 5 cm fits an adult
+/// foot.
 const HEEL_BEHIND_ANKLE: f64 = 0.05;
 
 impl FootShape {
@@ -172,7 +172,7 @@ struct Plant {
     yaw: f64,
 }
 
-/// How a foot travels from one plant to the next.
+/// Path of a foot from one plant to the next.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Swing {
     /// Greatest height of the contact point above the floor in metres.
@@ -337,14 +337,14 @@ pub(super) struct Gait {
 }
 
 impl Gait {
-    /// Length of a step in metres at which the foot rolls fully: that of a brisk walk.
+    /// Step length in metres at which the foot rolls fully, as in a brisk walk.
     const FULL_STEP: f64 = 0.7;
     /// Distance of the ankles behind the point below the pelvis in metres, as in the rest pose of
     /// the skeleton.
     pub(super) const ANKLE_BEHIND: f64 = 0.05;
 
-    /// Share of its stance after which a foot is below the body. Less than a half, because the
-    /// trailing leg reaches further than the leading one: its heel rises.
+    /// Fraction of its stance after which a foot is below the body. It is less than a half, because the trailing leg,
+    /// with its heel raised, reaches further than the leading one.
     const BELOW_BODY: f64 = 0.42;
 
     /// Position and direction of a foot under a body at a point of its path.

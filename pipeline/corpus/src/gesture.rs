@@ -28,7 +28,7 @@ const fn hold(towards: [f64; 3], bend: f64, elbow: [f64; 3]) -> Hold {
     }
 }
 
-/// Start and end pose of gestures: close to a hanging arm, so that fading in moves little.
+/// Start and end pose of gestures: close to a hanging arm, so that fading in causes little movement.
 const AT_SIDE: Hold = hold([0.22, -0.93, 0.22], 0.4, [0.4, -0.2, -1.0]);
 /// The hand raised beside the head, palm forward.
 const RAISED: Hold = hold([0.44, 0.60, 0.26], 1.35, [0.75, -0.65, -0.1]);
@@ -71,7 +71,7 @@ impl Hold {
         }
     }
 
-    /// The pose part of the way from hanging at the side, for gestures of another amplitude.
+    /// The pose moved towards a hanging arm, for gestures of smaller amplitude.
     fn scaled(self, amplitude: f64) -> Self {
         if amplitude >= 1.0 {
             return self;

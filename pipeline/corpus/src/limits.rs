@@ -114,8 +114,7 @@ fn repetitions() -> Vec<Question> {
     questions
 }
 
-/// Actions with a side, and the instruction for the other side: `{side}` is that of the source, `{other}` of the
-/// target.
+/// Actions with a side, and the instruction for the other side: `{side}` is the source's side, `{other}` the target's.
 const SIDED: [(Action, &str, BodyPart); 6] = [
     (
         Action::WalkWave,
@@ -437,7 +436,7 @@ mod tests {
             assert_eq!(before.len(), after.len(), "{}", question.instruction);
             for (motion, performance) in [(before, &question.before), (after, &question.after)] {
                 let points = skeleton.motion_keypoints(&motion).points;
-                // How often a joint gets this far above (or below) where it began.
+                // Number of times that a joint rises above (or falls below) its start by this distance.
                 let times = |joint: Joint, metres: f64| {
                     let height = |frame: usize| points[frame][joint as usize].y;
                     let is_away = |frame| (height(frame) - height(0)) / metres > 1.0;

@@ -98,8 +98,7 @@ fn features_of(clip: &Clip, placement: Placement) -> Vec<Features> {
     clip.features(placement, &Headings::of(&forwards))
 }
 
-/// The rotation about the vertical that takes the root's heading to +z, as cosine and sine of the
-/// half-angle.
+/// The rotation about the vertical from the root's heading to +z, as cosine and sine of the half-angle.
 #[derive(Clone, Copy, Debug)]
 struct Heading {
     half_cosine: f64,

@@ -12,8 +12,8 @@
 //! A rotation is the first two columns of its matrix, read row by row: `m00 m01 m10 m11 m20 m21`. This differs from
 //! HumanML3D (column by column) and from the 272 features (rows).
 //!
-//! The released code does not say how a clip is placed. Here its first frame faces +z with a translation of
-//! x = z = 0, and heights stay, so that the floor is at y = 0.
+//! The released code does not say how a clip is placed. Here its first frame faces +z with a translation of x = z = 0,
+//! and heights are unchanged, so the floor is at y = 0.
 //!
 //! # Source
 //! Tencent-Hunyuan/HY-Motion-1.0: `hymotion/pipeline/motion_diffusion.py` (`_decode_o6dp`),

@@ -196,10 +196,10 @@ pub fn recover_poses(features: &[Features], rest_pelvis: DVec3) -> Vec<Pose> {
         .collect()
 }
 
-/// The motion of the body that the features describe, at 30 fps and on the floor. The path is scaled by the ratio
-/// of the body's leg length to that of the features, as their body may have another shape. Also returns the mean
-/// distance in metres between the joints of the features, so scaled, and those of the motion, both relative to
-/// the pelvis.
+/// The motion of the body that the features describe, at 30 fps and on the floor. The path is scaled by the ratio of
+/// the body's leg length to that of the features, because their body may have another shape. Also returns the mean
+/// distance in metres between the scaled joints of the features and the joints of the motion, both relative to the
+/// pelvis.
 ///
 /// # Errors
 /// There is no frame, the legs of the features have no length, or a number is not finite.

@@ -75,9 +75,8 @@ pub fn motion_of_joints(
     Ok((motion, error as f32))
 }
 
-/// Poses the body by the rotations of HumanML3D features, which point the bones. Also returns the
-/// mean distance in metres between the joints of the source and those of the pose, both with the
-/// bones of SMPL at rest.
+/// Poses the body with the bone directions given by the rotations of HumanML3D features. Also returns the mean distance
+/// in metres between the joints of the source and those of the pose, both with the bones of SMPL at rest.
 ///
 /// # Errors
 /// There is no frame, or the features hold no rotations.
@@ -124,7 +123,7 @@ pub fn motion_of_directions(
     Ok((motion, (error / frames.len() as f64) as f32))
 }
 
-/// Length in metres of the body's right leg, the one the published recipe measures.
+/// Length in metres of the body's right leg, which the published recipe measures.
 fn body_leg(skeleton: &Skeleton) -> f64 {
     skeleton.offset(5).length() + skeleton.offset(8).length()
 }
@@ -163,7 +162,7 @@ fn global_rotations(directions: &Joints) -> [DQuat; NUM_BODY_JOINTS] {
     globals
 }
 
-/// The rotation nearest to that of the joint above that aligns the bone.
+/// The smallest rotation from the parent's that aligns the bone.
 fn swing(above: DQuat, bone: usize, directions: &Joints) -> DQuat {
     let carried = above * rest_bone(bone).normalize();
     (arc(carried, directions[bone]) * above).normalize()
@@ -185,8 +184,8 @@ fn frame_turn(directions: &Joints, [left, right, up]: [usize; 3]) -> DQuat {
     DQuat::from_mat3(&(seen * rest.transpose())).normalize()
 }
 
-/// The rotation about the upper of two bones that turns `hinge` onto the axis about which the limb bends. The straighter
-/// the limb, the smaller the rotation: a straight limb has no such axis.
+/// The rotation about the upper of two bones that turns `hinge` onto the axis about which the limb bends. The
+/// straighter the limb, the smaller the rotation: a straight limb has no such axis.
 fn twist([upper, lower]: [DVec3; 2], hinge: DVec3) -> DQuat {
     let axis = upper.cross(lower);
     let weight = (axis.length() / CLEAR_BEND).min(1.0);

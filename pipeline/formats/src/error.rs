@@ -19,7 +19,7 @@ pub enum Error {
         /// Reason.
         reason: String,
     },
-    /// An archive cannot be unpacked to be read.
+    /// An archive cannot be unpacked.
     #[error(
         "cannot unpack an archive to {}: {reason}; set TMPDIR to a folder with more room, or unpack the archive and name \
          its folder",

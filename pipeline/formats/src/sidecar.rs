@@ -1,4 +1,4 @@
-//! Descriptions that lie beside a motion file.
+//! Label files beside a motion file.
 
 use datasets_spec::Split;
 use datasets_spec::record::{CAPTION_BY_RULE, CAPTION_BY_SOURCE};
@@ -6,8 +6,8 @@ use datasets_spec::table::{Caption, PartCaption};
 use serde::de::value::MapAccessDeserializer;
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// The content of `<stem>.stance.json`, which may lie beside any motion file and adds what its format
-/// cannot hold. All fields are optional; unknown fields are an error, so that misspelt ones are found.
+/// The content of `<stem>.stance.json`, which may lie beside any motion file and adds labels that its format cannot
+/// hold. All fields are optional; unknown fields are an error, so that misspelt ones are found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sidecar {

@@ -89,7 +89,7 @@ impl Header {
         Ok((header, literal.descr))
     }
 
-    /// Parses the dictionary of the header, and returns where the data starts too.
+    /// Parses the dictionary of the header; also returns the offset of the data.
     fn parse_literal(name: &str, bytes: &[u8]) -> Result<(Literal, usize), Error> {
         let bad = |reason: String, at: usize| {
             Error::new("E-NPY-HEADER", format!("{name}: {reason}")).at(at)
@@ -139,7 +139,7 @@ impl Header {
     }
 }
 
-/// The pickle in an array of objects and where it starts; none for arrays of anything else.
+/// The pickle in an array of objects, and its offset; none for other arrays.
 ///
 /// # Errors
 /// `E-NPY-HEADER`.

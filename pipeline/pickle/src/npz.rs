@@ -141,7 +141,7 @@ impl<R: Read + Seek> Archive<R> {
         self.member_within(key, MAX_MEMBER_LEN)
     }
 
-    /// [`Archive::member`] of an array that is known to be small.
+    /// Like [`Archive::member`], for an array of at most `max_len` bytes.
     ///
     /// # Errors
     /// As [`Archive::member`].
@@ -171,7 +171,7 @@ impl<R: Read + Seek> Archive<R> {
         check_len("E-NPZ-LIMIT", &name, len, compressed_len, MAX_MEMBER_LEN)
     }
 
-    /// An array of numbers.
+    /// Reads an array of numbers.
     ///
     /// # Errors
     /// As [`Archive::member`], or those of [`npy::read_numbers`].
@@ -220,8 +220,8 @@ fn member_error(name: &str, error: &ZipError) -> Error {
         format!("{name} cannot be unpacked ({error})"),
     )
 }
-/// Refuses names with a meaning to a file system. Archives are read in memory and never unpacked, so such
-/// names do no harm here, but they show a hostile or broken writer.
+/// Refuses names with a special meaning to a file system. Archives are read in memory and never unpacked, so such names
+/// do no harm here, but they show a hostile or broken writer.
 fn check_names<'a>(names: impl Iterator<Item = &'a [u8]>) -> Result<(), Error> {
     let mut seen = std::collections::BTreeSet::new();
     for name in names {

@@ -1,11 +1,11 @@
 //! Frames of motions in a flat file with random access.
 //!
-//! A page of Parquet holds a whole clip, compressed, and decoding one takes fifty times as long as composing a
-//! window of it. Each clip is therefore decoded once and its frames are written one after another to a file of a cache
-//! folder; a window is then one read at one place.
+//! A page of Parquet holds a whole clip, compressed, and decoding it takes fifty times as long as composing one of its
+//! windows. Each clip is therefore decoded once, and its frames are written contiguously to a file in a cache folder; a
+//! window then takes a single read.
 //!
 //! The file's name is the hash of its inputs, so that processes share it. It is written under another name and renamed
-//! when it is whole. Each frame ends with a checksum, because the file may stay for months.
+//! when complete. Each frame ends with a checksum, because the file may be kept for months.
 
 use std::fs::{self, File};
 use std::io::{BufWriter, ErrorKind, Write};
@@ -41,8 +41,8 @@ pub(crate) struct FrameFile {
 }
 
 impl FrameFile {
-    /// Opens the file of this key; without one, or where it is not whole, `make` writes its `num_frames`
-    /// frames. Processes that need the same file at once wait for the one that writes it.
+    /// Opens the file of this key. If it is missing or incomplete, `make` writes its `num_frames` frames. Processes
+    /// that need the same file at once wait for the one that writes it.
     ///
     /// # Panics
     /// If `make` writes another number of frames.

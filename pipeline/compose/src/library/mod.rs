@@ -207,7 +207,7 @@ impl Library {
         &captured[found.expect("a motion of this library")]
     }
 
-    /// Other captures of the same action in the same style; none where the action is not known. Targets of fine-grained
+    /// Other captures of the same action in the same style; none if the action is not known. Targets of fine-grained
     /// pairs are left out: they vary the action in a way that no label states.
     pub(super) fn other_takes(&self, target: &Clip) -> impl Iterator<Item = &Clip> {
         let varied: BTreeSet<&MotionId> = self

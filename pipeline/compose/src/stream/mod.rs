@@ -64,11 +64,10 @@ pub(super) struct Room {
 
 /// Composes edits of the motions of one split, item by item.
 ///
-/// An epoch visits every window of every annotated motion and of every pair once, in a shuffled
-/// order. For a semantic edit an item draws its window's first frame within its share of the
-/// annotated motion, a partner and a stretch of it from the motion base, and the weight of the soft
-/// joints. For a pair it draws the half of the body that is edited and a donor, which is blended
-/// under both motions alike.
+/// An epoch visits every window of every annotated motion and of every pair once, in a shuffled order. For a semantic
+/// edit, an item draws its window's first frame within its part of the annotated motion, a partner from the motion base
+/// and a crop of it, and the weight of the soft joints. For a pair, it draws the half of the body to edit and a donor,
+/// which is blended into both motions.
 ///
 /// # Source
 /// Paper Sec. 4.3.
@@ -365,7 +364,7 @@ impl Stream {
         Ok(())
     }
 
-    /// The pairing of an item of an epoch, of which [`Stream::fill`] takes a window.
+    /// The pairing of an item of an epoch; [`Stream::fill`] takes a window of it.
     pub(super) fn pairing(&self, epoch: u64, place: u64) -> Pairing {
         let item = self.order(epoch).at(place);
         let mut rng = item_rng(self.epoch_seed(epoch), item);

@@ -24,7 +24,7 @@ pub(super) struct Target {
 
 pub(super) type Wordings = Arc<[String]>;
 
-/// Data that many targets share, stored once: a dataset has more masks than body parts.
+/// Blend plans and wordings, each stored once for all targets that share it.
 #[derive(Debug, Default)]
 pub(super) struct SharedSides {
     plans: HashMap<BlendMask, Arc<BlendPlan>>,
@@ -107,7 +107,7 @@ impl Target {
             (Subject::Annotation(_), _) => &self.sides[0],
             (Subject::Pair(_), None) => return (None, &self.plain),
             (Subject::Pair(_), Some(half)) => {
-                // The lower half comes first where there are both.
+                // If there are two sides, the lower half comes first.
                 let upper_of_two = self.sides.len() == 2 && half == BodyPart::UpperBody;
                 &self.sides[usize::from(upper_of_two)]
             }

@@ -129,7 +129,7 @@ pub enum FeatureError {
         /// The frame.
         frame: usize,
     },
-    /// The joints of recovered features are no motion of a body.
+    /// Recovered features do not give a motion of a body.
     #[error("the joints make no motion: {reason}")]
     NoMotion {
         /// What is wrong.

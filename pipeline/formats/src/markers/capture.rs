@@ -44,7 +44,7 @@ impl Capture {
         let known: Vec<f32> = known.filter(|residual| *residual >= 0.0).collect();
         let mut clip = SourceClip::new(solved.motion, RotationSource::Fitted);
         clip.fit_error_m = Some(known.iter().sum::<f32>() / known.len().max(1) as f32);
-        // With only one subject, its name is often that of a template; the folder's label may name the person.
+        // The only subject of a file often has the name of a template; the folder's label may name the person.
         clip.subject = Some(subject.name).filter(|name| !key.is_empty() && !name.is_empty());
         clip.flags = flags;
         clip.notes.extend(notes);

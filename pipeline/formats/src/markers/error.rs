@@ -2,13 +2,13 @@
 
 use crate::source::unit::rounded;
 
-/// Why markers give no body.
+/// Error of solving a body from markers.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(super) enum SolveError {
     /// The labels match no known marker set, or the markers do not determine a body's pose. The text says which.
     #[error("{0}")]
     Markers(String),
-    /// The height of the markers is not that of a person.
+    /// The markers' height is not a person's height.
     #[error(
         "the markers of the set {set} reach as high as on a person of {} m, expected .5 to 2.5 m: nobody stands \
          upright in the capture, or the labels are wrong",

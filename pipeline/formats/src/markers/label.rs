@@ -103,7 +103,7 @@ impl Subjects {
         }
     }
 
-    /// Keys of the motions, in the order of [`Subjects::people`]; empty where there is one person.
+    /// Keys of the motions, in the order of [`Subjects::people`]; empty if there is one person.
     pub(super) fn keys(&self) -> Vec<String> {
         if self.people.len() < 2 {
             return Vec::new();

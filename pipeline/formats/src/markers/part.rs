@@ -24,7 +24,8 @@ pub enum Part {
     RightLeg,
 }
 
-/// A part with its name, its joints, how many markers it needs, and joints of which one must carry a marker.
+/// A part: itself, its name, its joints, the number of markers it needs, and joints of which at least one must have a
+/// marker.
 type Needs = (
     Part,
     &'static str,

@@ -65,7 +65,7 @@ pub enum MarkerSetError {
          is a label of a known set, or a joint and an offset of three numbers"
     )]
     Syntax(#[from] serde_json::Error),
-    /// A set, label or joint that it names is unknown, a label is named twice, an offset is too long, or there are no
+    /// The set names an unknown set, label or joint, a label occurs twice, an offset is too long, or there are no
     /// markers. The text says which.
     #[error("marker set {0}")]
     Content(String),
@@ -75,7 +75,7 @@ pub enum MarkerSetError {
 #[serde(deny_unknown_fields)]
 struct File {
     name: String,
-    /// Where the set is described; for readers of the file.
+    /// Where the set is described; not used by the program.
     #[serde(default, rename = "source")]
     _source: Option<String>,
     like: Option<String>,

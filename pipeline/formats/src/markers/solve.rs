@@ -45,7 +45,7 @@ const FIRST_ITERATIONS: usize = 60;
 const ITERATIONS: usize = 8;
 /// Step in metres and radians below which a pose has converged.
 const SMALL_STEP: f64 = 1e-5;
-/// Distance in metres beyond which the pull of a marker is constant: it may be mislabelled.
+/// Distance in metres beyond which a marker's influence is constant (Huber loss): it may be mislabelled.
 const OUTLIER_M: f64 = 0.15;
 
 /// A body solved from markers.
@@ -636,7 +636,7 @@ fn cross_matrix(arm: DVec3) -> DMat3 {
     )
 }
 
-/// Solves a symmetric positive system in place; false if it is not positive.
+/// Solves a symmetric positive definite system in place; false if the matrix is not positive definite.
 fn cholesky_solve(matrix: &mut [[f64; UNKNOWNS]], right: &mut [f64; UNKNOWNS]) -> bool {
     for row in 0..UNKNOWNS {
         for column in 0..=row {

@@ -85,8 +85,7 @@ impl Frames {
         seen >= MIN_SEEN && seen as f64 >= MIN_SEEN_SHARE * points.len() as f64
     }
 
-    /// The rotation to y up, from the direction of the upper markers from the lower ones, and the file's up
-    /// axis.
+    /// The rotation to y up, found from the direction from the lower to the upper markers, and the file's up axis.
     pub(super) fn up_turn(&self, worn: &LabelledMarkers) -> Option<(DQuat, &'static str)> {
         // Heads, chests and hips are above feet; use those that are present.
         let level = |joint: usize| match joint {

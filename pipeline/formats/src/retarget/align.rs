@@ -17,7 +17,7 @@ use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
 use super::track::{Track, TrackRest};
 
-/// The constant rotation of each body joint; the identity where the source has no such joint.
+/// The constant rotation of each body joint; the identity if the source has no such joint.
 pub(super) type Alignment = [DQuat; NUM_BODY_JOINTS];
 
 /// Bones whose direction the body must reproduce exactly, as (joint, its child), parents first. The left one of a pair
@@ -102,8 +102,8 @@ fn heading(direction: DVec3) -> f64 {
 
 /// The orientation of the torso in a zero pose that shows a standing person; none if it does not.
 fn standing_torso(zero: &[DVec3; NUM_BODY_JOINTS], track: &Track) -> Option<DQuat> {
-    /// Cosines of the largest angles allowed: legs splay by 20 degrees in the CMU skeleton, arms
-    /// of A-poses hang by 45 and those of some rigs hang straight down, but never point up.
+    /// Limits on cosines: legs splay by 20 degrees in the CMU skeleton, arms of A-poses hang by 45, and arms of some
+    /// rigs hang straight down, but never point up.
     const UPRIGHT: f64 = 0.9;
     const LEG_DOWN: f64 = 0.8;
     const ARM_NOT_UP: f64 = 0.5;
@@ -433,7 +433,7 @@ fn bent(bone: DVec3, next: DVec3) -> Option<(DVec3, f64)> {
 /// Aligns an ankle by the frames in which the foot stands flat: where both ankle and foot are within 3 cm of the lowest
 /// they get, the vertical is the sole's normal. None if there is no foot or the result is implausible as a sole.
 fn by_sole(track: &Track, ankle: usize, foot: usize, skeleton: &Skeleton) -> Option<DQuat> {
-    /// Share of the leg's length (3 cm for a leg of 0.8 m) and of the frames.
+    /// Fraction of the leg's length (3 cm for a leg of 0.8 m), and fraction of the frames.
     const FLAT_BAND: f64 = 0.0375;
     const LOWEST_SHARE: f64 = 0.05;
     /// Largest cosine between the sole's normal and the direction from ankle to foot.
@@ -535,7 +535,7 @@ pub(crate) fn y_up_from_axis(up: DVec3) -> DQuat {
 /// The up axis is the mean direction from hips to head. That is unreliable for a person who lies or bends,
 /// so an axis other than y needs a clear majority.
 pub(super) fn y_up_from_source(mean_up: DVec3) -> (DQuat, &'static str) {
-    /// Share of the mean direction that must lie along another axis than y.
+    /// Fraction of the mean direction that must lie along an axis other than y.
     const CLEAR: f64 = 0.7;
     let size = mean_up.abs();
     let axis = if size.z > CLEAR && size.z > 2.0 * size.y {

@@ -9,7 +9,7 @@ use super::rig::Bone;
 use super::track::Track;
 
 /// Confidence below which a guessed map is not used. A body of which only legs and head are named reaches 0.62; a fox
-/// that carries its head high stays at 0.5.
+/// with a raised head reaches only 0.5.
 pub(super) const LEAST: f64 = 0.6;
 
 /// Confidence of a map without names, relative to one by names.
@@ -30,8 +30,7 @@ pub(super) struct Evidence {
 }
 
 impl Evidence {
-    /// Collects the evidence of the skeleton and its motion. `stands` tells whether a rest pose is a standing
-    /// person.
+    /// Collects the evidence of the skeleton and its motion. `stands` is true if a rest pose is a standing person.
     pub(super) fn gather(
         mapping: &Mapping,
         bones: &[Bone<'_>],
@@ -40,7 +39,7 @@ impl Evidence {
     ) -> Self {
         let source_of = |joint: usize| mapping.source_of[joint];
         let found = mapping.source_of.iter().flatten().count() as f64 / NUM_BODY_JOINTS as f64;
-        // The head hangs from the neck in every body too.
+        // The neck is the head's parent in every body too.
         let hanging = LIMBS.iter().chain(&[(12, 15)]);
         let descent = mean(hanging.filter_map(|&(joint, child)| {
             let (joint, child) = (source_of(joint)?, source_of(child)?);

@@ -267,8 +267,8 @@ impl Carrier<'_> {
         global
     }
 
-    /// The global rotation of a joint the source lacks: between its neighbours in spine and neck,
-    /// otherwise that of its parent.
+    /// The global rotation of a joint that the source lacks: interpolated between its neighbours in spine and neck,
+    /// otherwise its parent's.
     fn unmapped(
         &self,
         global: &[DQuat; NUM_BODY_JOINTS],
@@ -457,7 +457,7 @@ pub(crate) mod tests {
         for (found, expected) in clip.motion.poses().into_iter().zip(&poses) {
             let (found_points, expected_points) =
                 (skeleton.keypoints(&found), skeleton.keypoints(expected));
-            // Limb bones point exactly where they point in the source.
+            // Limb bones have exactly the source's directions.
             for (joint, child) in [(1, 4), (4, 7), (2, 5), (16, 18), (18, 20), (19, 21)] {
                 let bone = |points: &[DVec3]| (points[child] - points[joint]).normalize();
                 let angle = bone(&found_points).angle_between(bone(&expected_points));
@@ -664,8 +664,8 @@ pub(crate) mod tests {
         };
         let clip = retarget(&dialect.write(&poses, &skeleton));
         let quality = check(&clip.motion, &skeleton).expect("a valid motion");
-        // Both legs of the body differ in length by a centimetre, so the midpoint of the ankles
-        // stays while each ankle moves a little.
+        // The two legs differ in length by a centimetre, so the midpoint of the ankles is fixed while each ankle moves
+        // a little.
         assert!(quality.foot_skate < 0.02, "{}", quality.foot_skate);
     }
 

@@ -13,10 +13,9 @@ use serde::{Deserialize, Serialize};
 ///  "unit": 0.01, "up": "z", "rest": "first-frame"}
 /// ```
 ///
-/// `joints` gives the source name of each SMPL-X body joint. `unit` is the number of metres of the
-/// file's unit, `up` the axis that is up in the file (x, y, z or one of them with a minus), `rest`
-/// the pose in which the source stands upright: `zero-pose` or `first-frame`. All three are
-/// optional and found from the motion otherwise.
+/// `joints` gives the source name of each SMPL-X body joint. `unit` is the length of the file's unit in metres, `up`
+/// the axis that is up in the file (x, y, z or one of them with a minus), `rest` the pose in which the source stands
+/// upright: `zero-pose` or `first-frame`. All three are optional; by default they are estimated from the motion.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UserMap {
     name: String,

@@ -24,7 +24,7 @@ pub struct Files {
 type Folders = Arc<Mutex<BTreeMap<PathBuf, Option<BTreeSet<PathBuf>>>>>;
 
 impl Files {
-    /// Makes the list from the path of every file, by its relative path.
+    /// Makes the list from the files' paths by relative path.
     pub fn new(paths: BTreeMap<String, PathBuf>) -> Self {
         Self::on(ByPath::store(), paths)
     }
@@ -119,7 +119,7 @@ impl Files {
         self.with(relative, |path| self.store.read(path))
     }
 
-    /// Opens a file to be read from its beginning.
+    /// Opens a file for sequential reading.
     ///
     /// # Errors
     /// As [`Files::read`].

@@ -195,7 +195,7 @@ pub struct Entry {
 /// The files of a release.
 #[derive(Debug, Default)]
 pub struct Contents {
-    /// Motions of the release, in an order that depends on the files alone.
+    /// Motions of the release, in an order that only depends on the files.
     pub entries: Vec<Entry>,
     /// Files without a motion of their own, with the reason why each is skipped. Every file of the
     /// release is named here, in `rejected` or by an entry.

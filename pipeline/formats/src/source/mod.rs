@@ -1,8 +1,8 @@
 //! Foreign motion files: how they are recognised, and how one file becomes one clip.
 //!
-//! Everything specific to a foreign format (units, up axis, joint names, frame rate, place of the
-//! labels) ends here: a [`SourceClip`](clip::SourceClip) is SMPL-X parameters with y up and in metres.
-//! Nothing in this module panics on hostile bytes; whatever is wrong becomes a [`Rejected`](clip::Rejected).
+//! Everything specific to a foreign format (units, up axis, joint names, frame rate, location of the labels) ends here:
+//! a [`SourceClip`](clip::SourceClip) holds SMPL-X parameters with y up and in metres. Nothing in this module panics on
+//! hostile bytes; every error becomes a [`Rejected`](clip::Rejected).
 
 mod files;
 mod format;
@@ -409,7 +409,7 @@ mod tests {
                         );
                     }
                     Some("walk" | "run" | "dash") => {
-                        // Summed over the frames, the body moves to where its hips face.
+                        // In total, the body moves in the direction that its hips face.
                         let ahead: f64 = points
                             .windows(2)
                             .map(|pair| {

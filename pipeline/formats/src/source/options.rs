@@ -23,7 +23,7 @@ pub struct ReadOptions {
     /// The wanted rate, interpolated at exact times. Readers that can skip frames use it; the others keep the
     /// file's own rate.
     pub rate: Option<Fps>,
-    /// Accept a BVH or TRC file whose number of rows differs from what its header says.
+    /// Accept a BVH or TRC file whose number of rows differs from the header's.
     pub lenient: bool,
     /// Body models by gender, to compute features of AMASS on each subject's own body.
     pub subjects: Option<Arc<Subjects>>,

@@ -63,26 +63,26 @@ pub(crate) fn says(clip: &SourceClip, words: &str) -> bool {
     clip.notes.iter().any(|note| note.contains(words))
 }
 
-/// A note of a clip contains some words.
+/// Asserts that a note of a clip contains some words.
 #[track_caller]
 pub(crate) fn assert_says(clip: &SourceClip, words: &str) {
     assert!(says(clip, words), "{words}: {:?}", clip.notes);
 }
 
-/// One of the notes of a clip is this one, word for word.
+/// Asserts that a clip has exactly this note.
 #[track_caller]
 pub(crate) fn assert_notes(clip: &SourceClip, note: &str) {
     let is_there = clip.notes.iter().any(|found| found == note);
     assert!(is_there, "{note}: {:?}", clip.notes);
 }
 
-/// A text contains some words.
+/// Asserts that a text contains some words.
 #[track_caller]
 pub(crate) fn assert_contains(text: &str, words: &str) {
     assert!(text.contains(words), "{words}: {text}");
 }
 
-/// A rejection has a code, and its reason contains some words.
+/// Asserts that a rejection has a code, and that its reason contains some words.
 #[track_caller]
 pub(crate) fn assert_refused(rejected: &Rejected, code: &str, words: &str) {
     assert_eq!(rejected.code, code, "{}", rejected.reason);

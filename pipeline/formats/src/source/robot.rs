@@ -85,7 +85,7 @@ pub(super) fn pickled(value: &Value) -> Option<String> {
     })
 }
 
-/// Why an npz archive is skipped, if its arrays are those of a robot's motion.
+/// Why an npz archive is skipped, if its arrays are of a robot's motion.
 pub(super) fn archived(has: impl Fn(&str) -> bool) -> Option<String> {
     let of_tracking = has("joint_pos") && has("body_pos_w");
     let of_retargeting = has("dof_pos") && (has("root_pos") || has("root_rot"));

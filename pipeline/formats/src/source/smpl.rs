@@ -43,8 +43,8 @@ impl Parameters {
         ))
     }
 
-    /// The motion with the world turned by `turn`, which makes y point up, and put on the floor.
-    /// Body rotations keep their bits.
+    /// The motion with the world rotated by `turn` to y up, and put on the floor. Body rotations are copied bit for
+    /// bit.
     ///
     /// # Errors
     /// `E-NOT-FINITE` if a number is not finite, `E-TOO-SHORT` if there is no frame.

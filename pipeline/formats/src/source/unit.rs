@@ -57,7 +57,7 @@ impl Unit {
     /// The millimetre.
     pub const MILLIMETRE: Self = Self { metres: 0.001 };
 
-    /// A unit of this many metres; none if that is no positive number.
+    /// A unit of this many metres; none if the number is not positive and finite.
     pub fn of_metres(metres: f64) -> Option<Self> {
         (metres.is_finite() && metres > 0.0).then_some(Self { metres })
     }

@@ -1,5 +1,4 @@
-//! AMASS archives: the SMPL-H layout (`*_poses.npz`) and that of the SMPL-X N release
-//! (`*_stageii.npz`).
+//! AMASS archives: the SMPL-H layout (`*_poses.npz`) and the layout of the SMPL-X N release (`*_stageii.npz`).
 //!
 //! AMASS is z up. The reader's rule `p' = (x, z, -y)`, a rotation `Q` by -90 degrees about x with
 //! `R' = Q R` and `t' = Q (t + J0) - J0`, is inverted here; `J0` is the rest pelvis of the skeleton.

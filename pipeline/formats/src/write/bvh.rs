@@ -84,7 +84,7 @@ const HIERARCHY: [FileJoint; 25] = [
     tip("RightHand", 23, Joint::RightWrist, RIGHT_MIDDLE),
 ];
 
-/// Length in metres of the toes beyond the toe joint; the skeleton has no joint at their end.
+/// Distance in metres from the toe joint to the tip of the toes, for which the skeleton has no joint.
 const TOE_LENGTH: f64 = 0.06;
 
 /// Encodes a motion as BVH: centimetres, y up, the T-pose of the skeleton as zero pose, rotation channels in the order
@@ -161,8 +161,8 @@ fn write_offset(out: &mut String, indent: &str, offset: DVec3) {
     *out += &format!("{indent}\tOFFSET {:.6} {:.6} {:.6}\n", cm.x, cm.y, cm.z);
 }
 
-/// Angles `[z, y, x]` in radians with `R = Rz Ry Rx`. Where y is a quarter turn, z and x rotate about the
-/// same axis, and x is set to zero.
+/// Angles `[z, y, x]` in radians with `R = Rz Ry Rx`. If y is a quarter turn, z and x rotate about the same axis, and x
+/// is set to zero.
 fn euler_zyx(rotation: DQuat) -> [f64; 3] {
     let m = DMat3::from_quat(rotation);
     let cos_y = m.x_axis.x.hypot(m.x_axis.y);
@@ -198,7 +198,7 @@ mod tests {
                 .iter()
                 .position(|file_joint| file_joint.joint == Some(joint))
                 .expect("present");
-            // Joints of zero length lie between some joints and their parents.
+            // Skip the zero-length joints between a joint and its parent.
             let mut above = HIERARCHY[at].parent;
             while let Some(index) = above
                 && HIERARCHY[index].joint.is_none()

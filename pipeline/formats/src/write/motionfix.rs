@@ -2,8 +2,8 @@
 //! independently.
 //!
 //! The first frame has a translation of zero and, as released, faces 45 degrees from +x plus the turn to the second
-//! frame. The body rotations are written unchanged. Joints are those of a SMPL body: with SMPL's bone directions at
-//! rest, and the bone lengths of the dataset's body.
+//! frame. The body rotations are written unchanged. The joints are of a SMPL body: SMPL's bone directions at rest, with
+//! the bone lengths of the dataset's body.
 //!
 //! # Source
 //! athn-nik/motionfix: `canonicalize_rotations` in `src/tools/transforms3d.py`, and `src/data/motionfix.py`, which

@@ -33,7 +33,7 @@ pub fn parse(bytes: &[u8]) -> Result<Parsed<'_>, Rejected> {
     parse_at(bytes, None)
 }
 
-/// [`parse`], with a rate in 1/s in place of the one the archive states, if any.
+/// Like [`parse`], with a rate in 1/s in place of the archive's, if one is given.
 ///
 /// # Errors
 /// As [`super::read`].
@@ -191,7 +191,7 @@ fn matrix<'a>(
     })
 }
 
-/// The shape of the subject's body, which is optional: empty where it cannot be read.
+/// Shape parameters of the subject's body, which are optional: empty if they cannot be read.
 fn read_betas<R: Read + Seek>(archive: &mut Archive<R>) -> Vec<f64> {
     if !archive.has("betas") {
         return Vec::new();

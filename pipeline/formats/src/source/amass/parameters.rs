@@ -1,4 +1,4 @@
-//! The parameters of a recording, and the motion they make.
+//! The parameters of a recording, and their motion on a body.
 
 use datasets_spec::{Fps, Motion, Skeleton};
 use features::floor;

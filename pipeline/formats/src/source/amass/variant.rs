@@ -1,6 +1,6 @@
 //! Body models of AMASS releases.
 
-/// The body model that parameters belong to, and the release they come from.
+/// A body model of AMASS, and the release that uses it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Variant {
     /// The 22 joints that all models share.
@@ -16,7 +16,7 @@ pub enum Variant {
 }
 
 impl Variant {
-    /// The name the AMASS download page uses, where it has one.
+    /// The name on the AMASS download page, if it has one.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::BodyOnly => "body only",

@@ -3,9 +3,9 @@
 /// Limits on one archive.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits {
-    /// Maximum number of members. The largest release known to be packed as one archive has about 300,000.
+    /// Maximum number of members. The largest known release in one archive has about 300,000.
     pub(super) members: u64,
-    /// Bytes of all members. All of AMASS takes about 50 GB.
+    /// Maximum total size of the members in bytes. All of AMASS takes about 50 GB.
     pub(super) bytes: u64,
     /// Maximum ratio of the bytes of all members to the archive's size. Recordings compress to a tenth at best.
     pub(super) ratio: u64,

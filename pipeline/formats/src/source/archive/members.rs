@@ -15,7 +15,7 @@ use crate::source::name_of_text;
 /// Largest packed member that is unpacked into memory for random access.
 const MAX_IN_MEMORY: u64 = 2 << 30;
 
-/// Where a member is.
+/// Location of a member's bytes.
 #[derive(Clone, Debug)]
 pub(super) enum Member {
     /// An uncompressed range of the archive.

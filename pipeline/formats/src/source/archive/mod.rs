@@ -59,7 +59,7 @@ fn archive_of(folder: &Path) -> Option<&Path> {
 pub struct Opened {
     /// Members by their relative paths, which begin with that of the archive.
     pub files: BTreeMap<String, PathBuf>,
-    /// Members that are no files, and why each is skipped.
+    /// Members that are not files, and why each is skipped.
     pub special: Vec<(String, String)>,
     /// Archives and members that cannot be used, with the hash of the archive.
     pub refused: Vec<(String, String, Rejected)>,
@@ -71,7 +71,7 @@ pub struct Opened {
 #[derive(Clone, Debug, Default)]
 pub struct Archives {
     open: Vec<Arc<Mounted>>,
-    /// Paths of the archives that had to be unpacked.
+    /// Paths of the unpacked archives.
     unpacked: Vec<PathBuf>,
 }
 
@@ -82,7 +82,7 @@ impl Archives {
         self.unpacked.extend(other.unpacked);
     }
 
-    /// An archive that had to be unpacked; other processes cannot read its members.
+    /// The first of the unpacked archives; other processes cannot read its members.
     pub fn unpacked(&self) -> Option<&Path> {
         self.unpacked.first().map(PathBuf::as_path)
     }
@@ -90,7 +90,7 @@ impl Archives {
     /// Opens the archives that contain some of the paths.
     ///
     /// # Errors
-    /// There is no room to unpack an archive.
+    /// There is no disk space to unpack an archive.
     pub fn of<'a>(paths: impl Iterator<Item = &'a PathBuf>) -> Result<Self, Error> {
         let folders: BTreeSet<&Path> = paths.filter_map(|path| path.parent()).collect();
         let found = folders.into_iter().filter_map(archive_of);
@@ -160,7 +160,7 @@ impl<'a> Unpacking<'a> {
 /// Opens the archives among some files and removes them from the files. Git LFS pointers and WebDataset shards stay.
 ///
 /// # Errors
-/// There is no room to unpack an archive.
+/// There is no disk space to unpack an archive.
 pub fn open_all(
     files: &mut BTreeMap<String, PathBuf>,
     progress: &dyn Progress,

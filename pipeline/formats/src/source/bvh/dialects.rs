@@ -40,7 +40,7 @@ pub(crate) struct RigText {
     pub(crate) frame_time: f64,
     /// Whether offsets state a rest rotation too.
     pub(crate) six_numbers: bool,
-    /// Pose of the body in the file's zero pose, in which the frames of all joints are those of the world.
+    /// Pose of the body in the file's zero pose, in which all joint frames are aligned to the world.
     pub(crate) zero: Option<Pose>,
 }
 
@@ -121,7 +121,7 @@ impl RigText {
             } else {
                 above.unwrap_or(DQuat::IDENTITY)
             };
-            // Joints that the body lacks lie a little beyond the one before.
+            // Joints that the body lacks are placed a little beyond the previous joint.
             if let Some(parent) = rig.joints[index].parent.filter(|_| index > 1)
                 && rig.joints[parent].body == rig.joints[index].body
             {
@@ -131,8 +131,7 @@ impl RigText {
         rig
     }
 
-    /// The rig of SnapMoGen: pelvis and spine both hang from the root, whose own rotation is that of the
-    /// pelvis here.
+    /// The rig of SnapMoGen: pelvis and spine are both children of the root, whose rotation is the pelvis's here.
     fn snapmogen() -> Self {
         let mut rig = Self::new(
             "ROOT:0 C_spine0001_bind_JNT:3 C_spine0002_bind_JNT:6 C_spine0003_bind_JNT:9 \
@@ -384,8 +383,8 @@ fn the_joints_of_a_known_soma_pose_lie_where_they_should() {
     assert!((leg - own).abs() < 0.01, "straight legs: {leg} and {own}");
 }
 
-/// A first frame of BONES-SEED (`wave_R_001__A428`, 525 frames), of its body joints: somebody stands with
-/// hanging arms. The rotations are figures of the published file.
+/// The body joints of the first frame of a motion of BONES-SEED (`wave_R_001__A428`, 525 frames): a person stands with
+/// hanging arms. The rotations are from the published file.
 #[test]
 fn a_published_frame_is_a_person_who_stands_with_hanging_arms() {
     let rotations = [
@@ -535,8 +534,8 @@ fn xsens_files_may_rest_with_hanging_arms() {
     assert_same_limbs(&clip, &poses, 0.06);
 }
 
-/// Nokov's skeletons lay their bones along x, as published rotation offsets to robots show, so that the zero
-/// pose is no person.
+/// Nokov's skeletons have bones along x, as published rotation offsets to robots show, so the zero pose is not a
+/// person's.
 #[test]
 fn nokov_files_with_bones_along_x_are_aligned_by_their_motion() {
     let skeleton = Skeleton::smplx_neutral();

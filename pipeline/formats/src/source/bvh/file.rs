@@ -20,7 +20,7 @@ pub struct BvhFile {
     pub(super) fps: Fps,
     pub(super) num_frames: usize,
     pub(super) values: Vec<f64>,
-    /// Rows of the file, of which `num_frames` are used.
+    /// Rows in the file; `num_frames` of them are used.
     pub(super) num_rows: usize,
     /// Number of frames that the header states.
     pub(super) stated_frames: usize,
@@ -44,9 +44,8 @@ impl BvhFile {
         Self::read(&mut &bytes[..], bytes.len(), false)
     }
 
-    /// Reads a file of about `length` bytes piece by piece, so that its text is never held whole. If
-    /// `lenient`, the number of rows may differ from what the header says, if every row is whole; of
-    /// too many rows, those beyond the stated number are dropped.
+    /// Reads a file of about `length` bytes in pieces, so that its whole text is never in memory. If `lenient`, the
+    /// number of complete rows may differ from the header's; rows beyond the stated number are dropped.
     ///
     /// # Errors
     /// As [`BvhFile::parse`]; `E-IO` if the file cannot be read.

@@ -23,8 +23,8 @@ pub(super) fn parse_frame_time(cursor: &mut Cursor) -> Result<Fps, Rejected> {
         })
 }
 
-/// The rows of the motion, parsed piece by piece. One line is one frame; wrapped rows are accepted if
-/// the number of values is what the header says.
+/// The rows of the motion, parsed piece by piece. One line is one frame; wrapped rows are accepted if the number of
+/// values matches the header.
 pub(super) struct Rows {
     num_frames: usize,
     num_channels: usize,
@@ -90,7 +90,7 @@ impl Rows {
         Ok(())
     }
 
-    /// All values. If `lenient`, any number of whole rows is accepted, if the header says at least one.
+    /// All values. If `lenient`, any number of complete rows is accepted, provided the header states at least one.
     pub(super) fn finish(self, lenient: bool, file_end: usize) -> Result<Vec<f64>, Rejected> {
         let (num_frames, num_channels) = (self.num_frames, self.num_channels);
         let Self { values, .. } = self;

@@ -118,7 +118,7 @@ impl BvhFile {
         zeros >= NEARLY_ALL && zeros - share_of_zeros(1) >= MANY
     }
 
-    /// A joint's position in its parent's frame, the mean over the motion where it has channels.
+    /// A joint's position in its parent's frame; the mean over the motion if it has position channels.
     fn mean_offset(&self, joint: &BvhJoint) -> DVec3 {
         let mut offset = joint.offset;
         let frames = self.frames();
@@ -204,7 +204,7 @@ fn rotated(q: DQuat, axis: Axis, s: f64, c: f64) -> DQuat {
     }
 }
 
-/// Sines and cosines of half of some angles in degrees.
+/// Sines and cosines of the halves of angles in degrees.
 ///
 /// Whole quarter turns are subtracted in degrees, where the remainder is exact. Sine and cosine of
 /// the remainder, at most 45 degrees, are Taylor polynomials whose first omitted term is below

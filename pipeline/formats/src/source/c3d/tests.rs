@@ -105,8 +105,8 @@ fn numbers_of_another_processor_are_found_out() {
     assert_eq!(parse(&frames).expect_err("nonsense").code, "E-C3D-ENDIAN");
 }
 
-/// A file as some programs on MIPS machines wrote it: the link of LABELS to the next parameter
-/// leads out of the section, into the frames or beyond the file.
+/// A file as written by some programs on MIPS machines: the link of LABELS to the next parameter leads out of the
+/// section, into the frames or beyond the file.
 #[test]
 fn a_link_out_of_the_section_does_not_end_the_file() {
     let labels = b"\x06\x01LABELS";

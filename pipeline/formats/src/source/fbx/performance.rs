@@ -1,4 +1,4 @@
-//! Animation of the skeletons of a file in its takes.
+//! The animations of a file's skeletons in its takes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -349,7 +349,7 @@ impl Rig for Performance<'_> {
         0..self.num_frames
     }
 
-    /// The scene was turned to y up where the file states its axes.
+    /// If the file states its axes, the scene was rotated to y up.
     fn up(&self) -> Option<DVec3> {
         let stated = self.scene.settings.original_axis_up != CoordinateAxis::Unknown;
         stated.then_some(DVec3::Y)
@@ -386,7 +386,7 @@ const NOWHERE: Placed = Placed {
 
 /// Frames of a take of this length in seconds.
 fn frames_in(seconds: f64, fps: Fps) -> Result<usize, Rejected> {
-    /// Fraction of a frame by which a take may end early without losing the frame.
+    /// Fraction of a frame that a take may be too short by without losing its last frame.
     const SLACK: f64 = 1e-3;
     let frames = (seconds * fps.get() + SLACK).floor() + 1.0;
     if frames.is_nan() || frames < 2.0 {

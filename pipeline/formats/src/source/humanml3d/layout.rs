@@ -78,8 +78,8 @@ pub fn layouts(files: &Files) -> Vec<Layout> {
         .collect()
 }
 
-/// The folder that a release lies in, with a trailing slash, and which of its folders this is. The release's folders
-/// may be archives: `texts.zip` stands for `texts`, whether its members are in a folder of that name or not.
+/// The release's root folder, with a trailing slash, and the name of this folder in it. A release's folder may be an
+/// archive: `texts.zip` stands for `texts`, with or without a folder of that name inside.
 fn root_and_folder(folder: &str) -> (&str, &str) {
     let split = |folder: &str| folder.rfind('/').map_or(0, |slash| slash + 1);
     let at = split(folder);

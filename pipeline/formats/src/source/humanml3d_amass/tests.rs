@@ -326,7 +326,7 @@ proptest! {
         let mirrored = mirror(&motion);
         let again = mirror(&mirrored);
         prop_assert_eq!(again.body_pose(), motion.body_pose());
-        // Rotations of the left are those of the right, seen in a mirror.
+        // Rotations of left joints are the mirror images of those of right joints.
         let reflect = |v: DVec3| DVec3::new(-v.x, v.y, v.z);
         for joint in Joint::ALL {
             let here = mirrored.pose(1).rotations[joint.index()];

@@ -4,7 +4,7 @@ use datasets_spec::table::Caption;
 
 use crate::sidecar::caption;
 
-/// Longest line in bytes that is taken for a caption.
+/// Maximum length of a caption line in bytes.
 const MAX_LINE_BYTES: usize = 1000;
 /// Maximum number of captions of one file; a longer file is not a list of captions.
 const MAX_CAPTIONS: usize = 1000;

@@ -307,8 +307,8 @@ impl Folder {
     }
 }
 
-/// Names of a motion in a folder: its file with and without extension, these with the motion's key, and
-/// the id a release gives it.
+/// Names of a motion in a folder: its file with and without extension, each also with the motion's key, and its id in a
+/// release.
 fn names_of(relative: &str, entry: &Entry) -> BTreeSet<String> {
     let name_start = relative.rfind('/').map_or(0, |slash| slash + 1);
     let stem = match relative[name_start..].rfind('.') {

@@ -49,8 +49,8 @@ const TARGET: &str = "target";
 
 /// A pair of the dump.
 ///
-/// A frame takes 276 bytes, so that the whole release (13,460 motions of about five seconds) takes
-/// about 570 MB while it is ingested; decoding a dump takes little more memory than its contents.
+/// A frame takes 276 bytes, so the whole release (13,460 motions of about five seconds) takes about 570 MB of memory;
+/// decoding a dump takes little more than its contents.
 #[derive(Clone, Debug, PartialEq)]
 struct Pair {
     source: Result<Parameters, Rejected>,
@@ -60,7 +60,7 @@ struct Pair {
     note: Option<String>,
 }
 
-/// The release of one folder, with its dumps decoded. Keys and split lists are those of the folder: another one may
+/// The release in one folder, with its dumps decoded. Keys and split lists apply to this folder: another folder may
 /// have the same keys for other pairs.
 #[derive(Default)]
 struct MotionFixRelease {
@@ -79,9 +79,9 @@ struct MotionFixRelease {
 enum Unlisted {
     /// By the name of its dump.
     FileName(Split),
-    /// Drawn by its id: there is no list.
+    /// Drawn by its id, because there is no list.
     Draw,
-    /// There is a list: pairs outside it are for training.
+    /// Training, because there is a list that does not name the pair.
     Train,
 }
 
@@ -380,7 +380,7 @@ fn decode(files: &Files, file: &str) -> Result<Vec<(Value, Value)>, Rejected> {
 }
 
 impl Pair {
-    /// Whether both are the same motions and the same words.
+    /// Whether both pairs have the same motions and the same text.
     fn is_equal(&self, other: &Self) -> bool {
         (&self.source, &self.target, &self.text) == (&other.source, &other.target, &other.text)
     }

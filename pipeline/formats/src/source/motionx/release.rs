@@ -30,7 +30,7 @@ pub(super) struct MotionXFolder {
     notes: BTreeMap<String, String>,
 }
 
-/// A file below one of some folders: what lies before and after the folder's name, without extension.
+/// Splits a file's path at one of `folders`: the part before and the part after the folder's name, without extension.
 fn below<'a>(file: &'a str, folders: &[&str], extension: &str) -> Option<(&'a str, &'a str)> {
     let stem = file.strip_suffix(extension)?.strip_suffix('.')?;
     around_folder(stem, folders).map(|(root, _, name)| (root, name))

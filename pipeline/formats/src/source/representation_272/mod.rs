@@ -193,8 +193,8 @@ impl Release for Folder {
     }
 }
 
-/// Reads 272 features as a motion of the given body. Its fit error is the mean distance between the joints of the
-/// features and those of the body under their rotations.
+/// Reads 272 features as a motion of the given body. The fit error is the mean distance between the features' joints
+/// and the body's joints, posed by the features' rotations.
 ///
 /// # Shapes
 /// `[L, 272]`, y up, 30 fps.

@@ -30,7 +30,7 @@ const CAPTION_COLUMNS: [&str; 7] = [
 ];
 /// Rows decoded at a time.
 const BATCH_ROWS: usize = 1024;
-/// Limit on the unpacked bytes of these columns: those of 142,220 motions take some 100 MB.
+/// Limit on the unpacked bytes of these columns: for 142,220 motions they take some 100 MB.
 const MAX_UNPACKED_LEN: i64 = 2 << 30;
 
 /// Row of a motion in the table.
@@ -106,8 +106,8 @@ fn cell(batch: &RecordBatch, column: &str, row: usize) -> Result<Option<String>,
 /// Reads a table in CSV. Only motions that are `wanted` are kept.
 ///
 /// # Errors
-/// `E-TABLE-COLUMNS` if no column names the motions. A line that cannot be used is passed over, and the first
-/// such line is returned beside the table as `E-SEED-LABELS`.
+/// `E-TABLE-COLUMNS` if no column names the motions. Unusable lines are skipped; the first one is returned with the
+/// table as `E-SEED-LABELS`.
 pub(super) fn of_csv(bytes: &[u8], wanted: &dyn Fn(&str) -> bool) -> Result<Table, Rejected> {
     crate::source::refuse_pointer(bytes)?;
     let mut records = csv_lines::records(bytes);

@@ -33,7 +33,7 @@ pub fn read_pickle_motion(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceCli
     motion_of(&joblib::read(bytes)?, skeleton)
 }
 
-/// Reads a single pickle: a motion, or that of a robot, which is skipped.
+/// Reads a single pickle as a motion. A robot's motion is skipped.
 pub(super) fn read_pickle(bytes: &[u8], skeleton: &Skeleton) -> Outcome {
     let value = match joblib::read(bytes) {
         Ok(value) => value,

@@ -119,7 +119,7 @@ pub enum Parsed {
 /// Reads `origin.json`.
 ///
 /// # Errors
-/// The bytes are no `origin.json`, or its version is later.
+/// The bytes are not an `origin.json`, or its version is newer.
 pub fn parse(bytes: &[u8]) -> Result<Parsed, String> {
     let text = |error: serde_json::Error| error.to_string();
     let value: Value = serde_json::from_slice(bytes).map_err(text)?;
@@ -142,7 +142,7 @@ pub fn parse(bytes: &[u8]) -> Result<Parsed, String> {
 /// Reads rows, one in each line.
 ///
 /// # Errors
-/// A line is no row; the error names its number.
+/// A line is not a row; the error names its number.
 pub(crate) fn rows<R: DeserializeOwned>(bytes: &[u8]) -> Result<Vec<R>, String> {
     let text = str::from_utf8(bytes).map_err(|error| error.to_string())?;
     let lines = text.lines().enumerate();

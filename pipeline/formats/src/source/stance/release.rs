@@ -53,7 +53,7 @@ pub(super) fn roots(files: &Files) -> BTreeSet<String> {
         .collect()
 }
 
-/// Splits a path into the release's folder, the one of [`FOLDERS`] in it, and the rest.
+/// Splits a path into the release's folder, its folder of [`FOLDERS`], and the rest.
 fn place(path: &str) -> Option<(&str, &'static str, &str)> {
     around_folder(path, &FOLDERS)
 }

@@ -79,8 +79,8 @@ impl Lists {
     }
 }
 
-/// The splits of HumanML3D's clips. A clip, its mirrored copy and its styled versions share the split
-/// furthest from training that the lists of base motions or style transfers give to any of them.
+/// The splits of HumanML3D's clips. A clip, its mirrored copy and its styled versions share one split: of those that
+/// the lists of base motions and style transfers give them, the furthest from training.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ClipSplits {
     clips: BTreeMap<String, Split>,

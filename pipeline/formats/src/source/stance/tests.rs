@@ -102,7 +102,7 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
     );
     put("data/adjustment/transfer.py", b"");
     put("data/regen/mask_all.json", b"{broken");
-    // The bundle for the official demo is no release.
+    // The bundle for the official demo is not a release.
     put("demo/style_transfer/text.txt", b"a\n");
     let files = files_under(dir.path());
     let release = only_release(&files);

@@ -126,7 +126,7 @@ impl<'a> Settings<'a> {
     }
 }
 
-/// The names after `Frame#` and `Time`; each marker has three columns, of which most programs name the first.
+/// The names after `Frame#` and `Time`. Each marker has three columns, and most programs write its name in the first.
 fn marker_names(line: Line<'_>, num_markers: usize) -> Result<Vec<String>, Rejected> {
     let cells = line.cells();
     let stated = cells.iter().skip(2).filter(|(_, name)| !name.is_empty());

@@ -19,7 +19,7 @@ pub(super) struct Rows {
     num_markers: usize,
     places: Vec<usize>,
     times: Vec<Option<f64>>,
-    /// Positions in the file's unit, frame by frame; none where a marker was not seen.
+    /// Positions in the file's unit, frame by frame; none for a marker that was not seen.
     pub(super) positions: Vec<Option<DVec3>>,
     /// Positions of three zeros, which count as not seen.
     pub(super) num_zeros: usize,
@@ -157,7 +157,7 @@ impl Rows {
     }
 }
 
-/// The number in a cell; none in a blank cell or one that says `NaN`.
+/// The number in a cell; none if the cell is blank or `NaN`.
 fn number(at: usize, cell: &[u8]) -> Result<Option<f64>, Rejected> {
     if cell.is_empty() || cell.eq_ignore_ascii_case(b"nan") {
         return Ok(None);

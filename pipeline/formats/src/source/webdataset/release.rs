@@ -45,7 +45,7 @@ struct Facts {
     fit_error_m: Option<f32>,
 }
 
-/// Place of a member: a range of a tar file, or a whole file.
+/// Location of a member: a range of a tar file, or a whole file.
 #[derive(Clone, Debug)]
 struct Place {
     file: String,
@@ -191,7 +191,7 @@ fn rows<const D: usize>(values: &[f32]) -> Vec<[f32; D]> {
     values.as_chunks().0.to_vec()
 }
 
-/// Key and ending of a clip's member; none if the name is not that of such a member.
+/// Key and ending of a clip's member; none for other names.
 fn member(name: &str) -> Option<(&str, &'static str)> {
     let (key, ending) = name.split_once('.')?;
     let endings = ARRAYS.iter().map(|(ending, _)| *ending).chain([FACTS]);
