@@ -31,7 +31,7 @@ impl RotationSource {
         }
     }
 
-    /// The source of a name; native if the name is unknown.
+    /// The origin with this name; native if the name is unknown.
     pub fn of_name(name: &str) -> Self {
         let all = [Self::Retargeted, Self::Fitted];
         let found = all.into_iter().find(|source| source.as_str() == name);
@@ -322,7 +322,7 @@ pub enum Outcome {
     Clip(Box<SourceClip>),
     /// Not a motion, although it looked like one.
     Skipped {
-        /// Why.
+        /// Reason.
         reason: String,
     },
     /// A motion that cannot be used.

@@ -78,7 +78,7 @@ fn mixed(value: u64, round: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// The crops of two motions that are blended: the whole shorter one, and as much of the longer.
+/// The crops of two motions that are blended: the whole shorter motion, and an equally long part of the longer one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Crop {
     pub(super) source_start: usize,

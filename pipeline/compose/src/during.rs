@@ -184,8 +184,8 @@ mod tests {
             let (before, after) = (found.pose(frame - 1), found.pose(frame));
             let step = after.transl.distance(before.transl);
             assert!(step < 0.1, "frame {frame}: {step}");
-            // A radian in 8 frames by a smooth step: at most 1.5 times an eighth; in a third of a run of
-            // five frames, which is one frame, half of it.
+            // The arm turns by a radian within 8 frames in a smooth step, by at most 1.5 / 8 rad per frame. A run of
+            // five frames is blended over a third, one frame: half a radian per frame.
             let most = if frame < 45 { 0.2 } else { 0.55 };
             let turn = angle_between(before.rotations[16], after.rotations[16]);
             assert!(turn < most, "frame {frame}: {turn}");
@@ -195,7 +195,8 @@ mod tests {
         let middle = found.pose(25);
         let up = from_axis_angle(DVec3::Z);
         assert!(angle_between(middle.rotations[16], up) < 1e-6);
-        // Frame 25 is the 16th of 30, 0.02 rad a frame from frame 9 on; the last one, 0.6 rad, is led back.
+        // Frame 25 is the 16th of 30, which turn by 0.02 rad each from frame 9 on; the total of 0.6 rad is corrected
+        // evenly.
         let expected = 0.02 * 16.0 - 0.6 * 16.0 / 30.0;
         let turn = DQuat::from_rotation_y(expected);
         assert!(angle_between(middle.rotations[0], turn) < 1e-6);

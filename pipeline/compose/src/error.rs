@@ -41,7 +41,7 @@ pub enum Error {
         /// The split.
         split: Split,
     },
-    /// Whole clips are composed with a setting of windows.
+    /// A setting for windows is used with whole clips.
     #[error(
         "mirrored_ratio mirrors training windows, not whole clips (recorded triplets, items, TMED); leave it out of their settings"
     )]
@@ -92,7 +92,7 @@ pub enum Error {
         /// Id of the rows.
         id: String,
     },
-    /// A mask or pair belongs to a motion that is not there.
+    /// A mask or pair belongs to a motion that is not in the library.
     #[error(
         "{table} {row:?} belongs to motion {motion}, which is not in the library; pass all motions of its split"
     )]
@@ -201,7 +201,7 @@ pub enum Error {
     Part {
         /// The motion.
         motion: MotionId,
-        /// The name found and those that would do.
+        /// The name found, and the known names.
         source: datasets_spec::Error,
     },
     /// A setting is out of range.

@@ -274,7 +274,7 @@ mod tests {
     use super::*;
     use crate::{ComposeConfig, fixture};
 
-    /// A recorded stream, and what was recorded.
+    /// A recorded dataset, and the windows that were recorded.
     fn recorded(count: usize) -> (tempfile::TempDir, Dataset, WindowBatch) {
         let library = fixture::library(Split::Train, 30);
         let config = ComposeConfig::default();

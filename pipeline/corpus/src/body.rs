@@ -39,7 +39,7 @@ pub(super) struct Coupling {
     pub(super) chest_turn: f64,
     /// Swing of an arm in radians per metre between the feet.
     pub(super) arm_swing: f64,
-    /// Forward bend of the trunk by the speed.
+    /// Forward bend of the trunk in radians that the gait adds to the style's.
     pub(super) lean: f64,
     /// Bend of the elbows in addition to the style's.
     pub(super) elbow_bend: f64,

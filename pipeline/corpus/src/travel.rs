@@ -31,7 +31,7 @@ pub(super) struct Travel {
     halts: [bool; 2],
 }
 
-/// Stride of an ordinary walk, per step in metres.
+/// Step length of an ordinary walk in metres.
 const WALK_STEP: f64 = 0.66;
 /// Time of a step of an ordinary walk in seconds.
 const WALK_STEP_SECS: f64 = 0.54;

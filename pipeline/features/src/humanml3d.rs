@@ -358,7 +358,7 @@ mod tests {
                 let directions = directions_of(frame, heading);
                 for joint in 1..NUM_BODY_JOINTS {
                     let bone = (points[joint] - points[parent_of(joint)]).normalize();
-                    // Eight rotations of f32 numbers follow one another.
+                    // Rounding of eight consecutive rotations in f32.
                     assert!(directions[joint].distance(bone) < 2e-5, "{case}: {joint}");
                 }
             }
@@ -408,8 +408,8 @@ mod tests {
         let difference = largest_distance(&recover_joints(&features), &joints);
         assert!(difference < 1e-5, "{difference}");
 
-        // The features were made from one frame more than the joints have, so headings that the
-        // end is smoothed into are not quite the same.
+        // The features were made from one frame more than the joints, so headings within the smoothing radius of the
+        // end differ a little.
         let untouched = joints.len() - 80;
         for found in [
             features_of_processed(&joints),

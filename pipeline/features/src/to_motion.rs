@@ -28,7 +28,7 @@ const LIMBS: [([usize; 3], DVec3); 4] = [
 /// Sine of the bend from which a hinge sets the full twist; a straighter limb gets less.
 const CLEAR_BEND: f64 = 0.5;
 
-/// A body rest bone of SMPL.
+/// The bone of SMPL's rest pose that ends in a joint.
 fn rest_bone(joint: usize) -> DVec3 {
     DVec3::from_array(SMPL_REST_BONES[joint])
 }

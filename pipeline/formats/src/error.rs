@@ -55,7 +55,7 @@ pub enum Error {
 }
 
 impl Error {
-    /// The code of the error and what it happened to.
+    /// The code of the error, and the item it happened to.
     pub fn code(&self) -> Option<Code> {
         let (code, path) = match self {
             Self::Spec(error) => return error.code(),

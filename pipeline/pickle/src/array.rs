@@ -321,7 +321,7 @@ pub(crate) fn byte_len(dtype: Dtype, shape: &[usize]) -> Option<usize> {
     count(shape)?.checked_mul(dtype.item_len())
 }
 
-/// Items in column-major order, reordered. There is at least one.
+/// Reorders items from column-major to row-major order. There is at least one item.
 pub(crate) fn row_major<T: Copy>(data: &[T], item_len: usize, shape: &[usize]) -> Vec<T> {
     let strides = shape.iter().scan(1, |stride, &extent| {
         let this = *stride;

@@ -37,7 +37,7 @@ impl Value {
         Self::Str(text.into())
     }
 
-    /// A dictionary by text keys.
+    /// A dictionary with text keys.
     pub fn dict<const N: usize>(entries: [(&str, Value); N]) -> Self {
         let entries = entries.map(|(key, value)| (Self::text(key), value));
         Self::Dict(entries.into())
@@ -51,7 +51,7 @@ impl Value {
         Self::Array(Arc::new(Array::from_f32(shape, numbers)))
     }
 
-    /// The value a dictionary has under a text key; the last one if the key was written twice.
+    /// The value of a text key in a dictionary; the last one if the key occurs twice.
     pub fn get(&self, key: &str) -> Option<&Value> {
         self.as_dict()?
             .iter()

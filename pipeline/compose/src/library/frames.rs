@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 use crate::{Error, FrameCache};
 
-/// First bytes of a file; its frames follow their number.
+/// First bytes of a file; the number of frames and the frames follow.
 const MAGIC: [u8; 16] = *b"stance frames 1\n";
 const HEADER_BYTES: usize = MAGIC.len() + 8;
 const NUMBERS: usize = 6 + BODY_POSE_WIDTH;
@@ -68,7 +68,7 @@ impl FrameFile {
             .open(&part)
             .map_err(failed)?;
         file.lock().map_err(failed)?;
-        // Another process may have written the file meanwhile.
+        // Another process may have written the file in the meantime.
         if let Some(found) = Self::found(&path, num_frames, fps)? {
             return Ok(found);
         }
@@ -95,7 +95,7 @@ impl FrameFile {
             .ok_or_else(|| damaged(&path, "it was removed or changed as soon as it was written"))
     }
 
-    /// The file at a path; none if it does not exist or is not whole.
+    /// The file at a path; none if it does not exist or is incomplete.
     fn found(path: &Path, num_frames: u64, fps: Fps) -> Result<Option<Self>, Error> {
         let file = match Disk.open_at(path) {
             Ok(file) => file,

@@ -91,7 +91,7 @@ impl Clip {
     }
 }
 
-/// An accepted (motion, mask, text).
+/// An annotated motion: clip, mask and instruction.
 #[derive(Clone, Debug)]
 struct Annotation {
     id: String,

@@ -310,7 +310,7 @@ fn kinds_and_undonored_ratio_can_be_chosen() {
             plain += u32::from(pairing.partner.is_none());
             count += 1;
         }
-        // Some 200 fair coins: six standard deviations.
+        // Six standard deviations of some 200 fair draws.
         let share = f64::from(plain) / f64::from(count);
         assert!(
             (share - undonored_ratio).abs() <= 0.25,

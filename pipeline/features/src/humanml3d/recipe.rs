@@ -104,7 +104,7 @@ pub(super) const LEFT_SHOULDER: usize = 16;
 pub(super) const RIGHT_SHOULDER: usize = 17;
 /// Left ankle and toe, right ankle and toe, in the order of the contacts.
 pub(super) const FEET: [usize; 4] = [7, 10, 8, 11];
-/// Squared displacement in m² in a frame below which a foot joint is in contact.
+/// Squared displacement in m² per frame below which a foot joint is in contact.
 pub(super) const CONTACT_THRESHOLD: f64 = 0.002;
 /// Length in metres below which a bone has no direction.
 pub(super) const SHORTEST_BONE_M: f64 = 1e-8;

@@ -36,7 +36,7 @@ const UNKNOWNS: usize = 3 + 3 * NUM_BODY_JOINTS;
 /// Weight in m²/rad² of the squared angle of each joint from rest: it determines rotations that no marker
 /// observes, and is negligible elsewhere.
 const REST_WEIGHT: f64 = 4e-4;
-/// The same for joints that hardly move independently, and for the angle from the frame before.
+/// Weights of the same kind: for joints that hardly move independently, and for the angle from the previous frame.
 const STIFF_WEIGHT: f64 = 4e-3;
 const SMOOTH_WEIGHT: f64 = 1e-3;
 /// Spine, collars and toes.
@@ -559,7 +559,7 @@ impl<'a> Solver<'a> {
         cost
     }
 
-    /// One damped step.
+    /// One damped Gauss-Newton step.
     fn step(
         &self,
         body: &Body,

@@ -1,4 +1,4 @@
-//! The interface of a source that retargeting needs, independent of its format.
+//! The format-independent interface of a source for retargeting.
 
 use std::ops::Range;
 

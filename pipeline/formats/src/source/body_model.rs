@@ -24,13 +24,13 @@ const NUM_BETAS: usize = 10;
 const NUM_SMPLH_JOINTS: usize = 52;
 /// Joints of SMPL-X between body and hands that SMPL-H lacks: jaw and both eyes.
 const NUM_FACE_JOINTS: usize = NUM_JOINTS - NUM_SMPLH_JOINTS;
-/// Heights in metres of the head above the pelvis that a grown person in metres can have: 0.62 for
-/// the neutral body. A model in centimetres, or one lying down, is outside.
+/// Plausible heights in metres of an adult's head above the pelvis: 0.62 for the neutral body. A model in centimetres,
+/// or one lying down, is outside.
 const HEAD_ABOVE_PELVIS_M: std::ops::Range<f64> = 0.3..1.2;
 const HEAD: usize = 15;
 const LEFT_HIP: usize = 1;
 const RIGHT_HIP: usize = 2;
-/// Hexadecimal digits of the hash in a skeleton's name.
+/// Number of hexadecimal digits of the hash in a skeleton's name.
 const HASH_DIGITS: usize = 8;
 
 /// Reads the rest joints of a body model, betas zero.
@@ -356,7 +356,7 @@ impl Template {
         })
     }
 
-    /// The weighted mean of a vector of each vertex, by joint.
+    /// The weighted mean per joint of a vector given for each vertex.
     fn means(&self, of_vertices: &[DVec3]) -> Vec<DVec3> {
         let weighted_mean = |weights: &[f64]| -> DVec3 {
             let weighted = weights.iter().zip(of_vertices);

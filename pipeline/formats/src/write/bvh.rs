@@ -265,7 +265,7 @@ mod tests {
             crate::retarget::clip(&bvh.expect("valid"), &crate::source::ReadOptions::default())
                 .expect("a body");
         assert_eq!((clip.motion.fps(), clip.motion.len()), (Fps::STORE, 50));
-        // A micrometre for positions and 1e-7 rad for angles is what the file resolves.
+        // The file resolves a micrometre for positions and 1e-7 rad for angles.
         assert_same_places(&clip.motion, &motion, 1e-5);
     }
 

@@ -176,7 +176,7 @@ fn no_poses<'a>(keys: &[String]) -> Result<Parsed<'a>, Rejected> {
     ))
 }
 
-/// An array of two dimensions.
+/// Reads a two-dimensional array.
 fn matrix<'a>(
     archive: &mut Archive<Cursor<&'a [u8]>>,
     bytes: &'a [u8],

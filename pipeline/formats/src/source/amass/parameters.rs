@@ -69,7 +69,7 @@ impl Parameters<'_> {
 
     /// The rotation vectors of root and body in a frame.
     pub fn vectors(&self, frame: usize) -> [f64; 3 + BODY_POSE_WIDTH] {
-        // In one array, the body follows the root.
+        // In a single array, the body's columns follow the root's.
         if self.body_at == 3 {
             return self.body.get(frame, 0);
         }

@@ -1,4 +1,4 @@
-//! Limits on what is read of an archive.
+//! Limits on reading archives.
 
 /// Limits on one archive.
 #[derive(Clone, Copy, Debug)]

@@ -22,21 +22,21 @@ pub(super) enum Member {
     Range {
         /// First byte.
         start: u64,
-        /// Bytes.
+        /// Size in bytes.
         size: u64,
     },
-    /// In a zip, by its number there.
+    /// A member of a zip archive, by index.
     Zipped {
         /// Index of the member.
         number: usize,
-        /// Bytes unpacked.
+        /// Size of the unpacked member in bytes.
         size: u64,
     },
     /// Unpacked in the scratch folder.
     Unpacked {
         /// Path of the unpacked file.
         path: PathBuf,
-        /// Bytes.
+        /// Size in bytes.
         size: u64,
     },
 }

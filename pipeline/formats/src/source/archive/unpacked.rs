@@ -109,7 +109,7 @@ pub(super) struct DamagedMember {
 pub(super) struct Zipped {
     pub(super) packed: Slice,
     pub(super) is_stored: bool,
-    /// Bytes unpacked.
+    /// Size of the unpacked member in bytes.
     pub(super) size: u64,
     pub(super) crc: u32,
     /// Offset of the member's header in the archive.

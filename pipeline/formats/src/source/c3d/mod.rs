@@ -302,7 +302,7 @@ struct Point {
 }
 
 impl Point {
-    /// Some programs write points that were not seen at the origin, as if they were.
+    /// Some programs write unseen points at the origin with a valid residual.
     fn is_seen(self) -> bool {
         self.residual >= 0.0 && self.at != DVec3::ZERO
     }

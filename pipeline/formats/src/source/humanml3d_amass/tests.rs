@@ -130,7 +130,7 @@ fn rows_become_clips_and_their_mirror_images_under_any_release_of_the_files() {
         kick.motion.body_pose()
     );
 
-    // 100 frames at 20 fps, 20 of them lead-in: 10 less than the crop wants.
+    // 100 frames at 20 fps, 20 of them lead-in: 10 fewer than the crop needs.
     let short = clip(&tree, release.as_ref(), "000001");
     assert_eq!(short.motion.len(), 80);
     assert_eq!(short.flags, FLAG_FPS_DOUBTFUL);

@@ -23,7 +23,7 @@ use pickle::{Options, Value};
 
 /// Rate of every motion of the release, in 1/s.
 const RELEASE_FPS: f64 = 30.0;
-/// Digits of an id.
+/// Number of digits of an id.
 const ID_DIGITS: usize = 6;
 /// Numbers per frame of `rots`: the root and 21 body joints.
 const ROTATIONS_WIDTH: usize = 66;
