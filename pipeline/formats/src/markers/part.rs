@@ -61,7 +61,7 @@ impl Part {
     }
 }
 
-/// Names of parts in a row.
+/// Joins the names of parts for a message.
 pub(super) fn names(parts: &BTreeSet<Part>) -> String {
     let named = PARTS.iter().filter(|(part, ..)| parts.contains(part));
     let names: Vec<&str> = named.map(|(_, name, ..)| *name).collect();

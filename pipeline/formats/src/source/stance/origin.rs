@@ -43,7 +43,7 @@ pub struct Record {
     pub(crate) dataset: String,
     /// Skeleton the parameters drive.
     pub(crate) skeleton: String,
-    /// BLAKE3 by path of the release's lists whose content `masks.jsonl` and `pairs.jsonl` repeat in part.
+    /// BLAKE3 of the release's own lists by path; `masks.jsonl` and `pairs.jsonl` contain the same labels in full.
     pub lists: BTreeMap<String, String>,
     /// Origins of the motions.
     pub motions: Origins,
