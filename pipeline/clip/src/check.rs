@@ -64,8 +64,7 @@ pub fn check(motion: &Motion, skeleton: &Skeleton) -> Result<Quality, Rejected> 
     }
 }
 
-/// As [`check`], with another handling of jumps. Returns the kept motion, and its frame range if it was
-/// trimmed.
+/// Like [`check`], with the given handling of jumps. Returns the kept motion, and its frame range if it was trimmed.
 ///
 /// # Errors
 /// As [`check`]; `E-TELEPORT` also if nothing is left of a trimmed motion.
@@ -97,10 +96,10 @@ pub fn check_with(
     }
 }
 
-/// Whether the first frame is a pose apart from the motion: the step into the second frame is a
-/// teleport, and the next step is none. Captures may begin with a T-pose.
+/// Whether the first frame is a pose apart from the motion: the step to the second frame is a teleport, and the next
+/// step is not. Captures may begin with a T-pose.
 pub fn starts_apart(motion: &Motion, skeleton: &Skeleton) -> bool {
-    /// The frame apart, and the two frames that a motion has at least.
+    /// Number of frames examined: the separate frame, and the minimum of two frames of a motion.
     const LOOKED_AT: usize = 1 + MIN_FRAMES;
     if motion.len() < LOOKED_AT {
         return false;
@@ -151,7 +150,7 @@ fn for_each_frame(motion: &Motion, skeleton: &Skeleton, mut take: impl FnMut(usi
     }
 }
 
-/// The fastest movement of a motion that is too fast.
+/// The fastest movement in a motion with a teleport.
 struct Jump {
     joint: usize,
     frame: usize,

@@ -31,7 +31,7 @@ impl RotationSource {
         }
     }
 
-    /// The source of a name; native if the name is unknown.
+    /// The origin with this name; native if the name is unknown.
     pub fn of_name(name: &str) -> Self {
         let all = [Self::Retargeted, Self::Fitted];
         let found = all.into_iter().find(|source| source.as_str() == name);
@@ -47,12 +47,12 @@ pub struct SourceClip {
     pub motion: Motion,
     /// The rate of the file.
     pub source_fps: Fps,
-    /// Where its rotations come from.
+    /// Origin of its rotations.
     pub rotation_source: RotationSource,
-    /// Mean distance in metres between the joints of the motion and those of the file, the latter
-    /// with their bones brought to this body's lengths; none for native rotations of a file without joints.
+    /// Mean distance in metres between the joints of the motion and those of the file, scaled to this body's bone
+    /// lengths; none for native rotations of a file without joints.
     pub fit_error_m: Option<f32>,
-    /// Frames of the file the motion was made of.
+    /// Frames of the file that the motion was made from.
     pub source_frames: Range<usize>,
     /// Captions that the source states.
     pub captions: Vec<Caption>,
@@ -78,11 +78,11 @@ pub struct SourceClip {
     pub markers: Option<Markers>,
     /// Edits whose target is this clip.
     pub edits: Vec<EditOf>,
-    /// Body-part masks the source comes with.
+    /// Body-part masks from the source.
     pub masks: Vec<SourceMask>,
-    /// The HumanML3D features the motion was made of, a row for each of its frames.
+    /// The HumanML3D features that the motion was made from, a row per frame.
     pub features: Option<Vec<[f32; HUMANML3D_WIDTH]>>,
-    /// The body features are computed on, where it is not the store's.
+    /// The body for computing features, if it is not the store's.
     pub body: Option<Skeleton>,
 }
 
@@ -122,7 +122,7 @@ impl SourceClip {
         if source != own {
             return source / own;
         }
-        // A crop may skip frames and state the rate it has then.
+        // A crop may skip frames and state the resulting rate.
         let (covered, frames) = (self.source_frames.len(), self.motion.len());
         let steps = frames.saturating_sub(1).max(1);
         (covered.saturating_sub(1) as f64 / steps as f64)
@@ -130,8 +130,8 @@ impl SourceClip {
             .max(1.0)
     }
 
-    /// Narrows source frames, captions, masks and features to a part of the motion, and leaves the motion as
-    /// it is. `kept` counts frames of `step` frames of [`SourceClip::motion`] each.
+    /// Narrows source frames, captions, masks and features to a part of the motion, and leaves the motion as it is.
+    /// `kept` counts in steps of `step` frames of [`SourceClip::motion`].
     ///
     /// Captions with a time and masks with a range move along; one that covers only removed frames becomes a note.
     pub fn narrow(&mut self, kept: &Range<usize>, step: f64) {
@@ -185,9 +185,9 @@ impl SourceClip {
         });
     }
 
-    /// Moves the ranges of masks when the motion is cut or resampled. `place` maps a frame of the motion before to one of
-    /// the motion after, which has `len` frames. A mask whose range gets shorter than [`MaskRow::SHORTEST`] is dropped and
-    /// becomes a note.
+    /// Moves the ranges of masks when the motion is cut or resampled. `place` maps a frame of the old motion to one of
+    /// the new motion, which has `len` frames. A mask whose range gets shorter than [`MaskRow::SHORTEST`] is dropped
+    /// and becomes a note.
     pub fn move_masks(&mut self, len: usize, place: impl Fn(f64) -> f64) {
         let end_of_motion = i32::try_from(len).unwrap_or(i32::MAX);
         let moved = |frame: &mut i32| {
@@ -268,7 +268,7 @@ pub struct EditOf {
     pub made: Option<PairRow>,
 }
 
-/// A body-part mask that a source comes with.
+/// A body-part mask from a source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SourceMask {
     /// Parts of the mask.
@@ -322,7 +322,7 @@ pub enum Outcome {
     Clip(Box<SourceClip>),
     /// Not a motion, although it looked like one.
     Skipped {
-        /// Why.
+        /// Reason.
         reason: String,
     },
     /// A motion that cannot be used.
@@ -341,17 +341,17 @@ impl From<ReadClip> for Outcome {
 /// Why a file was put into quarantine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rejected {
-    /// Code that scripts may rely on, such as `E-BVH-FRAMES`.
+    /// Stable error code for scripts, such as `E-BVH-FRAMES`.
     pub code: &'static str,
     /// What is wrong, with the numbers found and expected.
     pub reason: String,
-    /// Where in the file, if there is such a place.
+    /// Byte offset of the problem in the file, if known.
     pub byte_offset: Option<u64>,
-    /// What was being done: [`Rejected::READ`], [`Rejected::RETARGET`] or [`Rejected::CHECK`].
+    /// Processing stage: [`Rejected::READ`], [`Rejected::RETARGET`] or [`Rejected::CHECK`].
     pub stage: &'static str,
 }
 
-/// A [`Rejected`] for something found while reading a file: its code, and its reason in the words of `format!`.
+/// A [`Rejected`] of the reading stage, from a code and a reason in the syntax of `format!`.
 #[macro_export]
 macro_rules! rejected {
     ($code:expr, $($reason:tt)+) => {
@@ -393,7 +393,7 @@ impl Rejected {
         }
     }
 
-    /// The same finding at a place in the file.
+    /// Adds the byte offset of the problem.
     #[must_use]
     pub fn at(self, byte_offset: usize) -> Self {
         Self {
@@ -423,7 +423,7 @@ impl From<pickle::Error> for Rejected {
     }
 }
 
-/// Most frames that resampling may make of a clip: 55 hours at 20 fps, 3 GB while it is processed.
+/// Maximum number of frames that resampling may make of a clip: 55 hours at 20 fps, 3 GB while it is processed.
 const MAX_RESAMPLED_FRAMES: f64 = 4e6;
 
 /// Refuses to resample a clip to more frames than fit into memory.

@@ -7,8 +7,8 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::{Error, SlerpRule};
 
-/// Blends two poses: hard joints follow the target, soft joints are interpolated by their `alpha`,
-/// the others stay with the source. The translation goes with a hard pelvis.
+/// Blends two poses: hard joints follow the target, soft joints are interpolated by their `alpha`, the others follow
+/// the source. If the pelvis is hard, the translation is the target's.
 ///
 /// # Shapes
 /// `alpha` is `[22]`, the weight of the target on each joint; only those of soft joints are read.
@@ -40,8 +40,8 @@ pub fn blend_pose(
 
 /// Blends two motions of equal length and rate, all soft joints by the same `alpha`.
 ///
-/// With [`SlerpRule::Exact`], stored numbers are copied, not recomputed: hard joints are bit for bit those of the target, and
-/// joints outside the mask those of the source. An `alpha` of exactly 0 or 1 copies as well.
+/// With [`SlerpRule::Exact`], stored numbers are copied, not recomputed: hard joints equal the target's bit for bit,
+/// and joints outside the mask equal the source's. An `alpha` of exactly 0 or 1 copies as well.
 ///
 /// # Errors
 /// The motions differ in length or rate.
@@ -180,7 +180,7 @@ mod tests {
             let hard_only = BlendMask::new(mask.hard(), JointSet::EMPTY).expect("disjoint");
             let blend = |mask, alpha| blend_motion(&source, &target, mask, alpha, SlerpRule::Exact).expect("in step");
             prop_assert_eq!(blend(mask, 0.0), blend(hard_only, 0.5));
-            // Softly blended in whole, a pelvis takes the orientation and leaves the translation.
+            // With `alpha` 1, a soft pelvis gets the target's orientation but keeps the source's translation.
             let whole = blend(mask, 1.0);
             for joint in mask.soft().iter() {
                 prop_assert_eq!(

@@ -1,11 +1,11 @@
-//! Where the frames of motions lie that edits are composed of.
+//! The cache folder for the frames of motions that edits are composed of.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Bytes that the files of frames may take together by default: 3,000 hours.
+/// Default limit on the bytes of all files of frames: 3,000 hours.
 const DEFAULT_KEPT: u64 = 64_000_000_000;
 /// Environment variable that sets [`FrameCache::kept`].
 const SIZE: &str = "STANCE_CACHE_SIZE";
@@ -15,8 +15,7 @@ const SIZE: &str = "STANCE_CACHE_SIZE";
 pub struct FrameCache {
     /// The folder. It should be on a disk of this machine.
     pub folder: PathBuf,
-    /// Bytes that the files of the folder may take together; those that were not used for longest are removed
-    /// when one is added.
+    /// Limit on the bytes of all files in the folder; adding a file removes the least recently used ones.
     pub kept: u64,
 }
 
@@ -31,8 +30,8 @@ impl Default for FrameCache {
 
 impl FrameCache {
     /// Settings from the environment: `STANCE_CACHE` (a folder, else `stance` in `XDG_CACHE_HOME` or in `.cache` of the
-    /// home folder, else in the folder of temporary files) and `STANCE_CACHE_SIZE` (bytes, such as `8GB`). The caller
-    /// passes the way to read a variable.
+    /// home folder, else in the folder of temporary files) and `STANCE_CACHE_SIZE` (bytes, such as `8GB`). `get` reads
+    /// a variable.
     ///
     /// # Errors
     /// A size cannot be read; the text says which.
@@ -61,7 +60,7 @@ impl FrameCache {
 
     /// Updates the time of last use of a file, so that unused files are removed first.
     pub(super) fn touch(path: &Path) {
-        // A file that may not be written to can be read all the same.
+        // A read-only file can still be read.
         if let Ok(file) = File::options().append(true).open(path) {
             let _touched = file.set_modified(SystemTime::now());
         }
@@ -90,7 +89,7 @@ impl FrameCache {
             if path == added || is_being_written(&path) {
                 continue;
             }
-            // Where an open file cannot be removed, it stays until the next one is added.
+            // If an open file cannot be removed, it stays until another file is added.
             if fs::remove_file(&path).is_ok() {
                 total -= len;
             }

@@ -1,8 +1,8 @@
 //! Turns captions into descriptions of the person's action, for instructions in the phrasing of the release.
 //!
-//! Captions are written by people in many ways. Those of the form "A person walks forward" or "someone is waving" become
-//! "The person is walking forward". The grammar is a short list of forms; a caption of any other form keeps its own
-//! wording, because a guess would lose its subject or spoil its verb.
+//! Captions are written by people in many ways. Those of the form "A person walks forward" or "someone is waving"
+//! become "The person is walking forward". The grammar is a short list of forms; a caption of any other form keeps its
+//! own wording, because a guess would lose its subject or spoil its verb.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
@@ -43,7 +43,7 @@ struct Verbs {
     finite: BTreeMap<String, String>,
     gerunds: BTreeMap<String, String>,
     bare: BTreeMap<String, String>,
-    /// Third persons that are no plural nouns.
+    /// Third persons that are not also plural nouns.
     only_finite: BTreeSet<String>,
 }
 
@@ -163,7 +163,7 @@ fn is_adverb(word: &str) -> bool {
     word.len() > 3 && word.ends_with("ly") && !VERBS.bare.contains_key(word)
 }
 
-/// Whether a second verb follows whose form does not fit behind "is".
+/// Whether a second verb follows whose form does not fit after "is".
 fn has_other_clause(rest: &[String]) -> bool {
     let mut opens = false;
     for (place, said) in rest.iter().enumerate() {
@@ -186,8 +186,8 @@ fn has_other_clause(rest: &[String]) -> bool {
     false
 }
 
-/// Whether the second of some words is a verb in its bare form with a particle, such as "front turn around" has,
-/// and no noun or infinitive as in "a turn around" and "to turn around".
+/// Whether the second word is a bare verb with a particle, as in "front turn around", and not a noun or an infinitive,
+/// as in "a turn around" and "to turn around".
 fn is_verb_with_particle(words: &[String]) -> bool {
     let [before, verb, particle, ..] = words else {
         return false;

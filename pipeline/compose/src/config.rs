@@ -18,27 +18,26 @@ pub const COMPOSE_VERSION: u32 = 3;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ComposeConfig {
-    /// Share of the motion base that partners are drawn from. A smaller share is a subset of a
-    /// larger one.
+    /// Share of the motion base that partners are drawn from. A smaller share selects a subset of a larger one.
     ///
     /// Source: the MotionCutMix ratio of the paper's ablation.
     pub mcm_ratio: f64,
-    /// Share of the masks that is used. A smaller share is a subset of a larger one.
+    /// Share of the masks that are used. A smaller share selects a subset of a larger one.
     ///
     /// Source: the annotated data size of the paper's ablation.
     pub annotated_ratio: f64,
-    /// Whether each mask and pair is composed once, with one fixed partner instead of a new one for each item. Partners are
-    /// then composed by the rule of SINC: whole parts without soft joints, from the middle of the longer motion.
+    /// Whether each mask and pair is composed once, with one fixed partner instead of a new one for each item. Partners
+    /// are then composed by the rule of SINC: whole parts without soft joints, from the middle of the longer motion.
     ///
-    /// Source: what the rows "w/o MCM" of Tables 1 and A1 mean.
+    /// Source: the rows "w/o MCM" of Tables 1 and A1.
     pub fixed_pairs: bool,
     /// Motions from which partners are drawn.
     #[serde(skip_serializing_if = "BaseFilter::is_all")]
     pub base: BaseFilter,
     /// Kinds of edits that are composed, if there is data for them.
     pub kinds: Vec<EditKind>,
-    /// Probability that a pair is used as it was captured, without a donor under both of its motions. Without it pairs of
-    /// MotionFix never have a donor and all others always have one.
+    /// Probability that a pair is used as it was captured, without a donor under both of its motions. If not set, pairs
+    /// of MotionFix never have a donor and all others always have one.
     ///
     /// Source: the paper trains on MotionFix without MotionCutMix (Sec. 6.1); the release's README trains on blended
     /// motions alone for style and fine-grained pairs.
@@ -46,7 +45,7 @@ pub struct ComposeConfig {
     #[serde(alias = "plain_pairs", skip_serializing_if = "Option::is_none")]
     pub undonored_ratio: Option<f64>,
     /// Probability that a training window is mirrored, with left and right exchanged in its instruction. Whole clips
-    /// (recorded triplets, items, TMED) are not mirrored, and are refused with it.
+    /// (recorded triplets, items, TMED) cannot be mirrored: a probability above 0 is then an error.
     #[serde(skip_serializing_if = "is_zero")]
     pub mirrored_ratio: f64,
     /// Time alignment of the two motions of a pair.
@@ -459,7 +458,7 @@ mod tests {
             |c| c.anchor = Anchor::Translation,
         ];
         let default = ComposeConfig::default();
-        // Every setting is changed by one of these: a new one must be added.
+        // Each case changes one setting. The pattern names all settings, so a new one must be added here.
         let ComposeConfig {
             mcm_ratio: _,
             annotated_ratio: _,

@@ -40,8 +40,8 @@ impl Stream {
         })
     }
 
-    /// Draws windows for the coordinator: an even item is an unmodified segment of the motion base, an
-    /// odd one blends a body part of one segment into another segment of a different source clip. All draws derive from seed, epoch and item.
+    /// Draws windows for the coordinator: an even item is an unmodified segment of the motion base, an odd one blends a
+    /// body part of one segment into a segment of a different source clip. All draws derive from seed, epoch and item.
     ///
     /// # Errors
     /// The motions cannot be read.

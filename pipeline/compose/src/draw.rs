@@ -35,7 +35,7 @@ pub(super) struct Shuffle {
 }
 
 impl Shuffle {
-    /// The order named by `key`.
+    /// The permutation of `0..len` with this key.
     pub(super) fn new(len: u64, key: u64) -> Self {
         let bits = u64::BITS - len.saturating_sub(1).leading_zeros();
         Self {
@@ -45,14 +45,14 @@ impl Shuffle {
         }
     }
 
-    /// The item at a place of the order.
+    /// The item at an index of the permutation.
     ///
     /// # Panics
-    /// If the place is not below `len`.
+    /// If the index is not below `len`.
     pub(super) fn at(&self, place: u64) -> u64 {
         assert!(place < self.len, "item {place} of {}", self.len);
-        // The network permutes the next power of four, so about every fourth number of a cycle or
-        // more is below `len`, and a walk that starts below `len` comes back below it.
+        // The network permutes the numbers below a power of four. Repeating it from a number below `len` leads back
+        // below `len`, in about four steps at most on average.
         let mut item = self.permuted(place);
         while item >= self.len {
             item = self.permuted(item);
@@ -78,7 +78,7 @@ fn mixed(value: u64, round: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// The crops of two motions that are blended: the whole shorter one, and as much of the longer.
+/// The crops of two motions that are blended: the whole shorter motion, and an equally long part of the longer one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Crop {
     pub(super) source_start: usize,
@@ -96,8 +96,8 @@ impl Crop {
         }
     }
 
-    /// Crops the longer motion to the length of the shorter. `place` chooses the first frame that stays, from the range
-    /// that it is given. A target that is cropped keeps the frames `held`, or as many of them as the source has.
+    /// Crops the longer motion to the length of the shorter. `place` chooses the first frame that is kept, from the
+    /// given range. If the target is cropped, it keeps the frames `held`, or as many of them as the source has.
     pub(super) fn around(
         source_frames: usize,
         target_frames: usize,

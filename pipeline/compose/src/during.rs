@@ -1,4 +1,4 @@
-//! Edits of some frames of a motion: all other frames stay those of the original.
+//! Edits of some frames of a motion: all other frames equal the original's.
 
 use std::ops::Range;
 
@@ -71,7 +71,7 @@ fn joined(original: &Motion, edited: &Motion, run: Range<usize>) -> Vec<Pose> {
     let sources = original.poses_in(run.clone());
     let mut poses = edited.poses_in(run.clone());
     if let Some(before) = run.start.checked_sub(1) {
-        // The pelvis is at `transl` plus a constant, so that translations move as pelvises do.
+        // The pelvis is `transl` plus a constant, so moving the translation moves the pelvis.
         let (from, to) = (edited.pose(before), original.pose(before));
         let turn = heading_between(&from, &to);
         for pose in &mut poses {
@@ -94,7 +94,7 @@ fn joined(original: &Motion, edited: &Motion, run: Range<usize>) -> Vec<Pose> {
     }
     let longest = (BLEND_SECS * original.fps().get()).round() as usize;
     let blended = longest.min(num_frames / 3);
-    // From the run's end inwards; an end of the motion is no seam.
+    // From the run's end inwards; an end of the motion is not blended.
     let share = |place: usize, is_seam: bool| {
         let share = (place + 1) as f64 / (blended + 1) as f64;
         if is_seam && share < 1.0 {
@@ -184,8 +184,8 @@ mod tests {
             let (before, after) = (found.pose(frame - 1), found.pose(frame));
             let step = after.transl.distance(before.transl);
             assert!(step < 0.1, "frame {frame}: {step}");
-            // A radian in 8 frames by a smooth step: at most 1.5 times an eighth; in a third of a run of
-            // five frames, which is one frame, half of it.
+            // The arm turns by a radian within 8 frames in a smooth step, by at most 1.5 / 8 rad per frame. A run of
+            // five frames is blended over a third, one frame: half a radian per frame.
             let most = if frame < 45 { 0.2 } else { 0.55 };
             let turn = angle_between(before.rotations[16], after.rotations[16]);
             assert!(turn < most, "frame {frame}: {turn}");
@@ -195,7 +195,8 @@ mod tests {
         let middle = found.pose(25);
         let up = from_axis_angle(DVec3::Z);
         assert!(angle_between(middle.rotations[16], up) < 1e-6);
-        // Frame 25 is the 16th of 30, 0.02 rad a frame from frame 9 on; the last one, 0.6 rad, is led back.
+        // Frame 25 is the 16th of 30, which turn by 0.02 rad each from frame 9 on; the total of 0.6 rad is corrected
+        // evenly.
         let expected = 0.02 * 16.0 - 0.6 * 16.0 / 30.0;
         let turn = DQuat::from_rotation_y(expected);
         assert!(angle_between(middle.rotations[0], turn) < 1e-6);

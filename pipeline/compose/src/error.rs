@@ -41,7 +41,7 @@ pub enum Error {
         /// The split.
         split: Split,
     },
-    /// Whole clips are composed with a setting of windows.
+    /// A setting for windows is used with whole clips.
     #[error(
         "mirrored_ratio mirrors training windows, not whole clips (recorded triplets, items, TMED); leave it out of their settings"
     )]
@@ -92,7 +92,7 @@ pub enum Error {
         /// Id of the rows.
         id: String,
     },
-    /// A mask or pair belongs to a motion that is not there.
+    /// A mask or pair belongs to a motion that is not in the library.
     #[error(
         "{table} {row:?} belongs to motion {motion}, which is not in the library; pass all motions of its split"
     )]
@@ -104,7 +104,7 @@ pub enum Error {
         /// The motion of the row.
         motion: MotionId,
     },
-    /// The mask of this id takes no joint.
+    /// The mask of this id has no joint.
     #[error("mask {0:?} names no joint; annotate it again")]
     EmptyMask(String),
     /// A mask or pair has no instruction.
@@ -160,7 +160,7 @@ pub enum Error {
     /// A recording cannot continue.
     #[error(transparent)]
     Work(#[from] work::Error),
-    /// A condition on clips cannot be understood, or chooses none.
+    /// A condition on clips cannot be parsed, or selects none.
     #[error(transparent)]
     Tables(#[from] tables::Error),
     /// A variable of the environment cannot be read.
@@ -201,7 +201,7 @@ pub enum Error {
     Part {
         /// The motion.
         motion: MotionId,
-        /// The name found and those that would do.
+        /// The name found, and the known names.
         source: datasets_spec::Error,
     },
     /// A setting is out of range.
@@ -283,7 +283,7 @@ pub enum Error {
     /// Statistics were requested for this split, which is not train.
     #[error("statistics are fitted on split train alone, the library holds split {0}")]
     NotTrain(Split),
-    /// No motion of the training split is there to compare with.
+    /// There is no motion of the training split to compare with.
     #[error(
         "no motion of split train is present, and activity is measured relative to it; pass all motions of the dataset"
     )]
@@ -296,7 +296,7 @@ pub enum Error {
         /// The form expected.
         expected: String,
     },
-    /// Two motions to be blended do not run in step.
+    /// Two motions to be blended differ in length or rate.
     #[error(
         "cannot blend {source_frames} frames at {source_fps} fps with {target_frames} frames at {target_fps} fps; crop and resample them first"
     )]

@@ -27,7 +27,7 @@ const DIGEST_DIGITS: usize = 32;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "CountText", into = "CountText")]
 pub enum ItemCount {
-    /// One of every mask and every pair.
+    /// One item per mask and pair.
     All,
     /// This number of items. Every mask and pair is used once before any is used again.
     Exactly(usize),
@@ -96,10 +96,9 @@ pub struct ItemConfig {
     pub tasks: Vec<ItemTask>,
     /// Novelties of the items, in equal parts; if empty, items of any novelty are drawn in random order.
     pub novelty: Vec<Novelty>,
-    /// Number of drawn items that are kept: the first ones of each novelty, in equal parts; none keeps all.
+    /// Number of drawn items to keep: the first ones of each novelty, in equal parts; all if none.
     pub part: Option<usize>,
-    /// Expected digest of the sorted ids of the drawn items ([`digest_of_ids`]), before a part is kept: that of a
-    /// published set.
+    /// Expected digest of the sorted ids of all drawn items ([`digest_of_ids`]), as of a published set.
     pub digest: Option<String>,
     /// Composition settings; `mcm_ratio` and `annotated_ratio` are ignored.
     pub compose: ComposeConfig,
@@ -118,13 +117,12 @@ impl Default for ItemConfig {
     }
 }
 
-/// Draws the items that systems are evaluated on, the same for the same arguments.
+/// Draws the items that systems are evaluated on. Equal arguments give equal items.
 ///
-/// Every usable mask and pair is a target before any is used again, in an order drawn from the seed.
-/// Partners are clips of other actions, where actions are known, and long enough for three windows,
-/// if such clips exist. Pairs of MotionFix are used without a donor, each once. All items differ in content:
-/// if nothing new can be drawn, fewer items are returned than requested. `shown` is what training shows: it decides on
-/// the novelty of items.
+/// Every usable mask and pair is a target before any is used again, in an order drawn from the seed. Partners are clips
+/// of other actions, where actions are known, and long enough for three windows, if such clips exist. Pairs of
+/// MotionFix are used without a donor, each once. All items differ in content: if nothing new can be drawn, fewer items
+/// are returned than requested. `shown` holds the contents of the training split, which determine the novelty of items.
 ///
 /// # Errors
 /// A setting is out of range, no mask or pair of the tasks can be used, one has no partner, or the motions
@@ -253,7 +251,7 @@ impl Quota {
         }
     }
 
-    /// The first items that are wanted.
+    /// Keeps the first items within the quota.
     fn first(mut self, mut rows: Vec<ItemRow>) -> Vec<ItemRow> {
         rows.retain(|row| {
             let novelty = row.novelty.as_deref().and_then(|name| name.parse().ok());
@@ -269,9 +267,9 @@ impl Quota {
 
 enum Attempt {
     Drawn(Box<ItemRow>),
-    /// A question of a novelty that is not wanted any more.
+    /// A question whose novelty has no quota left.
     Unwanted,
-    /// The subject has no more.
+    /// The subject has no further questions.
     Exhausted,
 }
 
@@ -449,9 +447,8 @@ impl Drawer<'_> {
         }
     }
 
-    /// The edited motion of an item, made with another capture of the same action in the same style:
-    /// an upper bound on how near an editor can come to the target. None without such a capture of
-    /// at least a window.
+    /// The edited motion of an item, made with another capture of the same action in the same style: an upper bound for
+    /// editors. None without such a capture at least as long as a window.
     fn other_take(&self, item: &Triplet) -> Result<Option<Motion>, Error> {
         let library = self.library;
         let target = library.captured(&item.target_id);
@@ -619,7 +616,7 @@ mod tests {
     #[test]
     fn other_takes_are_of_the_same_action_and_style_and_blended_alike() {
         let (mut motions, masks) = fixture::rows(Split::Test, CLIPS);
-        // The waving clips are the annotated ones; the last of them has a style of its own.
+        // The waving clips are the annotated ones; only the last of them has another style.
         for (number, row) in motions.iter_mut().enumerate() {
             row.style = Some(if number == 8 { "old" } else { "plain" }.to_owned());
         }

@@ -1,9 +1,9 @@
 //! MotionCutMix: edits composed from pairs of motions while a model trains.
 //!
-//! A [`Library`] knows the motions and masks of one split. A [`Stream`] turns item numbers into
-//! training windows ([`Stream::fill`]) or whole-clip triplets ([`Stream::triplet`]); both come from
-//! the same draws, so a recorded shard is the stream a trainer would have seen. Every draw derives
-//! from the seed, the epoch and the item, never from the order in which threads arrive.
+//! A [`Library`] knows the motions and masks of one split. A [`Stream`] turns item numbers into training windows
+//! ([`Stream::fill`]) or whole-clip triplets ([`Stream::triplet`]); both come from the same draws, so a recorded shard
+//! is the stream a trainer would have seen. Every draw derives from the seed, the epoch and the item, never from the
+//! order of threads.
 //!
 //! # Source
 //! Paper Sec. 4.2 (blending) and 4.3 (MotionCutMix).

@@ -15,7 +15,7 @@ use crate::Error;
 
 /// Blocks that are shuffled together: a batch of 1,024 windows.
 const MIXED_BLOCKS: usize = 16;
-/// Groups of blocks that are held: a batch may lie in two.
+/// Groups of blocks kept in memory: a batch may span two.
 const HELD_GROUPS: usize = 2;
 
 datasets_spec::table! {
@@ -68,7 +68,7 @@ pub struct WindowLoader {
 #[derive(Clone, Copy, Debug)]
 struct Block {
     file: usize,
-    /// Its first window in the file and of all windows.
+    /// Index of the block's first window in the file and among all windows.
     first: [usize; 2],
     num_rows: usize,
 }
@@ -137,7 +137,7 @@ impl WindowLoader {
         self.progress.len() as u64
     }
 
-    /// Numbers of a window.
+    /// Number of values per window.
     pub fn window_len(&self) -> usize {
         self.window
     }
@@ -215,7 +215,7 @@ impl WindowLoader {
         batch.edited[numbers].copy_from_slice(window.edited.as_flattened());
     }
 
-    /// The windows of a group of blocks, read unless they are held.
+    /// The windows of a group of blocks, from memory or from the files.
     fn group(&self, epoch: u64, index: usize, blocks: &[usize]) -> Result<Arc<Group>, Error> {
         let held = || self.held.lock().unwrap_or_else(PoisonError::into_inner);
         let is_it = |group: &&Arc<Group>| (group.epoch, group.index) == (epoch, index);
@@ -274,7 +274,7 @@ mod tests {
     use super::*;
     use crate::{ComposeConfig, fixture};
 
-    /// A recorded stream, and what was recorded.
+    /// A recorded dataset, and the windows that were recorded.
     fn recorded(count: usize) -> (tempfile::TempDir, Dataset, WindowBatch) {
         let library = fixture::library(Split::Train, 30);
         let config = ComposeConfig::default();

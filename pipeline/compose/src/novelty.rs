@@ -11,17 +11,18 @@ use serde::{Deserialize, Serialize};
 
 use super::EditKind;
 
-/// How much of a test question training has shown. It is decided by the labels of clips, masks and pairs: by action,
-/// style and performer, not by likeness.
+/// How much of a test question the training split contains. Labels of clips, masks and pairs decide (action, style and
+/// performer), not the similarity of motions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Novelty {
-    /// All of it, in another take. Of a mask: clips of the source's action, style and performer and of the target's, or an
-    /// annotation of the source's action with this instruction. Of a pair: its action with its edit, by any performer.
+    /// All of it, in another take. For a mask: the split has clips of the source's action, style and performer and of
+    /// the target's, or an annotation of the source's action with this instruction. For a pair: it has the action with
+    /// this edit, by any performer.
     Retake,
     /// Its parts, but not together.
     Combination,
-    /// The edit, with other actions: no clip has the source's action. For a pair, the action of its motions.
+    /// Only the edit, with other actions: no clip has the source's action (for a pair, the action of its motions).
     Action,
     /// Not even the edit: no clip has the target's action, and no annotation the instruction. The training data cannot
     /// answer such a question.
@@ -66,7 +67,7 @@ impl fmt::Display for Novelty {
 struct Group {
     action: String,
     style: Option<String>,
-    /// Source and subject: two sources may name theirs alike.
+    /// Source and subject, because subjects of two sources may have the same name.
     performer: Option<(String, String)>,
 }
 
@@ -164,7 +165,7 @@ impl Shown {
         self.edits.insert(edit);
     }
 
-    /// The novelty of a question; none where an action is not known, or the dataset has no training split.
+    /// The novelty of a question; none if an action is not known, or the dataset has no training split.
     pub(super) fn novelty(&self, asked: Asked<'_>) -> Option<Novelty> {
         if self.actions.is_empty() {
             return None;
@@ -262,7 +263,7 @@ mod tests {
             })
         };
         assert_eq!(of("walk-a2", "wave-a2", "Wave."), Some(Novelty::Retake));
-        // The groups decide, also where the wording is new.
+        // The groups decide, even if the wording is new.
         assert_eq!(of("walk-a2", "wave-a2", "Greet."), Some(Novelty::Retake));
         assert_eq!(of("walk-a2", "wave-b", "Wave."), Some(Novelty::Combination));
         assert_eq!(of("kick-b", "wave-a2", "Wave."), Some(Novelty::Combination));

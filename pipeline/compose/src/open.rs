@@ -30,8 +30,7 @@ pub fn library(dataset: &Dataset, split: Split) -> Result<Arc<Library>, Error> {
     Ok(Arc::new(library))
 }
 
-/// The composer's stream over the training split and its normaliser: the one given, or else the one
-/// fitted to the split.
+/// The composer's stream over the training split, with the given normaliser or else one fitted to the split.
 ///
 /// # Errors
 /// The split cannot be composed.

@@ -50,7 +50,7 @@ impl Kind {
 pub struct Settings {
     /// Kind of the recording.
     pub kind: Kind,
-    /// How many.
+    /// Number of triplets or windows.
     pub count: u64,
     /// How edits are composed.
     pub config: ComposeConfig,
@@ -67,7 +67,7 @@ struct Stored {
     dataset: PathBuf,
     content_hash: String,
     settings: Settings,
-    /// Fitted once, when the plan is made.
+    /// The normaliser, fitted once when the plan is made.
     normalizer: Normalizer,
 }
 
@@ -199,7 +199,7 @@ impl Recording {
         })
     }
 
-    /// Hash of the plan of the normaliser, and its row.
+    /// Plan hash and row of the normaliser.
     fn normalizer(&self) -> (String, NormalizerRow) {
         let settings = self.settings.config.range_settings();
         let row = NormalizerRow::new(&self.normalizer, &settings, &self.plan_hash);
@@ -302,7 +302,7 @@ impl Recording {
         let mut plans = BTreeMap::new();
         match self.settings.kind {
             Kind::Triplets => {
-                // A table that is read by split has a file for each.
+                // Tables that are read by split need a file for each split.
                 for split in [Split::Val, Split::Test] {
                     let none: [TripletRow; 0] = [];
                     files.extend(transaction.write_shards(Some(split), &none, &facts)?);

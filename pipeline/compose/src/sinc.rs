@@ -11,10 +11,11 @@ const PARTS: [JointSet; 6] = [
     JointSet::of(&[1, 4, 7, 10]),
     JointSet::of(&[2, 5, 8, 11]),
 ];
-/// Root and both legs, which stay together: feet would slide with another motion's root.
+/// Root and both legs. They are taken together, because feet would slide with another motion's root.
 const GROUNDED: [usize; 3] = [0, 4, 5];
 
-/// The mask by SINC's rule: every touched part is taken whole, root and legs together, without soft joints.
+/// The mask by SINC's rule: every part that the mask touches is taken whole, root and legs together, without soft
+/// joints.
 ///
 /// # Source
 /// Athanasiou et al., "SINC: Spatial Composition of 3D Human Motions" (2023), and its code.

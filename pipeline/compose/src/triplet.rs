@@ -23,13 +23,13 @@ pub struct Triplet {
     pub instruction: String,
     /// The motion the original was cut from.
     pub source_id: MotionId,
-    /// The motion the edit takes from.
+    /// The motion that the edit is taken from.
     pub target_id: MotionId,
     /// Motions blended under both sides; none for semantic edits.
     pub donor_ids: Vec<MotionId>,
-    /// First stored frame taken of the source.
+    /// First stored frame that is used of the source.
     pub source_start: usize,
-    /// First stored frame taken of the target.
+    /// First stored frame that is used of the target.
     pub target_start: usize,
     /// First stored frame of the donor; 0 without a donor.
     pub donor_start: usize,
@@ -75,9 +75,9 @@ impl Stream {
         self.library.compose(place, &pairing, &self.config)
     }
 
-    /// Composes the whole-clip triplet of one of the [`Stream::num_clips`] annotated motions and pairs in
-    /// use, with the partner, the mask and the alpha of an epoch. It is none of the [`Stream::triplet`]s,
-    /// of which a motion has as many as windows.
+    /// Composes the whole-clip triplet of one of the [`Stream::num_clips`] annotated motions and pairs in use, with the
+    /// partner, the mask and the alpha of an epoch. It differs from every [`Stream::triplet`], of which a motion has
+    /// one per window.
     ///
     /// # Errors
     /// The motions cannot be read.
@@ -120,7 +120,7 @@ impl Stream {
         self.triplet(epoch, item)
     }
 
-    /// The crop of the target that the edit of one of this stream's triplets takes from.
+    /// The crop of the target from which a triplet of this stream takes its edit.
     ///
     /// # Errors
     /// The motions cannot be read.
@@ -269,7 +269,7 @@ impl Triplet {
         self.original.fps()
     }
 
-    /// First edited frame and one past the last, as tables state them; none where all may change.
+    /// First edited frame and one past the last, as in the tables; none if all frames may change.
     ///
     /// # Panics
     /// As [`Triplet::to_row`].
@@ -533,7 +533,7 @@ mod tests {
                 let (frames, start) = (triplet.original.len(), triplet.target_start);
                 lengths.insert(frames);
                 let edited = triplet.edited_frames.clone();
-                // A partner of fewer frames than the range has gives an edit of all of them.
+                // If the partner is shorter than the range, all its frames are edited.
                 assert_eq!(edited.len(), frames.min(40));
                 assert!(start + edited.start >= 50 && start + edited.end <= 90);
                 let row = triplet.to_row();

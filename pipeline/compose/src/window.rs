@@ -279,7 +279,7 @@ impl Composer {
     /// The rest joints of a body are not quite symmetric, so that bones of the mirrored window are up to a few
     /// millimetres longer or shorter than those of the body.
     pub(super) fn mirror(&self, window: &mut [f32]) {
-        // A model unit at 0 m is the bias.
+        // The bias is the model's number for 0 m.
         let middle = (2.0 * self.bias[0]) as f32;
         for frame in window.as_chunks_mut::<FRAME_WIDTH>().0 {
             for number in (0..FRAME_WIDTH).step_by(3) {
@@ -343,7 +343,7 @@ impl Composer {
         }
     }
 
-    /// Forward kinematics of up to 16 frames for the points the plan asks for.
+    /// Forward kinematics of up to 16 frames for the points of the plan.
     #[inline(always)]
     fn moved_points(
         &self,
@@ -661,7 +661,7 @@ mod tests {
         }
     }
 
-    /// The first frames of a motion. Numbers of parts that are not asked for are NaN.
+    /// The first frames of a motion. Numbers of parts that are not requested are NaN.
     fn known(motion: &Motion, parts: FrameParts) -> Vec<Frame> {
         const UNKNOWN: Frame = Frame {
             points: [f32::NAN; FRAME_WIDTH + 2 * MARGIN],

@@ -1,4 +1,4 @@
-//! The actions of the corpus, and what is drawn and asked of a performance.
+//! The actions of the corpus, and the random draws and requirements of a performance.
 
 use super::gait::Side;
 
@@ -33,7 +33,7 @@ pub(super) enum Action {
 }
 
 /// The actions with their names in clip names and sidecars, in the order of the clips and of the declaration. A small
-/// corpus has the first ones, so these differ as much as possible.
+/// corpus has only the first actions, so these differ as much as possible.
 const NAMES: [(Action, &str); 26] = [
     (Action::Walk, "walk"),
     (Action::WaveRight, "wave-right"),
@@ -83,7 +83,7 @@ impl Action {
     }
 }
 
-/// Draws of a take that its description mentions.
+/// Random draws of a take that its description mentions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Facts {
     /// The arm or leg that acts, or the direction that is taken.
@@ -95,7 +95,7 @@ pub(super) struct Facts {
 /// Requirements on a performance besides its action and style; by default none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Asked {
-    /// Another number of repetitions.
+    /// Number of repetitions in place of the drawn one.
     pub(super) times: Option<usize>,
     /// Whether to use the other arm, leg or direction than the take.
     pub(super) is_mirrored: bool,

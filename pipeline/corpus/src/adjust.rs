@@ -13,11 +13,11 @@ pub(super) struct Adjustment {
     pub(super) name: &'static str,
     /// The instruction that leads from the neutral performance to the adjusted one.
     pub(super) instruction: &'static str,
-    /// Words for captions, after those of an action.
+    /// Words that follow those of an action in captions.
     pub(super) manner: &'static str,
     /// The part of the body that moves differently.
     pub(super) part: BodyPart,
-    /// Changes the style. Angles change by 0.25 to 0.45 rad, so that the change is visible and no style.
+    /// Changes the style. Angles change by 0.25 to 0.45 rad: visible, but too little to look like a style.
     change: fn(&mut Style),
     suits: fn(Action) -> bool,
 }
@@ -108,7 +108,8 @@ impl Adjustment {
         changed
     }
 
-    /// Up to `count` different adjustments that suit an action. Fewer are the first ones of more.
+    /// Draws up to `count` different adjustments that suit an action. A smaller count gives the first ones of a larger
+    /// count.
     pub(super) fn draw(action: Action, count: usize, rng: &mut Rng) -> Vec<Self> {
         let mut suitable = Self::ALL.to_vec();
         suitable.retain(|adjustment| adjustment.suits(action));

@@ -1,5 +1,5 @@
-//! From a script to poses: the plan places the feet, the pelvis follows the legs, trunk and arms follow the
-//! legs, and gestures are added on top.
+//! Turns a script into poses: the plan places the feet, the pelvis follows the legs, trunk and arms follow the legs,
+//! and gestures are added on top.
 
 use datasets_spec::{Fps, Joint, Pose, Rng, Skeleton};
 use glam::{DQuat, DVec3};
@@ -35,15 +35,15 @@ pub(super) struct Script {
 pub(super) struct Coupling {
     /// Turn of the pelvis in radians per metre between the feet.
     pub(super) pelvis_turn: f64,
-    /// Turn of the chest against the pelvis, likewise.
+    /// Turn of the chest against the pelvis in radians per metre between the feet.
     pub(super) chest_turn: f64,
     /// Swing of an arm in radians per metre between the feet.
     pub(super) arm_swing: f64,
-    /// Forward bend of the trunk by the speed.
+    /// Forward bend of the trunk in radians that the gait adds to the style's.
     pub(super) lean: f64,
-    /// Bend of the elbows beyond the style's.
+    /// Bend of the elbows in addition to the style's.
     pub(super) elbow_bend: f64,
-    /// Share of the way sideways and forwards that the pelvis goes towards the standing foot.
+    /// Fractions of the sideways and forward distance by which the pelvis moves towards the standing foot.
     pub(super) shift: [f64; 2],
     /// Time over which weight passes from foot to foot, in seconds.
     pub(super) shift_secs: f64,
@@ -54,8 +54,7 @@ pub(super) struct Coupling {
     pub(super) bob: f64,
     /// Share of the style's bounce that is added to the gait.
     pub(super) bounce: f64,
-    /// How far a lifted foot counts as ahead, in metres per metre. It makes the arms swing when marching on the
-    /// spot.
+    /// Metres that a foot counts as ahead per metre of its lift. It makes the arms swing when marching on the spot.
     pub(super) lift_lead: f64,
 }
 
@@ -130,7 +129,7 @@ const MIN_ELBOW_BEND: f64 = 0.08;
 const MAX_BEND: f64 = 2.6;
 /// Look-ahead in seconds in which the pelvis anticipates the limit of a leg.
 const PELVIS_FORESIGHT_SECS: f64 = 0.10;
-/// Height in metres by which a foot is raised above its planned path while it bears no weight.
+/// Height in metres by which an unloaded foot is raised above its planned path.
 const UNLOADED_LIFT: f64 = 0.05;
 const SPINE_SHARES: [f64; 3] = [0.30, 0.35, 0.35];
 
@@ -417,7 +416,7 @@ const KNEE_SPLAY: f64 = 0.10;
 /// Greatest bend of the toes in radians.
 const MAX_TOE_BEND: f64 = 0.9;
 
-/// A track through the keys; constantly zero if there is none.
+/// A track through the keys; constantly zero without keys.
 fn track<const N: usize>(keys: &Keys<N>) -> Track<N> {
     if keys.is_empty() {
         Track::new(vec![(0.0, [0.0; N])])
@@ -464,7 +463,7 @@ impl Tracks {
         }
     }
 
-    /// Places pelvis, spine and head of a frame, the pelvis at the height the script asks for.
+    /// Places pelvis, spine and head of a frame, with the pelvis at the script's height.
     #[expect(clippy::too_many_arguments, reason = "all the inputs of one frame")]
     fn torso(
         &self,
@@ -493,7 +492,7 @@ impl Tracks {
         let shift = DVec3::new(
             left + answers.shift[0][frame] * style.sway.sqrt() + self.drift.at(secs),
             body.standing + up + bob - style.crouch,
-            // Bending forward takes the pelvis back, so that the body stays over its feet.
+            // Bending forward moves the pelvis back, so that the body stays over its feet.
             forward + answers.shift[1][frame] - 0.10 * (style.lean + style.tilt),
         );
         let pelvis = ground.point + DQuat::from_rotation_y(ground.heading) * shift;
@@ -503,7 +502,7 @@ impl Tracks {
             + trunk_bend
             + self.breath.at(secs)
             + self.trunk_noise[0].at(secs);
-        // The shoulders stay level while the pelvis lists; a swaying style lets them follow.
+        // The shoulders stay level while the pelvis drops to one side; a swaying style lets them follow.
         let lean =
             trunk_lean + list * (0.35 * (style.sway - 1.0) - 0.85) + self.trunk_noise[1].at(secs);
         let turn = trunk_turn
@@ -516,7 +515,7 @@ impl Tracks {
         });
         let chest = rotation * spine[0] * spine[1] * spine[2];
 
-        // The eyes look ahead: the head stays level while the trunk moves, except in a deep bend.
+        // The gaze stays ahead: the head stays level while the trunk moves, except in a deep bend.
         let follow = 0.35 * (trunk_bend + tilt - style.tilt);
         let gaze = DQuat::from_rotation_y(
             ground.heading + head_turn + 0.3 * trunk_turn + self.head_noise[2].at(secs),
@@ -559,7 +558,7 @@ impl Tracks {
         // The left arm is ahead when the left foot is behind.
         let driven = -side.sign() * coupling.arm_swing * style.arm_swing * lead;
         let swing = MAX_ARM_SWING * (driven / MAX_ARM_SWING).tanh() + noise[0];
-        // Elbows bent by running are bent little more by the style.
+        // If running bends the elbows already, the style adds little.
         let (more, less) = if style.elbow_bend > coupling.elbow_bend {
             (style.elbow_bend, coupling.elbow_bend)
         } else {

@@ -85,7 +85,7 @@ fn slope<const N: usize>(times: &[f64], values: &[[f64; N]], key: usize, axis: u
     (left_weight + right_weight) / (left_weight / left + right_weight / right)
 }
 
-/// Slow, smooth, aperiodic-looking noise: the small motions of a body that means to be still.
+/// Slow, smooth, aperiodic-looking noise: the small motions of a body that stands still.
 #[derive(Clone, Debug)]
 pub(super) struct Wobble {
     waves: [(f64, f64, f64); 3],
@@ -140,8 +140,7 @@ pub(super) fn smooth(signal: &mut [f64], sigma_frames: f64) {
     convolve(signal, &kernel);
 }
 
-/// A smooth signal that nowhere exceeds the given one: the smallest value within `radius` frames,
-/// averaged over as many frames.
+/// A smooth signal that never exceeds the given one: the minimum within `radius` frames, averaged over as many frames.
 pub(super) fn smooth_lower_bound(signal: &mut [f64], radius: usize) {
     let lowest: Vec<f64> = (0..signal.len())
         .map(|at| {
@@ -150,7 +149,7 @@ pub(super) fn smooth_lower_bound(signal: &mut [f64], radius: usize) {
         })
         .collect();
     signal.copy_from_slice(&lowest);
-    // A raised cosine over the same frames: each average is of minima that all saw this frame.
+    // A raised cosine over the same frames: every averaged minimum covers this frame.
     let kernel: Vec<f64> = (0..=radius)
         .map(|lag| 0.5 + 0.5 * (std::f64::consts::PI * lag as f64 / (radius + 1) as f64).cos())
         .collect();

@@ -133,8 +133,8 @@ pub(super) struct FootShape {
     heel: DVec3,
 }
 
-/// Distance of the heel's contact point behind the ankle in metres. The skeleton has no heel joint;
-/// 5 cm is that of an adult foot.
+/// Distance of the heel's contact point behind the ankle in metres. The skeleton has no heel joint; 5 cm fits an adult
+/// foot.
 const HEEL_BEHIND_ANKLE: f64 = 0.05;
 
 impl FootShape {
@@ -172,7 +172,7 @@ struct Plant {
     yaw: f64,
 }
 
-/// How a foot travels from one plant to the next.
+/// Path of a foot from one plant to the next.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Swing {
     /// Greatest height of the contact point above the floor in metres.
@@ -209,15 +209,15 @@ pub(super) struct FootTrack {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FootSample {
-    /// Where the ankle of the flat foot would be, in metres above the floor below the ankle.
+    /// Point below the ankle of the flat foot; y is the height of the foot above the floor in metres.
     pub(super) place: DVec3,
     pub(super) yaw: f64,
     pub(super) pitch: f64,
     pub(super) planted: bool,
 }
 
-/// The way of a swinging foot: it leaves and reaches the floor at rest, and is at most 1.6 times
-/// as fast as on average, between the 1.5 of a cubic and the 1.9 of a minimum-jerk profile.
+/// The fraction of its way that a swinging foot has covered: it leaves and reaches the floor at rest, and is at most
+/// 1.6 times as fast as on average, between the 1.5 of a cubic and the 1.9 of a minimum-jerk profile.
 fn stride(u: f64) -> f64 {
     let cubic = u * u * (3.0 - 2.0 * u);
     cubic + 0.3 * (ease(u) - cubic)
@@ -309,7 +309,7 @@ impl FootTrack {
         }
     }
 
-    /// Mid-times of the stances that begin and end, in seconds.
+    /// Mid-times in seconds of the stances that have a beginning and an end.
     pub(super) fn mid_stances(&self) -> impl Iterator<Item = f64> + '_ {
         self.plants
             .iter()
@@ -337,14 +337,14 @@ pub(super) struct Gait {
 }
 
 impl Gait {
-    /// Length of a step in metres at which the foot rolls fully: that of a brisk walk.
+    /// Step length in metres at which the foot rolls fully, as in a brisk walk.
     const FULL_STEP: f64 = 0.7;
     /// Distance of the ankles behind the point below the pelvis in metres, as in the rest pose of
     /// the skeleton.
     pub(super) const ANKLE_BEHIND: f64 = 0.05;
 
-    /// Share of its stance after which a foot is below the body. Less than a half, because the
-    /// trailing leg reaches further than the leading one: its heel rises.
+    /// Fraction of its stance after which a foot is below the body. It is less than a half, because the trailing leg,
+    /// with its heel raised, reaches further than the leading one.
     const BELOW_BODY: f64 = 0.42;
 
     /// Position and direction of a foot under a body at a point of its path.

@@ -28,7 +28,7 @@ const fn hold(towards: [f64; 3], bend: f64, elbow: [f64; 3]) -> Hold {
     }
 }
 
-/// Start and end pose of gestures: close to a hanging arm, so that fading in moves little.
+/// Start and end pose of gestures: close to a hanging arm, so that fading in causes little movement.
 const AT_SIDE: Hold = hold([0.22, -0.93, 0.22], 0.4, [0.4, -0.2, -1.0]);
 /// The hand raised beside the head, palm forward.
 const RAISED: Hold = hold([0.44, 0.60, 0.26], 1.35, [0.75, -0.65, -0.1]);
@@ -71,7 +71,7 @@ impl Hold {
         }
     }
 
-    /// The pose part of the way from hanging at the side, for gestures of another amplitude.
+    /// The pose moved towards a hanging arm, for gestures of smaller amplitude.
     fn scaled(self, amplitude: f64) -> Self {
         if amplitude >= 1.0 {
             return self;
@@ -116,7 +116,7 @@ impl<'a> ArmScript<'a> {
         }
     }
 
-    /// Reaches a pose `pause` neutral seconds after the last one.
+    /// Reaches a pose `pause` seconds, at neutral tempo, after the last one.
     fn then(&mut self, pause: f64, pose: Hold) -> &mut Self {
         self.secs += pause * self.beat;
         self.keys.push(pose.key(self.secs, 1.0));
@@ -278,7 +278,7 @@ pub(super) fn guard(script: &mut Script, style: &Style, from: f64, to: f64) {
     }
 }
 
-/// Throws overarm; the ball leaves the hand 1.3 neutral seconds after the start.
+/// Throws overarm; the ball leaves the hand 1.3 seconds, at neutral tempo, after the start.
 pub(super) fn throw(script: &mut Script, style: &Style, side: Side, from: f64) -> f64 {
     let elbow_out = [1.0, 0.05, -0.2];
     let drawn_back = hold([0.72, 0.20, -0.62], 1.25, [0.9, -0.2, -0.5]);
@@ -374,7 +374,7 @@ pub(super) fn pick_up(script: &mut Script, style: &Style, side: Side, from: f64)
         .rest(1.0);
     let (low, rise) = (from + 1.0 * beat, from + 1.35 * beat);
     let up = from + 2.3 * beat;
-    // Who stoops already need not crouch as low for the hand to come near the floor.
+    // A stooping body need not crouch as low for the hand to come near the floor.
     let depth = 0.41 - 0.14 * style.lean.max(0.0);
     let turn = -0.22 * side.sign();
     script.pelvis.extend([
@@ -525,7 +525,7 @@ pub(super) fn bow(script: &mut Script, style: &Style, from: f64, depth: f64, hol
     end
 }
 
-/// The eyes wander now and then, as long as the clip lasts: keys of the head.
+/// Head keys for occasional glances over the whole clip.
 pub(super) fn glances(duration: f64, rng: &mut Rng) -> Keys<3> {
     let mut keys = vec![(0.0, [0.0; 3])];
     let mut secs = rng.random_range(0.5..2.0);

@@ -1,4 +1,4 @@
-//! Splits that ask something of a model: what training shows, and what it does not.
+//! Splits that test how a model generalises beyond its training clips.
 //!
 //! | held out of training | asks for |
 //! |---|---|
@@ -6,7 +6,7 @@
 //! | one style of every action; the third performer | actions, styles and movements that training has shown, but not together, or not at this size and tempo |
 //! | one of the four takes of every action by the first two performers | another take of what training has shown |
 //!
-//! Style pairs need a neutral and a styled clip of one take in one split: those of the third performer have both.
+//! Style pairs need a neutral and a styled clip of one take in one split; the third performer's takes have both.
 
 use datasets_spec::Split;
 
@@ -15,7 +15,7 @@ use super::style;
 
 /// Takes that the splits are made for: two each of two performers, and one of a third.
 pub(super) const TAKES: usize = 5;
-/// Takes of the performers that training shows.
+/// Takes of the performers whom training shows.
 const SHOWN_TAKES: usize = 4;
 /// Actions that are only in the test split: those that bend the body to the floor, and those that leave the floor with
 /// both feet.
@@ -27,7 +27,7 @@ pub(super) fn is_shown(action: Action) -> bool {
     !TEST_ACTIONS.contains(&action) && !VAL_ACTIONS.contains(&action)
 }
 
-/// The split of a clip, by the places of action and style in their lists and the number of the take.
+/// The split of a clip, from the indices of its action and style in their lists and the number of its take.
 pub(super) fn split(action: Action, style: &style::Style, take: usize) -> Split {
     if TEST_ACTIONS.contains(&action) {
         return Split::Test;
@@ -38,7 +38,7 @@ pub(super) fn split(action: Action, style: &style::Style, take: usize) -> Split 
     let place = |found: Option<usize>| found.expect("listed");
     let action = place(Action::ALL.iter().position(|other| *other == action));
     let style = place(style::ALL.iter().position(|other| other.name == style.name));
-    // Neutral clips are the sources of styles, and are never held out for their style.
+    // Neutral clips are the sources of style edits, so no neutral clip is held out for its style.
     let styled = style.checked_sub(1);
     let is_held_style =
         styled.is_some_and(|style| (action + style).is_multiple_of(style::ALL.len() - 1));

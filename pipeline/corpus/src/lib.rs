@@ -6,8 +6,7 @@
 //! threads.
 //!
 //! On demand, neutral clips are performed again with a small change, such as "Lean forward more."; a list of pairs
-//! beside the clips says which clip is which other one, adjusted. Other pairs ask what editors are known to do badly
-//! ([`Limit`]).
+//! beside the clips names the neutral clip of each. Other pairs test known weaknesses of editors ([`Limit`]).
 //!
 //! Read [`CorpusOptions`] and [`clip`] first.
 //!
@@ -53,8 +52,8 @@ use performer::Performer;
 
 pub use limits::{Limit, SEEN_PAIR_LIST, write_limits};
 
-/// Frame rate of the clips in frames per second: that of many captures, and a multiple of the
-/// store's 20 and the model's 10.
+/// Frame rate of the clips in frames per second: a common rate of captures, and a multiple of the store's 20 and the
+/// model's 10.
 pub const CORPUS_FPS: f64 = 60.0;
 /// Clips of one take: every action in every style.
 pub const CLIPS_PER_TAKE: usize = Action::ALL.len() * style::ALL.len();
@@ -66,7 +65,7 @@ const LICENSE: &str = "CC0-1.0";
 /// Name of the list of pairs of neutral and adjusted clips, in the folder of the corpus. It is a list that
 /// `stance ingest --pairs` reads.
 pub const PAIR_LIST: &str = "pairs.csv";
-/// Folder of the AMASS half that stands for the sub-set of an AMASS release.
+/// Folder of the AMASS half, in place of the subset of an AMASS release.
 const AMASS_SUBSET: &str = "Stance";
 
 /// A corpus that could not be written.
@@ -83,11 +82,10 @@ pub enum Error {
     },
 }
 
-/// How many clips, and which.
+/// Size and seed of a corpus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CorpusOptions {
-    /// Number of clips without the adjusted ones; [`CLIPS_PER_TAKE`] of them hold every action in every style
-    /// once.
+    /// Number of clips without the adjusted ones. [`CLIPS_PER_TAKE`] clips contain every action in every style once.
     pub clips: usize,
     /// Adjusted clips of each neutral one, as far as there are adjustments that suit its action: at least four.
     pub adjusted: usize,
@@ -198,8 +196,8 @@ pub fn clip(index: usize, options: &CorpusOptions) -> CorpusClip {
     }
 }
 
-/// Generates the adjusted performances of the clip of an index; none if it is not neutral. They depend on the seed
-/// and the index, and fewer of them are the first ones of more.
+/// Generates the adjusted performances of the clip of an index; none if it is not neutral. They depend on the seed and
+/// the index alone; a smaller number gives the first ones of a larger number.
 pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip> {
     let (action, style, take) = cast(index);
     if style.name != style::NEUTRAL.name {
@@ -210,7 +208,7 @@ pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip
     Adjustment::draw(action, options.adjusted, &mut options.seed.rng(&of_take))
         .into_iter()
         .map(|adjustment| {
-            // The style's name, and so every random draw, equals that of the neutral performance.
+            // The style's name, and therefore every random draw, equals that of the neutral performance.
             let (motion, facts) = perform_take(action, &adjustment.of(style), take, options.seed);
             let mut words = options.seed.rng(&[
                 "corpus",
@@ -284,9 +282,8 @@ fn cast(index: usize) -> (Action, &'static style::Style, usize) {
     (action, &style::ALL[index % styles], index / CLIPS_PER_TAKE)
 }
 
-/// The format of an index. All styles of an action and take have one format, so that a style pair
-/// differs in style alone. Half of the actions of a take have each format, and the next take swaps
-/// them.
+/// The format of an index. All styles of an action and take have one format, so that style pairs differ only in style.
+/// Half of the actions of a take have each format, and the next take swaps them.
 fn format_of(index: usize) -> ClipFormat {
     let (action, take) = (index / style::ALL.len(), index / CLIPS_PER_TAKE);
     if (action + take).is_multiple_of(2) {
@@ -314,10 +311,9 @@ fn clip_id(path: &Path) -> String {
     names.join("/")
 }
 
-/// Writes a corpus below `out`: half of the takes as AMASS archives under `amass/`, half as BVH
-/// under `bvh/`, and beside each motion its sidecar `<stem>.stance.json`. Adjusted clips lie beside the neutral
-/// ones, and [`PAIR_LIST`] pairs them. Files of the same names are replaced; each appears whole or not at all.
-/// The bytes depend on the options alone.
+/// Writes a corpus below `out`: half of the takes as AMASS archives under `amass/`, half as BVH under `bvh/`, and
+/// beside each motion its sidecar `<stem>.stance.json`. Adjusted clips lie beside the neutral ones, and [`PAIR_LIST`]
+/// pairs them. Files of the same names are replaced, each atomically. The bytes depend on the options alone.
 ///
 /// # Errors
 /// A folder or file cannot be written.
@@ -329,8 +325,8 @@ pub fn write_corpus(
     write_with(out, options, |_| None, progress)
 }
 
-/// [`write_corpus`] with sidecars that state splits: actions, a performer, and one style of every action are held out of
-/// training.
+/// Like [`write_corpus`], with sidecars that state splits: actions, a performer, and one style of every action are held
+/// out of training.
 ///
 /// # Errors
 /// A folder or file cannot be written.
@@ -343,7 +339,7 @@ pub fn write_held_out_corpus(
     write_with(out, options, split, progress)
 }
 
-/// The split of the clip of an index, with its adjusted performances, in a corpus that holds out.
+/// The split of the clip of an index, and of its adjusted performances, in a held-out corpus.
 fn held_out_split(index: usize) -> Split {
     let (action, style, take) = cast(index);
     held_out::split(action, style, take)

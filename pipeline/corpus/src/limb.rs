@@ -81,8 +81,8 @@ impl Limb {
         cos_bend.clamp(-1.0, 1.0).acos()
     }
 
-    /// Places the limb: its end lies in the direction `to_end` from its root, as far as `bend`
-    /// puts it, and the hinge bulges towards `pole`.
+    /// Places the limb: its end lies in the direction `to_end` from its root, at the distance that `bend` gives, and
+    /// the hinge bulges towards `pole`.
     ///
     /// A pole along the limb leaves the bulge undefined; any direction is then as good.
     pub(super) fn place(&self, to_end: DVec3, bend: f64, pole: DVec3) -> LimbPose {
@@ -104,8 +104,8 @@ impl Limb {
     }
 }
 
-/// The right-handed orthonormal frame whose first axis is `along` and whose second is the part of
-/// `across` square to it.
+/// The right-handed orthonormal frame whose first axis is `along` and whose second is the part of `across` orthogonal
+/// to it.
 fn frame(along: DVec3, across: DVec3) -> DMat3 {
     let first = along.try_normalize().unwrap_or(DVec3::NEG_Y);
     let second = (across - first * first.dot(across))

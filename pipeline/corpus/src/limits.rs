@@ -1,8 +1,8 @@
-//! Questions of what editors are known to do badly (paper, Appendix F): to count, to tell one side from the other, and to
-//! understand words that training has not shown.
+//! Test questions on known weaknesses of editors (paper, Appendix F): counting, telling left from right, and wordings
+//! outside the training split.
 //!
-//! Their motions are new takes of actions that training shows, by the first performer. Training shows every adjustment and
-//! style, but not each of every action.
+//! The motions are new takes of training actions by the first performer. Training has every adjustment and style, but
+//! not each of them with every action.
 
 use std::path::Path;
 
@@ -21,10 +21,10 @@ use super::{
 
 /// Name of the list that pairs the motions of [`Limit::Wording`] with the instructions of the training split.
 pub const SEEN_PAIR_LIST: &str = "pairs-seen.csv";
-/// Takes of each question of a limit.
+/// Takes per question of a limit.
 const TAKES: usize = 5;
 
-/// Generalisation that a test set asks for.
+/// Ability that a test set checks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Limit {
     /// Do something once, twice or three times.
@@ -72,7 +72,7 @@ struct Question {
     instruction: String,
     parts: Vec<BodyPart>,
     kind: EditKind,
-    /// The instruction in the words of training; none for a style, whose instruction follows from its name.
+    /// The instruction in the training split's words; none for a style, whose instruction follows from its name.
     seen: Option<&'static str>,
 }
 
@@ -114,8 +114,7 @@ fn repetitions() -> Vec<Question> {
     questions
 }
 
-/// Actions with a side, and the instruction for the other side: `{side}` is that of the source, `{other}` of the
-/// target.
+/// Actions with a side, and the instruction for the other side: `{side}` is the source's side, `{other}` the target's.
 const SIDED: [(Action, &str, BodyPart); 6] = [
     (
         Action::WalkWave,
@@ -284,9 +283,10 @@ fn wordings() -> Vec<Question> {
     questions
 }
 
-/// Writes the questions of every limit below `out`: a folder for each with the motions as AMASS archives, their sidecars,
-/// and [`PAIR_LIST`], of which each line is a question. Beside the one of [`Limit::Wording`] is [`SEEN_PAIR_LIST`], which
-/// pairs the same motions in the words of training. All clips are of the test split. The bytes depend on the seed alone.
+/// Writes the questions of every limit below `out`: a folder for each with the motions as AMASS archives, their
+/// sidecars, and [`PAIR_LIST`] with one question per line. The folder of [`Limit::Wording`] also has
+/// [`SEEN_PAIR_LIST`], which pairs the same motions in the training split's words. All clips are of the test split. The
+/// bytes depend on the seed alone.
 ///
 /// # Errors
 /// A folder or file cannot be written.
@@ -345,7 +345,7 @@ impl Question {
         if self.before.asked.times.is_none() {
             return motions;
         }
-        // Fewer repetitions leave time: an edit has the frames of its source.
+        // Both clips get the longer duration, because an edit has as many frames as its source.
         let secs = motions
             .iter()
             .map(|motion| motion.len() as f64 / CORPUS_FPS);
@@ -436,7 +436,7 @@ mod tests {
             assert_eq!(before.len(), after.len(), "{}", question.instruction);
             for (motion, performance) in [(before, &question.before), (after, &question.after)] {
                 let points = skeleton.motion_keypoints(&motion).points;
-                // How often a joint gets this far above (or below) where it began.
+                // Number of times that a joint rises above (or falls below) its start by this distance.
                 let times = |joint: Joint, metres: f64| {
                     let height = |frame: usize| points[frame][joint as usize].y;
                     let is_away = |frame| (height(frame) - height(0)) / metres > 1.0;

@@ -1,11 +1,11 @@
-//! Performers: who plays a take, and what is theirs in every action and style.
+//! Performers: who plays a take, and the traits of each.
 
 use datasets_spec::Seed;
 use rand::RngExt;
 
 use super::style::Style;
 
-/// Takes in a row that one performer plays.
+/// Consecutive takes by one performer.
 const TAKES_PER_PERFORMER: usize = 2;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,8 +20,8 @@ impl Performer {
         format!("performer-{}", self.0 + 1)
     }
 
-    /// The style as this performer plays it: tempo, size and posture differ by what is drawn for the performer once,
-    /// and less than between styles. The first performer plays the style without a change.
+    /// Adapts a style to this performer: tempo, size and posture change by amounts drawn once per performer, smaller
+    /// than the differences between styles. The first performer plays the style unchanged.
     pub(super) fn plays(self, style: &Style, seed: Seed) -> Style {
         if self.0 == 0 {
             return *style;

@@ -1,4 +1,4 @@
-//! How each action is played.
+//! The script of each action.
 
 use datasets_spec::Rng;
 use rand::RngExt;

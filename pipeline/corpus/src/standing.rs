@@ -173,7 +173,7 @@ pub(super) fn kicking(style: &Style, first: Side, times: usize, scatter: &mut Rn
     let feet = stance(style, 0.0, scatter);
     stand_on(feet, scatter, |script, from, _| {
         let mut secs = from + 0.3 * beat;
-        // The strike nearly stretches the leg, however high it goes.
+        // The strike nearly stretches the leg, at any height.
         let height: f64 = 0.64 * style.amplitude;
         let ahead = (KICK_REACH.powi(2) - (HIP_ABOVE_ANKLE - height).powi(2)).sqrt();
         let mut side = first;
@@ -304,7 +304,7 @@ pub(super) fn jumping(
 ) -> Script {
     let beat = 1.0 / style.tempo;
     let height = 0.20 * style.amplitude * style.amplitude * take.random_range(0.9..1.15);
-    // Free fall from the apex takes half of the flight.
+    // The fall from the apex takes half of the flight.
     let flight = 2.0 * (2.0 * height / GRAVITY).sqrt();
     let half_width = 0.10 * style.width;
     let swing = Swing {

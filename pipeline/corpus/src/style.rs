@@ -1,7 +1,7 @@
 //! Styles of movement, independent of the action.
 
-/// How posture and timing differ from a neutral performance. Angles in radians, lengths in metres;
-/// factors multiply the neutral value.
+/// Differences in posture and timing from a neutral performance. Angles in radians, lengths in metres; factors multiply
+/// the neutral value.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Style {
     /// Name in clip names and sidecars.
@@ -32,10 +32,10 @@ pub(super) struct Style {
     pub(super) arm_swing: f64,
     /// Sway and roll of the trunk with the legs.
     pub(super) sway: f64,
-    /// Rise of the body over the standing leg, beyond what the legs dictate.
+    /// Rise of the body over the standing leg in addition to the rise that the legs cause.
     pub(super) bounce: f64,
     pub(super) amplitude: f64,
-    /// Size of the small motions of a body that means to be still.
+    /// Size of the small motions of a body that stands still.
     pub(super) restlessness: f64,
 }
 

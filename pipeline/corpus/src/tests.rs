@@ -10,7 +10,7 @@ use pipeline::stage::IngestConfig;
 use super::limb::Limb;
 use super::*;
 
-/// Actions with free flight, whose feet no score can call planted.
+/// Actions with a flight phase, to which no foot score applies.
 const AIRBORNE: [&str; 4] = ["run", "jog", "jump", "hop"];
 
 /// The foot score of DIMOS at 20 fps with the lowest foot joint on the floor: how still and how
@@ -107,7 +107,8 @@ fn splits_hold_out_families_a_performer_and_a_style_of_each_action() {
         assert!(styles.contains(&"neutral"), "{action}");
     }
     let count = |split: Split| counts[&split];
-    // Three of four takes in five of six styles; all of two actions, and one take of eight others in five styles.
+    // Training: three of four takes in five of six styles. Validation: all clips of two actions, and one take of eight
+    // other actions in five styles.
     assert_eq!(count(Split::Train), 20 * 3 * 5);
     assert_eq!(count(Split::Val), 2 * 30 + 8 * 5);
     assert_eq!(counts.values().sum::<usize>(), HELD_OUT_CLIPS);
@@ -140,7 +141,7 @@ fn every_action_in_every_style_moves_like_a_body() {
     let clips: Vec<CorpusClip> = (0..CLIPS_PER_TAKE)
         .into_par_iter()
         .flat_map_iter(|index| {
-            // Every adjustment that suits the action.
+            // Ask for every adjustment that suits the action.
             let options = CorpusOptions {
                 adjusted: Adjustment::ALL.len(),
                 ..options(CLIPS_PER_TAKE)
@@ -466,7 +467,7 @@ fn the_list_names_clips_by_their_ids_and_no_line_is_refused() {
         let stem = source.trim_end_matches("_poses");
         assert!(target.starts_with(&format!("{stem}_adjusted-")), "{target}");
     }
-    // An adjusted clip takes no style out of the group of its take.
+    // All clips of an action are in one split, adjusted ones too.
     let mut of_action: BTreeMap<_, Vec<_>> = BTreeMap::new();
     for row in &motions {
         of_action.entry(&row.action).or_default().push(row.split);

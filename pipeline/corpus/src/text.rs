@@ -58,8 +58,8 @@ pub(super) fn captions(
 
 const SUBJECTS: [&str; 4] = ["a person", "someone", "the person", "a figure"];
 
-/// Fills a template: `{who}`, `{how}` (empty or with a leading space), `{side}`, `{other}`,
-/// `{times}`, and `{turn}` for a turn of as many half turns as the count says less one.
+/// Fills a template: `{who}`, `{how}` (empty or with a leading space), `{side}`, `{other}`, `{times}`, and `{turn}` for
+/// a turn of `count - 1` half turns.
 fn fill(template: &str, who: &str, how: &str, facts: Facts) -> String {
     let times = match facts.count {
         2 => "twice",

@@ -19,7 +19,7 @@ pub(super) struct Travel {
     velocity: DVec3,
     /// Keys of the heading in radians over the fraction of the clip.
     heading: Keys<1>,
-    /// Keys of the share of the velocity over the fraction of the clip.
+    /// Keys of the factor on the velocity over the fraction of the clip.
     pace: Keys<1>,
     /// Duration of a neutral performance in seconds.
     duration_secs: f64,
@@ -31,7 +31,7 @@ pub(super) struct Travel {
     halts: [bool; 2],
 }
 
-/// Stride of an ordinary walk, per step in metres.
+/// Step length of an ordinary walk in metres.
 const WALK_STEP: f64 = 0.66;
 /// Time of a step of an ordinary walk in seconds.
 const WALK_STEP_SECS: f64 = 0.54;
@@ -371,7 +371,7 @@ impl Travel {
 
 pub(super) fn walk_wave(style: &Style, facts: Facts, take: &mut Rng, scatter: &mut Rng) -> Script {
     let mut script = Travel::walk(take).perform(style, take, scatter);
-    // The wave takes 3.2 to 3.8 neutral seconds; it begins so that it fits.
+    // The wave takes 3.2 to 3.8 s at neutral tempo; it begins early enough to fit.
     let from = (script.duration_secs - 3.9 / style.tempo).max(0.1) * take.random_range(0.2..0.8);
     gesture::wave(&mut script, style, facts.side, from, facts.count, scatter);
     script

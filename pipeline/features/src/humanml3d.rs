@@ -1,9 +1,8 @@
 //! The 263 features per frame of HumanML3D, from the joints of any motion and back.
 //!
-//! The published preparation brings a clip to a uniform skeleton, puts it on the floor and turns it
-//! to face +z; then a frame becomes root motion, joint positions, joint rotations, joint velocities
-//! and foot contacts, all seen from the heading of the root. Its quirks are
-//! part of the recipe, because the output must be equal:
+//! The published preparation brings a clip to a uniform skeleton, puts it on the floor and turns it to face +z; then a
+//! frame becomes root motion, joint positions, joint rotations, joint velocities and foot contacts, all relative to the
+//! heading of the root. Its quirks are part of the recipe, because the output must be equal:
 //!
 //! * the heading of the features is found from a forward vector in which the hips are swapped and
 //!   the shoulders are not, smoothed over 20 frames;
@@ -11,8 +10,8 @@
 //! * the chains of the arms start from the root's rotation, not from that of the chest;
 //! * the yaw velocity is half the angle.
 //!
-//! A bone that points exactly against its rest direction divides by zero there; here it is a half turn
-//! about a perpendicular axis.
+//! For a bone exactly opposite to its rest direction, the published code divides by zero; here the rotation is a half
+//! turn about a perpendicular axis.
 //!
 //! # Source
 //! EricGuo5513/HumanML3D, notebook `motion_representation` and `common/skeleton.py`.
@@ -99,8 +98,7 @@ fn features_of(clip: &Clip, placement: Placement) -> Vec<Features> {
     clip.features(placement, &Headings::of(&forwards))
 }
 
-/// The rotation about the vertical that takes the root's heading to +z, as cosine and sine of the
-/// half-angle.
+/// The rotation about the vertical from the root's heading to +z, as cosine and sine of the half-angle.
 #[derive(Clone, Copy, Debug)]
 struct Heading {
     half_cosine: f64,
@@ -112,7 +110,7 @@ impl Heading {
         DQuat::from_xyzw(0.0, self.half_sine, 0.0, self.half_cosine)
     }
 
-    /// A vector in the frame of this heading, rotated to the world.
+    /// Rotates a vector from the frame of this heading to the world.
     fn unsee(self, v: DVec3) -> DVec3 {
         let cosine = self.half_cosine * self.half_cosine - self.half_sine * self.half_sine;
         let sine = 2.0 * self.half_cosine * self.half_sine;
@@ -360,7 +358,7 @@ mod tests {
                 let directions = directions_of(frame, heading);
                 for joint in 1..NUM_BODY_JOINTS {
                     let bone = (points[joint] - points[parent_of(joint)]).normalize();
-                    // Eight rotations of f32 numbers follow one another.
+                    // Rounding of eight consecutive rotations in f32.
                     assert!(directions[joint].distance(bone) < 2e-5, "{case}: {joint}");
                 }
             }
@@ -410,8 +408,8 @@ mod tests {
         let difference = largest_distance(&recover_joints(&features), &joints);
         assert!(difference < 1e-5, "{difference}");
 
-        // The features were made from one frame more than the joints have, so headings that the
-        // end is smoothed into are not quite the same.
+        // The features were made from one frame more than the joints, so headings within the smoothing radius of the
+        // end differ a little.
         let untouched = joints.len() - 80;
         for found in [
             features_of_processed(&joints),
@@ -448,7 +446,7 @@ mod tests {
             }
         }
 
-        /// Joints come back from positions and from rotations, however the body moves.
+        /// Positions and rotations both reproduce the joints, however the body moves.
         #[test]
         fn features_hold_the_processed_joints(
             frames in prop::collection::vec(
@@ -460,8 +458,8 @@ mod tests {
                 .iter()
                 .map(|frame| frame.map(DVec3::from_array))
                 .collect();
-            // A body that turns its back from one frame to the next has the published half-angle,
-            // which loses the turn. These face the front: hips and shoulders are far apart.
+            // If a body turns around between two frames, the published half-angle loses the turn. Wide hips and
+            // shoulders keep these bodies facing the front.
             let wide = [(1, 20.0), (2, -20.0), (13, 20.0), (14, -20.0), (16, 60.0), (17, -60.0)];
             for frame in &mut joints {
                 for (joint, x) in wide {

@@ -12,8 +12,8 @@
 //! A rotation is the first two columns of its matrix, read row by row: `m00 m01 m10 m11 m20 m21`. This differs from
 //! HumanML3D (column by column) and from the 272 features (rows).
 //!
-//! The released code does not say how a clip is placed. Here its first frame faces +z with a translation of
-//! x = z = 0, and heights stay, so that the floor is at y = 0.
+//! The released code does not say how a clip is placed. Here its first frame faces +z with a translation of x = z = 0,
+//! and heights are unchanged, so the floor is at y = 0.
 //!
 //! # Source
 //! Tencent-Hunyuan/HY-Motion-1.0: `hymotion/pipeline/motion_diffusion.py` (`_decode_o6dp`),
@@ -37,13 +37,13 @@ pub type Features = [f32; WIDTH];
 /// First column of the rotations.
 const ROTATIONS: usize = 3;
 
-/// The features of a motion on a body, at 30 fps. Where it stands and faces does not matter.
+/// The features of a motion on a body, at 30 fps. The motion's place and heading do not matter.
 ///
 /// # Shapes
 /// `[L, 201]` for a motion of `L` frames at 30 fps; motions of other rates are interpolated.
 ///
 /// # Errors
-/// The motion cannot be brought to 30 fps.
+/// The motion cannot be resampled to 30 fps.
 pub fn features_of_motion(
     motion: &Motion,
     skeleton: &Skeleton,
@@ -77,7 +77,7 @@ pub fn features_of_motion(
         .collect())
 }
 
-/// The motion by translation and rotations of the features, at 30 fps.
+/// The motion from the translation and rotations of the features, at 30 fps.
 ///
 /// # Errors
 /// There is no frame, or a number is not finite.
@@ -89,7 +89,7 @@ pub fn motion_of_features(features: &[Features]) -> Result<Motion, kinematics::E
             Pose {
                 transl: DVec3::new(number(0), number(1), number(2)),
                 rotations: std::array::from_fn(|joint| {
-                    // Column by column.
+                    // Reorder from rows to columns.
                     let columns = [0, 2, 4, 1, 3, 5].map(|k| number(ROTATIONS + 6 * joint + k));
                     DQuat::from_mat3(&from_six_d_columns(columns)).normalize()
                 }),
@@ -110,7 +110,7 @@ mod tests {
     /// First column of the joints.
     const JOINTS: usize = ROTATIONS + 6 * NUM_BODY_JOINTS;
 
-    /// The joints of the features in the world: those of a frame moved by its translation.
+    /// World positions of the joints: the features' joints moved by the translation.
     ///
     /// # Shapes
     /// `[L, 22]` in metres.

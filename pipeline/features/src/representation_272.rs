@@ -1,9 +1,9 @@
 //! The 272 features per frame of MotionStreamer, HumanML3D-272, BABEL-272 and MotionMillion, from any motion
 //! and back.
 //!
-//! They hold the rotations of the body itself, so that a motion comes back without inverse kinematics. `J` = 22,
-//! y up, metres, 30 fps; rotations are the first two rows of their matrix. The heading `h` of a frame is the angle
-//! about y of the direction to which its root turns +z, and "seen" means rotated about y by `-h`.
+//! They contain the body's own rotations, so a motion is recovered without inverse kinematics. `J` = 22, y up, metres,
+//! 30 fps; rotations are the first two rows of their matrix. The heading `h` of a frame is the angle about y of its
+//! root's +z axis, and "seen" means rotated about y by `-h`.
 //!
 //! | columns | content |
 //! |---|---|
@@ -49,13 +49,13 @@ pub const GROUPS: [(&str, std::ops::Range<usize>); 5] = [
     ("joint rotations", ROTATIONS..WIDTH),
 ];
 
-/// The features of a motion on a body, at 30 fps. Where it stands and faces does not matter.
+/// The features of a motion on a body, at 30 fps. The motion's place and heading do not matter.
 ///
 /// # Shapes
 /// `[L, 272]` for a motion of `L` frames at 30 fps; motions of other rates are interpolated.
 ///
 /// # Errors
-/// The motion cannot be brought to 30 fps.
+/// The motion cannot be resampled to 30 fps.
 pub fn features_of_motion(
     motion: &Motion,
     skeleton: &Skeleton,
@@ -140,7 +140,7 @@ fn numbers<const N: usize>(frame: &Features, at: usize) -> [f64; N] {
     std::array::from_fn(|column| f64::from(frame[at + column]))
 }
 
-/// The rotation that undoes "seen", and the root's place on the ground, of every frame.
+/// The rotation that undoes "seen", and the root's position on the ground, of every frame.
 fn recover_root(features: &[Features]) -> Vec<(DMat3, DVec3)> {
     let (mut unturn, mut ground) = (DMat3::IDENTITY, DVec3::ZERO);
     features
@@ -159,7 +159,7 @@ fn joint(frame: &Features, joint: usize) -> DVec3 {
     DVec3::from_array(numbers(frame, JOINTS + 3 * joint))
 }
 
-/// The joints by the positions of the features; the first frame faces +z at x = z = 0.
+/// The joints from the positions of the features; the first frame faces +z at x = z = 0.
 ///
 /// # Shapes
 /// As many frames as there are features.
@@ -172,9 +172,9 @@ pub fn recover_joints(features: &[Features]) -> Vec<Joints> {
         .collect()
 }
 
-/// The poses by the rotations of the features, on a body whose pelvis is at rest at `rest_pelvis` (for the
-/// features of a motion of that body, the motion itself, placed and facing as in [`recover_joints`]). The
-/// published recovery gives the pelvis in place of the translation, which is this with zero.
+/// The poses from the rotations of the features, placed and facing as in [`recover_joints`], on a body whose pelvis
+/// rests at `rest_pelvis`. The published recovery returns the pelvis position as the translation, which corresponds to
+/// a `rest_pelvis` of zero.
 ///
 /// # Shapes
 /// As many frames as there are features.
@@ -196,10 +196,10 @@ pub fn recover_poses(features: &[Features], rest_pelvis: DVec3) -> Vec<Pose> {
         .collect()
 }
 
-/// The motion of the body that the features describe, at 30 fps and on the floor. The path is scaled by the ratio
-/// of the body's leg length to that of the features, as their body may have another shape. Also returns the mean
-/// distance in metres between the joints of the features, so scaled, and those of the motion, both relative to
-/// the pelvis.
+/// The motion of the body that the features describe, at 30 fps and on the floor. The path is scaled by the ratio of
+/// the body's leg length to that of the features, because their body may have another shape. Also returns the mean
+/// distance in metres between the scaled joints of the features and the joints of the motion, both relative to the
+/// pelvis.
 ///
 /// # Errors
 /// There is no frame, the legs of the features have no length, or a number is not finite.
@@ -380,7 +380,7 @@ mod tests {
             let motion = motion.expect("valid");
             let features = features_of_motion(&motion, &skeleton).expect("at its rate");
             assert_eq!(features.len(), 150);
-            // A chord of the circle leads half of the turn to the side.
+            // A chord of the circle points half of the turn to the side.
             let chord = 2.0 * radius * (turn / 2.0).sin();
             let step = [chord * (turn / 2.0).sin(), chord * (turn / 2.0).cos()];
             let turned = [turn.cos(), 0.0, -turn.sin(), 0.0, 1.0, 0.0];
@@ -470,7 +470,7 @@ mod tests {
     }
 
     proptest! {
-        /// Motion to features to motion, however the body moves.
+        /// Motion to features and back, however the body moves.
         #[test]
         fn the_motion_comes_back(
             frames in prop::collection::vec(

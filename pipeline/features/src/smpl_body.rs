@@ -37,10 +37,10 @@ pub(crate) const SMPL_REST_BONES: [[f64; 3]; NUM_BODY_JOINTS] = [
 
 /// A body with SMPL's bone directions at rest and another body's bone lengths.
 ///
-/// Spine, neck, collars and head of SMPL-X differ from SMPL's: its joints used as SMPL's would show a bent
-/// back and a raised chin. A published clip that is ingested and exported again differs by 3.2 cm on
-/// average with SMPL-X's joints, and by 1.3 cm with these. The lengths are kept because the recipe scales
-/// the path by the leg length.
+/// Spine, neck, collars and head of SMPL-X differ from SMPL's: if its joints were used as SMPL's, the back would look
+/// bent and the chin raised. A published clip that is ingested and exported again differs by 3.2 cm on average with
+/// SMPL-X's joints, and by 1.3 cm with these. The lengths are kept because the recipe scales the path by the leg
+/// length.
 pub fn smpl_body(skeleton: &Skeleton) -> Skeleton {
     let mut joints = [DVec3::ZERO; NUM_JOINTS];
     for joint in 0..NUM_JOINTS {

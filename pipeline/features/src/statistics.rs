@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::humanml3d;
 
-/// Running mean and variance of every feature. Two of them merge exactly.
+/// Running mean and variance of every feature. The statistics of two sets of frames can be merged.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Statistics<const WIDTH: usize> {
     frames: u64,
@@ -63,8 +63,7 @@ impl<const WIDTH: usize> Statistics<WIDTH> {
         std::array::from_fn(|column| self.mean[column] as f32)
     }
 
-    /// The standard deviation of each feature. That of a feature in one of the groups is the mean over the
-    /// group.
+    /// The standard deviation of each feature; each feature of a group gets the mean over the group.
     pub fn std_by(&self, groups: &[(&str, Range<usize>)]) -> [f32; WIDTH] {
         let deviation = |column: usize| (self.scatter[column] / self.frames.max(1) as f64).sqrt();
         let mut std = std::array::from_fn(|column| deviation(column) as f32);
@@ -142,7 +141,7 @@ mod tests {
         let frames: Vec<[f32; WIDTH]> = (0..40u8)
             .map(|frame| {
                 let sign = if frame % 2 == 0 { 1.0 } else { -1.0 };
-                // The deviation of a column is its number.
+                // The standard deviation of each column is its index.
                 std::array::from_fn(|column| 5.0 + sign * column as f32)
             })
             .collect();

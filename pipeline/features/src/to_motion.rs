@@ -28,7 +28,7 @@ const LIMBS: [([usize; 3], DVec3); 4] = [
 /// Sine of the bend from which a hinge sets the full twist; a straighter limb gets less.
 const CLEAR_BEND: f64 = 0.5;
 
-/// A body rest bone of SMPL.
+/// The bone of SMPL's rest pose that ends in a joint.
 fn rest_bone(joint: usize) -> DVec3 {
     DVec3::from_array(SMPL_REST_BONES[joint])
 }
@@ -75,9 +75,8 @@ pub fn motion_of_joints(
     Ok((motion, error as f32))
 }
 
-/// Poses the body by the rotations of HumanML3D features, which point the bones. Also returns the
-/// mean distance in metres between the joints of the source and those of the pose, both with the
-/// bones of SMPL at rest.
+/// Poses the body with the bone directions given by the rotations of HumanML3D features. Also returns the mean distance
+/// in metres between the joints of the source and those of the pose, both with the bones of SMPL at rest.
 ///
 /// # Errors
 /// There is no frame, or the features hold no rotations.
@@ -94,7 +93,7 @@ pub fn motion_of_features(
 /// The path is scaled by the ratio of the body's leg length to the source's, `leg_m`.
 ///
 /// # Errors
-/// There is no frame, or a direction is no number.
+/// There is no frame, or a direction is NaN.
 pub fn motion_of_directions(
     frames: &[(DVec3, Joints)],
     leg_m: f64,
@@ -124,7 +123,7 @@ pub fn motion_of_directions(
     Ok((motion, (error / frames.len() as f64) as f32))
 }
 
-/// Length in metres of the body's right leg, the one the published recipe measures.
+/// Length in metres of the body's right leg, which the published recipe measures.
 fn body_leg(skeleton: &Skeleton) -> f64 {
     skeleton.offset(5).length() + skeleton.offset(8).length()
 }
@@ -163,7 +162,7 @@ fn global_rotations(directions: &Joints) -> [DQuat; NUM_BODY_JOINTS] {
     globals
 }
 
-/// The rotation nearest to that of the joint above that aligns the bone.
+/// The smallest rotation from the parent's that aligns the bone.
 fn swing(above: DQuat, bone: usize, directions: &Joints) -> DQuat {
     let carried = above * rest_bone(bone).normalize();
     (arc(carried, directions[bone]) * above).normalize()
@@ -185,8 +184,8 @@ fn frame_turn(directions: &Joints, [left, right, up]: [usize; 3]) -> DQuat {
     DQuat::from_mat3(&(seen * rest.transpose())).normalize()
 }
 
-/// The rotation about the upper of two bones that turns `hinge` onto the axis about which the limb bends. The straighter
-/// the limb, the smaller the rotation: a straight limb has no such axis.
+/// The rotation about the upper of two bones that turns `hinge` onto the axis about which the limb bends. The
+/// straighter the limb, the smaller the rotation: a straight limb has no such axis.
 fn twist([upper, lower]: [DVec3; 2], hinge: DVec3) -> DQuat {
     let axis = upper.cross(lower);
     let weight = (axis.length() / CLEAR_BEND).min(1.0);
@@ -246,7 +245,7 @@ mod tests {
         let motion = wandering("to-motion", 40);
         let joints = smpl_joints(&motion);
         let (found, error) = motion_of_joints(&joints, Fps::STORE, &skeleton).expect("a body");
-        // The three bones at pelvis and chest are rigid both in the source and here, so only twists shown by hands and
+        // The three bones at pelvis and chest are rigid both in the source and here, so only the twists of hands and
         // head are free, and no bone of the body shows these.
         assert!(error < 1e-6, "{error}");
         for (a, b) in smpl_joints(&found).iter().zip(&joints) {

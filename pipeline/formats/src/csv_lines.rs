@@ -1,8 +1,8 @@
-//! CSV files that people write: the records with the numbers of their lines.
+//! Hand-written CSV files: records with line numbers.
 
 use csv::{Position, ReaderBuilder, StringRecord, Trim, WriterBuilder};
 
-/// A record as a line without its end. Fields with commas, quotes or line breaks are quoted.
+/// Formats a record as one CSV line without line end. Fields with commas, quotes or line breaks are quoted.
 pub fn line(fields: &[&str]) -> String {
     let mut writer = WriterBuilder::new().from_writer(Vec::new());
     writer.write_record(fields).expect("memory takes a record");
@@ -11,8 +11,8 @@ pub fn line(fields: &[&str]) -> String {
     line.trim_end_matches('\n').to_owned()
 }
 
-/// The records of a file in UTF-8, each with the number of its line and with trimmed fields. A record in another
-/// encoding, or with a quote that is not closed, is a reason to refuse the line.
+/// Records of a UTF-8 file, each with its line number and trimmed fields. A record in another encoding or with an
+/// unclosed quote is an error.
 pub fn records(bytes: &[u8]) -> impl Iterator<Item = (u64, Result<StringRecord, String>)> {
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let mut reader = ReaderBuilder::new()
@@ -65,8 +65,8 @@ fn unclosed(raw: &[u8]) -> String {
     )
 }
 
-/// Whether a quoted field of the record is not closed, or continues after its closing quote. A field that begins with a
-/// quote ends with one, and has only pairs of quotes inside.
+/// Whether a quoted field of the record lacks its closing quote or continues after it. Quotes inside a quoted field are
+/// doubled.
 fn is_open(record: &[u8]) -> bool {
     let mut bytes = record.trim_ascii().iter().copied().peekable();
     while bytes.peek().is_some() {
@@ -83,7 +83,7 @@ fn is_open(record: &[u8]) -> bool {
                 return true;
             }
         }
-        // To the beginning of the next field.
+        // Skip to the next field.
         while bytes.next().is_some_and(|byte| byte != b',') {}
     }
     false

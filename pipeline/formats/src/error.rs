@@ -14,12 +14,12 @@ pub enum Error {
     UnusableFile {
         /// The file.
         path: PathBuf,
-        /// Code that scripts may rely on: that of the rejection, or `E-NO-MOTION`.
+        /// Stable error code for scripts: the rejection's, or `E-NO-MOTION`.
         code: &'static str,
-        /// Why.
+        /// Reason.
         reason: String,
     },
-    /// An archive cannot be unpacked to be read.
+    /// An archive cannot be unpacked.
     #[error(
         "cannot unpack an archive to {}: {reason}; set TMPDIR to a folder with more room, or unpack the archive and name \
          its folder",
@@ -28,7 +28,7 @@ pub enum Error {
     Scratch {
         /// The file or folder.
         path: PathBuf,
-        /// Why not.
+        /// Reason.
         reason: String,
     },
     /// A file is not a usable body model.
@@ -36,7 +36,7 @@ pub enum Error {
     BodyModel {
         /// The file.
         path: PathBuf,
-        /// Code that scripts may rely on, such as `E-BODY-SHAPE`.
+        /// Stable error code for scripts, such as `E-BODY-SHAPE`.
         code: &'static str,
         /// What is wrong, with what was found and expected.
         reason: String,
@@ -55,7 +55,7 @@ pub enum Error {
 }
 
 impl Error {
-    /// The code of the error and what it happened to.
+    /// The code of the error, and the item it happened to.
     pub fn code(&self) -> Option<Code> {
         let (code, path) = match self {
             Self::Spec(error) => return error.code(),

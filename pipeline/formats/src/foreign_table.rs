@@ -26,11 +26,10 @@ pub struct ForeignTable {
     metadata: ArrowReaderMetadata,
 }
 
-/// Opens a file and decodes it by `decode`.
+/// Opens a file and decodes it with `decode`.
 ///
 /// # Errors
-/// `E-LFS-POINTER`, `E-TABLE-FORMAT` if the bytes are no Parquet file that can be read, and those of
-/// `decode`.
+/// `E-LFS-POINTER`, `E-TABLE-FORMAT` if the bytes are not a readable Parquet file, and errors of `decode`.
 pub fn read<T>(
     bytes: Vec<u8>,
     decode: impl FnOnce(&ForeignTable) -> Result<T, Rejected> + std::panic::UnwindSafe,
@@ -67,11 +66,11 @@ impl ForeignTable {
         fields.map(|field| field.name().as_str()).collect()
     }
 
-    /// Calls `visit` with the rows, of which only the wanted columns are read.
+    /// Reads the `wanted` columns and calls `visit` with batches of at most `rows_at_once` rows.
     ///
     /// # Errors
-    /// `E-TABLE-FORMAT`, `E-TABLE-LIMIT` if the columns unpack to more than `max_unpacked` bytes, and those
-    /// of `visit`.
+    /// `E-TABLE-FORMAT`, `E-TABLE-LIMIT` if the columns unpack to more than `max_unpacked` bytes, and errors of
+    /// `visit`.
     pub fn for_each(
         &self,
         wanted: &[&str],
@@ -112,10 +111,10 @@ impl ForeignTable {
     }
 }
 
-/// The text of a row of any width.
+/// The text of a row in a string column, dictionary-encoded or not; none if the row is null.
 ///
 /// # Errors
-/// The type that the column has instead.
+/// The column is not text; the error is its type.
 pub fn text(values: &ArrayRef, row: usize) -> Result<Option<String>, String> {
     if values.is_null(row) {
         return Ok(None);
@@ -167,10 +166,10 @@ pub fn list(values: &ArrayRef, row: usize) -> Option<(ArrayRef, std::ops::Range<
     })
 }
 
-/// Appends the numbers of a value, however deep they are nested.
+/// Appends the numbers of a value, which may be nested up to [`MAX_DEPTH`] lists deep.
 ///
 /// # Errors
-/// A nested value is not a number.
+/// A nested value is missing or not a number, or the lists nest too deep.
 pub fn numbers(
     values: &ArrayRef,
     row: usize,

@@ -1,4 +1,4 @@
-//! Descriptions that lie beside a motion file.
+//! Label files beside a motion file.
 
 use datasets_spec::Split;
 use datasets_spec::record::{CAPTION_BY_RULE, CAPTION_BY_SOURCE};
@@ -6,8 +6,8 @@ use datasets_spec::table::{Caption, PartCaption};
 use serde::de::value::MapAccessDeserializer;
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// The content of `<stem>.stance.json`, which may lie beside any motion file and adds what its format
-/// cannot hold. All fields are optional; unknown fields are an error, so that misspelt ones are found.
+/// The content of `<stem>.stance.json`, which may lie beside any motion file and adds labels that its format cannot
+/// hold. All fields are optional; unknown fields are an error, so that misspelt ones are found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sidecar {
@@ -39,7 +39,7 @@ pub struct Sidecar {
 pub(crate) struct Content {
     /// Labels of all clips of the folder.
     pub(crate) all: Sidecar,
-    /// Line, if there is one, name or pattern, and labels of some clips.
+    /// Labels of some clips: line number if there is one, name or pattern, and the labels.
     pub(crate) clips: Vec<(Option<u64>, String, Sidecar)>,
     /// Parts of the file that cannot be used.
     pub(crate) problems: Vec<String>,
@@ -50,10 +50,10 @@ impl Sidecar {
     pub const SUFFIX: &'static str = ".stance.json";
 }
 
-/// A caption of a label file: a text alone, or a text with any of the other fields.
+/// A caption of a label file: a plain text, or an object with a text and any of the other fields.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LabelCaption {
-    /// The caption; its times are 0 where it speaks of the whole clip.
+    /// The caption; its times are 0 if it describes the whole clip.
     #[serde(flatten)]
     pub caption: Caption,
     /// Author of the caption: `source`, or `rule` if it was made from a file name.

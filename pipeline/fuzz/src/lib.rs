@@ -73,7 +73,7 @@ pub fn manifest(bytes: &[u8]) {
     }
 }
 
-/// Reads an AMASS archive, a lone array, also as a motion of Motion-X, and 272 features.
+/// Reads an AMASS archive, a single array, also as a motion of Motion-X, and 272 features.
 pub fn npz(bytes: &[u8]) {
     let _clip = motionx::read_array(bytes, &Skeleton::smplx_neutral());
     let _archive = amass::read(Path::new("clip.npz"), bytes, &ReadOptions::default());

@@ -9,7 +9,7 @@ pub(crate) const MAX_DIMENSIONS: usize = 64;
 /// Type of an array's items.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Dtype {
-    /// Truth values of a byte.
+    /// One-byte Booleans.
     Bool,
     /// Floating-point numbers of this many bytes: 2, 4 or 8.
     Float(usize),
@@ -17,9 +17,9 @@ pub enum Dtype {
     Signed(usize),
     /// Unsigned integers of this many bytes: 1, 2, 4 or 8.
     Unsigned(usize),
-    /// Bytes, this many in an item.
+    /// Byte strings of this many bytes.
     Bytes(usize),
-    /// Text, this many code points in an item.
+    /// Text of this many code points.
     Text(usize),
 }
 
@@ -33,7 +33,7 @@ impl Dtype {
         }
     }
 
-    /// Bytes of the units whose order the byte order sets.
+    /// Size in bytes of the unit to which the byte order applies.
     fn unit_len(self) -> usize {
         match self {
             Self::Bytes(_) => 1,
@@ -112,7 +112,7 @@ impl Array {
     /// An array of single-precision numbers.
     ///
     /// # Panics
-    /// If the number of values is not that of the shape.
+    /// If the number of values does not match the shape.
     pub fn from_f32(shape: &[usize], values: impl IntoIterator<Item = f32>) -> Self {
         let data: Vec<u8> = values.into_iter().flat_map(f32::to_le_bytes).collect();
         let dtype = Dtype::Float(4);
@@ -321,7 +321,7 @@ pub(crate) fn byte_len(dtype: Dtype, shape: &[usize]) -> Option<usize> {
     count(shape)?.checked_mul(dtype.item_len())
 }
 
-/// Items in column-major order, reordered. There is at least one.
+/// Reorders items from column-major to row-major order. There is at least one item.
 pub(crate) fn row_major<T: Copy>(data: &[T], item_len: usize, shape: &[usize]) -> Vec<T> {
     let strides = shape.iter().scan(1, |stride, &extent| {
         let this = *stride;
@@ -332,7 +332,7 @@ pub(crate) fn row_major<T: Copy>(data: &[T], item_len: usize, shape: &[usize]) -
     gather(data, item_len, 0, shape, &strides)
 }
 
-/// Items in row-major order of their indices. The caller has checked that all lie inside.
+/// Gathers items in row-major order of their indices. The caller has checked that all lie inside `data`.
 fn gather<T: Copy>(
     data: &[T],
     item_len: usize,
@@ -360,7 +360,7 @@ fn gather<T: Copy>(
     }
 }
 
-/// The number that an item stores, in big-endian bytes if so stated; of text, a number of its first bytes.
+/// The number that an item stores, in big-endian bytes if so stated; for text, a number made of its first bytes.
 pub(crate) fn number(dtype: Dtype, big_endian: bool, item: &[u8]) -> f64 {
     let mut bytes = [0; 8];
     let len = item.len().min(8);

@@ -17,7 +17,7 @@ pub fn encode(value: &Value) -> Vec<u8> {
     out
 }
 
-/// Writes the pickle of a dictionary entry by entry, where it does not fit into memory whole.
+/// Writes the pickle of a dictionary entry by entry, for dictionaries that do not fit into memory.
 #[derive(Debug)]
 pub struct DictWriter<W> {
     out: W,
@@ -114,7 +114,7 @@ fn put_bytes(out: &mut Vec<u8>, bytes: &[u8]) {
     put_sized(out, [b'C', 0x8e], bytes);
 }
 
-/// Bytes behind their length, by the opcode of short or of long ones.
+/// Writes the length and the bytes, with the opcode for short or for long ones.
 fn put_sized(out: &mut Vec<u8>, [short, long]: [u8; 2], bytes: &[u8]) {
     match u8::try_from(bytes.len()) {
         Ok(len) => out.extend([short, len]),
@@ -138,8 +138,8 @@ fn put_global(out: &mut Vec<u8>, module: &str, name: &str) {
     out.push(0x93);
 }
 
-/// An array as NumPy writes one: an empty array, and its state of version, shape, type, order and
-/// bytes. The module has the name of NumPy 1, which NumPy 2 still answers to.
+/// An array as NumPy writes one: an empty array, and its state of version, shape, type, order and bytes. The module
+/// name is that of NumPy 1, which NumPy 2 still accepts.
 fn put_array(out: &mut Vec<u8>, array: &Array) {
     put_global(out, "numpy.core.multiarray", "_reconstruct");
     put_tuple(out, |out| {

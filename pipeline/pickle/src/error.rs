@@ -4,11 +4,11 @@
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{code}: {reason}")]
 pub struct Error {
-    /// Code that scripts may rely on, such as `E-PICKLE-REFUSED`.
+    /// Stable error code for scripts, such as `E-PICKLE-REFUSED`.
     pub code: &'static str,
     /// What is wrong, with the numbers found and expected.
     pub reason: String,
-    /// Byte offset in the file, if there is such a place; in a packed file, in the unpacked stream.
+    /// Byte offset of the error in the file, if known; in a packed file, in the unpacked stream.
     pub byte_offset: Option<u64>,
 }
 

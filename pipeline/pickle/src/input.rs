@@ -18,7 +18,7 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// Bytes read so far; in a packed file those of the unpacked stream.
+    /// Bytes read so far; in a packed file, of the unpacked stream.
     pub(crate) fn position(&self) -> usize {
         self.position
     }

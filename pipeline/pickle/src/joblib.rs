@@ -15,10 +15,9 @@ use crate::value::{Options, Value};
 /// MotionFix's, unpacks to about 2 GB, less than 10 times its packed size.
 const MAX_UNPACKED_LEN: u64 = 4 << 30;
 const MAX_RATIO: u64 = 200;
-/// Size below which the ratio does not matter.
+/// Size up to which the ratio is not checked.
 const SMALL_LEN: u64 = 64 << 20;
-/// Memory in KiB that an LZMA stream may ask for its dictionary; the strongest preset asks for 64
-/// MiB.
+/// Maximum memory in KiB for the dictionary of an LZMA stream; the strongest preset needs 64 MiB.
 const LZMA_MEMORY_KIB: u32 = 128 << 10;
 /// Bytes needed to recognise the packing.
 const MAGIC_LEN: usize = 6;
@@ -73,7 +72,7 @@ impl Packing {
     }
 }
 
-/// Reads a dump, packed or not. A plain pickle is one without arrays.
+/// Reads a dump, packed or not. A plain pickle is a dump without arrays.
 ///
 /// # Errors
 /// `E-JOBLIB-OLD` for the layout before joblib 0.10, and those of [`crate::read_from`]; byte
@@ -82,7 +81,7 @@ pub fn read(bytes: &[u8]) -> Result<Value, Error> {
     read_from(bytes, bytes.len() as u64, &Options::default())
 }
 
-/// Reads a dump of so many bytes from a stream.
+/// Reads a dump of `packed_len` bytes from a stream.
 ///
 /// # Errors
 /// As [`read`].

@@ -60,7 +60,7 @@ impl Header {
         Ok(header)
     }
 
-    /// Place in the file of the number with this row-major index; none for arrays in column-major order.
+    /// Byte offset of the number with this row-major index; none for arrays in column-major order.
     pub fn place_of(&self, index: usize) -> Option<usize> {
         let is_flat = self.shape.len() < 2;
         let at = self.data_start + index * self.dtype.item_len();
@@ -70,7 +70,7 @@ impl Header {
     /// Shape that an array states in its first bytes; its data may be missing.
     ///
     /// # Errors
-    /// As [`Header::parse`], `E-NPY-SHAPE` excepted.
+    /// As [`Header::parse`], except `E-NPY-SHAPE`.
     pub fn peek_shape(name: &str, head: &[u8]) -> Result<Vec<usize>, Error> {
         Self::parse_text(name, head).map(|(header, _)| header.shape)
     }
@@ -89,7 +89,7 @@ impl Header {
         Ok((header, literal.descr))
     }
 
-    /// Parses the dictionary of the header, and returns where the data starts too.
+    /// Parses the dictionary of the header; also returns the offset of the data.
     fn parse_literal(name: &str, bytes: &[u8]) -> Result<(Literal, usize), Error> {
         let bad = |reason: String, at: usize| {
             Error::new("E-NPY-HEADER", format!("{name}: {reason}")).at(at)
@@ -139,7 +139,7 @@ impl Header {
     }
 }
 
-/// The pickle in an array of objects and where it starts; none for arrays of anything else.
+/// The pickle in an array of objects, and its offset; none for other arrays.
 ///
 /// # Errors
 /// `E-NPY-HEADER`.
@@ -187,7 +187,7 @@ pub struct Rows<'a> {
     width: usize,
 }
 
-/// How the numbers of [`Rows`] are written.
+/// Storage format of the numbers of [`Rows`].
 #[derive(Clone, Copy, Debug)]
 enum RowKind {
     F64,
@@ -198,7 +198,7 @@ impl<'a> Rows<'a> {
     /// Takes an array of two dimensions.
     ///
     /// # Errors
-    /// As [`read_numbers`]; the shape where it is not of two dimensions.
+    /// As [`read_numbers`]. The inner error is the shape of an array without two dimensions.
     pub fn new(name: &str, bytes: Cow<'a, [u8]>) -> Result<Result<Self, Vec<usize>>, Error> {
         let header = Header::parse(name, &bytes)?;
         let [num_rows, width] = header.shape[..] else {
@@ -238,7 +238,7 @@ impl<'a> Rows<'a> {
         self.num_rows
     }
 
-    /// Numbers of a row.
+    /// Numbers per row.
     pub fn width(&self) -> usize {
         self.width
     }
@@ -384,13 +384,13 @@ fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
     text.push('\n');
     let mut out = MAGIC.to_vec();
     out.extend([1, 0]);
-    // At most 64 dimensions of 20 digits.
+    // The length fits: at most 64 dimensions of 20 digits.
     out.extend((len as u16).to_le_bytes());
     out.extend(text.into_bytes());
     out
 }
 
-/// The type that is written as `<f8`, and whether its bytes are in big-endian order.
+/// Parses a type such as `<f8`; also returns whether its bytes are big-endian.
 fn parse_descr(name: &str, descr: &str) -> Result<(Dtype, bool), Error> {
     let item = ItemType::parse(descr).ok_or_else(|| {
         Error::new(

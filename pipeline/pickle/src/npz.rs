@@ -18,9 +18,9 @@ use crate::npy::{self, Array, Header, Number};
 /// not.
 pub(crate) const MAX_MEMBER_LEN: u64 = 2 << 30;
 const MAX_RATIO: u64 = 200;
-/// Size below which the ratio does not matter: a clip whose hands are all zero compresses well.
+/// Size up to which the ratio is not checked: a clip whose hands are all zero compresses well.
 const SMALL_MEMBER_LEN: u64 = 1 << 20;
-/// Most members of an archive; the richest AMASS files have about thirty.
+/// Maximum number of members; the largest AMASS files have about thirty.
 const MAX_MEMBERS: usize = 10_000;
 /// Bytes of a member that contain an array's header, whose length [`npy`] limits.
 const HEADER_LEN: u64 = 10_016;
@@ -41,8 +41,8 @@ impl<'a> Archive<Cursor<&'a [u8]>> {
         Self::open(Cursor::new(bytes))
     }
 
-    /// The bytes of an array's npy file as [`Archive::member`] gives them, without a copy where they
-    /// are stored as they are, which is how AMASS has them. `bytes` are those of the archive.
+    /// The bytes of an array's npy file as from [`Archive::member`], but without a copy if they are stored
+    /// uncompressed, as in AMASS. `bytes` are those of the archive.
     ///
     /// # Errors
     /// As [`Archive::member`].
@@ -141,7 +141,7 @@ impl<R: Read + Seek> Archive<R> {
         self.member_within(key, MAX_MEMBER_LEN)
     }
 
-    /// [`Archive::member`] of an array that is known to be small.
+    /// Like [`Archive::member`], for an array of at most `max_len` bytes.
     ///
     /// # Errors
     /// As [`Archive::member`].
@@ -161,7 +161,7 @@ impl<R: Read + Seek> Archive<R> {
         Ok(bytes)
     }
 
-    /// Checks that an array is small enough to be read. Of the archive only the list of members is.
+    /// Checks from the list of members alone that an array is small enough to be read.
     ///
     /// # Errors
     /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
@@ -171,7 +171,7 @@ impl<R: Read + Seek> Archive<R> {
         check_len("E-NPZ-LIMIT", &name, len, compressed_len, MAX_MEMBER_LEN)
     }
 
-    /// An array of numbers.
+    /// Reads an array of numbers.
     ///
     /// # Errors
     /// As [`Archive::member`], or those of [`npy::read_numbers`].
@@ -180,7 +180,7 @@ impl<R: Read + Seek> Archive<R> {
         npy::read_numbers(key, &bytes)
     }
 
-    /// The shape that an array claims; no more of it than its header is unpacked.
+    /// The shape that an array's header states; only the header is unpacked.
     ///
     /// # Errors
     /// As [`Archive::member`], or those of [`npy`] for a header.
@@ -220,8 +220,8 @@ fn member_error(name: &str, error: &ZipError) -> Error {
         format!("{name} cannot be unpacked ({error})"),
     )
 }
-/// Refuses names with a meaning to a file system. Archives are read in memory and never unpacked, so such
-/// names do no harm here, but they show a hostile or broken writer.
+/// Refuses names with a special meaning to a file system. Archives are read in memory and never unpacked, so such names
+/// do no harm here, but they show a hostile or broken writer.
 fn check_names<'a>(names: impl Iterator<Item = &'a [u8]>) -> Result<(), Error> {
     let mut seen = std::collections::BTreeSet::new();
     for name in names {
@@ -247,8 +247,8 @@ fn check_names<'a>(names: impl Iterator<Item = &'a [u8]>) -> Result<(), Error> {
 
 /// Writes an archive in memory.
 ///
-/// Members are stored, not compressed: compressors choose code paths by processor, and equal arrays
-/// are to give equal bytes everywhere. Their time stamps are the earliest a zip can hold.
+/// Members are stored, not compressed: compressors choose code paths by processor, and equal arrays must give equal
+/// bytes everywhere. Their time stamps are the earliest a zip can hold.
 pub struct Writer {
     zip: ZipWriter<Cursor<Vec<u8>>>,
 }

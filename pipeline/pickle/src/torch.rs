@@ -17,10 +17,10 @@ const LEGACY_MAGIC: i128 = 0x1950_a86a_20f9_469c_fc6c;
 const LEGACY_VERSION: i128 = 1001;
 const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
 
-/// Reads a file of `torch.save`, old or new, tensors as arrays.
+/// Reads a file of `torch.save` in the old or the new format; tensors become arrays.
 ///
 /// # Errors
-/// `E-TORCH-FORMAT` if it is neither, and those of [`crate::read`].
+/// `E-TORCH-FORMAT` if the format is neither, and those of [`crate::read`].
 ///
 /// # Source
 /// `torch/serialization.py`: a zip with `data.pkl` and `data/<key>`, or five pickles (number,
@@ -69,7 +69,7 @@ fn member(archive: &mut ZipArchive<Cursor<&[u8]>>, name: &str) -> Result<Vec<u8>
     Ok(bytes)
 }
 
-/// The storage in a nested file, which tensors have in an ordinary pickle.
+/// Reads the storage from a nested file, as tensors in an ordinary pickle have.
 pub(crate) fn read_storage(bytes: &[u8]) -> Result<Storage, Error> {
     let legacy = Legacy::read(bytes)?;
     let Node::Storage(Storage {

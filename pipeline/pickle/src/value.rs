@@ -37,7 +37,7 @@ impl Value {
         Self::Str(text.into())
     }
 
-    /// A dictionary by text keys.
+    /// A dictionary with text keys.
     pub fn dict<const N: usize>(entries: [(&str, Value); N]) -> Self {
         let entries = entries.map(|(key, value)| (Self::text(key), value));
         Self::Dict(entries.into())
@@ -46,12 +46,12 @@ impl Value {
     /// An array of single-precision numbers.
     ///
     /// # Panics
-    /// If the number of values is not that of the shape.
+    /// If the number of values does not match the shape.
     pub fn floats(shape: &[usize], numbers: impl IntoIterator<Item = f32>) -> Self {
         Self::Array(Arc::new(Array::from_f32(shape, numbers)))
     }
 
-    /// The value a dictionary has under a text key; the last one if the key was written twice.
+    /// The value of a text key in a dictionary; the last one if the key occurs twice.
     pub fn get(&self, key: &str) -> Option<&Value> {
         self.as_dict()?
             .iter()
@@ -84,7 +84,7 @@ impl Value {
         }
     }
 
-    /// A number of either kind.
+    /// An integer or a floating-point number.
     pub fn as_float(&self) -> Option<f64> {
         match self {
             Self::Int(number) => Some(*number as f64),

@@ -166,7 +166,7 @@ proptest! {
     }
 }
 
-/// A dataset of nine clips, and the folder it and the file of frames are in.
+/// A dataset of nine clips, and the folder that contains it and its file of frames.
 fn nine_clips() -> (tempfile::TempDir, Dataset) {
     let folder = tempfile::tempdir().expect("a folder");
     let (motions, masks) = fixture::rows(Split::Train, 9);

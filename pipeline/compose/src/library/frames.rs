@@ -1,11 +1,11 @@
 //! Frames of motions in a flat file with random access.
 //!
-//! A page of Parquet holds a whole clip, compressed, and decoding one takes fifty times as long as composing a
-//! window of it. Each clip is therefore decoded once and its frames are written one after another to a file of a cache
-//! folder; a window is then one read at one place.
+//! A page of Parquet holds a whole clip, compressed, and decoding it takes fifty times as long as composing one of its
+//! windows. Each clip is therefore decoded once, and its frames are written contiguously to a file in a cache folder; a
+//! window then takes a single read.
 //!
-//! The file's name is the hash of what it was made of, so that processes share it. It is written under another
-//! name and renamed when it is whole. Each frame ends with a checksum, because the file may stay for months.
+//! The file's name is the hash of its inputs, so that processes share it. It is written under another name and renamed
+//! when complete. Each frame ends with a checksum, because the file may be kept for months.
 
 use std::fs::{self, File};
 use std::io::{BufWriter, ErrorKind, Write};
@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 use crate::{Error, FrameCache};
 
-/// First bytes of a file; its frames follow their number.
+/// First bytes of a file; the number of frames and the frames follow.
 const MAGIC: [u8; 16] = *b"stance frames 1\n";
 const HEADER_BYTES: usize = MAGIC.len() + 8;
 const NUMBERS: usize = 6 + BODY_POSE_WIDTH;
@@ -41,8 +41,8 @@ pub(crate) struct FrameFile {
 }
 
 impl FrameFile {
-    /// Opens the file of this key; without one, or where it is not whole, `make` writes its `num_frames`
-    /// frames. Processes that need the same file at once wait for the one that writes it.
+    /// Opens the file of this key. If it is missing or incomplete, `make` writes its `num_frames` frames. Processes
+    /// that need the same file at once wait for the one that writes it.
     ///
     /// # Panics
     /// If `make` writes another number of frames.
@@ -68,7 +68,7 @@ impl FrameFile {
             .open(&part)
             .map_err(failed)?;
         file.lock().map_err(failed)?;
-        // Another process may have written the file meanwhile.
+        // Another process may have written the file in the meantime.
         if let Some(found) = Self::found(&path, num_frames, fps)? {
             return Ok(found);
         }
@@ -86,7 +86,7 @@ impl FrameFile {
             .and_then(|()| make(&mut writer))
             .and_then(|()| writer.finish(&part));
         if let Err(error) = made {
-            // The error counts, not that the unfinished file stays.
+            // Return the first error, even if the unfinished file cannot be removed.
             let _removed = fs::remove_file(&part);
             return Err(error);
         }
@@ -95,7 +95,7 @@ impl FrameFile {
             .ok_or_else(|| damaged(&path, "it was removed or changed as soon as it was written"))
     }
 
-    /// The file at a path; none if it does not exist or is not whole.
+    /// The file at a path; none if it does not exist or is incomplete.
     fn found(path: &Path, num_frames: u64, fps: Fps) -> Result<Option<Self>, Error> {
         let file = match Disk.open_at(path) {
             Ok(file) => file,
@@ -187,7 +187,7 @@ pub(super) struct FrameWriter {
     num_frames: u64,
     /// Frames that the whole file has.
     expected: u64,
-    /// Most motions that were in memory at once.
+    /// Largest number of motions in memory at once.
     most_at_once: usize,
 }
 
@@ -238,7 +238,7 @@ impl FrameWriter {
         Ok(())
     }
 
-    /// Most motions that were in memory at once.
+    /// Largest number of motions that were in memory at once.
     #[cfg(test)]
     pub(super) fn most_at_once(&self) -> usize {
         self.most_at_once

@@ -91,7 +91,7 @@ impl Clip {
     }
 }
 
-/// An accepted (motion, mask, text).
+/// An annotated motion: clip, mask and instruction.
 #[derive(Clone, Debug)]
 struct Annotation {
     id: String,
@@ -207,8 +207,8 @@ impl Library {
         &captured[found.expect("a motion of this library")]
     }
 
-    /// Other captures of the same action in the same style; none where the action is not known. What a
-    /// fine-grained pair leads to is no plain capture: it varies its action in a way that no label states.
+    /// Other captures of the same action in the same style; none if the action is not known. Targets of fine-grained
+    /// pairs are left out: they vary the action in a way that no label states.
     pub(super) fn other_takes(&self, target: &Clip) -> impl Iterator<Item = &Clip> {
         let varied: BTreeSet<&MotionId> = self
             .pairs

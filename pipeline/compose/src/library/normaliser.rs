@@ -1,4 +1,4 @@
-//! The normaliser that a library's motions fit.
+//! Fits the normaliser to a library's motions.
 
 use datasets_spec::{Pose, Split};
 use kinematics::KeypointFrame;
@@ -33,7 +33,7 @@ impl Library {
         let span = config.span(stride);
         let advance = config.advance(stride).max(1);
         let captured = &self.clips[..self.num_captured];
-        // Windows before those of each clip.
+        // Index of the first window of each clip.
         let mut num_windows = 0;
         let first_windows: Vec<usize> = captured
             .iter()

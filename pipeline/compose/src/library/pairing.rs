@@ -67,7 +67,7 @@ impl Library {
         Ok(kept.into_iter().map(|place| candidates[place]).collect())
     }
 
-    /// The annotations and pairs in use: those that are as long as a window.
+    /// The annotations and pairs in use: those at least as long as a window.
     pub(crate) fn subjects(&self, config: &ComposeConfig, seed: Seed, span: usize) -> Vec<Subject> {
         let candidates: Vec<Subject> = self
             .all_subjects()
@@ -221,7 +221,7 @@ impl Library {
     ) -> Pairing {
         let frames_of = |clip: usize| self.len_of(clip);
         let place = |allowed: RangeInclusive<usize>, rng: &mut Rng| match config.fixed_pairs {
-            // The middle, as SINC crops.
+            // The middle, as in SINC.
             true => (allowed.start() + allowed.end()) / 2,
             false => rng.random_range(allowed),
         };
@@ -297,7 +297,7 @@ impl Library {
         annotations.chain((0..self.pairs.len()).map(Subject::Pair))
     }
 
-    /// Whether a subject is a test question without being composed.
+    /// Whether a subject is a test question as captured, without composition.
     pub(crate) fn is_asked_as_is(&self, subject: Subject) -> bool {
         self.task_of(subject) == ItemTask::MotionFix
     }

@@ -18,7 +18,7 @@ datasets_spec::table! {
     pub struct LabelledClip = "motions" {
         /// Id of the clip
         pub id: MotionId [""],
-        /// Its split
+        /// Split of the clip
         pub split: Split [""],
         /// Kind of source
         pub source: String [""],

@@ -274,7 +274,7 @@ fn meaning_of_pair(row: &PairRow) -> Result<(EditKind, String, Vec<BodyPart>), E
     Ok((kind, instruction, parts))
 }
 
-/// Halves of the body for edits of a pair: those of its parts, or both if it names none.
+/// Halves of the body for edits of a pair: those of its parts, or both if it names no part.
 fn halves_of(parts: &[BodyPart]) -> Vec<BodyPart> {
     let both = [BodyPart::LowerBody, BodyPart::UpperBody];
     let named = parts

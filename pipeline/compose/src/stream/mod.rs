@@ -64,11 +64,10 @@ pub(super) struct Room {
 
 /// Composes edits of the motions of one split, item by item.
 ///
-/// An epoch visits every window of every annotated motion and of every pair once, in a shuffled
-/// order. For a semantic edit an item draws its window's first frame within its share of the
-/// annotated motion, a partner and a stretch of it from the motion base, and the weight of the soft
-/// joints. For a pair it draws the half of the body that is edited and a donor, which is blended
-/// under both motions alike.
+/// An epoch visits every window of every annotated motion and of every pair once, in a shuffled order. For a semantic
+/// edit, an item draws its window's first frame within its part of the annotated motion, a partner from the motion base
+/// and a crop of it, and the weight of the soft joints. For a pair, it draws the half of the body to edit and a donor,
+/// which is blended into both motions.
 ///
 /// # Source
 /// Paper Sec. 4.3.
@@ -79,12 +78,12 @@ pub struct Stream {
     pub(super) seed: Seed,
     pub(super) recipe_hash: String,
     pub(super) composer: Composer,
-    /// Stored frames from one of a window to the next.
+    /// Stored frames per frame of a window.
     stride: usize,
     /// Indices of the clips partners are drawn from.
     pub(super) base: Vec<usize>,
     targets: Vec<Target>,
-    /// Items before each target.
+    /// Index of the first item of each target.
     first_items: Vec<u64>,
     num_items: u64,
     pub(super) span: usize,
@@ -195,7 +194,7 @@ impl Stream {
         self.targets.iter().map(|target| target.subject)
     }
 
-    /// Numbers of a window.
+    /// Number of values per window.
     pub fn window_len(&self) -> usize {
         self.config.window * FRAME_WIDTH
     }
@@ -365,7 +364,7 @@ impl Stream {
         Ok(())
     }
 
-    /// The pairing of an item of an epoch, of which [`Stream::fill`] takes a window.
+    /// The pairing of an item of an epoch; [`Stream::fill`] takes a window of it.
     pub(super) fn pairing(&self, epoch: u64, place: u64) -> Pairing {
         let item = self.order(epoch).at(place);
         let mut rng = item_rng(self.epoch_seed(epoch), item);
@@ -487,8 +486,8 @@ impl Stream {
         }
     }
 
-    /// Whether a window is mirrored. It is the last draw of a window, and none if no window is mirrored, so that
-    /// all other draws do not depend on the setting.
+    /// Whether a window is mirrored. This is the last draw of a window, and it is skipped if no window is mirrored, so
+    /// that all other draws do not depend on the setting.
     pub(super) fn draws_mirrored(&self, rng: &mut Rng) -> bool {
         self.config.mirrored_ratio > 0.0 && rng.random_bool(self.config.mirrored_ratio)
     }

@@ -12,7 +12,7 @@ use crate::{ComposeConfig, Library};
 #[derive(Clone, Debug)]
 pub(super) struct Target {
     pub(super) subject: Subject,
-    /// Frames that its windows are taken from.
+    /// Frames of the target that windows are taken from.
     pub(super) num_frames: usize,
     /// The ways to blend the target: one for an annotation, one for each half of a pair.
     pub(super) sides: Vec<Side>,
@@ -24,7 +24,7 @@ pub(super) struct Target {
 
 pub(super) type Wordings = Arc<[String]>;
 
-/// Data that many targets share, stored once: a dataset has more masks than body parts.
+/// Blend plans and wordings, each stored once for all targets that share it.
 #[derive(Debug, Default)]
 pub(super) struct SharedSides {
     plans: HashMap<BlendMask, Arc<BlendPlan>>,
@@ -107,7 +107,7 @@ impl Target {
             (Subject::Annotation(_), _) => &self.sides[0],
             (Subject::Pair(_), None) => return (None, &self.plain),
             (Subject::Pair(_), Some(half)) => {
-                // The lower half comes first where there are both.
+                // If there are two sides, the lower half comes first.
                 let upper_of_two = self.sides.len() == 2 && half == BodyPart::UpperBody;
                 &self.sides[usize::from(upper_of_two)]
             }

@@ -177,7 +177,7 @@ fn a_mirrored_window_is_the_same_window_with_left_and_right_exchanged() {
             let mut back = image.to_vec();
             composer.mirror(&mut back);
             for (a, b) in plain.iter().zip(&back) {
-                // A difference from the middle, taken twice.
+                // Rounding: mirroring, done twice here, subtracts from twice the middle.
                 assert!((a - b).abs() < 1e-6, "{a} {b}");
             }
             // The left wrist of the image is as high as the right one was.
@@ -310,7 +310,7 @@ fn kinds_and_undonored_ratio_can_be_chosen() {
             plain += u32::from(pairing.partner.is_none());
             count += 1;
         }
-        // Some 200 fair coins: six standard deviations.
+        // Six standard deviations of some 200 fair draws.
         let share = f64::from(plain) / f64::from(count);
         assert!(
             (share - undonored_ratio).abs() <= 0.25,

@@ -271,7 +271,7 @@ fn square([x, y, z]: [f64; 3]) -> f64 {
 /// All bits set if a bone of this squared length has a direction.
 #[inline(always)]
 fn is_sound(squared: f64) -> u64 {
-    // Also false for a length that is no number. Directions are computed in f32.
+    // Also false for a NaN length. Directions are computed in f32.
     let sound = squared > SHORTEST_BONE_M * SHORTEST_BONE_M && squared < f64::from(f32::MAX);
     if sound { u64::MAX } else { 0 }
 }

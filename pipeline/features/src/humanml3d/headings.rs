@@ -12,8 +12,8 @@ const SMOOTHING_REACH: usize = 80;
 /// Frames smoothed at a time: their sums stay in registers.
 const SMOOTHED_AT_ONCE: usize = 8;
 
-/// The rotation about the vertical that takes the root's heading to +z, for every frame of a clip in blocks
-/// and one more: sine and cosine of the angle and of its half.
+/// The rotation about the vertical from the root's heading to +z, for every frame of a clip in blocks and one more:
+/// sine and cosine of the angle and of its half.
 pub(super) struct Headings {
     cosine: Vec<f64>,
     sine: Vec<f64>,
@@ -62,8 +62,8 @@ impl Headings {
         (run(&self.cosine, index), run(&self.sine, index))
     }
 
-    /// The half-angle from each frame of a block to the next, from the sine alone: then a step across the back,
-    /// where the half-angle jumps, has the published sign.
+    /// The half-angle from each frame of a block to the next, computed from the sine alone. This gives the published
+    /// sign for a step across the back, where the half-angle jumps.
     pub(super) fn write_yaw_velocity(&self, index: usize, column: &mut [f32; LANES]) {
         let (cosine, sine) = (run(&self.half_cosine, index), run(&self.half_sine, index));
         for (lane, value) in column.iter_mut().enumerate() {
@@ -145,7 +145,7 @@ mod tests {
             let headings = Headings::of(&forwards);
             assert_eq!((headings.cosine[0], headings.half_sine[0]), (1.0, 0.0));
             for frame in 1..40 {
-                // Takes the forward direction back to +z.
+                // The heading rotates the forward direction back to +z.
                 assert!((headings.cosine[frame] - angle.cos()).abs() < 1e-12);
                 assert!((headings.sine[frame] + angle.sin()).abs() < 1e-12);
                 assert!((headings.half_cosine[frame] - (0.5 * angle).cos()).abs() < 1e-12);

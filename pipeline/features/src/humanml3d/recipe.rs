@@ -82,8 +82,8 @@ pub(super) const REST_AXES: [DVec3; NUM_BODY_JOINTS] = {
     ]
 };
 
-/// The joint whose rotation each joint's is relative to: its parent, but for the joints that begin
-/// a chain, whose rotations are relative to the root's.
+/// The joint whose rotation each joint's is relative to: its parent, except for the joints that begin a chain, whose
+/// rotations are relative to the root's.
 pub(super) const RELATIVE_TO: [usize; NUM_BODY_JOINTS] = {
     let mut relative_to = [0; NUM_BODY_JOINTS];
     let mut joint = 0;
@@ -104,12 +104,12 @@ pub(super) const LEFT_SHOULDER: usize = 16;
 pub(super) const RIGHT_SHOULDER: usize = 17;
 /// Left ankle and toe, right ankle and toe, in the order of the contacts.
 pub(super) const FEET: [usize; 4] = [7, 10, 8, 11];
-/// Squared displacement in m² in a frame below which a foot joint is in contact.
+/// Squared displacement in m² per frame below which a foot joint is in contact.
 pub(super) const CONTACT_THRESHOLD: f64 = 0.002;
 /// Length in metres below which a bone has no direction.
 pub(super) const SHORTEST_BONE_M: f64 = 1e-8;
 
-/// Why joints have no features.
+/// Error of computing features, or of recovering a motion from them.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FeatureError {
     /// A velocity needs two frames.
@@ -129,7 +129,7 @@ pub enum FeatureError {
         /// The frame.
         frame: usize,
     },
-    /// The joints of recovered features are no motion of a body.
+    /// Recovered features do not give a motion of a body.
     #[error("the joints make no motion: {reason}")]
     NoMotion {
         /// What is wrong.

@@ -1,4 +1,4 @@
-//! From a parsed capture to the outcome of its file.
+//! Reads the clip of a subject from a parsed capture.
 
 use std::collections::BTreeMap;
 
@@ -30,7 +30,7 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// The clip of one subject: of the subject with this key of [`super::keys`], or of the only subject.
+    /// The clip of one subject: the one with this key of [`super::keys`], or the only one.
     ///
     /// # Errors
     /// As [`Capture::check`].
@@ -44,7 +44,7 @@ impl Capture {
         let known: Vec<f32> = known.filter(|residual| *residual >= 0.0).collect();
         let mut clip = SourceClip::new(solved.motion, RotationSource::Fitted);
         clip.fit_error_m = Some(known.iter().sum::<f32>() / known.len().max(1) as f32);
-        // With only one subject, its name is often that of a template; the folder's label may name the person.
+        // The only subject of a file often has the name of a template; the folder's label may name the person.
         clip.subject = Some(subject.name).filter(|name| !key.is_empty() && !name.is_empty());
         clip.flags = flags;
         clip.notes.extend(notes);
@@ -63,8 +63,8 @@ impl Capture {
     /// Whether a motion can be solved for a subject, without solving it.
     ///
     /// # Errors
-    /// `E-MARKERS` if the labels are of no known set, or their markers tell too little of a body; `E-UNIT` if the
-    /// person would be no person's height; `E-TOO-SHORT`.
+    /// `E-MARKERS` if the labels match no known set, or too few body parts have markers; `E-UNIT` if the person's
+    /// height is implausible; `E-TOO-SHORT`.
     pub fn check(self, key: &str, options: &ReadOptions) -> Result<(), Rejected> {
         let unit = self.unit;
         let (subject, markers, _) = self.subject(key, options)?;
@@ -107,7 +107,7 @@ impl Capture {
     }
 }
 
-/// The columns of one subject; afterwards they are its first columns.
+/// Keeps only the columns of one subject, and renumbers `subject.columns` from 0.
 fn only(markers: &Markers, subject: &mut Subject) -> Markers {
     let count = markers.labels.len().max(1);
     let columns = std::mem::take(&mut subject.columns);
@@ -154,7 +154,7 @@ pub(crate) struct Positions {
 }
 
 impl Positions {
-    /// Adds a marker's position and residual in metres; none if it is not seen.
+    /// Adds a marker's position and residual in metres; `None` for a marker that is not seen.
     pub(crate) fn add(&mut self, seen: Option<(DVec3, f64)>) {
         let plausible = seen.filter(|(place, _)| place.length() < MAX_DISTANCE_M);
         self.seen += usize::from(seen.is_some());
@@ -186,7 +186,7 @@ impl Positions {
     }
 }
 
-/// Names of the markers, each different: the second of a name gets `.2`.
+/// Makes marker names unique: the second of a name gets the suffix `.2`.
 pub(crate) fn unique_labels(stated: impl Iterator<Item = String>) -> Vec<String> {
     let mut seen: BTreeMap<String, usize> = BTreeMap::new();
     stated
@@ -201,7 +201,7 @@ pub(crate) fn unique_labels(stated: impl Iterator<Item = String>) -> Vec<String>
         .collect()
 }
 
-/// A capture's unit, and its origin, in words.
+/// A capture's unit, and a phrase that says where it comes from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CaptureUnit {
     pub(crate) unit: Unit,
@@ -220,8 +220,8 @@ impl CaptureUnit {
         Rejected::read(CODE, error.to_string())
     }
 
-    /// The unit that the user states, else the file's, and a note where neither does: then it is millimetres,
-    /// unless the body would be the size of a doll. `largest` is the largest coordinate in that unit.
+    /// The user's unit, else the file's, else millimetres (metres for a small capture volume), with a note unless the
+    /// file states it. `largest` returns the largest coordinate in the file's unit.
     pub(crate) fn find(
         by_user: Option<Unit>,
         text: &str,
@@ -248,8 +248,8 @@ impl CaptureUnit {
         (Self { unit, said }, Some(note))
     }
 
-    /// Why positions that are too far away in this unit are likely in another one; none if they are nowhere.
-    /// `frames` are the points that are seen.
+    /// Rejects a capture whose median extent suggests another unit; none otherwise. `frames` holds the seen points of
+    /// each frame.
     pub(crate) fn doubt(
         self,
         frames: impl Iterator<Item = impl Iterator<Item = DVec3>>,

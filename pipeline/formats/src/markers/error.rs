@@ -1,14 +1,14 @@
-//! Why no body is solved from markers.
+//! Errors of solving a body from markers.
 
 use crate::source::unit::rounded;
 
-/// Why no body was solved.
+/// Error of solving a body from markers.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(super) enum SolveError {
-    /// The labels are of no known set, or the markers do not give the pose of a body; the text says which.
+    /// The labels match no known marker set, or the markers do not determine a body's pose. The text says which.
     #[error("{0}")]
     Markers(String),
-    /// The height of the markers is not that of a person.
+    /// The markers' height is not a person's height.
     #[error(
         "the markers of the set {set} reach as high as on a person of {} m, expected .5 to 2.5 m: nobody stands \
          upright in the capture, or the labels are wrong",
@@ -26,7 +26,7 @@ impl SolveError {
     }
 }
 
-/// Joins words, at most the first few.
+/// Joins the first words, and says how many more there are.
 pub(super) fn some_of<'a>(words: impl Iterator<Item = &'a str>) -> String {
     const SHOWN: usize = 60;
     let words: Vec<&str> = words.collect();

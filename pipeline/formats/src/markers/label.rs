@@ -27,7 +27,7 @@ pub fn is_model_output(label: &str) -> bool {
     segment.len() == 3 && (SEGMENTS.contains(&segment) || of_limb) && !is_known(&bare, None)
 }
 
-/// Whether any set has a bare label.
+/// Whether any marker set has this bare label.
 fn is_known(bare: &str, own: Option<&MarkerSet>) -> bool {
     let mut sets = own.into_iter().chain(marker_sets());
     sets.any(|set| set.placement(bare).is_some())
@@ -42,10 +42,10 @@ pub(super) struct Subject {
     pub(super) bare: Vec<String>,
 }
 
-/// Name of the motion whose labels have no subject, among others that have one.
+/// Key of the motion whose labels name no subject, in a capture where other labels do.
 const UNNAMED: &str = "unnamed";
-/// Known labels that make a subject a person, and markers that may be one with unknown labels: fewer are an
-/// object.
+/// Minimum known labels of a person; a named subject with `MIN_MARKERS` labels of any kind counts as a person too.
+/// Others are objects.
 const MIN_KNOWN: usize = 6;
 const MIN_MARKERS: usize = 12;
 
@@ -58,7 +58,7 @@ pub(super) struct Subjects {
 }
 
 impl Subjects {
-    /// Sorts the labels of a capture by subject. A capture of one person keeps all its columns.
+    /// Groups the labels of a capture by subject. A capture of one person keeps all its columns.
     pub(super) fn of(labels: &[String], own: Option<&MarkerSet>) -> Self {
         let by_underscore = underscored(labels, own);
         let mut subjects: BTreeMap<&str, Subject> = BTreeMap::new();
@@ -82,7 +82,7 @@ impl Subjects {
         };
         let (people, others): (Vec<_>, Vec<_>) = subjects.into_values().partition(is_person);
         match people.len() {
-            // With no such prefix, or one, the whole capture is of one subject.
+            // If no subject looks like a person, the whole capture counts as one.
             0 => Self {
                 people: vec![Subject {
                     name: String::new(),
@@ -103,7 +103,7 @@ impl Subjects {
         }
     }
 
-    /// Keys of the motions, in the order of [`Subjects::people`]; empty where there is one person.
+    /// Keys of the motions, in the order of [`Subjects::people`]; empty if there is one person.
     pub(super) fn keys(&self) -> Vec<String> {
         if self.people.len() < 2 {
             return Vec::new();
@@ -113,7 +113,7 @@ impl Subjects {
     }
 }
 
-/// Keys of the motions in a capture with these labels: its subjects where it has several.
+/// Keys of the motions in a capture with these labels: its subjects if it has several, else none.
 pub(crate) fn keys(labels: &[String], own: Option<&MarkerSet>) -> Vec<String> {
     Subjects::of(labels, own).keys()
 }

@@ -1,4 +1,4 @@
-//! From the markers of an optical capture to a body.
+//! Solves a body from the markers of an optical capture.
 
 mod capture;
 mod error;

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
-/// A part of the body whose pose markers decide.
+/// A part of the body whose pose markers must determine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
@@ -24,7 +24,8 @@ pub enum Part {
     RightLeg,
 }
 
-/// A part with its name, its joints, how many markers it needs, and joints of which one must carry a marker.
+/// A part: itself, its name, its joints, the number of markers it needs, and joints of which at least one must have a
+/// marker.
 type Needs = (
     Part,
     &'static str,
@@ -60,7 +61,7 @@ impl Part {
     }
 }
 
-/// Names of parts in a row.
+/// Joins the names of parts for a message.
 pub(super) fn names(parts: &BTreeSet<Part>) -> String {
     let named = PARTS.iter().filter(|(part, ..)| parts.contains(part));
     let names: Vec<&str> = named.map(|(_, name, ..)| *name).collect();

@@ -1,4 +1,4 @@
-//! Marker sets: which labels there are, and where their markers are worn on the body.
+//! Marker sets: their labels, and where each marker sits on the body.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
@@ -43,11 +43,10 @@ impl Placement {
 ///  "optional": {"M99": "RBAC"}, "at_rest": ["head"]}
 /// ```
 ///
-/// `markers` gives each label a place: that of a label of the set `like`, else of any built-in set; or a joint
-/// and the offset from it. `*` in a label stands for `L` and `R`, and the place is that of the left side. A
-/// capture has the set if most of `markers` are in it; markers in `optional` are used where they are there.
-/// Without `markers`, they are those of `like`. `at_rest` names parts of the body that may have no markers and
-/// then stay as at rest.
+/// `markers` maps each label to a placement: that of a label of the set `like` (of any built-in set without `like`), or
+/// a joint and the offset from it. `*` in a label stands for `L` and `R`; the stated placement is the left one. A
+/// capture matches the set if it has most of `markers`; those in `optional` are used if present. `markers` defaults to
+/// those of `like`. `at_rest` names body parts that may have no markers; they then keep the rest pose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MarkerSet {
     name: String,
@@ -56,7 +55,7 @@ pub struct MarkerSet {
     at_rest: BTreeSet<Part>,
 }
 
-/// Why a marker set is refused.
+/// Error of parsing a marker set.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MarkerSetError {
@@ -66,7 +65,7 @@ pub enum MarkerSetError {
          is a label of a known set, or a joint and an offset of three numbers"
     )]
     Syntax(#[from] serde_json::Error),
-    /// A set, label or joint that it names is unknown, a label is named twice, an offset is too long, or there are no
+    /// The set names an unknown set, label or joint, a label occurs twice, an offset is too long, or there are no
     /// markers. The text says which.
     #[error("marker set {0}")]
     Content(String),
@@ -76,7 +75,7 @@ pub enum MarkerSetError {
 #[serde(deny_unknown_fields)]
 struct File {
     name: String,
-    /// Where the set is described; for readers of the file.
+    /// Where the set is described; not used by the program.
     #[serde(default, rename = "source")]
     _source: Option<String>,
     like: Option<String>,
@@ -98,7 +97,7 @@ enum Place {
 /// Largest distance in metres of a marker from the joint that carries it.
 const MAX_OFFSET_M: f64 = 0.6;
 
-/// The built-in sets as JSON, each before those that are like it.
+/// The built-in sets as JSON. A set precedes those that name it in `like`.
 const FILES: [&str; 10] = [
     include_str!("sets/cmu-41.json"),
     include_str!("sets/plug-in-gait.json"),
@@ -130,7 +129,7 @@ impl MarkerSet {
     /// Parses the JSON text of a set.
     ///
     /// # Errors
-    /// The text is no such JSON, or a marker has no place.
+    /// The text is not JSON of this form, or a marker has no placement.
     pub fn parse(text: &str) -> Result<Self, MarkerSetError> {
         Self::read(text, marker_sets())
     }
@@ -173,7 +172,7 @@ impl MarkerSet {
         &self.name
     }
 
-    /// Labels that make the set, in upper case.
+    /// Labels of the set without the optional ones, in upper case.
     pub fn labels(&self) -> impl Iterator<Item = &str> {
         self.markers.keys().map(String::as_str)
     }
@@ -201,7 +200,7 @@ fn twice(label: &str) -> MarkerSetError {
     MarkerSetError::Content(format!("names {label} twice"))
 }
 
-/// The places of labels, with `*` spelled out.
+/// The placements of labels, with `*` expanded.
 fn placements(
     stated: &BTreeMap<String, Place>,
     like: Option<&MarkerSet>,
@@ -225,7 +224,7 @@ fn placements(
 }
 
 impl Place {
-    /// The placement of the label on a side, which is empty for labels without a `*`.
+    /// The placement of a label. `side` is empty for labels without a `*`.
     fn find(
         &self,
         label: &str,
@@ -268,10 +267,10 @@ impl Place {
     }
 }
 
-/// A set and how much of it a capture has.
+/// A set, and which of its labels a capture has.
 pub(super) struct Match<'a> {
     pub(super) set: &'a MarkerSet,
-    /// Labels of the set that are there, optional ones left out.
+    /// Number of the set's labels in the capture, without optional ones.
     pub(super) found: usize,
     pub(super) missing: Vec<&'a str>,
 }
@@ -291,17 +290,16 @@ impl<'a> Match<'a> {
         self.found as f64 / self.set.markers.len() as f64
     }
 
-    /// Whether enough labels are there to take the capture for one of this set.
+    /// Whether the capture has enough of the labels to match this set.
     pub(super) fn is_whole(&self) -> bool {
-        /// Share of the labels.
+        /// Minimum share of the labels.
         const MIN_SHARE: f64 = 0.7;
         self.share() >= MIN_SHARE
     }
 }
 
-/// The set that comes nearest to the labels, in upper case and without a subject: the user's if it is whole, else
-/// of the whole ones the one with the most labels there, else the one with the largest share. The first of equals
-/// wins.
+/// The best match for labels in upper case without a subject: the user's set if whole, else the whole set with the most
+/// labels present, else the set with the largest share. The first of equals wins.
 pub(super) fn nearest<'a>(
     bare: &BTreeSet<String>,
     own: Option<&'a MarkerSet>,

@@ -26,17 +26,17 @@ use crate::source::ReadOptions;
 use crate::source::unit::PERSON_M;
 use clip::Markers;
 
-/// Frames from which offsets and size are found, and how often.
+/// Number of frames and rounds for estimating offsets and size.
 const CALIBRATION_FRAMES: usize = 60;
 const CALIBRATION_ROUNDS: usize = 4;
 /// Weight of the initial guess of an offset against measurements.
 const OFFSET_PRIOR: f64 = 0.1;
-/// Unknowns of a pose: the pelvis, and a turn of each joint.
+/// Unknowns of a pose: position of the pelvis, and rotation vectors of all joints.
 const UNKNOWNS: usize = 3 + 3 * NUM_BODY_JOINTS;
 /// Weight in m²/rad² of the squared angle of each joint from rest: it determines rotations that no marker
 /// observes, and is negligible elsewhere.
 const REST_WEIGHT: f64 = 4e-4;
-/// The same for joints that hardly move independently, and for the angle from the frame before.
+/// Weights of the same kind: for joints that hardly move independently, and for the angle from the previous frame.
 const STIFF_WEIGHT: f64 = 4e-3;
 const SMOOTH_WEIGHT: f64 = 1e-3;
 /// Spine, collars and toes.
@@ -45,7 +45,7 @@ const FIRST_ITERATIONS: usize = 60;
 const ITERATIONS: usize = 8;
 /// Step in metres and radians below which a pose has converged.
 const SMALL_STEP: f64 = 1e-5;
-/// Distance in metres beyond which the pull of a marker is constant: it may be mislabelled.
+/// Distance in metres beyond which a marker's influence is constant (Huber loss): it may be mislabelled.
 const OUTLIER_M: f64 = 0.15;
 
 /// A body solved from markers.
@@ -55,8 +55,7 @@ pub(super) struct Solved {
     pub(super) motion: Motion,
     /// Frames whose pose was interpolated because too few markers were seen.
     pub(super) gaps: usize,
-    /// The markers, turned y up, in the size they were captured, with the set and the distances from those of the
-    /// body.
+    /// The markers, rotated to y up, in captured size, with the set and the distances from the body's markers.
     pub(super) markers: Markers,
     /// Decisions a reader may want to check.
     pub notes: Vec<String>,
@@ -82,7 +81,7 @@ impl<'a> Solvable<'a> {
     /// Finds the marker set of a subject, and the markers' placement on the body.
     ///
     /// # Errors
-    /// The labels are of no known set, tell too little of a body, or the markers do not lie as on one.
+    /// The labels match no known set, too few body parts have markers, or the marker positions do not fit a body.
     pub(super) fn find(
         mut markers: Markers,
         subject: &Subject,
@@ -263,7 +262,7 @@ impl Body {
 }
 
 impl<'a> Solver<'a> {
-    /// A solver for markers where their set has them, on a person of the body's size.
+    /// A solver that starts with the set's marker offsets and the body's own size.
     fn of(skeleton: &'a Skeleton, worn: &LabelledMarkers) -> Self {
         Self {
             skeleton,
@@ -274,7 +273,7 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// The ratio of the capture's height between its markers in its tallest frames to that of the body at rest.
+    /// Ratio of the markers' height in the tallest frames to their height on the body at rest.
     fn first_height(&self, frames: &Frames, usable: &[usize]) -> Option<f64> {
         let rest = Body::posed(
             self.skeleton.rest(0),
@@ -303,7 +302,7 @@ impl<'a> Solver<'a> {
             let along: f64 = seen.iter().map(|p| (p.0 - body) * (p.1 - capture)).sum();
             let spread: f64 = seen.iter().map(|p| (p.0 - body).powi(2)).sum();
             if along > 0.0 {
-                // Slope of captured height over the body's: how tall the person is.
+                // Least-squares slope of captured height over the body's height.
                 ratios.push(along / spread);
             }
         }
@@ -560,7 +559,7 @@ impl<'a> Solver<'a> {
         cost
     }
 
-    /// One damped step.
+    /// One damped Gauss-Newton step.
     fn step(
         &self,
         body: &Body,
@@ -637,7 +636,7 @@ fn cross_matrix(arm: DVec3) -> DMat3 {
     )
 }
 
-/// Solves a symmetric positive system in place; false if it is not positive.
+/// Solves a symmetric positive definite system in place; false if the matrix is not positive definite.
 fn cholesky_solve(matrix: &mut [[f64; UNKNOWNS]], right: &mut [f64; UNKNOWNS]) -> bool {
     for row in 0..UNKNOWNS {
         for column in 0..=row {

@@ -1,4 +1,4 @@
-//! The markers of a capture that a set places on the body.
+//! The markers of a capture that have a placement on the body.
 
 use glam::{DQuat, DVec3};
 
@@ -7,13 +7,13 @@ use super::set::MarkerSet;
 use crate::retarget::{axis_name, y_up_from_axis};
 use clip::Markers;
 
-/// Markers that must be seen in a frame for its pose to be solved, and their share of all.
+/// Minimum number and share of the markers seen in a frame whose pose is solved.
 pub(super) const MIN_SEEN: usize = 6;
 const MIN_SEEN_SHARE: f64 = 0.5;
 
 /// The markers with a known placement.
 pub(super) struct LabelledMarkers {
-    /// Column of each among the labels.
+    /// Column of each marker in the capture.
     pub(super) columns: Vec<usize>,
     pub joints: Vec<usize>,
     pub(super) offsets: Vec<DVec3>,
@@ -85,8 +85,7 @@ impl Frames {
         seen >= MIN_SEEN && seen as f64 >= MIN_SEEN_SHARE * points.len() as f64
     }
 
-    /// The rotation to y up, from the direction of the upper markers from the lower ones, and the file's up
-    /// axis.
+    /// The rotation to y up, found from the direction from the lower to the upper markers, and the file's up axis.
     pub(super) fn up_turn(&self, worn: &LabelledMarkers) -> Option<(DQuat, &'static str)> {
         // Heads, chests and hips are above feet; use those that are present.
         let level = |joint: usize| match joint {

@@ -17,7 +17,7 @@ use kinematics::skeleton::{NUM_BODY_JOINTS, parent_of};
 
 use super::track::{Track, TrackRest};
 
-/// The constant rotation of each body joint; the identity where the source has no such joint.
+/// The constant rotation of each body joint; the identity if the source has no such joint.
 pub(super) type Alignment = [DQuat; NUM_BODY_JOINTS];
 
 /// Bones whose direction the body must reproduce exactly, as (joint, its child), parents first. The left one of a pair
@@ -102,8 +102,8 @@ fn heading(direction: DVec3) -> f64 {
 
 /// The orientation of the torso in a zero pose that shows a standing person; none if it does not.
 fn standing_torso(zero: &[DVec3; NUM_BODY_JOINTS], track: &Track) -> Option<DQuat> {
-    /// Cosines of the largest angles allowed: legs splay by 20 degrees in the CMU skeleton, arms
-    /// of A-poses hang by 45 and those of some rigs hang straight down, but never point up.
+    /// Limits on cosines: legs splay by 20 degrees in the CMU skeleton, arms of A-poses hang by 45, and arms of some
+    /// rigs hang straight down, but never point up.
     const UPRIGHT: f64 = 0.9;
     const LEG_DOWN: f64 = 0.8;
     const ARM_NOT_UP: f64 = 0.5;
@@ -189,7 +189,7 @@ pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
 struct Estimate<'a> {
     track: &'a Track,
     skeleton: &'a Skeleton,
-    /// The frames that are looked at.
+    /// The sampled frames.
     frames: StepBy<Range<usize>>,
     /// The highest joint of the spine that the source has; the pelvis if it has none.
     chest: usize,
@@ -221,18 +221,18 @@ impl<'a> Estimate<'a> {
         self.point(frame, 1).midpoint(self.point(frame, 2))
     }
 
-    /// The way from a joint to another.
+    /// The vector from a joint to another.
     fn bone(&self, frame: usize, from: usize, to: usize) -> DVec3 {
         self.point(frame, to) - self.point(frame, from)
     }
 
-    /// The rotation of a joint of the body that is aligned.
+    /// The body's global rotation of an aligned joint.
     fn body(&self, frame: usize, joint: usize) -> DQuat {
         self.rotation(frame, joint) * self.alignment[joint]
     }
 
-    /// The rotation of the joint `above`, turned as little as possible so that the body's `bone` points as the
-    /// source's bone does; with the weight 1.
+    /// The rotation of the joint `above`, rotated minimally so that the body's `bone` points like the source's; weight
+    /// 1.
     fn swung(
         &self,
         frame: usize,
@@ -253,7 +253,8 @@ impl<'a> Estimate<'a> {
             .normalize_or_zero()
     }
 
-    /// The mean alignment of a joint whose rotations of the body, with weights, are `body`; and the sum of the weights.
+    /// The mean alignment of a joint, and the sum of the weights. `body` returns the body's rotation and its weight in
+    /// a frame.
     fn mean_of(&self, joint: usize, body: impl Fn(usize) -> (DQuat, f64)) -> (DQuat, f64) {
         mean_rotation(self.frames.clone().map(|frame| {
             let (body, weight) = body(frame);
@@ -324,7 +325,7 @@ impl<'a> Estimate<'a> {
         );
     }
 
-    /// Aligns the joints between pelvis and chest, which turn from the one to the other by their height.
+    /// Aligns the joints between pelvis and chest by interpolating between the two by height.
     fn align_spine(&mut self) {
         let (skeleton, chest) = (self.skeleton, self.chest);
         for joint in SPINE {
@@ -385,8 +386,8 @@ impl<'a> Estimate<'a> {
         }
     }
 
-    /// Estimates the alignment of the upper joint of a limb by the plane in which the limb is bent; where it hardly
-    /// is, by the trunk.
+    /// Estimates the alignment of a limb's upper joint from the plane in which the limb bends, or from the trunk if the
+    /// limb hardly bends.
     fn upper_limb(&self, trunk: usize, [upper, middle, end]: [usize; 3], hinge: DVec3) -> DQuat {
         /// Sum of squared sines of the bend from which the bending plane is reliable: three frames at a right
         /// angle, or some thirty at 20 degrees.
@@ -429,11 +430,10 @@ fn bent(bone: DVec3, next: DVec3) -> Option<(DVec3, f64)> {
     (sine > MIN_SINE).then(|| (axis / sine, sine * sine))
 }
 
-/// Aligns an ankle by the frames in which the foot stands flat: where both ankle and foot are
-/// within 3 cm of the lowest they get, the vertical is the sole's normal. None if there is no foot
-/// or what was found is no sole.
+/// Aligns an ankle by the frames in which the foot stands flat: where both ankle and foot are within 3 cm of the lowest
+/// they get, the vertical is the sole's normal. None if there is no foot or the result is implausible as a sole.
 fn by_sole(track: &Track, ankle: usize, foot: usize, skeleton: &Skeleton) -> Option<DQuat> {
-    /// Share of the leg's length (3 cm for a leg of 0.8 m) and of the frames.
+    /// Fraction of the leg's length (3 cm for a leg of 0.8 m), and fraction of the frames.
     const FLAT_BAND: f64 = 0.0375;
     const LOWEST_SHARE: f64 = 0.05;
     /// Largest cosine between the sole's normal and the direction from ankle to foot.
@@ -535,7 +535,7 @@ pub(crate) fn y_up_from_axis(up: DVec3) -> DQuat {
 /// The up axis is the mean direction from hips to head. That is unreliable for a person who lies or bends,
 /// so an axis other than y needs a clear majority.
 pub(super) fn y_up_from_source(mean_up: DVec3) -> (DQuat, &'static str) {
-    /// Share of the mean direction that must lie along another axis than y.
+    /// Fraction of the mean direction that must lie along an axis other than y.
     const CLEAR: f64 = 0.7;
     let size = mean_up.abs();
     let axis = if size.z > CLEAR && size.z > 2.0 * size.y {

@@ -8,8 +8,8 @@ use super::joint_map::{Mapping, Origin, hangs_from};
 use super::rig::Bone;
 use super::track::Track;
 
-/// Confidence below which a guessed map is not used. A body whose legs and head alone are named
-/// reaches 0.62; a fox that carries its head high stays at 0.5.
+/// Confidence below which a guessed map is not used. A body of which only legs and head are named reaches 0.62; a fox
+/// with a raised head reaches only 0.5.
 pub(super) const LEAST: f64 = 0.6;
 
 /// Confidence of a map without names, relative to one by names.
@@ -21,7 +21,7 @@ pub(super) struct Evidence {
     found: f64,
     /// Share of the limb joints with the expected parent chain.
     descent: f64,
-    /// Likeness of the lengths of left and right limbs.
+    /// Similarity of left and right limb lengths.
     symmetry: f64,
     /// How upright the trunk is over the legs.
     posture: f64,
@@ -30,8 +30,7 @@ pub(super) struct Evidence {
 }
 
 impl Evidence {
-    /// Collects the evidence of the skeleton and its motion. `stands` tells whether a rest pose is a standing
-    /// person.
+    /// Collects the evidence of the skeleton and its motion. `stands` is true if a rest pose is a standing person.
     pub(super) fn gather(
         mapping: &Mapping,
         bones: &[Bone<'_>],
@@ -40,7 +39,7 @@ impl Evidence {
     ) -> Self {
         let source_of = |joint: usize| mapping.source_of[joint];
         let found = mapping.source_of.iter().flatten().count() as f64 / NUM_BODY_JOINTS as f64;
-        // The head hangs from the neck in every body too.
+        // The neck is the head's parent in every body too.
         let hanging = LIMBS.iter().chain(&[(12, 15)]);
         let descent = mean(hanging.filter_map(|&(joint, child)| {
             let (joint, child) = (source_of(joint)?, source_of(child)?);
@@ -94,7 +93,7 @@ impl Evidence {
     }
 }
 
-/// One for lengths that differ by a tenth at most, zero from one half on.
+/// 1 for length ratios of 0.9 or more, falling linearly to 0 at 0.5.
 fn likeness(ratio: f64) -> f64 {
     const ALIKE: f64 = 0.9;
     const UNLIKE: f64 = 0.5;

@@ -10,13 +10,13 @@ use super::rig::{Bone, Rest};
 use super::topology;
 use super::user_map::UserMap;
 
-/// Joint maps of the known dialects, in the JSON format of users' maps. The map with the most names in the source is used;
-/// the first of several with equally many.
+/// Joint maps of the known dialects, in the JSON format of users' maps. The map with the most names in the source is
+/// used; the first of equals wins.
 ///
-/// Spines differ in number and position of joints. Each source joint maps to the body joint with the nearest
-/// height between pelvis and neck; the other body joints follow from their neighbours. `cmu` has two neck
-/// bones, of which the upper one starts at the body's neck joint. `xsens` is also the dialect of 100STYLE, and `soma` that of
-/// BONES-SEED and Kimodo; its `LeftLeg` is the thigh, which other rigs call `LeftUpLeg`.
+/// Spines differ in number and position of joints. Each source joint maps to the body joint with the nearest height
+/// between pelvis and neck; the other body joints follow from their neighbours. `cmu` has two neck bones; the upper one
+/// starts at the body's neck joint. `xsens` is also the dialect of 100STYLE, and `soma` that of BONES-SEED and Kimodo;
+/// its `LeftLeg` is the thigh, which other rigs call `LeftUpLeg`.
 pub(super) static JOINT_MAPS: LazyLock<Vec<UserMap>> = LazyLock::new(|| {
     let files = [
         include_str!("maps/smplx.json"),
@@ -54,7 +54,7 @@ pub enum Origin {
     User,
     /// By the names of a known dialect.
     Dialect,
-    /// By words in names.
+    /// By the words in the bones' names.
     Words,
     /// By the topology of the bones.
     Topology,
@@ -72,8 +72,8 @@ pub struct Mapping {
 }
 
 impl Mapping {
-    /// Finds the body in a skeleton: by the user's map, a known dialect, the words in its names, or its
-    /// topology. The first that finds pelvis, legs and head is used.
+    /// Finds the body in a skeleton: by the user's map, a known dialect, the words in its names, or its topology. The
+    /// first method that finds pelvis, legs and head is used.
     ///
     /// # Errors
     /// No method finds them (the error names what is missing), or a required name occurs twice.
@@ -243,7 +243,7 @@ enum Part {
     Head,
 }
 
-/// Words for each part. The longest word that ends a name decides, so that a forearm is not an arm.
+/// Words for each part. The longest word that ends a name decides: a forearm is not an arm.
 const WORDS: [(Part, &str); 12] = [
     (Part::Pelvis, "pelvis hips waist root body"),
     (Part::Hip, "upleg upperleg thigh femur hip"),

@@ -40,8 +40,8 @@ use features::floor;
 /// known ones if the file has its joints.
 ///
 /// # Errors
-/// The rig's code for skeletons if its skeleton is not a body, `E-NOT-FINITE` if joint positions are not
-/// finite, `E-UNIT` if the user states a unit in which the skeleton is no person.
+/// The rig's code for skeletons if its skeleton is not a body, `E-NOT-FINITE` if joint positions are not finite,
+/// `E-UNIT` if the skeleton's size is not a person's in the user's unit.
 pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejected> {
     let (skeleton, joint_map) = (&options.skeleton, options.user_map.as_ref());
     let bones = rig.bones();
@@ -106,8 +106,7 @@ pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejecte
     Ok(clip)
 }
 
-/// The alignment by the first pose that shows a person standing, and what the pose is called; none
-/// if there is no such pose.
+/// The alignment by the first pose that shows a standing person, and the pose's name; none if there is no such pose.
 fn by_rest(
     track: &Track,
     stated: Option<RestPose>,
@@ -153,7 +152,7 @@ fn set_upright(track: &mut Track, stated_up: Option<DVec3>) -> Option<String> {
     Some(format!("{axis} is up in the file"))
 }
 
-/// A note if the feet point backwards by the names of left and right.
+/// A note if the feet point backwards, given which side is left and which is right.
 fn facing_note(track: &Track, origin: Origin) -> Option<String> {
     let believed = match origin {
         Origin::Topology => "build",
@@ -179,7 +178,7 @@ fn mean_up(track: &Track) -> DVec3 {
     sum / track.num_frames() as f64
 }
 
-/// Whether the feet point backwards by the names of the sides.
+/// Whether the feet point backwards, given which side is left and which is right.
 fn feet_point_backwards(track: &Track) -> bool {
     let ahead: f64 = (0..track.num_frames())
         .map(|frame| {
@@ -215,10 +214,10 @@ struct Compared {
 }
 
 impl Carrier<'_> {
-    /// The motion, and the mean distance in metres between the joints of the body and of the source, whose bones keep
-    /// their directions but get the body's lengths. Both start from the same hips, which are rigid parts of the pelvis.
+    /// Returns the motion, and the mean distance in metres between joints of the body and of the source, whose bones
+    /// are rescaled to the body's lengths. Both start from the same hips, which are rigid parts of the pelvis.
     fn carry(&self, rig: &impl Rig, bones: &[Bone<'_>]) -> Result<(Motion, f64), Rejected> {
-        /// Poses held in working precision.
+        /// Number of poses held in double precision at a time.
         const AT_ONCE: usize = 1024;
         let num_frames = rig.frames().len();
         let offsets: [DVec3; NUM_BODY_JOINTS] =
@@ -268,8 +267,8 @@ impl Carrier<'_> {
         global
     }
 
-    /// The global rotation of a joint the source lacks: between its neighbours in spine and neck,
-    /// otherwise that of its parent.
+    /// The global rotation of a joint that the source lacks: interpolated between its neighbours in spine and neck,
+    /// otherwise its parent's.
     fn unmapped(
         &self,
         global: &[DQuat; NUM_BODY_JOINTS],
@@ -296,7 +295,7 @@ impl Carrier<'_> {
 
     /// Positions of the body's joints in a frame in metres, at the height of the scaled source.
     ///
-    /// It follows the hips, not the pelvis joint: skeletons place that joint differently, and feet would slide
+    /// The body follows the hips, not the pelvis joint: skeletons place that joint differently, and feet would slide
     /// whenever the pelvis tilts.
     fn joints(
         &self,
@@ -458,14 +457,14 @@ pub(crate) mod tests {
         for (found, expected) in clip.motion.poses().into_iter().zip(&poses) {
             let (found_points, expected_points) =
                 (skeleton.keypoints(&found), skeleton.keypoints(expected));
-            // Limb bones point exactly where they point in the source.
+            // Limb bones have exactly the source's directions.
             for (joint, child) in [(1, 4), (4, 7), (2, 5), (16, 18), (18, 20), (19, 21)] {
                 let bone = |points: &[DVec3]| (points[child] - points[joint]).normalize();
                 let angle = bone(&found_points).angle_between(bone(&expected_points));
                 assert!(angle < 1e-5, "bone {joint}-{child} is off by {angle} rad");
             }
-            // Twist and trunk are estimates: the rest pelvis leans by 5 degrees to one side and
-            // the rest spine by up to 11 degrees to the back, which no position tells.
+            // Twist and trunk are estimates: the rest pelvis leans by 5 degrees to one side and the rest spine by up to
+            // 11 degrees to the back, which positions cannot show.
             let (found_global, expected_global) = (
                 skeleton.global_rotations(&found),
                 skeleton.global_rotations(expected),
@@ -486,7 +485,7 @@ pub(crate) mod tests {
         text
     }
 
-    /// Names of a rig that no dialect knows, but whose words say what is what.
+    /// Joint names of no known dialect, whose words identify the joints.
     fn wordy(joint: usize) -> String {
         let names = "rig_pelvis thigh.L thigh.R low shin.L shin.R mid foot.L foot.R top toe.L toe.R neck clavicle.L \
                      clavicle.R head upper_arm.L upper_arm.R forearm.L forearm.R hand.L hand.R";
@@ -520,7 +519,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_beast_with_human_names_is_refused() {
-        // Hips that never open: the trunk stays level over the legs, in a zero pose of no meaning.
+        // The hips stay bent: the trunk stays horizontal over the legs. The zero pose is arbitrary.
         let poses: Vec<Pose> = walk(40)
             .into_iter()
             .map(|mut pose| {
@@ -567,7 +566,7 @@ pub(crate) mod tests {
         assert_eq!(found.notes[0], "skeleton map mine of the user");
         assert_notes(&found, "z is up in the file");
         assert_says(&found, "unit m, as the joint map says");
-        // Where its joints are not there, the file speaks for itself.
+        // A file without the map's joints is read as if there were no map.
         let other = read(&RigText::smplx().write(&poses, &skeleton));
         assert_eq!(other.notes[0], "skeleton map smplx");
         assert_notes(&other, "the joint map mine does not fit the file");
@@ -644,7 +643,7 @@ pub(crate) mod tests {
     #[test]
     fn feet_that_stand_keep_standing_on_longer_legs() {
         let skeleton = Skeleton::smplx_neutral();
-        // The pelvis sways over feet that stay: a body of another size does the same.
+        // The pelvis sways over standing feet; they must also stand on a body of another size.
         let poses: Vec<Pose> = (0..40)
             .map(|frame| {
                 let bend = 0.4 + 0.2 * (0.3 * f64::from(frame)).sin();
@@ -665,8 +664,8 @@ pub(crate) mod tests {
         };
         let clip = retarget(&dialect.write(&poses, &skeleton));
         let quality = check(&clip.motion, &skeleton).expect("a valid motion");
-        // Both legs of the body differ in length by a centimetre, so the midpoint of the ankles
-        // stays while each ankle moves a little.
+        // The two legs differ in length by a centimetre, so the midpoint of the ankles is fixed while each ankle moves
+        // a little.
         assert!(quality.foot_skate < 0.02, "{}", quality.foot_skate);
     }
 
@@ -681,7 +680,7 @@ pub(crate) mod tests {
             let skeleton = Skeleton::smplx_neutral();
             let dialect = if scrambled { RigText::scrambled() } else { RigText::smplx() };
             let mut bytes = edited(dialect.write(&walk(4), &skeleton).as_bytes(), edits);
-            // Exponents in the place of digits keep the file valid and its numbers absurd.
+            // Replacing digits by exponents keeps the file valid but makes its numbers absurd.
             for at in digits {
                 let at = at.index(bytes.len());
                 if bytes[at].is_ascii_digit() {

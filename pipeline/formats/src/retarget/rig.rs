@@ -1,4 +1,4 @@
-//! The interface of a source that retargeting needs, independent of its format.
+//! The format-independent interface of a source for retargeting.
 
 use std::ops::Range;
 
@@ -18,7 +18,7 @@ pub struct Bone<'a> {
     pub tip: Option<DVec3>,
 }
 
-/// Whether each bone is one of some bones or an ancestor of one. `parents` holds the parent of every bone.
+/// Marks `bones` and all their ancestors. `parents` holds the parent of every bone.
 pub(crate) fn with_ancestors(
     parents: &[Option<usize>],
     bones: impl IntoIterator<Item = usize>,

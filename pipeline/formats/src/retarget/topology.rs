@@ -19,9 +19,9 @@ type Chain = Vec<usize>;
 
 /// The body joints of a skeleton, `[22]`; none if it does not look like a body.
 ///
-/// The pelvis has two chains of equal length, the legs, and a third child that leads to a bone with
-/// two more such chains, the arms. The head is the remaining chain of that bone whose end is farthest
-/// from the feet. The toes point to the front, and the front tells left from right.
+/// The pelvis has two chains of equal length, the legs, and a third child that leads to a bone with two more such
+/// chains, the arms. The head is the remaining chain of that bone whose end is farthest from the feet. The toes point
+/// to the front, which determines left and right.
 pub(super) fn guess(
     bones: &[Bone<'_>],
     rest: &[Placed],

@@ -7,12 +7,12 @@ use super::joint_map::Mapping;
 use super::rig::{Bone, Placed, Rest, Rig, with_ancestors};
 use clip::Rejected;
 
-/// Global rotations and positions of the mapped joints of a source, in its own unit. Of long motions
-/// it holds evenly spaced frames, from which everything is estimated that is constant.
+/// Global rotations and positions of the mapped joints of a source, in its own unit. Long motions are sampled at evenly
+/// spaced frames, from which constants are estimated.
 pub(super) struct Track {
     source_of: [Option<usize>; NUM_BODY_JOINTS],
     anchors: [Anchor; NUM_BODY_JOINTS],
-    /// Frames of the source to each that is held.
+    /// Number of source frames per held frame.
     stride: usize,
     /// Rotation of the source's axes so far.
     turn: DQuat,
@@ -184,7 +184,7 @@ impl Track {
         &self.points[frame]
     }
 
-    /// The first frame as such a pose.
+    /// The first frame as a rest pose.
     pub(super) fn first_frame(&self) -> TrackRest {
         TrackRest {
             name: "first frame",

@@ -1,5 +1,5 @@
-//! The unit of a source skeleton. The motion is scaled by the ratio of the legs, so that the unit decides nothing:
-//! it is noted, and a stated one that makes no person of the skeleton is found out.
+//! The unit of a source skeleton. Motions are scaled by the ratio of leg lengths, so the unit does not affect them: it
+//! is only noted, and a stated unit in which the skeleton is not of a person's size is refused.
 
 use datasets_spec::Skeleton;
 
@@ -30,7 +30,7 @@ pub(crate) fn body_height(skeleton: &Skeleton) -> f64 {
 /// The note on the unit. `map` is the user's joint map, if it fits the file.
 ///
 /// # Errors
-/// `E-UNIT` if the user states a unit in which the skeleton is no person.
+/// `E-UNIT` if the skeleton's size is not a person's in the user's unit.
 pub(super) fn note(
     rig: &impl Rig,
     track: &Track,
@@ -70,7 +70,7 @@ pub(super) fn note(
     }
 }
 
-/// The unit that the leg's length suggests, and others in which it is a person's too.
+/// The most plausible unit for the leg's length, and the other plausible ones.
 fn guessed(leg: f64, body_leg: f64, height: f64) -> String {
     /// Largest ratio of a person's leg to the body's.
     const PLAUSIBLE: f64 = 1.45;

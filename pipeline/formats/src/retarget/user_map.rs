@@ -13,15 +13,14 @@ use serde::{Deserialize, Serialize};
 ///  "unit": 0.01, "up": "z", "rest": "first-frame"}
 /// ```
 ///
-/// `joints` gives the source name of each SMPL-X body joint. `unit` is the number of metres of the
-/// file's unit, `up` the axis that is up in the file (x, y, z or one of them with a minus), `rest`
-/// the pose in which the source stands upright: `zero-pose` or `first-frame`. All three are
-/// optional and found from the motion otherwise.
+/// `joints` gives the source name of each SMPL-X body joint. `unit` is the length of the file's unit in metres, `up`
+/// the axis that is up in the file (x, y, z or one of them with a minus), `rest` the pose in which the source stands
+/// upright: `zero-pose` or `first-frame`. All three are optional; by default they are estimated from the motion.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UserMap {
     name: String,
     joints: BTreeMap<Joint, String>,
-    /// Metres of the file's unit.
+    /// Length of the file's unit in metres.
     pub(super) unit: Option<f64>,
     /// The axis that is up.
     pub(super) up: Option<Up>,
@@ -70,7 +69,7 @@ pub(super) enum RestPose {
     FirstFrame,
 }
 
-/// Why a joint map is refused.
+/// Error of parsing a joint map.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum UserMapError {
@@ -113,8 +112,8 @@ impl UserMap {
     /// Parses the JSON text of a map.
     ///
     /// # Errors
-    /// The text is no such JSON, a joint is unknown, a source joint is named twice, or the unit is
-    /// not positive.
+    /// The text is not JSON of this form, a joint is unknown, a source joint is named twice, or the unit is not
+    /// positive.
     pub fn parse(text: &str) -> Result<Self, UserMapError> {
         let file: File = serde_json::from_str(text)?;
         let mut joints: BTreeMap<Joint, String> = BTreeMap::new();

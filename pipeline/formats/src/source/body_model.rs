@@ -13,8 +13,8 @@ use clip::{Rejected, rejected};
 use pickle::npy::{self, Array};
 use pickle::npz::Archive;
 
-/// Limit on arrays of a model in bytes, except its shapes. The joint regressor of SMPL-X takes 4.6 MB; pose
-/// blend shapes take hundreds and are not read.
+/// Limit on arrays of a model in bytes, except its shapes. The joint regressor of SMPL-X takes 4.6 MB; pose blend
+/// shapes take hundreds of MB and are not read.
 const MAX_ARRAY_LEN: u64 = 64 << 20;
 /// Limit on the array of blend shapes in bytes: the 400 of SMPL-X take 101 MB.
 const MAX_SHAPES_LEN: u64 = 256 << 20;
@@ -24,21 +24,21 @@ const NUM_BETAS: usize = 10;
 const NUM_SMPLH_JOINTS: usize = 52;
 /// Joints of SMPL-X between body and hands that SMPL-H lacks: jaw and both eyes.
 const NUM_FACE_JOINTS: usize = NUM_JOINTS - NUM_SMPLH_JOINTS;
-/// Heights in metres of the head above the pelvis that a grown person in metres can have: 0.62 for
-/// the neutral body. A model in centimetres, or one lying down, is outside.
+/// Plausible heights in metres of an adult's head above the pelvis: 0.62 for the neutral body. A model in centimetres,
+/// or one lying down, is outside.
 const HEAD_ABOVE_PELVIS_M: std::ops::Range<f64> = 0.3..1.2;
 const HEAD: usize = 15;
 const LEFT_HIP: usize = 1;
 const RIGHT_HIP: usize = 2;
-/// Hexadecimal digits of the hash in a skeleton's name.
+/// Number of hexadecimal digits of the hash in a skeleton's name.
 const HASH_DIGITS: usize = 8;
 
 /// Reads the rest joints of a body model, betas zero.
 ///
-/// Of an npz these are `J_regressor . v_template`, whose tree must be that of SMPL-X (55 joints) or
-/// SMPL-H (52); an npy holds the `[55, 3]` joints themselves. The jaw and the eyes, which SMPL-H
-/// does not have, are put where they are on the neutral SMPL-X body relative to the head. The name
-/// of the skeleton is that of the file and the start of the BLAKE3 of the joints.
+/// From an npz they are `J_regressor . v_template`, and the joint tree must be that of SMPL-X (55 joints) or SMPL-H
+/// (52); an npy holds the `[55, 3]` joints themselves. SMPL-H has no jaw and eyes; they get their positions relative to
+/// the head on the neutral SMPL-X body. The skeleton's name is the file's name and the start of the BLAKE3 of the
+/// joints.
 ///
 /// # Units
 /// Metres, y up, the body's left at +x.
@@ -74,17 +74,17 @@ fn unusable(path: &Path) -> impl Fn(Rejected) -> Error {
     }
 }
 
-/// A body model with its shapes: where the joints of each subject rest.
+/// A body model with shapes, for the rest joints of each subject.
 #[derive(Clone)]
 pub struct BodyModel {
     /// Joints with all betas zero; 52 for SMPL-H, 55 for SMPL-X.
     joints: Vec<DVec3>,
-    /// How the joints move with each beta, by beta.
+    /// Joint displacements per unit of each beta, `[betas, joints]`.
     shapes: Vec<Vec<DVec3>>,
 }
 
 impl BodyModel {
-    /// Reads a model from an npz that holds `shapedirs` beside what [`read_skeleton`] needs.
+    /// Reads a model from an npz with `shapedirs` and the arrays that [`read_skeleton`] needs.
     ///
     /// # Errors
     /// The file cannot be read, or is no such model.
@@ -132,8 +132,8 @@ impl BodyModel {
         Ok(Self { joints, shapes })
     }
 
-    /// The rest skeleton of a subject. Betas beyond those of the model and beyond the tenth are ignored, as in
-    /// the published preparation.
+    /// The rest skeleton of a subject. Betas beyond the model's and beyond the tenth are ignored, as in the published
+    /// preparation.
     pub fn skeleton(&self, name: &str, betas: &[f64]) -> Skeleton {
         let joints: Vec<DVec3> = (0..self.joints.len())
             .map(|joint| {
@@ -185,7 +185,7 @@ impl Subjects {
     /// `smplh/female/model.npz` and `SMPLX_MALE.npz`.
     ///
     /// # Errors
-    /// There is none or more than one for a gender, or one cannot be read.
+    /// A gender has no model or more than one, or a model cannot be read.
     pub fn read(folder: &Path) -> Result<Self, Error> {
         let mut files = Vec::new();
         list_npz(folder, 0, &mut files)?;
@@ -223,12 +223,11 @@ impl Subjects {
         })
     }
 
-    /// The rest skeleton of a subject of AMASS; none if the models are of another kind than the
-    /// parameters.
+    /// The rest skeleton of a subject of AMASS; none if the models do not match the kind of the parameters.
     ///
     /// # Source
-    /// HumanML3D's `raw_pose_processing` takes the male model for the gender `male` and the female
-    /// one for everything else, and ten betas.
+    /// HumanML3D's `raw_pose_processing` uses the male model for the gender `male`, the female one otherwise, and ten
+    /// betas.
     pub fn body(&self, is_smplh: bool, gender: Option<&str>, betas: &[f64]) -> Option<Skeleton> {
         let (model, name) = match gender {
             Some("male") => (&self.male, "male subject"),
@@ -357,7 +356,7 @@ impl Template {
         })
     }
 
-    /// The weighted mean of a vector of each vertex, by joint.
+    /// The weighted mean per joint of a vector given for each vertex.
     fn means(&self, of_vertices: &[DVec3]) -> Vec<DVec3> {
         let weighted_mean = |weights: &[f64]| -> DVec3 {
             let weighted = weights.iter().zip(of_vertices);
@@ -377,8 +376,8 @@ fn smplx_index(joint: usize, num_joints: usize) -> usize {
     }
 }
 
-/// Checks that the first row of `kintree_table` names the parents of SMPL-X, the root's excepted,
-/// which is written as -1 or as that number without sign.
+/// Checks that the first row of `kintree_table` names the parents of SMPL-X, except for the root's, which is -1 or its
+/// unsigned value.
 fn check_tree(tree: &Array, num_joints: usize) -> Result<(), Rejected> {
     if tree.shape != [2, num_joints] {
         return Err(bad_shape("kintree_table", tree, "[2, joints]"));
@@ -410,7 +409,7 @@ fn known_count(num_joints: usize) -> Result<(), Rejected> {
     }
 }
 
-/// Places joints that the model lacks as on the neutral body, relative to their parents.
+/// Adds joints that the model lacks, at the neutral body's positions relative to their parents.
 fn complete(joints: Vec<DVec3>) -> Result<[DVec3; NUM_JOINTS], Rejected> {
     known_count(joints.len())?;
     let neutral = Skeleton::smplx_neutral();
@@ -536,7 +535,7 @@ pub(crate) mod tests {
         let neutral = Skeleton::smplx_neutral();
         let read = skeleton("SMPLX_NEUTRAL.npz", &npz(&smplx())).expect("a model");
         for joint in 0..NUM_JOINTS {
-            // Two halves of a sum in f64.
+            // Rounding of the mean of two vertices in f64.
             assert!((read.rest(joint) - neutral.rest(joint)).length() < 1e-12);
         }
         let (stem, hash) = read.name().rsplit_once('-').expect("a name and a hash");
@@ -666,7 +665,7 @@ pub(crate) mod tests {
     }
 
     proptest! {
-        // Each case writes a file.
+        // Few cases, because each writes a file.
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
         fn no_bytes_make_it_panic(

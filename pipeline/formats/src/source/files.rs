@@ -15,7 +15,7 @@ use clip::{Rejected, rejected};
 pub struct Files {
     store: Arc<dyn Store>,
     paths: BTreeMap<String, PathBuf>,
-    /// Files of the folders at URLs that something was looked for in; none of those that cannot be listed.
+    /// Listings of folders at URLs, made on first use; none for folders that cannot be listed.
     folders: Folders,
     /// The archives that some of the files are in.
     archives: Archives,
@@ -24,7 +24,7 @@ pub struct Files {
 type Folders = Arc<Mutex<BTreeMap<PathBuf, Option<BTreeSet<PathBuf>>>>>;
 
 impl Files {
-    /// Makes the list from the path of every file, by its relative path.
+    /// Makes the list from the files' paths by relative path.
     pub fn new(paths: BTreeMap<String, PathBuf>) -> Self {
         Self::on(ByPath::store(), paths)
     }
@@ -96,17 +96,17 @@ impl Files {
         self.paths.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no files.
     pub fn is_empty(&self) -> bool {
         self.paths.is_empty()
     }
 
-    /// Whether there is such a file.
+    /// Whether there is a file with this relative path.
     pub fn contains(&self, relative: &str) -> bool {
         self.paths.contains_key(relative)
     }
 
-    /// Where a file is.
+    /// The path of a file; none if there is no such file.
     pub fn path(&self, relative: &str) -> Option<&Path> {
         self.paths.get(relative).map(PathBuf::as_path)
     }
@@ -119,7 +119,7 @@ impl Files {
         self.with(relative, |path| self.store.read(path))
     }
 
-    /// Opens a file to be read from its beginning.
+    /// Opens a file for sequential reading.
     ///
     /// # Errors
     /// As [`Files::read`].
@@ -135,8 +135,7 @@ impl Files {
         self.with(relative, |path| self.store.open_at(path).map(Reader::new))
     }
 
-    /// Whether there can be a file at a path. At a URL, where every look costs a request, its folder is listed
-    /// once.
+    /// Whether there can be a file at a path. At a URL, where every check costs a request, the folder is listed once.
     fn may_be_there(&self, path: &Path) -> bool {
         let Some(folder) = path.parent().filter(|_| is_url(path)) else {
             return true;

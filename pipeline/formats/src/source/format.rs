@@ -49,18 +49,18 @@ pub trait SourceFormat: Send + Sync {
         Outcome::Rejected(Rejected::read("E-INTERNAL", reason))
     }
 
-    /// What reads the markers of a file, for formats of captures.
+    /// The function that reads the markers of a file, for formats of captures.
     fn capture_reader(&self) -> Option<ReadCapture> {
         None
     }
 
-    /// Refuses a large file by what its headers say, before all of it is read.
+    /// Refuses a large file from its headers, before all of it is read.
     fn refuse_large(&self, _file: Reader) -> Option<Rejected> {
         None
     }
 
-    /// Reads the one motion of a file of about so many bytes piece by piece, for formats whose files
-    /// are much larger than their motions. None, before anything is read, if the file is read whole.
+    /// Reads a file that holds one motion in pieces, for formats whose files are much larger than their motions. None,
+    /// without reading anything, if the format reads files whole.
     fn read_in_pieces(
         &self,
         _file: &mut dyn Read,
@@ -90,8 +90,8 @@ pub struct Format {
 }
 
 impl Format {
-    /// A format of single files, each of which holds one recording: its name, what it is recognised by and where its
-    /// rotations come from, the bytes per second of motion in its files, and what it does.
+    /// A format of single files, each of which holds one recording. `about` says how files are recognised and where
+    /// rotations come from.
     pub const fn of_files(
         name: &'static str,
         about: &'static str,
@@ -125,7 +125,7 @@ impl Format {
         !self.of_releases
     }
 
-    /// What it is recognised by and where its rotations come from, as the help says it.
+    /// How files are recognised and where rotations come from, for the help text.
     pub fn about(self) -> &'static str {
         self.about
     }
@@ -195,7 +195,7 @@ pub struct Entry {
 /// The files of a release.
 #[derive(Debug, Default)]
 pub struct Contents {
-    /// Motions of the release, in an order that depends on the files alone.
+    /// Motions of the release, in an order that only depends on the files.
     pub entries: Vec<Entry>,
     /// Files without a motion of their own, with the reason why each is skipped. Every file of the
     /// release is named here, in `rejected` or by an entry.

@@ -10,10 +10,10 @@ use datasets_spec::store::{ByPath, Store as _};
 pub(super) const LFS_POINTER: &[u8] = b"version https://git-lfs.github.com/spec/";
 pub(super) const UTF8_BOM: &[u8] = b"\xEF\xBB\xBF";
 
-/// Bytes looked at to recognise a file.
+/// Number of bytes read to recognise a file.
 pub const HEAD_BYTES: usize = 512;
 
-/// The first bytes of a file; none if it cannot be read, which the hash reports.
+/// The first bytes of a file; empty if it cannot be read. Hashing the file reports the error.
 pub fn read_head(path: &Path) -> Vec<u8> {
     let read = || {
         let file = ByPath.open_at(path)?;

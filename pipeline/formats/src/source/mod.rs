@@ -1,8 +1,8 @@
 //! Foreign motion files: how they are recognised, and how one file becomes one clip.
 //!
-//! Everything specific to a foreign format (units, up axis, joint names, frame rate, place of the
-//! labels) ends here: a [`SourceClip`](clip::SourceClip) is SMPL-X parameters with y up and in metres.
-//! Nothing in this module panics on hostile bytes; whatever is wrong becomes a [`Rejected`](clip::Rejected).
+//! Everything specific to a foreign format (units, up axis, joint names, frame rate, location of the labels) ends here:
+//! a [`SourceClip`](clip::SourceClip) holds SMPL-X parameters with y up and in metres. Nothing in this module panics on
+//! hostile bytes; every error becomes a [`Rejected`](clip::Rejected).
 
 mod files;
 mod format;
@@ -147,7 +147,7 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
 
 /// Kind of an archive, by its name or its first bytes.
 fn archive_kind(name: &str, extension: &str, head: &[u8]) -> Option<&'static str> {
-    /// Place of the magic of a tar header.
+    /// Offset of the magic of a tar header.
     const TAR_MAGIC_AT: usize = 257;
     if name.ends_with(".tar.gz") || extension == "tgz" {
         return Some("tar.gz");
@@ -189,8 +189,7 @@ pub fn read_clip(
     label(outcome, path, companions, around)
 }
 
-/// Adds the labels beside a file to the clip that was read from it. `companions` is that of
-/// [`read_clip`], as is `around`.
+/// Adds the labels beside a file to the clip that was read from it. `companions` and `around` are as in [`read_clip`].
 pub fn label(
     outcome: Outcome,
     path: &Path,
@@ -410,7 +409,7 @@ mod tests {
                         );
                     }
                     Some("walk" | "run" | "dash") => {
-                        // Summed over the frames, the body moves to where its hips face.
+                        // In total, the body moves in the direction that its hips face.
                         let ahead: f64 = points
                             .windows(2)
                             .map(|pair| {

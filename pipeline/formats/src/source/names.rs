@@ -54,13 +54,13 @@ pub(super) fn shown(token: &[u8]) -> String {
     format!("\"{text}\"")
 }
 
-/// Names of the motions in a file as keys, each different and without control characters. `unnamed` makes up the
-/// key of a motion without a name.
+/// Turns the names of a file's motions into unique keys without control characters. `unnamed` makes the key of a motion
+/// without a name.
 pub fn unique_keys(
     names: impl Iterator<Item = impl AsRef<str>>,
     unnamed: impl Fn(usize) -> String,
 ) -> Vec<String> {
-    /// Longest part of a name that is kept, in characters: keys become parts of ids.
+    /// Number of characters of a name that are kept, because keys become parts of ids.
     const LONGEST: usize = 64;
     let mut taken = BTreeSet::new();
     let keys = names.enumerate().map(|(index, name)| {
@@ -103,7 +103,7 @@ pub fn name_of_text(text: &str) -> OsString {
     from_bytes(bytes)
 }
 
-/// A path as part of an id, where `#`, `@` and a final `~m` begin what was made of a clip.
+/// Escapes a path for use in an id, in which `#`, `@` and a final `~m` mark derived clips.
 pub fn escaped(path: &str) -> String {
     let path = path
         .replace('%', "%25")

@@ -1,4 +1,4 @@
-//! How files are read.
+//! Options for reading files.
 
 use std::sync::Arc;
 
@@ -9,12 +9,12 @@ use super::unit::Unit;
 use crate::markers::MarkerSet;
 use crate::retarget::UserMap;
 
-/// How files are turned into clips.
+/// Options for turning files into clips.
 #[derive(Clone, Debug)]
 pub struct ReadOptions {
     /// Skeleton the motions are posed on.
     pub skeleton: Skeleton,
-    /// The user's joint names, which take precedence over known ones.
+    /// The user's joint map, which takes precedence over known ones.
     pub user_map: Option<UserMap>,
     /// The user's marker set, which takes precedence over known ones.
     pub markers: Option<MarkerSet>,
@@ -23,7 +23,7 @@ pub struct ReadOptions {
     /// The wanted rate, interpolated at exact times. Readers that can skip frames use it; the others keep the
     /// file's own rate.
     pub rate: Option<Fps>,
-    /// Accept a BVH or TRC file whose number of rows differs from what its header says.
+    /// Accept a BVH or TRC file whose number of rows differs from the header's.
     pub lenient: bool,
     /// Body models by gender, to compute features of AMASS on each subject's own body.
     pub subjects: Option<Arc<Subjects>>,

@@ -63,26 +63,26 @@ pub(crate) fn says(clip: &SourceClip, words: &str) -> bool {
     clip.notes.iter().any(|note| note.contains(words))
 }
 
-/// A note of a clip contains some words.
+/// Asserts that a note of a clip contains some words.
 #[track_caller]
 pub(crate) fn assert_says(clip: &SourceClip, words: &str) {
     assert!(says(clip, words), "{words}: {:?}", clip.notes);
 }
 
-/// One of the notes of a clip is this one, word for word.
+/// Asserts that a clip has exactly this note.
 #[track_caller]
 pub(crate) fn assert_notes(clip: &SourceClip, note: &str) {
     let is_there = clip.notes.iter().any(|found| found == note);
     assert!(is_there, "{note}: {:?}", clip.notes);
 }
 
-/// A text contains some words.
+/// Asserts that a text contains some words.
 #[track_caller]
 pub(crate) fn assert_contains(text: &str, words: &str) {
     assert!(text.contains(words), "{words}: {text}");
 }
 
-/// A rejection has a code, and its reason contains some words.
+/// Asserts that a rejection has a code, and that its reason contains some words.
 #[track_caller]
 pub(crate) fn assert_refused(rejected: &Rejected, code: &str, words: &str) {
     assert_eq!(rejected.code, code, "{}", rejected.reason);
@@ -101,7 +101,7 @@ pub(super) fn codes(release: &dyn Release) -> Vec<&str> {
     rejected.map(|(_, rejected)| rejected.code).collect()
 }
 
-/// Both motions have their keypoints in the same places.
+/// Asserts that the keypoints of both motions agree to within `metres`.
 #[track_caller]
 pub(crate) fn assert_same_places(found: &Motion, expected: &Motion, metres: f64) {
     let skeleton = Skeleton::smplx_neutral();
@@ -123,10 +123,10 @@ pub(crate) fn edited(bytes: &[u8], edits: Vec<(Index, u8)>) -> Vec<u8> {
     edited
 }
 
-/// A folder or file of the real ones; none where `STANCE_TEST_DATA` is not set.
+/// A folder or file of the real test data; none if `STANCE_TEST_DATA` is not set.
 ///
 /// # Panics
-/// If the variable is set and there is no such folder or file: a test that was asked for must not pass unrun.
+/// If the variable is set and there is no such folder or file: a requested test must not pass without running.
 #[track_caller]
 pub(super) fn test_data(path: &str) -> Option<PathBuf> {
     let Some(root) = std::env::var_os("STANCE_TEST_DATA") else {

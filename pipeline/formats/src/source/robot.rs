@@ -10,7 +10,7 @@ use super::head::UTF8_BOM;
 const G1_COLUMNS: usize = 36;
 /// Minimum number of columns in the visible part of a longer first line to recognise the file.
 const MIN_COLUMNS_SEEN: usize = 20;
-/// How far the length of a quaternion of a file is from 1.
+/// Largest deviation of a quaternion's length from 1.
 const QUATERNION_TOLERANCE: f64 = 0.02;
 /// First columns of BONES-SEED's motions of the G1.
 const SEED_HEADER: &str = "frame,root_translatex,";
@@ -20,7 +20,7 @@ const ADVICE: &str = "robots have no body to pose; ingest the human motion it wa
 
 /// Why a CSV file is skipped, if its first bytes are rows of a robot.
 pub(super) fn csv_rows(head: &[u8]) -> Option<String> {
-    /// Bytes looked at: a row of 36 numbers with all their digits takes a kilobyte.
+    /// Number of bytes searched: a row of 36 numbers with all their digits takes a kilobyte.
     const SEEN: usize = 4096;
     let head = &head[..head.len().min(SEEN)];
     let text = String::from_utf8_lossy(head.strip_prefix(UTF8_BOM).unwrap_or(head));
@@ -85,7 +85,7 @@ pub(super) fn pickled(value: &Value) -> Option<String> {
     })
 }
 
-/// Why an npz archive is skipped, if its arrays are those of a robot's motion.
+/// Why an npz archive is skipped, if its arrays are of a robot's motion.
 pub(super) fn archived(has: impl Fn(&str) -> bool) -> Option<String> {
     let of_tracking = has("joint_pos") && has("body_pos_w");
     let of_retargeting = has("dof_pos") && (has("root_pos") || has("root_rot"));

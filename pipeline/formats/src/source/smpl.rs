@@ -43,8 +43,8 @@ impl Parameters {
         ))
     }
 
-    /// The motion with the world turned by `turn`, which makes y point up, and put on the floor.
-    /// Body rotations keep their bits.
+    /// The motion with the world rotated by `turn` to y up, and put on the floor. Body rotations are copied bit for
+    /// bit.
     ///
     /// # Errors
     /// `E-NOT-FINITE` if a number is not finite, `E-TOO-SHORT` if there is no frame.
@@ -103,7 +103,7 @@ impl Parameters {
     }
 }
 
-/// The frames of an array of `D` numbers a frame, in whatever dimensions they are laid out.
+/// The frames of an array of any shape with `D` numbers per frame.
 pub fn column<const D: usize>(value: &Value, key: &str) -> Result<Vec<[f32; D]>, Rejected> {
     let found = value.get(key).unwrap_or(&Value::None);
     let array = found.as_array().filter(|array| {

@@ -6,12 +6,12 @@ use datasets_spec::record::{MaskRow, PairRow};
 
 use clip::{EditOf, SourceMask};
 
-/// The masks of motions, and the pairs that lead to them.
+/// Masks of motions, and pairs with their targets.
 #[derive(Debug, Default)]
 pub(super) struct StoredLabels {
-    /// By motion.
+    /// Masks by motion.
     pub(super) masks: BTreeMap<String, Vec<MaskRow>>,
-    /// By target.
+    /// Pairs by target.
     pub(super) pairs: BTreeMap<String, Vec<PairRow>>,
 }
 

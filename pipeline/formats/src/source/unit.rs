@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// Heights of a person in metres.
 pub(crate) const PERSON_M: RangeInclusive<f64> = 0.5..=2.5;
 
-/// Common height of a person in metres: the unit that comes nearest to it is suspected first.
+/// Typical height of a person in metres: the unit whose result is nearest to it is suspected first.
 const COMMON_M: f64 = 1.7;
 
 /// A unit of length.
@@ -19,7 +19,7 @@ pub struct Unit {
     metres: f64,
 }
 
-/// Units by their names: how this program writes them, how else files do, and the metres.
+/// Units: name in this program, other names in files, and length in metres.
 const UNITS: [(&str, &[&str], f64); 6] = [
     ("m", &["meter", "meters", "metre", "metres"], 1.0),
     (
@@ -41,10 +41,10 @@ const UNITS: [(&str, &[&str], f64); 6] = [
     ("ft", &["foot", "feet"], 0.3048),
 ];
 
-/// How many of [`UNITS`] are suspected where a file states another.
+/// Number of the first [`UNITS`] that are suspected if the stated unit is implausible.
 const NUM_COMMON: usize = 4;
 
-/// Why a text is no unit.
+/// Error of parsing a unit.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected mm, cm, dm, m, in, ft or a number of metres, got {text:?}")]
 pub struct UnitError {
@@ -57,7 +57,7 @@ impl Unit {
     /// The millimetre.
     pub const MILLIMETRE: Self = Self { metres: 0.001 };
 
-    /// A unit of this many metres; none if that is no positive number.
+    /// A unit of this many metres; none if the number is not positive and finite.
     pub fn of_metres(metres: f64) -> Option<Self> {
         (metres.is_finite() && metres > 0.0).then_some(Self { metres })
     }
@@ -77,7 +77,7 @@ impl Unit {
     }
 }
 
-/// A name or a number of metres.
+/// Parses a name, or a number of metres.
 impl FromStr for Unit {
     type Err = UnitError;
 
@@ -101,7 +101,7 @@ impl fmt::Display for Unit {
     }
 }
 
-/// Common units in which a person of this many units has a person's height, the likeliest first.
+/// Common units in which `height` is a person's height, the likeliest first.
 pub(crate) fn suspected(height: f64) -> Vec<Unit> {
     let common = UNITS[..NUM_COMMON].iter();
     let mut units: Vec<Unit> = common
@@ -113,8 +113,7 @@ pub(crate) fn suspected(height: f64) -> Vec<Unit> {
     units
 }
 
-/// Why a person of this many units is none in the file's unit, and what to do. `stated` says where the unit comes
-/// from.
+/// Says why `height` is not a person's height in `unit`, and what to do. `stated` says where the unit comes from.
 pub(crate) fn misfit(height: f64, unit: Unit, stated: &str) -> String {
     let found = format!(
         "a person would be {} m tall in {unit}, {stated}; expected {} to {} m",

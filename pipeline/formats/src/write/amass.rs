@@ -1,5 +1,4 @@
-//! AMASS archives: the SMPL-H layout (`*_poses.npz`) and that of the SMPL-X N release
-//! (`*_stageii.npz`).
+//! AMASS archives: the SMPL-H layout (`*_poses.npz`) and the layout of the SMPL-X N release (`*_stageii.npz`).
 //!
 //! AMASS is z up. The reader's rule `p' = (x, z, -y)`, a rotation `Q` by -90 degrees about x with
 //! `R' = Q R` and `t' = Q (t + J0) - J0`, is inverted here; `J0` is the rest pelvis of the skeleton.
@@ -20,22 +19,22 @@ use crate::source::smpl::y_up_from_z_up;
 const SMPLH_JOINTS: usize = 52;
 /// Joints of a row of `poses` in the SMPL-X layout.
 const SMPLX_JOINTS: usize = 55;
-/// Numbers of `betas`.
+/// Number of `betas`.
 const NUM_BETAS: usize = 16;
-/// Numbers of a row of `dmpls`, the soft-tissue coefficients.
+/// Columns of `dmpls`, the soft-tissue coefficients.
 const NUM_DMPLS: usize = 8;
 
 /// Lowest rate in 1/s of archives for other tools.
 const LOWEST_FPS: f64 = 60.0;
 
-/// The motion at the smallest whole multiple of its rate that is at least 60 fps, as recordings of AMASS are.
+/// Resamples a motion to the smallest multiple of its rate that is at least 60 fps, like recordings of AMASS.
 ///
-/// Tools that bring AMASS to 20 or 30 fps take every n-th frame, n being the quotient of the rates rounded down; GMR
-/// takes frames of less than 30 fps for frames of 30 fps. A motion of 20 fps would be played too fast. Every frame
-/// of the motion is a frame of the result.
+/// Tools that convert AMASS to 20 or 30 fps take every n-th frame, with n the ratio of the rates rounded down; GMR
+/// treats lower rates than 30 fps as 30 fps. A motion of 20 fps would be played too fast. The result contains every
+/// frame of the motion.
 ///
 /// # Errors
-/// The motion cannot be brought to the rate.
+/// The motion cannot be resampled.
 pub fn at_rate_of_recordings(motion: &Motion) -> Result<Motion, kinematics::Error> {
     /// Rates slightly below, such as 59.94 fps, are kept.
     const SLACK: f64 = 0.01;
@@ -58,7 +57,7 @@ pub struct Parameters {
 }
 
 impl Parameters {
-    /// The parameters of a motion, at its rate, of a body.
+    /// The parameters of a motion on a body, at the motion's rate.
     pub fn of(motion: &Motion, skeleton: &Skeleton) -> Self {
         let file_from_motion = y_up_from_z_up().conjugate();
         let rest_pelvis = skeleton.rest(0);
@@ -111,9 +110,8 @@ pub fn encode(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
     archive.finish()
 }
 
-/// Encodes a motion in the layout of the SMPL-X N release: `poses` `[L, 165]` (root, body, jaw, eyes,
-/// hands) and the same in parts, `trans` `[L, 3]`, `betas` zero, gender neutral, the rate under both
-/// names in use. Hands, jaw and eyes
+/// Encodes a motion in the layout of the SMPL-X N release: `poses` `[L, 165]` (root, body, jaw, eyes, hands) and the
+/// same in parts, `trans` `[L, 3]`, `betas` zero, gender neutral, the rate under both names in use. Hands, jaw and eyes
 /// are at rest.
 ///
 /// # Errors

@@ -84,12 +84,11 @@ const HIERARCHY: [FileJoint; 25] = [
     tip("RightHand", 23, Joint::RightWrist, RIGHT_MIDDLE),
 ];
 
-/// Length in metres of the toes beyond the toe joint; the skeleton has no joint at their end.
+/// Distance in metres from the toe joint to the tip of the toes, for which the skeleton has no joint.
 const TOE_LENGTH: f64 = 0.06;
 
-/// Encodes a motion as BVH: centimetres, y up, the T-pose of the skeleton as zero pose, rotation
-/// channels in the order Z, Y, X of the CMU conversions. Every body joint has a joint in the file, so only
-/// the last digits are lost.
+/// Encodes a motion as BVH: centimetres, y up, the T-pose of the skeleton as zero pose, rotation channels in the order
+/// Z, Y, X of the CMU conversions. Every body joint has a joint in the file, so the only loss is rounding.
 pub fn encode(motion: &Motion, skeleton: &Skeleton) -> String {
     // About 8 characters for each of the 3 positions and 75 rotations of a frame.
     let mut out = String::with_capacity(8192 + motion.len() * 8 * 80);
@@ -162,8 +161,8 @@ fn write_offset(out: &mut String, indent: &str, offset: DVec3) {
     *out += &format!("{indent}\tOFFSET {:.6} {:.6} {:.6}\n", cm.x, cm.y, cm.z);
 }
 
-/// Angles `[z, y, x]` in radians with `R = Rz Ry Rx`. Where y is a quarter turn, z and x rotate about the
-/// same axis, and x is set to zero.
+/// Angles `[z, y, x]` in radians with `R = Rz Ry Rx`. If y is a quarter turn, z and x rotate about the same axis, and x
+/// is set to zero.
 fn euler_zyx(rotation: DQuat) -> [f64; 3] {
     let m = DMat3::from_quat(rotation);
     let cos_y = m.x_axis.x.hypot(m.x_axis.y);
@@ -199,7 +198,7 @@ mod tests {
                 .iter()
                 .position(|file_joint| file_joint.joint == Some(joint))
                 .expect("present");
-            // Joints of zero length lie between some joints and their parents.
+            // Skip the zero-length joints between a joint and its parent.
             let mut above = HIERARCHY[at].parent;
             while let Some(index) = above
                 && HIERARCHY[index].joint.is_none()
@@ -266,7 +265,7 @@ mod tests {
             crate::retarget::clip(&bvh.expect("valid"), &crate::source::ReadOptions::default())
                 .expect("a body");
         assert_eq!((clip.motion.fps(), clip.motion.len()), (Fps::STORE, 50));
-        // A micrometre for positions and 1e-7 rad for angles is what the file resolves.
+        // The file resolves a micrometre for positions and 1e-7 rad for angles.
         assert_same_places(&clip.motion, &motion, 1e-5);
     }
 

@@ -74,7 +74,7 @@ fn nodes(skeleton: &Skeleton) -> Vec<Value> {
     nodes
 }
 
-/// The matrix that takes a point of the T-pose to the frame of a joint, in column-major order.
+/// The matrix that transforms a point of the T-pose to the frame of a joint, in column-major order.
 fn inverse_bind(rest: DVec3) -> [f32; 16] {
     let back = (-rest).as_vec3();
     glam::Mat4::from_translation(back).to_cols_array()

@@ -1,9 +1,9 @@
-//! Motions as MotionFix stores them: parameters of SMPL-H and joints, z up, 30 fps, each motion placed and
-//! turned by itself.
+//! Motions as MotionFix stores them: parameters of SMPL-H and joints, z up, 30 fps, each motion placed and rotated
+//! independently.
 //!
 //! The first frame has a translation of zero and, as released, faces 45 degrees from +x plus the turn to the second
-//! frame. The body rotations are written unchanged. Joints are those of a SMPL body: with SMPL's bone directions at
-//! rest, and the bone lengths of the dataset's body.
+//! frame. The body rotations are written unchanged. The joints are of a SMPL body: SMPL's bone directions at rest, with
+//! the bone lengths of the dataset's body.
 //!
 //! # Source
 //! athn-nik/motionfix: `canonicalize_rotations` in `src/tools/transforms3d.py`, and `src/data/motionfix.py`, which
@@ -20,7 +20,7 @@ use pickle::Value;
 
 use crate::source::smpl::y_up_from_z_up;
 
-/// Numbers of a frame of `rots`: the root and 21 body joints, axis-angle.
+/// Numbers per frame of `rots`: the root and 21 body joints, axis-angle.
 const ROTATIONS_WIDTH: usize = 3 * NUM_BODY_JOINTS;
 
 /// The arrays of a motion.
@@ -35,10 +35,10 @@ pub struct Parameters {
 }
 
 impl Parameters {
-    /// The arrays of a motion, brought to 30 fps, of a body.
+    /// The arrays of a motion on a body, resampled to 30 fps.
     ///
     /// # Errors
-    /// The motion cannot be brought to the rate.
+    /// The motion cannot be resampled.
     pub fn of(motion: &Motion, skeleton: &Skeleton) -> Result<Self, kinematics::Error> {
         let motion = Resample::Exact.apply(motion, released_fps())?;
         let z_up = y_up_from_z_up().conjugate();
@@ -64,7 +64,7 @@ impl Parameters {
         })
     }
 
-    /// The dictionary of a side of a triplet. `timestamp` is where the motion was cut from, in seconds.
+    /// The dictionary of a side of a triplet. `timestamp` is the time range in seconds that the motion was cut from.
     pub fn value(&self, timestamp: [f64; 2]) -> Value {
         let frames = self.trans.len();
         let joints = self.joint_positions.as_flattened().as_flattened();
@@ -86,7 +86,7 @@ impl Parameters {
     }
 }
 
-/// Places and turns a clip with +z up as released.
+/// Places and rotates a clip with +z up like the released data.
 fn canonicalise(poses: &mut [Pose]) {
     let Some(first) = poses.first() else { return };
     let (start, origin) = (heading(first), first.transl);

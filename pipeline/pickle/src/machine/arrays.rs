@@ -190,11 +190,11 @@ impl Machine<'_> {
         })
     }
 
-    /// The array after one of joblib's wrappers.
+    /// Reads the array that follows one of joblib's wrappers.
     ///
     /// # Source
-    /// `NumpyArrayWrapper` of joblib: the wrapper's attributes, then, where it has an alignment, a
-    /// byte that counts the padding and the padding, then the items.
+    /// `NumpyArrayWrapper` of joblib: the wrapper's attributes; if it has an alignment, a byte with the length of the
+    /// padding, and the padding; then the items.
     pub(super) fn wrapped_array(&mut self, state: Id) -> Result<Node, Error> {
         if !self.wrapped_arrays {
             return Err(self.malformed("found a joblib array outside a joblib dump"));

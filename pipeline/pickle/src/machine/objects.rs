@@ -212,7 +212,7 @@ impl Machine<'_> {
         self.entries(&entries).map(Node::Dict)
     }
 
-    /// The items of the container that a container's class is called with.
+    /// The items of the container that is passed to a container's constructor.
     fn items_of(&self, arguments: &[Id]) -> Result<Vec<Id>, Error> {
         match arguments.first().map(|&items| self.node(items)) {
             None => Ok(Vec::new()),

@@ -5,8 +5,7 @@ use crate::markers::bare_label;
 use crate::markers::label::Subjects;
 use datasets_spec::Fps;
 
-/// Markers of a walk: worn a little elsewhere than the set says, on a person of another size,
-/// z up.
+/// Markers of a walk, z up: slightly displaced from the set's placements, on a person of another size.
 fn captured(num_frames: usize, height: f64) -> (Vec<Pose>, Markers) {
     let skeleton = Skeleton::smplx_neutral();
     let poses = walk(num_frames);
@@ -45,7 +44,7 @@ fn solved(markers: &Markers) -> Result<Solved, SolveError> {
     Solvable::find(markers.clone(), &subject, &options)?.solve(&options.skeleton)
 }
 
-/// Mean distance between the joints of two motions, both about their pelvis.
+/// Mean distance between the joints of two poses, relative to the pelvis.
 fn apart(a: &Pose, b: &Pose) -> f64 {
     let skeleton = Skeleton::smplx_neutral();
     let (a, b) = (skeleton.keypoints(a), skeleton.keypoints(b));
@@ -65,7 +64,7 @@ fn a_known_walk_is_found_in_its_markers() {
     );
     let residuals = &found.markers.fit_residuals;
     let mean_residual = residuals.iter().sum::<f32>() / residuals.len() as f32;
-    // Markers are worn up to 14 mm from where the set has them, and that is found.
+    // The solver recovers marker displacements of up to 14 mm.
     assert!(mean_residual < 0.01, "{mean_residual}");
     let mean = (0..90)
         .map(|frame| apart(&found.motion.pose(frame), &poses[frame]))
@@ -78,7 +77,7 @@ fn a_known_walk_is_found_in_its_markers() {
 fn gaps_are_bridged_and_counted() {
     let (poses, mut markers) = captured(60, 1.0);
     let count = markers.labels.len();
-    // One marker is lost for a while, and all are for five frames.
+    // One marker is lost for 30 frames, and all markers for five.
     for frame in 10..40 {
         markers.residuals[frame * count + 7] = -1.0;
     }

@@ -11,14 +11,14 @@ use super::variant::Variant;
 use crate::source::robot;
 use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
-/// Both spellings of the frame rate: that of the SMPL-H and that of the SMPL-X releases.
+/// Keys of the frame rate in the SMPL-H and in the SMPL-X releases.
 const FPS_KEYS: [&str; 2] = ["mocap_framerate", "mocap_frame_rate"];
 
 /// Contents of an archive.
 pub enum Parsed<'a> {
     /// A recording.
     Parameters(Box<Parameters<'a>>),
-    /// Something that belongs to AMASS and is no motion.
+    /// A file of AMASS that is not a motion.
     NoMotion {
         /// Kind of the file.
         reason: String,
@@ -33,7 +33,7 @@ pub fn parse(bytes: &[u8]) -> Result<Parsed<'_>, Rejected> {
     parse_at(bytes, None)
 }
 
-/// [`parse`], with a rate in 1/s in place of the one the archive states, if any.
+/// Like [`parse`], with a rate in 1/s in place of the archive's, if one is given.
 ///
 /// # Errors
 /// As [`super::read`].
@@ -104,7 +104,7 @@ pub fn parse_at(bytes: &[u8], rate: Option<f64>) -> Result<Parsed<'_>, Rejected>
 /// Variant, number of frames and frame rate, read from the headers of the arrays alone.
 ///
 /// # Errors
-/// As [`super::read`], shapes and rates excepted.
+/// As [`super::read`], except those of shapes and rates.
 pub fn peek<R: Read + Seek>(reader: R) -> Result<Option<(Variant, usize, f64)>, Rejected> {
     let mut archive = Archive::open(reader)?;
     let key = if archive.has("poses") {
@@ -128,7 +128,7 @@ pub fn peek<R: Read + Seek>(reader: R) -> Result<Option<(Variant, usize, f64)>, 
     Ok(variant.map(|variant| (variant, num_frames, fps)))
 }
 
-/// Refuses a recording whose arrays are too large to be read, by the list of members and the headers alone.
+/// Refuses a recording with arrays that are too large to read, from the member list and the headers alone.
 pub(super) fn refuse_large<R: Read + Seek>(reader: R) -> Option<Rejected> {
     let mut archive = Archive::open(reader).ok()?;
     for key in ["poses", "pose_body", "root_orient", "trans"] {
@@ -176,7 +176,7 @@ fn no_poses<'a>(keys: &[String]) -> Result<Parsed<'a>, Rejected> {
     ))
 }
 
-/// An array of two dimensions.
+/// Reads a two-dimensional array.
 fn matrix<'a>(
     archive: &mut Archive<Cursor<&'a [u8]>>,
     bytes: &'a [u8],
@@ -191,7 +191,7 @@ fn matrix<'a>(
     })
 }
 
-/// The shape of the subject's body, which is optional: empty where it cannot be read.
+/// Shape parameters of the subject's body, which are optional: empty if they cannot be read.
 fn read_betas<R: Read + Seek>(archive: &mut Archive<R>) -> Vec<f64> {
     if !archive.has("betas") {
         return Vec::new();

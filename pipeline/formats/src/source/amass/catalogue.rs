@@ -135,7 +135,7 @@ impl Recording {
     }
 }
 
-/// The deepest folder of a path that has a subset's name, by its place in the path, and the subset.
+/// The deepest folder of a path that has a subset's name: its index in the path, and the subset.
 fn deepest_subset(path: &Path) -> Option<(usize, &'static Subset)> {
     let folders: Vec<_> = path.parent()?.components().enumerate().collect();
     folders.into_iter().rev().find_map(|(depth, part)| {
@@ -151,7 +151,7 @@ pub fn subset_of(path: &Path) -> Option<(&'static Subset, String)> {
     Some((subset, folder.to_string_lossy().into_owned()))
 }
 
-/// The true frame rate of a recording whose stated one is known to be wrong.
+/// The true frame rate of a recording whose stated rate is known to be wrong.
 pub fn true_fps(path: &Path) -> Option<f64> {
     let whole = path.to_string_lossy();
     FPS_OVERRIDES.into_iter().find_map(|(part, folder, fps)| {

@@ -1,4 +1,4 @@
-//! The parameters of a recording, and the motion they make.
+//! The parameters of a recording, and their motion on a body.
 
 use datasets_spec::{Fps, Motion, Skeleton};
 use features::floor;
@@ -69,7 +69,7 @@ impl Parameters<'_> {
 
     /// The rotation vectors of root and body in a frame.
     pub fn vectors(&self, frame: usize) -> [f64; 3 + BODY_POSE_WIDTH] {
-        // In one array, the body follows the root.
+        // In a single array, the body's columns follow the root's.
         if self.body_at == 3 {
             return self.body.get(frame, 0);
         }
@@ -110,14 +110,13 @@ impl Parameters<'_> {
         notes
     }
 
-    /// The motion at the places of a [`resample::grid`], on the floor, with the world turned by
-    /// `turn` to have y up.
+    /// The motion at the positions of a [`resample::grid`], on the floor, with the world rotated by `turn` to y up.
     ///
     /// # Errors
-    /// `E-NOT-FINITE` if a number cannot be stored, or there is no place.
+    /// `E-NOT-FINITE` if a number cannot be stored, or the grid is empty.
     ///
     /// # Panics
-    /// If a place lies outside the recording.
+    /// If a position lies outside the recording.
     pub(crate) fn motion_at(
         &self,
         grid: &[(usize, f64)],
@@ -126,7 +125,7 @@ impl Parameters<'_> {
         skeleton: &Skeleton,
     ) -> Result<Motion, Rejected> {
         let bad = |error: kinematics::Error| Rejected::read("E-NOT-FINITE", error.to_string());
-        // The frames that are needed, each followed by the next one where a place lies between two.
+        // The needed frames: each position's frame, followed by the next frame if the position lies between two.
         let mut needed = Vec::with_capacity(grid.len());
         let among_needed: Vec<(usize, f64)> = grid
             .iter()

@@ -101,7 +101,7 @@ fn all_layouts_carry_the_same_body_rotations() {
 
 #[test]
 fn a_clip_read_at_a_rate_is_the_whole_clip_resampled() {
-    // At 120 fps frames of 20 and 30 fps are frames of the file, those of 25 fps lie between.
+    // At 120 fps, frames at 20 and 30 fps are frames of the file; frames at 25 fps lie between two.
     for (fps, between) in [(20.0, false), (30.0, false), (25.0, true)] {
         let bytes = npz(&clip_members(100, 156));
         let read_with = |rate: Option<Fps>| {
@@ -122,7 +122,7 @@ fn a_clip_read_at_a_rate_is_the_whole_clip_resampled() {
             .apply(&whole.motion, fps)
             .expect("resampled");
         assert_eq!(at_rate.motion.len(), resampled.len());
-        // The floor is that of other frames.
+        // The floor is estimated from other frames, so the heights differ by a constant.
         let rise = at_rate.motion.transl()[0][1] - resampled.transl()[0][1];
         for frame in 0..resampled.len() {
             let (found, expected) = (at_rate.motion.pose(frame), resampled.pose(frame));
@@ -130,7 +130,7 @@ fn a_clip_read_at_a_rate_is_the_whole_clip_resampled() {
             assert!(apart.length() < 1e-6, "{apart}");
             for joint in 0..22 {
                 let (found, expected) = (found.rotations[joint], expected.rotations[joint]);
-                // Stored in f32, once and twice.
+                // One side was stored in f32 once, the other twice.
                 assert!(angle_between(found, expected) < 1e-6);
             }
             if !between {
@@ -181,7 +181,7 @@ fn what_is_wrong_is_rejected_by_code() {
     trans[7] = f64::NAN;
     let rejected = read_members(&with("trans", npy_f8(&[3, 3], &trans))).expect_err("not a number");
     assert_refused(&rejected, "E-NOT-FINITE", "frame 2");
-    // A gender that is pickled costs the gender, not the clip.
+    // An unreadable pickled gender is dropped; the clip is kept.
     let pickled = npy(
         "{'descr': '|O', 'fortran_order': False, 'shape': (), }",
         b".",

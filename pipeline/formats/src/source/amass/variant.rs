@@ -1,13 +1,13 @@
 //! Body models of AMASS releases.
 
-/// The body model that parameters belong to, and the release they come from.
+/// A body model of AMASS, and the release that uses it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Variant {
     /// The 22 joints that all models share.
     BodyOnly,
     /// SMPL, 24 joints.
     Smpl,
-    /// SMPL-H for the subject's gender, 52 joints: the variant HumanML3D is made of.
+    /// SMPL-H for the subject's gender, 52 joints: the variant that HumanML3D uses.
     SmplH,
     /// SMPL-X for the subject's gender, 55 joints.
     SmplXGendered,
@@ -16,7 +16,7 @@ pub enum Variant {
 }
 
 impl Variant {
-    /// The name the AMASS download page uses, where it has one.
+    /// The name on the AMASS download page, if it has one.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::BodyOnly => "body only",

@@ -7,13 +7,13 @@ use super::members::{Member, Members, ReadFrom};
 use crate::source::names::text_of_bytes;
 use clip::Rejected;
 
-/// An archive or a member that is damaged, or is something else than its name says.
+/// Code of an archive or member that is damaged, or whose content contradicts its name.
 pub const DAMAGED: &str = "E-ARCHIVE-DAMAGED";
-/// A member whose name leads out of the archive, or equals that of another member.
+/// Code of a member whose name leads out of the archive, or equals that of another member.
 pub(super) const NAME: &str = "E-ARCHIVE-NAME";
-/// More members, bytes or levels than are read.
+/// Code of an archive with too many members, bytes or levels.
 pub(super) const LIMIT: &str = "E-ARCHIVE-LIMIT";
-/// A member that is packed in a way that is not read, or encrypted.
+/// Code of a member that is encrypted or packed in an unsupported way.
 pub(super) const PACKING: &str = "E-ARCHIVE-PACKING";
 
 /// Contents of an archive.
@@ -61,7 +61,7 @@ pub(super) enum Named {
     Refused(String),
 }
 
-/// The name of a member as a relative path. Names that lead out of the archive are refused: no system unpacks them.
+/// The name of a member as a relative path. Names that lead out of the archive are refused, as by all unpackers.
 pub(super) fn named(raw: &[u8]) -> Named {
     let shown = text_of_bytes(raw);
     let is_drive =

@@ -32,7 +32,7 @@ const ENDINGS: [(&str, Kind); 9] = [
 const NO_TARS: [&str; 3] = [".pth.tar", ".pt.tar", ".ckpt.tar"];
 
 impl Kind {
-    /// The kind that a name states; none if the name is not that of an archive.
+    /// The kind that a file name states; none if the name is not of an archive.
     pub(super) fn of_name(name: &str) -> Option<Self> {
         split_ending(name).map(|(_, kind)| kind)
     }
@@ -60,7 +60,7 @@ pub(crate) fn stem(name: &str) -> Option<&str> {
     Some(&name[..length])
 }
 
-/// Whether a relative path is that of a member of an archive.
+/// Whether a relative path leads to a member of an archive.
 pub fn is_in_archive(relative: &str) -> bool {
     let folders = relative.rsplit_once('/').map_or("", |(folders, _)| folders);
     folders

@@ -1,15 +1,15 @@
-//! Limits on what is read of an archive.
+//! Limits on reading archives.
 
 /// Limits on one archive.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits {
-    /// Maximum number of members. The largest release known to be packed as one archive has about 300,000.
+    /// Maximum number of members. The largest known release in one archive has about 300,000.
     pub(super) members: u64,
-    /// Bytes of all members. All of AMASS takes about 50 GB.
+    /// Maximum total size of the members in bytes. All of AMASS takes about 50 GB.
     pub(super) bytes: u64,
-    /// Bytes of all members relative to the archive's size. Recordings pack to a tenth at best.
+    /// Maximum ratio of the bytes of all members to the archive's size. Recordings compress to a tenth at best.
     pub(super) ratio: u64,
-    /// Bytes below which the ratio does not matter.
+    /// Bytes up to which the ratio is not checked.
     pub(super) small: u64,
 }
 
@@ -49,7 +49,7 @@ impl Budget {
         self.size
     }
 
-    /// Bytes that the members may still have.
+    /// Bytes that further members may take.
     pub(super) fn bytes_left(&self) -> u64 {
         let by_ratio = self.size.saturating_mul(self.limits.ratio);
         let most = by_ratio.max(self.limits.small).min(self.limits.bytes);
@@ -59,7 +59,7 @@ impl Budget {
     /// Counts a member.
     ///
     /// # Errors
-    /// Why it is one too many, or is too large.
+    /// The limit that the member exceeds.
     pub(super) fn take(&mut self, bytes: u64) -> Result<(), String> {
         self.members += 1;
         let Limits {

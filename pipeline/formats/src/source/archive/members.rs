@@ -12,31 +12,31 @@ use super::scratch::Scratch;
 use super::unpacked::{Packed, Slice, Zipped};
 use crate::source::name_of_text;
 
-/// Largest packed member that is held in memory to be read at any place.
+/// Largest packed member that is unpacked into memory for random access.
 const MAX_IN_MEMORY: u64 = 2 << 30;
 
-/// Where a member is.
+/// Location of a member's bytes.
 #[derive(Clone, Debug)]
 pub(super) enum Member {
     /// An uncompressed range of the archive.
     Range {
         /// First byte.
         start: u64,
-        /// Bytes.
+        /// Size in bytes.
         size: u64,
     },
-    /// In a zip, by its number there.
+    /// A member of a zip archive, by index.
     Zipped {
         /// Index of the member.
         number: usize,
-        /// Bytes unpacked.
+        /// Size of the unpacked member in bytes.
         size: u64,
     },
     /// Unpacked in the scratch folder.
     Unpacked {
-        /// Where.
+        /// Path of the unpacked file.
         path: PathBuf,
-        /// Bytes.
+        /// Size in bytes.
         size: u64,
     },
 }
@@ -62,7 +62,7 @@ pub(super) enum ReadFrom {
     Scratch(#[expect(dead_code, reason = "it is kept, not read")] Arc<Scratch>),
 }
 
-/// The members of an archive by their place below it. Nothing can be written.
+/// The members of an archive by path below it, as a read-only store.
 #[derive(Debug)]
 pub(super) struct Members {
     at: PathBuf,

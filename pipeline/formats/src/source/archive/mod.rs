@@ -1,8 +1,8 @@
 //! Archives among the sources: zip, tar, and tar packed by gzip, bzip2 or xz.
 //!
-//! An archive acts as a folder of its name. Members of zip and tar archives are read where they lie. A packed tar has
-//! to be read from its beginning, so its members are unpacked into a scratch folder first. In both cases the members
-//! have paths below the archive's, which [`datasets_spec::store::ByPath`] serves while the archive is open.
+//! An archive acts as a folder of its name. Members of zip and tar archives are read in place. A packed tar can only be
+//! read from its beginning, so its members are unpacked into a scratch folder first. In both cases the members have
+//! paths below the archive's, which [`datasets_spec::store::ByPath`] serves while the archive is open.
 
 mod content;
 mod kind;
@@ -35,7 +35,7 @@ pub use self::content::DAMAGED;
 pub use self::kind::is_in_archive;
 pub(crate) use self::kind::stem;
 
-/// Archives in an archive are opened; archives in those are not.
+/// Archives inside an archive are opened; archives inside those are not.
 const MAX_DEPTH: usize = 1;
 
 /// Offset in its archive of a damaged member; none for other errors.
@@ -44,7 +44,7 @@ pub fn offset_of_damaged(error: &io::Error) -> Option<u64> {
     Some(member.at)
 }
 
-/// The outermost archive among a folder and those above it; none if there is no archive.
+/// The outermost archive among a folder and its ancestors; none if there is no archive.
 fn archive_of(folder: &Path) -> Option<&Path> {
     let mut above: Vec<&Path> = folder.ancestors().collect();
     above.reverse();
@@ -59,11 +59,11 @@ fn archive_of(folder: &Path) -> Option<&Path> {
 pub struct Opened {
     /// Members by their relative paths, which begin with that of the archive.
     pub files: BTreeMap<String, PathBuf>,
-    /// Members that are no files, and why each is skipped.
+    /// Members that are not files, and why each is skipped.
     pub special: Vec<(String, String)>,
     /// Archives and members that cannot be used, with the hash of the archive.
     pub refused: Vec<(String, String, Rejected)>,
-    /// While these are kept the members can be read.
+    /// Open archives; members can be read as long as these are kept.
     pub archives: Archives,
 }
 
@@ -71,26 +71,26 @@ pub struct Opened {
 #[derive(Clone, Debug, Default)]
 pub struct Archives {
     open: Vec<Arc<Mounted>>,
-    /// Paths of the archives that had to be unpacked.
+    /// Paths of the unpacked archives.
     unpacked: Vec<PathBuf>,
 }
 
 impl Archives {
-    /// Takes others over.
+    /// Adds the archives of `other`.
     pub fn add(&mut self, other: Self) {
         self.open.extend(other.open);
         self.unpacked.extend(other.unpacked);
     }
 
-    /// An archive that had to be unpacked; other processes cannot read its members.
+    /// The first of the unpacked archives; other processes cannot read its members.
     pub fn unpacked(&self) -> Option<&Path> {
         self.unpacked.first().map(PathBuf::as_path)
     }
 
-    /// Opens the archives that some paths lead into.
+    /// Opens the archives that contain some of the paths.
     ///
     /// # Errors
-    /// There is no room to unpack an archive.
+    /// There is no disk space to unpack an archive.
     pub fn of<'a>(paths: impl Iterator<Item = &'a PathBuf>) -> Result<Self, Error> {
         let folders: BTreeSet<&Path> = paths.filter_map(|path| path.parent()).collect();
         let found = folders.into_iter().filter_map(archive_of);
@@ -157,11 +157,10 @@ impl<'a> Unpacking<'a> {
     }
 }
 
-/// Opens the archives among some files and removes them from the files. Files with an archive's name that have a format
-/// of their own stay.
+/// Opens the archives among some files and removes them from the files. Git LFS pointers and WebDataset shards stay.
 ///
 /// # Errors
-/// There is no room to unpack an archive.
+/// There is no disk space to unpack an archive.
 pub fn open_all(
     files: &mut BTreeMap<String, PathBuf>,
     progress: &dyn Progress,
@@ -211,7 +210,7 @@ fn refuse(relative: &str, path: &Path, rejected: Rejected) -> Opened {
     }
 }
 
-/// Opens an archive. None if the file has a format of its own.
+/// Opens an archive. None for other files, Git LFS pointers and WebDataset shards.
 fn open(
     relative: &str,
     path: &Path,

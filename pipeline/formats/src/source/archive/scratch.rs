@@ -1,4 +1,4 @@
-//! A folder for what must be unpacked before it can be read.
+//! A folder for unpacked archives.
 
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -13,8 +13,8 @@ const PREFIX: &str = "stance-unpacked-";
 /// The file in a scratch folder that its process keeps locked.
 const LOCK: &str = "LOCK";
 
-/// A folder of this process in the system's folder for temporary files. It is made when it is first asked for, and
-/// removed when this is dropped. Folders of processes that were killed are removed when one is made.
+/// A folder of this process in the system's temporary folder. It is created on first use and removed on drop. Creating
+/// one removes the folders of killed processes.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
     made: Mutex<Option<(PathBuf, File)>>,
@@ -26,7 +26,7 @@ impl Scratch {
         Self::default()
     }
 
-    /// A path in the folder that nothing has.
+    /// An unused path in the folder.
     ///
     /// # Errors
     /// The folder cannot be made.
@@ -44,7 +44,7 @@ impl Scratch {
     }
 }
 
-/// The error of a folder that takes no more.
+/// The error of a scratch folder that cannot be written.
 pub(super) fn no_room(path: &Path, error: &io::Error) -> Error {
     Error::Scratch {
         path: path.to_owned(),
@@ -52,7 +52,7 @@ pub(super) fn no_room(path: &Path, error: &io::Error) -> Error {
     }
 }
 
-/// Makes a folder that is locked.
+/// Creates a locked folder.
 fn make(parent: &Path) -> io::Result<(PathBuf, File)> {
     loop {
         let folder = tempfile::Builder::new().prefix(PREFIX).tempdir_in(parent)?;
@@ -78,7 +78,7 @@ fn remove_abandoned(parent: &Path) {
         let is_held = match File::options().write(true).open(folder.join(LOCK)) {
             Ok(file) => matches!(file.try_lock(), Err(TryLockError::WouldBlock)),
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                // Not yet locked, or killed before that: only an empty folder goes.
+                // The folder is not locked yet, or its process was killed before that: remove it only if it is empty.
                 let _removed = fs::remove_dir(&folder);
                 true
             }

@@ -22,7 +22,7 @@ use super::unpacked::{Capped, Counting};
 use crate::Error;
 use clip::{Rejected, rejected};
 
-/// Memory in KiB that an xz stream may ask for; the strongest preset asks for 64 MiB.
+/// Maximum memory in KiB of an xz stream; the strongest preset needs 64 MiB.
 const XZ_MEMORY_KIB: u32 = 128 << 10;
 /// Bytes copied at once.
 const COPIED: usize = 1 << 16;
@@ -45,7 +45,7 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
     let entries = archive
         .entries_with_seek()
         .map_err(|error| unreadable(&error))?;
-    // Where the next header is expected.
+    // Expected offset of the next header.
     let mut end = 0;
     for entry in entries {
         let entry = match entry {
@@ -186,7 +186,7 @@ pub(super) fn unpack(
     Ok(Ok(content))
 }
 
-/// Copies a member to a file. The inner error is the archive's, the outer one that of the folder.
+/// Copies a member to a file. The inner error is of reading the archive, the outer one of writing the file.
 fn copy(from: &mut impl Read, to: &Path) -> Result<io::Result<u64>, Error> {
     let mut file = File::create_new(to).map_err(|error| no_room(to, &error))?;
     let mut buffer = vec![0; COPIED];

@@ -1,4 +1,4 @@
-//! Readers of what is packed.
+//! Readers of packed archive members.
 
 use std::io::{self, Read};
 use std::ops::Range;
@@ -48,7 +48,7 @@ impl ReadAt for Slice {
 /// Bytes at the beginning of a packed member that are read without unpacking all of it.
 const HEAD: u64 = 4096;
 
-/// A packed member that is read at any place: it is unpacked into memory, unless only its first bytes are asked for.
+/// Random access to a packed member: it is unpacked into memory, unless only its first bytes are read.
 #[derive(Debug)]
 pub(super) struct Packed {
     member: Zipped,
@@ -95,12 +95,12 @@ impl ReadAt for Packed {
     }
 }
 
-/// A member of an archive that is damaged.
+/// Error of reading a damaged archive member.
 #[derive(Debug, thiserror::Error)]
 #[error("{reason}")]
 pub(super) struct DamagedMember {
     reason: String,
-    /// Where the member begins in the archive.
+    /// Offset of the member in the archive.
     pub(super) at: u64,
 }
 
@@ -109,10 +109,10 @@ pub(super) struct DamagedMember {
 pub(super) struct Zipped {
     pub(super) packed: Slice,
     pub(super) is_stored: bool,
-    /// Bytes unpacked.
+    /// Size of the unpacked member in bytes.
     pub(super) size: u64,
     pub(super) crc: u32,
-    /// Where its header begins in the archive.
+    /// Offset of the member's header in the archive.
     pub(super) at: u64,
 }
 
@@ -127,13 +127,13 @@ impl Zipped {
     }
 }
 
-/// A member of a zip: no byte beyond its stated size is given, and its end is checked against size and CRC.
+/// Reads a zip member: returns at most its stated size, and checks size and CRC at the end.
 struct Checked<R> {
     inner: R,
     left: u64,
     crc: u32,
     hasher: crc32fast::Hasher,
-    /// Where the member begins in the archive.
+    /// Offset of the member in the archive.
     at: u64,
 }
 
@@ -192,10 +192,10 @@ impl<R: Read> Read for Checked<R> {
     }
 }
 
-/// Bytes that a progress counts by.
+/// Bytes per step of the progress.
 const SHOWN: u64 = 1_000_000;
 
-/// Counts the bytes that are read, and tells a progress of every million.
+/// Counts the bytes read, and reports progress for every million.
 pub(super) struct Counting<'a, R> {
     inner: R,
     count: Arc<AtomicU64>,
@@ -226,7 +226,7 @@ impl<R: Read> Read for Counting<'_, R> {
     }
 }
 
-/// Bytes as a progress of [`Counting`] readers counts them.
+/// Number of progress steps of [`Counting`] readers for these bytes.
 pub(super) fn shown(bytes: u64) -> u64 {
     bytes / SHOWN
 }

@@ -1,4 +1,4 @@
-//! Words, keywords and numbers of the text, with the byte offset of what is wrong.
+//! Words, keywords and numbers of the text. Errors carry byte offsets.
 
 use glam::DVec3;
 
@@ -129,7 +129,7 @@ pub(super) fn number(at: usize, token: &[u8]) -> Rejected {
     .at(at)
 }
 
-/// Parses a decimal number, correctly rounded; none if it is no number or not finite.
+/// Parses a decimal number, correctly rounded; none if the text is not a number or the number is not finite.
 pub(super) fn parse_number(token: &[u8]) -> Option<f64> {
     let number = fast_float2::parse::<f64, _>(token).ok();
     number.filter(|value| value.is_finite())

@@ -20,19 +20,19 @@ pub(crate) struct RigJoint {
     parent: Option<usize>,
     /// Body joint whose position and rotation the joint follows.
     body: usize,
-    /// From that joint, in metres.
+    /// Offset from that joint in metres.
     beyond: DVec3,
     /// Frame of the joint while the body stands in its rest pose.
     frame: DQuat,
     has_positions: bool,
 }
 
-/// How a file says what a body does.
+/// How to write poses of the body as a BVH file.
 pub(crate) struct RigText {
     pub(crate) joints: Vec<RigJoint>,
-    /// Metres of the file's unit.
+    /// Length of the file's unit in metres.
     pub(crate) metres: f64,
-    /// The file's world, seen from y up.
+    /// Rotation from y-up axes to the file's axes.
     pub(crate) source_from_y_up: DQuat,
     pub(crate) order: (EulerRot, [&'static str; 3]),
     /// Whether leaves have an end site.
@@ -40,14 +40,14 @@ pub(crate) struct RigText {
     pub(crate) frame_time: f64,
     /// Whether offsets state a rest rotation too.
     pub(crate) six_numbers: bool,
-    /// Pose of the body in the file's zero pose, in which the frames of all joints are those of the world.
+    /// Pose of the body in the file's zero pose, in which all joint frames are aligned to the world.
     pub(crate) zero: Option<Pose>,
 }
 
 impl RigText {
-    /// A rig of joints `NAME:BODY_JOINT` or `NAME:BODY_JOINT:PARENT`, parents first, with every frame that of the
-    /// world. The parent of a joint that names none is the last joint before it whose body joint is the same, or is the
-    /// parent of its body joint.
+    /// A rig of joints `NAME:BODY_JOINT` or `NAME:BODY_JOINT:PARENT`, parents first, with all joint frames aligned to
+    /// the world. The default parent is the last joint before it with the same body joint, or with the parent of its
+    /// body joint.
     fn new(joints: &str) -> Self {
         let mut found: Vec<RigJoint> = Vec::new();
         for joint in joints.split_whitespace() {
@@ -92,7 +92,7 @@ impl RigText {
         }
     }
 
-    /// The body's own skeleton in centimetres, with joint frames turned every way, as rigs do that lay bones along x.
+    /// The body's own skeleton in centimetres, with arbitrary joint frames, like rigs with bones along x.
     pub(crate) fn scrambled() -> Self {
         let mut rig = Self::smplx();
         rig.metres = 0.01;
@@ -121,7 +121,7 @@ impl RigText {
             } else {
                 above.unwrap_or(DQuat::IDENTITY)
             };
-            // Joints that the body lacks lie a little beyond the one before.
+            // Joints that the body lacks are placed a little beyond the previous joint.
             if let Some(parent) = rig.joints[index].parent.filter(|_| index > 1)
                 && rig.joints[parent].body == rig.joints[index].body
             {
@@ -131,8 +131,7 @@ impl RigText {
         rig
     }
 
-    /// The rig of SnapMoGen: pelvis and spine both hang from the root, whose own rotation is that of the
-    /// pelvis here.
+    /// The rig of SnapMoGen: pelvis and spine are both children of the root, whose rotation is the pelvis's here.
     fn snapmogen() -> Self {
         let mut rig = Self::new(
             "ROOT:0 C_spine0001_bind_JNT:3 C_spine0002_bind_JNT:6 C_spine0003_bind_JNT:9 \
@@ -171,11 +170,11 @@ impl RigText {
         )
     }
 
-    /// Poses of the body as a file.
+    /// Writes poses of the body as a file.
     pub(crate) fn write(&self, poses: &[Pose], skeleton: &Skeleton) -> String {
         let zero = self.zero.unwrap_or(Pose::REST);
         let zero_rotations = skeleton.global_rotations(&zero);
-        // World places and frames of the joints in the file's zero pose and in a pose.
+        // World positions and rotations of the joints in the file's zero pose and in a pose.
         let placed = |pose: &Pose| -> Vec<(DVec3, DQuat)> {
             let points = skeleton.keypoints(pose);
             let rotations = skeleton.global_rotations(pose);
@@ -319,7 +318,7 @@ fn read_text(text: &str) -> Result<SourceClip, Rejected> {
     super::read(&mut text.as_bytes(), text.len(), &ReadOptions::default())
 }
 
-/// The bones of the limbs point where those of the poses do, to within an angle in radians.
+/// The limb bones have the directions of the poses, to within an angle in radians.
 fn assert_same_limbs(clip: &SourceClip, poses: &[Pose], radians: f64) {
     let skeleton = Skeleton::smplx_neutral();
     for (found, expected) in clip.motion.poses().iter().zip(poses) {
@@ -384,8 +383,8 @@ fn the_joints_of_a_known_soma_pose_lie_where_they_should() {
     assert!((leg - own).abs() < 0.01, "straight legs: {leg} and {own}");
 }
 
-/// A first frame of BONES-SEED (`wave_R_001__A428`, 525 frames), of its body joints: somebody stands with
-/// hanging arms. The rotations are figures of the published file.
+/// The body joints of the first frame of a motion of BONES-SEED (`wave_R_001__A428`, 525 frames): a person stands with
+/// hanging arms. The rotations are from the published file.
 #[test]
 fn a_published_frame_is_a_person_who_stands_with_hanging_arms() {
     let rotations = [
@@ -475,7 +474,7 @@ fn soma_rigs_with_a_standing_zero_pose_are_read_by_it() {
             skeleton.global_rotations(expected),
         );
         for joint in 0..NUM_BODY_JOINTS {
-            // The smallest rotation between rest and A-pose has another twist than the arms' own.
+            // The minimal rotation from rest to the A-pose twists the arms differently.
             let angle = angle_between(found[joint], expected[joint]);
             assert!(angle < 0.15, "joint {joint} is off by {angle} rad");
         }
@@ -535,8 +534,8 @@ fn xsens_files_may_rest_with_hanging_arms() {
     assert_same_limbs(&clip, &poses, 0.06);
 }
 
-/// Nokov's skeletons lay their bones along x, as published rotation offsets to robots show, so that the zero
-/// pose is no person.
+/// Nokov's skeletons have bones along x, as published rotation offsets to robots show, so the zero pose is not a
+/// person's.
 #[test]
 fn nokov_files_with_bones_along_x_are_aligned_by_their_motion() {
     let skeleton = Skeleton::smplx_neutral();

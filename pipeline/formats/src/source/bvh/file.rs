@@ -20,7 +20,7 @@ pub struct BvhFile {
     pub(super) fps: Fps,
     pub(super) num_frames: usize,
     pub(super) values: Vec<f64>,
-    /// Rows of the file, of which `num_frames` are used.
+    /// Rows in the file; `num_frames` of them are used.
     pub(super) num_rows: usize,
     /// Number of frames that the header states.
     pub(super) stated_frames: usize,
@@ -44,9 +44,8 @@ impl BvhFile {
         Self::read(&mut &bytes[..], bytes.len(), false)
     }
 
-    /// Reads a file of about `length` bytes piece by piece, so that its text is never held whole. If
-    /// `lenient`, the number of rows may differ from what the header says, if every row is whole; of
-    /// too many rows, those beyond the stated number are dropped.
+    /// Reads a file of about `length` bytes in pieces, so that its whole text is never in memory. If `lenient`, the
+    /// number of complete rows may differ from the header's; rows beyond the stated number are dropped.
     ///
     /// # Errors
     /// As [`BvhFile::parse`]; `E-IO` if the file cannot be read.
@@ -82,7 +81,7 @@ struct Header {
 }
 
 impl Header {
-    /// Parses the header, and returns where the rows begin.
+    /// Parses the header, and returns the offset of the rows.
     fn parse(bytes: &[u8]) -> Result<(Self, usize), Rejected> {
         let mut cursor = Cursor {
             bytes,
@@ -120,9 +119,9 @@ struct Pieces<'a> {
     text: Vec<u8>,
     /// Number of bytes of `text` that were returned.
     used: usize,
-    /// Bytes after them that are known to hold no line end.
+    /// Bytes after `used` known to contain no line end.
     searched: usize,
-    /// Place of `text` in the file; the end of the file, once there are no more lines.
+    /// Offset of `text` in the file; the end of the file, once there are no more lines.
     offset: usize,
     ended: bool,
 }
@@ -150,7 +149,7 @@ impl<'a> Pieces<'a> {
         self.offset += std::mem::take(&mut self.used);
     }
 
-    /// Reads a piece more.
+    /// Reads one more piece.
     fn read(&mut self) -> Result<(), Rejected> {
         self.forget_used();
         let before = self.text.len();

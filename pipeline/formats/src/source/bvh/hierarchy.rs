@@ -63,9 +63,8 @@ pub(super) fn parse_hierarchy(cursor: &mut Cursor) -> Result<Vec<BvhJoint>, Reje
     }
 }
 
-/// Passes over three more numbers after an offset, and returns where they are. Rigs of SOMA state the
-/// joint's rotation at rest there, in degrees about x, y and z. It is not needed: their channels hold the
-/// whole rotation.
+/// Skips three more numbers after an offset, and returns their byte offset. They are the joint's rest rotation in rigs
+/// of SOMA, in degrees about x, y and z. It is not needed, because the channels hold the whole rotation.
 fn skip_rest_rotation(cursor: &mut Cursor) -> Result<Option<usize>, Rejected> {
     let before = cursor.at;
     let (at, word) = cursor.word();

@@ -31,7 +31,7 @@ pub struct BvhJoint {
     pub name: String,
     /// Index of the parent; none for the root. A parent precedes its children.
     pub parent: Option<usize>,
-    /// Position in the parent's frame in the file's unit, where no channel replaces it.
+    /// Position in the parent's frame in the file's unit, unless a channel replaces it.
     pub offset: DVec3,
     /// The joint's columns, in order.
     pub channels: Vec<Channel>,

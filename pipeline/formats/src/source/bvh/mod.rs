@@ -1,9 +1,9 @@
 //! The BVH reader: a skeleton and its channel values, exactly as the file states them.
 //!
-//! BVH has no specification, so the reader accepts every dialect that is unambiguous: any order and
-//! subset of channels per joint, names with colons or spaces, tabs, CRLF, a byte order mark, `.5`,
-//! missing end sites, a brace on the line of its joint, the rest rotations of SOMA. Ambiguous files are refused, above all
-//! those whose frame count differs from the number of rows.
+//! BVH has no specification, so the reader accepts every dialect that is unambiguous: any order and subset of channels
+//! per joint, names with colons or spaces, tabs, CRLF, a byte order mark, `.5`, missing end sites, a brace on the line
+//! of its joint, the rest rotations of SOMA. Ambiguous files are refused, above all those whose frame count differs
+//! from the number of rows.
 
 mod cursor;
 #[cfg(test)]

@@ -23,20 +23,20 @@ pub(super) fn parse_frame_time(cursor: &mut Cursor) -> Result<Fps, Rejected> {
         })
 }
 
-/// The rows of the motion, parsed piece by piece. One line is one frame; wrapped rows are accepted if
-/// the number of values is what the header says.
+/// The rows of the motion, parsed piece by piece. One line is one frame; wrapped rows are accepted if the number of
+/// values matches the header.
 pub(super) struct Rows {
     num_frames: usize,
     num_channels: usize,
     values: Vec<f64>,
     num_rows: usize,
-    /// The first row of another length: its number, its values and its place.
+    /// The first row of wrong length: its number, its number of values and its byte offset.
     odd_row: Option<(usize, usize, usize)>,
     first_extra_row: Option<usize>,
 }
 
 impl Rows {
-    /// Rows that a header announces. `length` is that of the text, in bytes.
+    /// Rows that a header announces. `length` is the text's length in bytes.
     pub(super) fn new(num_frames: usize, num_channels: usize, length: usize) -> Self {
         // Every value takes a digit and a separator, so the file's length limits the allocation that a
         // wrong header can cause.
@@ -90,7 +90,7 @@ impl Rows {
         Ok(())
     }
 
-    /// All values. If `lenient`, any number of whole rows is accepted, if the header says at least one.
+    /// All values. If `lenient`, any number of complete rows is accepted, provided the header states at least one.
     pub(super) fn finish(self, lenient: bool, file_end: usize) -> Result<Vec<f64>, Rejected> {
         let (num_frames, num_channels) = (self.num_frames, self.num_channels);
         let Self { values, .. } = self;

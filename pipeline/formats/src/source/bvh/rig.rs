@@ -34,8 +34,8 @@ impl Rig for BvhFile {
         usize::from(self.starts_with_zero_pose())..self.num_frames
     }
 
-    /// The zero pose: every rotation is zero. A joint with position channels is placed at the mean
-    /// of their values. Then the T-pose of a rig that is known to have none as its zero pose.
+    /// The zero pose: every rotation is zero. A joint with position channels is placed at the mean of their values.
+    /// Then the T-pose of a known rig whose zero pose is no standing person.
     fn rests(&self) -> Vec<Rest> {
         let mut bones: Vec<Placed> = Vec::with_capacity(self.joints.len());
         for joint in &self.joints {
@@ -118,7 +118,7 @@ impl BvhFile {
         zeros >= NEARLY_ALL && zeros - share_of_zeros(1) >= MANY
     }
 
-    /// A joint's position in its parent's frame, the mean over the motion where it has channels.
+    /// A joint's position in its parent's frame; the mean over the motion if it has position channels.
     fn mean_offset(&self, joint: &BvhJoint) -> DVec3 {
         let mut offset = joint.offset;
         let frames = self.frames();
@@ -204,7 +204,7 @@ fn rotated(q: DQuat, axis: Axis, s: f64, c: f64) -> DQuat {
     }
 }
 
-/// Sines and cosines of half of some angles in degrees.
+/// Sines and cosines of the halves of angles in degrees.
 ///
 /// Whole quarter turns are subtracted in degrees, where the remainder is exact. Sine and cosine of
 /// the remainder, at most 45 degrees, are Taylor polynomials whose first omitted term is below

@@ -1,8 +1,8 @@
 //! The T-pose of the SOMA rig, in which BONES-SEED and Kimodo write BVH.
 //!
-//! A bone of the rig lies along x in the frame of its joint, so that the zero pose of a file is no person.
-//! The pose here is stated instead: the orientation of every joint of the body while a person stands with
-//! the arms out. Bone lengths are the file's own, which differ between actors (`soma_proportional`).
+//! A bone of the rig lies along x in the frame of its joint, so a file's zero pose is not a person's. This module
+//! states the orientation of every body joint of a person standing with the arms out. Bone lengths come from the file,
+//! because they differ between actors (`soma_proportional`).
 //!
 //! # Source
 //! Repository nv-tlabs/kimodo at 7330e7e: joint names of `SOMASkeleton77`, and the global rotations in
@@ -63,7 +63,7 @@ fn orientation(name: &str) -> Option<DQuat> {
     Some(DQuat::from_rotation_x(front) * turn)
 }
 
-/// Whether these are the joints of the rig: all that its T-pose states.
+/// Whether the joints include all that the T-pose of the rig states.
 pub(super) fn is_soma(joints: &[BvhJoint]) -> bool {
     let has = |name: &str| joints.iter().any(|joint| bare(&joint.name) == name);
     let arms = ["Left", "Right"]

@@ -160,7 +160,7 @@ fn position_channels_replace_the_offset_and_rotations_nest_in_order() {
     let bvh = parse(&text).expect("one position channel");
     let (position, rotation) = local(&bvh, 1, 0);
     assert_eq!(position, DVec3::new(0.0, 7.0, 15.0));
-    // About x first, as the later column is the inner one: z goes to -y, then about z to x.
+    // The later column is applied first: about x, z goes to -y; then about z, -y goes to x.
     assert!((rotation * DVec3::Z - DVec3::X).length() < 1e-15);
 }
 

@@ -34,8 +34,8 @@ fn header_error(at: usize, reason: impl Into<String>) -> Rejected {
 /// The markers of a file; none if it has none. A unit in the options replaces the one that the file states.
 ///
 /// # Errors
-/// `E-C3D-TRUNCATED`, `E-C3D-HEADER`, `E-C3D-PARAM`, `E-C3D-ENDIAN`, `E-C3D-ZERO` or `E-UNIT`, with the byte
-/// offset where there is one.
+/// `E-C3D-TRUNCATED`, `E-C3D-HEADER`, `E-C3D-PARAM`, `E-C3D-ENDIAN`, `E-C3D-ZERO` or `E-UNIT`, with the byte offset if
+/// there is one.
 pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Option<Capture>, Rejected> {
     let (processor, parameters) = parameters(bytes)?;
     let header = Header::read(bytes, processor);
@@ -256,7 +256,7 @@ impl Layout {
         }))
     }
 
-    /// The unit of the file, or the one that the user states.
+    /// The unit that the user states, else the file's.
     fn unit(
         &mut self,
         parameters: &Parameters,
@@ -294,7 +294,7 @@ impl Layout {
     }
 }
 
-/// A point in the file's unit; the residual is negative where it was not seen.
+/// A point in the file's unit; the residual is negative if it was not seen.
 #[derive(Clone, Copy)]
 struct Point {
     at: DVec3,
@@ -302,7 +302,7 @@ struct Point {
 }
 
 impl Point {
-    /// Some programs write points that were not seen at the origin, as if they were.
+    /// Some programs write unseen points at the origin with a valid residual.
     fn is_seen(self) -> bool {
         self.residual >= 0.0 && self.at != DVec3::ZERO
     }
@@ -336,8 +336,8 @@ fn whole_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
     Point { at, residual }
 }
 
-/// Number of frames by the parameters (for long captures in two words or as a real number), else by the
-/// header, limited by the length of the file.
+/// Number of frames from the parameters (for long captures in two words or as a real number), else from the header;
+/// limited by the length of the file.
 fn frame_count(
     header: &Header,
     parameters: &Parameters,
@@ -351,7 +351,7 @@ fn frame_count(
     };
     let whole = |name: &str| {
         let number = parameters.number("POINT", name)?;
-        // Sixteen bits are read with their sign, which a count does not have.
+        // Sixteen-bit words are read as signed, but a count is unsigned.
         let number = if number < 0.0 {
             number + 65_536.0
         } else {
@@ -386,7 +386,7 @@ fn frame_count(
     }
 }
 
-/// A name for each point, unique.
+/// A unique name for each point.
 fn labels(parameters: &Parameters, points: usize) -> Vec<String> {
     let mut stated = Vec::new();
     for number in 1.. {

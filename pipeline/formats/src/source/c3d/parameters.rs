@@ -53,7 +53,7 @@ impl Processor {
             Self::Intel => f32::from_le_bytes(bytes),
             Self::Mips => f32::from_be_bytes(bytes),
             Self::Dec => {
-                // Two little-endian words, the high one first, and an exponent that is two larger.
+                // Two little-endian words, the high one first, with an exponent larger by two.
                 let [b0, b1, b2, b3] = bytes;
                 f32::from_be_bytes([b1, b0, b3, b2]) / 4.0
             }
@@ -187,7 +187,7 @@ impl Parameters {
         .filter(|number| number.is_finite())
     }
 
-    /// A count in two words, the low one first whatever the processor, or as a real number.
+    /// A count in two words, the low one first for every processor, or as a real number.
     pub(super) fn long(&self, group: &str, name: &str) -> Option<usize> {
         match self.get(group, name)? {
             Value::Words(words) => match words[..] {
@@ -238,7 +238,7 @@ impl Parameters {
     }
 }
 
-/// Where a record ends whose value ends at `at`: after its description, whose length is one byte.
+/// The end of a record whose value ends at `at`: its description follows, with a length of one byte.
 fn end_of_record(bytes: &[u8], at: usize) -> usize {
     at + 1 + bytes.get(at).map_or(0, |length| usize::from(*length))
 }

@@ -97,7 +97,7 @@ fn numbers_of_another_processor_are_found_out() {
         ["E-C3D-ENDIAN", "E-C3D-HEADER", "E-C3D-PARAM"].contains(&code),
         "{code}"
     );
-    // Only the frames are another processor's.
+    // Only the frames are in another processor's format.
     let mut frames = file(84, false);
     for value in frames[2 * BLOCK..].chunks_exact_mut(4) {
         value.copy_from_slice(&1e30f32.to_le_bytes());
@@ -105,8 +105,8 @@ fn numbers_of_another_processor_are_found_out() {
     assert_eq!(parse(&frames).expect_err("nonsense").code, "E-C3D-ENDIAN");
 }
 
-/// A file as some programs on MIPS machines wrote it: the link of LABELS to the next parameter
-/// leads out of the section, into the frames or beyond the file.
+/// A file as written by some programs on MIPS machines: the link of LABELS to the next parameter leads out of the
+/// section, into the frames or beyond the file.
 #[test]
 fn a_link_out_of_the_section_does_not_end_the_file() {
     let labels = b"\x06\x01LABELS";
@@ -142,7 +142,7 @@ fn a_capture_of_zeros_is_refused() {
     );
 }
 
-/// The header counts frames in sixteen bits; longer captures say how many in two words of TRIAL.
+/// The header counts frames in sixteen bits; longer captures state the count in two words of TRIAL.
 #[test]
 fn captures_of_more_than_65535_frames_are_read_whole() {
     const FRAMES: u32 = 70_000;
@@ -162,7 +162,7 @@ fn captures_of_more_than_65535_frames_are_read_whole() {
     bytes.extend(frame.repeat(FRAMES as usize));
     let capture = parse(&bytes).expect("good").expect("with a point");
     assert_eq!(capture.markers.positions.len(), FRAMES as usize);
-    // With room for fewer frames than the words claim, the header's three are believed.
+    // If the file is too short for the count in the words, the header's count of three is used.
     bytes.truncate(2 * BLOCK + 12 * 1000);
     let capture = parse(&bytes).expect("good").expect("with a point");
     assert_eq!(capture.markers.positions.len(), 3);

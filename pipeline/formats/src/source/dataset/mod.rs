@@ -1,8 +1,8 @@
 //! Dataset folders of this program, read as a release: every clip keeps its id, split, labels, masks, pairs
 //! and markers.
 //!
-//! Motions and features are copied bit by bit where the rate stays the same. Captures without a motion are
-//! not read. `E-DATASET-HASH` rejects a file that differs from its manifest.
+//! If the rate stays the same, motions and features are copied bit for bit. Captures without a motion are not read.
+//! `E-DATASET-HASH` rejects a file that differs from its manifest.
 
 mod release;
 

@@ -17,7 +17,7 @@ use crate::source::{Contents, Entry, Files, ReadOptions, Release};
 use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_TELEPORT};
 use clip::{Markers, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
-/// Flags that the motion itself does not show.
+/// Flags that cannot be recomputed from the motion.
 const KEPT_FLAGS: u32 =
     FLAG_FPS_DOUBTFUL | FLAG_GAPS_FILLED | FLAG_REFERENCE_DROPPED | FLAG_TELEPORT;
 const CODE: &str = "E-DATASET-FILE";
@@ -28,9 +28,9 @@ pub(super) struct StoredDataset {
     contents: Contents,
     /// Shards of motions, by relative path.
     shards: BTreeMap<String, ShardReader>,
-    /// By motion.
+    /// Marker rows by motion.
     markers: Rows,
-    /// By motion.
+    /// Feature rows by motion.
     features: Rows,
     labels: StoredLabels,
 }
@@ -39,7 +39,7 @@ pub(super) struct StoredDataset {
 #[derive(Debug, Default)]
 struct Rows {
     shards: Vec<ShardReader>,
-    /// Place in `shards`, and row, by motion.
+    /// Index in `shards` and row, by motion.
     places: BTreeMap<String, (usize, usize)>,
 }
 

@@ -1,7 +1,7 @@
 //! The FBX reader: skeletons and the takes they perform, from binary and ASCII files.
 //!
-//! The crate `ufbx` parses the file and evaluates it: pivots, pre-rotations, geometric transforms, scale that is not
-//! inherited, and layers of curves are evaluated by the crate. This module turns its nodes into bones.
+//! The crate `ufbx` parses the file and evaluates pivots, pre-rotations, geometric transforms, scale that is not
+//! inherited, and layers of curves. This module turns its nodes into bones.
 
 mod performance;
 
@@ -16,8 +16,8 @@ use clip::{Outcome, Rejected, rejected};
 /// First bytes of FBX files, binary and text.
 const MAGICS: [&[u8]; 2] = [b"Kaydara FBX Binary  \0", b"; FBX "];
 
-/// Keys of the motions in a file: a motion for each take and skeleton. Empty where there is one, or the file
-/// cannot be read.
+/// Keys of the motions in a file, one for each take and skeleton. Empty if there is one motion, or the file cannot be
+/// read.
 pub fn keys(bytes: &[u8]) -> Vec<String> {
     match Performances::read(bytes) {
         Ok(all) if all.len() > 1 => all.keys(),
@@ -30,7 +30,7 @@ pub fn keys(bytes: &[u8]) -> Vec<String> {
 ///
 /// # Errors
 /// `E-FBX-TRUNCATED`, `E-FBX-SYNTAX`, `E-FBX-VERSION`, `E-FBX-LIMIT`, `E-FBX-RATE`, `E-FBX-KEY`, `E-TOO-SHORT`,
-/// `E-NOT-FINITE`, `E-UNIT`, and `E-FBX-SKELETON` if the skeleton is no body.
+/// `E-NOT-FINITE`, `E-UNIT`, and `E-FBX-SKELETON` if the skeleton is not a body.
 pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, Rejected> {
     let all = Performances::read(bytes)?;
     if all.len() == 0 {

@@ -1,4 +1,4 @@
-//! Animation of the skeletons of a file in its takes.
+//! The animations of a file's skeletons in its takes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -15,24 +15,23 @@ use crate::source::Unit;
 use crate::source::names::unique_keys;
 use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
-/// Limits: of the memory that a file may take while it is read, on the nodes it may have, on their depth, and on
-/// the frames of a take.
+/// Limits on memory while a file is read, on its nodes, on their depth, and on the frames of a take.
 const MAX_MEMORY: usize = 2 << 30;
 const MAX_NODES: usize = 20_000;
 const MAX_DEPTH: u32 = 512;
 const MAX_FRAMES: usize = 1_000_000;
-/// Bones of a skeleton that may be a body.
+/// Minimum number of bones of a skeleton that may be a body.
 const MIN_BONES: usize = 10;
 
 /// A file, and the motions in it.
 pub(super) struct Performances {
     scene: SceneRoot,
-    /// Take and skeleton of each, by their places in the scene and in `skeletons`.
+    /// Index of the take in the scene and of the skeleton in `skeletons`, per motion.
     all: Vec<(usize, usize)>,
     skeletons: Vec<Skeleton>,
 }
 
-/// Nodes of a skeleton and those above them, parents first, by their places among the nodes of the scene.
+/// Nodes of a skeleton and their ancestors, parents first, as indices of the scene's nodes.
 struct Skeleton {
     root: usize,
     nodes: Vec<usize>,
@@ -78,7 +77,7 @@ impl Performances {
         self.all.len()
     }
 
-    /// Why there is no motion.
+    /// Reason why the file has no motion.
     pub(super) fn why_none(&self) -> &'static str {
         match (self.scene.anim_stacks.len(), self.skeletons.len()) {
             (0, _) => "no take in the file",
@@ -87,7 +86,7 @@ impl Performances {
         }
     }
 
-    /// Names of the motions: of their takes, and of their skeletons where there are several.
+    /// Keys of the motions: names of the takes, with those of the skeletons if there are several.
     pub(super) fn keys(&self) -> Vec<String> {
         let skeletons: BTreeSet<usize> = self.all.iter().map(|(_, skeleton)| *skeleton).collect();
         let name = |(take, skeleton): &(usize, usize)| {
@@ -136,7 +135,7 @@ fn skeletons(scene: &Scene) -> Vec<Skeleton> {
     grouped(&nodes, &parents, &empty)
 }
 
-/// The skeletons that these nodes make, each below its topmost node.
+/// Groups the bones into skeletons by their topmost node.
 fn grouped(nodes: &[&Node], parents: &[Option<usize>], bones: &[bool]) -> Vec<Skeleton> {
     let mut of_root: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for node in (0..nodes.len()).filter(|node| bones[*node]) {
@@ -232,7 +231,7 @@ impl<'a> Performance<'a> {
         nodes.map(move |node| &scene.nodes[*node])
     }
 
-    /// The bones of a scene, which is the file's or one that was evaluated from it.
+    /// The bones placed in a scene: the file's, or one evaluated from it.
     fn placed(&self, scene: &Scene) -> Vec<Placed> {
         let nodes = self.skeleton.nodes.iter();
         nodes
@@ -240,8 +239,8 @@ impl<'a> Performance<'a> {
             .collect()
     }
 
-    /// The bind pose, the pose in which the nodes are stored, and the one without rotations but those of the
-    /// joints' own frames, which in files of Maya, MotionBuilder and Mixamo is that of the bind pose.
+    /// The bind pose, the stored pose, and the pose with only the joints' own frames (pre-rotations), which is the bind
+    /// pose in files of Maya, MotionBuilder and Mixamo.
     fn find_rests(&self) -> Result<Vec<Rest>, Rejected> {
         let stored = self.placed(self.scene);
         let mut rests = Vec::new();
@@ -350,7 +349,7 @@ impl Rig for Performance<'_> {
         0..self.num_frames
     }
 
-    /// The scene was turned to y up where the file states its axes.
+    /// If the file states its axes, the scene was rotated to y up.
     fn up(&self) -> Option<DVec3> {
         let stated = self.scene.settings.original_axis_up != CoordinateAxis::Unknown;
         stated.then_some(DVec3::Y)
@@ -387,7 +386,7 @@ const NOWHERE: Placed = Placed {
 
 /// Frames of a take of this length in seconds.
 fn frames_in(seconds: f64, fps: Fps) -> Result<usize, Rejected> {
-    /// Fraction of a frame by which a take may end early without losing the frame.
+    /// Fraction of a frame that a take may be too short by without losing its last frame.
     const SLACK: f64 = 1e-3;
     let frames = (seconds * fps.get() + SLACK).floor() + 1.0;
     if frames.is_nan() || frames < 2.0 {
@@ -403,7 +402,7 @@ fn frames_in(seconds: f64, fps: Fps) -> Result<usize, Rejected> {
     Ok(frames as usize)
 }
 
-/// Place and orientation of a node by its matrix, which may scale.
+/// Position and rotation of a node from its matrix, which may contain scale.
 fn placed(matrix: &Matrix) -> Placed {
     let transform = ufbx::matrix_to_transform(matrix);
     let (at, turn) = (transform.translation, transform.rotation);

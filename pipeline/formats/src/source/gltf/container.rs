@@ -13,7 +13,7 @@ use gltf::json;
 use crate::source::head::UTF8_BOM;
 use clip::{Rejected, rejected};
 
-/// The bytes of a buffer, or why there are none.
+/// The bytes of a buffer, or why it has none.
 pub(super) type Buffer<'a> = Result<Cow<'a, [u8]>, Rejected>;
 
 pub(super) fn part(bytes: &[u8], offset: u64, len: u64) -> Option<&[u8]> {
@@ -124,7 +124,7 @@ pub(super) fn buffer_bytes<'a>(
 }
 
 fn decode_uri(index: usize, uri: &str) -> Result<Vec<u8>, Rejected> {
-    /// Characters of a URI that are shown.
+    /// Number of characters of a URI in a message.
     const SHOWN: usize = 40;
     let Some(data) = uri.strip_prefix("data:") else {
         let shown: String = uri

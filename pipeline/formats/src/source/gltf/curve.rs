@@ -1,4 +1,4 @@
-//! Animation curves: keys in time, what lies between them, and the rate to sample them at.
+//! Animation curves: keys, interpolation, and the rate to sample at.
 
 use datasets_spec::Fps;
 use glam::{DQuat, DVec3, DVec4};
@@ -12,10 +12,10 @@ use super::document::{Document, accessor_error};
 use super::nodes::unit;
 use clip::{MAX_FPS, MIN_FPS, Rejected};
 
-/// Rate in 1/s at which unevenly spaced keys are sampled, the one most animations are made at.
+/// Rate in 1/s at which unevenly spaced keys are sampled; the most common rate of animations.
 pub(super) const DEFAULT_FPS: f64 = 30.0;
 /// Lowest rate in 1/s of evenly spaced keys that counts as a frame rate: sparser keys, such as two poses a second, are
-/// an animator's.
+/// set by an animator.
 const MIN_KEY_RATE: f64 = 10.0;
 /// Tolerance, in grid steps, for a key to count as on an even grid. Times are stored as `f32`, which
 /// resolves a hundredth of a frame at 240 fps after an hour.

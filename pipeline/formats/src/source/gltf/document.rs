@@ -132,7 +132,7 @@ impl<'a> Document<'a> {
         let (bytes, stride) = self.view(view, what)?;
         let size = N * component.size();
         let stride = stride.unwrap_or(size);
-        // All elements but the last take a stride.
+        // Every element but the last occupies a full stride.
         let needed = count
             .saturating_sub(1)
             .checked_mul(stride)

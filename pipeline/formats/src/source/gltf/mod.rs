@@ -38,9 +38,8 @@ pub fn keys(bytes: &[u8]) -> Vec<String> {
 /// skin is skipped.
 ///
 /// # Errors
-/// `E-GLTF-CHUNK`, `E-GLTF-SYNTAX`, `E-GLTF-NODES`, `E-GLTF-KEY`, `E-GLTF-URI`, `E-GLTF-BUFFER`,
-/// `E-GLTF-ACCESSOR`, `E-GLTF-TIME`, `E-GLTF-LIMIT`, `E-NOT-FINITE`, and `E-GLTF-SKELETON` if the
-/// skeleton is no body.
+/// `E-GLTF-CHUNK`, `E-GLTF-SYNTAX`, `E-GLTF-NODES`, `E-GLTF-KEY`, `E-GLTF-URI`, `E-GLTF-BUFFER`, `E-GLTF-ACCESSOR`,
+/// `E-GLTF-TIME`, `E-GLTF-LIMIT`, `E-NOT-FINITE`, and `E-GLTF-SKELETON` if the skeleton is not a body.
 pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, Rejected> {
     let document = Document::parse(bytes)?;
     let tree = Tree::of(&document.root.nodes)?;
@@ -52,7 +51,7 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
     if document.root.animations.is_empty() {
         return no_motion("no animation in the file");
     }
-    // The first of the largest skins: smaller ones are clothes and props.
+    // The first of the skins with the most joints: smaller ones are clothes and props.
     let mut skins = document.root.skins.iter();
     let Some(first) = skins.next() else {
         return no_motion("no skin in the file: its animations move objects, not a body");

@@ -28,7 +28,7 @@ pub(super) struct Performance<'a> {
     start: f64,
     pub(super) fps: Fps,
     num_frames: usize,
-    /// Whether the frame rate is that of the keys.
+    /// Whether the frame rate is the rate of the keys.
     pub(super) on_keys: bool,
 }
 

@@ -164,7 +164,7 @@ fn curves_follow_their_interpolation() {
     let (a, b) = ([0.0, 1.0, 2.0], [2.0, 1.0, -2.0]);
     let step = curve(Interpolation::Step, vec![a, b]);
     let linear = curve(Interpolation::Linear, vec![a, b]);
-    // Tangents of the straight line make the spline that line.
+    // With the slope of a straight line as tangents, the spline is that line.
     let tangent = [1.0, 0.0, -2.0];
     let spline = curve(
         Interpolation::CubicSpline,
@@ -432,7 +432,7 @@ fn sparse_accessors_replace_what_they_list() {
     let parts = Parts::walking();
     let times = parts.times();
     let translation = times + 1;
-    // The first index and value are taken from the times, whose first is zero.
+    // The sparse index and value read the key times, whose first is zero.
     let parts = parts.with(|json| {
         let view = json["accessors"][times]["bufferView"].clone();
         let values = json["accessors"][translation]["bufferView"].clone();
@@ -494,7 +494,7 @@ proptest! {
         let skeleton = datasets_spec::Skeleton::smplx_neutral();
         let motion = Motion::from_poses(Fps::STORE, &walk(3)).expect("valid");
         let mut bytes = edited(&write::gltf::encode(&motion, &skeleton).expect("encoded"), edits);
-        // Digits in the place of digits keep the JSON valid and its indices absurd.
+        // Replacing digits keeps the JSON valid but makes its indices absurd.
         let places: Vec<usize> = (0..bytes.len()).filter(|&at| bytes[at].is_ascii_digit()).collect();
         for (at, digit) in digits {
             bytes[places[at.index(places.len())]] = digit;

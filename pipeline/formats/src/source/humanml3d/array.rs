@@ -57,7 +57,7 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
 /// The features of an array `[T, 263]`.
 ///
 /// # Errors
-/// It has another shape, or too many frames or none.
+/// The shape is wrong, or there are too many frames or none.
 pub fn features(array: &Array) -> Result<Vec<[f32; HUMANML3D_WIDTH]>, Rejected> {
     let [num_frames, HUMANML3D_WIDTH] = array.shape[..] else {
         return Err(bad_shape(array));
@@ -88,7 +88,7 @@ pub(crate) fn check_length(num_frames: usize) -> Result<(), Rejected> {
 /// The joints of an array `[T, 22, 3]`, in metres.
 ///
 /// # Errors
-/// It has another shape, or too many frames or none.
+/// The shape is wrong, or there are too many frames or none.
 pub fn joints(array: &Array) -> Result<Vec<[DVec3; NUM_BODY_JOINTS]>, Rejected> {
     let num_frames = match array.shape[..] {
         [num_frames, NUM_BODY_JOINTS, 3] => num_frames,

@@ -91,7 +91,8 @@ impl Folder {
         folder
     }
 
-    /// Remarks on listed ids without a motion. Captions without any motion may be those of clips cut from AMASS.
+    /// Remarks on listed ids without a motion, unless there are no motions at all: then the captions may belong to
+    /// clips cut from AMASS.
     fn remark(&mut self, layout: &Layout) {
         if self.clips.is_empty() {
             return;
@@ -205,7 +206,7 @@ fn frames_of(crop: &IndexRow, num_frames: usize) -> Range<usize> {
     crop.start..end.max(crop.start)
 }
 
-/// Compares the joints that come with a vector with those recovered from it.
+/// Compares the joint file of a clip with the joints recovered from its vector.
 fn compare(files: &Files, vector: &[u8], joints_file: &str, clip: &mut SourceClip) {
     let stored = files
         .read(joints_file)

@@ -1,8 +1,8 @@
-//! The crop list, `index.csv`: where each clip was cut from.
+//! The crop list, `index.csv`: the recording and frames of each clip.
 
 use clip::Rejected;
 
-/// A row of `index.csv`: where a clip was cut from.
+/// A row of `index.csv`: the recording and frames of a clip.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct IndexRow {
     /// Path as published, such as `./pose_data/KIT/3/kick_high_left02_poses.npy`.

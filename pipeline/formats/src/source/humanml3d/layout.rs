@@ -14,7 +14,7 @@ use clip::Rejected;
 const JOINTS_FOLDER: &str = "new_joints";
 const VECTORS_FOLDER: &str = "new_joint_vecs";
 const TEXTS_FOLDER: &str = "texts";
-/// Lists of ids, with the split that each stands for, if any.
+/// Lists of ids, and the split of each list, if any.
 pub(crate) const LISTS: [(&str, Option<Split>); 5] = [
     ("train.txt", Some(Split::Train)),
     ("val.txt", Some(Split::Val)),
@@ -22,7 +22,7 @@ pub(crate) const LISTS: [(&str, Option<Split>); 5] = [
     ("all.txt", None),
     ("train_val.txt", None),
 ];
-/// Files beside the lists that hold numbers about the features.
+/// Statistics of the features, beside the lists.
 const STATISTICS: [&str; 2] = ["Mean.npy", "Std.npy"];
 /// The list of crops.
 const INDEX: &str = "index.csv";
@@ -78,8 +78,8 @@ pub fn layouts(files: &Files) -> Vec<Layout> {
         .collect()
 }
 
-/// The folder that a release lies in, with a trailing slash, and which of its folders this is. The release's folders
-/// may be archives: `texts.zip` stands for `texts`, whether its members are in a folder of that name or not.
+/// The release's root folder, with a trailing slash, and the name of this folder in it. A release's folder may be an
+/// archive: `texts.zip` stands for `texts`, with or without a folder of that name inside.
 fn root_and_folder(folder: &str) -> (&str, &str) {
     let split = |folder: &str| folder.rfind('/').map_or(0, |slash| slash + 1);
     let at = split(folder);

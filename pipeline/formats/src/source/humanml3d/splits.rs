@@ -13,7 +13,7 @@ pub(crate) struct Splits {
 }
 
 impl Splits {
-    /// Merges the lists. A clip and its mirror image share a split, so that no copy leaks into another.
+    /// Merges the lists. A clip and its mirror image share a split, so that mirrored copies do not leak between splits.
     pub(crate) fn of<'a>(lists: impl Iterator<Item = &'a (Option<Split>, Vec<String>)>) -> Self {
         let mut of_clip: BTreeMap<String, Vec<Split>> = BTreeMap::new();
         for (split, ids) in lists {
@@ -31,8 +31,8 @@ impl Splits {
         Self { of_clip }
     }
 
-    /// The split of a clip, and a note where lists disagree. Test then wins over validation, and
-    /// validation over training, so that no published test clip is trained on.
+    /// The split of a clip, and a note if lists disagree. Test then wins over validation, and validation over training,
+    /// so that no published test clip is trained on.
     pub(crate) fn get(&self, id: &str) -> (Option<Split>, Option<String>) {
         let Some(splits) = self.of_clip.get(clip_of(id)) else {
             return (None, None);

@@ -103,7 +103,7 @@ fn other_side(word: &str) -> Option<String> {
     }
 }
 
-/// A word with the capital of another.
+/// Capitalises a word like `model`.
 fn in_case_of(model: &str, word: &str) -> String {
     let mut chars = word.chars();
     match (model.chars().next(), chars.next()) {

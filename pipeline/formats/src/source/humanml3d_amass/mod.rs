@@ -1,8 +1,7 @@
 //! HumanML3D's clips cut from AMASS recordings by the published `index.csv`.
 //!
-//! The stored motion keeps the recording's own rotations. The published joints and features follow
-//! from it by [`features::humanml3d`]; the published ones were made of each subject's own
-//! body, so they differ by as much as the bodies do.
+//! The stored motion keeps the recording's own rotations. [`features::humanml3d`] computes joints and features from it.
+//! The published ones were made with each subject's own body, so they differ by as much as the bodies do.
 
 mod crop;
 mod mirror;

@@ -1,4 +1,4 @@
-//! The clips that the crop list and the files give.
+//! Plans the clips of the crop list whose recordings are among the files.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -45,7 +45,7 @@ pub fn recordings(files: &Files) -> BTreeMap<Recording, Vec<String>> {
     found
 }
 
-/// Whether a row was made of HumanAct12's joints.
+/// Whether a row was made from HumanAct12's joints.
 pub fn is_humanact12(row: &IndexRow) -> bool {
     row.source_path.contains(HUMANACT12)
 }

@@ -130,7 +130,7 @@ fn rows_become_clips_and_their_mirror_images_under_any_release_of_the_files() {
         kick.motion.body_pose()
     );
 
-    // 100 frames at 20 fps, 20 of them lead-in: 10 less than the crop wants.
+    // 100 frames at 20 fps, 20 of them lead-in: 10 fewer than the crop needs.
     let short = clip(&tree, release.as_ref(), "000001");
     assert_eq!(short.motion.len(), 80);
     assert_eq!(short.flags, FLAG_FPS_DOUBTFUL);
@@ -302,7 +302,7 @@ proptest! {
         let motion = Motion::from_poses(Fps::STORE, &[pose]).expect("valid");
         let joints = body.keypoints(&motion.pose(0));
         let mirrored = mirrored_body(&body).keypoints(&mirror(&motion).pose(0));
-        // The pelvis moves with the mirrored body; everything else is as in the mirror.
+        // Relative to the pelvis, the joints are mirror images.
         let reflect = |v: DVec3| DVec3::new(-v.x, v.y, v.z);
         for joint in Joint::ALL {
             let here = mirrored[joint.index()] - mirrored[0];
@@ -326,7 +326,7 @@ proptest! {
         let mirrored = mirror(&motion);
         let again = mirror(&mirrored);
         prop_assert_eq!(again.body_pose(), motion.body_pose());
-        // Rotations of the left are those of the right, seen in a mirror.
+        // Rotations of left joints are the mirror images of those of right joints.
         let reflect = |v: DVec3| DVec3::new(-v.x, v.y, v.z);
         for joint in Joint::ALL {
             let here = mirrored.pose(1).rotations[joint.index()];

@@ -44,7 +44,7 @@ impl BandaiNamcoLabel {
         })
     }
 
-    /// The labels in a file name, with a note where the tables beside it say something else.
+    /// The labels in a file name, with a note if the tables beside it disagree.
     pub(super) fn of(stem: &str, companions: &dyn Fn(&str) -> Option<Vec<u8>>) -> Option<Self> {
         let label = Self::named(stem)?;
         let (dataset, _) = stem.split_once('_')?;

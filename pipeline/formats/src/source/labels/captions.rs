@@ -4,14 +4,14 @@ use datasets_spec::table::Caption;
 
 use crate::sidecar::caption;
 
-/// Longest line in bytes that is taken for a caption.
+/// Maximum length of a caption line in bytes.
 const MAX_LINE_BYTES: usize = 1000;
 /// Maximum number of captions of one file; a longer file is not a list of captions.
 const MAX_CAPTIONS: usize = 1000;
 
-/// Parses captions, one a line, and counts the lines that are none. A line is a text about the whole
-/// clip, or HumanML3D's `caption#lemma/POS lemma/POS#start#end` with times in seconds. A time that is not
-/// a number is read as 0, which is how the published loader reads the `nan` that some of the files contain.
+/// Parses one caption per line, and counts the lines that are not captions. A line is a text about the whole clip, or
+/// HumanML3D's `caption#lemma/POS lemma/POS#start#end` with times in seconds. A time that is not a number is read as 0,
+/// which is how the published loader reads the `nan` that some of the files contain.
 ///
 /// # Source
 /// HumanML3D's text format.

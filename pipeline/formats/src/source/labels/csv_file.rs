@@ -1,4 +1,4 @@
-//! `captions.csv`: what a folder says of single clips, one line each.
+//! `captions.csv`: labels of single clips of a folder, one line each.
 
 use csv::StringRecord;
 use datasets_spec::table::Caption;
@@ -11,8 +11,7 @@ const COLUMNS: [&str; 10] = [
     "clip", "text", "from_s", "to_s", "tokens", "subject", "action", "style", "split", "license",
 ];
 
-/// Parses a file in UTF-8 with a header line. A line that cannot be used is a problem, and the rest is
-/// used.
+/// Parses a UTF-8 file with a header line. Unusable lines are reported; the others are used.
 pub(super) fn parse(bytes: &[u8]) -> Content {
     let mut content = Content::default();
     let mut records = csv_lines::records(bytes);

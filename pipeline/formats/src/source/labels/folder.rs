@@ -13,8 +13,7 @@ use clip::{LabelProblem, Rejected};
 /// Names of the files with labels.
 const TOML: &str = "stance.toml";
 const CSV: &str = "captions.csv";
-/// Licence files that are looked for beside a file that is a source of its own, whose folder is not
-/// listed.
+/// Names of licence files that are tried beside a single source file, whose folder is not listed.
 const LICENSES: [&str; 6] = [
     "LICENSE",
     "LICENSE.txt",
@@ -31,7 +30,7 @@ pub(crate) fn is_label_file(name: &str) -> bool {
     name == TOML || name == CSV
 }
 
-/// Names of the files that are looked for in a folder for labels and licences of its motions.
+/// Names of the label and licence files that are looked up in a folder.
 pub fn names_in_folder() -> impl Iterator<Item = &'static str> {
     [TOML, CSV].into_iter().chain(LICENSES)
 }
@@ -45,7 +44,7 @@ pub struct ClipLabels {
     pub(super) of_folder: Sidecar,
     /// Files of its folders that could not be used.
     pub(super) problems: Vec<LabelProblem>,
-    /// Why a file of its folders could not be read now. It may be next time.
+    /// Error of reading a file of its folders; a later read may succeed.
     pub failed: Option<Rejected>,
 }
 
@@ -61,9 +60,9 @@ pub struct FolderLabels {
 struct Folder {
     all: Sidecar,
     clips: Vec<Clips>,
-    /// Places in `clips` by exact name.
+    /// Indices in `clips` by exact name.
     named: BTreeMap<String, Vec<usize>>,
-    /// Places in `clips` of patterns, the longest first.
+    /// Indices in `clips` of patterns, the longest first.
     patterns: Vec<usize>,
     license: Licensing,
     /// Files that could not be used as a whole.
@@ -72,7 +71,7 @@ struct Folder {
     failed: Option<Rejected>,
 }
 
-/// Labels of the clips with a name.
+/// Labels of the clips that a name or pattern selects.
 #[derive(Debug)]
 struct Clips {
     name: String,
@@ -84,16 +83,16 @@ struct Clips {
 /// Licences that the files of a folder state.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Licensing {
-    /// Tags.
+    /// Licence tags.
     pub(crate) tags: BTreeSet<String>,
-    /// The files that state them.
+    /// Files that state these licences.
     pub files: Vec<String>,
     /// Licence files without a known licence.
     pub unknown: Vec<String>,
 }
 
 impl Licensing {
-    /// The tag of all of them: each licence binds.
+    /// All tags joined by `AND`, because each licence applies; none without tags.
     pub fn tag(&self) -> Option<String> {
         let tags: Vec<&str> = self.tags.iter().map(String::as_str).collect();
         (!tags.is_empty()).then(|| tags.join(" AND "))
@@ -101,7 +100,7 @@ impl Licensing {
 }
 
 impl FolderLabels {
-    /// Reads the labels and licences among the files, and those beside a file that is a source of its own.
+    /// Reads the labels and licences among the files and beside single source files.
     pub fn read(files: &Files) -> Self {
         let mut labels = Self::default();
         let mut seen = BTreeSet::new();
@@ -135,7 +134,7 @@ impl FolderLabels {
         labels
     }
 
-    /// Reads a file, which may be missing beside a lone source.
+    /// Reads a label or licence file, which may be missing beside a single source file.
     fn take(&mut self, files: &Files, path: &Path, relative: &str) {
         let (Some(folder), Some(name)) = (path.parent(), path.file_name()) else {
             return;
@@ -290,7 +289,7 @@ impl Folder {
         self.patterns.sort_by_key(length);
     }
 
-    /// Places of the labels that name a motion: exact names, then patterns.
+    /// Indices in `clips` of the labels that name a motion: exact names, then patterns.
     fn naming(&self, relative: &str, entry: &Entry) -> Vec<usize> {
         if self.clips.is_empty() {
             return Vec::new();
@@ -308,8 +307,8 @@ impl Folder {
     }
 }
 
-/// Names of a motion in a folder: its file with and without extension, these with the motion's key, and
-/// the id a release gives it.
+/// Names of a motion in a folder: its file with and without extension, each also with the motion's key, and its id in a
+/// release.
 fn names_of(relative: &str, entry: &Entry) -> BTreeSet<String> {
     let name_start = relative.rfind('/').map_or(0, |slash| slash + 1);
     let stem = match relative[name_start..].rfind('.') {

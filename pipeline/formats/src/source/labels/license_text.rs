@@ -25,8 +25,8 @@ pub(super) fn is_readme(name: &str) -> bool {
     name.to_lowercase().starts_with("readme")
 }
 
-/// The tags of the licences that a file states: SPDX identifiers where there are any. Of a readme, the
-/// lines that speak of a licence and the sections under such a heading count.
+/// The tags of the licences that a file states: SPDX identifiers if there are any. In a readme, only lines that mention
+/// a licence and sections under such a heading count.
 pub(super) fn stated_in(name: &str, text: &str) -> BTreeSet<String> {
     let stated = match is_readme(name) {
         true => about_licenses(text),
@@ -76,7 +76,7 @@ fn spdx_tags(text: &str) -> BTreeSet<String> {
     tags
 }
 
-/// The SPDX identifier of a licence of dataset cards, which are in lower case.
+/// The SPDX identifier of a licence tag of a dataset card, which is in lower case.
 fn card_tag(tag: &str) -> Option<String> {
     let known = recognised(&words_of(tag)).into_iter().next();
     match tag.to_lowercase().as_str() {
@@ -85,7 +85,7 @@ fn card_tag(tag: &str) -> Option<String> {
     }
 }
 
-/// A text as words in lower case, with everything but letters and digits as a separator.
+/// A text as lower-case words; all characters other than letters and digits separate words.
 fn words_of(text: &str) -> String {
     let lower = text.to_lowercase();
     let words = lower.split(|c: char| !c.is_ascii_alphanumeric());

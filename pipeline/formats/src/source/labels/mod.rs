@@ -27,10 +27,9 @@ type Companions<'a> = dyn Fn(&str) -> Option<Vec<u8>> + 'a;
 
 /// Adds the labels beside a motion file to its clip.
 ///
-/// Of two labels the nearer wins: `<stem>.stance.json`, then what names the clip in a file of its folders,
-/// then what the motion file and its name say, then what its folders say of all their clips. Captions of
-/// the clip add up; those of a folder are for clips without any. What cannot be used is listed in
-/// [`SourceClip::label_problems`].
+/// If labels conflict, the nearest source wins: `<stem>.stance.json`, then entries that name the clip in files of its
+/// folders, then the motion file and its name, then labels of whole folders. Captions of the clip add up; those of a
+/// folder are used only for clips without any. Unusable labels are listed in [`SourceClip::label_problems`].
 pub fn attach(
     mut clip: SourceClip,
     path: &Path,
@@ -62,7 +61,7 @@ pub fn attach(
     clip
 }
 
-/// Adds what the folders of a clip say to a clip whose own labels are known.
+/// Adds the labels of its folders to a clip that has its own labels already.
 pub fn attach_around(mut clip: SourceClip, around: &ClipLabels) -> SourceClip {
     state(&mut clip, Sidecar::default(), around);
     clip
@@ -101,8 +100,8 @@ fn state(clip: &mut SourceClip, sidecar: Sidecar, around: &ClipLabels) {
     clip.notes.extend(notes);
 }
 
-/// Adds captions that are not there yet. A caption that a rule makes from the file's name was not
-/// stated, wherever it was written since.
+/// Adds captions that the clip lacks. Captions that a rule made from the file's name go to `made_captions`, wherever
+/// they were stored.
 fn take_captions(clip: &mut SourceClip, captions: Vec<LabelCaption>) {
     for said in captions {
         let is_new =
@@ -116,7 +115,7 @@ fn take_captions(clip: &mut SourceClip, captions: Vec<LabelCaption>) {
 }
 
 /// Labels of a motion file that are known before it is read. A release has its own rules for action and style, so
-/// `companions` is none for its motions. `subject` is the one that the file itself names.
+/// `companions` is none for its motions. `subject` is the subject that the file names.
 pub fn stated(
     path: &Path,
     companions: Option<&Companions<'_>>,
@@ -171,7 +170,7 @@ fn sidecar(path: &Path, companions: &Companions<'_>) -> (Sidecar, Vec<LabelProbl
     (sidecar, reasons.into_iter().map(problem).collect())
 }
 
-/// Names of the files that are looked for beside a motion file for its labels.
+/// Names of the label files that are looked up beside a motion file.
 pub fn names_beside(path: &Path) -> [String; 3] {
     let stem = stem_of(path);
     [Sidecar::SUFFIX, ".txt", ".json"].map(|end| format!("{stem}{end}"))
@@ -183,7 +182,7 @@ fn stem_of(path: &Path) -> String {
 }
 
 impl Sidecar {
-    /// Drops labels that no table can hold, and reports each.
+    /// Drops labels that the tables cannot hold, and reports each.
     fn clean(&mut self, mut report: impl FnMut(String)) {
         self.captions.retain_mut(|said| {
             let caption = &mut said.caption;
@@ -228,7 +227,7 @@ impl Sidecar {
         ]
     }
 
-    /// Takes from labels that are farther from the clip what is not stated yet.
+    /// Fills missing labels from `farther`, the labels of a more distant source.
     fn fill(&mut self, farther: &Sidecar) {
         if self.captions.is_empty() {
             self.captions.clone_from(&farther.captions);
@@ -243,7 +242,7 @@ impl Sidecar {
         self.split = self.split.or(farther.split);
     }
 
-    /// Fills missing labels as [`Sidecar::fill`], but captions add up.
+    /// Fills missing labels like [`Sidecar::fill`], but appends captions.
     fn add(&mut self, farther: &Sidecar) {
         let mut captions = std::mem::take(&mut self.captions);
         let mut parts = std::mem::take(&mut self.parts);

@@ -1,12 +1,12 @@
-//! `stance.toml`: what a folder says of its clips.
+//! `stance.toml`: labels of a folder and of its clips.
 
 use serde::Deserialize;
 use toml::{Table, Value};
 
 use crate::sidecar::{Content, Sidecar};
 
-/// Parses a file: the fields of a sidecar, and in table `clips` those of single clips by name or pattern.
-/// What does not parse is a problem, and the rest is used.
+/// Parses a file: sidecar fields for the folder, and a table `clips` with those of single clips by name or pattern.
+/// Parts that do not parse are reported; the others are used.
 pub(super) fn parse(text: &str) -> Content {
     let mut content = Content::default();
     let mut table: Table = match text.parse() {

@@ -23,12 +23,12 @@ use pickle::{Options, Value};
 
 /// Rate of every motion of the release, in 1/s.
 const RELEASE_FPS: f64 = 30.0;
-/// Digits of an id.
+/// Number of digits of an id.
 const ID_DIGITS: usize = 6;
-/// Numbers of a frame of `rots`: the root and 21 body joints.
+/// Numbers per frame of `rots`: the root and 21 body joints.
 const ROTATIONS_WIDTH: usize = 66;
 
-/// The file that says which split each pair is of.
+/// The file that states the split of each pair.
 pub const SPLITS: &str = "splits.json";
 /// Name prefixes of the release's label and statistics files, beside `splits.json`.
 const LABELS: [&str; 8] = [
@@ -49,8 +49,8 @@ const TARGET: &str = "target";
 
 /// A pair of the dump.
 ///
-/// A frame takes 276 bytes, so that the whole release (13,460 motions of about five seconds) takes
-/// about 570 MB while it is ingested; decoding a dump takes little more memory than its contents.
+/// A frame takes 276 bytes, so the whole release (13,460 motions of about five seconds) takes about 570 MB of memory;
+/// decoding a dump takes little more than its contents.
 #[derive(Clone, Debug, PartialEq)]
 struct Pair {
     source: Result<Parameters, Rejected>,
@@ -60,12 +60,13 @@ struct Pair {
     note: Option<String>,
 }
 
-/// The release of one folder, with its dumps decoded. Keys and split lists are those of the folder: another one may
+/// The release in one folder, with its dumps decoded. Keys and split lists apply to this folder: another folder may
 /// have the same keys for other pairs.
 #[derive(Default)]
 struct MotionFixRelease {
     contents: Contents,
-    /// By key; that of a pair which differs from the one of an earlier dump begins with its dump's name.
+    /// Pairs by key. A pair that differs from an earlier dump's pair of the same key has a key prefixed with its dump's
+    /// name.
     pairs: BTreeMap<String, Pair>,
     /// Body parts by instruction.
     parts: BTreeMap<String, Vec<BodyPart>>,
@@ -78,14 +79,14 @@ struct MotionFixRelease {
 enum Unlisted {
     /// By the name of its dump.
     FileName(Split),
-    /// Drawn by its id: there is no list.
+    /// Drawn by its id, because there is no list.
     Draw,
-    /// There is a list: pairs outside it are for training.
+    /// Training, because there is a list that does not name the pair.
     Train,
 }
 
 impl Unlisted {
-    /// The note of a clip.
+    /// The note that says how the split was chosen.
     fn note(self) -> String {
         match self {
             Self::FileName(split) => {
@@ -120,14 +121,14 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
         .into_iter()
         .partition(|file| folders.contains_key(folder_of(file)));
     let mut releases: Vec<Box<dyn Release>> = Vec::with_capacity(folders.len());
-    // Parts go by the words of an instruction, so a label file that lies elsewhere speaks of every folder.
+    // Parts are keyed by the text of an instruction, so a label file outside the dumps' folders applies to all of them.
     let mut shared = MotionFixRelease::default();
     for file in common {
         shared.take_label(files, file, &mut Lists::new());
     }
     for (folder, dumps) in folders {
         let mut release = MotionFixRelease {
-            // Contents outside of any folder are listed once.
+            // Files outside the dumps' folders are listed once, in the first release.
             contents: std::mem::take(&mut shared.contents),
             parts: shared.parts.clone(),
             ..MotionFixRelease::default()
@@ -214,15 +215,15 @@ impl MotionFixRelease {
         self.contents.pass_over(file, reason);
     }
 
-    /// Decodes a dump and plans the motions that no earlier dump of the folder had. A pair that has the key of another
-    /// one and is not equal to it gets a key of its own.
+    /// Decodes a dump and plans the motions that no earlier dump of the folder had. A pair whose key already belongs to
+    /// a different pair gets a new key.
     fn take_dump(&mut self, files: &Files, file: &str, splits: &Lists) {
         let entries = match decode(files, file) {
             Ok(entries) => entries,
             Err(rejected) => return self.contents.reject(file, rejected),
         };
         let found = entries.len();
-        // Keys of pairs, and by which key of the list.
+        // Ids in the split list by key in `pairs`.
         let mut added: BTreeMap<String, String> = BTreeMap::new();
         let mut differing = 0u64;
         for (key, value) in entries {
@@ -379,7 +380,7 @@ fn decode(files: &Files, file: &str) -> Result<Vec<(Value, Value)>, Rejected> {
 }
 
 impl Pair {
-    /// Whether both are the same motions and the same words.
+    /// Whether both pairs have the same motions and the same text.
     fn is_equal(&self, other: &Self) -> bool {
         (&self.source, &self.target, &self.text) == (&other.source, &other.target, &other.text)
     }

@@ -171,8 +171,8 @@ fn motions_stand_upright_on_the_floor_of_the_store() {
         assert!(keypoints[10].y.abs() < 0.1, "the feet are on the floor");
         let left = keypoints[16] - keypoints[17];
         let facing = left.cross(glam::DVec3::Y).normalize();
-        // A standing body faces -y of z up; half of a quarter turn about the vertical takes it to
-        // +x -y there, which is +x +z in the store.
+        // A standing body faces -y with z up; half of a quarter turn about the vertical takes it to +x -y, which is +x
+        // +z in the store.
         let expected = glam::DVec3::new(1.0, 0.0, 1.0).normalize();
         assert!(facing.dot(expected) > 0.99, "{facing}");
         let moved = motion.transl()[1][0] - motion.transl()[0][0];

@@ -14,7 +14,7 @@ use clip::{Rejected, RotationSource, SourceClip, rejected};
 /// Columns of a frame: root 3, body 63, hands 90, jaw 3, expression 50, shape of the face 100, translation 3,
 /// betas 10.
 pub(super) const WIDTH: usize = 322;
-/// First columns of what is used.
+/// First column of each part that is used.
 const ROOT_AT: usize = 0;
 const BODY_AT: usize = 3;
 const TRANSLATION_AT: usize = 309;

@@ -13,14 +13,14 @@ use crate::source::names::around_folder;
 use crate::source::options::ReadOptions;
 use clip::ReadClip;
 
-/// Folders whose files are motions, named by their paths below.
+/// Folders of motions, which are named by their paths below.
 const MOTIONS: [&str; 2] = ["smplx_322", "smplx322"];
 /// Sibling folder with faces, which holds no bodies.
 const FACES: &str = "face_motion_data";
 /// Folders with the captions of whole clips, under the names of the motions.
 const CAPTIONS: [&str; 3] = ["semantic_labels", "semantic_label", "motionx_seq_text_v1.1"];
 
-/// A folder of the release: that of its motions.
+/// A folder of motions of the release.
 #[derive(Debug, Default)]
 pub(super) struct MotionXFolder {
     contents: Contents,
@@ -30,7 +30,7 @@ pub(super) struct MotionXFolder {
     notes: BTreeMap<String, String>,
 }
 
-/// A file below one of some folders: what lies before and after the folder's name, without extension.
+/// Splits a file's path at one of `folders`: the part before and the part after the folder's name, without extension.
 fn below<'a>(file: &'a str, folders: &[&str], extension: &str) -> Option<(&'a str, &'a str)> {
     let stem = file.strip_suffix(extension)?.strip_suffix('.')?;
     around_folder(stem, folders).map(|(root, _, name)| (root, name))
@@ -59,7 +59,7 @@ impl MotionXFolder {
             .iter()
             .map(|root| Self::plan(files, root, &roots, &captions))
             .collect();
-        // Contents outside of any motion are listed once.
+        // Files of no motion folder are listed once, in the first folder.
         if let Some(first) = folders.first_mut() {
             let faces = files
                 .all()
@@ -104,7 +104,7 @@ impl MotionXFolder {
         let missing = missing.filter(|name| !names.contains(name)).collect();
         let contents = &mut folder.contents;
         contents.remark_on_listed("Motion-X", &lists.join(", "), missing);
-        // Captions of another copy of the release, or of another one with the same names, are not this one's.
+        // Leave captions that belong to another copy of the release, or to another release with the same names.
         let is_own = |text: &&&str| {
             let common = |root: &&str| common_start(text, root);
             roots.iter().map(common).max() == Some(common(&root))
@@ -140,8 +140,8 @@ impl MotionXFolder {
         folder
     }
 
-    /// The splits of the lists in the folder above the motions and those above it, by the name of the
-    /// original motion. A motion in several lists keeps them all, sorted: test is the last.
+    /// Reads the splits from the lists in the folders above the motions, by the name of the original motion. A motion
+    /// in several lists keeps all their splits, sorted: test is the last.
     fn read_lists(
         &mut self,
         files: &Files,

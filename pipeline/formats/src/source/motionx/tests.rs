@@ -11,7 +11,7 @@ use crate::source::recognise;
 use crate::source::release_tests::{assert_contains, assert_says, edited, files_of, planned};
 use clip::Rejected;
 
-/// Rows of numbers that tell which column they are in, but for the pose.
+/// Rows whose numbers identify their columns, except in the pose.
 fn rows(num_frames: usize) -> Vec<f64> {
     let mut values = Vec::new();
     for frame in 0..num_frames {

@@ -97,7 +97,7 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
     boxed(found.map(|(root, clips)| Folder::new(files, root, &clips)))
 }
 
-/// The folder of a release, with a trailing slash, and the id of its clip that this file holds.
+/// The folder of a release, with a trailing slash, and the id of the clip in this file.
 fn place(file: &str) -> Option<(&str, &str)> {
     let at = match file.starts_with(MOTIONS) {
         true => 0,
@@ -193,8 +193,8 @@ impl Release for Folder {
     }
 }
 
-/// Reads 272 features as a motion of the given body. Its fit error is the mean distance between the joints of the
-/// features and those of the body under their rotations.
+/// Reads 272 features as a motion of the given body. The fit error is the mean distance between the features' joints
+/// and the body's joints, posed by the features' rotations.
 ///
 /// # Shapes
 /// `[L, 272]`, y up, 30 fps.

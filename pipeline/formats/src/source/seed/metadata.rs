@@ -12,7 +12,7 @@ use crate::foreign_table::{self, ForeignTable, text};
 use crate::source::names::file_name;
 use clip::{Rejected, rejected};
 
-/// Columns that may name a motion, in which its file is called; the first that exists is used.
+/// Columns that may hold the file name of a motion; the first that exists is used.
 const NAME_COLUMNS: [&str; 2] = ["filename", "move_name"];
 const MIRROR_COLUMN: &str = "is_mirror";
 const SUBJECT_COLUMN: &str = "actor_uid";
@@ -30,7 +30,7 @@ const CAPTION_COLUMNS: [&str; 7] = [
 ];
 /// Rows decoded at a time.
 const BATCH_ROWS: usize = 1024;
-/// Limit on the unpacked bytes of these columns: those of 142,220 motions take some 100 MB.
+/// Limit on the unpacked bytes of these columns: for 142,220 motions they take some 100 MB.
 const MAX_UNPACKED_LEN: i64 = 2 << 30;
 
 /// Row of a motion in the table.
@@ -86,7 +86,7 @@ pub(super) fn of_parquet(
     })
 }
 
-/// The text of a cell; of a truth value `true` or `false`. None if it is empty or there is no such column.
+/// The text of a cell; `true` or `false` for a Boolean. None if it is empty or there is no such column.
 fn cell(batch: &RecordBatch, column: &str, row: usize) -> Result<Option<String>, Rejected> {
     let Some(values) = batch.column_by_name(column) else {
         return Ok(None);
@@ -106,8 +106,8 @@ fn cell(batch: &RecordBatch, column: &str, row: usize) -> Result<Option<String>,
 /// Reads a table in CSV. Only motions that are `wanted` are kept.
 ///
 /// # Errors
-/// `E-TABLE-COLUMNS` if no column names the motions. A line that cannot be used is passed over, and the first
-/// such line is returned beside the table as `E-SEED-LABELS`.
+/// `E-TABLE-COLUMNS` if no column names the motions. Unusable lines are skipped; the first one is returned with the
+/// table as `E-SEED-LABELS`.
 pub(super) fn of_csv(bytes: &[u8], wanted: &dyn Fn(&str) -> bool) -> Result<Table, Rejected> {
     crate::source::refuse_pointer(bytes)?;
     let mut records = csv_lines::records(bytes);
@@ -184,7 +184,7 @@ impl Described {
     fn of(cell: impl Fn(&str) -> Result<Option<String>, Rejected>) -> Result<Self, Rejected> {
         let stated = |column: &str| -> Result<Option<String>, Rejected> {
             let text = cell(column)?.map(|text| text.trim().to_owned());
-            // Pandas writes missing text so.
+            // Pandas writes missing text as `nan` or `None`.
             Ok(text.filter(|text| !["", "nan", "None"].contains(&text.as_str())))
         };
         let mut captions: Vec<String> = Vec::new();

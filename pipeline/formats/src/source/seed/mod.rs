@@ -1,13 +1,13 @@
 //! BONES-SEED: BVH files of the SOMA rig, their metadata and their temporal labels.
 //!
-//! The metadata are a table with a row for each motion (`metadata/seed_metadata_v004.parquet`, or `.csv`), the
-//! temporal labels a line of JSON for each (`metadata/seed_metadata_v002_temporal_labels.jsonl`). Without
-//! them, the BVH files are read as any others.
+//! The metadata are a table with a row per motion (`metadata/seed_metadata_v004.parquet`, or `.csv`); the temporal
+//! labels have a line of JSON per motion (`metadata/seed_metadata_v002_temporal_labels.jsonl`). Without metadata, the
+//! BVH files are read like any others.
 //!
 //! # Source
-//! The dataset itself asks for consent before it is read. Its layout, columns and labels are known from public
-//! programs that read it: nv-tlabs/kimodo at 7330e7e, NVlabs/ProtoMotions at 607ca7a (guides to SEED), and
-//! notes that list the columns of version 3 and 4.
+//! The dataset itself requires consent before download. Its layout, columns and labels are known from public programs
+//! that read it: nv-tlabs/kimodo at 7330e7e, NVlabs/ProtoMotions at 607ca7a (guides to SEED), and notes that list the
+//! columns of version 3 and 4.
 
 mod metadata;
 mod release;

@@ -13,7 +13,7 @@ use crate::source::options::ReadOptions;
 use crate::source::{bvh, escaped};
 use clip::{LabelProblem, ReadClip, Rejected};
 
-/// How the names of the files begin, and what is in the names of temporal labels.
+/// Prefix of the names of metadata files, and part of the names of temporal label files.
 const METADATA: &str = "seed_metadata";
 const TEMPORAL: &str = "temporal_labels";
 /// The folder of the tables.
@@ -23,7 +23,7 @@ const METADATA_FOLDER: &str = "metadata/";
 const PROPORTIONAL: &str = "soma_proportional";
 /// The folder of body shapes and of the rig.
 const SHAPES: &str = "soma_shapes/";
-/// How names of mirrored copies end.
+/// Suffix of the names of mirrored copies.
 const MIRRORED: &str = "_M";
 
 /// A folder of the dataset.
@@ -160,7 +160,7 @@ impl SeedFolder {
         }
     }
 
-    /// Notes a table that was read, in part or not at all.
+    /// Records whether a table was read whole, in part or not at all.
     fn account(&mut self, file: &str, read: Result<Option<Rejected>, Rejected>) {
         match read {
             Ok(None) => {

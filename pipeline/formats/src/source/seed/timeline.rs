@@ -1,4 +1,4 @@
-//! The temporal labels: what a person does from when to when.
+//! The temporal labels: descriptions of time spans of a motion.
 
 use std::collections::BTreeMap;
 
@@ -50,8 +50,8 @@ struct Event {
 }
 
 impl Timelines {
-    /// Parses a file of JSON lines. Only motions that are `wanted` are kept. A line that cannot be used is
-    /// passed over; the first is reported as `E-SEED-LABELS` with its number and place.
+    /// Parses a file of JSON lines. Only motions that are `wanted` are kept. Unusable lines are skipped; the first one
+    /// is reported as `E-SEED-LABELS` with its number and offset.
     ///
     /// # Errors
     /// `E-LFS-POINTER`.

@@ -80,7 +80,7 @@ impl Annotation {
         annotation
     }
 
-    /// A name, a list of names, or a map from names to anything.
+    /// Parses masks: a name, a list of names, or a map from names to anything.
     fn masks_of(&mut self, value: &Value) -> Vec<Vec<BodyPart>> {
         let masks = match value {
             Value::String(name) => vec![self.parts(name)],
@@ -154,8 +154,8 @@ fn all_texts(value: &Value) -> Vec<String> {
     }
 }
 
-/// The parts a name stands for, several joined by `+`, in any case and with spaces or underscores;
-/// and a note for each unknown name.
+/// The parts in a name, which may join several with `+`, in any case and with spaces or underscores; and a note for
+/// each unknown name.
 pub(super) fn parse_parts(names: &str) -> (Vec<BodyPart>, Vec<String>) {
     let mut parts = Vec::new();
     let mut unknown = Vec::new();

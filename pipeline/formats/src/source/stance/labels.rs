@@ -1,4 +1,4 @@
-//! The labels of an export, in place of what the layout of the release says.
+//! The labels of an export, which replace those implied by the layout of the release.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,7 +13,7 @@ use clip::{Rejected, RotationSource, SourceClip, rejected};
 pub(super) struct Labels {
     record: Record,
     stored: StoredLabels,
-    /// The motion of each content.
+    /// Motion ids by content hash.
     contents: BTreeMap<String, String>,
 }
 
@@ -54,12 +54,12 @@ impl Labels {
         &self.record.skeleton
     }
 
-    /// Hash of a list of the release when it was written.
+    /// Hash of a list of the release at the time of the export.
     pub(super) fn list(&self, name: &str) -> Option<&str> {
         self.record.lists.get(name).map(String::as_str)
     }
 
-    /// Refuses a file with another motion than the one it is said to hold.
+    /// Refuses a file whose motion differs from the recorded one.
     pub(super) fn check(
         &self,
         entry: &Entry,
@@ -93,7 +93,7 @@ impl Labels {
         clip.edits.extend(self.stored.edits_of(&origin.id));
     }
 
-    /// A remark on the motions without a file, and on their labels; none if there is none.
+    /// A remark on the motions without a file, and on their labels; none if every motion has its file.
     pub(super) fn missing(&self, is_there: impl Fn(&str) -> bool) -> Option<String> {
         let ids = self
             .record

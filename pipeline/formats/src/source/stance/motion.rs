@@ -16,9 +16,9 @@ use pickle::{Array, Value};
 pub(super) const RELEASE_FPS: Fps = Fps::STORE;
 /// Rate of AIST++, in 1/s.
 const AIST_FPS: f64 = 60.0;
-/// Numbers of a frame of SMPL's pose: 24 joints, the last two of them hands.
+/// Numbers per frame of SMPL's pose: 24 joints, the last two of them hands.
 const SMPL_WIDTH: usize = 72;
-/// Columns of SMPL's pose that are the root and those that are the body joints of the store.
+/// Columns of SMPL's pose for the root and for the body joints of the store.
 const ROOT_COLUMNS: Range<usize> = 0..3;
 const BODY_COLUMNS: Range<usize> = 3..3 + BODY_POSE_WIDTH;
 
@@ -33,7 +33,7 @@ pub fn read_pickle_motion(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceCli
     motion_of(&joblib::read(bytes)?, skeleton)
 }
 
-/// Reads a single pickle: a motion, or that of a robot, which is skipped.
+/// Reads a single pickle as a motion. A robot's motion is skipped.
 pub(super) fn read_pickle(bytes: &[u8], skeleton: &Skeleton) -> Outcome {
     let value = match joblib::read(bytes) {
         Ok(value) => value,

@@ -40,10 +40,10 @@ pub fn file_stem(id: &str) -> Option<String> {
     (motion_id(&stem) == id).then_some(stem)
 }
 
-/// Lowest file number beyond those of the release, for motions that are none of HumanML3D's.
+/// Lowest file number after those of the release, for motions outside HumanML3D.
 pub const FIRST_FREE_NUMBER: u32 = 2 * NUM_ORIGINALS;
 
-/// The id of the clip an id is the mirrored copy of.
+/// The original's id of a mirrored copy.
 pub(super) fn original_of(id: &str) -> Option<&str> {
     let digits = id.strip_prefix('M')?;
     (!digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit())).then_some(digits)
@@ -78,7 +78,7 @@ mod tests {
             assert_eq!(motion_id(name), id);
             assert_eq!(file_stem(id).as_deref(), stem, "{id}");
         }
-        // An id that looks like a mirrored copy's number would come back as another one.
+        // An id equal to a mirrored copy's file number would be read back as another id.
         assert_eq!(file_stem("014700"), None);
         assert_eq!(file_stem("7"), None);
         assert_eq!(file_stem("M014616"), None);

@@ -1,8 +1,8 @@
 //! Files of an export that the published layout does not have: `origin.json`, `masks.jsonl` and `pairs.jsonl`.
 //!
-//! `origin.json` names the motion of each file, by its id in the dataset, and says what the layout has no place for.
-//! `masks.jsonl` and `pairs.jsonl` hold the masks and pairs of the dataset, a row of its tables in each line, as
-//! `datasets-spec/README.md` describes them. Loaders of the release read none of the three.
+//! `origin.json` states the dataset id of each file's motion, and metadata that the layout cannot hold. `masks.jsonl`
+//! and `pairs.jsonl` hold the masks and pairs of the dataset, a row of its tables in each line, as
+//! `datasets-spec/README.md` describes them. Loaders of the release ignore all three.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -23,7 +23,7 @@ pub const MASKS: &str = "masks.jsonl";
 /// The file of its pairs.
 pub const PAIRS: &str = "pairs.jsonl";
 
-/// Code of what an export says of itself.
+/// Code of errors in the files that an export adds.
 pub(super) const CODE_OF_ORIGIN: &str = "E-STANCE-ORIGIN";
 /// Value of `format`. Exports of earlier versions hold only the motions.
 const FORMAT: &str = "stance-export";
@@ -43,7 +43,7 @@ pub struct Record {
     pub(crate) dataset: String,
     /// Skeleton the parameters drive.
     pub(crate) skeleton: String,
-    /// BLAKE3 of the files of the release that say in part what the other two say, by path.
+    /// BLAKE3 of the release's own lists by path; `masks.jsonl` and `pairs.jsonl` contain the same labels in full.
     pub lists: BTreeMap<String, String>,
     /// Origins of the motions.
     pub motions: Origins,
@@ -56,10 +56,10 @@ pub struct Origin {
     pub id: String,
     /// Split in the dataset.
     pub split: Split,
-    /// Hash of the motion in the file, as column `content_hash` has it. Exports of earlier versions say nothing.
+    /// Hash of the motion in the file, as in column `content_hash`; none in exports of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub content_hash: Option<String>,
-    /// Hash of the motion in the dataset, where it was resampled.
+    /// Hash of the motion in the dataset, if it was resampled.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stored_hash: Option<String>,
     /// Where its rotations come from.
@@ -119,7 +119,7 @@ pub enum Parsed {
 /// Reads `origin.json`.
 ///
 /// # Errors
-/// It is no such file, or one of a later version.
+/// The bytes are not an `origin.json`, or its version is newer.
 pub fn parse(bytes: &[u8]) -> Result<Parsed, String> {
     let text = |error: serde_json::Error| error.to_string();
     let value: Value = serde_json::from_slice(bytes).map_err(text)?;
@@ -142,7 +142,7 @@ pub fn parse(bytes: &[u8]) -> Result<Parsed, String> {
 /// Reads rows, one in each line.
 ///
 /// # Errors
-/// A line is no row; its number is named.
+/// A line is not a row; the error names its number.
 pub(crate) fn rows<R: DeserializeOwned>(bytes: &[u8]) -> Result<Vec<R>, String> {
     let text = str::from_utf8(bytes).map_err(|error| error.to_string())?;
     let lines = text.lines().enumerate();
@@ -157,7 +157,7 @@ pub(crate) fn rows<R: DeserializeOwned>(bytes: &[u8]) -> Result<Vec<R>, String> 
 /// Reads the labels of a folder that `stance export --to stance` wrote; none if it has no `origin.json`.
 ///
 /// # Errors
-/// A file of it cannot be read, or is broken, or an earlier version wrote it, which exported no labels.
+/// A file cannot be read or is broken, or the export is of an earlier version, which has no labels.
 pub fn exported_labels(folder: &Path) -> Result<Option<ExportedLabels>, Error> {
     let path = folder.join(FILE_NAME);
     if !path.is_file() {

@@ -53,7 +53,7 @@ pub(super) fn roots(files: &Files) -> BTreeSet<String> {
         .collect()
 }
 
-/// Splits a path into the release's folder, the one of [`FOLDERS`] in it, and the rest.
+/// Splits a path into the release's folder, its folder of [`FOLDERS`], and the rest.
 fn place(path: &str) -> Option<(&str, &'static str, &str)> {
     around_folder(path, &FOLDERS)
 }
@@ -91,7 +91,7 @@ impl Role {
 struct Detail {
     role: Role,
     origin: Option<Origin>,
-    /// Further places of the motion as the edit of another one: file and source id.
+    /// Further pairs with this motion as the target: file and source id.
     edited_in: Vec<(String, String)>,
 }
 
@@ -99,7 +99,7 @@ struct Detail {
 #[derive(Default)]
 pub(super) struct StanceRelease {
     contents: Contents,
-    /// By file and key.
+    /// Details of motions by file and key.
     details: BTreeMap<(String, String), Detail>,
     annotations: Annotations,
     /// Body part and text of adjustments that are missing in their pickle, by file stem.
@@ -119,7 +119,7 @@ impl StanceRelease {
         planner.release
     }
 
-    /// Adds what the files and lists of a release say of a motion.
+    /// Adds a motion's labels from the files and lists of a release.
     fn describe(
         &self,
         files: &Files,
@@ -263,7 +263,7 @@ fn stem_of(file: &str) -> &str {
     listed_name(file)
 }
 
-/// Goes through the files of a release.
+/// Plans the motions in the files of a release.
 struct Planner<'a> {
     files: &'a Files,
     root: &'a str,
@@ -272,7 +272,7 @@ struct Planner<'a> {
     style_lists: Lists,
     adjustment_lists: Lists,
     origins: Origins,
-    /// First place of each motion of an export, which may write one twice.
+    /// First file and key of each motion of an export, which may contain a motion twice.
     taken: BTreeMap<String, (String, String)>,
 }
 
@@ -290,7 +290,7 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// Reads what an export says beside the layout.
+    /// Reads the files that an export adds to the layout.
     fn read_origin(&mut self) {
         let at = |name: &str| format!("{}{name}", self.root);
         let [file, masks, pairs] = [origin::FILE_NAME, origin::MASKS, origin::PAIRS].map(at);
@@ -486,7 +486,7 @@ impl<'a> Planner<'a> {
         ];
         for (section, lists) in sections {
             let stems = stems_in(section);
-            // A part of the release may be there without the others.
+            // A release may be incomplete: skip sections without motions.
             if stems.is_empty() {
                 continue;
             }

@@ -64,13 +64,13 @@ impl Lists {
         }
     }
 
-    /// The names for which there is nothing.
+    /// The listed names without a motion.
     pub(super) fn missing(&self, is_there: impl Fn(&str) -> bool) -> Vec<&str> {
         let names = self.names.keys().map(String::as_str);
         names.filter(|name| !is_there(name)).collect()
     }
 
-    /// The split of a name, `train` if other names are listed, none if there are no lists.
+    /// The split of a name: `train` for unlisted names, none if there are no lists.
     pub(super) fn of(&self, name: &str) -> Option<Split> {
         if self.names.is_empty() {
             return None;
@@ -79,8 +79,8 @@ impl Lists {
     }
 }
 
-/// The splits of HumanML3D's clips. A clip, its mirrored copy and its styled versions share the split
-/// furthest from training that the lists of base motions or style transfers give to any of them.
+/// The splits of HumanML3D's clips. A clip, its mirrored copy and its styled versions share one split: of those that
+/// the lists of base motions and style transfers give them, the furthest from training.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ClipSplits {
     clips: BTreeMap<String, Split>,

@@ -28,7 +28,7 @@ fn a_release_becomes_motions_masks_and_pairs() {
     assert_eq!(
         planned(&*release),
         [
-            // The style list takes the clip and its mirrored copy along.
+            // The style list also decides the split of the clip and its mirrored copy.
             ("000009", Some(Split::Test), None),
             ("000010", Some(Split::Val), None),
             ("000012", Some(Split::Train), None),
@@ -102,7 +102,7 @@ fn the_earlier_layout_is_read_too_and_broken_parts_are_on_record() {
     );
     put("data/adjustment/transfer.py", b"");
     put("data/regen/mask_all.json", b"{broken");
-    // The bundle for the official demo is no release.
+    // The bundle for the official demo is not a release.
     put("demo/style_transfer/text.txt", b"a\n");
     let files = files_under(dir.path());
     let release = only_release(&files);

@@ -17,10 +17,10 @@ pub(super) struct Header {
     /// Frames per second; none if the file states none that can be used.
     pub(super) rate: Option<f64>,
     pub(super) num_frames: usize,
-    /// Unit as written, and where.
+    /// Unit as written, and its byte offset.
     pub(super) unit: String,
     pub(super) unit_at: usize,
-    /// Names of the markers, and where they are.
+    /// Names of the markers, and their byte offset.
     pub(super) names: Vec<String>,
     pub(super) names_at: usize,
 }
@@ -30,7 +30,7 @@ fn error(at: usize, reason: impl Into<String>) -> Rejected {
 }
 
 impl Header {
-    /// Names of the markers, each different.
+    /// Unique names of the markers.
     pub(super) fn labels(&self) -> Vec<String> {
         unique_labels(self.names.iter().cloned())
     }
@@ -104,7 +104,7 @@ impl<'a> Settings<'a> {
         }
     }
 
-    /// A value and its place.
+    /// The byte offset and the text of a value.
     fn get(&self, wanted: &str) -> Result<(usize, &'a [u8]), Rejected> {
         let mut cells = self.cells.iter();
         let found = cells.find(|(name, ..)| name.eq_ignore_ascii_case(wanted.as_bytes()));
@@ -126,7 +126,7 @@ impl<'a> Settings<'a> {
     }
 }
 
-/// The names after `Frame#` and `Time`; each marker has three columns, of which most programs name the first.
+/// The names after `Frame#` and `Time`. Each marker has three columns, and most programs write its name in the first.
 fn marker_names(line: Line<'_>, num_markers: usize) -> Result<Vec<String>, Rejected> {
     let cells = line.cells();
     let stated = cells.iter().skip(2).filter(|(_, name)| !name.is_empty());

@@ -13,8 +13,8 @@ pub(super) struct Line<'a> {
 }
 
 impl<'a> Line<'a> {
-    /// The trimmed cells of the line, with their places in the file. Tabs separate cells, or blanks in a line without
-    /// tabs.
+    /// The trimmed cells of the line, with their byte offsets in the file. Tabs separate cells, or blanks in a line
+    /// without tabs.
     pub(super) fn cells(&self) -> Vec<(usize, &'a [u8])> {
         let is_tabbed = self.text.contains(&b'\t');
         let mut cells = Vec::new();

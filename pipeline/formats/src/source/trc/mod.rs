@@ -26,11 +26,11 @@ use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_ROW_COUNT};
 use clip::{Outcome, Rejected, rejected};
 
 /// The markers of a file. A unit in the options replaces the one that the file states. If the options are lenient, the
-/// number of rows may differ from what the header says; of too many rows, those beyond the stated number are dropped.
+/// number of rows may differ from the header's; rows beyond the stated number are dropped.
 ///
 /// # Errors
-/// `E-TRC-HEADER`, `E-TRC-NAMES`, `E-TRC-ROW`, `E-TRC-NUMBER`, `E-TRC-TIME` or `E-TRC-FRAMES`, each with
-/// the byte offset of what is wrong; `E-UNIT`, `E-TRC-EMPTY` or `E-TOO-SHORT`.
+/// `E-TRC-HEADER`, `E-TRC-NAMES`, `E-TRC-ROW`, `E-TRC-NUMBER`, `E-TRC-TIME` or `E-TRC-FRAMES`, each with a byte offset;
+/// `E-UNIT`, `E-TRC-EMPTY` or `E-TOO-SHORT`.
 pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Capture, Rejected> {
     let mut lines = Lines::of(bytes);
     let header = Header::parse(&mut lines)?;

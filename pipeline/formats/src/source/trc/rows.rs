@@ -19,7 +19,7 @@ pub(super) struct Rows {
     num_markers: usize,
     places: Vec<usize>,
     times: Vec<Option<f64>>,
-    /// Positions in the file's unit, frame by frame; none where a marker was not seen.
+    /// Positions in the file's unit, frame by frame; none for a marker that was not seen.
     pub(super) positions: Vec<Option<DVec3>>,
     /// Positions of three zeros, which count as not seen.
     pub(super) num_zeros: usize,
@@ -107,7 +107,7 @@ impl Rows {
         self.places.len()
     }
 
-    /// Place of a row in the file.
+    /// Byte offset of a row.
     pub(super) fn place_of(&self, row: usize) -> Option<usize> {
         self.places.get(row).copied()
     }
@@ -119,7 +119,7 @@ impl Rows {
         self.positions.truncate(len * self.num_markers);
     }
 
-    /// The stated rate, else that of the times, and what is doubtful about it.
+    /// The stated rate, else the rate of the times, and a note if it is doubtful.
     pub(super) fn rate(&self, stated: Option<f64>) -> Result<(Fps, Option<String>), Rejected> {
         let span = self.span();
         let by_times = span.map(|(steps, secs)| steps / secs);
@@ -157,7 +157,7 @@ impl Rows {
     }
 }
 
-/// The number in a cell; none in a blank cell or one that says `NaN`.
+/// The number in a cell; none if the cell is blank or `NaN`.
 fn number(at: usize, cell: &[u8]) -> Result<Option<f64>, Rejected> {
     if cell.is_empty() || cell.eq_ignore_ascii_case(b"nan") {
         return Ok(None);

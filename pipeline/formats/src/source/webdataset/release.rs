@@ -45,7 +45,7 @@ struct Facts {
     fit_error_m: Option<f32>,
 }
 
-/// Place of a member: a range of a tar file, or a whole file.
+/// Location of a member: a range of a tar file, or a whole file.
 #[derive(Clone, Debug)]
 struct Place {
     file: String,
@@ -59,7 +59,7 @@ type Members = BTreeMap<&'static str, Place>;
 #[derive(Debug, Default)]
 pub(super) struct Shards {
     contents: Contents,
-    /// By file and key of the entry.
+    /// Clips by file and key of the entry.
     clips: BTreeMap<(String, String), Members>,
 }
 
@@ -191,7 +191,7 @@ fn rows<const D: usize>(values: &[f32]) -> Vec<[f32; D]> {
     values.as_chunks().0.to_vec()
 }
 
-/// Key and ending of a clip's member; none if the name is not that of such a member.
+/// Key and ending of a clip's member; none for other names.
 fn member(name: &str) -> Option<(&str, &'static str)> {
     let (key, ending) = name.split_once('.')?;
     let endings = ARRAYS.iter().map(|(ending, _)| *ending).chain([FACTS]);
@@ -214,7 +214,7 @@ pub(crate) fn is_shard(path: &Path) -> bool {
     })
 }
 
-/// The members of an archive, up to the first mistake in it.
+/// The members of an archive, up to the first error in it.
 fn members_of(files: &Files, file: &str) -> Vec<((String, String), &'static str, Place)> {
     let mut members = Vec::new();
     let Ok(opened) = files.open_at(file) else {
