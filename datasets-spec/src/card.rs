@@ -8,7 +8,7 @@ use crate::manifest::{Manifest, SPLIT_BY_FACT};
 
 pub(crate) const FILE: &str = "README.md";
 
-/// The library's split name for tables without splits. It reserves `all`.
+/// Split name for tables without splits; the library reserves `all`.
 const WITHOUT_SPLIT: &str = "rows";
 
 /// The card of a dataset. It follows from the manifest alone.

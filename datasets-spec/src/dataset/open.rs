@@ -155,7 +155,7 @@ impl Dataset {
         &self.root
     }
 
-    /// Where its files are read.
+    /// The store that its files are read from.
     pub fn store(&self) -> &Arc<dyn Store> {
         &self.store
     }
@@ -179,7 +179,7 @@ impl Dataset {
     /// The skeleton its motions are posed on.
     ///
     /// # Errors
-    /// The manifest names a skeleton that is not built in, without its joint positions.
+    /// The manifest names a skeleton that is not built in, and does not hold its joint positions.
     pub fn skeleton(&self) -> Result<Skeleton, Error> {
         let built_in = Skeleton::smplx_neutral();
         let name = &self.manifest.skeleton;
@@ -232,7 +232,7 @@ impl Dataset {
     /// The test questions of the folder, each checked against its id.
     ///
     /// # Errors
-    /// There are none, an item was changed after it was drawn, or a file cannot be read.
+    /// There are no items, an item was changed after it was drawn, or a file cannot be read.
     pub fn items(&self) -> Result<Vec<ItemRow>, Error> {
         let rows: Vec<ItemRow> = self.read(None)?;
         if rows.is_empty() {

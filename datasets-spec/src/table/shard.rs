@@ -238,7 +238,7 @@ impl ShardReader {
         Self::of(path, file)
     }
 
-    /// [`ShardReader::open`] for a reader of all rows: of a dataset at a URL the file is read whole, and its hash checked.
+    /// As [`ShardReader::open`], for a reader of all rows: at a URL, the file is read whole and its hash is verified.
     ///
     /// # Errors
     /// As [`ShardReader::open`], or the file differs from its hash.
@@ -273,8 +273,8 @@ impl ShardReader {
         read_selected(&self.path, file, self.metadata.clone(), None, mask)
     }
 
-    /// Reads the rows at the given places, in file order; places after the end are ignored. Of a table's columns only
-    /// the pages of these rows are read and decoded, from a distant file by one request.
+    /// Reads the rows at the given places, in file order; places after the end are ignored. Only the pages of these
+    /// rows in the table's columns are read and decoded, by one request if the file is distant.
     ///
     /// # Errors
     /// The file cannot be read or holds something else.
@@ -349,7 +349,7 @@ impl ShardReader {
         ProjectionMask::columns(self.metadata.parquet_schema(), names)
     }
 
-    /// The file, with what a reader of these columns and sorted rows needs read ahead if it is distant.
+    /// Reads the pages of these columns and sorted rows in advance, if the file is distant.
     fn ahead(&self, columns: &ProjectionMask, rows: Option<&[usize]>) -> Result<Chunks, Error> {
         let ranges = || ranges_of(self.metadata.metadata(), columns, rows);
         let file = self.file.ahead(ranges);
@@ -477,7 +477,7 @@ pub struct ColumnDescription {
     pub encodings: Vec<String>,
     /// Bytes in the file.
     pub compressed: u64,
-    /// Bytes once decompressed.
+    /// Bytes after decompression.
     pub uncompressed: u64,
 }
 

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A caption and the part of the clip it speaks of. `from_s` and `to_s` are both 0 where it speaks
-/// of the whole clip (HumanML3D's convention).
+/// A caption and the part of the clip that it describes. `from_s` and `to_s` are both 0 if it describes the whole clip
+/// (HumanML3D's convention).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Caption {
     /// The text.

@@ -47,10 +47,10 @@ mod _native {
     /// Names of the SMPL-X joints.
     #[pymodule_export]
     const JOINT_NAMES: &[&str] = &kinematics::skeleton::JOINT_NAMES;
-    /// Places of the keypoints among the joints.
+    /// Index of the joint of each keypoint.
     #[pymodule_export]
     const KEYPOINT_JOINTS: &[usize] = &kinematics::skeleton::KEYPOINT_JOINTS;
-    /// The keypoint above each; -1 for the root.
+    /// Parent of each keypoint; -1 for the root.
     #[pymodule_export]
     const KEYPOINT_PARENTS: &[i8] = &kinematics::skeleton::KEYPOINT_PARENTS;
 }

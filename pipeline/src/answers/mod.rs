@@ -44,7 +44,7 @@ pub struct Answers {
 /// Report on every answer: `found = imported + refused + passed_over`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct AnswerReport {
-    /// Items asked.
+    /// Number of items.
     pub items: usize,
     /// Items with at least one answer.
     pub answered: usize,
@@ -75,7 +75,7 @@ pub struct Refusal {
     pub code: &'static str,
     /// What is wrong, with the numbers found and expected.
     pub reason: String,
-    /// Where in the file, if there is such a place.
+    /// Position in the file, if it is known.
     pub byte_offset: Option<u64>,
 }
 
@@ -84,7 +84,7 @@ pub struct Refusal {
 pub struct PassedOver {
     /// Path of the file, relative to what was given.
     pub file: String,
-    /// Why.
+    /// Why the file holds no answer.
     pub reason: String,
 }
 
@@ -127,7 +127,7 @@ impl Names {
         Ok(Self(names))
     }
 
-    /// The item of a name, and the seed in its suffix if there is one.
+    /// Finds the item of a name, and the seed in its suffix if there is one.
     fn find(&self, name: &str) -> Option<(usize, Option<Seed>)> {
         let plain = |name: &str| self.0.get(name).copied();
         let bare = Self::ENDS

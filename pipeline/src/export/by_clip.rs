@@ -42,7 +42,7 @@ impl dyn ByClip {
     }
 }
 
-/// Id, split and licence of the clips, whose licence is empty where none is known.
+/// Id, split and licence of the clips; the licence is empty where none is known.
 pub(super) fn labels(clips: &Clips) -> Result<Vec<(String, Split, String)>, Error> {
     let mut labels = Vec::new();
     for shard in clips.shards(None) {
@@ -57,7 +57,7 @@ pub(super) fn labels(clips: &Clips) -> Result<Vec<(String, Split, String)>, Erro
     Ok(labels)
 }
 
-/// Names in order, one a line.
+/// Names in order, one per line.
 pub(super) fn sorted_lines(mut names: Vec<&str>) -> String {
     names.sort_unstable();
     names.iter().flat_map(|name| [*name, "\n"]).collect()

@@ -65,16 +65,14 @@ pub use self::stored::{PlannedMotion, PlannedSource};
 
 /// Reads every motion under `sources` and commits them as a dataset at `out`.
 ///
-/// Run again after an interruption it continues; run again after success it changes nothing. Where the
-/// dataset exists, it grows: only files that are new or changed are read, and clips keep their ids, splits and
-/// labels. Sources that are not given stay as they are, and clips whose files are gone stay unless
-/// [`IngestOptions::prune`] says otherwise.
-/// `holder` is what another run is told while this one holds the lock.
+/// Run again after an interruption it continues; run again after success it changes nothing. Where the dataset exists,
+/// it grows: only files that are new or changed are read, and clips keep their ids, splits and labels. Sources that are
+/// not given stay as they are, and clips whose files are gone stay unless [`IngestOptions::prune`] says otherwise.
+/// `holder` is reported to other runs while this one holds the lock.
 ///
 /// # Errors
-/// A source does not exist, or it cannot be known which one it is; there is no file at all; the dataset is locked or
-/// was made with other settings; labels would be lost; or writing fails. Faulty files are listed in the report and are
-/// no error.
+/// A source does not exist or is ambiguous; there is no file at all; the dataset is locked or was made with other
+/// settings; labels would be lost; or writing fails. Faulty files are listed in the report and are no error.
 pub fn ingest<S: Clone + Into<SourceArg>>(
     sources: &[S],
     out: &Path,

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SplitBy {
-    /// All that is cut from a source clip, and styles of one take.
+    /// Clips cut from one source clip, and styles of one take.
     #[default]
     Clip,
     /// All clips of a subject of a source.

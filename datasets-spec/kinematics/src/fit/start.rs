@@ -20,8 +20,8 @@ struct Hinge {
     axis: DVec3,
 }
 
-/// Shins by the feet, thighs by the knees, upper arms by the elbows. At rest the body stands with
-/// its legs along -y, its toes towards +z and its left arm along +x.
+/// The feet set the twist of the shins, the knees that of the thighs, the elbows that of the upper arms. At rest the
+/// body stands with its legs along -y, its toes towards +z and its left arm along +x.
 const HINGES: [Hinge; 6] = [
     Hinge {
         joint: 1,

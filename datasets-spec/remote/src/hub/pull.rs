@@ -44,7 +44,7 @@ impl Staged {
     /// Makes the folder appear.
     ///
     /// # Errors
-    /// It cannot be renamed.
+    /// The folder cannot be renamed.
     pub fn publish(self) -> Result<Pulled, Error> {
         fs::rename(&self.folder, &self.out)
             .map_err(datasets_spec::Error::io("rename into place", &self.out))?;
@@ -54,7 +54,7 @@ impl Staged {
     /// Removes what was downloaded.
     ///
     /// # Errors
-    /// It cannot be removed.
+    /// The folder cannot be removed.
     pub fn discard(self) -> Result<(), Error> {
         let removed = fs::remove_dir_all(&self.folder);
         Ok(removed.map_err(datasets_spec::Error::io("remove", &self.folder))?)
@@ -102,7 +102,7 @@ pub fn pull(
         RepoKind::Model => return Err(source.foreign("run", "config.json")),
     };
     files.keys().try_for_each(|path| source.check(path))?;
-    // Settings of the repo itself, such as .gitattributes.
+    // Skip settings of the repo itself, such as .gitattributes.
     files.retain(|path, _| !path.split('/').any(|part| part.starts_with('.')));
     progress.begin("pull", Some(files.len() as u64));
     for (path, file) in &files {
