@@ -372,7 +372,7 @@ table! {
         pub edit_end: Option<i32> ["frame", newer],
         /// Weight of the target on the interpolated joints
         pub alpha: f32 [""],
-        /// Kind and id of what the question was made of: mask or pair
+        /// Label that the question was made of: mask or pair, and its id
         pub origin: String [""],
         /// How much of the question the training split of its dataset shows: retake, combination, action or unshown; missing where the labels do not tell
         pub novelty: Option<String> ["", newer],

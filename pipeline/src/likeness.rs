@@ -134,7 +134,7 @@ mod tests {
         let close = walk(1.001, 0.0, DVec3::ZERO, 60);
         assert!(sketch.distance(&moved).expect("equal lengths") < 1e-5);
         assert_eq!(sketch.distance(&longer), None);
-        // Half of 59 frames at .1 m/s, in the mean.
+        // On average, half of the way of 59 frames at 0.1 m/s.
         let expected = 0.1 * 59.0 / 20.0 / 2.0;
         assert!((sketch.distance(&faster).expect("equal lengths") - expected).abs() < 0.01);
         let all = [sketch, moved, longer, faster, close].map(Some);

@@ -636,7 +636,7 @@ mod tests {
             // One frame of 147 is less than a hundredth.
             let forgiven = name == CONTACTS;
             assert_eq!(failed(&found).contains(&name), !forgiven, "{name}");
-            // Height and positions are what joints are recovered from.
+            // Joints are recovered from heights and positions.
             let moves_joints = range.end <= 67;
             assert_eq!(
                 failed(&found).contains(&JOINT_GROUP),

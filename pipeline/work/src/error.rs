@@ -44,7 +44,7 @@ pub enum Error {
         /// The file or folder.
         path: PathBuf,
     },
-    /// Pieces of a plan are not there.
+    /// Pieces of a plan are missing.
     #[error(
         "{missing} of {of} pieces are missing; make them: stance stage work {} (`stance stage status` lists them)",
         path.display()

@@ -18,7 +18,7 @@ pub struct Worker {
     plan: Plan,
     staging: Staging,
     jobs: Jobs,
-    /// Opened with the first piece that is not there.
+    /// The job, opened for the first piece that is missing.
     job: OnceLock<Result<Box<dyn Job>, Failed>>,
 }
 
@@ -27,7 +27,7 @@ pub struct Worker {
 pub struct Sample {
     /// Items that were made.
     pub items: u64,
-    /// Seconds.
+    /// Seconds that they took.
     pub secs: f64,
 }
 
