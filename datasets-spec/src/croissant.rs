@@ -14,7 +14,7 @@ pub(crate) const FILE: &str = "croissant.json";
 /// Number of files of a table above which a pattern describes them.
 const MOST_FILES: usize = 100;
 
-/// The metadata of a dataset. It follows from the manifest alone.
+/// The text of a dataset's metadata, made from its manifest only.
 pub(crate) fn text(manifest: &Manifest) -> String {
     let mut distribution = Vec::new();
     let mut record_sets = Vec::new();

@@ -91,7 +91,7 @@ pub enum Error {
     NotADataset {
         /// The folder.
         path: PathBuf,
-        /// What was missing.
+        /// The missing file or field.
         reason: String,
     },
     /// A dataset was written by a newer, incompatible version.

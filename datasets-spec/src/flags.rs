@@ -29,8 +29,7 @@ pub const FLAG_TELEPORT: u32 = 1 << 11;
 
 /// The first frame was a reference pose, such as a T-pose, from which the motion jumps; it was dropped.
 pub const FLAG_REFERENCE_DROPPED: u32 = 1 << 12;
-/// The file holds another number of rows than its header states; it was read because the run asked for
-/// it.
+/// The number of rows in the file differs from its header; the file was read because the run asked for it.
 pub const FLAG_ROW_COUNT: u32 = 1 << 13;
 
 /// The names of all flags, in the order of their bits.

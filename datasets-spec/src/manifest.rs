@@ -114,7 +114,7 @@ impl Accounting {
     }
 }
 
-/// Hash of the inputs of a stage, recorded with the table it writes: a stage whose plan is already recorded
+/// Hash of the inputs of a stage, recorded with the table that the stage writes. A stage whose plan is already recorded
 /// does nothing.
 pub fn plan_hash<T: Serialize>(stage: &str, inputs: &T) -> String {
     let text = serde_json::to_string(&(stage, env!("CARGO_PKG_VERSION"), inputs))

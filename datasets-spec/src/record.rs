@@ -32,7 +32,7 @@ table! {
         pub source_path: String [""],
         /// BLAKE3 of the source file, hexadecimal
         pub source_hash: String [""],
-        /// BLAKE3 of everything the clip was read from: its file, and the files of labels and metadata beside it, hexadecimal
+        /// BLAKE3 of all files that the clip was read from: its file, and the files of labels and metadata beside it, hexadecimal
         pub inputs_hash: String ["", newer],
         /// Licence tag of the source, if one was declared
         pub license: Option<String> [""],
@@ -141,11 +141,11 @@ table! {
         pub target_id: MotionId [""],
         /// Style of the edit, if that is what it changes
         pub style: Option<String> [""],
-        /// Body parts the edit is said to change; empty where the source does not say
+        /// Body parts that the edit changes, by the source; empty where the source does not say
         pub parts: Vec<String> [""],
         /// Instruction that turns the source into the target; empty where the source gives no words
         pub instruction: String [""],
-        /// What a fine-grained edit changes: amplitude, speed, force, spatial, timing or other, if somebody said so
+        /// What a fine-grained edit changes: amplitude, speed, force, spatial, timing or other; missing where nobody said
         pub edit_type: Option<String> ["", newer],
         /// How an answer was accepted: review, own (by its author), rule:NAME, or import; missing where nobody answered
         pub accepted_by: Option<String> ["", newer],
@@ -195,7 +195,7 @@ table! {
         pub recipe: String [""],
         /// Frame rate
         pub fps: f32 ["1/s"],
-        /// Frames: as many as the motion has where the source holds the features, else one fewer
+        /// Number of frames: that of the motion where the source holds the features, otherwise one fewer
         pub n_frames: i32 ["frame"],
         /// The 263 features in the published order and units
         pub features: Frames<HUMANML3D_WIDTH> [""],
@@ -207,7 +207,7 @@ table! {
     pub struct TripletRow = "triplets" {
         /// Id of the triplet: its place in the stream
         pub id: String [""],
-        /// Split all motions of the triplet come from
+        /// Split of all motions of the triplet
         pub split: Split [""],
         /// semantic, style or fine-grained
         pub kind: String [""],
@@ -215,7 +215,7 @@ table! {
         pub instruction: String [""],
         /// Motion the original is made of
         pub source_id: MotionId [""],
-        /// Motion the edit takes from
+        /// Motion that the edit is taken from
         pub target_id: MotionId [""],
         /// Motions blended under both sides
         pub donor_ids: Vec<String> [""],
@@ -326,7 +326,7 @@ impl NormalizerRow {
 table! {
     /// A recorded training window.
     pub struct WindowRow = "windows", pages of 64 rows {
-        /// Split all motions of the window come from
+        /// Split of all motions of the window
         pub split: Split [""],
         /// Epoch of the stream
         pub epoch: u64 [""],
@@ -356,7 +356,7 @@ table! {
         pub instruction: String [""],
         /// Motion the source was made of
         pub source_id: MotionId [""],
-        /// Motion the target took from
+        /// Motion that the target was taken from
         pub target_id: MotionId [""],
         /// Motions blended under both sides
         pub donor_ids: Vec<String> [""],
@@ -426,7 +426,7 @@ table! {
         pub settings: String ["", newer],
         /// Motion the original was made of
         pub source_id: String [""],
-        /// Motion the target took from
+        /// Motion that the target was taken from
         pub target_id: String [""],
         /// Instruction
         pub instruction: String [""],
@@ -475,7 +475,7 @@ table! {
         pub ci95: Option<f64> [""],
         /// Motions the system made of each item, which repetitions score in turn
         pub takes: u32 ["", newer],
-        /// Distinct motions that targets took from: intervals come from draws of these
+        /// Number of distinct motions that targets were taken from; intervals come from draws of these
         pub targets: u32 ["", newer],
         /// Distinct motions that sources were made of
         pub sources: u32 ["", newer],
@@ -669,8 +669,8 @@ fn within(range: Option<Range<usize>>, len: usize) -> Result<Range<usize>, Error
 }
 
 impl MaskRow {
-    /// Length in frames of the shortest range that a mask may hold for: what a training window of every preset spans, 16
-    /// frames at 10 fps (paper Sec. 5.1), counted at the stored 20 fps.
+    /// Length in frames of the shortest range that a mask may hold for. It is the span of a training window of every
+    /// preset, 16 frames at 10 fps (paper Sec. 5.1), at the stored 20 fps.
     pub const SHORTEST: i32 = 31;
 
     /// The range of frames that the mask holds for; none if it holds for the whole motion.

@@ -1,7 +1,7 @@
 //! Computing HumanML3D features, alone and on the way from AMASS archives to a Parquet shard.
 //!
-//! `cargo bench --bench features`; one thread. Rates are frames a second, to be read against the
-//! matrix product and the copy of the same run.
+//! `cargo bench --bench features`; one thread. Rates are frames a second, to be compared with the matrix product and
+//! the copy of the same run.
 
 use std::hint::black_box;
 use std::path::Path;

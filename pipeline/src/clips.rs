@@ -140,7 +140,7 @@ impl<'a> Clips<'a> {
         self.shards.iter().map(|shard| shard.num_clips).sum()
     }
 
-    /// Whether there is none.
+    /// Whether there are no clips.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

@@ -1,11 +1,11 @@
-//! Motions that are equal, or nearly so, wherever they stand and whichever way they face.
+//! Motions that are equal or nearly so, apart from their position and heading.
 
 use datasets_spec::{Motion, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation::yaw;
 
-/// Two motions of one length whose body joints lie closer together than this on average, in metres, are nearly
-/// equal. Conversion to another format and back moves joints by less; two takes of one person differ by more.
+/// Maximum mean distance of body joints, in metres, between nearly equal motions of one length. Conversion to another
+/// format and back moves joints by less; two takes of one person differ by more.
 pub const TOLERANCE_M: f64 = 0.005;
 
 const JOINTS: usize = 22;

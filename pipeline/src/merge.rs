@@ -388,7 +388,7 @@ fn passed_over(parts: &[&Part<'_>]) -> Result<(Vec<QuarantineRow>, Vec<SkippedRo
     Ok((quarantine, skipped))
 }
 
-/// The labels of both datasets, and the ids of those whose motions are in two splits now.
+/// The labels of both datasets, and the ids of labels whose motions are now in two splits.
 struct Labels {
     masks: Vec<MaskRow>,
     pairs: Vec<PairRow>,

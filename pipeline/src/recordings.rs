@@ -41,7 +41,7 @@ pub(crate) enum Recording {
 }
 
 impl Recording {
-    /// What two clips with this key have in common, for a finding.
+    /// The common origin of two clips with this key, in words for a finding.
     pub(crate) fn says(&self) -> &'static str {
         match self {
             Self::Clip(..) => "made of the same source clip",

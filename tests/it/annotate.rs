@@ -283,7 +283,7 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
             "lease_epoch": review.lease.epoch, "decision": "accept", "author": ann.user.id });
         let _: Value = eve.post(url, "reviews", &decision);
     }
-    // The server goes on while the accepted answers are written.
+    // The server keeps running while the accepted answers are written.
     let written: Value = stance(&["annotate", arg(&dataset), "--json", "export"]).done();
     assert_eq!(written["counts"]["motions_described"], 6);
     stance(&["verify", arg(&dataset)]).expect_code(0);
@@ -1047,7 +1047,7 @@ fn styles_go_into_another_project_as_they_come_out() {
     styles(stores[0], &[arg(&file)]).expect_refused("#rrggbb");
 }
 
-/// The list of missing takes shrinks as style pairs come into the dataset.
+/// The list of missing takes shrinks as style pairs are added to the dataset.
 #[test]
 fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_import() {
     let (dir, dataset) = dataset(24);

@@ -1044,7 +1044,7 @@ fn an_item_that_was_changed_under_its_id_is_refused() {
             .contains(&rows[3].id),
         "the changed item is not named"
     );
-    // Rows that need no system are scored on the items alone.
+    // Rows that need no system are scored from the items only.
     let scores: Value = typed(
         "--json eval --items {} --encoder {} --weak-judge",
         &[&items, &bench.encoder],

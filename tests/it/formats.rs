@@ -245,8 +245,8 @@ pub(crate) fn seed_walk(num_frames: usize) -> String {
     )
 }
 
-/// Checks the joints of a stored motion against those of the poses it was made of, of which it keeps every
-/// `stride`th.
+/// Checks the joints of a stored motion against the poses from which it was made; the motion keeps every `stride`th
+/// pose.
 pub(crate) fn assert_shows(row: &MotionRow, poses: &[Pose], stride: usize) {
     let skeleton = Skeleton::smplx_neutral();
     let points = skeleton

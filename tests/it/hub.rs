@@ -368,7 +368,7 @@ fn what_may_not_be_passed_on_is_refused() {
     let sources = corpus(4);
     let restricted = sources.path().join("restricted");
     let clips = sources.path().join("corpus");
-    // Sidecars state a licence of their own.
+    // Sidecars state their own licence.
     for sidecar in files_with_extension(&clips, "json") {
         let text = text_of(&sidecar);
         let text = text.replace("CC0-1.0", "LicenseRef-AMASS-NonCommercial");

@@ -155,7 +155,7 @@ fn a_folder_says_what_its_clips_are_and_the_nearer_wins() {
     );
     stance(&["verify", arg(&sources.path("out"))]).expect_code(0);
 
-    // The labels beside a file also apply if the file is a source by itself.
+    // Labels beside a file also apply if the file itself is the source.
     let lone = sources.path("lone");
     let file = sources.path("in/inner/run.bvh");
     stance(&["ingest", arg(&file), "--out", arg(&lone)]).expect_code(0);

@@ -220,7 +220,7 @@ fn a_system_behind_the_identity_editor_is_never_best() {
         let args = ["--table", "1", "--further", "--format", format];
         eval(&args).stdout
     };
-    // One task; tables of novelties stand between its tables.
+    // One task; tables by novelty are between its tables.
     let mut markdown = tables(&table("markdown"));
     markdown.retain(|table| table.heading == "semantic");
     let further = &markdown[1];

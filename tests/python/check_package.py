@@ -80,7 +80,7 @@ def motions_come_back(work: pathlib.Path) -> None:
     assert len(posed) == len(motion) - 1 and posed.fps == 20
     assert len(motion.crop(3, 9)) == 6 and motion.resample(10).fps == 10
 
-    # A blend by parts takes the target's arm and nothing else.
+    # A blend by parts only takes the target's arm.
     other = next(clip for id, clip in dataset if id != dataset.ids()[0] and len(clip) >= len(motion))
     other = other.crop(0, len(motion))
     blended = stance.blend(motion, other, parts=["left arm"], alpha=0.25)

@@ -97,8 +97,8 @@ fn placed(yaw_rad: f64, onto: DVec3, from: DVec3) -> GroundTransform {
     }
 }
 
-/// The placement of a segment whose first frame is `first`: the ground transform that carries
-/// canonical coordinates to the world.
+/// Placement of a segment whose first frame is `first`: the ground transform that carries canonical coordinates to the
+/// world.
 pub fn world_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> GroundTransform {
     let origin = match anchor {
         Anchor::Pelvis => first.transl + skeleton.rest(0),

@@ -82,7 +82,7 @@ impl Skeleton {
 }
 
 /// Takes the local rotations and keypoints of a frame, rounded to single precision. Implementations must be
-/// `#[inline(always)]`, as [`Kernel::run`] says.
+/// `#[inline(always)]`, see [`Kernel::run`].
 pub trait FrameSink {
     /// Takes the local rotation of one of the 22 body joints, a quaternion x, y, z, w.
     fn set_rotation(&mut self, joint: usize, quaternion: [f32; 4]);

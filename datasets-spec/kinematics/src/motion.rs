@@ -143,7 +143,7 @@ impl Motion {
         &self.body_pose
     }
 
-    /// The axis-angle of a body joint relative to its parent, joint 0 being the root.
+    /// The axis-angle of a body joint relative to its parent; joint 0 is the root.
     ///
     /// # Panics
     /// If the frame or the joint does not exist.

@@ -156,7 +156,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// An object being written. It is held in memory: a shard is a few hundred megabytes at most.
+/// An object being written. Its bytes are held in memory: a shard is a few hundred megabytes at most.
 struct Upload {
     place: Place,
     client: Client,
@@ -258,8 +258,8 @@ impl Store for Remote {
         }
     }
 
-    /// Reads and hashes the file from the storage, bypassing the cache. Later reads come from the cache where it has
-    /// room.
+    /// Reads and hashes the file from the storage, bypassing the cache. Later reads come from the cache if the file
+    /// fits into it.
     fn hash(&self, path: &Path) -> io::Result<String> {
         let (place, client) = match self.find(path)? {
             Found::Local(path) => return Disk.hash(&path),

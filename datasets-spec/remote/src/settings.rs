@@ -13,7 +13,7 @@ pub struct Settings {
     pub cache: Option<(PathBuf, u64)>,
     /// How often a request that fails temporarily is repeated.
     pub retries: usize,
-    /// Where Hugging Face's tools keep datasets, if anywhere.
+    /// Cache of Hugging Face's tools, if there is one.
     pub hub: Option<HubCache>,
 }
 

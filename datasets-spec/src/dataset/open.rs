@@ -76,9 +76,9 @@ impl Dataset {
         Some(&self.chosen.as_ref()?.condition)
     }
 
-    /// Opens the newest committed version and verifies the hash of every file. At a URL, where that would
-    /// read the whole dataset, it verifies that every file is there and its size; the hash of a file is then
-    /// verified when the file is read whole.
+    /// Opens the newest committed version and verifies the hash of every file. At a URL this would read the whole
+    /// dataset, so only existence and size of every file are verified; the hash of a file is then verified when the
+    /// file is read whole.
     ///
     /// # Errors
     /// The folder is not a dataset, has a newer format, or a file is missing or altered.

@@ -60,7 +60,7 @@ impl Staging {
     /// Number of the newest version of a dataset; 0 if there is no dataset yet.
     ///
     /// # Errors
-    /// The folder is there and cannot be listed.
+    /// The folder exists but cannot be listed.
     pub fn newest_version(store: &dyn Store, root: &Path) -> Result<u64, Error> {
         Ok(manifest_versions(store, root)?.pop().unwrap_or(0))
     }
@@ -68,7 +68,7 @@ impl Staging {
     /// The newest version of a dataset; none if there is no dataset yet.
     ///
     /// # Errors
-    /// A manifest is there and cannot be read.
+    /// A manifest exists but cannot be read.
     pub fn newest(store: &dyn Store, root: &Path) -> Result<Option<Manifest>, Error> {
         newest_manifest(store, root)
     }
@@ -139,7 +139,7 @@ impl Staging {
     /// Writes a record of the plan.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The record cannot be written.
     pub fn put<T: Serialize>(&self, name: &str, record: &T) -> Result<(), Error> {
         self.store
             .create_dir_all(&self.folder)
@@ -165,9 +165,8 @@ impl Transaction {
         Staging::new(self.store(), self.root(), base, plan_hash)
     }
 
-    /// Moves staged files into the dataset, where they lie aside until the commit. Files that are there already stay.
-    /// On storage without locks, files are copied; a file whose name is taken gets another name, which its entry then
-    /// states.
+    /// Moves staged files into the dataset, where they lie aside until the commit. Existing files stay. On storage
+    /// without locks, files are copied; a file whose name is taken gets another name, which its entry then states.
     ///
     /// # Errors
     /// A file cannot be moved.

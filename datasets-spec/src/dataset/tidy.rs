@@ -27,7 +27,7 @@ pub fn descriptions(manifest: &Manifest) -> [(&'static str, String); 2] {
     ]
 }
 
-/// What [`Transaction::prune`] removed.
+/// Result of [`Transaction::prune`].
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Pruned {
     /// Versions that were removed.

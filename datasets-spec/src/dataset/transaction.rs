@@ -16,8 +16,8 @@ use crate::{Error, Skeleton};
 
 const TOOL: &str = concat!("stance ", env!("CARGO_PKG_VERSION"));
 
-/// A run that writes to a dataset. It holds the folder's lock until it is committed or dropped; at a URL
-/// there is no lock, and of two runs that commit the same version the later one fails.
+/// A run that writes to a dataset. It holds the folder's lock until it is committed or dropped; at a URL there is no
+/// lock, and if two runs commit the same version, the later one fails.
 #[derive(Debug)]
 pub struct Transaction {
     pub(super) root: PathBuf,
@@ -36,7 +36,7 @@ pub struct Commit {
     pub tables: BTreeMap<String, Vec<FileEntry>>,
     /// Hash of the plan that made the tables.
     pub plan_hash: String,
-    /// Plan hashes of tables whose plan differs from the run's.
+    /// Plan hashes of tables that were made by another plan than `plan_hash`.
     pub plans: BTreeMap<String, String>,
     /// The skeleton motions are posed on.
     pub skeleton: Skeleton,

@@ -16,12 +16,12 @@ pub struct Caption {
     pub to_s: f32,
 }
 
-/// What one body part does.
+/// Description of what one body part does.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PartCaption {
     /// Name of the part in the release's spelling, such as `LEFT_ARM`.
     pub part: String,
-    /// What it does, completing "The person is ...".
+    /// The description, completing "The person is ...".
     pub text: String,
 }
 

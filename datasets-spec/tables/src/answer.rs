@@ -62,7 +62,7 @@ impl Answer {
     /// The rows as objects of a type, whose fields are the columns.
     ///
     /// # Errors
-    /// A row is not of the type.
+    /// A row does not have the type.
     pub fn rows<T: DeserializeOwned>(&self) -> Result<Vec<T>, Error> {
         let names = self.columns();
         let object = |row: usize| {

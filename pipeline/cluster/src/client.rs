@@ -168,8 +168,8 @@ fn say(args: &Args, document: &Document) -> anyhow::Result<()> {
 
 /// Lets the cluster make pieces until each exists or has failed, and returns the records of the failed ones.
 ///
-/// The result of a job lies on its executors. If an executor is lost with its results, the job fails although the
-/// pieces exist: another job then makes the missing pieces.
+/// Executors store the result of a job. If an executor is lost with its results, the job fails although the pieces
+/// exist: another job then makes the missing pieces.
 async fn work(
     args: &Args,
     plan: &Plan,

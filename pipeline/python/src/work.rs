@@ -15,7 +15,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::Failure;
 
-/// How often a long call looks for Ctrl-C.
+/// How often a long call checks for Ctrl-C.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// Threads of this process. A forked process, such as a worker of a PyTorch loader, has no threads of its parent and

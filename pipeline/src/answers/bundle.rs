@@ -129,12 +129,12 @@ impl Bundle {
         Ok(bundle)
     }
 
-    /// Reads a bundle and checks it: it is whole and holds nothing else; it is of these items and this skeleton; and
-    /// every item has as many answers as the others, of one system, each a finite motion of at least three frames at
-    /// the item's rate.
+    /// Reads a bundle and checks it. The bundle must be complete and hold nothing else, and be made for these items and
+    /// this skeleton. Every item must have the same number of answers, all of one system, each a finite motion of at
+    /// least three frames at the item's rate.
     ///
     /// # Errors
-    /// It breaks one of these rules. The error names the bundle, and the item if it concerns one.
+    /// The bundle breaks one of these rules. The error names the bundle, and the item if it concerns one.
     pub fn read(path: &Path, items: &Rates<'_>, skeleton: &Skeleton) -> Result<Self, Error> {
         let refused = |problem: String| refused(path, problem);
         let file = ByPath

@@ -161,7 +161,7 @@ fn npy(bytes: &[u8], skeleton: &Skeleton) -> Result<Recorded, Rejected> {
 /// A number `fps` beside them takes precedence.
 ///
 /// # Source
-/// Repository athn-nik/motionfix: what its evaluation writes for each item.
+/// Repository athn-nik/motionfix: the output of its evaluation for each item.
 fn of_value(value: &Value) -> Result<Recorded, Rejected> {
     let fps = value.get("fps").and_then(number);
     let has = |key: &str| value.get(key).is_some();

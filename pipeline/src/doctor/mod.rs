@@ -1,5 +1,5 @@
-//! Diagnosis of sources before ingesting: what is there and what is missing. Only names and first bytes of motions are
-//! read. Captures of markers are read whole, because their labels and unit decide whether they give motions.
+//! Diagnosis of sources before ingesting: present and missing files. Only names and first bytes of motions are read.
+//! Captures of markers are read whole, because their labels and unit decide whether they give motions.
 
 mod advice;
 mod amass;

@@ -350,7 +350,7 @@ fn texts_column<'a>(lists: impl Iterator<Item = Vec<&'a str>>) -> ArrayRef {
     Arc::new(column.finish())
 }
 
-/// Makes the text the index of the tasks in pandas; LeRobot looks tasks up by it.
+/// Makes the text the pandas index of the tasks, because LeRobot looks up tasks by text.
 fn tasks_index() -> HashMap<String, String> {
     let column = |name: &str, kind: &str, numpy: &str| {
         json!({

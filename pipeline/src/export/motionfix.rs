@@ -52,7 +52,7 @@ impl Side {
     }
 }
 
-/// Writes the recorded triplets of a dataset, or else its items with a target, to a new folder.
+/// Writes the recorded triplets of a dataset, or, if there are none, its items with a target, to a new folder.
 ///
 /// # Errors
 /// There are no triplets and no such items, the folder exists and is not empty, the dataset cannot be read, or writing
@@ -448,7 +448,7 @@ mod tests {
         ingested_with(&options, source, out)
     }
 
-    /// A dump of two pairs, of which one has no words.
+    /// A dump of two pairs, one of which has no words.
     fn dump() -> Vec<u8> {
         let skeleton = Skeleton::smplx_neutral();
         let side = |frames: usize| {

@@ -80,7 +80,7 @@ pub(super) fn write(
 struct Labels {
     ids: BTreeSet<String>,
     masks: Vec<MaskRow>,
-    /// Pairs of which both motions are chosen.
+    /// Pairs whose motions are both chosen.
     pairs: Vec<PairRow>,
 }
 

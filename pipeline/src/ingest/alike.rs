@@ -274,7 +274,7 @@ impl Files {
         Ok(())
     }
 
-    /// Unites motions that are nearly equal, one of which at least was made in this run, and returns one of each pair.
+    /// Unites motions that are nearly equal, at least one of which was made in this run, and returns one of each pair.
     fn unite_near(
         &self,
         all: &[Numbers],
@@ -342,8 +342,8 @@ impl<'a> Order<'a> {
         places.map(|place| self.places[place].1)
     }
 
-    /// Calls `meet` for each pair of motions whose numbers are nearly equal, if this run made at least one of them. Its
-    /// arguments are the first place that a later call may name, and the two places in ascending order.
+    /// Calls `meet` for each pair of motions whose numbers are nearly equal, if this run made at least one of them. The
+    /// arguments of `meet` are the first place that a later call may name, and the two places in ascending order.
     fn neighbours(
         &self,
         mut meet: impl FnMut(usize, [usize; 2]) -> Result<(), Error>,

@@ -277,7 +277,7 @@ impl Plan {
 /// Clips that stay, with the numbers of their sources.
 type Staying<'a> = BTreeMap<&'a str, usize>;
 
-/// Writes rows of recorded shards anew.
+/// Writes rows of recorded shards again.
 struct Rewriter<'a> {
     recorded: &'a Recorded,
     transaction: &'a Transaction,

@@ -363,7 +363,8 @@ impl Plan {
 /// Separator between a release's number among those of its format and a key. Names have no control characters.
 const AMONG_RELEASES: char = '\u{1f}';
 
-/// Text that the split of a key is drawn from; it is the same whether its release is alone or one of several.
+/// Text that the split of a key is drawn from. It is the same whether the release of the key is the only one or one of
+/// several.
 fn drawn_by(key: &str) -> &str {
     key.rsplit(AMONG_RELEASES).next().unwrap_or(key)
 }

@@ -41,7 +41,7 @@ pub(crate) struct Listing {
     pub(crate) unlisted: Vec<(String, String)>,
     /// Archives and members of archives that cannot be used, with the hash of the archive.
     pub(crate) refused: Vec<(String, String, Rejected)>,
-    /// Archives whose members are among the files: these can be read while this is kept.
+    /// Archives whose members are among the files. The members can be read as long as this value is kept.
     pub(crate) archives: Archives,
 }
 

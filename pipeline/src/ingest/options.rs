@@ -23,7 +23,7 @@ use work::{absolute, hash_file};
 /// Version of the code that turns files into rows. A dataset made by an older version is read again.
 const INGEST_VERSION: u32 = 4;
 
-/// Fact of a manifest: what a reader should know about its splits.
+/// Fact of a manifest: remarks for readers on its splits.
 pub const REMARKS_FACT: &str = "remarks";
 
 /// Fact of a manifest: lines of the list of pairs that gave no pair, as JSON.
@@ -222,7 +222,7 @@ impl IngestOptions {
     /// Checks the rate to store at.
     ///
     /// # Errors
-    /// It is implausibly low or high.
+    /// The rate is implausibly low or high.
     pub fn check_fps(fps: Fps) -> Result<(), crate::Error> {
         let [lowest, highest] = FPS_LIMITS;
         match (lowest..=highest).contains(&fps.get()) {

@@ -1,4 +1,4 @@
-//! The plan of a run: which motions are read, under which ids, in which splits.
+//! The plan of a run: the motions to read, their ids and their splits.
 
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};

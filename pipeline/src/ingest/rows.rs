@@ -197,7 +197,7 @@ fn stored_features(
     }
 }
 
-/// Where each caption of a clip comes from.
+/// Origin of each caption of a clip.
 fn caption_origins(clip: &SourceClip) -> Vec<String> {
     let origins = [CAPTION_BY_SOURCE, CAPTION_BY_RULE];
     let counts = [clip.captions.len(), clip.made_captions.len()];

@@ -48,7 +48,7 @@ struct Run<'a> {
     facts: [(&'static str, String); 6],
 }
 
-/// Where the shards of a run come from.
+/// Origin of the shards of a run.
 pub(super) enum Pieces {
     /// Make the shards: read the motions, or take them from an interrupted run of the same plan.
     Make,
@@ -192,9 +192,9 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Reads what is new or changed, or takes the shards that were made of it, and commits it with what stays.
-    /// `outside` are rejected items of sources that are not of this run. Tables composed of the clips stay if no clip
-    /// changes and `is_same` says that the settings did not change either.
+    /// Reads new and changed motions, or takes the shards that were made of them, and commits them with the clips that
+    /// stay. `outside` are rejected items of sources that are not of this run. Tables composed of the clips stay if no
+    /// clip changes and `is_same` says that the settings did not change either.
     fn finish(
         mut self,
         outside: Outside,
@@ -418,7 +418,7 @@ impl<'a> Run<'a> {
         problems
     }
 
-    /// Tables that were composed of the motions of the version before.
+    /// Tables that were composed of the motions of the previous version.
     fn composed(&self) -> BTreeSet<String> {
         let base = self.transaction.base().into_iter();
         let tables = base.flat_map(|base| base.tables.keys());

@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 /// Fact of a manifest: the sources, as JSON.
 pub(super) const SOURCES_FACT: &str = "sources";
 
-/// A source as it is given: a file, a folder or a URL, with a name or without. As text `NAME=PATH`, or the path
-/// alone.
+/// A source as it is given: a file, a folder or a URL, with or without a name. Its text is `NAME=PATH`, or only the
+/// path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SourceArg {
     /// Name of the source; if none, the name of its folder.

@@ -64,7 +64,7 @@ datasets_spec::table! {
         pub entry_id: String [""],
         /// Published split
         pub entry_split: Option<String> [""],
-        /// Motions that share a drawn split by its release
+        /// Group of the release whose motions share a drawn split
         pub entry_group: Option<String> [""],
         /// Id of the motion it mirrors
         pub mirrored_of: Option<String> [""],

@@ -26,7 +26,7 @@ pub(super) const NOT_SELECTED: &str = " was not selected";
 pub enum Choice {
     /// Clips for which a condition is true.
     Where(Condition),
-    /// Clips whose ids are listed in a file, one a line.
+    /// Clips whose ids are listed in a file, one per line.
     Ids {
         /// The file, for errors.
         path: PathBuf,

@@ -46,9 +46,9 @@ pub struct Compacted {
     pub version: u64,
     /// Whether the dataset was as compact as it can be.
     pub already_compact: bool,
-    /// The version before.
+    /// Files of the previous version.
     pub before: Layout,
-    /// The result.
+    /// Files of the result.
     pub after: Layout,
     /// Hash of the result.
     pub root_hash: String,

@@ -193,7 +193,7 @@ fn already_committed(plan: &Plan) -> Result<Committed, Error> {
     })
 }
 
-/// Pieces that failed, as rows of the table of quarantined items: for jobs whose items are no sources.
+/// Pieces that failed, as rows of the table of quarantined items, for jobs whose items are not source files.
 #[derive(Clone, Debug, Default)]
 pub struct Quarantine {
     rows: Vec<QuarantineRow>,

@@ -35,7 +35,7 @@ pub enum Error {
         destination: PathBuf,
         /// Version that the plan starts from; 0 for none.
         base: u64,
-        /// Version that is there now; 0 for none.
+        /// Present version of the destination; 0 for none.
         now: u64,
     },
     /// A file changed since a plan was made.

@@ -44,12 +44,12 @@ pub struct NewFolder {
     content: PathBuf,
     out: PathBuf,
     abandoned: Vec<PathBuf>,
-    /// Held until the partial folder is gone. A file system without locks has none.
+    /// Lock that is held until the partial folder is gone; none if the file system has no locks.
     _lock: Option<File>,
 }
 
 impl NewFolder {
-    /// Begins a folder, and removes what killed runs left beside it.
+    /// Begins a folder, and removes partial folders that killed runs left beside it.
     ///
     /// # Errors
     /// The destination exists and is not empty, or the folder cannot be made.
@@ -98,7 +98,7 @@ impl NewFolder {
     /// Renames the partial folder to its final name. An empty folder with that name is replaced.
     ///
     /// # Errors
-    /// Something else has the name, or the system refuses.
+    /// The name is taken, or the system refuses.
     pub fn publish(self) -> Result<(), Error> {
         publish(&self.content, &self.out)
     }
@@ -185,8 +185,8 @@ fn is_partial(name: &OsStr) -> bool {
     number.is_some_and(|rest| rest.starts_with('.') && rest.ends_with(&format!(".{END}")))
 }
 
-/// Removes a partial folder, the lock file last: without it, the owner of the remains could not be determined. What
-/// cannot be removed is left to the next run.
+/// Removes a partial folder, the lock file last: without it, the owner of the remains could not be determined. Remains
+/// that cannot be removed are left to the next run.
 fn remove(place: &Path) {
     let _content = fs::remove_dir_all(place.join(CONTENT));
     if !place.join(CONTENT).exists() {

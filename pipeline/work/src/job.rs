@@ -23,7 +23,7 @@ pub trait Job: Send + Sync {
     /// Makes up to `count` items of a piece without writing anything, and returns how many it made.
     ///
     /// # Errors
-    /// They cannot be made.
+    /// The items cannot be made.
     fn sample(&self, piece: &Piece, count: u64) -> Result<u64, Failed>;
 
     /// Makes the pieces a part of the destination. Pieces that failed are given only with

@@ -155,7 +155,7 @@ pub fn hash_file(path: &Path) -> Result<String, Error> {
     ByPath.hash(path).map_err(Error::io("read", path))
 }
 
-/// A path that means the same for every worker.
+/// A path that is valid for every worker.
 ///
 /// # Errors
 /// The path is empty, or the current folder is gone.
@@ -256,7 +256,7 @@ impl Plan {
     /// Settings of the job.
     ///
     /// # Errors
-    /// They are those of another job.
+    /// The settings are those of another job.
     pub fn settings<T: DeserializeOwned>(&self) -> Result<T, Error> {
         serde_json::from_value(self.header.settings.clone()).map_err(|error| Error::BadPlan {
             path: self.path.clone(),
@@ -334,7 +334,7 @@ impl Plan {
     /// State of the destination.
     ///
     /// # Errors
-    /// The destination is there and cannot be read.
+    /// The destination exists but cannot be read.
     pub fn state(&self) -> Result<State, Error> {
         if !self.header.is_dataset {
             return Ok(match is_occupied(self.destination()) {
@@ -388,7 +388,7 @@ impl Plan {
     /// Checks that the destination has not changed since the plan was made.
     ///
     /// # Errors
-    /// It has another version now.
+    /// The destination has another version now.
     pub fn check_open(&self) -> Result<(), Error> {
         match self.state()? {
             State::Open => Ok(()),

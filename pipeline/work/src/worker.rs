@@ -120,7 +120,7 @@ impl Worker {
     /// Makes some items of the largest piece without keeping them, to time them.
     ///
     /// # Errors
-    /// They cannot be made.
+    /// The items cannot be made.
     pub fn sample(&self, count: u64) -> Result<Option<Sample>, Failed> {
         let pieces = self.plan.pieces().iter();
         let Some(piece) = pieces.max_by_key(|piece| piece.items) else {

@@ -60,7 +60,7 @@ const TRIANGLES: [(usize, [usize; 3]); 5] = [
 ];
 
 impl Fitter<'_> {
-    /// An initial body from geometry alone; exact if the keypoints lie on the skeleton.
+    /// An initial body from geometry only; exact if the keypoints lie on the skeleton.
     pub(super) fn start(&self, target: &KeypointFrame) -> Body {
         let mut global = [DQuat::IDENTITY; NUM_BODY_JOINTS];
         global[0] = self.aligned(target, 0).unwrap_or(DQuat::IDENTITY);

@@ -123,7 +123,7 @@ impl Hub {
         self.token.is_some()
     }
 
-    /// Where a file of a repo is downloaded from. `repo` is its path on the server.
+    /// URL at which a file of a repo is downloaded. `repo` is its path on the server.
     pub(super) fn address(&self, repo: &str, revision: &str, file: &str) -> String {
         let (revision, file) = (quoted(revision, ""), quoted(file, "/"));
         format!("{}/{repo}/resolve/{revision}/{file}", self.endpoint)

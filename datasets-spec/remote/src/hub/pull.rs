@@ -61,7 +61,7 @@ impl Staged {
     }
 }
 
-/// The version of a dataset whose manifest a path names.
+/// The version in the path of a manifest; none if the path is not that of a manifest.
 pub fn manifest_version(path: &str) -> Option<u64> {
     let number = path.strip_prefix("meta/manifest-")?;
     number.strip_suffix(".json")?.parse().ok()
@@ -71,8 +71,8 @@ pub fn manifest_version(path: &str) -> Option<u64> {
 /// checked against its checksum, and an interrupted download is resumed.
 ///
 /// # Errors
-/// The folder is there already, the repo has no such revision or holds nothing of this program, the server refuses or
-/// fails, or a file is not what its checksum says. What was downloaded is kept, unless it is wrong.
+/// The folder exists already, the repo has no such revision or holds nothing of this program, the server refuses or
+/// fails, or a file does not match its checksum. Downloaded files are kept, unless they are wrong.
 pub fn pull(
     hub: &Hub,
     repo: &Repo,
@@ -144,7 +144,7 @@ impl Source<'_> {
         }
     }
 
-    /// Keeps the files of the newest version of a dataset, and what lies beside its tables. Returns the others.
+    /// Keeps the files of the newest version of a dataset, and the files beside its tables. Returns the other files.
     fn keep_newest(&self, files: &mut Tree, progress: &dyn Progress) -> Result<Vec<String>, Error> {
         let newest = files
             .iter()

@@ -114,7 +114,7 @@ impl<'a> Push<'a> {
     ///
     /// # Errors
     /// There is no token, the server refuses or fails, another commit was made meanwhile, or a file cannot be read.
-    /// What was uploaded before is not lost: the same push continues from there.
+    /// Uploaded files are not lost: the same push continues from there.
     pub fn send(self, progress: &dyn Progress) -> Result<Pushed, Error> {
         let Self {
             hub, repo, options, ..
@@ -258,8 +258,8 @@ fn distinct<'a>(objects: &[Object<'a>]) -> Vec<Object<'a>> {
     distinct
 }
 
-/// The commit in the server's format: a JSON document a line. It names its parent, so it fails if another commit was
-/// made meanwhile.
+/// The commit in the server's format: one JSON document per line. The commit names its parent, so it fails if another
+/// commit was made meanwhile.
 fn commit_lines(
     options: &PushOptions<'_>,
     parent: Option<&str>,

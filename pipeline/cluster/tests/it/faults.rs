@@ -132,7 +132,7 @@ fn faults_that_ballista_injects_change_nothing() {
     }
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
     let mut said = run_local(&plan, &args);
-    // A task that fails four times ends the job; what is done stays done.
+    // A task that fails four times ends the job; pieces that are done stay done.
     for _ in 0..10 {
         if said.status.success() {
             break;

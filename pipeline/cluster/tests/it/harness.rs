@@ -37,7 +37,7 @@ pub(crate) fn run(program: &Path, args: &[&str]) -> Output {
     output.unwrap_or_else(|error| panic!("{}: {error}", program.display()))
 }
 
-/// Runs `stance` and returns its JSON document; `allowed` are the exit codes beside 0.
+/// Runs `stance` and returns its JSON document; `allowed` are the exit codes that are accepted besides 0.
 pub(crate) fn stance_json(args: &[&str], allowed: &[i32]) -> Value {
     let mut all = vec!["--json", "--no-progress"];
     all.extend(args);

@@ -108,9 +108,9 @@ impl PairList {
     }
 
     /// Parses a list in UTF-8, with or without a header line (`styled,original,style,text,kind,parts,edit_type`).
-    /// Fields may be quoted; those from the text on may be left out. The kind is `style` (the default) or
-    /// `fine-grained`, whose lines need a text and no style; the parts are names of body parts with `;`
-    /// between them; the edit type of a fine-grained pair is one of [`EDIT_TYPES`].
+    /// Fields may be quoted; the text and the fields after it may be left out. The kind is `style` (the default) or
+    /// `fine-grained`, whose lines need a text and no style; the parts are names of body parts with `;` between them;
+    /// the edit type of a fine-grained pair is one of [`EDIT_TYPES`].
     pub fn parse(bytes: &[u8]) -> Self {
         let mut list = Self {
             hash: blake3::hash(bytes).to_hex().to_string(),
