@@ -331,7 +331,7 @@ def a_dataset_is_read_from_an_address(work: pathlib.Path) -> None:
 
 def an_interrupt_ends_long_work(work: pathlib.Path) -> None:
     """Interrupts an ingestion once it holds its folder; the second run goes on and gives the same dataset."""
-    # A shell may start a process in the background with interrupts ignored. Python keeps that, and would never be interrupted.
+    # A shell may start background processes with interrupts ignored. Python inherits this, so set its own handler.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     stance.corpus(work / "many", clips=1200)
     # On a busy machine the ingestion may be done before the other thread runs; then the next one is interrupted.

@@ -179,8 +179,8 @@ fn check_text_length<T: AsRef<str>>(values: impl IntoIterator<Item = T>) -> Resu
     }
 }
 
-/// Offsets of a list column from the lengths of its rows. Arrow's are 32 bits wide: frames of motions
-/// always fit, the markers of a few very long captures may not.
+/// Offsets of a list column from the lengths of its rows. Arrow's offsets are 32 bits wide: frames of motions always
+/// fit, but the markers of a few very long captures may not.
 fn offsets(lengths: &[usize]) -> Result<OffsetBuffer<i32>, String> {
     let total = lengths
         .iter()

@@ -167,7 +167,7 @@ impl Scene {
         record("GlobalSettings", Vec::new(), children)
     }
 
-    /// The document.
+    /// The document of a scene with these takes.
     fn records(&self, takes: &[Take<'_>]) -> Vec<Record> {
         let (mut objects, mut links) = (Vec::new(), Vec::new());
         let mut link = |from: i64, to: i64, property: Option<&str>| {
