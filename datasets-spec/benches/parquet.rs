@@ -21,7 +21,7 @@ fn main() {
     divan::main();
 }
 
-/// A number that wanders as captured joints do: smooth, with noise in the last bits.
+/// A smooth number with noise in its last bits, like the coordinates of captured joints.
 fn wander(rng: &mut datasets_spec::Rng, time: f64, rate: f64) -> f32 {
     let noise: f64 = rng.random_range(-2e-3..2e-3);
     ((rate * time).sin() * 0.4 + noise) as f32
@@ -138,7 +138,7 @@ fn read_random_clip(bencher: Bencher) {
 mod calibration {
     use super::*;
 
-    /// Bytes of a copy that fits in no cache of the machines this runs on.
+    /// Size of the copied buffer: larger than the caches of the machines this runs on.
     const COPY_BYTES: usize = 64 << 20;
     const SIDE: usize = 512;
 
@@ -151,8 +151,7 @@ mod calibration {
             .bench_local(|| black_box(&mut to).copy_from_slice(black_box(&from)));
     }
 
-    /// A product of two square matrices as the compiler vectorises it; `items` are floating-point
-    /// operations.
+    /// A product of two square matrices, vectorised by the compiler; `items` are floating-point operations.
     #[divan::bench]
     fn matrix_product(bencher: Bencher) {
         let a = vec![1.0f32; SIDE * SIDE];

@@ -8,10 +8,10 @@ use crate::manifest::{Manifest, SPLIT_BY_FACT};
 
 pub(crate) const FILE: &str = "README.md";
 
-/// The library's split name for tables without splits. It reserves `all`.
+/// Split name for tables without splits; the library reserves `all`.
 const WITHOUT_SPLIT: &str = "rows";
 
-/// The card of a dataset. It follows from the manifest alone.
+/// The text of a dataset's card, made from its manifest only.
 pub(crate) fn text(manifest: &Manifest) -> String {
     let mut text = String::from("---\npretty_name: Motion dataset\ntags:\n- motion\n- smpl-x\n");
     let licenses = hub_names(&licenses(manifest));
@@ -62,7 +62,7 @@ pub(crate) fn text(manifest: &Manifest) -> String {
     text
 }
 
-/// The default table for readers: the motions, else the edits, else the first table with rows.
+/// The default table for readers: the motions, otherwise the edits, otherwise the first table with rows.
 fn main_table(manifest: &Manifest) -> &str {
     let has_rows = |table: &&str| manifest.rows(table, None) > 0;
     let mut tables = manifest.tables.keys().map(String::as_str);

@@ -14,7 +14,7 @@ pub(crate) const FILE: &str = "croissant.json";
 /// Number of files of a table above which a pattern describes them.
 const MOST_FILES: usize = 100;
 
-/// The metadata of a dataset. It follows from the manifest alone.
+/// The text of a dataset's metadata, made from its manifest only.
 pub(crate) fn text(manifest: &Manifest) -> String {
     let mut distribution = Vec::new();
     let mut record_sets = Vec::new();
@@ -50,7 +50,7 @@ pub(crate) fn text(manifest: &Manifest) -> String {
                 "encodingFormat": "application/x-parquet",
                 "sha256": file.sha256,
             }));
-            // A field is of one file, so every file has a record set of its own.
+            // A Croissant field refers to one file, so every file has its own record set.
             let id = file
                 .path
                 .trim_start_matches("data/")
@@ -85,7 +85,7 @@ pub(crate) fn text(manifest: &Manifest) -> String {
     text
 }
 
-/// Address of an SPDX licence; other licences by their tag.
+/// URL of an SPDX licence; the tag itself for other licences.
 fn license_url(tag: &str) -> String {
     match tag.starts_with("LicenseRef-") || tag.contains(' ') {
         true => tag.to_owned(),

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-/// An error that names the item it happened to.
+/// An error that names the affected item.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -30,7 +30,7 @@ pub enum Error {
         path: PathBuf,
         /// The requested version.
         version: u64,
-        /// The numbers that would do.
+        /// The versions that exist.
         known: String,
     },
     /// A folder holds no test questions.
@@ -55,7 +55,7 @@ pub enum Error {
     BodyPart {
         /// The text found.
         name: String,
-        /// The names that would do.
+        /// The known names.
         known: String,
     },
     /// A blend mask names a joint as hard and soft.
@@ -91,7 +91,7 @@ pub enum Error {
     NotADataset {
         /// The folder.
         path: PathBuf,
-        /// What was missing.
+        /// The missing file or field.
         reason: String,
     },
     /// A dataset was written by a newer, incompatible version.
@@ -139,7 +139,7 @@ pub enum Error {
         "a mask holds for {frames} frames, and a training window spans {shortest}; make its range that long"
     )]
     ShortRange {
-        /// Frames of the range.
+        /// Frames that the mask holds for.
         frames: usize,
         /// Fewest frames that the window needs.
         shortest: usize,

@@ -13,7 +13,7 @@ pub const FLAG_NO_CONTACT: u32 = 1 << 4;
 /// A joint moves faster than 12 m/s: possible for the hand of a boxer, more often a jump of the
 /// capture.
 pub const FLAG_FAST: u32 = 1 << 5;
-/// A caption speaks of a time outside the clip.
+/// A caption refers to a time outside the clip.
 pub const FLAG_CAPTION_OUTSIDE: u32 = 1 << 6;
 /// The clip has no description.
 pub const FLAG_NO_CAPTION: u32 = 1 << 7;
@@ -21,7 +21,7 @@ pub const FLAG_NO_CAPTION: u32 = 1 << 7;
 pub const FLAG_POOR_FIT: u32 = 1 << 8;
 /// A joint or marker was missing in the source and was filled in.
 pub const FLAG_GAPS_FILLED: u32 = 1 << 9;
-/// The source's frame rate is contradicted by what is known of its subset.
+/// The source's frame rate contradicts what is known of its subset.
 pub const FLAG_FPS_DOUBTFUL: u32 = 1 << 10;
 /// A joint moves faster than any person can; the clip was kept, or trimmed, because the run asked
 /// for it.
@@ -29,8 +29,7 @@ pub const FLAG_TELEPORT: u32 = 1 << 11;
 
 /// The first frame was a reference pose, such as a T-pose, from which the motion jumps; it was dropped.
 pub const FLAG_REFERENCE_DROPPED: u32 = 1 << 12;
-/// The file holds another number of rows than its header states; it was read because the run asked for
-/// it.
+/// The number of rows in the file differs from its header; the file was read because the run asked for it.
 pub const FLAG_ROW_COUNT: u32 = 1 << 13;
 
 /// The names of all flags, in the order of their bits.

@@ -86,11 +86,11 @@ impl std::fmt::Display for MotionId {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Split {
-    /// Fits models, normalisation, masks and embeddings.
+    /// Models, normalisation, masks and embeddings are fitted to it.
     Train,
-    /// Chooses among checkpoints.
+    /// Checkpoints are chosen by it.
     Val,
-    /// Is used once, for the result table.
+    /// It is used once, for the result table.
     Test,
 }
 

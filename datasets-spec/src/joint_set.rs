@@ -76,7 +76,7 @@ impl JointSet {
             .filter(move |joint| self.contains(joint.index()))
     }
 
-    /// The same joints of the other side of the body.
+    /// The same joints on the other side of the body.
     pub fn mirrored(self) -> Self {
         self.iter().map(Joint::mirrored).collect()
     }
@@ -182,7 +182,7 @@ impl BodyPart {
         self.name().to_lowercase().replace('_', " ")
     }
 
-    /// The same part of the other side of the body.
+    /// The same part on the other side of the body.
     pub fn mirrored(self) -> Self {
         match self {
             Self::LeftArm => Self::RightArm,

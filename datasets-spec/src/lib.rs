@@ -1,8 +1,8 @@
 //! The contract between the stages of `stance`: ids, splits, body parts, and the tables on disk.
 //!
-//! Everything is y up, in metres, radians and seconds; the character's left is +x at rest and it
-//! faces +z. Motions, skeletons and what is computed with them are the crate `kinematics`. This crate
-//! knows no foreign file format, no network, no HTTP and no command line.
+//! Everything is y up, in metres, radians and seconds; the character's left is +x at rest and it faces +z. Motions,
+//! skeletons and their computations are in the crate `kinematics`. This crate knows no foreign file format, no network,
+//! no HTTP and no command line.
 //!
 //! Read [`record::MotionRow`] and [`Dataset`] first; `README.md` describes the format, and `docs/tables.md` every column.
 //!

@@ -18,9 +18,9 @@ pub fn is_non_commercial(tag: &str) -> bool {
     parts.any(|part| matches!(part, "nc" | "noncommercial")) || tag.contains("non-commercial")
 }
 
-/// Whether a licence, given by its tag, forbids redistribution of the stored motions: the research licences of motion
-/// collections, which are named by references, and Creative Commons without derivatives, as motions were retargeted and
-/// resampled.
+/// Whether a licence, given by its tag, forbids redistribution of the stored motions: this holds for research licences
+/// of motion collections (tags with `LicenseRef`), and for Creative Commons licences without derivatives, because
+/// stored motions were retargeted and resampled.
 pub fn is_restricted(tag: &str) -> bool {
     let mut parts = tag.split(|c: char| !c.is_ascii_alphanumeric());
     parts.any(|part| matches!(part, "LicenseRef" | "ND"))
@@ -29,7 +29,7 @@ pub fn is_restricted(tag: &str) -> bool {
 /// Families of SPDX identifiers that the Hugging Face hub knows.
 const KNOWN_TO_HUB: [&str; 5] = ["CC-BY", "CC0-1.0", "MIT", "Apache-2.0", "BSD-"];
 
-/// The names that the Hugging Face hub has for licences: SPDX identifiers in lower case.
+/// The Hugging Face hub's names of licences: SPDX identifiers in lower case.
 pub fn hub_names(licenses: &BTreeMap<String, u64>) -> BTreeSet<String> {
     licenses
         .keys()
@@ -42,7 +42,7 @@ pub fn hub_names(licenses: &BTreeMap<String, u64>) -> BTreeSet<String> {
         .collect()
 }
 
-/// Clips by licence tag. Nothing, if the dataset was made before licences were counted.
+/// Number of clips by licence tag. Empty if the dataset was made before licences were counted.
 pub fn licenses(manifest: &Manifest) -> BTreeMap<String, u64> {
     let stated = manifest.facts.get(LICENSES_FACT);
     stated

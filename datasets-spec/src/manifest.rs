@@ -6,17 +6,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::Split;
 
-/// Fact of a dataset: what drawn splits keep together, such as `subject`.
+/// Fact of a dataset: the label whose clips share one split when splits are drawn, such as `subject`.
 pub const SPLIT_BY_FACT: &str = "split_by";
 
 /// Value of `format` in every manifest.
 pub const FORMAT: &str = "stance-dataset";
 
-/// Fact of a manifest: tables whose rows were written into other files and are the same, as JSON; see
+/// Fact of a manifest: tables whose unchanged rows were written into other files, as JSON; see
 /// [`Manifest::content_hash`].
 pub const LAID_OUT_FACT: &str = "laid_out";
 
-/// The files that rows were written into, and those that held them before, by their BLAKE3.
+/// BLAKE3 of the files that rows were rewritten into, and of the files that held them before.
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct LaidOut {
     now: Vec<String>,
@@ -90,7 +90,8 @@ pub struct Accounting {
 }
 
 impl Accounting {
-    /// The counts of what became rows, of what was skipped, and of what was rejected with these codes.
+    /// Makes the counts from the number of ingested files, the number of skipped files, and the codes of the rejected
+    /// ones.
     pub fn of(ingested: u64, skipped: u64, rejected: impl IntoIterator<Item = String>) -> Self {
         let mut codes: BTreeMap<String, u64> = BTreeMap::new();
         for code in rejected {
@@ -113,7 +114,7 @@ impl Accounting {
     }
 }
 
-/// Hash of the inputs of a stage, recorded with the table it writes: a stage whose plan is already recorded
+/// Hash of the inputs of a stage, recorded with the table that the stage writes. A stage whose plan is already recorded
 /// does nothing.
 pub fn plan_hash<T: Serialize>(stage: &str, inputs: &T) -> String {
     let text = serde_json::to_string(&(stage, env!("CARGO_PKG_VERSION"), inputs))
@@ -128,7 +129,7 @@ impl Manifest {
         self.plans.get(table).map_or("", String::as_str)
     }
 
-    /// The hash over all files.
+    /// Computes the root hash of all files.
     pub fn compute_root_hash(tables: &BTreeMap<String, Vec<FileEntry>>) -> String {
         let mut hasher = blake3::Hasher::new();
         for (table, files) in tables {
@@ -144,8 +145,8 @@ impl Manifest {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// BLAKE3 over the files of some tables, in hexadecimal. It depends only on these tables, and stays when their rows
-    /// are written into fewer files ([`Manifest::laid_out`]).
+    /// BLAKE3 over the files of some tables, in hexadecimal. It depends only on these tables, and does not change when
+    /// their rows are written into fewer files ([`Manifest::laid_out`]).
     pub fn content_hash(&self, tables: &[&str]) -> String {
         let mut hasher = blake3::Hasher::new();
         for (table, files) in &self.tables {

@@ -32,7 +32,7 @@ table! {
         pub source_path: String [""],
         /// BLAKE3 of the source file, hexadecimal
         pub source_hash: String [""],
-        /// BLAKE3 of everything the clip was read from: its file, and the files of labels and metadata beside it, hexadecimal
+        /// BLAKE3 of all files that the clip was read from: its file, and the files of labels and metadata beside it, hexadecimal
         pub inputs_hash: String ["", newer],
         /// Licence tag of the source, if one was declared
         pub license: Option<String> [""],
@@ -60,13 +60,13 @@ table! {
         pub rotation_source: String [""],
         /// Mean distance between source and stored joints after retargeting or fitting
         pub fit_error_m: Option<f32> ["m"],
-        /// What the clip is said to show, with the time it is said of
+        /// Descriptions of the clip, each with its time range
         pub captions: Vec<Caption> ["s"],
-        /// Who wrote each of the captions: source, or rule for one made from a file name
+        /// Origin of each caption: source, or rule for one made from a file name
         pub caption_origins: Vec<String> ["", newer],
-        /// What single body parts are said to do
+        /// Descriptions of what single body parts do
         pub part_captions: Vec<PartCaption> [""],
-        /// Who performs it, if the source says
+        /// Performer, if the source names one
         pub subject: Option<String> ["", newer],
         /// Action label of the source
         pub action: Option<String> [""],
@@ -76,11 +76,11 @@ table! {
         pub notes: Vec<String> ["", newer],
         /// BLAKE3 of rate and motion columns, hexadecimal
         pub content_hash: String [""],
-        /// Mean place of the body joints in eight frames along x, seen from where the motion begins: nearly equal motions have nearly equal ones; missing in files of earlier formats
+        /// Mean x of the body joints in eight frames, relative to the start of the motion: nearly equal motions have nearly equal values; missing in files of earlier formats
         pub centre_x: Option<f32> ["m", newer],
-        /// The same along y
+        /// The same for y
         pub centre_y: Option<f32> ["m", newer],
-        /// The same along z
+        /// The same for z
         pub centre_z: Option<f32> ["m", newer],
         /// Findings of the quality checks
         pub quality: Quality [""],
@@ -137,15 +137,15 @@ table! {
         pub kind: String [""],
         /// Motion before the edit
         pub source_id: MotionId [""],
-        /// Motion after it
+        /// Motion after the edit
         pub target_id: MotionId [""],
         /// Style of the edit, if that is what it changes
         pub style: Option<String> [""],
-        /// Body parts the edit is said to change; empty where the source does not say
+        /// Body parts that the edit changes, by the source; empty where the source does not say
         pub parts: Vec<String> [""],
-        /// What turns the one into the other; empty where the source gives no words
+        /// Instruction that turns the source into the target; empty where the source gives no words
         pub instruction: String [""],
-        /// What a fine-grained edit changes: amplitude, speed, force, spatial, timing or other, if somebody said so
+        /// What a fine-grained edit changes: amplitude, speed, force, spatial, timing or other; missing where nobody said
         pub edit_type: Option<String> ["", newer],
         /// How an answer was accepted: review, own (by its author), rule:NAME, or import; missing where nobody answered
         pub accepted_by: Option<String> ["", newer],
@@ -155,7 +155,7 @@ table! {
 table! {
     /// Markers of an optical capture.
     pub struct MarkerRow = "markers", of clips id {
-        /// Id of the capture; the motion solved from it, if there is one, has the same
+        /// Id of the capture; the motion solved from it, if there is one, has the same id
         pub id: MotionId [""],
         /// Split of the capture
         pub split: Split [""],
@@ -187,7 +187,7 @@ table! {
 table! {
     /// Features of a motion by the HumanML3D recipe.
     pub struct HumanMl3dRow = "humanml3d", of clips id {
-        /// Motion the features are of
+        /// Motion that the features describe
         pub id: MotionId [""],
         /// Split of the motion
         pub split: Split [""],
@@ -195,7 +195,7 @@ table! {
         pub recipe: String [""],
         /// Frame rate
         pub fps: f32 ["1/s"],
-        /// Frames: as many as the motion has where the source holds the features, else one fewer
+        /// Number of frames: that of the motion where the source holds the features, otherwise one fewer
         pub n_frames: i32 ["frame"],
         /// The 263 features in the published order and units
         pub features: Frames<HUMANML3D_WIDTH> [""],
@@ -207,15 +207,15 @@ table! {
     pub struct TripletRow = "triplets" {
         /// Id of the triplet: its place in the stream
         pub id: String [""],
-        /// Split all motions of the triplet come from
+        /// Split of all motions of the triplet
         pub split: Split [""],
         /// semantic, style or fine-grained
         pub kind: String [""],
-        /// What turns the original into the edited motion
+        /// Instruction that turns the original into the edited motion
         pub instruction: String [""],
         /// Motion the original is made of
         pub source_id: MotionId [""],
-        /// Motion the edit takes from
+        /// Motion that the edit is taken from
         pub target_id: MotionId [""],
         /// Motions blended under both sides
         pub donor_ids: Vec<String> [""],
@@ -265,7 +265,7 @@ table! {
 table! {
     /// A normaliser, fitted to the training split.
     pub struct NormalizerRow = "normalizers" {
-        /// BLAKE3 of the range, hexadecimal: what checkpoints know it by
+        /// BLAKE3 of the range, hexadecimal, by which checkpoints refer to the normaliser
         pub id: String [""],
         /// Settings of the windows it was fitted to
         pub settings: String [""],
@@ -287,7 +287,7 @@ table! {
 }
 
 impl NormalizerRow {
-    /// The row of a range.
+    /// Makes the row of a normaliser.
     pub fn new(normalizer: &Normalizer, settings: &str, motions: &str) -> Self {
         let ([min_x, min_y, min_z], [max_x, max_y, max_z]) = (normalizer.min, normalizer.max);
         Self {
@@ -303,7 +303,7 @@ impl NormalizerRow {
         }
     }
 
-    /// The range.
+    /// The normaliser of the row.
     ///
     /// # Errors
     /// The numbers do not match the id.
@@ -326,15 +326,15 @@ impl NormalizerRow {
 table! {
     /// A recorded training window.
     pub struct WindowRow = "windows", pages of 64 rows {
-        /// Split all motions of the window come from
+        /// Split of all motions of the window
         pub split: Split [""],
         /// Epoch of the stream
         pub epoch: u64 [""],
         /// Place in the epoch
         pub item: u64 [""],
-        /// Where the window starts in the motion its instruction speaks of, as a share of its length
+        /// Start of the window in the motion that its instruction describes, as a share of the length of that motion
         pub progress: f32 [""],
-        /// What turns the original into the edited window
+        /// Instruction that turns the original into the edited window
         pub instruction: String [""],
         /// Window of the original, frame by frame, in model units
         pub original: Frames<FRAME_WIDTH> [""],
@@ -352,11 +352,11 @@ table! {
         pub task: String [""],
         /// Split of all motions of the question
         pub split: Split [""],
-        /// What is asked for
+        /// Instruction
         pub instruction: String [""],
         /// Motion the source was made of
         pub source_id: MotionId [""],
-        /// Motion the target took from
+        /// Motion that the target was taken from
         pub target_id: MotionId [""],
         /// Motions blended under both sides
         pub donor_ids: Vec<String> [""],
@@ -372,9 +372,9 @@ table! {
         pub edit_end: Option<i32> ["frame", newer],
         /// Weight of the target on the interpolated joints
         pub alpha: f32 [""],
-        /// What the question was made of: mask or pair, and its id
+        /// Label that the question was made of: mask or pair, and its id
         pub origin: String [""],
-        /// What of the question the training split of its dataset shows: retake, combination, action or unshown; missing where the labels do not tell
+        /// How much of the question the training split of its dataset shows: retake, combination, action or unshown; missing where the labels do not tell
         pub novelty: Option<String> ["", newer],
         /// Seed the question was drawn with
         pub seed: u64 [""],
@@ -410,7 +410,7 @@ table! {
 }
 
 table! {
-    /// What a system made of a test question.
+    /// A system's answer to a test question.
     pub struct EditRow = "edits" {
         /// Id of the item the motion answers
         pub id: String [""],
@@ -426,9 +426,9 @@ table! {
         pub settings: String ["", newer],
         /// Motion the original was made of
         pub source_id: String [""],
-        /// Motion the target took from
+        /// Motion that the target was taken from
         pub target_id: String [""],
-        /// What was asked for
+        /// Instruction
         pub instruction: String [""],
         /// Task of the item, such as semantic
         pub kind: String [""],
@@ -455,7 +455,7 @@ table! {
     /// A metric value.
     #[derive(Serialize, Deserialize)]
     pub struct ScoreRow = "scores" {
-        /// System the value is of
+        /// System that was scored
         pub system: String [""],
         /// Task, such as semantic
         pub task: String [""],
@@ -475,7 +475,7 @@ table! {
         pub ci95: Option<f64> [""],
         /// Motions the system made of each item, which repetitions score in turn
         pub takes: u32 ["", newer],
-        /// Distinct motions that targets took from: intervals come from draws of these
+        /// Number of distinct motions that targets were taken from; intervals come from draws of these
         pub targets: u32 ["", newer],
         /// Distinct motions that sources were made of
         pub sources: u32 ["", newer],
@@ -512,7 +512,7 @@ table! {
         pub code: String [""],
         /// What is wrong, with the numbers found and expected
         pub reason: String [""],
-        /// Where in the file, if there is such a place
+        /// Position in the file, if it is known
         pub byte_offset: Option<u64> ["byte"],
         /// Stage that rejected it: read, check, retarget or encode
         pub stage: String [""],
@@ -527,7 +527,7 @@ table! {
         pub path: String [""],
         /// Name of the source it came from, one of the manifest's `sources`; empty where there was none, and in files of earlier formats
         pub source_name: String ["", newer],
-        /// BLAKE3 of the source file, hexadecimal; empty for what is not a file
+        /// BLAKE3 of the source file, hexadecimal; empty if the item is not a file
         pub source_hash: String [""],
         /// BLAKE3 of all files that decide about the item, hexadecimal: it is read again when they change
         pub inputs_hash: String ["", newer],
@@ -598,7 +598,7 @@ impl MotionRow {
         self.body_pose = Vec::new();
     }
 
-    /// The captions and who wrote each. Tables older than 1.5.0 do not say, and name the source.
+    /// The captions, each with its origin. Tables older than 1.5.0 have no origins; the source is assumed.
     pub fn captions_by_origin(&self) -> impl Iterator<Item = (&Caption, &str)> {
         self.captions.iter().enumerate().map(|(index, caption)| {
             let origin = self.caption_origins.get(index);
@@ -606,7 +606,7 @@ impl MotionRow {
         })
     }
 
-    /// The captions that the source states, for layouts without room for their origin.
+    /// The captions that the source states, for layouts that cannot store the origin of a caption.
     pub fn stated_captions(&self) -> impl Iterator<Item = &Caption> {
         let captions = self.captions_by_origin();
         captions.filter_map(|(caption, origin)| (origin != CAPTION_BY_RULE).then_some(caption))
@@ -669,8 +669,8 @@ fn within(range: Option<Range<usize>>, len: usize) -> Result<Range<usize>, Error
 }
 
 impl MaskRow {
-    /// Length in frames of the shortest range that a mask may hold for: what a training window of every preset spans, 16
-    /// frames at 10 fps (paper Sec. 5.1), counted at the stored 20 fps.
+    /// Length in frames of the shortest range that a mask may hold for. It is the span of a training window of every
+    /// preset, 16 frames at 10 fps (paper Sec. 5.1), at the stored 20 fps.
     pub const SHORTEST: i32 = 31;
 
     /// The range of frames that the mask holds for; none if it holds for the whole motion.
@@ -778,8 +778,8 @@ impl ItemRow {
         within(range_of(self.edit_start, self.edit_end)?, len)
     }
 
-    /// Joints that the edit changes: those the target took, or else those of the named parts that are
-    /// known here. Empty where the item tells neither.
+    /// Joints that the edit changes: the joints that the target took, otherwise the joints of the known parts. Empty
+    /// where the item states neither.
     ///
     /// # Errors
     /// A joint has an unknown name.
@@ -840,8 +840,8 @@ impl ItemRow {
         }
     }
 
-    /// The id that follows from the content: from everything but the id itself and from what only
-    /// says how the question was found (`origin`, `seed`, `recipe_hash`).
+    /// The id computed from the content: from all columns but the id itself and those that only say how the question
+    /// was drawn (`origin`, `seed`, `recipe_hash`).
     pub fn content_id(&self) -> String {
         let mut hasher = blake3::Hasher::new();
         let mut part = |bytes: &[u8]| {
@@ -870,7 +870,7 @@ impl ItemRow {
         }
         part(&self.alpha.to_le_bytes());
         part(&self.fps.to_le_bytes());
-        // Nothing is hashed for a question about all frames, so that those of earlier formats keep their ids.
+        // A question about all frames hashes nothing here, so that questions of earlier formats keep their ids.
         for frame in [self.edit_start, self.edit_end].into_iter().flatten() {
             part(&frame.to_le_bytes());
         }
@@ -905,7 +905,7 @@ impl ItemRow {
         digits
     }
 
-    /// Checks that the id is that of the content and that the motions can be used.
+    /// Checks that the id matches the content and that the motions can be used.
     ///
     /// # Errors
     /// The row was changed after it was named, or a motion is broken.
@@ -927,8 +927,7 @@ impl ItemRow {
 }
 
 impl EditRow {
-    /// The answer to an item, of a system without name, checkpoint, settings and errors: the maker
-    /// fills them in.
+    /// An answer to an item. The caller fills in the system's name, its checkpoint and settings, and the errors.
     pub fn answering(item: &ItemRow, motion: &Motion) -> Self {
         Self {
             id: item.id.clone(),
@@ -962,7 +961,7 @@ impl EditRow {
 }
 
 table! {
-    /// The motion of a clip, without what is said of it.
+    /// The motion of a clip, without its labels.
     pub struct FramesRow = "motions" {
         /// Stored frame rate
         pub fps: f32 ["1/s"],
@@ -1005,7 +1004,7 @@ fn motion_of(
     )?)
 }
 
-/// The labels of an exported dataset, for whoever has its motions already.
+/// The labels of an exported dataset, for readers who already have its motions.
 #[derive(Clone, Debug)]
 pub struct ExportedLabels {
     /// Hashes of each motion by its id: in the dataset, and as it was written.
@@ -1016,7 +1015,7 @@ pub struct ExportedLabels {
     pub pairs: Vec<PairRow>,
 }
 
-/// Name, columns and key of every table, for documents and tools.
+/// Name and columns of every table, for documents and tools.
 pub fn all_tables() -> Vec<(&'static str, Vec<crate::table::Column>)> {
     vec![
         (MotionRow::TABLE, MotionRow::columns()),

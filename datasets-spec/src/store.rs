@@ -25,7 +25,7 @@ pub trait NewFile: Write + Send {
     /// Makes the file appear under its name, whole and durable, in place of any file of that name.
     ///
     /// # Errors
-    /// The storage refuses or fails. The file may have appeared nevertheless, where the answer was lost.
+    /// The storage refuses or fails. The file may exist nevertheless, if only the answer was lost.
     fn publish(self: Box<Self>) -> io::Result<()>;
 
     /// Makes the file appear unless a file with that name exists. If several writers do so at the same time, one
@@ -36,7 +36,7 @@ pub trait NewFile: Write + Send {
     fn publish_new(self: Box<Self>) -> io::Result<()>;
 }
 
-/// A file that several threads read at offsets of their own.
+/// A file that several threads can read, each at its own offset.
 pub trait ReadAt: Debug + Send + Sync {
     /// Size in bytes.
     fn size(&self) -> u64;
@@ -55,7 +55,7 @@ pub trait ReadAt: Debug + Send + Sync {
     fn read_ranges(&self, ranges: &[Range<u64>]) -> io::Result<Vec<Bytes>> {
         let read = |range: &Range<u64>| {
             let length = range.end.saturating_sub(range.start);
-            // The length comes from the file: nothing is reserved for more than there is.
+            // The length comes from the file and may be wrong: check it before reserving memory.
             if range.end > self.size() {
                 return Err(io::Error::from(io::ErrorKind::UnexpectedEof));
             }
@@ -156,12 +156,12 @@ pub enum Locking {
     NoLocks,
 }
 
-/// Where files are read and written.
+/// A storage of files.
 pub trait Store: Debug + Send + Sync {
     /// Creates a folder and its parents. Object stores have no folders.
     ///
     /// # Errors
-    /// The storage refuses or fails; so for every operation below.
+    /// The storage refuses or fails. The same holds for every operation below.
     fn create_dir_all(&self, path: &Path) -> io::Result<()>;
     /// Begins a file.
     fn create(&self, path: &Path) -> io::Result<Box<dyn NewFile>>;
@@ -171,18 +171,18 @@ pub trait Store: Debug + Send + Sync {
     fn read(&self, path: &Path) -> io::Result<Vec<u8>>;
     /// Opens a file to be read from its beginning.
     fn open(&self, path: &Path) -> io::Result<Box<dyn Read>>;
-    /// Opens a file to be read at stated places.
+    /// Opens a file to be read at offsets.
     fn open_at(&self, path: &Path) -> io::Result<Arc<dyn ReadAt>>;
-    /// Size of a file in bytes. A folder is not found.
+    /// Size of a file in bytes. For a folder, the error is `NotFound`.
     fn size(&self, path: &Path) -> io::Result<u64>;
     /// BLAKE3 of a file, hexadecimal.
     fn hash(&self, path: &Path) -> io::Result<String>;
-    /// The entries of a folder, sorted, and whether each is a folder. A folder that is not there is not
-    /// found, or on an object store empty.
+    /// The entries of a folder, sorted, and whether each is a folder. For a missing folder, the error is `NotFound`; an
+    /// object store returns no entries.
     fn list(&self, path: &Path) -> io::Result<Vec<(PathBuf, bool)>>;
     /// Removes a file.
     fn remove_file(&self, path: &Path) -> io::Result<()>;
-    /// Removes a folder and all in it; a folder that is not there is no error.
+    /// Removes a folder and all in it; a missing folder is no error.
     fn remove_dir_all(&self, path: &Path) -> io::Result<()>;
     /// Locks a dataset's folder against other runs, and stores `holder` for their messages.
     fn lock(&self, folder: &Path, holder: &str) -> io::Result<Locking>;
@@ -217,16 +217,17 @@ pub trait Store: Debug + Send + Sync {
     }
 }
 
-/// The beginning of a file name that leaves room for what a temporary name adds: file systems take 255 bytes.
+/// The beginning of a file name. It is short enough that a temporary name made from it fits into the 255 bytes that
+/// file systems take.
 pub fn begin_of_name(name: &str) -> &str {
     const LENGTH: usize = 180;
     &name[..name.floor_char_boundary(LENGTH)]
 }
 
-/// A temporary name beside a path that no other writer has, in this process, in another one, or on another machine
-/// that shares the folder.
+/// A temporary name beside a path. No other writer uses it, in this process, in another one, or on another machine that
+/// shares the folder.
 pub fn temporary_beside(path: &Path) -> PathBuf {
-    // The keys of hash maps are random in every process.
+    // `RandomState` has other keys in every process.
     static PROCESS: LazyLock<u64> = LazyLock::new(|| RandomState::new().build_hasher().finish());
     static COUNT: AtomicU64 = AtomicU64::new(0);
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -235,9 +236,8 @@ pub fn temporary_beside(path: &Path) -> PathBuf {
     path.with_file_name(format!(".{name}.{process:016x}-{count}.tmp"))
 }
 
-/// Where a table's file lies while the newest version of its dataset does not name it: that of
-/// `data/masks/train.parquet` is `meta/aside/masks/train`, which no search for Parquet files finds. None for files
-/// that are no table's.
+/// The path of a table's file while the newest version of its dataset does not name it: `data/masks/train.parquet`
+/// becomes `meta/aside/masks/train`, which no search for Parquet files finds. None for files that belong to no table.
 pub fn aside(path: &Path) -> Option<PathBuf> {
     let name = path.file_name()?.to_str()?.strip_suffix(".parquet")?;
     let table = path.parent()?;
@@ -250,10 +250,10 @@ pub fn aside(path: &Path) -> Option<PathBuf> {
     })
 }
 
-/// Does something with a file, wherever a commit of its dataset has moved it.
+/// Calls `act` with the path of a file, or with the path that a commit of its dataset has moved it to.
 ///
 /// # Errors
-/// As `act`; the first error where the file is nowhere.
+/// The error of `act`; the first one if the file does not exist.
 pub fn wherever<T>(path: &Path, act: impl Fn(&Path) -> io::Result<T>) -> io::Result<T> {
     let is_missing = |error: &io::Error| error.kind() == io::ErrorKind::NotFound;
     let missing = match act(path) {
@@ -270,7 +270,7 @@ pub fn wherever<T>(path: &Path, act: impl Fn(&Path) -> io::Result<T>) -> io::Res
     }
 }
 
-/// Writes a file of a disk whole or not at all. Of two writers the later one wins.
+/// Writes a file on disk whole or not at all. If two writers do so, the later one wins.
 ///
 /// # Errors
 /// The file cannot be created, written or renamed; the temporary file is then removed.
@@ -293,7 +293,7 @@ pub(crate) fn write_atomically(
     write(file)?.publish().map_err(Error::io("write", path))
 }
 
-/// Writes a file whole unless there is one of its name, and returns whether it did.
+/// Writes a file whole unless a file with that name exists, and returns whether it did.
 ///
 /// # Errors
 /// Any step fails.

@@ -1,4 +1,4 @@
-//! Holds the format document equal to the code's schemas.
+//! Checks that the format document equals the code's schemas.
 
 use datasets_spec::record::all_tables;
 use datasets_spec::table::{Column, SCHEMA_VERSION};

@@ -5,7 +5,7 @@ use std::path::Path;
 use datasets_spec::record::{MotionRow, QuarantineRow};
 use datasets_spec::{Dataset, Skeleton};
 
-/// A small dataset that the first version of the format was committed in.
+/// Opens a small dataset that was committed in the first version of the format.
 #[test]
 fn a_dataset_of_version_1_0_0_opens_and_its_missing_columns_are_empty() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/datasets/1.0.0");

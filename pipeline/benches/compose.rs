@@ -1,5 +1,4 @@
-//! Composing training windows, and reading recorded ones, beside what the machine can do in the
-//! same run.
+//! Composing training windows, and reading recorded ones, with a calibration of the machine in the same run.
 //!
 //! `RAYON_NUM_THREADS=1 cargo bench --bench compose`; one thread. Rates are windows a second, each an
 //! original and an edited one. The readers read windows recorded from the built-in corpus, or those
@@ -186,7 +185,7 @@ fn recorded_windows_in_order(bencher: Bencher) {
     read(bencher, ReadOrder::Sequential);
 }
 
-/// What the machine can do, measured in the same run.
+/// Throughput of the machine, measured in the same run.
 mod calibration {
     use super::*;
 

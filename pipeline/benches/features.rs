@@ -1,7 +1,7 @@
-//! The HumanML3D features alone, and from AMASS archives to a Parquet shard.
+//! Computing HumanML3D features, alone and on the way from AMASS archives to a Parquet shard.
 //!
-//! `cargo bench --bench features`; one thread. Rates are frames a second, to be read against the
-//! matrix product and the copy of the same run.
+//! `cargo bench --bench features`; one thread. Rates are frames a second, to be compared with the matrix product and
+//! the copy of the same run.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -121,11 +121,11 @@ fn amass_to_parquet(bencher: Bencher) {
     });
 }
 
-/// What the machine can do, measured in the same run.
+/// Throughput of the machine, measured in the same run.
 mod calibration {
     use super::*;
 
-    /// Numbers of a copy that fits in no cache of the machines this runs on.
+    /// Numbers that are copied: more than fit in any cache of the machines this runs on.
     const COPIED: usize = 16 << 20;
     const SIDE: usize = 512;
     /// Rows and columns of the result that are summed at a time, so that they stay in registers.

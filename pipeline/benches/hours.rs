@@ -76,12 +76,12 @@ fn main() -> Result<(), Failure> {
                 Ok(hasher.finalize().to_hex().to_string())
             })
         }
-        // What `cargo test --benches` asks for.
+        // `cargo test --benches` names no job.
         _ => Ok(()),
     }
 }
 
-/// Runs a job and prints what it took.
+/// Runs a job and prints its time and memory.
 fn measured(count: u64, job: impl FnOnce() -> Result<String, Failure>) -> Result<(), Failure> {
     let (started, before) = (Instant::now(), processor_secs());
     let result = job()?;
@@ -94,7 +94,7 @@ fn measured(count: u64, job: impl FnOnce() -> Result<String, Failure>) -> Result
     Ok(())
 }
 
-/// Seconds that the process has run on processors, by `/proc/self/stat`; 0 where there is none.
+/// Processor seconds of the process, from `/proc/self/stat`; 0 if that file does not exist.
 fn processor_secs() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let after_name = stat.rsplit(')').next().unwrap_or_default();
@@ -107,7 +107,7 @@ fn processor_secs() -> f64 {
     ticks.iter().sum::<f64>() / 100.0
 }
 
-/// Most bytes that the process held, by `/proc/self/status`; 0 where there is none.
+/// Peak memory of the process in bytes, from `/proc/self/status`; 0 if that file does not exist.
 fn peak_bytes() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
@@ -139,7 +139,7 @@ fn clips(fps: f64) -> Result<(Skeleton, Vec<MotionRow>), Failure> {
     let mut motions: Vec<MotionRow> = dataset.read(None)?;
     for row in &mut motions {
         row.split = Split::Train;
-        // Fewer digits, so that many hours take a third of the disk.
+        // Rounded numbers take a third of the disk.
         let columns = [
             row.transl.as_flattened_mut(),
             row.global_orient.as_flattened_mut(),
@@ -155,7 +155,7 @@ fn clips(fps: f64) -> Result<(Skeleton, Vec<MotionRow>), Failure> {
     Ok((skeleton, motions))
 }
 
-/// Writes a dataset of so many hours: clips of the corpus and their masks, each many times under new ids.
+/// Writes a dataset of `hours` hours: clips of the corpus and their masks, each many times under new ids.
 fn make(out: &Path, hours: f64, fps: f64) -> Result<(), Failure> {
     let (skeleton, motions) = clips(fps)?;
     let masks = automatic_masks(&motions, &skeleton, &MaskConfig::default())?;

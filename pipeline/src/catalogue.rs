@@ -1,4 +1,4 @@
-//! Contents of a dataset, counted from the metadata columns alone.
+//! Contents of a dataset, counted from the metadata columns only.
 
 use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow, ScoreRow, TripletRow, WindowRow};

@@ -8,7 +8,7 @@ use datasets_spec::{MotionId, Split};
 
 pub(crate) const CLIP_TABLES: [&str; 3] = [MotionRow::TABLE, MarkerRow::TABLE, HumanMl3dRow::TABLE];
 
-/// Whether a table is composed of motions by a stage that can make it again.
+/// Whether a stage composes a table from motions, and can make it again.
 pub(crate) fn is_composed(table: &str) -> bool {
     let of_ingestion = [
         MaskRow::TABLE,
@@ -62,7 +62,7 @@ pub(crate) trait ClipRow: Row {
     }
 }
 
-/// Implements [`ClipRow`] for rows with the fields `id` and `split`; further methods stand in the braces after a name.
+/// Implements [`ClipRow`] for rows with the fields `id` and `split`; further methods are listed in braces after a name.
 macro_rules! clip_rows {
     ($($row:ident { $($further:item)* })*) => {
         $(impl ClipRow for $row {

@@ -23,7 +23,7 @@ pub struct Clips<'a> {
 #[serde(deny_unknown_fields)]
 pub(crate) struct Part {
     pub(crate) shard: usize,
-    /// Places among its chosen clips.
+    /// Indices among the chosen clips of the shard.
     pub(crate) clips: Range<usize>,
 }
 
@@ -33,7 +33,7 @@ pub struct Shard {
     path: PathBuf,
     split: Option<Split>,
     num_clips: u64,
-    /// Places of the chosen rows; none if all are.
+    /// Indices of the chosen rows; none if all are chosen.
     rows: Option<Vec<usize>>,
 }
 
@@ -56,7 +56,7 @@ impl<'a> Clips<'a> {
     /// The clips for which a condition is true. Only the columns that it names are read.
     ///
     /// # Errors
-    /// It chooses none, or a file cannot be read.
+    /// The condition chooses no clip, or a file cannot be read.
     pub fn chosen(dataset: &'a Dataset, condition: &Condition) -> Result<Self, Error> {
         let mut clips = Self::all(dataset);
         for (shard, rows) in clips.shards.iter_mut().zip(condition.rows(dataset)?) {
@@ -70,7 +70,7 @@ impl<'a> Clips<'a> {
         Ok(clips)
     }
 
-    /// The clips of [`Clips::into_shards`] again.
+    /// The clips of shards from [`Clips::into_shards`].
     pub(crate) fn of(dataset: &'a Dataset, shards: &[Shard]) -> Self {
         let shards = shards.to_vec();
         Self { dataset, shards }
@@ -98,7 +98,7 @@ impl<'a> Clips<'a> {
         self
     }
 
-    /// Runs of at most `most` clips, none of which lies in two files.
+    /// Parts of at most `most` clips; a part lies in one file.
     pub(crate) fn parts(&self, most: usize) -> Vec<Part> {
         let mut parts = Vec::new();
         for (shard, clips) in self.shards.iter().enumerate() {
@@ -140,7 +140,7 @@ impl<'a> Clips<'a> {
         self.shards.iter().map(|shard| shard.num_clips).sum()
     }
 
-    /// Whether there is none.
+    /// Whether there are no clips.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -158,8 +158,8 @@ impl Shard {
         &self.path
     }
 
-    /// The rows of the clips. Where a condition chose them, only their pages are read, and each motion is
-    /// checked against its hash.
+    /// The rows of the clips. If a condition chose the clips, only their pages are read, and each motion is checked
+    /// against its hash.
     ///
     /// # Errors
     /// The file cannot be read, or a motion is damaged.
@@ -174,7 +174,7 @@ impl Shard {
         Ok(rows)
     }
 
-    /// A column of the clips; no other is read.
+    /// A column of the clips; no other column is read.
     ///
     /// # Errors
     /// The file cannot be read or lacks the column.

@@ -12,11 +12,11 @@ use crate::Error;
 /// Totals of a group of clips.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Share {
-    /// Clips.
+    /// Number of clips.
     pub clips: u64,
-    /// Stored frames.
+    /// Number of stored frames.
     pub frames: u64,
-    /// Hours.
+    /// Length in hours.
     pub hours: f64,
 }
 
@@ -24,7 +24,7 @@ pub struct Share {
 /// order of the clips.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Group {
-    /// None if the source stated none.
+    /// None if the source states no label.
     pub(crate) label: Option<String>,
     pub(crate) fps: f64,
     clips: u64,
@@ -32,7 +32,7 @@ pub(crate) struct Group {
 }
 
 impl Group {
-    /// The sum of some groups by a key, where they have one.
+    /// Sums of groups by a key; groups without a key are left out.
     pub(crate) fn sums<K: Ord>(
         groups: &[Self],
         key: impl Fn(&Self) -> Option<K>,
@@ -93,14 +93,14 @@ impl Counts {
         Ok(self.tables.ask(&query)?.rows()?)
     }
 
-    /// Clips by a label, where there is one.
+    /// Clips by a label; clips without the label are left out.
     pub(crate) fn shares(&mut self, label: &str) -> Result<BTreeMap<String, Share>, Error> {
         Ok(Group::sums(&self.groups(label)?, |group| {
             group.label.clone()
         }))
     }
 
-    /// Rows of a table by a label, where there is one.
+    /// Rows of a table by a label; rows without the label are left out.
     pub(crate) fn labelled(
         &mut self,
         label: &str,

@@ -28,7 +28,7 @@ pub enum Error {
     /// Several items have ids with this prefix.
     #[error("several items begin with {0:?}; write more of the id")]
     SeveralItems(String),
-    /// A question to the tables of a dataset cannot be understood or answered.
+    /// A query of the tables of a dataset cannot be understood or answered.
     #[error(transparent)]
     Tables(#[from] tables::Error),
     /// A dataset holds nothing that could be a triplet.
@@ -38,7 +38,7 @@ pub enum Error {
         .0.display()
     )]
     NoTriplets(PathBuf),
-    /// A folder holds something else than motions.
+    /// A folder holds something other than motions.
     #[error("{} is {other}", path.display())]
     OtherThanMotions {
         /// The folder.
@@ -129,7 +129,7 @@ pub enum Error {
         /// The first of the ids.
         shown: String,
     },
-    /// A list names clips that are not in the dataset, or none.
+    /// A list names no clip, or clips that are not in the dataset.
     #[error(
         "{count} ids of {} name no clip of {}: {shown}; nothing was changed. `stance inspect {} --list` shows the ids",
         path.display(),
@@ -168,14 +168,14 @@ pub enum Error {
         /// What the folder holds instead, or what to check.
         hint: String,
     },
-    /// A plan for many processes with an archive that each of them would have to unpack.
+    /// A plan for many processes reads an archive that each of them would have to unpack.
     #[error(
         "{}: the members of a packed tar cannot be read by many processes; unpack it and name its folder, or pack it \
          as zip",
         .0.display()
     )]
     PackedTar(PathBuf),
-    /// A file of chosen ids that chooses nothing.
+    /// A file of chosen ids chooses no clip.
     #[error("cannot choose clips by {}: {reason}", path.display())]
     IdList {
         /// The file.

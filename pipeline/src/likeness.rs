@@ -1,11 +1,11 @@
-//! Motions that are equal, or nearly so, wherever they stand and whichever way they face.
+//! Motions that are equal or nearly so, apart from their position and heading.
 
 use datasets_spec::{Motion, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation::yaw;
 
-/// Two motions of one length whose body joints lie closer together than this on average, in metres, are nearly
-/// equal. Conversion to another format and back moves joints by less; two takes of one person differ by more.
+/// Maximum mean distance of body joints, in metres, between nearly equal motions of one length. Conversion to another
+/// format and back moves joints by less; two takes of one person differ by more.
 pub const TOLERANCE_M: f64 = 0.005;
 
 const JOINTS: usize = 22;
@@ -134,7 +134,7 @@ mod tests {
         let close = walk(1.001, 0.0, DVec3::ZERO, 60);
         assert!(sketch.distance(&moved).expect("equal lengths") < 1e-5);
         assert_eq!(sketch.distance(&longer), None);
-        // Half of 59 frames at .1 m/s, in the mean.
+        // On average, half of the way of 59 frames at 0.1 m/s.
         let expected = 0.1 * 59.0 / 20.0 / 2.0;
         assert!((sketch.distance(&faster).expect("equal lengths") - expected).abs() < 0.01);
         let all = [sketch, moved, longer, faster, close].map(Some);

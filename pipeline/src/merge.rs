@@ -27,8 +27,8 @@ pub struct Merged {
     pub shared: Vec<String>,
     /// Clips of the second dataset that got another id, because the first has another motion under theirs.
     pub renamed: BTreeMap<String, String>,
-    /// Clips of the second dataset that moved into the split of the first's clips of the same recording: of the same
-    /// file or clip, or with nearly the same motion.
+    /// Clips of the second dataset whose split changed, because the first dataset has clips of the same recording: of
+    /// the same file or clip, or with nearly the same motion.
     pub moved: BTreeMap<String, Split>,
     /// Warning about mixed licences, if there is one.
     pub license_warning: Option<String>,
@@ -220,7 +220,7 @@ fn common_skeleton(first: &Dataset, second: &Dataset) -> Result<Skeleton, Error>
     Ok(skeleton)
 }
 
-/// Refuses to merge what must be one over a dataset and is not.
+/// Refuses datasets that differ in a setting that must be the same for all clips of a dataset.
 fn check_settings(datasets: &[Dataset; 2], clips: &[Vec<Clip>; 2]) -> Result<(), Error> {
     let recorded = datasets.each_ref().map(recorded_settings);
     let of = |name: &str| {
@@ -334,7 +334,7 @@ fn moved(
     }
     let mut moved = BTreeMap::new();
     for (place, clip) in own.iter().enumerate() {
-        // The first may have published splits that part a recording.
+        // Published splits of the first dataset may separate clips of a recording.
         let splits = wanted.get(&groups.of(known.len() + place));
         let splits = splits.filter(|splits| !splits.contains(&clip.origin.split));
         if let Some(split) = splits.and_then(|splits| splits.first()) {
@@ -378,7 +378,7 @@ fn splits(parts: &[&Part<'_>], clips: &[Vec<Clip>]) -> BTreeMap<MotionId, Split>
     splits
 }
 
-/// Rows that both datasets rejected or skipped.
+/// The rejected and the skipped rows of both datasets.
 fn passed_over(parts: &[&Part<'_>]) -> Result<(Vec<QuarantineRow>, Vec<SkippedRow>), Error> {
     let (mut quarantine, mut skipped) = (Vec::new(), Vec::new());
     for part in parts {
@@ -388,7 +388,7 @@ fn passed_over(parts: &[&Part<'_>]) -> Result<(Vec<QuarantineRow>, Vec<SkippedRo
     Ok((quarantine, skipped))
 }
 
-/// The labels of both datasets, and the ids of those whose motions are in two splits now.
+/// The labels of both datasets, and the ids of labels whose motions are now in two splits.
 struct Labels {
     masks: Vec<MaskRow>,
     pairs: Vec<PairRow>,
@@ -446,7 +446,7 @@ fn labels(parts: &[&Part<'_>], splits: &BTreeMap<MotionId, Split>) -> Result<Lab
     })
 }
 
-/// Adds a row under its id. Where another row has that id, the row gets one with the label of its dataset.
+/// Adds a row under its id. If another row has that id, the row gets an id with the label of its dataset.
 fn insert<R: PartialEq>(
     rows: &mut BTreeMap<String, R>,
     mut row: R,
@@ -469,7 +469,8 @@ fn insert<R: PartialEq>(
     rows.insert(candidate, row);
 }
 
-/// Writes a table of both datasets, a shard for each of theirs and split. Markers and features lie beside their motions.
+/// Writes a table of both datasets, with one shard for each of their shards and splits. Markers and features lie beside
+/// their motions.
 fn shards<R: ClipRow>(
     transaction: &Transaction,
     parts: &[&Part<'_>],

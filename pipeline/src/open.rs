@@ -89,7 +89,7 @@ pub fn clip_of_file(path: &Path, skeleton: &Skeleton) -> Result<Motion, Error> {
     }
 }
 
-/// The file of `file#name`, and the name; a file whose own name has a `#` is taken whole.
+/// The file and the name in `file#name`; if a file has this whole name, there is no name.
 fn file_and_key(path: &Path) -> (PathBuf, Option<String>) {
     let named = || {
         let (file, key) = path.to_str()?.rsplit_once('#')?;

@@ -1,10 +1,10 @@
-//! Which clips come of one recording. They share a split, whatever their ids and however they were read.
+//! Finds the clips of one recording. They share a split, whatever their ids and however they were read.
 //!
 //! * Clips with the id of one source clip: crops, mirrored copies, several motions of a file; and the clip that one says
 //!   it mirrors.
 //! * Clips of one file, by its hash, where the format has a recording in each file.
 //! * In a release, whose list names the recordings and may hold thousands in one file: clips of one file and one name.
-//!   Two names of a release are two recordings even if their files are equal, because its published splits hold.
+//!   Two names of a release are two recordings even if their files are equal, because its published splits are kept.
 //! * Then equal and nearly equal motions ([`crate::likeness`]).
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -41,7 +41,7 @@ pub(crate) enum Recording {
 }
 
 impl Recording {
-    /// What two clips with this key have in common, for a finding.
+    /// The common origin of two clips with this key, in words for a finding.
     pub(crate) fn says(&self) -> &'static str {
         match self {
             Self::Clip(..) => "made of the same source clip",
@@ -72,7 +72,7 @@ impl Prefixes {
         Self(prefixes)
     }
 
-    /// An id without what tells its source.
+    /// An id without the prefix of its source.
     fn strip<'a>(&self, id: &'a str) -> &'a str {
         let mut found = self.0.iter().filter_map(|prefix| id.strip_prefix(prefix));
         found.next().unwrap_or(id)
@@ -80,7 +80,7 @@ impl Prefixes {
 }
 
 impl Origin {
-    /// The recordings that a clip of a dataset belongs to. `number` tells datasets apart.
+    /// The recordings that a clip of a dataset belongs to. `number` identifies the dataset.
     pub(crate) fn recordings(&self, prefixes: &Prefixes, number: usize) -> Vec<Recording> {
         let source_clip =
             |id: &str| MotionId::parse(id).map_or(id.to_owned(), |id| id.source_clip().to_owned());
@@ -99,7 +99,7 @@ impl Origin {
     }
 }
 
-/// Puts clips into groups, those with a recording in common into one. Returns a number for each.
+/// Groups the clips that have a recording in common.
 pub(crate) fn grouped(recordings: &[Vec<Recording>]) -> Groups {
     let mut groups = Groups::new(recordings.len());
     let mut first: BTreeMap<&Recording, usize> = BTreeMap::new();
@@ -112,7 +112,7 @@ pub(crate) fn grouped(recordings: &[Vec<Recording>]) -> Groups {
     groups
 }
 
-/// Numbers, some of which are united.
+/// Numbers in disjoint groups (union-find).
 pub(crate) struct Groups(Vec<usize>);
 
 impl Groups {
@@ -134,7 +134,7 @@ impl Groups {
     }
 }
 
-/// A clip of a dataset: what it says of its origin, and the hash of its motion, which is empty for captures without one.
+/// A clip of a dataset: its origin, and the hash of its motion, which is empty for captures without one.
 pub(crate) struct Clip {
     pub(crate) origin: Origin,
     pub(crate) content: String,

@@ -112,9 +112,8 @@ impl Comparison {
     }
 }
 
-/// Compares the features of a dataset with those of a published folder, clip by clip of the same
-/// id. The features are read from the table `humanml3d`, or computed from the motions if there is none.
-/// Memory is bounded by one shard.
+/// Compares the features of a dataset with those of a published folder, clip by clip, by id. The features are read from
+/// the table `humanml3d`, or computed from the motions if there is none. Memory is bounded by one shard.
 ///
 /// # Errors
 /// The folder has neither vectors nor joints, or it or the dataset cannot be read. A file of the
@@ -497,8 +496,8 @@ impl Rule {
     }
 }
 
-/// Inserts a clip into the list of those that differ most: ordered by differing frames for contacts, else by
-/// the largest difference. Ties keep their order.
+/// Inserts a clip into the list of those that differ most: ordered by differing frames for contacts, otherwise by the
+/// largest difference. Ties keep their order.
 fn rank(worst: &mut Vec<Worst>, id: &str, difference: &Difference) {
     if difference.max == 0.0 {
         return;
@@ -636,7 +635,7 @@ mod tests {
             // One frame of 147 is less than a hundredth.
             let forgiven = name == CONTACTS;
             assert_eq!(failed(&found).contains(&name), !forgiven, "{name}");
-            // Height and positions are what joints are recovered from.
+            // Joints are recovered from heights and positions.
             let moves_joints = range.end <= 67;
             assert_eq!(
                 failed(&found).contains(&JOINT_GROUP),

@@ -1,7 +1,6 @@
 //! Stages from folder to folder: open the result of the stage before, do the work, commit the result.
 //!
-//! Each function is one verb of the command. A stage does nothing if its result already exists by the
-//! same plan.
+//! Each function is one verb of the command. A stage does nothing if the same plan has already made its result.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -26,7 +25,7 @@ use crate::ingest::{IngestOptions, SplitBy};
 /// Clips whose frames are in memory while masks are made.
 const CLIPS_AT_ONCE: usize = 256;
 
-/// Section `[ingest]` of a plan: how files become rows.
+/// Section `[ingest]` of a plan: options of the ingestion.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IngestConfig {
@@ -41,7 +40,7 @@ pub struct IngestConfig {
     /// A list of pairs ([`PairList`]) to add; both clips of a pair get one split.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pairs: Option<PathBuf>,
-    /// Grouping that keeps its clips in one drawn split.
+    /// Grouping whose clips share one drawn split.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub split_by: Option<SplitBy>,
 }

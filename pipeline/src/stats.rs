@@ -65,7 +65,7 @@ pub struct Statistics {
     pub styles: BTreeMap<String, Share>,
     /// Clips that mirror another.
     pub mirrored: u64,
-    /// Captions, their words, and clips without any.
+    /// Number of captions.
     pub captions: u64,
     /// Captions that were made from file names.
     pub made_captions: u64,
@@ -202,7 +202,7 @@ fn class_name(class: usize) -> String {
     }
 }
 
-/// A bar of eighths for a share of the largest.
+/// A bar whose length, in eighths of a character, is the share of `value` in `largest`.
 fn bar(value: u64, largest: u64) -> String {
     const WIDTH: u64 = 24;
     const EIGHTHS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];

@@ -113,7 +113,7 @@ struct Contents {
 }
 
 impl Contents {
-    /// Adds the contents of a file. Returns what is wrong with it, and rows whose id another row has.
+    /// Adds the contents of a file. Returns its defects, and rows whose id another row has.
     fn take(&mut self, read: Read) -> Vec<Finding> {
         let mut findings = read.findings;
         let mut twice = |item: String, what: &str| {

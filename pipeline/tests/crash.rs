@@ -1,4 +1,4 @@
-//! What is left when a run is killed, or when the disk fails under it.
+//! State of a dataset after a run was killed, or after the disk failed under it.
 //!
 //! The tests count the file operations of a run. Some make the n-th fail, for every n; one has the process killed
 //! right before the n-th, for fifty seeded n. `tests/kills` kills the command itself, at random moments.
@@ -19,7 +19,7 @@ use pipeline::ingest::{IngestOptions, IngestReport, ingest_in};
 use pipeline::versions::{Choice, RemoveOptions, compact_in, remove_in, restore_in};
 
 const NUM_CLIPS: usize = 18;
-/// Seed of the splits, by which the three takes of the corpus are not all of one split.
+/// Seed of the splits with which the three takes of the corpus are not all in one split.
 const SPLIT_SEED: Seed = Seed(0);
 const HOLDER: &str = "the test";
 
@@ -34,7 +34,7 @@ enum Fate {
     Kill,
 }
 
-/// The disk, with a fate waiting at one operation.
+/// A disk that fails at one operation.
 #[derive(Debug)]
 struct Doomed {
     count: Arc<AtomicUsize>,
@@ -88,7 +88,7 @@ impl Write for DoomedFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let now = self.count.load(Ordering::SeqCst);
         if self.fate == Fate::WriteHalf && now == self.at && bytes.len() > 1 {
-            // The operation is not counted, so the rest of the bytes meets the full disk.
+            // The operation is not counted, so that the write of the remaining bytes fails.
             return self.file.write(&bytes[..bytes.len() / 2]);
         }
         step(&self.count, self.at, self.fate)?;
@@ -101,7 +101,7 @@ impl Write for DoomedFile {
 }
 
 impl NewFile for DoomedFile {
-    /// Fails before the file appears, or after, as where the answer of a storage is lost.
+    /// Fails before or after the file appears; after it, as if only the answer of the storage were lost.
     fn publish(self: Box<Self>) -> io::Result<()> {
         step(&self.count, self.at, self.fate)?;
         self.file.publish()?;
@@ -300,7 +300,7 @@ fn whichever_operation_fails_nothing_is_reported_that_is_not_so() {
                 );
             }
             Ok(report) if report.accounting.codes.contains_key("E-IO") => {
-                // The operation that failed read a source, and that is what the report says.
+                // The failed operation read a source, and the report says so.
                 assert!(report.accounting.balances());
                 // The file that could not be read may have been the broken one.
                 let broken = report.accounting.quarantined - report.accounting.codes["E-IO"];
@@ -446,7 +446,7 @@ fn a_dataset_whose_growth_fails_is_the_version_before() {
     }
 }
 
-/// Compacts, goes back, prunes, or removes the clips of somebody who sits, by the name of the verb.
+/// Changes a dataset by a verb: compacts it, goes back, prunes, or removes the clips of people who sit.
 fn change(verb: &str, store: Arc<dyn Store>, dataset: &Path) -> Result<(), Error> {
     let transaction = Transaction::begin_on(store, dataset, HOLDER)?;
     match verb {
@@ -482,7 +482,7 @@ fn whichever_operation_fails_a_dataset_is_the_version_before_or_the_one_after() 
     let dir = tempfile::tempdir().expect("temporary folder");
     let source = source(dir.path());
     let base = dir.path().join("base");
-    // Four versions, each with files of its own.
+    // Make four versions, each with its own files.
     let mut waiting = Vec::new();
     let mut files: Vec<PathBuf> = Disk.files_below(&source).expect("listed");
     files.retain(|file| file.extension().is_some_and(|end| end == "bvh"));

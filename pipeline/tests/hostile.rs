@@ -15,9 +15,9 @@ use serde_json::{Value, json};
 enum Fate {
     /// A motion.
     Ingested,
-    /// A row of the quarantine table with this code.
+    /// The quarantine table has a row with this code.
     Quarantined(&'static str),
-    /// Passed over as no motion.
+    /// The file is skipped as not a motion.
     Skipped,
 }
 

@@ -1,8 +1,8 @@
 //! The one loader of golden numbers. Every crate with parity tests includes this file.
 //!
-//! Files come from the folder `STANCE_GOLDEN` names, else from the copies the project carries.
-//! Sizes come from the files, never from the tests. A missing file fails the test: a parity test
-//! without numbers would pass for the wrong reason.
+//! Files come from the folder that `STANCE_GOLDEN` names, otherwise from the project's copies. Sizes come from the
+//! files, never from the tests. A missing file fails the test: a parity test without numbers would pass for the wrong
+//! reason.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -157,7 +157,7 @@ fn inspect_of_a_rejected_file_exits_with_3_and_names_the_reason() {
     assert_eq!(failure.code, "E-BVH-FRAMES");
     assert_eq!(failure.item.as_deref(), Some(arg(&broken)));
     assert!(failure.reason.contains("found 20 rows"), "{failure:?}");
-    // A motion that the checks refuse, not the reader.
+    // The checks refuse this motion, not the reader.
     let short = dir.path().join("short.bvh");
     put(&short, bvh(&walk(1)));
     let failure: Failure = stance(&["--json", "inspect", arg(&short)])
@@ -270,7 +270,7 @@ fn a_folder_that_cannot_be_listed_does_not_end_the_run() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (source, out) = (dir.path().join("source"), dir.path().join("dataset"));
     put(source.join("walk.bvh"), bvh(&walk(30)));
-    // Deeper than a path may be long: not even an administrator can list the innermost folders.
+    // These paths are longer than the system allows: not even an administrator can list the innermost folders.
     let script = r#"cd "$0" && for i in $(seq 20); do mkdir $1 && cd $1 || exit 1; done"#;
     let made = std::process::Command::new("bash")
         .args(["-c", script, arg(&source), &"d".repeat(250)])
@@ -335,7 +335,7 @@ fn archives_are_named_and_a_dataset_without_motions_is_a_failure() {
     }
     stance(&["ingest", arg(&source), "--out", arg(&out)])
         .expect_refused("the dataset has no motion");
-    // One motion more, and the run succeeds.
+    // With one more motion, the run commits a dataset.
     put(source.join("walk.bvh"), bvh(&walk(30)));
     ingest(&source, &dir.path().join("other"), &[], 3);
 }
@@ -365,7 +365,7 @@ fn a_reference_frame_before_the_motion_is_dropped_with_a_flag() {
         "{:?}",
         row.notes
     );
-    // A thirtieth of a second less.
+    // The captions start a thirtieth of a second earlier.
     let said = &row.captions[0];
     assert!((said.from_s - 29.0 / 30.0).abs() < 1e-5, "{said:?}");
     assert!((said.to_s - 89.0 / 30.0).abs() < 1e-5, "{said:?}");
@@ -374,7 +374,7 @@ fn a_reference_frame_before_the_motion_is_dropped_with_a_flag() {
     let plain = dir.path().join("plain");
     ingest(&source, &plain, &[], 0);
     assert_eq!(rows_of::<MotionRow>(&plain)[0].n_frames, row.n_frames);
-    // Who asks to keep jumps keeps the frame.
+    // With `--teleports keep`, the frame stays.
     put(source.join("captured.bvh"), bvh(&poses));
     let kept = dir.path().join("kept");
     ingest(&source, &kept, &["--teleports", "keep"], 0);
@@ -447,7 +447,7 @@ fn a_row_too_many_or_too_few_is_read_where_that_is_asked_for() {
     put(source.join("good.bvh"), &text);
     let strict = ingest(&source, &out, &[], 3);
     assert_eq!((strict.ingested, strict.codes["E-BVH-FRAMES"]), (1, 2));
-    // The command has another plan.
+    // A run with other settings is refused.
     typed(
         "ingest {} --out {} --lenient --fps native",
         &[&source, &out],
@@ -471,7 +471,7 @@ fn a_row_too_many_or_too_few_is_read_where_that_is_asked_for() {
         found,
         expected.map(|(id, found)| (id.to_owned(), found)).into()
     );
-    // A broken row is refused all the same.
+    // A broken row is refused even with `--lenient`.
     let last = text.trim_end().rfind(' ').expect("several numbers");
     put(source.join("few.bvh"), &text[..last]);
     let broken = dir.path().join("broken");

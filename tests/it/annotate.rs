@@ -153,7 +153,7 @@ impl Person {
         }
     }
 
-    /// The answer, or none if the server is not there.
+    /// The answer; none if the server does not respond.
     fn ask(&self, url: &str, path: &str, body: &Value) -> Option<(u16, Vec<u8>)> {
         let mut response = self
             .agent
@@ -230,7 +230,7 @@ fn set(file: &Path) {
 
 #[test]
 fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
-    // Five of its pairs are of the test split: a sixth is composed.
+    // Five of the dataset's pairs are of the test split; a sixth one is composed.
     let (_dir, dataset) = dataset(24);
     let (ann, eve) = (
         Person::new(&dataset, "ann", "annotator"),
@@ -283,7 +283,7 @@ fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
             "lease_epoch": review.lease.epoch, "decision": "accept", "author": ann.user.id });
         let _: Value = eve.post(url, "reviews", &decision);
     }
-    // The server goes on while the accepted answers are written.
+    // The server keeps running while the accepted answers are written.
     let written: Value = stance(&["annotate", arg(&dataset), "--json", "export"]).done();
     assert_eq!(written["counts"]["motions_described"], 6);
     stance(&["verify", arg(&dataset)]).expect_code(0);
@@ -417,7 +417,7 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
     let said = pairs.as_array().expect("a list").iter();
     let said = said.map(|pair| text(&pair["accepted_by"]));
     assert_eq!(marked(said.collect()), [1, 3]);
-    // By way of the dataset itself, a store that takes it writes the same tables.
+    // A store filled from the dataset itself writes the same tables.
     run("first.sqlite", &["export"]);
     let folder = Dataset::open(&dataset).expect("a dataset");
     let masks: Vec<MaskRow> = folder.read(None).expect("masks");
@@ -458,7 +458,7 @@ fn a_server_starts_on_a_dataset_that_was_ingested_anew_and_asks_about_its_answer
     answer_and_accept(&dataset.join("annotate/store.sqlite"));
     let listed = |words: &[&str]| len_of(&run(words));
     assert_eq!(listed(&["changed"]), 0);
-    // Every clip has the same id and other frames.
+    // Every clip keeps its id and gets other frames.
     let source = dir.path().join("corpus");
     let anew = ["--fps", "30", "--new-version", "--drop-labels"];
     typed_with("ingest {} --out {}", &[&source, &dataset], &anew).expect_code(0);
@@ -843,7 +843,7 @@ fn a_server_killed_under_load_keeps_what_it_acknowledged_and_nothing_twice() {
     assert!(acknowledged.len() >= 5 * restarts.len());
 }
 
-/// Claims and answers until told to stop; asks again with the same key when the server is away.
+/// Claims and answers tasks until told to stop. Repeats a request with the same key if the server is down.
 fn work(
     person: &Person,
     url: &str,
@@ -886,7 +886,7 @@ fn work(
     }
 }
 
-/// Annotators, tasks of each, and tasks there are, of the load on two servers.
+/// Number of annotators, of tasks for each, and of all tasks, for the load on two servers.
 #[cfg(feature = "postgres")]
 fn load() -> [usize; 3] {
     let text = std::env::var("ANNOTATE_PG_LOAD").unwrap_or_else(|_| "6x10x300".to_owned());
@@ -1047,7 +1047,7 @@ fn styles_go_into_another_project_as_they_come_out() {
     styles(stores[0], &[arg(&file)]).expect_refused("#rrggbb");
 }
 
-/// The list of missing takes shrinks as style pairs come into the dataset.
+/// The list of missing takes shrinks as style pairs are added to the dataset.
 #[test]
 fn a_capture_plan_comes_out_as_it_went_in_and_its_missing_takes_shrink_with_an_import() {
     let (dir, dataset) = dataset(24);

@@ -1,4 +1,4 @@
-//! Items go out to systems that live elsewhere, and their answers come back.
+//! Items are exported to external systems, and their answers are imported.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -136,8 +136,8 @@ fn edits_made_elsewhere_score_as_those_made_here() {
     assert_eq!(theirs, ours);
     assert!(turned.keys().eq(ours.keys()));
     for (key, value) in &turned {
-        // Roots and paths are rounded to single precision once more: a part in ten million of metres,
-        // and of latents that the encoder computes in single precision.
+        // Root positions and paths are rounded to single precision once more: an error of 1e-7 in metres, and in
+        // latents, which the encoder computes in single precision.
         let tolerance = 1e-3 * ours[key].abs().max(1.0);
         assert!(
             (value - ours[key]).abs() < tolerance,
@@ -145,7 +145,7 @@ fn edits_made_elsewhere_score_as_those_made_here() {
             ours[key]
         );
     }
-    // Under the name of another system it is refused, not averaged.
+    // Another checkpoint under the same system name is refused, not averaged.
     import(&at("answers"), &items, "Here", &at("again"), &[]).expect_code(0);
     bench
         .eval(&[&here, &at("again")], &more)
@@ -348,7 +348,7 @@ fn edits_are_exported_one_file_each_under_their_systems_name() {
         let list: Value = serde_json::from_str(&list).expect("JSON");
         assert_eq!(len_of(&list), 32);
     }
-    // The takes find back to their items and seeds by their names.
+    // Takes are matched to their items and seeds by their names.
     let system = at("amass/ours, w_o MCM");
     import(&system, &at("items"), "again", &at("again"), &[]).expect_code(0);
     let places = |rows: &[EditRow]| -> Vec<(String, u64)> {

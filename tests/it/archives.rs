@@ -111,7 +111,7 @@ fn xzipped(bytes: &[u8]) -> Vec<u8> {
         [bytes, crc.to_vec()].concat()
     };
     let header = [b"\xfd7zXZ\0".to_vec(), FLAGS.to_vec(), crc(&FLAGS).to_vec()].concat();
-    // Size of the header in fours less one, no flags, one filter with a dictionary of 64 KiB.
+    // Header size in units of four bytes, minus one; no flags; one filter with a dictionary of 64 KiB.
     let block_header = sealed(vec![2, 0, LZMA2, 1, 8, 0, 0, 0]);
     let mut packed = Vec::new();
     for chunk in bytes.chunks(1 << 16) {
@@ -257,7 +257,7 @@ fn every_kind_of_archive_is_a_folder_of_its_name() {
                 row.id
             );
         }
-        // The next day nothing changed, and the user's folder is unchanged too.
+        // A second run changes nothing, and the user's folder is unchanged too.
         let again = place.ingest(&source, &out, 0);
         assert_eq!(again["already_complete"], true, "{name} {again}");
         assert_eq!(again["root_hash"], done["root_hash"], "{name}");
@@ -316,7 +316,7 @@ fn releases_are_found_in_archives_by_their_layout() {
     let (plain, archived) = (captions("humanml3d-plain"), captions("repository-dataset"));
     assert!(plain.values().any(|count| *count > 0), "{plain:?}");
     assert_eq!(archived, plain);
-    // A dataset in an archive is one too.
+    // A dataset in an archive is read as a dataset.
     let dataset = files_below(&place.path("dataset"));
     place.put("packed/dataset.zip", zipped(&dataset));
     place.ingest("packed", "of-dataset", 0);
@@ -332,7 +332,7 @@ fn shards_and_dumps_that_are_named_like_archives_are_read_as_what_they_are() {
     place.ingest("shards", "again", 0);
     let rows: Vec<MotionRow> = place.rows("again");
     assert!(rows.iter().all(|row| row.source == "webdataset"));
-    // Not of a known release, and no tar: it is left alone, as before.
+    // Neither a known release nor a tar: the file is skipped, as before.
     place.put("weights/weights.pth.tar", b"\x80\x04.");
     place.put(
         "weights/walk.npz",
@@ -356,8 +356,8 @@ fn walk(place: &Place) -> Vec<u8> {
     fs::read(&files[0]).expect("read")
 }
 
-/// Byte offset of the header of member `b_poses.npz` in a zip: 30 bytes before its name. Members are zips themselves, so
-/// the mark of a header does not tell.
+/// Byte offset of the header of member `b_poses.npz` in a zip: 30 bytes before its name. Members are zips themselves,
+/// so the signature of a header is ambiguous.
 fn header_of_b(zip: &[u8]) -> usize {
     let name = b"b_poses.npz";
     let mut places = zip.windows(name.len());
@@ -373,7 +373,7 @@ fn put_hostile(place: &Place) {
     };
     let good = named(&["good_poses.npz"]);
     place.put("in/good.zip", zipped(&good));
-    // Names that lead out.
+    // Names that lead out of the archive.
     place.put(
         "in/climbs.tar",
         tarred(&named(&[
@@ -427,7 +427,7 @@ fn put_hostile(place: &Place) {
         encrypted[start + at] |= 1;
     }
     place.put("in/secret.zip", encrypted);
-    // Bombs: more than the limits allow from little.
+    // Bombs: small archives whose content exceeds the limits.
     let zeros: Files = [("zeros.bin".to_owned(), vec![0; 80 << 20])].into();
     let bomb = zipped(&zeros);
     assert!(bomb.len() < 1 << 20);
@@ -507,7 +507,7 @@ fn hostile_archives_are_quarantined_and_the_rest_goes_on() {
     );
     let again = place.ingest("in", "out", 3);
     assert_eq!(again["already_complete"], true, "{again}");
-    // Doctor names them before any work.
+    // `doctor` reports them before any work.
     let doctor = place.run(&["doctor", arg(&place.path("in"))], 0);
     assert_has(
         &doctor.stdout,
@@ -620,7 +620,7 @@ fn unpacking_shows_how_far_it_is() {
         let (source, out) = (place.path(&source), place.path(&format!("{name}-out")));
         let ran = place.run(&["ingest", arg(&source), "--out", arg(&out)], 0);
         let said = ran.stderr.contains("1 archives of 1 MB");
-        // Members of a zip are read where they lie.
+        // Members of a zip are read in place.
         assert_eq!(said, name == "all.tar.bz2", "{}", ran.stderr);
     }
 }

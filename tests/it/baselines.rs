@@ -39,7 +39,7 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     };
     train("mixed", &[]).expect_code(0);
     train("fixed", &["--compose", arg(&fixed)]).expect_code(0);
-    // The same command goes on with the run, which is complete.
+    // The same command finds the run complete.
     let again: Value = train("mixed", &[]).done();
     assert_eq!(again["steps"], 4);
 

@@ -151,7 +151,7 @@ fn bundles_are_ranked_in_one_table_with_paired_differences() {
             "Error outside the mask (cm) ↓"
         ]
     );
-    // The target's slide is the same for all, and that of the real data.
+    // The target's slide is the same for all systems and for the real data.
     let column =
         |at: usize| -> Vec<&str> { table.rows.iter().map(|row| row[at].as_str()).collect() };
     assert!(
@@ -177,7 +177,7 @@ fn bundles_are_ranked_in_one_table_with_paired_differences() {
         note.starts_with("First against Second: ") || note.starts_with("Second against First: ")
     });
     assert_eq!(between.count(), 1, "{:?}", table.notes);
-    // Fewer than ten targets are no evidence.
+    // Fewer than ten targets give no intervals.
     assert!(
         table
             .notes

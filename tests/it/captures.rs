@@ -18,7 +18,7 @@ const FPS: f32 = 60.0;
 struct Capture {
     labels: Vec<String>,
     unit: &'static str,
-    /// Numbers of the file for a metre.
+    /// Units of the file per metre.
     per_metre: f64,
     /// Positions in metres by frame; none where a marker is not seen.
     frames: Vec<Vec<Option<DVec3>>>,
@@ -55,7 +55,7 @@ impl Capture {
         self
     }
 
-    /// Both people at once.
+    /// Adds another person to the capture.
     fn and(mut self, other: Self) -> Self {
         self.labels.extend(other.labels);
         for (frame, other) in self.frames.iter_mut().zip(other.frames) {
@@ -167,15 +167,15 @@ fn set(name: &str) -> &'static MarkerSet {
     sets.find(|set| set.name() == name).expect("built in")
 }
 
-/// Mean and largest distance of the joints of a motion at 20 fps from those of poses at 60 fps, from where both
-/// start.
+/// Mean and largest distance of the joints of a motion at 20 fps from those of poses at 60 fps, relative to their
+/// starts.
 fn apart(row: &MotionRow, poses: &[Pose]) -> (f64, f64) {
     const COMPARED: [usize; 16] = [0, 1, 2, 4, 5, 7, 8, 9, 12, 15, 16, 17, 18, 19, 20, 21];
     let skeleton = Skeleton::smplx_neutral();
     let motion = row.motion().expect("valid");
     let points = skeleton.motion_keypoints(&motion).points;
     assert_eq!(points.len(), poses.len().div_ceil(3));
-    // The capture is scaled to the body, and with it the distance from the origin.
+    // The capture is scaled to the body, which also scales its distance from the origin.
     let lift = points[0][0] - skeleton.keypoints(&poses[0])[0];
     let mut all = Vec::new();
     for (found, pose) in points.iter().zip(poses.iter().step_by(3)) {
@@ -306,7 +306,7 @@ fn unknown_labels_are_quarantined_until_a_marker_set_is_given() {
     let ran = stance(&[&again[..], &more[2..]].concat()).expect_code(0);
     ran.expect_printed("already complete");
     stance(&again).expect_refused("markers was");
-    // A set that is none is refused with what is wrong.
+    // An invalid set is refused with the reason.
     put(
         dir.path(),
         "bad.json",
@@ -366,7 +366,7 @@ fn half_a_set_is_told_from_none_and_parts_may_be_left_at_rest() {
 fn each_person_of_a_capture_is_a_clip() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let source = dir.path().join("captures");
-    // Everybody walks at another pace.
+    // Each person walks at another pace.
     let paces = [60.0, 40.0, 50.0, 33.0, 75.0, 90.0];
     let walks = paces.map(|pace| walk(60, pace));
     let [anna, _, third, _, fifth, sixth] =
@@ -442,7 +442,7 @@ fn each_person_of_a_capture_is_a_clip() {
     let listed: Vec<MotionRow> = rows_of(&listed);
     let shared = listed.iter().filter(|row| row.id.as_str().contains('#'));
     for row in shared {
-        // Who is in one capture with him follows him.
+        // Others in a capture with Ben get the same split.
         assert_eq!(row.split, other, "{}", row.id);
     }
     let markers: Vec<MarkerRow> = dataset.read(None).expect("rows");

@@ -122,7 +122,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
         );
     }
 
-    // The encoder that ships with the program takes the place of one that is trained.
+    // The encoder that ships with the program replaces a trained one.
     let text = text_of(&config);
     let builtin = dir.path().join("builtin.toml");
     let (settings, rest) = text.split_once("[encoder]").expect("a section");
@@ -175,7 +175,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     )
     .expect_code(0);
     assert!(text_of(&strip).starts_with("<svg"));
-    // Answers of several systems to an item lie below each other.
+    // Answers of several systems to an item are drawn below each other.
     let items = datasets_spec::Dataset::open(&edits).expect("edits").items();
     let item = &items.expect("items")[0].id;
     let [editor, once] = ["edits/editor", "edits/composed-once"].map(|folder| run.join(folder));

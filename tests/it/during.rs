@@ -25,7 +25,7 @@ fn frame(motion: &Motion, frame: usize) -> Vec<u32> {
         .collect()
 }
 
-/// Frames that differ in a bit.
+/// Frames that are not equal bit for bit.
 fn changed(source: &Motion, edit: &Motion) -> Vec<usize> {
     assert_eq!((source.len(), source.fps()), (edit.len(), edit.fps()));
     (0..source.len())

@@ -42,7 +42,7 @@ impl Bench {
         Self::of_items("8")
     }
 
-    /// A workshop with so many items.
+    /// A workshop with `count` items.
     pub(crate) fn of_items(count: &str) -> Self {
         let workshop = Workshop::open();
         workshop.train("motionrefit", "editor", "4").expect_code(0);
@@ -97,7 +97,7 @@ impl Bench {
         stance(&args)
     }
 
-    /// How much is in a folder of what a plan made.
+    /// Number of entries in a folder of a plan's results.
     fn made(&self, folder: &str) -> usize {
         let folder = self.workshop.path("made").join(folder);
         fs::read_dir(folder).expect("a folder").count()
@@ -369,7 +369,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         let png = fs::read(out.join(format!("figures/{drawing}.png"))).expect("drawn");
         assert!(png.starts_with(b"\x89PNG"));
     }
-    // The picture has the answers of both systems to two items, in its order.
+    // The picture has the answers of both systems to two items, in this order.
     let drawn = text_of(out.join("figures/both.svg"));
     let labels = ["source", "Nearest", "ours", "target"];
     let counts = labels.map(|label| drawn.matches(label).count());
@@ -591,7 +591,7 @@ fn a_plan_with_several_seeds_trains_each_system_with_each_and_shows_their_mean()
         &["Means over 2 trainings of each system, fewer for once"],
     );
     let figure = text_of(tables.join("pairs.md"));
-    // Six items have too few targets for an interval, whatever their trainings add.
+    // Six items have too few targets for an interval, however many trainings there are.
     let cell = format!("| false | {expected:.3} |");
     assert!(figure.contains(&cell), "{cell} {figure}");
 }
@@ -881,7 +881,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     let table = text_of(made.join("tables/table-1.txt"));
     assert!(table.starts_with(sentence), "{table}");
 
-    // The same edits are ranked by the encoder of the program; a folder without a report is not believed.
+    // The same edits are ranked by the encoder of the program; a folder without a report is not trusted.
     let ranked = typed("eval {} --encoder builtin --repeats 2", &[&edits]).printed();
     // Novelties with few items get separate tables below, which may be unranked.
     let first = ranked.lines().next().expect("a table");
@@ -1044,7 +1044,7 @@ fn an_item_that_was_changed_under_its_id_is_refused() {
             .contains(&rows[3].id),
         "the changed item is not named"
     );
-    // Rows that need no system are scored on the items alone.
+    // Rows that need no system are scored from the items only.
     let scores: Value = typed(
         "--json eval --items {} --encoder {} --weak-judge",
         &[&items, &bench.encoder],

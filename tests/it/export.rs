@@ -26,7 +26,7 @@ fn exported(dir: &Path, layout: &str) {
     stance(&["export", arg(&dataset), "--to", layout, "--out", arg(&out)]).expect_code(0);
 }
 
-/// Largest distance between joints of two motions, but for the height at which they stand.
+/// Largest distance between joints of two motions, apart from the height at which they stand.
 fn apart(a: &Motion, b: &Motion) -> f64 {
     let skeleton = Skeleton::smplx_neutral();
     assert_eq!((a.len(), a.fps()), (b.len(), b.fps()));
@@ -100,8 +100,8 @@ fn humanml3d_joints_come_back() {
     }
     let vectors = files_with_extension(&folder.join("new_joint_vecs"), "npy").len();
     assert_eq!(vectors, CLIPS);
-    // The exported joints are those of the published processing; a body posed by them is compared
-    // with them by the pipeline's own tests. Here the way through the command counts.
+    // The exported joints are those of the published processing; a body posed by them is compared with them by the
+    // pipeline's own tests. This test checks the round trip through the command.
     let after = ingested(dir.path(), "humanml3d", "again");
     assert_eq!(after.len(), CLIPS);
     let body = smpl_body(&Skeleton::smplx_neutral());

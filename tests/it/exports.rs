@@ -1,4 +1,4 @@
-//! Exports of chosen clips, what travels with them, and commands that read metadata alone.
+//! Exports of chosen clips, the labels in exports, and commands that read only metadata.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -173,7 +173,7 @@ fn archives_have_the_keys_of_smplx_tools() {
         assert_eq!(shape("trans"), [frames, 3]);
         assert_eq!(shape("betas"), [16]);
         let mut number = |name: &str| archive.numbers(name).expect("numbers").values;
-        // Add-ons for Blender look for the rate under either name.
+        // Blender add-ons read the rate under either name.
         assert_eq!(number("mocap_frame_rate"), [60.0]);
         assert_eq!(number("mocap_framerate"), [60.0]);
         // GMR plays frames of less than 30 fps as if they had 30; every frame of 20 fps is one of 60.

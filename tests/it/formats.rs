@@ -89,7 +89,8 @@ pub(crate) fn walk(num_frames: usize, fps: f64) -> Vec<Pose> {
     (0..num_frames).map(pose).collect()
 }
 
-/// Joints of a file as (name, parent, joint of the body that it is; none for one that stays as its parent).
+/// Joints of a file as (name, parent, joint of the body); the last is none for a joint that does not move in its
+/// parent.
 type Rig = Vec<(String, String, Option<usize>)>;
 
 /// A BVH file of a rig whose zero pose is the rest pose of the body, in centimetres. Joints named in
@@ -98,7 +99,7 @@ fn bvh(rig: &Rig, six_channels: &[&str], poses: &[Pose], frame_time: &str, ends:
     bvh_in(100.0, rig, six_channels, poses, frame_time, ends)
 }
 
-/// The same in another unit, with this many units per metre.
+/// As `bvh`, in another unit, with this many units per metre.
 fn bvh_in(
     per_metre: f64,
     rig: &Rig,
@@ -233,7 +234,7 @@ fn soma() -> Rig {
     rig
 }
 
-/// A walk of BONES-SEED, of so many frames.
+/// A walk of BONES-SEED, of `num_frames` frames.
 pub(crate) fn seed_walk(num_frames: usize) -> String {
     bvh(
         &soma(),
@@ -244,8 +245,8 @@ pub(crate) fn seed_walk(num_frames: usize) -> String {
     )
 }
 
-/// Checks the joints of a stored motion against those of the poses it was made of, of which it keeps every
-/// `stride`th.
+/// Checks the joints of a stored motion against the poses from which it was made; the motion keeps every `stride`th
+/// pose.
 pub(crate) fn assert_shows(row: &MotionRow, poses: &[Pose], stride: usize) {
     let skeleton = Skeleton::smplx_neutral();
     let points = skeleton

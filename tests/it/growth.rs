@@ -1,4 +1,4 @@
-//! The second day of a dataset: it grows, changes, is merged and pruned, and loses nothing that people made.
+//! A dataset after its first ingestion: it grows, changes, is merged and pruned, and loses nothing that people made.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -45,7 +45,7 @@ fn judged_masks_survive_a_file_that_is_added() {
     assert_eq!(after.len(), before.len() + 1);
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
     verified(&dataset);
-    // The files of the clips that stay were not even copied.
+    // Shards without a changed clip were not rewritten.
     let old = Dataset::open(&dataset).expect("a dataset");
     let kept = old.manifest().tables["motions"].iter();
     assert!(kept.clone().any(|file| !file.path.contains(".v")));
@@ -84,7 +84,7 @@ fn a_source_that_is_added_changes_no_id_and_no_split() {
         let again = ingest(&sources, &dataset, &[], 0);
         assert_eq!(again["already_complete"], true, "{sources:?}");
     }
-    // A dataset made of both at once has the same splits, though its ids tell the folders apart.
+    // A dataset made of both at once has the same splits, though its ids have different prefixes for the folders.
     let fresh = dir.path().join("fresh");
     ingest(&[&more, &moved], &fresh, &[], 0);
     let fresh = clips(&fresh);
@@ -136,7 +136,7 @@ fn a_file_of_the_same_name_takes_nobodys_id() {
     let after = clips(&dataset);
     assert_eq!(after["walk"], before["walk"]);
     assert_eq!(after.keys().collect::<Vec<_>>(), ["walk", "walk.bvh"]);
-    // Both are of one name, so of one split.
+    // Both files have one name, so they share a split.
     assert_eq!(after["walk"].0, after["walk.bvh"].0);
 }
 
@@ -165,7 +165,7 @@ fn two_folders_of_one_name_are_told_apart_by_the_names_they_are_given() {
         let again = ingest(&sources, &dataset, &[], 0);
         assert_eq!(again["already_complete"], true);
     }
-    // The folders swap their places, and their names go with them.
+    // The folders swap their places, and each keeps its name.
     let aside = dir.path().join("aside");
     for (from, to) in [(&one, &aside), (&two, &one), (&aside, &two)] {
         fs::rename(from, to).expect("moved");
@@ -274,8 +274,8 @@ fn a_file_that_moves_keeps_its_clip_and_so_does_one_that_goes() {
     assert_eq!(grown["growth"]["new"], 0);
     assert_eq!(clips(&dataset), before);
     assert_eq!(masks(&dataset), judged);
-    // A file is removed. Its clip stays until pruning is requested, and pruning needs another flag if labels would be
-    // lost.
+    // A file is removed. Its clip stays until pruning is requested; if labels would be lost, pruning needs another
+    // flag.
     fs::remove_file(&all[3]).expect("removed");
     let kept = ingest(&[&source], &dataset, &[], 0);
     assert_eq!(len_of(&kept["growth"]["missing"]), 1);
@@ -381,7 +381,7 @@ fn equal_files_share_a_split_wherever_they_lie() {
     let dataset = dir.path().join("dataset");
     ingest(&[&source, &copies], &dataset, &[], 0);
     assert!(equal_motions_share_a_split(&dataset) > 0);
-    // Copies that come later follow the clips that are there.
+    // Copies that are added later get the splits of existing clips.
     let grown = dir.path().join("grown");
     ingest(&[&source], &grown, &[], 0);
     // A folder with the same files is another source.
@@ -463,7 +463,7 @@ fn two_datasets_merge_and_lose_no_label() {
     let [a, b] = ["a", "b"].map(|name| dir.path().join(name));
     ingest(&[&source], &a, &[], 0);
     let judged = judge(&a, dir.path());
-    // The second has other motions, one under an id of the first, and a clip of the first.
+    // The second source has other motions, one under an id of the first, and a clip of the first.
     let (own, others) = (files(&source), files(&more));
     let place = |file: &Path| more.join(file.strip_prefix(&source).expect("below the source"));
     for file in &own[..2] {

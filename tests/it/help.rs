@@ -65,7 +65,7 @@ fn usage_errors_exit_with_2() {
     stance(&["ingest", "x", "--out", "y", "--allow-quarantine", "200%"]).expect_code(2);
 }
 
-/// Verbs that are found in other verbs.
+/// Subcommands of the verbs.
 const INNER: [&[&str]; 15] = [
     &["items", "export"],
     &["edits", "import"],
@@ -84,7 +84,7 @@ const INNER: [&[&str]; 15] = [
     &["stage", "status"],
 ];
 
-/// A help text with a mark in place of each list that follows from one in the code.
+/// A help text in which a mark replaces each list that is made from the code.
 fn without_lists(help: &str) -> String {
     let has_all = |part: &str, names: &[String]| names.iter().all(|name| part.contains(name));
     let formats: Vec<String> = FORMATS.iter().map(|of| of.as_str().to_owned()).collect();
@@ -99,7 +99,7 @@ fn without_lists(help: &str) -> String {
     parts.collect::<Vec<_>>().join("\n\n")
 }
 
-/// One file holds all help texts, so that a change of any is seen and reviewed.
+/// One file holds all help texts, so that every change of one is seen and reviewed.
 #[test]
 fn help_texts_are_those_of_the_snapshot() {
     let verbs = VERBS.iter().map(std::slice::from_ref);
@@ -194,7 +194,7 @@ fn links_between_documents_lead_to_files_and_headings() {
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(&folder).expect("a folder") {
             let path = entry.expect("an entry").path();
-            // Packages of npm have documents of their own.
+            // npm packages contain documents too.
             if path.is_dir() && !path.ends_with("node_modules") {
                 folders.push(path);
             } else if path.extension().is_some_and(|extension| extension == "md") {

@@ -1,4 +1,4 @@
-//! Repos published and pulled through the command, against a hub of this test.
+//! Repos are published and pulled through the command, on a hub that the test runs.
 
 mod server;
 
@@ -53,7 +53,7 @@ fn dataset() -> (tempfile::TempDir, PathBuf) {
     (dir, dataset)
 }
 
-/// A run folder as training leaves one, with weights of four kinds.
+/// A run folder like those of training, with weights of four kinds.
 fn run_folder(folder: &Path, dataset_hash: &str) {
     let best = folder.join("checkpoint/best");
     let record = json!({
@@ -99,7 +99,7 @@ fn a_dataset_comes_back_byte_for_byte_and_is_sent_once() {
     let (dir, dataset) = dataset();
     let hub = Hub::open();
     let expected = published(&dataset);
-    // Without a token, and without anything written.
+    // The preview needs no token and writes nothing.
     let args = ["--json", "hub", "push", arg(&dataset), CLIPS, "--dry-run"];
     let preview: Value = hub.run(None, &args).done();
     let names: BTreeSet<&str> = expected.iter().map(String::as_str).collect();
@@ -118,7 +118,7 @@ fn a_dataset_comes_back_byte_for_byte_and_is_sent_once() {
         (&json!("dataset"), &json!("dataset"))
     );
     assert_eq!(words(&first["changed"]).len(), expected.len());
-    // Shards without rows are equal, and sent once.
+    // Shards without rows are equal, so they are sent once.
     let manifest = Dataset::open(&dataset)
         .expect("a dataset")
         .manifest()
@@ -253,7 +253,7 @@ fn a_push_that_broke_off_goes_on_where_it_stopped() {
     run_folder(&run, "abc");
     let hub = Hub::open();
     let license = ["--license", "CC-BY-4.0"];
-    // The first two objects, of one part each.
+    // The upload breaks after two objects of one part each.
     hub.state().puts_left = Some(2);
     let broken = hub.try_push(&run, "lab/editor", &license).expect_code(1);
     broken.expect_said("run the same command again");
@@ -299,7 +299,7 @@ fn tokens_and_names_are_checked() {
     assert!(!wrong.stderr.contains("secret"), "{}", wrong.stderr);
     assert!(hub.state().paths("models/lab/editor").is_empty());
 
-    // The token of `hf auth login`, and a private repo.
+    // The token of `hf auth login` gives access to a private repo.
     put(hub.token_file(), format!("{TOKEN}\n"));
     let args = [&args[..], &["--private"]].concat();
     hub.run(None, &args).expect_code(0);
@@ -364,11 +364,11 @@ fn what_may_not_be_passed_on_is_refused() {
     let card = hub.card("datasets/lab/clips");
     assert!(card.contains("license:\n- cc-by-4.0\n"), "{card}");
 
-    // A licence that restricts passing on is to be named by whoever may.
+    // A dataset whose licence restricts redistribution is only published if the user names the licence.
     let sources = corpus(4);
     let restricted = sources.path().join("restricted");
     let clips = sources.path().join("corpus");
-    // Sidecars state a licence of their own.
+    // Sidecars state their own licence.
     for sidecar in files_with_extension(&clips, "json") {
         let text = text_of(&sidecar);
         let text = text.replace("CC0-1.0", "LicenseRef-AMASS-NonCommercial");
@@ -384,7 +384,7 @@ fn what_may_not_be_passed_on_is_refused() {
         .expect_refused(tag);
     hub.push(&restricted, "lab/other", &["--license", tag]);
 
-    // A run's licence is that of its data.
+    // A run has the licence of its data.
     let run = dir.path().join("run");
     let data = Dataset::open(&restricted).expect("a dataset");
     run_folder(&run, &data.content_hash(&[MotionRow::TABLE]));
@@ -452,7 +452,7 @@ fn folders_and_repos_of_others_are_refused() {
     fs::create_dir(&nothing).expect("made");
     hub.try_push(&nothing, "lab/nothing", &[])
         .expect_refused("expected a dataset, edits, or a run");
-    // Repos of other programs, and names that lead out of the folder.
+    // Repos of other programs are refused, and names that lead out of the folder.
     hub.state().write("models/lab/foreign", "weights.bin", b"1");
     let out = dir.path().join("foreign");
     hub.pull(None, "lab/foreign", &out, &[])
@@ -465,7 +465,7 @@ fn folders_and_repos_of_others_are_refused() {
     hub.pull(None, "lab/foreign", &out, &[])
         .expect_refused("cannot be written here");
     assert!(!out.exists());
-    // One name of two kinds.
+    // A dataset and a model have the same name.
     hub.state().write("datasets/lab/foreign", "a", b"1");
     hub.pull(None, "lab/foreign", &out, &[])
         .expect_refused("--type");

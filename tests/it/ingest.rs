@@ -100,7 +100,7 @@ fn good_files(dir: &Path) -> (Vec<u8>, String) {
     (fs::read(npz).expect("an archive"), text_of(bvh))
 }
 
-/// The archive with one number of its poses replaced by NaN, written anew.
+/// The archive, rewritten with one number of its poses replaced by NaN.
 fn with_nan(npz: &[u8]) -> Vec<u8> {
     use std::io::{Cursor, Read, Write};
     let mut archive = zip::ZipArchive::new(Cursor::new(npz)).expect("an archive");
@@ -156,7 +156,7 @@ fn bad_files_are_quarantined_with_a_reason_and_the_rest_goes_on() {
         ]
     );
     assert!(rows[0].byte_offset.is_some());
-    // The frame is named.
+    // The reason names the frame.
     assert_has(&rows[1].reason, &["10"]);
     assert!(
         rows.iter()
@@ -230,7 +230,7 @@ fn a_killed_run_continues_to_the_same_dataset() {
         .stderr(std::process::Stdio::null())
         .spawn()
         .expect("stance starts");
-    // Whether the kill comes before, in or after a shard, the next run must end in the same place.
+    // Whether the kill comes before, in or after a shard, the next run must give the same result.
     while !staged.exists() && run.try_wait().expect("a child").is_none() {
         std::thread::yield_now();
     }

@@ -76,7 +76,7 @@ fn folders_of_motionfix_with_equal_keys_lose_no_pair_and_keep_their_splits() {
         put(&at(name), "splits.json", json!({ split: keys }).to_string());
         sources.push(at(name));
     }
-    // The pairs of c under other keys and without a list: equal motions share a split.
+    // The pairs of `c` with other keys and without a list: equal motions share a split.
     put_pairs(&at("d"), 200, 5);
     sources.push(at("d"));
     let sources: Vec<&Path> = sources.iter().map(PathBuf::as_path).collect();
@@ -106,7 +106,7 @@ fn folders_of_motionfix_with_equal_keys_lose_no_pair_and_keep_their_splits() {
         }
         stance(&["verify", arg(dataset)]).expect_code(0);
     }
-    // Two dumps of one folder may have a key in common too.
+    // Two dumps of one folder may also have a key in common.
     put_pairs(&at("e"), 300, 3);
     fs::rename(at("e/motionfix.pth.tar"), at("e/motionfix_test.pth.tar")).expect("renamed");
     put_pairs(&at("e"), 400, 2);
@@ -156,7 +156,7 @@ fn exports_of_motionfix_have_keys_of_their_own() {
     assert_eq!(again, keys);
 }
 
-/// Ingests two folders of one layout whose keys are the same, and checks that each gives what it gives alone.
+/// Ingests two folders of one layout with the same keys, and checks that each gives the same clips as alone.
 fn two_folders(dir: &Path, name: &str) {
     let at = |part: &str| dir.join(format!("{name}-{part}"));
     let mut alone = BTreeMap::new();
@@ -201,7 +201,7 @@ fn two_folders_of_every_exported_layout_stay_two() {
             stance(&["export", arg(&dataset), "--to", layout, "--out", arg(&out)]).expect_code(0);
         }
     }
-    // The second comes without lists, so that its splits are drawn.
+    // The second folder has no lists, so its splits are drawn.
     for list in [
         "train.txt",
         "val.txt",
@@ -234,7 +234,7 @@ fn two_folders_of_every_exported_layout_stay_two() {
     two_folders(dir.path(), "published");
 }
 
-/// An array of Motion-X: a person who bends, by a number.
+/// An array of Motion-X: a person who bends; `number` changes the motion.
 fn motionx(number: usize) -> Vec<u8> {
     // Motions with distinct lengths, so that no two are nearly equal.
     let num_frames = 60 + 3 * number;
@@ -266,7 +266,7 @@ fn two_folders_of_motionx_stay_two() {
                 motionx(first + number),
             );
         }
-        // The first alone has lists and captions.
+        // Only the first folder has lists and captions.
         if part == "a" {
             put(&folder, "train.txt", names[..10].join("\n"));
             put(&folder, "test.txt", names[10..].join("\n") + "\naist/gone");

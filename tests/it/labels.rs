@@ -155,7 +155,7 @@ fn a_folder_says_what_its_clips_are_and_the_nearer_wins() {
     );
     stance(&["verify", arg(&sources.path("out"))]).expect_code(0);
 
-    // The labels beside a file also apply if the file is a source by itself.
+    // Labels beside a file also apply if the file itself is the source.
     let lone = sources.path("lone");
     let file = sources.path("in/inner/run.bvh");
     stance(&["ingest", arg(&file), "--out", arg(&lone)]).expect_code(0);
@@ -399,12 +399,12 @@ fn problems_of_labels_stay_listed_while_a_dataset_grows() {
     let (first, _) = sources.ingest("out", &[]);
     let before = problems(&first);
     assert_eq!(before.len(), 2, "{before:?}");
-    // Another clip comes, and the clip with the labels stays unread.
+    // Another clip is added, and the clip with the labels is not read again.
     sources.motions(&["walk.bvh", "sit.bvh"]);
     let (grown, _) = sources.ingest("out", &[]);
     assert_eq!(grown["growth"]["kept"], 1, "{grown}");
     assert_eq!(problems(&grown), before);
-    // A label that is mended leaves the list.
+    // A corrected label is not reported any more.
     sources.write("walk.stance.json", r#"{"captions": ["a person walks"]}"#);
     let (mended, _) = sources.ingest("out", &[]);
     let now = problems(&mended);

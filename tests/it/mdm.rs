@@ -1,4 +1,4 @@
-//! MDM through the command line: trained on captions, it edits body parts and stands in a table.
+//! MDM through the command line: trained on captions, it edits body parts and is ranked in a table.
 
 use datasets_spec::record::{EditRow, ItemRow};
 use datasets_spec::{Dataset, Skeleton};

@@ -10,7 +10,7 @@ use work::commit_edits;
 
 use crate::util::files_with_extension;
 
-/// A body that stands at a place of its own.
+/// A motion that stands at its own place.
 fn motion(place: usize) -> Motion {
     let mut pose = Pose::REST;
     pose.transl.x = place as f64;
@@ -27,7 +27,7 @@ fn item(number: usize) -> ItemRow {
 
 #[test]
 fn motions_are_read_by_the_positions_of_their_rows_and_not_before() {
-    // More than a group of rows.
+    // More items than a row group holds.
     let items: Vec<ItemRow> = (0..300).map(item).collect();
     let edits = |system: &str, place: usize| -> Vec<EditRow> {
         let answer = |(number, item): (usize, &ItemRow)| EditRow {

@@ -1,4 +1,4 @@
-//! Names of sources where they are written in a file, and of sources at URLs.
+//! Names of sources that are written in a file, and of sources at URLs.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -12,7 +12,7 @@ fn names(dataset: &Path) -> BTreeSet<String> {
     rows.map(|row| row.source_name).collect()
 }
 
-/// Writes a configuration of `run` or `build` whose sources are these.
+/// Writes a configuration of `run` or `build` with these sources.
 fn configure(file: &Path, sources: &str, out: &str, more: &str) {
     let text = format!("sources = {sources}\nout = \"{out}\"\ntriplets = 4\n{more}");
     put(file, text);
@@ -47,7 +47,7 @@ fn a_configuration_of_build_names_its_sources() {
     assert_eq!(names(&dataset), ["anna", "ben"].map(String::from).into());
     let before = clips(&dataset);
     assert_eq!(before.len(), 60);
-    // A folder that moved is named by the configuration too, and loses no clip.
+    // The configuration also names a folder that moved, and no clip is lost.
     fs::rename(dir.path().join("ben"), dir.path().join("archive")).expect("moved");
     configure(
         &config,
@@ -57,11 +57,11 @@ fn a_configuration_of_build_names_its_sources() {
     );
     build(0);
     assert_eq!(clips(&dataset), before);
-    // `ingest` knows both by the names of the configuration.
+    // `ingest` recognises both sources by the names of the configuration.
     let archive = dir.path().join("archive/takes");
     let again = ingest(&[&archive], &dataset, &[], 0);
     assert_eq!(again["already_complete"], true);
-    // A name that cannot be one is told with its line.
+    // An invalid name is reported with its line.
     configure(&config, r#"["an#na=anna/takes"]"#, "other", "");
     let said = build(1).stdout;
     assert_has(&said, &["an#na", "stance.toml:1"]);

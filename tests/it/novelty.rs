@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::util::{arg, assert_has, rows_of, stance, typed};
 
-/// Makes the dataset of the built-in test set from a corpus of so many clips.
+/// Makes the dataset of the built-in test set from a corpus of `clips` clips.
 fn dataset(dir: &Path, clips: &str) -> std::path::PathBuf {
     let (corpus, dataset) = (dir.join("corpus"), dir.join("dataset"));
     typed(
@@ -64,7 +64,7 @@ impl Rules {
         self.trained().any(|row| group(row) == group(clip))
     }
 
-    /// Whether training has an annotation of the text, of an action if one is named.
+    /// Whether the training split has an annotation with this text, and with this action if one is named.
     fn has_text(&self, text: &str, action: Option<&Option<String>>) -> bool {
         let is_of = |id: &str| action.is_none_or(|action| self.clips[id].action == *action);
         self.masks.iter().any(|mask| {
@@ -143,7 +143,7 @@ fn the_built_in_test_set_asks_for_three_novelties_in_equal_parts() {
             item.origin
         );
     }
-    // Without a wish, every novelty of the split comes, and the rules hold for it too.
+    // If no novelty is requested, items of every novelty of the split are drawn, and the rules hold for them too.
     let any = dir.path().join("any");
     typed("items {} --count 400 --seed 5 --out {}", &[&dataset, &any]).expect_code(0);
     let any: Vec<ItemRow> = rows_of(&any);
@@ -197,7 +197,7 @@ fn clips_without_labels_have_no_novelty() {
     assert_eq!(done["novelty"]["not known"], 12, "{done}");
 }
 
-/// Ingests the questions of one limit with one of its lists, and draws all of them.
+/// Ingests the questions of one folder `limit` with one of its lists, and draws all of them.
 fn questions(dir: &Path, limit: &str, list: &str) -> Vec<ItemRow> {
     let sources = dir.join("limits").join(limit);
     let pairs = sources.join(list);

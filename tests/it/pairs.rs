@@ -55,7 +55,7 @@ fn the_corpus_has_style_pairs_in_every_split_and_trains_on_styles_alone() {
             let count = made["splits"][split].as_u64().expect("a number");
             assert!(count >= 5, "{count} pairs in {split} of {clips} clips");
         }
-        // No style is apart from its original: one split for each action and take.
+        // Styles are in the split of their original: one split for each action and take.
         let mut of_take: BTreeMap<(String, String), BTreeSet<Split>> = BTreeMap::new();
         for row in rows_of::<MotionRow>(&dataset) {
             let stem = row.id.as_str().trim_end_matches("_poses");
@@ -127,7 +127,7 @@ fn a_dataset_that_grows_keeps_the_splits_and_the_seed_it_was_made_with() {
     for (id, split) in before {
         assert_eq!(after[&id], split, "{id} moved");
     }
-    // The same as if all had been there from the start.
+    // The splits are the same as if all files had been there from the start.
     let fresh = dir.path().join("fresh");
     ingest(&whole, &fresh, &["--seed", "6"], 0);
     assert_eq!(splits(&fresh), after);
@@ -199,7 +199,7 @@ fn a_list_adds_pairs_and_every_line_it_does_not_take_is_named() {
         texts,
         BTreeSet::from(["Move, as if old", "Replace a person with a proud look"])
     );
-    // Again, nothing changes; pairs from labels stand beside those of the list.
+    // A second run changes nothing; pairs from labels are added to those of the list.
     let again: Json = stance(&[&["--json"], &add[..]].concat())
         .expect_code(3)
         .json();
@@ -323,7 +323,7 @@ fn recaptured_clips_follow_the_published_split_of_their_original() {
     crossed.expect_said("`stance ingest --pairs`");
 }
 
-/// A motion of MotionFix: parameters of SMPL-H, z up, 30 frames a second.
+/// A motion of MotionFix: parameters of SMPL-H, z up, 30 frames per second.
 pub(crate) fn motionfix_motion(number: usize, frames: usize) -> Value {
     let rots = (0..frames).flat_map(|frame| {
         let mut pose = [0.0f32; 66];
@@ -349,7 +349,7 @@ pub(crate) fn motionfix_motion(number: usize, frames: usize) -> Value {
     ])
 }
 
-/// Writes a dump of so many pairs, whose sources and targets differ in length.
+/// Writes a dump of `count` pairs, whose sources and targets differ in length.
 fn put_motionfix(folder: &Path, file: &str, count: usize) {
     let pairs = (0..count).map(|number| {
         let pair = Value::Dict(vec![

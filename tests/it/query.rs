@@ -158,7 +158,7 @@ fn the_usual_conditions_choose_what_they_say() {
         "regexp_like(action, '^w')",
         Box::new(|row| action(row).starts_with('w')),
     );
-    // The columns that are derived, lists, and the spellings of the grammar before.
+    // Derived columns, lists, and the older spellings of conditions.
     add("n_captions = 0 OR foot_skate >= 0", Box::new(|_| true));
     add(
         "captions like '%walk%'",
@@ -423,7 +423,7 @@ fn every_verb_takes_some_clips_of_a_dataset() {
         let rows: Vec<Value> = stance(&["--json", "query", folder, query]).done();
         rows[0]["n"].as_u64().expect("a number")
     };
-    // Masks: those of other clips stay.
+    // Masks of other clips stay.
     let before = count("SELECT count(*) AS n FROM masks");
     typed(
         "masks {} --add --where {}",
@@ -435,7 +435,7 @@ fn every_verb_takes_some_clips_of_a_dataset() {
                AND m.n_frames % 2 <> 0";
     assert_eq!(after - before, count(new));
     assert!(after > before);
-    // Pairs: both clips fulfil the condition.
+    // Only pairs whose clips both fulfil the condition are made.
     let pairs = count("SELECT count(*) AS n FROM pairs");
     stance(&["pairs", folder, "--where", "split = 'test'"]).expect_code(0);
     assert_eq!(
@@ -506,7 +506,7 @@ fn every_verb_takes_some_clips_of_a_dataset() {
         "{rows:?}"
     );
 
-    // A training knows what it was trained on.
+    // A run records the condition of its training clips.
     let train = |condition: &str, run: &str| {
         typed(
             "--json train nearest {} --where {} --out {}",
@@ -534,7 +534,7 @@ fn every_verb_takes_some_clips_of_a_dataset() {
         )))
     );
 
-    // Annotation: tasks of the chosen clips, also by a later import.
+    // Annotation tasks are made for the chosen clips, also by a later import.
     let import = |more: &[&str]| {
         let args = ["--json", "annotate", folder];
         let taken: Value = stance(&[&args[..], more, &["import"]].concat()).done();

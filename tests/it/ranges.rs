@@ -1,4 +1,4 @@
-//! A mask that holds for some frames: from lines that people edit to items, edits and exports.
+//! A mask with a range of frames: from lines that people edit to items, edits and exports.
 
 use std::path::Path;
 
@@ -76,7 +76,7 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
     }
     assert!(changed > 0, "the nearest neighbour changes what it may");
 
-    // The layout of the release has a file for what it has no place for.
+    // The release's layout cannot hold ranges, so this program's own files in it do.
     let (exported, again) = (at("exported"), at("again"));
     typed("export {} --to stance --out {}", &[&dataset, &exported]).expect_code(0);
     stance(&["ingest", arg(&exported), "--out", arg(&again)]).expect_code(0);
@@ -89,7 +89,7 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
     };
     assert_eq!(masks(&again), masks(&dataset));
 
-    // At another rate a range has other frames: 5 and 45 of 20 fps are 7.5 and 67.5 of 30 fps.
+    // At another rate a range has other frame numbers: 5 and 45 at 20 fps are 7.5 and 67.5 at 30 fps.
     let faster = at("faster");
     typed("ingest {} --fps 30 --out {}", &[&dataset, &faster]).expect_code(0);
     let ranged = |folder: &Path| {
@@ -99,7 +99,7 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
     };
     assert_eq!(ranged(&faster), vec![(8, 68); tested.len()]);
 
-    // A range that its clip does not have is left out by name, and the rest is taken.
+    // A range outside its clip is left out and reported by name; the other ranges are imported.
     let file = exported.join("masks.jsonl");
     let lines = text_of(&file);
     let wrong = lines.replacen("\"end\":45", "\"end\":4500", 1);

@@ -105,12 +105,12 @@ fn ids_choose_the_clips_that_are_read() {
     let skipped: Vec<SkippedRow> = rows_of(&out);
     let skipped: BTreeSet<&str> = skipped.iter().map(|row| row.path.as_str()).collect();
     assert_eq!(skipped, BTreeSet::from(["run_1.npz", "run_2.npz"]));
-    // The dataset knows its choice.
+    // The dataset records its choice of clips.
     let again = ingest(&source, &out, &["--ids", arg(&list)], 0);
     assert_eq!(again["already_complete"], true, "{again}");
     stance(&["ingest", arg(&source), "--out", arg(&out)])
         .expect_refused("ids was a file and is not given now");
-    // With another choice the clips that are there and are not chosen stay.
+    // With another choice, existing clips that are not chosen stay.
     put(&list, "run_1\n");
     let done = ingest(&source, &out, &["--ids", arg(&list), "--new-version"], 0);
     assert_eq!(done["growth"]["new"], 1, "{done}");
@@ -141,7 +141,7 @@ fn another_list_of_splits_is_told_by_the_ids_that_it_moves() {
     assert!(!ran.stderr.contains("walk"), "{}", ran.stderr);
 }
 
-/// Writes a zip whose members are as long as stated; what lies behind their first bytes takes no room on the disk.
+/// Writes a zip whose members have the stated lengths; the bytes after their beginnings take no space on the disk.
 fn put_sparse(path: &Path, members: &[(&str, Vec<u8>, u64)]) {
     let mut file = File::create(path).expect("made");
     let mut directory = Vec::new();

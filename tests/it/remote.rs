@@ -18,7 +18,8 @@ type Files = BTreeMap<String, Vec<u8>>;
 const NO_BUCKET: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<Error><Code>NoSuchBucket</Code><Message>The \
                          specified bucket does not exist</Message><BucketName>missing</BucketName></Error>";
 
-/// Serves files on a port of this machine as long as the test runs; all else is a bucket that is not there.
+/// Serves files on a port of this machine as long as the test runs; requests for other paths get the error of a missing
+/// bucket.
 fn serve(files: Files) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = listener.local_addr().expect("an address");
@@ -172,13 +173,13 @@ fn a_source_at_a_url_has_the_name_that_it_is_given() {
     ingest(&[at("anna")], 0);
     let alone = names();
     assert_eq!(alone.keys().collect::<Vec<_>>(), ["bvh"]);
-    // The same name at another URL is asked about.
+    // The same name at another URL is ambiguous, so the user is asked.
     let said = ingest(&[at("ben")], 2).stderr;
     assert!(said.contains(&format!("ben-bvh={}", at("ben"))), "{said}");
     assert_eq!(names(), alone);
     ingest(&[named("ben", "ben")], 0);
     assert_eq!(names()["ben"], alone["bvh"]);
-    // Known again by its URL alone.
+    // The source is recognised by its URL alone.
     let again = ingest(&[at("ben")], 0);
     again.expect_printed("already complete");
 }

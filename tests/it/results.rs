@@ -1,4 +1,4 @@
-//! Notes of tables and pages about their numbers.
+//! Notes on the numbers of tables and pages.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use crate::evaluate::Bench;
 use crate::tables::{printed, tables};
 use crate::util::{arg, assert_has, stance, text_of, typed, typed_with};
 
-/// The items the bench answers.
+/// The items of a bench.
 fn items_of(bench: &Bench) -> Vec<ItemRow> {
     let folder = Dataset::open(&bench.workshop.path("items")).expect("items");
     folder.read(None).expect("rows")
@@ -179,7 +179,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
 #[test]
 fn a_system_behind_the_identity_editor_is_never_best() {
     let bench = Bench::open();
-    // Originals five metres up in the air: further from every target than the originals are.
+    // Originals raised by five metres: farther from every target than the originals.
     let edits = bench.edits("lifted", &["--name", "lifted"]);
     let folder = Dataset::open(&edits).expect("edits");
     let mut rows: Vec<EditRow> = folder.read(None).expect("rows");
@@ -220,7 +220,7 @@ fn a_system_behind_the_identity_editor_is_never_best() {
         let args = ["--table", "1", "--further", "--format", format];
         eval(&args).stdout
     };
-    // One task; tables of novelties stand between its tables.
+    // One task; tables by novelty are between its tables.
     let mut markdown = tables(&table("markdown"));
     markdown.retain(|table| table.heading == "semantic");
     let further = &markdown[1];
@@ -228,7 +228,7 @@ fn a_system_behind_the_identity_editor_is_never_best() {
         .head
         .iter()
         .position(|label| label == "Position error (cm) ↓");
-    // Printed without the mark of the best.
+    // Printed without the mark of the best value.
     assert_eq!(
         further.row("lifted")[column.expect("a column") - 1],
         printed(own)
@@ -322,7 +322,7 @@ fn what_cannot_stand_in_one_table_is_refused() {
             &["two motions of item", "sampled with seed 0", "--seed"],
         );
     }
-    // Half of the items are the same, and still these are two test sets.
+    // Half of the items are the same, but these are two test sets.
     bench.items("few", &["--count", "4"]);
     let few = bench.answers("editor", "few", "answers", &["--name", "other"]);
     let compared = typed(
@@ -590,7 +590,7 @@ fn how_motions_move_stands_beside_real_data() {
         for system in ["Real Data", "Identity", "MotionReFit"] {
             let mean = score(&scores, system, metric.name)["mean"].as_f64();
             let mean = mean.expect("a number");
-            // A share of zero is valid for gliding, and targets have it by definition.
+            // Zero is valid for gliding, and real data has it by definition.
             match metric.name {
                 "Gliding (%)" if system == "Real Data" => assert_eq!(mean, 0.0),
                 "Gliding (%)" => assert!((0.0..=100.0).contains(&mean), "{system} {mean}"),

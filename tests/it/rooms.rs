@@ -1,4 +1,4 @@
-//! The plan of the house: crates depend on those above them alone, and no imports inside a crate form a circle.
+//! Dependencies: crates depend only on crates of lower layers, and imports inside a crate form no cycle.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -67,7 +67,7 @@ fn crates_depend_on_lower_ones_alone() {
 /// Path of a module in its crate.
 type Module = Vec<String>;
 
-/// The files of a crate by their modules.
+/// Finds the files of a crate, by their modules.
 fn modules(folder: &Path, at: &Module, found: &mut BTreeMap<Module, PathBuf>) {
     for entry in fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
@@ -86,7 +86,7 @@ fn modules(folder: &Path, at: &Module, found: &mut BTreeMap<Module, PathBuf>) {
     }
 }
 
-/// The paths of a tree of imports, such as those of `a::{b, c::d}`.
+/// Finds the paths of a tree of imports, such as those of `a::{b, c::d}`.
 fn paths(tree: &str, before: &Module, found: &mut Vec<Module>) {
     let (mut depth, mut start) = (0usize, 0);
     let mut parts = Vec::new();
@@ -142,7 +142,7 @@ fn imports(text: &str) -> Vec<(bool, Module)> {
     found
 }
 
-/// A crate: its modules, and the names that they hand on from others.
+/// A crate: its modules, and the names that they re-export from others.
 struct House {
     files: BTreeMap<Module, PathBuf>,
     handed_on: BTreeMap<(Module, String), Module>,
@@ -167,7 +167,7 @@ impl House {
         house
     }
 
-    /// The path from the root of the crate; none if it leads elsewhere.
+    /// The path from the root of the crate; none if it leads to another crate.
     fn whole(&self, module: &Module, import: &Module) -> Option<Module> {
         let mut at = match import.first()?.as_str() {
             "crate" => Module::new(),
@@ -188,7 +188,7 @@ impl House {
         Some(at)
     }
 
-    /// The module that defines what a path names.
+    /// The module that defines the item at a path.
     fn definer(&self, path: &Module) -> Module {
         let mut path = path.clone();
         loop {
@@ -207,7 +207,7 @@ impl House {
         }
     }
 
-    /// Imports of each module from others. Re-exports do not count as imports.
+    /// Imports of each module from other modules. Re-exports do not count as imports.
     fn edges(&self) -> BTreeMap<Module, BTreeSet<Module>> {
         let mut edges: BTreeMap<Module, BTreeSet<Module>> = BTreeMap::new();
         for (module, path) in &self.files {
@@ -223,7 +223,7 @@ impl House {
     }
 }
 
-/// All that a module reaches.
+/// All modules that a module imports, directly or indirectly.
 fn reached<'a>(
     from: &'a Module,
     edges: &'a BTreeMap<Module, BTreeSet<Module>>,

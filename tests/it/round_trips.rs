@@ -17,7 +17,7 @@ use serde_json::Value;
 use crate::annotate::{accept, settings};
 use crate::util::{arg, assert_has, put, stance, typed, typed_with};
 
-/// Rejected pairs among the answers.
+/// Number of rejected pairs among the answers.
 const REJECTED: usize = 5;
 
 /// A folder with a dataset of masks and pairs.
@@ -107,7 +107,7 @@ impl Labelled {
             .json()
     }
 
-    /// Answers go into the dataset, and labels that only other programs make: a mask without named parts and one of
+    /// Adds the answers to the dataset, and labels that only other programs make: a mask without named parts and one of
     /// altered joints, a semantic pair, and a motion that is the style of two others.
     fn with_all_labels(&self) {
         self.annotate("store.sqlite", &["export"]);
@@ -267,7 +267,7 @@ fn every_mask_and_pair_of_a_dataset_comes_back_by_way_of_the_stance_layout() {
     assert_eq!(kinds.len(), 3, "{kinds:?}");
     assert_eq!(pairs("again"), pairs("dataset"));
 
-    // Data that only this program's own files can hold is counted: masks that the release's two lists do not have.
+    // Data that only this program's own files can hold is counted: masks that are not in the release's two lists.
     let lists = ["mask_all", "part_annotations"].map(|name| {
         let list = std::fs::read(made.path(&format!("stance/regen/{name}.json"))).expect("written");
         serde_json::from_slice::<BTreeMap<String, Vec<String>>>(&list).expect("JSON")
@@ -290,7 +290,7 @@ fn every_mask_and_pair_of_a_dataset_comes_back_by_way_of_the_stance_layout() {
     assert!(beside > 1, "styles have masks too");
     assert_eq!(export["beside"]["masks"], beside, "{export}");
     assert!(export["beside"]["pairs"].as_u64() >= Some(2), "{export}");
-    // And once more.
+    // A second round trip gives the same files.
     let out = made.path("exported-again");
     let again = made.path("again");
     stance(&["export", arg(&again), "--to", "stance", "--out", arg(&out)]).expect_code(0);
@@ -321,7 +321,7 @@ fn a_range_and_a_chosen_joint_survive_an_export_into_a_fresh_project() {
     accept(store.as_ref(), people, TaskKind::MaskText, answer);
     drop(store);
 
-    // By way of the tables of an export, with everything else.
+    // Answers are imported from the tables of an export, with all their data.
     let first = made.answers("dataset", "store.sqlite");
     let ranged: Vec<&AnnotationRow> = first.iter().filter(|row| row.start.is_some()).collect();
     assert_eq!(ranged.len(), 1);
@@ -333,7 +333,7 @@ fn a_range_and_a_chosen_joint_survive_an_export_into_a_fresh_project() {
     made.annotate("fresh.sqlite", &["import", arg(&tables)]);
     assert_eq!(made.answers("dataset", "fresh.sqlite"), first);
 
-    // By way of the tables of the dataset, its masks.
+    // Masks are imported from the tables of the dataset.
     made.annotate("store.sqlite", &["export"]);
     made.annotate("of-dataset.sqlite", &["import"]);
     let of_masks = |rows: Vec<AnnotationRow>| -> Vec<String> {
@@ -360,7 +360,7 @@ fn an_exported_dataset_gives_its_answers_to_a_project() {
     made.ingest("corpus", "plain", &["--pairs", arg(&pairs)], 0);
     let filled = made.annotate_of("plain", "plain.sqlite", &["import", arg(&folder)]);
     assert_eq!(filled["counts"]["conflicts"], 0, "{filled}");
-    // The old ids hold in a dataset of the export, whose own tables have the answers already.
+    // The old ids also hold in a dataset made from the export, whose own tables already have the answers.
     made.ingest("stance", "again", &[], 0);
     made.annotate_of("again", "again.sqlite", &["import", arg(&folder)]);
     let kept = |rows: Vec<AnnotationRow>| -> Vec<AnnotationRow> {
@@ -470,7 +470,7 @@ fn an_export_that_was_changed_is_refused_with_both_names() {
     let record = std::fs::read(folder.join("origin.json")).expect("written");
     let record: Value = serde_json::from_slice(&record).expect("JSON");
     let motions = record["motions"].as_object().expect("an object");
-    // A motion of an adjustment is in other files too.
+    // Motions of an adjustment are also in other files.
     let mut places: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for (place, origin) in motions {
         let id = origin["id"].as_str().expect("an id");
@@ -493,7 +493,7 @@ fn an_export_that_was_changed_is_refused_with_both_names() {
     let motions: Vec<MotionRow> = made.rows("again");
     let all: Vec<MotionRow> = made.rows("dataset");
     assert_eq!(motions.len() + 1, all.len());
-    // A motion without a file is missed.
+    // A motion without a file is reported.
     std::fs::remove_file(&second.1).expect("removed");
     let report = made.ingest("stance", "third", &[], 3);
     assert!(
@@ -561,7 +561,7 @@ fn a_spreadsheet_and_the_dataset_count_what_they_leave_out() {
     );
 }
 
-/// A project with unfinished work moves to another computer, where the dataset was ingested again: one clip has other
+/// A project with unfinished work moves to another computer. The dataset was ingested there again: one clip has other
 /// content, and one is missing.
 #[test]
 fn a_packed_project_goes_on_where_it_is_unpacked() {
@@ -582,7 +582,7 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
     };
     let before = told(&opened);
     made.annotate("store.sqlite", &["pack", arg(&file)]);
-    // Never over a file, and never over a project.
+    // Neither files nor projects are overwritten.
     let (dataset, fresh) = (made.path("dataset"), made.path("fresh.sqlite"));
     let of = |dataset: &Path, store: &Path, words: &[&str]| {
         typed_with("annotate {} --store {} --json", &[&dataset, &store], words)
@@ -590,7 +590,7 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
     of(&dataset, &store, &["pack", arg(&file)]).expect_code(1);
     of(&dataset, &store, &["unpack", arg(&file)]).expect_refused("stays");
 
-    // With the same dataset, no task is asked again, and old tokens are invalid.
+    // With the same dataset, no task is reopened, and old tokens are invalid.
     let moved: Value = of(&dataset, &fresh, &["unpack", arg(&file)]).done();
     assert_eq!(
         (&moved["people"], &moved["changed"]),
@@ -604,7 +604,7 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
         made.answers("dataset", "store.sqlite")
     );
 
-    // Other content: each task with an answer is flagged.
+    // With other content, each task with an answer is flagged.
     let source = made.path("corpus");
     typed("ingest {} --out {} --fps 30", &[&source, &other]).expect_code(0);
     let none = made.path("none.sqlite");
@@ -620,7 +620,7 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
         serde_json::json!([])
     );
 
-    // The file is not a project: no store remains.
+    // If the file is not a project, no store remains.
     let nothing = made.path("nothing.sqlite");
     put(made.path("text"), "no project");
     of(&dataset, &nothing, &["unpack", arg(&made.path("text"))]).expect_code(1);
@@ -699,7 +699,7 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
             assert_eq!(names(again), names(rows.clone()), "{layout}");
         }
     }
-    // People read it too.
+    // The text output has the same counts.
     let (dataset, out) = (made.path("dataset"), made.path("text"));
     let text = stance(&["export", arg(&dataset), "--to", "bvh", "--out", arg(&out)]).expect_code(0);
     let line = format!("left out, because the layout has no place for them: {masks} masks");

@@ -83,8 +83,8 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         (ran, row(&out))
     };
     let (ran, edited) = edit(&editor, "edited");
-    // Windows of 16 frames at 5 fps, each 10 after the one before, the last of which ends with the clip; a
-    // clip shorter than a window takes one.
+    // Windows have 16 frames at 5 fps, and each starts 10 frames after the one before. The last one ends with the clip;
+    // a clip shorter than a window takes one window.
     let model_frames = (clip.n_frames - 1 + 3) / 4 + 1;
     let windows = 1 + (model_frames - 16 + 9).max(0) / 10;
     assert_eq!(ran.json::<Value>()["times"]["num_windows"], windows);
@@ -100,7 +100,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         (&json!(16), &json!(10), &json!(5.0), &json!("exact"))
     );
 
-    // The same weights with another anchor see other windows.
+    // The same weights with another anchor get other windows, and give another motion.
     let other = workshop.path("other-anchor");
     copy_with(&editor, &other, |record| {
         record["config"]["compose"]["config"]["anchor"] = json!("pelvis");
@@ -114,7 +114,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         record["config"]["compose"] = json!(pair.to_string());
     });
     assert_eq!(edit(&old, "old").1.transl, edited.transl);
-    // Settings that no composer has are refused.
+    // Invalid settings of the composition are refused.
     let broken = workshop.path("broken");
     copy_with(&editor, &broken, |record| {
         record["config"]["compose"]["config"]["mcm_ratio"] = json!(7.0);
@@ -136,7 +136,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
     };
     ask(&broken, &[]).expect_refused("mcm_ratio");
 
-    // Coordinators that were shown other windows do not fit.
+    // Coordinators trained on other windows are refused.
     for (name, compose, reason) in [
         ("rate", "anchor = \"translation\"\n", "another rate"),
         ("anchor", "fps = 5.0\n", "another point of the body"),
@@ -211,7 +211,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     };
     let said: Value = answer(&editor, "edits").done();
     assert_eq!(said["num_short"], 0);
-    // Splits keep the takes of an action together, so that some actions of the test are new.
+    // Splits keep the takes of an action together, so that some actions of the test split are unknown.
     let asked: Vec<ItemRow> = rows_of(&items);
     for word in said["unknown_words"].as_array().expect("a list") {
         let word = word.as_str().expect("a word");
@@ -282,7 +282,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     assert_eq!(said["num_short"], short);
     ran.expect_said("shorter than a window");
 
-    // An instruction with unknown words, and a range of half a second.
+    // An instruction has unknown words, and a range lasts half a second.
     let clip = workshop.clip();
     let out = workshop.path("said");
     let ran = typed(
@@ -294,7 +294,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     assert_eq!(said["unknown_words"], json!(["levitate", "ultrasonically"]));
     ran.expect_said("never seen levitate, ultrasonically");
 
-    // The published fit needs its network, and its rows record that it was used.
+    // The published fit needs its network; the rows record that it was used.
     let refused = |args: &[&str]| stance(args).refusal();
     let published = [
         "edit",
@@ -348,7 +348,7 @@ fn windows_of_a_trained_editor_join() {
     let bench = Bench::open();
     bench.items("asked", &["--count", "24"]);
     let small = text_of(bench.workshop.path("small.toml"));
-    // The steps and the noise of the compared predictions; the preset's belong to another prediction.
+    // Settings of the diffusion of the compared predictions; those of the preset belong to another prediction.
     let plain = "[diffusion]\nnoise = \"white\"\nschedule = \"rescaled\"\nnum_steps = 50\ntemperature = 1.0\nbone_weight = 0.0\ntell_frames = false\n";
     for (run, diffusion) in [
         (
@@ -377,7 +377,7 @@ fn windows_of_a_trained_editor_join() {
     let [real, joined, apart] =
         ["Real Data", "joined", "apart"].map(|system| Quality::of(&scores, system));
     let ratio = |quality: &Quality| quality.seam / quality.inside;
-    // 1.26 after 400 steps of a small network, where real motion has 1.27 and the plain change about 4.
+    // Measured: 1.26 after 400 steps of a small network; real motion has 1.27, and prediction `change` about 4.
     assert!(ratio(&joined) < 1.2 * ratio(&real), "{joined:?} {real:?}");
     assert!(ratio(&apart) > 2.0 * ratio(&joined), "{apart:?} {joined:?}");
     assert!(joined.turn < 1.2 * real.turn, "{joined:?} {real:?}");

@@ -1,4 +1,4 @@
-//! Errors in settings files are reported once, with file, line and column; log lines name the run that they belong to.
+//! Errors in settings files are reported once, with file, line and column; log lines name their run.
 
 use crate::train::Workshop;
 use crate::util::{arg, put, stance};

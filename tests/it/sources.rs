@@ -1,4 +1,4 @@
-//! Sources of a dataset: their names, what a run may remove, and what it tells beforehand.
+//! Sources of a dataset: their names, the clips that a run may remove, and the forecast of a run.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -45,7 +45,7 @@ fn list(value: &Value) -> Vec<&str> {
     list.map(|item| item.as_str().expect("a text")).collect()
 }
 
-/// Two folders of a few takes each that are numbered alike.
+/// Two folders of a few takes each, with the same file names.
 fn two_people() -> (tempfile::TempDir, PathBuf, PathBuf) {
     let dir = corpus(12);
     let is_bvh = |file: &PathBuf| file.extension().is_some_and(|end| end == "bvh");
@@ -63,7 +63,7 @@ fn two_people() -> (tempfile::TempDir, PathBuf, PathBuf) {
     (dir, anna, ben)
 }
 
-/// All that lies below a folder, with the bytes of files.
+/// All files and folders below a folder, with the bytes of files.
 pub(crate) fn everything(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -116,14 +116,14 @@ fn takes_that_are_numbered_alike_belong_to_two_people() {
     let after = clips(&dataset);
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
     assert!(after.contains_key("take0") && after.contains_key("ben/take0"));
-    // Both are known now by their places.
+    // Both sources are now recognised by their places.
     let again = grow(&[bare(&ben), bare(&anna)], &dataset, &[], 0);
     assert_eq!(again["already_complete"], true);
     assert!(
         again["remarks"].to_string().contains("is source ben"),
         "{again}"
     );
-    // In one command, two sources of one name are refused before anything is made.
+    // Two sources of one name in one command are refused before anything is written.
     let fresh = dir.path().join("fresh");
     let said = asked(&[bare(&anna), bare(&ben)], &fresh);
     assert!(said.contains(&named("anna-bvh", &anna)), "{said}");
@@ -216,7 +216,7 @@ fn files_of_a_folder_are_one_source() {
         clips(&dataset).into_keys().collect::<Vec<_>>(),
         ["take0", "take1"]
     );
-    // A file more, and then the folder.
+    // Ingest one more file, and then the folder.
     let grown = ingest(&[&anna.join("take2.bvh")], &dataset, &[], 0);
     assert_eq!(grown["growth"]["new"], 1);
     assert_eq!(grown["growth"]["missing"], json!([]));
@@ -248,7 +248,7 @@ fn nothing_leaves_unless_it_is_asked_for() {
     assert_eq!(clips(&dataset), before);
     let text = stance(&["ingest", arg(&source), "--out", arg(&dataset)]).printed();
     assert_has(&text, &["2 missing, kept; --prune removes them"]);
-    // Labels that people made hold a clip back.
+    // A clip with labels by people is not pruned.
     let refused = grow(&[bare(&source)], &dataset, &["--prune"], 1);
     assert!(
         refused["reason"].to_string().contains("--drop-labels"),
@@ -357,7 +357,7 @@ fn a_dry_run_tells_what_happens_and_writes_nothing() {
     ingest(&[&source], &dataset, &[], 0);
     assert_eq!(clips(&dataset).len(), new);
     let judged = judge(&dataset, dir.path());
-    // A file that people labelled changes, one goes, one moves, and a source is added.
+    // A file that people labelled changes, one is removed, one moves, and a source is added.
     let rows = motions(&dataset);
     let labelled = rows
         .iter()
@@ -404,7 +404,7 @@ fn a_dry_run_tells_what_happens_and_writes_nothing() {
         0,
     );
     predicted(&told, &done);
-    // Settings that differ are told, and sources that must be asked for are asked for.
+    // A dry run reports settings that differ, and asks for ambiguous sources.
     let told = grow(&[bare(&source)], &dataset, &["--dry-run", "--fps", "30"], 1);
     assert!(
         told["settings"]
@@ -415,7 +415,7 @@ fn a_dry_run_tells_what_happens_and_writes_nothing() {
     assert!(text.printed().starts_with("nothing was written"));
 }
 
-/// Checks that a dry run told what a run did.
+/// Checks that a dry run predicted the result of a run.
 pub(crate) fn predicted(told: &Value, done: &Value) {
     let sources = told["sources"].as_array().expect("a list");
     let growth = &done["growth"];
@@ -459,7 +459,7 @@ fn a_dataset_in_its_source_does_not_read_itself() {
         );
     }
     assert_eq!(clips(&dataset).len(), 6);
-    // Another dataset in there is left out too, and read if it is the source.
+    // Another dataset in the folder is left out too; it is read if it is the source itself.
     let other = source.join("sets/other");
     let made = ingest(&[&source], &other, &[], 0);
     assert_eq!(made["ingested"], first["ingested"]);
@@ -497,7 +497,7 @@ fn new_settings_read_every_source_again() {
     assert_eq!(rates(&dataset), BTreeSet::from(["30".to_owned()]));
     assert_eq!(clips(&dataset).len(), 12);
     verified(&dataset);
-    // A source that is not there is named, and so is a clip whose file is gone.
+    // A missing source is named, and so is a clip whose file is missing.
     let aside = dir.path().join("aside");
     fs::rename(&more, &aside).expect("moved");
     let settings = ["--fps", "20", "--new-version"];
@@ -610,7 +610,7 @@ fn many_processes_grow_a_dataset_alike() {
     stance(&["stage", "work", arg(&plan)]).expect_code(0);
     let made: Value = stance(&["--json", "stage", "commit", arg(&plan)]).done();
     assert_eq!(made["root_hash"], done["root_hash"]);
-    // The places are recorded by either way.
+    // Both commands record the places.
     let again = grow(&[bare(&ben)], &many, &[], 0);
     assert_eq!(again["already_complete"], true);
 }
@@ -624,7 +624,7 @@ fn a_folder_named_like_another_source_is_asked_about() {
     let said = asked(&[bare(&source)], &dataset);
     assert!(said.contains("another name"), "{said}");
     assert_eq!(clips(&dataset), before);
-    // A source that comes later keeps off the folders that are there.
+    // The prefix of a source that is added later differs from the names of existing folders.
     let fresh = dir.path().join("fresh");
     ingest(&[&source], &fresh, &[], 0);
     ingest(&[&more], &fresh, &[], 0);

@@ -25,7 +25,7 @@ fn splits(
     splits
 }
 
-/// Checks that each label has one split, and that not all have the same.
+/// Checks that each label has one split, and that there are several splits.
 fn is_kept_together(splits: &BTreeMap<String, BTreeSet<Split>>) {
     assert!(
         splits.values().all(|splits| splits.len() == 1),

@@ -1,4 +1,4 @@
-//! Jobs in pieces through the command: any number of processes make what one makes.
+//! Jobs in pieces through the command: many processes give the same result as one.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -145,7 +145,7 @@ fn started(args: &[&str]) -> Child {
         .expect("stance starts")
 }
 
-/// Makes the pieces of a plan by four processes at once.
+/// Makes the pieces of a plan with four processes at once.
 fn by_four(plan: &Path) {
     let shares = ["0/4", "1/4", "2/4", "3/4"];
     let workers = shares.map(|share| started(&["stage", "work", arg(plan), "--shard", share]));
@@ -214,7 +214,7 @@ fn files_in(folder: &Path) -> usize {
     }
 }
 
-/// A corpus with several pieces, and where things go.
+/// A corpus with several pieces, and the folder for the results.
 struct Place {
     dir: tempfile::TempDir,
 }
@@ -280,7 +280,7 @@ fn a_dataset_that_grows_in_pieces_is_that_of_one_process() {
     for out in [&first, &second] {
         stance(&["ingest", arg(&source), "--out", arg(out)]).expect_code(0);
     }
-    // One clip changes, one goes and one is new, so that shards are written again.
+    // One clip changes, one is removed and one is new, so that shards are written again.
     let files = files_with_extension(&source, "bvh");
     let text = text_of(&files[0]);
     put(&files[1], &text);
@@ -352,7 +352,7 @@ fn one_of_two_commits_wins_and_the_other_is_told() {
     let both = [0, 1].map(|_| started(&["stage", "commit", arg(&plan)]));
     let mut codes = both.map(|mut child| child.wait().expect("a child").code());
     codes.sort_unstable();
-    // The second is locked out, or comes so late that it finds the dataset committed.
+    // The second commit is locked out, or finds the dataset already committed.
     assert!(
         codes == [Some(0), Some(75)] || codes == [Some(0), Some(0)],
         "{codes:?}"
@@ -390,7 +390,7 @@ fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
     let source = place.at("corpus");
     let bvh = &files_with_extension(&source, "bvh")[0];
     let planned_bytes = fs::read(bvh).expect("a file");
-    // The same size, so that only its hash tells.
+    // The size is the same, so that only the hash differs.
     let mut changed = planned_bytes.clone();
     let digit = changed
         .iter()
@@ -441,7 +441,7 @@ fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
     let rows: Vec<QuarantineRow> = rows_of(&into);
     assert!(rows.iter().all(|row| row.reason == reason));
 
-    // Most files of the piece are not to blame: the next run reads them.
+    // Most files of the piece did not cause the failure: the next run reads them.
     let again = stance(&["--json", "ingest", arg(&source), "--out", arg(&into)]).expect_code(0);
     let again: serde_json::Value = again.json();
     assert_eq!(again["ingested"], CLIPS);
@@ -459,7 +459,7 @@ fn a_label_file_that_is_added_after_planning_fails_the_pieces_that_it_speaks_of(
     let [_, plan] = place.planned();
     let all = pieces(&plan).len();
     let folder = walk.parent().expect("a folder");
-    // A file of the motion, of its folder, and of a folder above.
+    // Label files of the motion, of its folder, and of a folder above.
     for (added, bytes, num_failed) in [
         (sidecar.clone(), said, 1..=1),
         (walk.with_extension("txt"), b"a walk\n".to_vec(), 1..=1),
@@ -490,7 +490,7 @@ fn a_label_file_that_is_added_after_planning_fails_the_pieces_that_it_speaks_of(
         let staged = place.at("dataset").join("meta/staged");
         fs::remove_dir_all(staged).expect("removed");
     }
-    // A file that is not about a motion does not stop the run.
+    // A file that labels no motion does not stop the run.
     put(source.join("job-17.out"), "made\n");
     by_four(&plan);
     assert_eq!(commit(&plan, &[], 0).root_hash, clean);
@@ -529,7 +529,7 @@ fn a_dry_run_counts_and_writes_nothing() {
     assert_eq!(names, ["corpus"]);
 }
 
-/// Kills the process that makes a piece, as the system does when memory is short.
+/// Kills the process that makes a piece, as the system does when memory runs out.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_piece_whose_process_is_killed_fails_alone() {
@@ -595,7 +595,7 @@ fn a_piece_that_needs_more_memory_than_allowed_fails_and_can_be_made_with_more()
 fn windows_and_triplets_in_pieces_are_those_of_one_process() {
     let workshop = Workshop::open();
     let dataset = workshop.dataset();
-    // Three shards of windows, and one of triplets.
+    // The windows have three shards, the triplets one.
     for (name, count) in [
         ("windows", ["--windows", "9000"]),
         ("triplets", ["--count", "12"]),
@@ -613,7 +613,7 @@ fn windows_and_triplets_in_pieces_are_those_of_one_process() {
     }
     assert_eq!(pieces(&workshop.path("windows-plan")).len(), 3);
 
-    // A piece that fails is itself what is quarantined.
+    // For this job, a piece that fails is itself quarantined.
     let [into, plan] = ["failing", "failing-plan"].map(|name| workshop.path(name));
     planned(
         &["triplets", arg(&dataset), "--windows", "5000"],
@@ -636,7 +636,7 @@ fn windows_and_triplets_in_pieces_are_those_of_one_process() {
         .collect();
     assert_eq!(found, [("windows/train-00001-of-00002", "E-CRASH")]);
 
-    // A dataset that changed composes other windows.
+    // A changed dataset would give other windows.
     let [into, plan] = ["late", "late-plan"].map(|name| workshop.path(name));
     planned(
         &["triplets", arg(&dataset), "--windows", "100"],
@@ -785,7 +785,7 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
     killed.wait().expect("a child");
     by_four(&plan);
 
-    // A file that is lost costs its piece alone.
+    // A lost file only affects its piece.
     let home = pieces_beside(&into).expect("a folder of pieces");
     let record = &work(&plan, &[], 0)[1];
     let lost = home.join(staged).join(&record.files[0].path);
@@ -793,7 +793,8 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
     assert_eq!(status(&plan).missing, std::slice::from_ref(&record.piece));
     assert_eq!(count(&work(&plan, &[], 0), Outcome::Done), 1);
 
-    // A commit that was killed before it published is made again; what another one put there is left alone.
+    // A commit that was killed before it published is repeated; files of another run at the destination are not
+    // touched.
     let mut killed = started(&["stage", "commit", arg(&plan)]);
     while !home.join("result/new_joints").exists() && killed.try_wait().expect("a child").is_none()
     {
@@ -810,7 +811,7 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
     assert!(files_below(&into) == clean);
     assert_eq!(pieces_beside(&into), None);
 
-    // One that was killed after it published is found to be done.
+    // A commit that was killed after it published counts as done.
     fs::create_dir(&home).expect("a folder");
     fs::rename(plan.join("committed.json"), home.join("committed.json")).expect("moved");
     let again = commit(&plan, &[], 0);
@@ -854,7 +855,7 @@ fn an_export_of_chosen_clips_in_pieces_is_that_of_one_process() {
     let [clean, into, plan] = ["clean", "into", "plan"].map(|name| place.at(name));
     stance(&[&job[..], &["--out", arg(&clean)]].concat()).expect_code(0);
     planned(&job, &into, &plan);
-    // A file of the dataset that is damaged fails its pieces alone.
+    // A damaged file of the dataset only fails the pieces that read it.
     let shard = files_with_extension(&dataset.join("data/motions"), "parquet");
     let shard = shard
         .iter()

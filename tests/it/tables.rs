@@ -51,7 +51,7 @@ impl Table {
     }
 }
 
-/// A row of `stance eval --json` as a cell that is not the best of its column.
+/// The cell of a row of `stance eval --json` that is not the best of its column.
 pub(crate) fn printed(score: &Value) -> String {
     let name = score["metric"].as_str().expect("a name");
     let decimals = eval::metric::from_name(name).expect("a metric").decimals;

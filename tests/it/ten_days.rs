@@ -1,7 +1,7 @@
 //! Ten days in the life of a dataset: two people, a disk that is missing, a folder that moves, clips removed by mistake.
 //!
-//! After every day all labels that a person made are there, no clip has changed its split, and a search for Parquet files
-//! finds the rows of the newest version alone. `STANCE_EACH_DAY` names a command that is run then with the dataset.
+//! After every day the dataset has all labels by people, no clip has changed its split, and a search for Parquet files
+//! finds only the rows of the newest version. `STANCE_EACH_DAY` names a command that is then run with the dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -18,7 +18,7 @@ use crate::grown::{
 use crate::sources::{everything, predicted};
 use crate::util::{arg, corpus, files_with_extension, len_of, rows_of, stance, typed};
 
-/// Copies motions to a folder under the names of others of the same kind.
+/// Copies motions to a folder under the names of other motions of the same format.
 fn copy_twins(names: &[PathBuf], motions: &[PathBuf], from: &Path, to: &Path) {
     for (number, name) in names.iter().enumerate() {
         let place = to.join(name.strip_prefix(from).expect("below the source"));
@@ -41,7 +41,7 @@ struct Days {
 }
 
 impl Days {
-    /// Looks at the dataset at the end of a day.
+    /// Checks the dataset at the end of a day.
     fn check(&mut self, day: &str) {
         let dataset = &self.dataset;
         for (id, (split, _)) in clips(dataset) {
@@ -120,7 +120,7 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     days.check("files added");
     days.grow(&[&source, &more], &[]);
     days.check("a source added");
-    // A second person's folder, whose takes have the names of the first one's.
+    // The takes in a second person's folder have the same names as those of the first person.
     let theirs = dir.path().join("friend/corpus");
     copy_twins(&files(&source)[..4], &files(&more), &source, &theirs);
     stance(&["ingest", arg(&theirs), "--out", arg(&dataset)]).expect_code(2);

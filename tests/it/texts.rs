@@ -1,4 +1,4 @@
-//! A model is trained, and edits, with vectors of a text encoder that is not built in.
+//! A model is trained, and edits, with vectors of an external text encoder.
 
 use std::fs;
 use std::path::Path;
@@ -19,7 +19,7 @@ struct Listed {
     texts: Vec<String>,
 }
 
-/// Vectors of all texts of a dataset: how often each letter stands in each, an encoder that anybody can write.
+/// Vectors of all texts of a dataset: the counts of letters in each text, an encoder that anybody can write.
 pub(crate) struct TextTable<'a> {
     workshop: &'a Workshop,
     pub(crate) texts: Vec<String>,
@@ -31,7 +31,7 @@ impl<'a> TextTable<'a> {
         Self::with(workshop, &[])
     }
 
-    /// Vectors of further texts too.
+    /// The table with vectors of further texts.
     fn with(workshop: &'a Workshop, more: &[&str]) -> Self {
         let listed = stance(&["--json", "model", "texts", arg(&workshop.dataset())]).expect_code(0);
         let Listed { mut texts } = listed.json();
@@ -52,7 +52,7 @@ impl<'a> TextTable<'a> {
         }
     }
 
-    /// Makes a table of the vectors times a number.
+    /// Makes a table of the vectors times `scale`.
     pub(crate) fn write(&self, name: &str, scale: f32) -> Ran {
         let values: Vec<f32> = self.values.iter().map(|value| scale * value).collect();
         self.make(name, &values)
@@ -67,7 +67,7 @@ impl<'a> TextTable<'a> {
     }
 }
 
-/// A NumPy file of format 1.0.
+/// Writes a NumPy file of format 1.0.
 fn write_npy(path: &Path, values: &[f32]) {
     let rows = values.len() / WIDTH;
     let shape = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({rows}, {WIDTH}), }}");
@@ -112,7 +112,7 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
     assert_eq!(frozen["encoder_hash"], "letters");
     assert_eq!(frozen["width"], WIDTH);
 
-    // The run keeps the vectors of the instructions of the dataset.
+    // The run stores the vectors of the dataset's instructions.
     let items = workshop.path("items");
     let draw = ["items", arg(&dataset), "--split", "val", "--count", "3"];
     stance(&[&draw[..], &["--out", arg(&items)]].concat()).expect_code(0);
@@ -136,7 +136,7 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
     let vectors = TextTable::with(&workshop, &["Spin twice."]);
     vectors.write("more.safetensors", 1.0).expect_code(0);
     edit("spun", &spin, Some("more.safetensors")).expect_code(0);
-    // Another encoder under the same name.
+    // Another encoder under the same name is refused.
     vectors.write("other.safetensors", 2.0).expect_code(0);
     refused(&spin, "other.safetensors", "has another vector for");
     refused(&items, "other.safetensors", "has another vector for");
@@ -231,7 +231,7 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
         let hash = &record["config"]["text"]["frozen"]["encoder_hash"];
         hash.as_str().expect("a hash").to_owned()
     };
-    // The same network, as one vector brought to a length, and as its tokens.
+    // The same network gives one vector scaled to a length, and one for each token.
     let (pooled, states) = (hash("motionrefit"), hash("tmed"));
     assert_eq!(
         pooled.strip_prefix("rms10-"),

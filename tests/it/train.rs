@@ -1,4 +1,4 @@
-//! Training, stopping and going on; editing in every way; models in and out.
+//! Training, stopping and continuing; editing in every way; models in and out.
 
 use std::fs;
 use std::io::Write;
@@ -65,7 +65,7 @@ impl Workshop {
         long.expect("a clip of five seconds")
     }
 
-    /// Trains a model for so many steps.
+    /// Trains a model for `steps` steps.
     pub(crate) fn train(&self, model: &str, out: &str, steps: &str) -> Ran {
         let settings = self.settings(model);
         self.train_with(model, out, &["--config", arg(&settings), "--steps", steps])
@@ -129,7 +129,7 @@ fn an_interrupted_training_is_saved_and_goes_on_to_the_same_end() {
     .stderr(Stdio::piped())
     .spawn()
     .expect("starts");
-    // The interrupt comes once there is something to save.
+    // Interrupt the training once there is something to save.
     while !run.join("checkpoint/last").exists() {
         std::thread::yield_now();
         assert!(
@@ -237,8 +237,8 @@ fn training_leaves_the_dataset_as_it_was_and_every_run_goes_on() {
 #[test]
 fn fixed_pairs_are_validated_on_what_everything_else_is() {
     let workshop = Workshop::open();
-    // Weights that do not move tell the windows they are validated on. A residual would not: its units
-    // are fitted to the training windows, which differ.
+    // Weights that do not change identify the validation windows. A residual would not: its units are fitted to the
+    // training windows, which differ.
     let settings = workshop.path("still.toml");
     put(
         &settings,
@@ -391,7 +391,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for() {
         refused(&args, reason, code);
     }
     assert!(!out.exists());
-    // A coordinator of another diffusion does not fit.
+    // A coordinator with another diffusion is refused.
     let other = workshop.path("other.toml");
     put(&other, format!("diffusion_steps = 60\n{SMALL}"));
     let misfit = workshop.path("misfit");
@@ -486,7 +486,7 @@ fn a_history_goes_on_and_back() {
             .stderr(Stdio::piped())
             .spawn()
             .expect("starts");
-        // Dropped at once, so that reading ends.
+        // Drop the pipe at once, so that the child's reading ends.
         let mut stdin = child.stdin.take().expect("a pipe");
         stdin.write_all(input.as_bytes()).expect("reads");
         drop(stdin);
@@ -540,7 +540,7 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     let workshop = Workshop::open();
     put(
         workshop.path("small.toml"),
-        // The sizes of the preset, which are what an import expects.
+        // An import expects the sizes of the preset.
         "val_every = 2\nval_windows = 8\nlog_every = 2\nbatch_size = 8\n",
     );
     workshop.train("coordinator", "guide", "2").expect_code(0);
@@ -599,13 +599,13 @@ fn training_is_the_same_without_the_fused_operations_and_on_burn_ndarray() {
         }
     };
     let fused = train("fused", "20", &[]);
-    // Rounding of twenty steps.
+    // Tolerance of the rounding in twenty steps.
     near(&fused, &train("composed", "20", &["--no-fused"]), 3e-4);
     // The GELU derivative of ndarray is an approximation with an error of up to 1e-3.
     let ndarray = train("ndarray", "20", &["--device", "ndarray"]);
     near(&fused, &ndarray, 3e-3);
     assert_ne!(fused, ndarray, "both are the same device");
-    // Runs are the same files on both devices.
+    // Both devices continue each other's runs.
     let went_on = train("fused", "26", &["--extend", "--device", "ndarray"]);
     let back = train("ndarray", "26", &["--extend"]);
     near(&went_on, &back, 3e-3);

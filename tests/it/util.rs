@@ -60,7 +60,7 @@ impl Ran {
         self.expect_code(1).stderr
     }
 
-    /// The JSON document of a command that ended well.
+    /// The JSON document of a command that succeeded.
     pub(crate) fn done<T: DeserializeOwned>(self) -> T {
         self.expect_code(0).json()
     }
@@ -105,7 +105,7 @@ pub(crate) fn stance(args: &[&str]) -> Ran {
     command(args).output().expect("stance starts").into()
 }
 
-/// Runs a command line: words are separated by spaces, and each `{}` is replaced by the next of the values.
+/// Runs a command line: words are separated by spaces, and each `{}` is replaced by the next value.
 pub(crate) fn typed(line: &str, values: &[&dyn AsRef<OsStr>]) -> Ran {
     typed_with(line, values, &[])
 }
@@ -178,7 +178,7 @@ pub(crate) fn corpus(clips: usize) -> tempfile::TempDir {
     dir
 }
 
-/// The folder of real motion files; if it is not set, none, and a message that the test is skipped.
+/// The folder of real motion files. If it is not set, returns none and prints that the test is skipped.
 pub(crate) fn real_data(test: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from);
     if folder.is_none() {

@@ -31,7 +31,7 @@ pub(crate) const SMALL: &str = "
     feed_forward = 64
 ";
 
-/// Bounds that pairs of an untrained network keep.
+/// Bounds that also accept pairs of an untrained network.
 pub(crate) const ANY: [&str; 8] = [
     "--min-distance",
     "0",
@@ -104,7 +104,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
         assert!(pair.source_id.as_str().starts_with("seed0/batch0000/"));
     }
 
-    // The same command makes nothing again; another folder gets the same bytes.
+    // The same command makes nothing again; in another folder it gives the same bytes.
     let repeated = made(&out, &[]);
     assert!(repeated["counts"].is_null() && repeated["root_hash"] == first["root_hash"]);
     assert_eq!(made(&again, &[])["root_hash"], first["root_hash"]);
@@ -132,7 +132,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     let masks = store.claim(1, TaskKind::MaskText, 0, 0).expect("an answer");
     assert!(masks.is_err(), "variants are no mask tasks");
 
-    // Pairs that were all judged unusable leave the dataset, and none is made again.
+    // Pairs that were all judged unusable are removed from the dataset, and none is made again.
     let import = |store: &str| -> Value {
         let store = workshop.path(store);
         typed("--json annotate {} --store {} import", &[&paired, &store]).done()

@@ -1,4 +1,4 @@
-//! Versions of a dataset: where their files lie, going back, fewer files, fewer clips.
+//! Versions of a dataset: places of their files, going back, fewer files, fewer clips.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -13,7 +13,7 @@ use super::util::{
     arg, assert_has, corpus, files_with_extension, put, rows_of, stance, text_of, typed,
 };
 
-/// Runs a command that is to succeed, and returns its document.
+/// Runs a command that must succeed, and returns its document.
 fn json(args: &[&str]) -> Value {
     let args = [&["--json"], args].concat();
     stance(&args).done()
@@ -39,7 +39,7 @@ fn judge(dataset: &Path) -> BTreeMap<String, MaskRow> {
     masks(dataset)
 }
 
-/// A corpus; half of its motion files, with their label files, are kept elsewhere to be added later.
+/// A corpus. Half of its motion files, with their label files, are kept elsewhere and added later.
 struct Days {
     dir: tempfile::TempDir,
     source: PathBuf,
@@ -66,7 +66,7 @@ impl Days {
         self.dir.path().join("dataset")
     }
 
-    /// Adds some of the files that wait.
+    /// Adds some of the files that are kept elsewhere.
     fn add(&mut self, count: usize) {
         let aside = self.dir.path().join("later");
         for file in self.later.drain(..count).collect::<Vec<_>>() {
@@ -83,7 +83,7 @@ fn moved(file: &Path, from: &Path, to: &Path) -> PathBuf {
     place
 }
 
-/// The Parquet files of a folder are those that the newest manifest names.
+/// Checks that the Parquet files in a folder are those of the newest manifest.
 fn only_current_rows_are_found(dataset: &Path, day: &str) {
     let found: BTreeSet<PathBuf> = files_with_extension(dataset, "parquet")
         .into_iter()
@@ -142,7 +142,7 @@ fn a_dataset_of_an_earlier_build_is_read_and_tidied() {
     ingest(&days.source, &dataset, &[]);
     days.add(2);
     ingest(&days.source, &dataset, &[]);
-    // Earlier builds left the files of older versions where they were.
+    // Move the files back: earlier builds left the files of older versions in their places.
     let mut moved = 0;
     for table in fs::read_dir(dataset.join("meta/aside")).expect("listed") {
         let table = table.expect("an entry");
@@ -171,7 +171,7 @@ fn a_run_that_was_killed_before_its_files_were_moved_is_completed() {
     let first = opened(&dataset);
     days.add(2);
     ingest(&days.source, &dataset, &[]);
-    // The files lie where a commit leaves them until it moves them: the new ones aside, the old ones in place.
+    // The files are where a commit leaves them before it moves them: the new ones aside, the old ones in place.
     let second = opened(&dataset);
     let aside = |path: &str| {
         let below = path
@@ -284,7 +284,7 @@ fn going_back_keeps_what_people_made_since_and_lists_what_has_no_clip() {
     assert_eq!(kept.len(), staying.len());
     assert!(staying.iter().all(|mask| kept[&mask.id] == **mask));
     only_current_rows_are_found(&dataset, "restore");
-    // There and back again: the version before has everything.
+    // Going back, and forward again: the newer version still has everything.
     json(&[
         "dataset",
         "restore",
@@ -450,7 +450,7 @@ fn a_selection_is_a_dataset_with_all_that_belongs_to_its_clips() {
     let again = ingest(&days.source, &part, &[]);
     assert_eq!(again["growth"]["new"].as_u64().unwrap_or(0), 0, "{again}");
     assert_eq!(clips(&part), expected);
-    // One side of a pair alone: the pair is listed.
+    // If only one side of a pair is selected, the pair is listed.
     if let Some(pair) = pairs.first() {
         let one = days.dir.path().join("one");
         let done: Value = select(&format!("id = '{}'", pair.source_id), &one).done();
@@ -522,7 +522,7 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
     ]);
     assert_eq!(clips(&dataset), before);
     assert_eq!(masks(&dataset), judged);
-    // Mistakes are named.
+    // Errors name the wrong id or condition.
     put(&list, "nobody\n");
     stance(&remove).expect_refused("nobody");
     typed(
@@ -543,7 +543,7 @@ fn datasets_of_two_rates_cannot_be_merged_and_a_mixture_does_not_pass() {
     let refused = typed("dataset merge {} {} --out {}", &[&a, &b, &out]).refusal();
     assert_has(&refused, &["fps is 20 in", "and 30 in"]);
     assert!(!out.exists());
-    // A dataset that an earlier build merged of two rates.
+    // A dataset with two rates, as an earlier build merged it.
     let others: Vec<MotionRow> = rows_of(&b);
     rewrite(&a, |row| {
         if let Some(other) = others.first().filter(|other| other.id == row.id) {
@@ -614,7 +614,7 @@ fn clips_of_one_file_share_a_split_when_datasets_are_merged() {
         Some(parted)
     );
     stance(&["verify", arg(&out)]).expect_code(0);
-    // One of two clips of a file in another split does not pass.
+    // A file with two clips in different splits does not pass `verify`.
     let moved = merged["moved"]
         .as_object()
         .expect("a map")

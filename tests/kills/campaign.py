@@ -106,7 +106,7 @@ class Campaign:
             self.run("verify", dataset)
             left = "after" if found == after and (verb != "prune" or self.is_pruned(dataset)) else "before"
         if verb == "merge" and left == "after":
-            # A dataset is there already, and says so; nothing is half done.
+            # The dataset exists, and nothing is half done.
             self.run("dataset", "prune", dataset)
         else:
             self.run(*self.command(verb, dataset))

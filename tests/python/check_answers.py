@@ -90,7 +90,7 @@ def check_readme() -> None:
     same, identity = scores(rows, "Same"), scores(rows, "Identity")
     assert same.keys() == identity.keys(), (same.keys(), identity.keys())
     for key, value in same.items():
-        # The script rounds to single precision what the program turned in double.
+        # The script rounds to single precision; the program rotated in double precision.
         assert math.isclose(value, identity[key], rel_tol=1e-3, abs_tol=1e-3), (key, value, identity[key])
     print(f"{len(same)} scores of the script are those of the identity")
 

@@ -131,7 +131,7 @@ def pooled(states: numpy.ndarray) -> numpy.ndarray:
 def write_tiny(folder: pathlib.Path, kind: str) -> None:
     """A folder of a tiny network whose weights are drawn, with the pooling of MiniLM and texts of at most 12 tokens."""
     words = sorted({word for text in SENTENCES for word in re.findall(r"[a-z]+", text.lower())})
-    # Some words are whole, some fall into pieces, some are not known.
+    # Some words are whole, some are split into pieces, some are unknown.
     pieces = [f"##{letter}" for letter in "abcdefghijklmnopqrstuvw"] + list("abcdefghijklmnopqrstuvw")
     vocabulary = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", ",", ".", *words[::2], *pieces]
     width, heads, inner, layers, context = 24, 3, 40, 2, 20

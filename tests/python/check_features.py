@@ -60,7 +60,7 @@ def check_rotations_272(features: numpy.ndarray, row: dict) -> None:
     expected = rotations(row)
     frames = features[::3].astype(numpy.float64)[: len(expected)]
     found = frames[:, 140:].reshape(-1, 22, 2, 3)
-    # Headings accumulate from the left and are undone on the root.
+    # Headings accumulate by multiplication from the left, and are removed from the root.
     steps = features[:, 2:8].reshape(-1, 2, 3).astype(numpy.float64)
     steps = numpy.concatenate([steps, numpy.cross(steps[:, 0], steps[:, 1])[:, None]], 1)
     headings = [steps[0]]

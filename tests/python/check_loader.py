@@ -22,7 +22,7 @@ def main() -> None:
                 assert torch.equal(batch.edited, torch.from_numpy(alone[k].edited)), (workers, start, k)
                 assert batch.instructions == alone[k].instructions
             assert k == 8
-    # A loader goes on from the batches that were used.
+    # A loader continues after the batches that were used.
     own = stance.MotionCutMix(sys.argv[1], seed=3, batch_size=16)
     own.next_batch = 5
     resumed = next(iter(DataLoader(own, batch_size=None, num_workers=2)))
@@ -30,6 +30,6 @@ def main() -> None:
     print("loaders of PyTorch give the same batches with any number of workers")
 
 
-# Workers that are spawned import this file.
+# Spawned workers import this file.
 if __name__ == "__main__":
     main()

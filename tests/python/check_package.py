@@ -57,11 +57,12 @@ def motions_come_back(work: pathlib.Path) -> None:
     def distance(other: stance.Motion, frames: int = len(motion)) -> float:
         return float(np.abs(other.joints()[:frames] - joints[:frames]).max())
 
-    # Rotations pass through f64, and the floor is found anew: rounding of f32 positions of metres.
+    # Rotations pass through f64, and the floor is estimated again: rounding of f32 positions of metres.
     assert distance(stance.Motion.from_amass(motion.to_amass())) < 1e-5
     again = stance.Motion.from_features(motion.features("motionfix"), "motionfix", first=motion.resample(30))
     assert np.abs(again.joints() - motion.resample(30).joints()).max() < 1e-3
-    # These two forget where a motion stands and faces, and its floor may be found anew: steps up and lengths stay.
+    # These two drop position and heading of a motion, and its floor may be estimated again: step heights and lengths
+    # stay.
     same_rate = motion.resample(30).joints()
     for recipe, width in (("272", 272), ("hy-motion", 201)):
         features = motion.features(recipe)
@@ -71,15 +72,15 @@ def motions_come_back(work: pathlib.Path) -> None:
         assert np.abs(heights[0] - heights[1]).max() < 1e-4, recipe
         spans = [np.linalg.norm(points[:, 15] - points[:, 10], axis=-1) for points in (back, same_rate)]
         assert np.abs(spans[0] - spans[1]).max() < 1e-4, recipe
-    # A pose from positions of joints alone is a fit, to SMPL's bones, whose spine and collars point elsewhere.
+    # A pose from joint positions alone is a fit to SMPL's bones, whose spine and collars point in other directions.
     fitted, error = stance.Motion.from_joints(joints, motion.fps)
     assert error < 0.01 and np.abs(fitted.joints() - joints).mean() < 0.03, error
-    # HumanML3D's features have a body and a start of their own: frames and bones, and no comparison of places.
+    # HumanML3D's features have their own body and start, so compare frames and bones, not positions.
     posed = stance.Motion.from_features(motion.features("humanml3d"), "humanml3d")
     assert len(posed) == len(motion) - 1 and posed.fps == 20
     assert len(motion.crop(3, 9)) == 6 and motion.resample(10).fps == 10
 
-    # A blend by parts takes the target's arm and nothing else.
+    # A blend by parts only takes the target's arm.
     other = next(clip for id, clip in dataset if id != dataset.ids()[0] and len(clip) >= len(motion))
     other = other.crop(0, len(motion))
     blended = stance.blend(motion, other, parts=["left arm"], alpha=0.25)
@@ -103,7 +104,7 @@ def motions_show_themselves(work: pathlib.Path) -> None:
 
     def check(shown: dict, origin: np.ndarray, motion: stance.Motion) -> None:
         found = np.frombuffer(base64.b64decode(shown["points"]), "<i2").reshape(-1, 28, 3) / 1000
-        # Half a millimetre, and the rounding of f32 positions of metres.
+        # Tolerance: half a millimetre, and the rounding of f32 positions of metres.
         assert np.abs(found - (motion.keypoints() - origin)).max() < 0.5e-3 + 1e-6
         # 200 frames are 45 kB.
         assert len(shown["points"]) <= 224 * len(motion) + 4
@@ -117,7 +118,7 @@ def motions_show_themselves(work: pathlib.Path) -> None:
     check(item["motions"][0], origin, motion)
 
     hostile = "</script><img src=x>"
-    # Another rate is brought to that of the first.
+    # A motion at another rate is brought to the rate of the first.
     shown = stance.show(motion, other.resample(10), names=["a", hostile], captions=["", "b"], title=hostile, joints=["left_elbow"])
     (item,) = data(shown.page)["items"]
     assert [part["label"] for part in item["motions"]] == ["a", f"{hostile}\nb"]
@@ -154,14 +155,14 @@ def windows_are_those_of_the_command(work: pathlib.Path) -> None:
     assert np.array_equal(batch.progress, table["progress"].to_numpy())
     assert set(batch.instructions) <= set(mix.instructions)
 
-    # Batches are pieces of the same stream, over the end of an epoch too.
+    # Batches are pieces of the same stream, also over the end of an epoch.
     many = iter(mix)
     for k in range(300 // 7):
         assert np.array_equal(next(many).edited, batch.edited[7 * k : 7 * k + 7]), k
     across = mix.windows(mix.epoch_len - 3, 6)
     assert np.array_equal(across.edited[3:], mix.windows(mix.epoch_len, 3).edited)
 
-    # A state goes on where it was taken; one of another stream is refused.
+    # A state continues where it was saved; a state of another stream is refused.
     state = mix.state_dict()
     again = stance.MotionCutMix(work / "dataset", seed=5, batch_size=7)
     again.load_state_dict(state)
@@ -173,12 +174,12 @@ def windows_are_those_of_the_command(work: pathlib.Path) -> None:
     else:
         raise AssertionError("a state of another seed was taken")
 
-    # Two ranks deal out what one has.
+    # Two ranks share the batches of one.
     halves = [stance.MotionCutMix(work / "dataset", seed=5, batch_size=7, rank=r, world_size=2) for r in (0, 1)]
     dealt = [next(stream) for _ in range(3) for stream in map(iter, halves)][:2]
     assert np.array_equal(dealt[1].edited, batch.edited[7:14])
 
-    # An epoch ends; its last batch is what is left.
+    # The last batch of an epoch holds the remaining windows.
     once = stance.MotionCutMix(work / "dataset", seed=5, batch_size=50, epochs=1)
     sizes = [len(part.progress) for part in once]
     assert sum(sizes) == once.epoch_len and len(sizes) == once.num_batches and set(sizes[:-1]) <= {50}
@@ -223,7 +224,7 @@ def scores_are_those_of_the_command(work: pathlib.Path) -> None:
 
     nearest = stance.Dataset(work / "edits")
     assert nearest.tables["edits"] == 32
-    # Returning each source is what the identity editor does, to the last digit.
+    # Returning each source equals the identity editor, to the last digit.
     own = stance.evaluate({"Mine": {item.id: item.source for item in items}}, work / "items", work / "encoder")
     frame = own.pandas()
     for metric in ("E2T R@1", "E2T AvgR", "FS"):
@@ -246,7 +247,7 @@ def metrics_have_their_closed_forms() -> None:
     rng = np.random.default_rng(0)
     latents = rng.normal(size=(400, 4))
     assert abs(stance.fid(latents, latents)) < 1e-9
-    # A shift moves the mean alone: the distance is its square.
+    # A shift only moves the mean: the distance is its square.
     assert abs(stance.fid(latents, latents + [1, 0, 0, 0]) - 1) < 1e-6
     assert stance.diversity(np.ones((10, 3))) == 0 and stance.diversity(latents) == stance.diversity(latents)
     assert stance.multimodality(np.ones((5, 20, 3))) == 0
@@ -330,7 +331,7 @@ def a_dataset_is_read_from_an_address(work: pathlib.Path) -> None:
 
 def an_interrupt_ends_long_work(work: pathlib.Path) -> None:
     """Interrupts an ingestion once it holds its folder; the second run goes on and gives the same dataset."""
-    # A shell may start a process in the background with interrupts ignored. Python keeps that, and would never be interrupted.
+    # A shell may start background processes with interrupts ignored. Python inherits this, so set its own handler.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     stance.corpus(work / "many", clips=1200)
     # On a busy machine the ingestion may be done before the other thread runs; then the next one is interrupted.
@@ -343,7 +344,7 @@ def is_interrupted(source: pathlib.Path, out: pathlib.Path) -> bool:
     ended = threading.Event()
 
     def interrupt() -> None:
-        # This thread runs while the other one ingests: Python's lock is free.
+        # This loop runs while the other thread ingests: Python's lock is free.
         while not out.exists():
             pass
         if not ended.is_set():
@@ -354,7 +355,7 @@ def is_interrupted(source: pathlib.Path, out: pathlib.Path) -> bool:
         thread.start()
         stance.ingest(source, out, progress=False)
         ended.set()
-        # An interrupt that came as the ingestion ended is raised here and not later.
+        # An interrupt that came as the ingestion ended must be raised here, not later.
         thread.join()
     except KeyboardInterrupt:
         return not (out / "meta" / "manifest-1.json").exists()

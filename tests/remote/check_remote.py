@@ -130,7 +130,7 @@ def ingestion_gives_the_root_hash_of_a_disk_with_faults_and_without(bench: Bench
         assert again["already_complete"] and again["root_hash"] == bench.local["root_hash"], name
         if name != "down":
             files = bench.keys(name)
-            # Where the sources lie is of this copy alone.
+            # Places of sources are only recorded in this copy.
             others = [key for key in files if not key.startswith(("data/", ".stance/"))]
             assert sorted(others) == ["README.md", "croissant.json", "meta/manifest-1.json"], others
             manifest = json.loads(bench.request("GET", f"/{BUCKET}/{name}/meta/manifest-1.json"))
@@ -164,7 +164,7 @@ def pieces_made_by_several_processes_give_the_same_root_hash(bench: Bench) -> No
 @test
 def of_two_committers_at_once_one_wins_and_the_other_says_so(bench: Bench) -> None:
     for round_, seeds in enumerate([(1, 2), (3, 3)]):
-        # Both have made everything before either may write its manifest.
+        # Both runs have made everything before either may write its manifest.
         barrier = threading.Barrier(2)
 
         def before(request: Request) -> None:
@@ -183,7 +183,7 @@ def of_two_committers_at_once_one_wins_and_the_other_says_so(bench: Bench) -> No
         bench.proxy.reset()
         assert bench.json("inspect", out)["root_hash"] == documents[QUARANTINED]["root_hash"]
         bench.run("verify", out, code=OK)
-        # Whoever lost runs again, on top of the version that won.
+        # The run that lost runs again, on top of the version that won.
         lost = next(seed for seed, (_, code) in zip(seeds, ended) if code == LOCKED)
         again = bench.json("ingest", bench.source, "--out", out, "--seed", lost, code=QUARANTINED)
         assert again["already_complete"] or again["root_hash"]
@@ -244,7 +244,7 @@ def a_source_that_cannot_be_read_is_quarantined_and_the_rest_goes_on(bench: Benc
     balanced(report)
     assert report["codes"]["E-IO"] == 1, report["codes"]
     assert report["ingested"] == bench.local["ingested"] - 1
-    # Cut for ever: never a wrong row, a rejected file.
+    # Every response is cut: the file is rejected, and no row is wrong.
     bench.clean_cache()
     bench.proxy.reset(Faults(cuts=lambda request: victim in request.path))
     report = bench.json("ingest", bench.source, "--out", f"s3://{BUCKET}/cut", code=QUARANTINED, STANCE_REMOTE_RETRIES="2")
@@ -288,7 +288,7 @@ def damaged_and_cut_files_are_errors_that_name_the_url(bench: Bench) -> None:
     bench.run("verify", f"s3://{BUCKET}/plain", code=FAILED)
     bench.request("PUT", f"/{BUCKET}/plain/{name}", bytes_)
     bench.run("verify", f"s3://{BUCKET}/plain")
-    # For ever cut: an error, not fewer rows.
+    # Every response is cut: an error, not fewer rows.
     bench.clean_cache()
     bench.proxy.reset(Faults(cut=1))
     bench.run("stats", f"s3://{BUCKET}/plain", code=FAILED, STANCE_REMOTE_RETRIES="1")

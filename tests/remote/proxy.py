@@ -32,7 +32,7 @@ class Faults:
     lost: int = 0
     #: Whether the body of this request is cut, too.
     cuts: Callable[[Request], bool] = lambda request: False
-    #: Status for requests whose path this says yes to.
+    #: Status of refused requests; 0 passes a request on.
     refused: Callable[[Request], int] = lambda request: 0
     #: Called before a request is passed on.
     before: Callable[[Request], None] = lambda request: None

@@ -69,7 +69,7 @@ fn fit_adam(bencher: Bencher) {
         .bench_local(|| fit.fit(&skeleton, black_box(&points), &start));
 }
 
-/// What the machine can do, measured in the same run.
+/// Throughput of the machine, measured in the same run.
 mod calibration {
     use super::*;
 

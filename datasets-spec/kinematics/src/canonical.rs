@@ -57,7 +57,7 @@ impl GroundTransform {
     }
 }
 
-/// Point of the first frame that is moved above the origin.
+/// Point of the first frame that canonicalisation moves above the origin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Anchor {
@@ -69,7 +69,7 @@ pub enum Anchor {
 }
 
 impl Anchor {
-    /// Where the pelvis of the first frame of a canonical segment is, seen from above; `y` is 0.
+    /// Horizontal position of the pelvis in the first frame of a canonical segment; `y` is 0.
     pub fn pelvis(self, skeleton: &Skeleton) -> DVec3 {
         match self {
             Self::Pelvis => DVec3::ZERO,
@@ -78,16 +78,16 @@ impl Anchor {
     }
 }
 
-/// The ground transform that carries a canonical segment back onto the motion it was cut from, whose
-/// frame `first` it began with: exact for either anchor, where [`world_from_segment`] gives the
-/// released numbers, which put the segment beside its place for [`Anchor::Translation`].
+/// The ground transform that carries a canonical segment back onto its motion, in which `first` is the first frame of
+/// the segment. It is exact for both anchors. [`world_from_segment`] gives the released numbers instead, which displace
+/// the segment for [`Anchor::Translation`].
 pub fn motion_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> GroundTransform {
     let yaw_rad = rotation::yaw(DMat3::from_quat(first.rotations[0]));
     let pelvis = first.transl + skeleton.rest(0);
     placed(yaw_rad, pelvis, anchor.pelvis(skeleton))
 }
 
-/// The ground transform of a heading that carries `from` below or above `onto`.
+/// The ground transform of a heading that carries `from` to the horizontal position of `onto`.
 fn placed(yaw_rad: f64, onto: DVec3, from: DVec3) -> GroundTransform {
     let shift = onto - DQuat::from_rotation_y(yaw_rad) * from;
     GroundTransform {
@@ -97,8 +97,8 @@ fn placed(yaw_rad: f64, onto: DVec3, from: DVec3) -> GroundTransform {
     }
 }
 
-/// The placement of a segment whose first frame is `first`: the ground transform that carries
-/// canonical coordinates to the world.
+/// Placement of a segment whose first frame is `first`: the ground transform that carries canonical coordinates to the
+/// world.
 pub fn world_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> GroundTransform {
     let origin = match anchor {
         Anchor::Pelvis => first.transl + skeleton.rest(0),
@@ -111,8 +111,8 @@ pub fn world_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> 
     }
 }
 
-/// Moves the frames of a segment so that its first one stands at the origin facing +z; heights
-/// stay. Returns where the segment was.
+/// Moves a segment so that its first frame stands at the origin facing +z; heights stay. Returns the transform back to
+/// the world; none for an empty segment.
 ///
 /// # Source
 /// Paper App. B.2 ([`Anchor::Pelvis`]); the released preprocessing ([`Anchor::Translation`]).
@@ -124,8 +124,8 @@ pub fn canonicalise(
     let placement = world_from_segment(segment.first()?, anchor, skeleton);
     let turn = DQuat::from_rotation_y(-placement.yaw_rad);
     let shift = DVec3::new(placement.x, 0.0, placement.z);
-    // The translation moves the point `transl + pivot`: the root turns about its rest position,
-    // so turning the whole body about the anchor must carry that pivot along.
+    // The root rotates about its rest position, so a rotation of the whole body about the anchor must be applied to the
+    // point `transl + pivot`.
     let pivot = match anchor {
         Anchor::Pelvis => skeleton.rest(0),
         Anchor::Translation => DVec3::ZERO,
@@ -236,13 +236,13 @@ fn largest_eigenvector(mut a: [[f64; 4]; 4]) -> [f64; 4] {
     [v[0][best], v[1][best], v[2][best], v[3][best]]
 }
 
-/// Where the body stands, from its pelvis and hips: the turn about the vertical and the ground
-/// position that carry the rest triangle onto the three points.
+/// Position and heading of a body, from its pelvis and hips: the rotation about the vertical and the ground position
+/// that carry the rest triangle onto the three points.
 ///
 /// # Source
-/// Released inference code (`algorithms` section 8, step 4): Kabsch alignment of the rest triangle,
-/// of which only the heading and the ground position are kept. The triangle must be that of the
-/// skeleton in use: another body's biases the heading in every window.
+/// Released inference code (`algorithms` section 8, step 4): Kabsch alignment of the rest triangle; only the heading
+/// and the ground position are kept. The triangle must come from the skeleton in use: the triangle of another body
+/// biases the heading in every window.
 pub fn ground_transform_of(points: &[DVec3; 3], rest_triangle: &[DVec3; 3]) -> GroundTransform {
     let (rotation, shift) = kabsch(rest_triangle, points);
     GroundTransform {
@@ -252,17 +252,17 @@ pub fn ground_transform_of(points: &[DVec3; 3], rest_triangle: &[DVec3; 3]) -> G
     }
 }
 
-/// Joins generated windows into one motion, and says in which coordinates the next window lives.
+/// Joins generated windows into one motion, and gives the coordinates of the next window.
 ///
-/// Each window but the first repeats the last two frames before it; those are dropped, and the
-/// window is placed by the second-to-last frame of what came before.
+/// Each window but the first repeats the last two frames of the motion so far. Its copies are dropped, and the window
+/// is placed by the second-to-last frame of the motion.
 ///
 /// # Source
 /// Paper App. B.2; released inference code (`algorithms` section 8).
 #[derive(Clone, Debug)]
 pub struct Stitcher {
     rest_triangle: [DVec3; 3],
-    /// Where the pelvis of a window's first frame is.
+    /// Position of the pelvis in a window's first frame.
     pelvis: DVec3,
     world_from_window: GroundTransform,
     frames: Vec<KeypointFrame>,
@@ -279,17 +279,17 @@ impl Stitcher {
         }
     }
 
-    /// Windows have the pelvis of their first frame at `pelvis` instead of the origin
-    /// ([`Anchor::pelvis`]). The released code has it at the origin in all windows but the first
-    /// whatever the anchor is, which is where the network never saw it.
+    /// Sets the pelvis of each window's first frame to `pelvis` instead of the origin ([`Anchor::pelvis`]). The
+    /// released code assumes the origin in all windows but the first, for both anchors; the network never saw that in
+    /// training.
     #[must_use]
     pub fn anchored(mut self, pelvis: DVec3) -> Self {
         self.pelvis = pelvis;
         self
     }
 
-    /// Goes back to the first `num_frames` frames, so that the next window begins two frames before
-    /// their end. Fewer than two frames give no window its fixed ones. Returns the frames after them.
+    /// Keeps the first `num_frames` frames, so that the next window begins two frames before their end, and returns the
+    /// frames after them. If fewer than two frames are kept, the next window has no fixed frames.
     pub fn rewind(&mut self, num_frames: usize) -> Vec<KeypointFrame> {
         if num_frames >= self.frames.len() {
             return Vec::new();
@@ -304,9 +304,8 @@ impl Stitcher {
         self.push_over(window, &[]);
     }
 
-    /// Appends a window whose first new frames are blended with `former` ones in the world's coordinates,
-    /// `[F, 28]`, as [`Stitcher::rewind`] returned them. Of `F` frames, frame `i` counted from 1 has
-    /// `i / (F + 1)` of the window.
+    /// Appends a window whose first new frames are blended with `former` ones in the world's coordinates, `[F, 28]`, as
+    /// [`Stitcher::rewind`] returned them. In frame `i` of `F`, counted from 1, the window has weight `i / (F + 1)`.
     pub fn push_over(&mut self, window: &[KeypointFrame], former: &[KeypointFrame]) {
         let new = if self.frames.is_empty() {
             window
@@ -346,7 +345,7 @@ impl Stitcher {
         Some(last.map(|frame| frame.map(&window_from_world)))
     }
 
-    /// Where the next window will be placed.
+    /// Transform that places the next window in the world.
     pub fn world_from_window(&self) -> GroundTransform {
         self.world_from_window
     }
@@ -393,8 +392,8 @@ mod tests {
             let placement = canonicalise(&mut segment, anchor, &skeleton).expect("not empty");
             let first = world_from_segment(&segment[0], anchor, &skeleton);
             prop_assert!(first.yaw_rad.abs() < 1e-9 && first.x.abs() < 1e-12 && first.z.abs() < 1e-12);
-            // Exact for the pelvis; the released code turns `transl` and leaves the rest pelvis
-            // where it was, which displaces the body by up to twice its distance from the axis.
+            // The placement is exact for the pelvis anchor. The released code rotates `transl` but not the rest
+            // position of the pelvis, which displaces the body by up to twice the distance of the pelvis from the axis.
             let slack = if official { 2.0 * skeleton.rest(0).with_y(0.0).length() } else { 1e-9 };
             let exact = motion_from_segment(&motion[0], anchor, &skeleton);
             for (world, canonical) in motion.iter().zip(&segment) {

@@ -1,6 +1,6 @@
 //! Errors about motions in memory.
 
-/// An error that names what it happened to.
+/// An error that names the affected item.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -46,7 +46,7 @@ pub enum Error {
     TooShort {
         /// Frames present.
         frames: usize,
-        /// Rate of the frames per second.
+        /// Frame rate, in frames per second.
         fps: f64,
         /// Frames needed.
         needed: usize,

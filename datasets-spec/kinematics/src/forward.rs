@@ -1,4 +1,4 @@
-//! Forward kinematics: where the joints are, given the rotations.
+//! Forward kinematics: positions of the joints from their rotations.
 
 use std::ops::Range;
 
@@ -82,7 +82,7 @@ impl Skeleton {
 }
 
 /// Takes the local rotations and keypoints of a frame, rounded to single precision. Implementations must be
-/// `#[inline(always)]`, as [`Kernel::run`] says.
+/// `#[inline(always)]`, see [`Kernel::run`].
 pub trait FrameSink {
     /// Takes the local rotation of one of the 22 body joints, a quaternion x, y, z, w.
     fn set_rotation(&mut self, joint: usize, quaternion: [f32; 4]);
@@ -100,7 +100,7 @@ pub struct FrameParts {
 }
 
 impl FrameParts {
-    /// Everything.
+    /// All results.
     pub const ALL: Self = Self {
         rotations: [true; NUM_BODY_JOINTS],
         points: true,
@@ -125,8 +125,8 @@ impl Rest {
         }
     }
 
-    /// The first `K` keypoints of a block of frames, given their translations and local rotations,
-    /// which become global.
+    /// The first `K` keypoints of a block of frames, from their translations and local rotations. The local rotations
+    /// are replaced by global ones.
     #[inline(always)]
     fn place<const K: usize>(
         &self,

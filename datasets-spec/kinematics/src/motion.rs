@@ -11,7 +11,7 @@ use crate::simd::blocks::{self, Columns, WideColumns};
 use crate::skeleton::NUM_BODY_JOINTS;
 use crate::{Error, Fps};
 
-/// Numbers turned into bytes at a time.
+/// Number of values converted to bytes at a time.
 const HASHED_AT_ONCE: usize = 4096;
 
 /// A motion of `L` frames as SMPL-X parameters: `transl` `[L, 3]` in metres, `global_orient`
@@ -143,7 +143,7 @@ impl Motion {
         &self.body_pose
     }
 
-    /// The axis-angle of a body joint relative to its parent, joint 0 being the root.
+    /// The axis-angle of a body joint relative to its parent; joint 0 is the root.
     ///
     /// # Panics
     /// If the frame or the joint does not exist.
@@ -242,8 +242,8 @@ impl Motion {
         })
     }
 
-    /// BLAKE3 of the rate and the columns in canonical little-endian bytes, in hexadecimal. The rate counts as
-    /// tables store it, in single precision, so that 29.97 fps have one hash before and after.
+    /// BLAKE3 of the rate and the columns in canonical little-endian bytes, in hexadecimal. The rate is hashed in
+    /// single precision, as tables store it, so that 29.97 fps has the same hash before and after storage.
     pub fn content_hash(&self) -> String {
         let mut hasher = blake3::Hasher::new();
         let stored_fps = f64::from(self.fps.get() as f32);

@@ -10,7 +10,7 @@ pub const FRAME_WIDTH: usize = 3 * NUM_KEYPOINTS;
 
 /// A frame of canonical keypoints in model units, `[84]`: x, y and z of each keypoint.
 ///
-/// Metres are a [`KeypointFrame`], so they cannot be passed to a network by mistake.
+/// Keypoints in metres have the type [`KeypointFrame`], so they cannot be passed to a network by mistake.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NormalizedFrame([f32; FRAME_WIDTH]);
 
@@ -47,7 +47,7 @@ pub struct Normalizer {
 }
 
 impl Normalizer {
-    /// The share of the data the range keeps; the rest, half on either side, falls outside [-1, 1].
+    /// The share of the data inside the range; half of the rest lies on either side, outside [-1, 1].
     pub const KEPT_SHARE: f64 = 0.95;
 
     /// Fits the range of each axis to the central 95 % of canonical training frames. `None` if there
@@ -70,8 +70,8 @@ impl Normalizer {
         Some(normalizer)
     }
 
-    /// Fits one range for all axes to the central 95 % of all coordinates, as the files of the
-    /// release look to have been made. `None` if there is no frame.
+    /// Fits one range for all axes to the central 95 % of all coordinates, as the released files appear to be made.
+    /// `None` if there is no frame.
     pub fn fit_shared<'a>(frames: impl IntoIterator<Item = &'a KeypointFrame>) -> Option<Self> {
         let points = frames.into_iter().flatten();
         let mut values: Vec<f64> = points.flat_map(|point| point.to_array()).collect();

@@ -8,8 +8,8 @@ use crate::rotation::slerp;
 use crate::simd::blocks;
 use crate::{Error, Fps};
 
-/// Slack on the time of the last frame, in output frames: rates are rounded in files, and a frame
-/// due a millionth of a frame after the end of the clip is still there.
+/// Tolerance of the time of the last frame, in output frames. Files round their rates, so a frame that is due a
+/// millionth of a frame after the end of the clip still counts.
 const END_SLACK_FRAMES: f64 = 1e-6;
 
 /// How a motion is brought to another rate.
@@ -25,8 +25,8 @@ pub enum Resample {
 }
 
 impl Resample {
-    /// Brings a motion to the target rate. The result states the target rate; with
-    /// [`Resample::HumanMl3d`] that is the published fiction.
+    /// Brings a motion to the target rate. The result states the target rate, even with [`Resample::HumanMl3d`], whose
+    /// true rate may differ.
     ///
     /// # Errors
     /// The source rate is below the target with [`Resample::HumanMl3d`], which can only drop frames.
@@ -42,7 +42,7 @@ fn exact(motion: &Motion, target: Fps) -> Result<Motion, Error> {
     if motion.fps() == target {
         return Ok(motion.clone());
     }
-    /// Frames interpolated at a time: few are held in working precision.
+    /// Frames interpolated at a time, to limit the memory for working precision.
     const AT_ONCE: usize = 1024;
     let grid = grid(motion.len(), motion.fps(), target);
     let mut builder = MotionBuilder::with_capacity(grid.len());
@@ -59,9 +59,9 @@ fn exact(motion: &Motion, target: Fps) -> Result<Motion, Error> {
     builder.build(target)
 }
 
-/// Where the frames of a clip of `num_frames` lie when it is brought to another rate with
-/// [`Resample::Exact`]: the source frame before each, and the share of the way to the next one,
-/// below 1. A clip without frames has none.
+/// Sample positions for bringing a clip of `num_frames` to another rate with [`Resample::Exact`]: for each output
+/// frame, the source frame before it, and the fraction of the interval to the next one, below 1. Empty for a clip
+/// without frames.
 pub fn grid(num_frames: usize, source: Fps, target: Fps) -> Vec<(usize, f64)> {
     let Some(last) = num_frames.checked_sub(1) else {
         return Vec::new();
@@ -77,10 +77,10 @@ pub fn grid(num_frames: usize, source: Fps, target: Fps) -> Vec<(usize, f64)> {
         .collect()
 }
 
-/// The poses at the places of a [`grid`].
+/// The poses at the positions of a [`grid`].
 ///
 /// # Panics
-/// If a place lies outside the poses.
+/// If a position lies outside the poses.
 pub fn interpolate_all(poses: &[Pose], grid: &[(usize, f64)]) -> Vec<Pose> {
     blocks::interpolate(poses, grid)
 }

@@ -1,7 +1,7 @@
 //! Conversions between the forms of a rotation, and spherical interpolation.
 //!
-//! Everything here is computed in `f64`: rotations are stored as `f32` axis-angle, and a chain of
-//! ten joints would otherwise lose the millimetre. Matrices act on column vectors.
+//! Rotations are stored as `f32` axis-angle, but computed in `f64` here: otherwise a chain of ten joints would lose
+//! millimetre accuracy. Matrices act on column vectors.
 
 use glam::{DMat3, DQuat, DVec3, Quat};
 
@@ -36,9 +36,8 @@ pub fn to_six_d_rows(m: DMat3) -> [f64; 6] {
     [a.x, a.y, a.z, b.x, b.y, b.z]
 }
 
-/// The rotation matrix whose first two rows span the same plane as the two given vectors
-/// (Gram-Schmidt; the inverse of [`to_six_d_rows`]). Vectors of length zero or parallel vectors
-/// give the identity's rows in their place.
+/// The rotation matrix whose first two rows span the same plane as the two given vectors (Gram-Schmidt; the inverse of
+/// [`to_six_d_rows`]). Vectors of length zero and parallel vectors are replaced by rows of the identity.
 pub fn from_six_d_rows(d: [f64; 6]) -> DMat3 {
     let a = DVec3::new(d[0], d[1], d[2])
         .try_normalize()
@@ -56,9 +55,8 @@ pub fn from_six_d_columns(d: [f64; 6]) -> DMat3 {
     from_six_d_rows(d).transpose()
 }
 
-/// The heading of a rotation in radians: its angle about +y in the order yaw, tilt, roll (the
-/// third angle of scipy's extrinsic "zxy"), which is the direction +z is carried to, seen from
-/// above.
+/// The heading of a rotation in radians: its angle about +y in the order yaw, tilt, roll (the third angle of scipy's
+/// extrinsic "zxy"), which is the direction of the rotated +z axis, seen from above.
 pub fn yaw(m: DMat3) -> f64 {
     m.z_axis.x.atan2(m.z_axis.z)
 }
@@ -71,9 +69,9 @@ pub fn slerp(from: DQuat, to: DQuat, alpha: f64) -> DQuat {
     DQuat::from_array(lanes::slerp(from.to_array(), to.to_array(), alpha))
 }
 
-/// Spherical interpolation as the released MotionReFit code computes it, in `f32`: where the sine
-/// of the half angle is below 1e-3 it returns the plain average whatever `alpha` is, and where the
-/// cosine is 1 or more it returns `from`. Kept for the `official` preset alone.
+/// Spherical interpolation as the released MotionReFit code computes it, in `f32`: where the sine of the half angle is
+/// below 1e-3 it returns the plain average whatever `alpha` is, and where the cosine is 1 or more it returns `from`.
+/// Used only by the `official` preset.
 pub fn slerp_official(from: Quat, to: Quat, alpha: f32) -> Quat {
     let mut cosine = from.dot(to);
     let to = if cosine < 0.0 { -to } else { to };

@@ -42,13 +42,13 @@ pub const KEYPOINT_PARENTS: [i8; NUM_KEYPOINTS] = {
     parents
 };
 
-/// The keypoint on the other side of the body; itself on the midline.
+/// Mirror image of each keypoint; a keypoint on the midline is its own.
 pub const MIRRORED_KEYPOINTS: [usize; NUM_KEYPOINTS] = [
     0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22, 26, 27,
     24, 25,
 ];
 
-/// Parent of a keypoint, which for the first 22 is that of the body joint; the pelvis is its own.
+/// Parent of a keypoint; the pelvis is its own parent. For the first 22 keypoints it is the parent of the body joint.
 ///
 /// # Panics
 /// If `slot` is not below [`NUM_KEYPOINTS`].
@@ -60,8 +60,7 @@ pub const fn parent_of(slot: usize) -> usize {
     }
 }
 
-/// The keypoints that are the 24 joints the released code fits a body to: the body joints and the
-/// two index knuckles.
+/// The keypoints of the 24 joints that the released code fits: the body joints and the two index knuckles.
 pub const FIT_KEYPOINTS: [usize; 24] = [
     0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 24, 26,
 ];
@@ -261,7 +260,7 @@ impl Joint {
             .map(|index| Self::ALL[index])
     }
 
-    /// The same joint of the other side of the body; itself on the midline.
+    /// The same joint on the other side of the body; a joint on the midline is returned unchanged.
     pub fn mirrored(self) -> Joint {
         let name = self.name();
         let other = if let Some(rest) = name.strip_prefix("left_") {
@@ -334,7 +333,7 @@ impl Skeleton {
         &self.name
     }
 
-    /// BLAKE3 of the rest positions, in hexadecimal: what tells bodies apart whatever they are called.
+    /// BLAKE3 of the rest positions, in hexadecimal. It identifies a body whatever its name.
     pub fn hash(&self) -> String {
         let mut hasher = blake3::Hasher::new();
         for value in self.rest_joints.iter().flat_map(|joint| joint.to_array()) {

@@ -10,9 +10,9 @@ use crate::Error;
 pub struct Fps(f64);
 
 impl Fps {
-    /// The rate motions are stored at unless the user asks for another (that of HumanML3D).
+    /// Default rate of stored motions, that of HumanML3D.
     pub const STORE: Fps = Fps(20.0);
-    /// The rate the editing model works at (paper, App. B.5).
+    /// Rate of the editing model (paper, App. B.5).
     pub const MODEL: Fps = Fps(10.0);
 
     /// Relative distance from a whole number below which a rate read from a file is taken to be
@@ -55,7 +55,7 @@ impl Fps {
         self.0
     }
 
-    /// The time of a frame in seconds, frame 0 being at 0.
+    /// Time of a frame in seconds; frame 0 is at 0.
     pub fn secs_at(self, frame_index: usize) -> f64 {
         frame_index as f64 / self.0
     }

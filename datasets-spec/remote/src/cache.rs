@@ -27,7 +27,7 @@ struct State {
     measured: u64,
 }
 
-/// Length of the hash before the bytes of a block.
+/// Length of the hash that is stored before the bytes of a block.
 const HASH_LEN: usize = blake3::OUT_LEN;
 
 impl Cache {
@@ -44,7 +44,7 @@ impl Cache {
         self.folder.join(prefix).join(format!("{hash}.{block}"))
     }
 
-    /// A block, if it is here and undamaged.
+    /// Returns a block if it is cached and undamaged.
     pub(crate) fn get(&self, hash: &str, block: u64, length: u64) -> Option<Bytes> {
         let path = self.path(hash, block);
         let stored = Bytes::from(fs::read(&path).ok()?);
@@ -55,7 +55,7 @@ impl Cache {
             return None;
         }
         let now = FileTimes::new().set_modified(SystemTime::now());
-        // If the time cannot be set, the block goes earlier.
+        // If the time cannot be set, the block is only removed earlier.
         let _set = File::options()
             .write(true)
             .open(&path)
@@ -63,7 +63,7 @@ impl Cache {
         Some(stored.slice(HASH_LEN..))
     }
 
-    /// Keeps a block. A cache that cannot be written is none: the bytes are here already.
+    /// Stores a block. A failure is ignored, because the caller already has the bytes.
     pub(crate) fn put(&self, hash: &str, block: u64, bytes: &[u8]) {
         if self.write(hash, block, bytes).is_ok() {
             self.shrink((HASH_LEN + bytes.len()) as u64);

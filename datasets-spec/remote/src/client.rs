@@ -31,7 +31,7 @@ const CONNECT_TIMEOUT: &str = "10 seconds";
 const NUM_PARALLEL: usize = 4;
 /// Maximum number of bytes in one request.
 pub(crate) const MAX_REQUEST: u64 = 32 << 20;
-/// Attempts at what the client itself does not repeat, such as to create a file that must not exist yet.
+/// Attempts at requests that the client itself does not repeat, such as creating a file that must not exist yet.
 const ATTEMPTS: usize = 4;
 /// Metadata key of an object that names the write that created it.
 const WRITER: &str = "stancewriter";
@@ -79,7 +79,7 @@ fn runtime() -> io::Result<Handle> {
 #[derive(Clone, Debug)]
 pub(crate) struct Client {
     store: Arc<dyn ObjectStore>,
-    /// Attempts to read a body.
+    /// Maximum number of attempts to read a body.
     attempts: usize,
 }
 
@@ -264,7 +264,7 @@ impl Client {
                     Ok(_) => return Ok(()),
                     Err(error) => last = io_error(error),
                 }
-                // The object may be ours, where the answer was lost or the request was repeated.
+                // The object may be ours, if its answer was lost or the request was repeated.
                 let head = GetOptions::new().with_head(true);
                 match store.get_opts(&key, head).await {
                     Ok(found) => {
@@ -287,7 +287,7 @@ impl Client {
         })
     }
 
-    /// Copies an object and removes the first.
+    /// Copies an object and removes the original.
     pub(crate) fn rename(&self, from: &Key, to: &Key) -> io::Result<()> {
         let (store, from, to) = (Arc::clone(&self.store), from.clone(), to.clone());
         wait(async move {
@@ -372,8 +372,8 @@ fn whole(body: Result<Bytes, Error>, expected: u64) -> io::Result<Bytes> {
     Err(io::Error::new(io::ErrorKind::UnexpectedEof, text))
 }
 
-/// Repeats what may be repeated: the reading of a body so often, all else at most [`ATTEMPTS`] times, because the
-/// client itself repeats requests that are refused for a time.
+/// Repeats a failed request that may succeed later: up to `attempts` times if a body ended too early, other requests at
+/// most [`ATTEMPTS`] times, because the client itself already repeats requests that are refused for a time.
 async fn repeated<T, F: Future<Output = io::Result<T>>>(
     attempts: usize,
     read: impl Fn() -> F,

@@ -12,13 +12,13 @@ use object_store::path::Path as Key;
 use crate::cache::{BLOCK, Cache};
 use crate::client::{Client, MAX_REQUEST};
 
-/// Ranges with at most this many bytes between them are read by one request, which is quicker than two: a
-/// request takes about as long as these bytes. The pages of a clip lie that near in most shards.
+/// Maximum gap in bytes between two ranges that are read by one request: a second request takes about as long as these
+/// bytes. In most shards the pages of a clip are closer than this.
 const MAX_GAP: u64 = 8 << 20;
 /// Bytes at the end of a file that are read at once: a shard's footer and page index.
 const TAIL: u64 = 512 << 10;
 
-/// An object read at stated places.
+/// A remote object, read by ranges.
 #[derive(Debug)]
 pub(crate) struct RemoteFile {
     pub(crate) client: Client,
@@ -26,13 +26,13 @@ pub(crate) struct RemoteFile {
     /// Key to which a commit moves the object once the newest version of its dataset does not name it.
     pub(crate) aside: Option<Key>,
     pub(crate) size: u64,
-    /// BLAKE3 of the content, if known: what the cache knows it by.
+    /// BLAKE3 of the content, if known: its key in the cache.
     pub(crate) hash: Option<String>,
     /// Version, if known.
     pub(crate) tag: Option<String>,
     pub(crate) cache: Option<Arc<Cache>>,
     pub(crate) tail: OnceLock<Bytes>,
-    /// The whole file, from a server that sends no ranges.
+    /// The whole file, if its server sends no ranges.
     pub(crate) whole: OnceLock<Bytes>,
 }
 
@@ -109,7 +109,7 @@ impl RemoteFile {
         }
     }
 
-    /// Reads ranges by as few requests as make sense.
+    /// Reads ranges; ranges with a small gap share a request.
     fn directly(&self, ranges: &[Range<u64>]) -> io::Result<Vec<Bytes>> {
         let requests = joined(ranges, MAX_GAP);
         let got = self.requests(&requests)?;
@@ -154,7 +154,7 @@ impl RemoteFile {
         Ok(bytes.collect())
     }
 
-    /// Reads ranges from the cache, and what is missing there by whole blocks, which the cache then keeps.
+    /// Reads ranges from the cache. Missing blocks are read whole and added to the cache.
     fn by_blocks(
         &self,
         cache: &Cache,

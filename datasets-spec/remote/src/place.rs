@@ -1,4 +1,4 @@
-//! Places that URLs name.
+//! Bucket and key of a URL.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ impl Place {
         let text = path
             .to_str()
             .ok_or_else(|| malformed("it is no UTF-8".to_owned()))?;
-        // Joining paths puts the separator of the system.
+        // On Windows, joined paths contain backslashes.
         let text = if cfg!(windows) {
             text.replace('\\', "/")
         } else {

@@ -69,7 +69,8 @@ impl Remote {
         lock(&self.known).get(path).cloned()
     }
 
-    /// Where a path is: on the disk for a dataset in the hub's cache, else a place and its client.
+    /// Resolves a path: to a local path for a dataset in the hub's cache, otherwise to a place in a bucket and its
+    /// client.
     fn find(&self, path: &Path) -> io::Result<Found> {
         let place = Place::parse(path)?;
         if place.scheme == Scheme::Hub {
@@ -109,7 +110,7 @@ impl Remote {
         })
     }
 
-    /// All bytes of an object, from the storage itself.
+    /// All bytes of an object, bypassing the cache.
     fn fetch(&self, path: &Path, place: &Place, client: &Client) -> io::Result<Bytes> {
         let Got { bytes, size, tag } = client.get(&place.key)?;
         if let Some(known) = self.known(path).filter(|known| known.size != size) {
@@ -150,12 +151,12 @@ enum Found {
     Remote(Place, Client),
 }
 
-/// Locks a table that is whole whenever it can be locked.
+/// Locks a table; a poisoned lock is ignored, because no update leaves a table incomplete.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// An object being written. It is held in memory: a shard is a few hundred megabytes at most.
+/// An object being written. Its bytes are held in memory: a shard is a few hundred megabytes at most.
 struct Upload {
     place: Place,
     client: Client,
@@ -257,8 +258,8 @@ impl Store for Remote {
         }
     }
 
-    /// Reads and hashes the file from the storage, bypassing the cache. Later reads come from the cache where it has
-    /// room.
+    /// Reads and hashes the file from the storage, bypassing the cache. Later reads come from the cache if the file
+    /// fits into it.
     fn hash(&self, path: &Path) -> io::Result<String> {
         let (place, client) = match self.find(path)? {
             Found::Local(path) => return Disk.hash(&path),
@@ -369,8 +370,8 @@ impl Store for Remote {
 }
 
 impl Remote {
-    /// The newest manifest in a folder `meta` of a plain web server, which lists nothing: the description of
-    /// the dataset beside it states the version.
+    /// The newest manifest in a folder `meta` of a plain web server, which cannot list files: the `croissant.json` of
+    /// the dataset states the version.
     fn manifest_over_http(&self, folder: &Path) -> Option<PathBuf> {
         if folder.file_name()? != "meta" {
             return None;

@@ -6,20 +6,20 @@ use std::path::PathBuf;
 
 use crate::hub::HubCache;
 
-/// How URLs are served.
+/// Settings for serving URLs.
 #[derive(Clone, Debug, Default)]
 pub struct Settings {
     /// Folder and size in bytes of the local cache; none for no cache.
     pub cache: Option<(PathBuf, u64)>,
-    /// How often a request that fails for a time is repeated.
+    /// How often a request that fails temporarily is repeated.
     pub retries: usize,
-    /// Where Hugging Face's tools keep datasets, if anywhere.
+    /// Cache of Hugging Face's tools, if there is one.
     pub hub: Option<HubCache>,
 }
 
-/// Bytes of the cache, unless the environment says otherwise.
+/// Default size of the cache in bytes.
 const CACHE_SIZE: u64 = 10_000_000_000;
-/// With waits that double from a tenth of a second, about 25 seconds.
+/// Default number of repetitions: with waits that double from a tenth of a second, about 25 seconds.
 const RETRIES: usize = 8;
 
 impl Settings {

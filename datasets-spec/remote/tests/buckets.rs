@@ -1,5 +1,5 @@
-//! Datasets in buckets that count requests and fail as a test wants. A real server is behind `tests/remote` of
-//! the repository.
+//! Datasets in buckets that count requests and fail as a test wants. `tests/remote` of the repository uses a real
+//! server.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -376,7 +376,7 @@ fn an_interrupted_run_goes_on_with_its_own_files() {
         .expect("adopts");
     assert_eq!(staged, entry);
     assert_eq!(write(&second, &rows), entry);
-    // Something else under its name gets another name.
+    // A file with other content and the same name gets another name.
     let other = write(&second, &[row(2, 5)]);
     assert_ne!(other.path, entry.path);
     let (path, bytes) = (root.join(&entry.path), entry.bytes);

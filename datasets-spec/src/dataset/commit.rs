@@ -9,8 +9,8 @@ use crate::manifest::FileEntry;
 use crate::table::Row;
 use crate::{Error, Skeleton, Split};
 
-/// Commits a table of rows that are all in memory. If the folder already holds this table by the
-/// same plan, nothing is written. `split_of` is none for tables without splits.
+/// Commits a table of rows that are all in memory. If the folder already holds this table, made by the same plan,
+/// nothing is written. `split_of` is none for tables without splits.
 ///
 /// # Errors
 /// The folder is locked or cannot be written.
@@ -27,8 +27,8 @@ pub fn commit_rows<R: Row>(
     })
 }
 
-/// Commits the files of a table that `write` writes. If the folder already holds this table by the
-/// same plan, nothing is written.
+/// Commits the files of a table that `write` writes. If the folder already holds this table, made by the same plan,
+/// nothing is written.
 ///
 /// # Errors
 /// The folder is locked or cannot be written, or `write` fails.

@@ -11,7 +11,7 @@ use crate::{Error, Split};
 pub(super) const META: &str = "meta";
 pub(super) const DATA: &str = "data";
 pub(super) const STAGED: &str = "staged";
-/// Where files lie that the newest version does not name.
+/// Folder of files that the newest version does not name.
 pub(super) const ASIDE: &str = "meta/aside";
 /// Folder for data of one copy of a dataset, such as the paths of its sources. No manifest names its files.
 pub const PRIVATE: &str = ".stance";

@@ -1,9 +1,9 @@
 //! Opening datasets, and committing them so that they appear whole or not at all.
 //!
-//! A dataset is a folder: `data/<table>/<split>-<i>-of-<n>.parquet`, `meta/manifest-<n>.json`,
-//! and a `README.md` that the Hugging Face `datasets` library reads. A run locks the folder, writes
-//! its files aside, syncs them, writes the manifest, and then brings the files to their places and those of the
-//! version before aside. A reader sees the version before or the version after, never a mixture.
+//! A dataset is a folder: `data/<table>/<split>-<i>-of-<n>.parquet`, `meta/manifest-<n>.json`, and a `README.md` that
+//! the Hugging Face `datasets` library reads. A run locks the folder, writes its files aside, syncs them, writes the
+//! manifest, and then moves these files to their places and the replaced files of the previous version aside. A reader
+//! sees either the previous or the new version, never a mixture.
 //!
 //! A dataset may also lie at a URL. Object stores have no locks: there a run never overwrites a file, and
 //! commits by writing the manifest only if no other run has written that version.

@@ -76,9 +76,9 @@ impl Dataset {
         Some(&self.chosen.as_ref()?.condition)
     }
 
-    /// Opens the newest committed version and verifies the hash of every file. At a URL, where that would
-    /// read the whole dataset, it verifies that every file is there and its size; the hash of a file is then
-    /// verified when the file is read whole.
+    /// Opens the newest committed version and verifies the hash of every file. At a URL this would read the whole
+    /// dataset, so only existence and size of every file are verified; the hash of a file is then verified when the
+    /// file is read whole.
     ///
     /// # Errors
     /// The folder is not a dataset, has a newer format, or a file is missing or altered.
@@ -155,7 +155,7 @@ impl Dataset {
         &self.root
     }
 
-    /// Where its files are read.
+    /// The store that its files are read from.
     pub fn store(&self) -> &Arc<dyn Store> {
         &self.store
     }
@@ -179,7 +179,7 @@ impl Dataset {
     /// The skeleton its motions are posed on.
     ///
     /// # Errors
-    /// The manifest names a skeleton that is not built in, without its joint positions.
+    /// The manifest names a skeleton that is not built in, and does not hold its joint positions.
     pub fn skeleton(&self) -> Result<Skeleton, Error> {
         let built_in = Skeleton::smplx_neutral();
         let name = &self.manifest.skeleton;
@@ -232,7 +232,7 @@ impl Dataset {
     /// The test questions of the folder, each checked against its id.
     ///
     /// # Errors
-    /// There are none, an item was changed after it was drawn, or a file cannot be read.
+    /// There are no items, an item was changed after it was drawn, or a file cannot be read.
     pub fn items(&self) -> Result<Vec<ItemRow>, Error> {
         let rows: Vec<ItemRow> = self.read(None)?;
         if rows.is_empty() {

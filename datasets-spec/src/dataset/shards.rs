@@ -45,7 +45,7 @@ pub(super) fn write_shard_at<R: Row>(
             .map_err(Error::io("create folder", folder))?;
     }
     if is_url(path) {
-        // An object store checks what it receives.
+        // An object store verifies what it receives, so the file is not read back.
         let written = table::write_rows(Vec::new(), path, rows, facts)?;
         write_atomically(store, path, |mut file| {
             file.write_all(&written).map_err(Error::io("write", path))?;
@@ -73,7 +73,7 @@ fn entry(path: String, name: &ShardName, num_rows: usize, written: &[u8]) -> Fil
     }
 }
 
-/// Whether files are present and as stated, as [`Store::difference`] tells.
+/// Whether all files are present and match their entries (see [`Store::difference`]).
 pub(super) fn holds<'a>(
     store: &dyn Store,
     files: impl Iterator<Item = &'a FileEntry>,
@@ -92,8 +92,9 @@ pub(super) fn holds<'a>(
 }
 
 impl Transaction {
-    /// Writes a shard whole or not at all. Where other runs may write at the same time, it replaces no file: if
-    /// one of its name holds something else, it gets another name. It belongs to the dataset once it is committed.
+    /// Writes a shard whole or not at all. Where other runs may write at the same time, it replaces no file: if a file
+    /// of this name holds something else, the shard gets another name. The shard belongs to the dataset once it is
+    /// committed.
     ///
     /// # Errors
     /// The rows cannot be encoded or the file cannot be written.
@@ -115,9 +116,9 @@ impl Transaction {
         Ok(entry(relative, name, rows.len(), &bytes))
     }
 
-    /// Writes a file that must not replace another one, and returns its path. If a run that was interrupted,
-    /// or one at the same time, has written the same, that file serves. If it has written something else under
-    /// this name, the file gets another name.
+    /// Writes a file that must not replace another one, and returns its path. If an interrupted or concurrent run has
+    /// written the same content, its file is used. If a file of this name holds something else, the new file gets
+    /// another name.
     pub(super) fn add(&self, relative: &str, bytes: &[u8]) -> Result<String, Error> {
         let hash = blake3::hash(bytes).to_hex().to_string();
         let stem = relative.strip_suffix(".parquet").unwrap_or(relative);

@@ -18,11 +18,11 @@ use crate::manifest::{FileEntry, Manifest};
 use crate::store::{Store, aside};
 use crate::table::Row;
 
-/// Where the shards of a plan wait for its commit.
+/// Folder in which the shards of a plan wait for its commit.
 ///
-/// Making a shard takes no lock, so any number of processes may: the files lie in a folder of the plan, apart from
-/// those of the dataset, and equal shards replace each other. The folder is removed by the commit, and by any other
-/// one that the plan does not start from.
+/// Making a shard takes no lock, so any number of processes may do it: the files lie in a folder of the plan, apart
+/// from those of the dataset, and equal shards replace each other. The commit of the plan removes the folder; so does
+/// any other commit, after which the plan starts from an old version.
 #[derive(Clone, Debug)]
 pub struct Staging {
     root: PathBuf,
@@ -34,7 +34,7 @@ pub struct Staging {
     folder: PathBuf,
 }
 
-/// Where the shards of a plan that starts from a version wait.
+/// Folder of the staged shards of a plan that starts from version `base`.
 pub(super) fn folder_of(root: &Path, base: u64, plan_hash: &str) -> PathBuf {
     let name = format!("{base}-{plan_hash}");
     root.join(META).join(STAGED).join(name)
@@ -60,7 +60,7 @@ impl Staging {
     /// Number of the newest version of a dataset; 0 if there is no dataset yet.
     ///
     /// # Errors
-    /// The folder is there and cannot be listed.
+    /// The folder exists but cannot be listed.
     pub fn newest_version(store: &dyn Store, root: &Path) -> Result<u64, Error> {
         Ok(manifest_versions(store, root)?.pop().unwrap_or(0))
     }
@@ -68,7 +68,7 @@ impl Staging {
     /// The newest version of a dataset; none if there is no dataset yet.
     ///
     /// # Errors
-    /// A manifest is there and cannot be read.
+    /// A manifest exists but cannot be read.
     pub fn newest(store: &dyn Store, root: &Path) -> Result<Option<Manifest>, Error> {
         newest_manifest(store, root)
     }
@@ -77,7 +77,7 @@ impl Staging {
     /// that version and in older ones.
     ///
     /// # Errors
-    /// The manifest of a version before cannot be read.
+    /// The manifest of one of these versions cannot be read.
     pub fn base(
         store: &dyn Store,
         root: &Path,
@@ -97,14 +97,14 @@ impl Staging {
         &self.store
     }
 
-    /// No search for Parquet files finds the shards of a table that are staged.
+    /// Staged shards have no `.parquet` in their names, so that searches for Parquet files do not find them.
     fn staged_path(&self, relative: &str) -> PathBuf {
         let is_shard = relative.starts_with(DATA);
         let stem = relative.strip_suffix(".parquet").filter(|_| is_shard);
         self.folder.join(stem.unwrap_or(relative))
     }
 
-    /// Writes a shard whole or not at all. Its entry has the path that it gets by the commit.
+    /// Writes a shard whole or not at all. Its entry has the path after the commit.
     ///
     /// # Errors
     /// The rows cannot be encoded or the file cannot be written.
@@ -139,7 +139,7 @@ impl Staging {
     /// Writes a record of the plan.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The record cannot be written.
     pub fn put<T: Serialize>(&self, name: &str, record: &T) -> Result<(), Error> {
         self.store
             .create_dir_all(&self.folder)
@@ -165,9 +165,8 @@ impl Transaction {
         Staging::new(self.store(), self.root(), base, plan_hash)
     }
 
-    /// Moves staged files into the dataset, aside until the commit. Files that are there already stay. Where other runs may
-    /// write at the same time, files are copied, and one whose name is taken gets another one, which its entry then
-    /// says.
+    /// Moves staged files into the dataset, where they lie aside until the commit. Existing files stay. On storage
+    /// without locks, files are copied; a file whose name is taken gets another name, which its entry then states.
     ///
     /// # Errors
     /// A file cannot be moved.
@@ -187,7 +186,7 @@ impl Transaction {
             if !self.is_alone() {
                 match store.read(&staged) {
                     Ok(bytes) => file.path = self.add(&file.path, &bytes)?,
-                    // Another run of the same plan has committed and removed it.
+                    // Another run of the same plan has committed the file and removed it here.
                     Err(error) if error.kind() == ErrorKind::NotFound => {}
                     Err(error) => return Err(Error::io("read", &staged)(error)),
                 }

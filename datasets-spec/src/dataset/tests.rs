@@ -255,7 +255,7 @@ fn a_replaced_table_keeps_the_old_version_readable() {
             .len(),
         2
     );
-    // Each version has its file, the newest one where tools look for it, and no other files exist.
+    // Each version has its files, the newest one in the folder that tools search, and no other files exist.
     let names = |folder: &str| -> Vec<String> {
         let entries = fs::read_dir(dir.path().join(folder)).expect("lists");
         let names = entries.map(|entry| entry.expect("entry").file_name());

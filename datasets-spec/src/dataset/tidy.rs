@@ -1,9 +1,9 @@
 //! Places of the files of each version, and pruning.
 //!
 //! The files of the newest version lie under `data/`, and nothing else does, so that a search for Parquet files finds
-//! its rows once. Those of older versions, and those that a run has written and not committed, lie aside (see
+//! its rows once. Files of older versions, and files that a run has written but not committed, lie aside (see
 //! [`aside`]). Readers find a file in either place, so a run may be killed between its commit and the moves that
-//! follow; the next run makes up for them.
+//! follow; the next run completes them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
@@ -27,7 +27,7 @@ pub fn descriptions(manifest: &Manifest) -> [(&'static str, String); 2] {
     ]
 }
 
-/// What [`Transaction::prune`] removed.
+/// Result of [`Transaction::prune`].
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Pruned {
     /// Versions that were removed.
@@ -51,9 +51,8 @@ impl Transaction {
         }
     }
 
-    /// Removes the versions before the newest `keep`, and the data files that only they name. With
-    /// `dry_run` nothing is removed. At a URL no other run may write at the same time: its files, which no
-    /// version names yet, would be removed too.
+    /// Removes the versions before the newest `keep`, and the data files that only they name. With `dry_run` nothing is
+    /// removed. At a URL no other run may write at the same time: its uncommitted files would be removed too.
     ///
     /// # Errors
     /// A manifest cannot be read, or a file cannot be removed.
@@ -89,8 +88,8 @@ impl Transaction {
         Ok(files)
     }
 
-    /// Brings the files of a version that was committed to their places, writes what derives from its manifest, and
-    /// removes what no version names.
+    /// Moves the files of a committed version to their places, writes the files that derive from its manifest, and
+    /// removes files that no version names.
     pub(super) fn settle(&self, manifest: &Manifest) -> Result<(), Error> {
         self.arrange(manifest)?;
         for (name, text) in descriptions(manifest) {
@@ -109,7 +108,7 @@ impl Transaction {
             self.remove_staged(None)?;
             self.remove_unnamed()
         } else {
-            // Files that no manifest names may be those of a run that has not committed yet.
+            // Files that no manifest names may belong to a run that has not committed yet.
             self.remove_staged(Some(manifest))
         }
     }
@@ -157,8 +156,8 @@ impl Transaction {
         }
     }
 
-    /// Removes what is staged for plans that start from an earlier version, or only for those that a version was
-    /// made by.
+    /// Removes staged files of plans that start from an earlier version. If `of` is given, removes only those of the
+    /// plans that made its tables.
     fn remove_staged(&self, of: Option<&Manifest>) -> Result<(), Error> {
         let newest = manifest_versions(self.store.as_ref(), &self.root)?.pop();
         let staged = self.root.join(META).join(STAGED);
@@ -203,7 +202,7 @@ impl Transaction {
         Ok(())
     }
 
-    /// Removes half-written files of a killed run. Those who make what is staged hold no lock, so theirs stay. In the
+    /// Removes half-written files of a killed run. Staged files stay, because their writers hold no lock. In the
     /// dataset's root, where other files may be the user's, only cards and metadata are ours.
     pub(super) fn remove_half_written(&self) -> Result<(), Error> {
         let is_half_written = |name: &str| name.starts_with('.') && name.ends_with(".tmp");

@@ -16,8 +16,8 @@ use crate::{Error, Skeleton};
 
 const TOOL: &str = concat!("stance ", env!("CARGO_PKG_VERSION"));
 
-/// A run that writes to a dataset. It holds the folder's lock until it is committed or dropped; at a URL
-/// there is no lock, and of two runs that commit the same version the later one fails.
+/// A run that writes to a dataset. It holds the folder's lock until it is committed or dropped; at a URL there is no
+/// lock, and if two runs commit the same version, the later one fails.
 #[derive(Debug)]
 pub struct Transaction {
     pub(super) root: PathBuf,
@@ -36,7 +36,7 @@ pub struct Commit {
     pub tables: BTreeMap<String, Vec<FileEntry>>,
     /// Hash of the plan that made the tables.
     pub plan_hash: String,
-    /// Plan hashes of tables whose plan differs from the run's.
+    /// Plan hashes of tables that were made by another plan than `plan_hash`.
     pub plans: BTreeMap<String, String>,
     /// The skeleton motions are posed on.
     pub skeleton: Skeleton,
@@ -44,17 +44,16 @@ pub struct Commit {
     pub accounting: Option<Accounting>,
     /// Facts to add.
     pub facts: BTreeMap<String, String>,
-    /// Drop the facts of the version before, and its tables but those in `carried`, because the motions they
-    /// derive from are replaced.
+    /// Drop the facts of the previous version and its tables except those in `carried`, because the motions they derive
+    /// from are replaced.
     pub fresh: bool,
     /// Tables of the previous version that a fresh commit keeps unchanged, with their plans.
     pub carried: BTreeSet<String>,
 }
 
 impl Transaction {
-    /// Locks a folder, creating it if needed, and removes half-written files of a killed run. `holder`
-    /// is reported to other runs while this one holds the lock. What is staged stays, because those who make it
-    /// hold no lock.
+    /// Locks a folder, creating it if needed, and removes half-written files of a killed run. `holder` is reported to
+    /// other runs while this one holds the lock. Staged files stay, because their writers hold no lock.
     ///
     /// # Errors
     /// Another run holds the lock, or the folder cannot be written.
@@ -180,8 +179,8 @@ impl Transaction {
         self.publish(manifest, &commit.plan_hash)
     }
 
-    /// Makes an older version the newest one, under a new number. `tables` and their files replace those of that
-    /// version; where there are none, the version has no such table.
+    /// Makes an older version the newest one, under a new number. `tables` replace those of that version; a table
+    /// without files is dropped.
     ///
     /// # Errors
     /// As [`Transaction::commit`].

@@ -23,15 +23,15 @@ pub fn register(remote: Arc<dyn Store>) {
     let _registered = REMOTE.set(remote);
 }
 
-/// A store that serves the paths below one, until this is dropped.
+/// A mounted store. Dropping it unmounts the store.
 #[derive(Debug)]
 pub struct Mounted {
     at: PathBuf,
     number: u64,
 }
 
-/// Makes a store serve all paths below `at`, such as an archive's the files in it. The path itself stays with the
-/// store that it belongs to.
+/// Makes a store serve all paths below `at`, such as the members of an archive. The path `at` itself stays with its own
+/// store.
 pub fn mount(at: &Path, store: Arc<dyn Store>) -> Mounted {
     static NUMBER: AtomicU64 = AtomicU64::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
@@ -80,13 +80,13 @@ pub fn is_url(path: &Path) -> bool {
     })
 }
 
-/// The store of each path: one that is mounted above it, that of URLs if it is one, else the disk. Files of a dataset are
-/// read wherever a commit has moved them, so that those who opened a version go on reading it.
+/// Chooses the store of each path: a store mounted above it, the remote store for a URL, otherwise the disk. It reads
+/// files of a dataset wherever a commit has moved them, so that readers of an older version are not interrupted.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ByPath;
 
 impl ByPath {
-    /// The store behind the trait.
+    /// The store as a trait object.
     pub fn store() -> Arc<dyn Store> {
         Arc::new(Self)
     }
@@ -109,7 +109,7 @@ impl Deref for Found {
     }
 }
 
-/// The store of a file, or of a folder that is not looked into.
+/// The store of a file, or of a folder whose entries are not accessed.
 fn of(path: &Path) -> io::Result<Found> {
     found(path, path.parent().and_then(mounted_at))
 }

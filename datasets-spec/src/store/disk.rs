@@ -12,7 +12,7 @@ use super::{Lock, Locking, NewFile, ReadAt, Store, temporary_beside};
 pub struct Disk;
 
 impl Disk {
-    /// The file system behind the trait.
+    /// The file system as a trait object.
     pub fn store() -> Arc<dyn Store> {
         Arc::new(Self)
     }
@@ -121,8 +121,8 @@ struct FileLock(File);
 impl Lock for FileLock {}
 
 impl Drop for FileLock {
-    /// Unlocks explicitly: a child process that another thread is starting holds a copy of the handle,
-    /// and with it the lock, until it executes.
+    /// Unlocks explicitly: a child process that another thread is starting inherits the handle, and with it the lock,
+    /// until it executes its program.
     fn drop(&mut self) {
         // On failure, closing the file unlocks it.
         let _closed = self.0.unlock();
@@ -132,7 +132,7 @@ impl Drop for FileLock {
 /// A temporary file beside the one that it becomes.
 #[derive(Debug)]
 struct Staged {
-    /// None once the file has its name.
+    /// None once the file is renamed.
     file: Option<File>,
     staged: PathBuf,
     path: PathBuf,
@@ -200,7 +200,7 @@ impl Drop for Staged {
 
 /// Makes the names in the folder of a file durable.
 fn sync_folder_of(path: &Path) -> io::Result<()> {
-    // Elsewhere a folder cannot be opened as a file, and a rename is durable by itself.
+    // On other systems a folder cannot be opened as a file, and a rename is durable by itself.
     if cfg!(unix) {
         let folder = path.parent().filter(|path| !path.as_os_str().is_empty());
         File::open(folder.unwrap_or(Path::new(".")))?.sync_all()?;

@@ -26,7 +26,7 @@ pub trait Cell: Sized {
     /// Builds a column.
     ///
     /// # Errors
-    /// What is wrong, if the lists of the rows together are too long for a column.
+    /// The lists of all rows together are too long for a column. The text says so.
     fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String>
     where
         Self: 'static;
@@ -34,7 +34,7 @@ pub trait Cell: Sized {
     /// Reads a column whose type is known to be [`Cell::data_type`].
     ///
     /// # Errors
-    /// The row whose value breaks the type's rule, and which rule.
+    /// A value breaks the rule of its type. The error names the row and the rule.
     fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)>;
 }
 
@@ -179,8 +179,8 @@ fn check_text_length<T: AsRef<str>>(values: impl IntoIterator<Item = T>) -> Resu
     }
 }
 
-/// Offsets of a list column from the lengths of its rows. Arrow's are 32 bits wide: frames of motions
-/// always fit, the markers of a few very long captures may not.
+/// Offsets of a list column from the lengths of its rows. Arrow's offsets are 32 bits wide: frames of motions always
+/// fit, but the markers of a few very long captures may not.
 fn offsets(lengths: &[usize]) -> Result<OffsetBuffer<i32>, String> {
     let total = lengths
         .iter()
@@ -260,7 +260,7 @@ impl<const D: usize> Cell for Vec<[f32; D]> {
     }
 }
 
-/// A list of cells.
+/// Implements [`Cell`] for lists of a type.
 macro_rules! list_cell {
     ($ty:ty) => {
         impl Cell for Vec<$ty> {
@@ -297,7 +297,7 @@ list_cell!(String);
 list_cell!(Caption);
 list_cell!(PartCaption);
 
-/// A struct whose fields are cells of the same names.
+/// Implements [`Cell`] for a struct whose fields are cells of the same names.
 macro_rules! struct_cell {
     ($ty:ty { $($field:ident: $cell:ty),+ }) => {
         impl Cell for $ty {

@@ -11,7 +11,7 @@ use parquet::file::reader::{ChunkReader, Length};
 
 use crate::store::{ReadAt, Store};
 
-/// A file read at stated places, with ranges of it that were read ahead.
+/// A file read at offsets, with ranges that were read in advance.
 #[derive(Clone, Debug)]
 pub(super) struct Chunks {
     file: Arc<dyn ReadAt>,
@@ -27,8 +27,8 @@ impl Chunks {
         })
     }
 
-    /// [`Chunks::open`], with the whole file in memory if its storage is distant: a storage that knows the hash of a file
-    /// checks it where it is read whole.
+    /// As [`Chunks::open`], but with the whole file in memory if its storage is distant: such a storage verifies the
+    /// hash only of files that are read whole.
     pub(super) fn whole(store: &dyn Store, path: &Path) -> io::Result<Self> {
         let chunks = Self::open(store, path)?;
         if !chunks.file.is_distant() {
@@ -41,8 +41,8 @@ impl Chunks {
         })
     }
 
-    /// The file with these ranges read ahead, if its storage is distant and it is not in memory. Ranges that are not
-    /// listed are read one by one.
+    /// Reads these ranges in advance, if the storage of the file is distant and the file is not in memory. Other ranges
+    /// are read one by one.
     pub(super) fn ahead(&self, ranges: impl FnOnce() -> Vec<Range<u64>>) -> io::Result<Self> {
         if !self.file.is_distant() || !self.held.is_empty() {
             return Ok(self.clone());
@@ -93,7 +93,7 @@ impl Read for From {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let left = usize::try_from(self.file.len().saturating_sub(self.at)).unwrap_or(usize::MAX);
         let mut length = left.min(buffer.len());
-        // Stop before bytes that are already in memory: they are not read again.
+        // Stop at the end of a range that is already in memory.
         let ends = self.file.held.iter().filter_map(|(start, bytes)| {
             let end = start + bytes.len() as u64;
             (*start..end).contains(&self.at).then(|| end - self.at)
@@ -121,7 +121,7 @@ impl ChunkReader for Chunks {
         if let Some(bytes) = self.held(start, length) {
             return Ok(bytes);
         }
-        // The length comes from the file: nothing is reserved for more than there is.
+        // The length comes from the file and may be wrong: check it before reserving memory.
         if start.saturating_add(length as u64) > self.len() {
             return Err(ParquetError::EOF(format!(
                 "{length} bytes at {start} of {} are not there",

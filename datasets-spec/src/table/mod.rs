@@ -74,7 +74,7 @@ pub trait Row: Sized + Clone + Send + Sync {
     /// Name of the table.
     const TABLE: &'static str;
 
-    /// Rows that are read together. One, unless the rows are small and read by the thousand.
+    /// Rows per page. One, unless the rows are small and read by the thousand.
     const PAGE_ROWS: usize = 1;
 
     /// The clips that the row is about. A dataset of chosen clips ([`Dataset::of_clips`](crate::Dataset::of_clips))
@@ -89,8 +89,7 @@ pub trait Row: Sized + Clone + Send + Sync {
     /// Turns rows into a batch.
     ///
     /// # Errors
-    /// The lists of a column are too long together. Or Arrow refuses the columns, which means a bug in a
-    /// cell type.
+    /// All lists of a column together are too long, or Arrow refuses the columns, which means a bug in a cell type.
     fn encode(rows: &[Self]) -> Result<RecordBatch, Error>;
 
     /// Turns a batch into rows. Columns the table does not know are ignored.

@@ -23,8 +23,7 @@ use super::{Cell, RecordBatch, Row, SCHEMA_VERSION, decode_column};
 use crate::Error;
 use crate::store::{ByPath, Store};
 
-/// Pages per row group: about 30 MB of motion, whose pages are clips, well under the limits of table
-/// viewers.
+/// Pages per row group: about 30 MB of motion, where a page is a clip. This is well under the limits of table viewers.
 const ROW_GROUP_PAGES: usize = 256;
 /// Zstandard level. On byte-split motion, level 3 takes 1.5 times as long and saves less than 1 %.
 const ZSTD_LEVEL: i32 = 1;
@@ -90,8 +89,8 @@ fn properties(
     Ok(builder.build())
 }
 
-/// Writes rows as one Parquet file. `facts` become footer entries under the prefix `motion.`.
-/// The bytes depend on the rows and facts alone: no clock and no host name go into them.
+/// Writes rows as one Parquet file. `facts` become footer entries under the prefix `motion.`. The bytes depend only on
+/// the rows and facts, not on the clock or the host name.
 ///
 /// # Errors
 /// The rows cannot be encoded or the file cannot be written; `path` is only named in the error.
@@ -112,8 +111,8 @@ pub fn write_rows<R: Row, W: Write + Send>(
     writer.into_inner().map_err(wrap())
 }
 
-/// Writes rows incrementally, with the same bytes as [`write_rows`] and at most one row group in memory.
-/// It is for tables without frames.
+/// Writes rows incrementally, with the same bytes as [`write_rows`] and at most one row group in memory. Only for
+/// tables without frames.
 pub struct RowWriter<R, W: Write + Send> {
     writer: ArrowWriter<W>,
     path: PathBuf,
@@ -203,7 +202,7 @@ fn check_version(path: &Path, metadata: &ArrowReaderMetadata) -> Result<(), Erro
 /// Reads all rows of a file.
 ///
 /// # Errors
-/// The file cannot be read, is not Parquet, is of a newer version, or holds something else.
+/// The file cannot be read, is not Parquet, is of a newer version, or holds another table.
 pub fn read_rows<R: Row>(path: &Path) -> Result<Vec<R>, Error> {
     read_rows_on(&ByPath, path)
 }
@@ -238,7 +237,7 @@ impl ShardReader {
         Self::of(path, file)
     }
 
-    /// [`ShardReader::open`] for a reader of all rows: of a dataset at a URL the file is read whole, and its hash checked.
+    /// As [`ShardReader::open`], for a reader of all rows: at a URL, the file is read whole and its hash is verified.
     ///
     /// # Errors
     /// As [`ShardReader::open`], or the file differs from its hash.
@@ -266,18 +265,18 @@ impl ShardReader {
     /// Reads all rows of a table's columns. No other column is read from the disk.
     ///
     /// # Errors
-    /// The file cannot be read or holds something else.
+    /// The file cannot be read or holds another table.
     pub fn rows<R: Row>(&self) -> Result<Vec<R>, Error> {
         let mask = self.columns_of::<R>();
         let file = self.ahead(&mask, None)?;
         read_selected(&self.path, file, self.metadata.clone(), None, mask)
     }
 
-    /// Reads the rows at the given places, in file order; places after the end are ignored. Of a table's columns only
-    /// the pages of these rows are read and decoded, from a distant file by one request.
+    /// Reads the rows at the given places, in file order; places after the end are ignored. Only the pages of these
+    /// rows in the table's columns are read and decoded, by one request if the file is distant.
     ///
     /// # Errors
-    /// The file cannot be read or holds something else.
+    /// The file cannot be read or holds another table.
     pub fn rows_at<R: Row>(&self, rows: &[usize]) -> Result<Vec<R>, Error> {
         let total = self.num_rows();
         let mut wanted: Vec<usize> = rows.iter().copied().filter(|&row| row < total).collect();
@@ -349,7 +348,7 @@ impl ShardReader {
         ProjectionMask::columns(self.metadata.parquet_schema(), names)
     }
 
-    /// The file, with what a reader of these columns and sorted rows needs read ahead if it is distant.
+    /// Reads the pages of these columns and sorted rows in advance, if the file is distant.
     fn ahead(&self, columns: &ProjectionMask, rows: Option<&[usize]>) -> Result<Chunks, Error> {
         let ranges = || ranges_of(self.metadata.metadata(), columns, rows);
         let file = self.file.ahead(ranges);
@@ -477,7 +476,7 @@ pub struct ColumnDescription {
     pub encodings: Vec<String>,
     /// Bytes in the file.
     pub compressed: u64,
-    /// Bytes once decompressed.
+    /// Bytes after decompression.
     pub uncompressed: u64,
 }
 

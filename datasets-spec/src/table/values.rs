@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A caption and the part of the clip it speaks of. `from_s` and `to_s` are both 0 where it speaks
-/// of the whole clip (HumanML3D's convention).
+/// A caption and the part of the clip that it describes. `from_s` and `to_s` are both 0 if it describes the whole clip
+/// (HumanML3D's convention).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Caption {
     /// The text.
@@ -16,12 +16,12 @@ pub struct Caption {
     pub to_s: f32,
 }
 
-/// What one body part does.
+/// Description of what one body part does.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PartCaption {
     /// Name of the part in the release's spelling, such as `LEFT_ARM`.
     pub part: String,
-    /// What it does, completing "The person is ...".
+    /// The description, completing "The person is ...".
     pub text: String,
 }
 

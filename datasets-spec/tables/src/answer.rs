@@ -50,8 +50,8 @@ impl Answer {
             .is_some_and(|column| column.dtype().is_primitive_numeric())
     }
 
-    /// The values of a row, in the order of the columns. What JSON does not have, such as a date, is text; numbers that are
-    /// not finite are null.
+    /// The values of a row, in the order of the columns. Types that JSON lacks, such as dates, become text; numbers
+    /// that are not finite become null.
     pub fn row(&self, row: usize) -> Vec<Value> {
         let columns = self.frame.columns().iter();
         columns
@@ -62,7 +62,7 @@ impl Answer {
     /// The rows as objects of a type, whose fields are the columns.
     ///
     /// # Errors
-    /// A row is not of the type.
+    /// A row does not have the type.
     pub fn rows<T: DeserializeOwned>(&self) -> Result<Vec<T>, Error> {
         let names = self.columns();
         let object = |row: usize| {
@@ -133,7 +133,7 @@ fn json(value: &pl::AnyValue<'_>) -> Value {
         pl::AnyValue::String(text) => Value::String((*text).to_owned()),
         pl::AnyValue::StringOwned(text) => Value::String(text.to_string()),
         pl::AnyValue::Float32(number) => {
-            // The shortest digits of the single-precision number, not those of its conversion to double.
+            // Use the shortest digits of the single-precision number, not those of its conversion to double.
             let shortest = number.to_string().parse::<f64>().ok();
             shortest
                 .and_then(Number::from_f64)

@@ -184,7 +184,7 @@ pub(crate) fn arrow_array(series: &pl::Series) -> Result<ArrayRef, String> {
     })
 }
 
-/// A field of a column; a column that is not nullable stays so, as in the tables.
+/// The Arrow field of a column. It is nullable only if the column holds nulls.
 pub(crate) fn field(name: &str, column: &ArrayRef) -> Field {
     Field::new(name, column.data_type().clone(), column.null_count() > 0)
 }

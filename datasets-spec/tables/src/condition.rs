@@ -12,8 +12,8 @@ use crate::rewrite::{Names, check_columns, rewrite_condition};
 use crate::scan::PLACE;
 use crate::tables::{Tables, shortened};
 
-/// A condition on the clips of a dataset: an expression of SQL over the columns of the table of motions. It may ask the
-/// other tables too, as in `id IN (SELECT motion_id FROM masks WHERE author = 'anna')`.
+/// A condition on the clips of a dataset: an expression of SQL over the columns of the table of motions. It may also
+/// query the other tables, as in `id IN (SELECT motion_id FROM masks WHERE author = 'anna')`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Condition {
     text: String,
@@ -47,7 +47,7 @@ impl Condition {
         &self.text
     }
 
-    /// The condition as polars answers it, for a query of [`Tables`].
+    /// The condition in the SQL of polars, for a query of [`Tables`].
     pub fn sql(&self) -> &str {
         &self.sql
     }

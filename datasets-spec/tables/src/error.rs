@@ -8,12 +8,12 @@ pub enum Error {
     /// A table cannot be read.
     #[error(transparent)]
     Spec(#[from] datasets_spec::Error),
-    /// A question cannot be understood or answered.
+    /// A query cannot be understood or answered.
     #[error("{text:?}: {problem}")]
     Sql {
-        /// The question.
+        /// The query.
         text: String,
-        /// What is wrong, and what there is.
+        /// What is wrong, and which names exist.
         problem: String,
     },
     /// An answer cannot be written as Parquet.

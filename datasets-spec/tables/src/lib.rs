@@ -16,9 +16,9 @@
 //! | `n_captions` | u32 | captions, those of parts not counted |
 //! | `has_mask`, `has_pair` | bool | whether a mask is of the clip, or a pair has it on either side |
 //!
-//! Beside what polars knows, `LIKE` takes `ESCAPE`, and `len` is the length of a list or the characters of a text. A test of a
-//! list (`captions LIKE '%walk%'`, `notes = 'x'`, `parts IN ('HEAD')`) holds if it holds for one of its texts; without texts
-//! it is neither true nor false.
+//! In addition to the SQL of polars, `LIKE` takes `ESCAPE`, and `len` is the length of a list or the characters of a
+//! text. A test of a list (`captions LIKE '%walk%'`, `notes = 'x'`, `parts IN ('HEAD')`) holds if it holds for one of
+//! its texts; without texts it is neither true nor false.
 
 mod answer;
 mod arrays;

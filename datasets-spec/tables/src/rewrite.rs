@@ -1,5 +1,5 @@
-//! SQL as people write it becomes SQL that polars answers: only `SELECT`, and with `LIKE ... ESCAPE`, tests of lists, `len`
-//! and names of several datasets.
+//! Rewrites the SQL of users for polars: only `SELECT`, and with `LIKE ... ESCAPE`, tests of lists, `len` and names of
+//! several datasets.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
@@ -42,7 +42,7 @@ pub(crate) struct Names {
 }
 
 impl Names {
-    /// Adds a table; `full` has the name of its dataset before it, if there are several.
+    /// Adds a table; `full` is its name, behind that of its dataset if there are several.
     pub(crate) fn add(
         &mut self,
         dataset: Option<&str>,
@@ -161,7 +161,7 @@ struct Rewriting<'a> {
 impl VisitorMut for Rewriting<'_> {
     type Break = String;
 
-    /// Columns of functions are named by their text, as `min(seconds)` and `max(seconds)` would else be one name.
+    /// Names columns of functions by their text: `min(seconds)` and `max(seconds)` would otherwise have the same name.
     fn pre_visit_select(&mut self, select: &mut Select) -> ControlFlow<String> {
         for item in &mut select.projection {
             if let SelectItem::UnnamedExpr(expr @ Expr::Function(_)) = item {
@@ -225,7 +225,7 @@ impl VisitorMut for Rewriting<'_> {
         ControlFlow::Continue(())
     }
 
-    /// Adds the decimal point without which polars reads a number as an integer of 64 bits, and fails on `1e1`.
+    /// Adds a decimal point to large numbers: without it polars reads a 64-bit integer, and fails on `1e1`.
     fn pre_visit_value(&mut self, value: &mut ValueWithSpan) -> ControlFlow<String> {
         if let Value::Number(number, _) = &mut value.value
             && !number.contains('.')
@@ -318,7 +318,7 @@ impl Rewriting<'_> {
         })
     }
 
-    /// A test of a pattern that polars has not: of a list, or with an escape character.
+    /// Rewrites a `LIKE` that polars lacks: of a list, or with an escape character.
     fn like(
         &self,
         subject: &Expr,
@@ -349,7 +349,7 @@ impl Rewriting<'_> {
         let regex = regex_of(pattern, escape)?;
         let not = if negated { "NOT " } else { "" };
         Ok(Some(match list {
-            // The texts are lines, which `.` does not cross. Without any the test is neither true nor false.
+            // Each text is a line, which `.` does not cross. Without texts the test is neither true nor false.
             Some(list) => format!(
                 "{not}regexp_like(NULLIF(array_to_string({list}, '\n'), ''), {})",
                 quoted(&format!("(?m{case})^{regex}$"))
@@ -514,7 +514,7 @@ pub(crate) fn check_columns(text: &str, names: &Names) -> Result<(), String> {
 
 /// Error for an unknown name: similar names, and all names that exist.
 fn unknown(what: &str, name: &str, known: &[String]) -> String {
-    /// Names farther away than this were hardly meant.
+    /// Minimum similarity of a name that is suggested.
     const NEAR: f64 = 0.75;
     let folded = name.to_lowercase();
     let nearest = known

@@ -25,7 +25,7 @@ pub(crate) struct Scan {
 }
 
 impl Scan {
-    /// A table, with the derived columns where it is that of the motions.
+    /// The scan of a table; for motions, with the derived columns.
     pub(crate) fn new(
         dataset: &Dataset,
         table: &'static str,

@@ -27,7 +27,7 @@ impl Tables {
     /// The tables of a dataset. No rows are read before a query needs them.
     ///
     /// # Errors
-    /// A table of this version cannot be asked for, which means a bug.
+    /// A table of this version cannot be registered, which means a bug.
     pub fn of(dataset: &Dataset) -> Result<Self, Error> {
         let mut tables = Self {
             context: SQLContext::new(),
@@ -52,7 +52,7 @@ impl Tables {
         Ok(tables)
     }
 
-    /// The tables of a dataset, whose motions have the places of their rows.
+    /// The tables of a dataset; the motions also have a column of row numbers.
     pub(crate) fn with_places(dataset: &Dataset) -> Result<Self, Error> {
         let mut tables = Self {
             context: SQLContext::new(),
@@ -89,7 +89,7 @@ impl Tables {
     /// Answers a `SELECT`. Only the columns that it names are read.
     ///
     /// # Errors
-    /// The query cannot be understood, names what there is not, or a table cannot be read.
+    /// The query cannot be understood, names an unknown table or column, or a table cannot be read.
     pub fn ask(&mut self, query: &str) -> Result<Answer, Error> {
         let fails = |problem: String| Error::Sql {
             text: shortened(query),

@@ -52,7 +52,7 @@ pub(crate) struct Args {
     /// Give the cluster all pieces, also those that are done: it then has nothing to do but schedule
     #[arg(long, hide = true)]
     again: bool,
-    /// File for the times of the tasks as the scheduler tells them
+    /// File for the times of the tasks as the scheduler reports them
     #[arg(long, value_name = "FILE", hide = true, conflicts_with = "local")]
     times: Option<PathBuf>,
     /// A setting of Ballista for this job
@@ -168,8 +168,8 @@ fn say(args: &Args, document: &Document) -> anyhow::Result<()> {
 
 /// Lets the cluster make pieces until each exists or has failed, and returns the records of the failed ones.
 ///
-/// The result of a job lies on its executors. If an executor is lost with its results, the job fails although the
-/// pieces exist: another job then makes the missing pieces.
+/// Executors store the result of a job. If an executor is lost with its results, the job fails although the pieces
+/// exist: another job then makes the missing pieces.
 async fn work(
     args: &Args,
     plan: &Plan,
@@ -264,7 +264,7 @@ async fn made(args: &Args, plan: &Plan, wanted: &[String]) -> anyhow::Result<Vec
     Ok(records)
 }
 
-/// Why the job ended, and what to do.
+/// The error for a job that ended, and what to do next.
 fn ended(args: &Args, error: &DataFusionError) -> anyhow::Error {
     let next = "pieces that are done stay done: run the same command again";
     if args.local {
@@ -327,7 +327,7 @@ async fn watch(plan: Plan, scheduler: Option<String>) {
     }
 }
 
-/// Number of pieces that are done and that failed, by their records; their files are not looked at.
+/// Number of pieces that are done and that failed, by their records; their files are not checked.
 fn marks(plan: &Plan) -> (u64, u64) {
     let staging = plan.staging();
     let entries = staging.store().list(staging.folder()).unwrap_or_default();

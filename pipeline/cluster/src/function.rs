@@ -27,8 +27,8 @@ pub(crate) enum Isolation {
     Child(PathBuf),
 }
 
-/// The function. Its result is **one** struct column: the optimiser repeats a function whose fields are projected, and
-/// with it the work.
+/// The function. Its result is **one** struct column: the optimiser evaluates a function again for each field that a
+/// query projects.
 #[derive(Debug, PartialEq, Eq, Hash)]
 struct MakePiece {
     signature: Signature,
@@ -115,7 +115,7 @@ fn made(plan: &Path, piece: &str, isolation: &Isolation) -> String {
     serde_json::to_string(&record).expect("a record is numbers and texts")
 }
 
-/// The worker of a plan. Pieces of one plan share it: opening it reads what they have in common.
+/// The worker of a plan. Pieces of one plan share the worker, because opening it reads their common inputs.
 fn worker(plan: &Path) -> std::result::Result<Arc<Worker>, String> {
     static OPENED: Mutex<Option<(PathBuf, Arc<Worker>)>> = Mutex::new(None);
     let mut opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner);

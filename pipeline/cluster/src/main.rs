@@ -1,8 +1,8 @@
 //! The `stance-cluster` command: pieces of a plan on several machines, scheduled by Ballista.
 //!
-//! `stance stage plan` writes the plan, and `stance stage commit` could end it as well: this command is another way to
-//! the same shards. Ballista schedules, retries and notices lost machines; what a piece is and how it is made is
-//! [`pipeline::work`] alone.
+//! `stance stage plan` writes the plan, and `stance stage commit` can also commit it: this command is another way to
+//! make the same shards. Ballista schedules, retries and detects lost machines; [`pipeline::work`] alone defines pieces
+//! and makes them.
 
 mod client;
 mod executor;
@@ -57,13 +57,13 @@ fn main() -> ExitCode {
     }
 }
 
-/// A line for the person who runs the command.
+/// Prints a line for the user to stderr.
 #[expect(clippy::print_stderr, reason = "notes go to stderr, results to stdout")]
 fn note(text: &str) {
     eprintln!("{text}");
 }
 
-/// A result.
+/// Prints a result to stdout.
 #[expect(clippy::print_stdout, reason = "results go to stdout")]
 fn result(text: &str) {
     println!("{text}");

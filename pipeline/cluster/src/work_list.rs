@@ -9,7 +9,8 @@ use datafusion::arrow::array::{ArrayRef, StringArray};
 use datafusion::arrow::record_batch::RecordBatch;
 use datafusion::parquet::arrow::ArrowWriter;
 
-/// Files of a list at most: a plan of the scheduler names every file, and its messages have a limit of 16 MiB.
+/// Maximum number of files of a list: a plan of the scheduler names every file, and its messages have a limit of 16
+/// MiB.
 const MAX_FILES: usize = 4096;
 
 /// Writes a list: a file is a partition, and so a task. Returns the number of files.

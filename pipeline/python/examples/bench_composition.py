@@ -127,7 +127,7 @@ def check(mix: stance.MotionCutMix, path: str, composer: Composer, stride: int) 
         under = stretch(source, start, span, stride)
         mask = indices(triplet.hard_joints), indices(triplet.soft_joints), triplet.alpha
         edited, _ = nearest(batch.edited[item], lambda part: composer.window(*composer.blend(under, part, *mask)), target)
-        # Single precision over a chain of eight joints, in units of about a metre.
+        # Tolerance of single precision over a chain of eight joints, at coordinates of about a metre.
         assert max(apart, edited) < 1e-4, (item, apart, edited)
 
 
@@ -166,7 +166,7 @@ if __name__ == "__main__":
     composer = Composer(mix.normalizer)
     check(mix, given.dataset, composer, stride)
     windows = Windows(given.dataset, composer, stride)
-    # Taken in turns, so that both see the same machine.
+    # Measured alternately, so that both run under the same conditions.
     pairs = [(rate(ours(mix), given.seconds / 4), rate(theirs(windows), given.seconds / 4)) for _ in range(2)]
     a, b = (max(pair[side] for pair in pairs) for side in (0, 1))
     print(f"windows a second of one core: stance {a:,.0f}, PyTorch and roma {b:,.0f}; {a / b:.0f} times as many")

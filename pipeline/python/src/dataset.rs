@@ -21,7 +21,7 @@ pub(crate) struct Dataset {
     skeleton: Arc<Skeleton>,
 }
 
-/// The split of a name, or all.
+/// Parses the name of a split; without a name, all splits are meant.
 pub(crate) fn split_of(split: Option<&str>) -> Result<Option<Split>, Failure> {
     Ok(split.map(str::parse).transpose()?)
 }

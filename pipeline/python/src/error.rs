@@ -13,7 +13,7 @@ pub(crate) struct Failure {
 }
 
 impl Failure {
-    /// A failure without a code of its own.
+    /// A failure without a code.
     pub(crate) fn new(message: impl Into<String>) -> Self {
         Self {
             message: message.into(),

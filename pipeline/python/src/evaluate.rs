@@ -115,7 +115,7 @@ impl MotionEncoder for Adapter<'_> {
 /// One take of one answer: the item's id, the seed of the take, the motion.
 type Answer<'py> = (String, u64, PyRef<'py, Motion>);
 
-/// The same without Python's lock.
+/// An [`Answer`] that does not need Python's lock.
 type Take = (String, u64, Inner);
 
 /// Scores systems: those of folders of edits, and those given as motions by name of the system. `protocol` is JSON.

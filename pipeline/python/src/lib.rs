@@ -1,7 +1,7 @@
 //! The compiled half of the Python package `stance`, and the command.
 //!
-//! It holds what is fast and exact: reading datasets, forward kinematics, features, MotionCutMix, scores. What is
-//! plain Python (tables of pyarrow, batches for PyTorch, the words of the documentation) is in `python/stance`.
+//! It holds the fast and exact parts: reading datasets, forward kinematics, features, MotionCutMix, scores. Plain
+//! Python (tables of pyarrow, batches for PyTorch, documentation) is in `python/stance`.
 //!
 //! Every function that takes more than a moment releases Python's lock, and ends on Ctrl-C.
 
@@ -47,10 +47,10 @@ mod _native {
     /// Names of the SMPL-X joints.
     #[pymodule_export]
     const JOINT_NAMES: &[&str] = &kinematics::skeleton::JOINT_NAMES;
-    /// Places of the keypoints among the joints.
+    /// Index of the joint of each keypoint.
     #[pymodule_export]
     const KEYPOINT_JOINTS: &[usize] = &kinematics::skeleton::KEYPOINT_JOINTS;
-    /// The keypoint above each; -1 for the root.
+    /// Parent of each keypoint; -1 for the root.
     #[pymodule_export]
     const KEYPOINT_PARENTS: &[i8] = &kinematics::skeleton::KEYPOINT_PARENTS;
 }

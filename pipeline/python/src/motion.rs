@@ -93,7 +93,7 @@ pub(crate) fn fps_of(fps: f64) -> Result<Fps, Failure> {
 /// Rate of MotionFix's features in 1/s.
 const MOTIONFIX_FPS: f64 = 30.0;
 
-/// Features that a motion has.
+/// A kind of features.
 #[derive(Clone, Copy, Debug)]
 enum Recipe {
     HumanMl3d,
@@ -152,7 +152,7 @@ impl Recipe {
         })
     }
 
-    /// The motion of features, frame after frame. Those of MotionFix say how a motion moves on from `first`.
+    /// Decodes features, frame after frame. MotionFix's features continue from the pose `first`.
     fn motion(self, values: &[f32], first: &Pose, skeleton: &Skeleton) -> Result<Inner, Failure> {
         Ok(match self {
             Self::HumanMl3d => {
@@ -424,7 +424,7 @@ pub(crate) fn points<const K: usize>(
     Ok(points.as_chunks::<K>().0.to_vec())
 }
 
-/// The joints of names.
+/// Parses names of joints.
 pub(crate) fn joint_set(names: &[String]) -> Result<JointSet, Failure> {
     let one = |name: &String| {
         Joint::ALL

@@ -15,7 +15,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::Failure;
 
-/// How often a long call looks for Ctrl-C.
+/// How often a long call checks for Ctrl-C.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// Threads of this process. A forked process, such as a worker of a PyTorch loader, has no threads of its parent and
@@ -34,7 +34,7 @@ fn pool() -> Result<Arc<ThreadPool>, Failure> {
         .build()
         .map_err(|error| Failure::new(format!("no threads can be started: {error}")))?;
     let pool = Arc::new(pool);
-    // The parent's pool is forgotten and not dropped: its threads are not here to be joined.
+    // The parent's pool is forgotten and not dropped: its threads do not exist in this process and cannot be joined.
     std::mem::forget(held.replace((here, Arc::clone(&pool))));
     Ok(pool)
 }
@@ -50,7 +50,7 @@ pub(crate) fn set_num_threads(count: usize) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Runs work of moments without Python's lock.
+/// Runs short work without Python's lock.
 pub(crate) fn quick<T: Send>(
     py: Python<'_>,
     work: impl FnOnce() -> Result<T, Failure> + Send,
@@ -107,7 +107,7 @@ pub(crate) fn long<T: Send>(
     }
 }
 
-/// Bars on a terminal, and nothing elsewhere.
+/// Shows bars on a terminal, and nothing elsewhere.
 struct Bars<'a> {
     bar: Mutex<ProgressBar>,
     visible: bool,

@@ -144,7 +144,7 @@ pub(crate) fn activities(
     motions.par_iter().map(of).collect()
 }
 
-/// [`automatic_masks`] of clips whose activities are known; their frames are not looked at.
+/// [`automatic_masks`] of clips whose activities are known; their frames are not read.
 pub(crate) fn masks_from(
     motions: &[MotionRow],
     activities: &[Activity],
@@ -323,7 +323,7 @@ mod tests {
             (&[17], &["RIGHT_ARM"]),
             (&[16, 17], &["BOTH_ARMS"]),
             (&[1, 2], &["LOWER_BODY"]),
-            // The arms ride along on the spine without moving on their own.
+            // The arms move with the spine, but not relative to it.
             (&[3], &["UPPER_BODY"]),
             (&[3, 16, 1, 2], &["UPPER_BODY", "LOWER_BODY"]),
             (&[], &[]),

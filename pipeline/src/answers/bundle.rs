@@ -1,7 +1,7 @@
 //! A submission to a leaderboard: the answers of one system to a set of items, in one zip.
 //!
-//! A bundle holds [`ANSWERS`], the rows of table `edits`; [`FACTS`], what they answer and who made them; and a card
-//! for people. It holds no items: whoever evaluates it has the items, which are named by their digest.
+//! A bundle holds [`ANSWERS`], the rows of table `edits`; [`FACTS`], the items and the system of these answers; and a
+//! card for people. It holds no items: its evaluator has the items, which the digest identifies.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -129,12 +129,12 @@ impl Bundle {
         Ok(bundle)
     }
 
-    /// Reads a bundle and checks it: it is whole and holds nothing else; it is of these items and this skeleton; and
-    /// every item has as many answers as the others, of one system, each a finite motion of at least three frames at
-    /// the item's rate.
+    /// Reads a bundle and checks it. The bundle must be complete and hold nothing else, and be made for these items and
+    /// this skeleton. Every item must have the same number of answers, all of one system, each a finite motion of at
+    /// least three frames at the item's rate.
     ///
     /// # Errors
-    /// It breaks one of these rules; the error names the bundle, and the item where it is one's.
+    /// The bundle breaks one of these rules. The error names the bundle, and the item if it concerns one.
     pub fn read(path: &Path, items: &Rates<'_>, skeleton: &Skeleton) -> Result<Self, Error> {
         let refused = |problem: String| refused(path, problem);
         let file = ByPath
@@ -253,7 +253,7 @@ impl Bundle {
         )
     }
 
-    /// Checks the answers against the items. The error is without the path.
+    /// Checks the answers against the items. The error does not name the path.
     fn check(&self, items: &Rates<'_>, skeleton: &Skeleton) -> Result<(), String> {
         let facts = &self.facts;
         let digest = digest_of_ids(items.keys().copied());
@@ -347,7 +347,7 @@ fn hash(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
 }
 
-/// The bytes of a member of at most so many.
+/// Reads a member; an error if it is larger than `limit` bytes.
 fn member<R: Read + Seek>(
     zip: &mut ZipArchive<R>,
     name: &str,

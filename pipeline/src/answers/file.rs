@@ -149,7 +149,7 @@ fn npy(bytes: &[u8], skeleton: &Skeleton) -> Result<Recorded, Rejected> {
     }
     let clip = humanml3d::read_array(bytes, skeleton)?;
     Ok(Recorded {
-        // The feature vector has no origin and no heading.
+        // Features have no origin and no heading, so the motion is placed at the item's source.
         place: Place::Source,
         fit_error_m: clip.fit_error_m,
         ..Recorded::of_motion(&clip.motion)
@@ -161,7 +161,7 @@ fn npy(bytes: &[u8], skeleton: &Skeleton) -> Result<Recorded, Rejected> {
 /// A number `fps` beside them takes precedence.
 ///
 /// # Source
-/// Repository athn-nik/motionfix: what its evaluation writes for each item.
+/// Repository athn-nik/motionfix: the output of its evaluation for each item.
 fn of_value(value: &Value) -> Result<Recorded, Rejected> {
     let fps = value.get("fps").and_then(number);
     let has = |key: &str| value.get(key).is_some();
@@ -211,7 +211,8 @@ fn of_value(value: &Value) -> Result<Recorded, Rejected> {
     Ok(Recorded {
         fps: fps.or(Some(MOTIONFIX_FPS)),
         up: Up::Z,
-        // The features' evaluation integrates from its own origin and heading.
+        // MotionFix's evaluation integrates features from its own origin and heading, so the motion is placed at the
+        // item's source.
         place: Place::Source,
         ..recorded
     })
@@ -222,8 +223,7 @@ fn number(value: &Value) -> Option<f64> {
     value.as_float().or_else(of_array)
 }
 
-/// # Panics
-/// If there are not `N` numbers.
+/// Converts a frame to double precision. Panics if there are not `N` numbers.
 fn wide<const N: usize>(frame: &[f32]) -> [f64; N] {
     std::array::from_fn(|column| f64::from(frame[column]))
 }

@@ -44,7 +44,7 @@ pub struct Answers {
 /// Report on every answer: `found = imported + refused + passed_over`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct AnswerReport {
-    /// Items asked.
+    /// Number of items.
     pub items: usize,
     /// Items with at least one answer.
     pub answered: usize,
@@ -75,7 +75,7 @@ pub struct Refusal {
     pub code: &'static str,
     /// What is wrong, with the numbers found and expected.
     pub reason: String,
-    /// Where in the file, if there is such a place.
+    /// Position in the file, if it is known.
     pub byte_offset: Option<u64>,
 }
 
@@ -84,7 +84,7 @@ pub struct Refusal {
 pub struct PassedOver {
     /// Path of the file, relative to what was given.
     pub file: String,
-    /// Why.
+    /// Why the file holds no answer.
     pub reason: String,
 }
 
@@ -127,7 +127,7 @@ impl Names {
         Ok(Self(names))
     }
 
-    /// The item of a name, and the seed in its suffix if there is one.
+    /// Finds the item of a name, and the seed in its suffix if there is one.
     fn find(&self, name: &str) -> Option<(usize, Option<Seed>)> {
         let plain = |name: &str| self.0.get(name).copied();
         let bare = Self::ENDS
@@ -162,9 +162,8 @@ struct Found {
 
 /// Reads the answers in files, and in files under folders, to the items.
 ///
-/// An answer belongs to the item whose id is the stem of its file, or is in column `id` of its table. A
-/// number after the stem, as in `ID-7`, is the seed of the sample. The number of the pair is also a name
-/// of MotionFix's items.
+/// An answer belongs to the item whose id is the stem of its file, or is in column `id` of its table. A number after
+/// the stem, as in `ID-7`, is the seed of the sample. Items of MotionFix can also be named by the number of their pair.
 ///
 /// # Errors
 /// A path does not exist, there is no file, or an item does not match its id. Errors of single answers are in
@@ -361,12 +360,12 @@ impl Answers {
         }
     }
 
-    /// Commits items and edits as a folder that `stance eval` scores: tables `items`, `edits` and,
-    /// where answers were refused, `quarantine`, all or none of them. If the folder already holds the same
-    /// answers, nothing is written.
+    /// Commits items and edits as a folder that `stance eval` scores: tables `items` and `edits`, and `quarantine` if
+    /// answers were refused. Either all tables are committed or none. If the folder already holds the same answers,
+    /// nothing is written.
     ///
     /// # Errors
-    /// The folder is a dataset of something else, is locked, or cannot be written.
+    /// The folder is another dataset, is locked, or cannot be written.
     pub fn commit(
         &self,
         out: &Path,
@@ -509,7 +508,8 @@ fn identity(mut imported: Vec<(String, String)>, options: &AnswerOptions) -> Str
     hasher.finalize().to_hex().to_string()
 }
 
-/// Cosine between the body's axis and the vertical above which the body stands, and below which it lies.
+/// The body stands if the cosine between its axis and the vertical is above the first value, and lies if it is below
+/// the second.
 const STANDING: f64 = 0.7;
 const LYING: f64 = 0.3;
 /// Implausible distance in metres over the ground between the first frames of an answer and its source.

@@ -244,7 +244,7 @@ mod tests {
             skeleton.motion_keypoints(&motion).points
         });
         for (back, plain) in back.iter().flatten().zip(plain.iter().flatten()) {
-            // Single precision of numbers below ten metres.
+            // Tolerance: single precision of numbers below ten metres.
             assert!(back.distance(*plain) < 1e-5, "{back} and {plain}");
         }
         let (first, source) = (plain[0][0], item.source().expect("valid").pose(0));

@@ -33,9 +33,9 @@ pub(super) struct TableAnswer {
 /// Reads the answers of a table.
 ///
 /// # Errors
-/// `E-TABLE-FORMAT` if the bytes are no Parquet file that can be read, `E-TABLE-LIMIT` if it unpacks
-/// too far, `E-TABLE-COLUMNS` if a column is missing or of an incompatible type. Errors of single rows are
-/// kept with the row.
+/// `E-TABLE-FORMAT` if the bytes are no Parquet file that can be read, `E-TABLE-LIMIT` if the columns exceed the limit
+/// when unpacked, `E-TABLE-COLUMNS` if a column is missing or of an incompatible type. Errors of single rows are kept
+/// with the row.
 pub(super) fn read(bytes: Vec<u8>) -> Result<Vec<TableAnswer>, Rejected> {
     foreign_table::read(bytes, decode)
 }

@@ -208,7 +208,8 @@ fn every_format_brings_the_motion_back_within_its_precision() {
     assert_eq!(answers.report.refused, []);
     assert_eq!(answers.report.missing, [""; 0]);
     let got: Vec<Motion> = answers.rows.iter().map(motion_of).collect();
-    // Turned to z up and back in double precision, stored in single: below ten metres half a micron.
+    // Tolerance: rotated to z up and back in double precision, stored in single, which is half a micrometre below ten
+    // metres.
     assert!(apart(&got[0], &motion(0)) < 1e-5);
     assert_eq!(
         got[0].body_pose(),
@@ -223,8 +224,8 @@ fn every_format_brings_the_motion_back_within_its_precision() {
         let distance = apart(&got[number], &expected);
         assert!(distance < 2e-5, "{number}: {distance}");
     }
-    // The vector keeps where bones point and no twists: positions of the body's joints come back up
-    // to the proportions of SMPL against SMPL-X.
+    // Features keep the directions of bones but no twists. The joint positions come back up to the difference in
+    // proportions between SMPL and SMPL-X.
     let (vector, expected) = (&got[4], placed(&motion(4), &items[4]));
     assert_eq!(vector.len(), 39);
     let body = features::smpl_body(&skeleton);
@@ -336,7 +337,7 @@ fn takes_are_told_apart_by_their_seed_and_two_imports_are_two_systems() {
     assert_ne!(a.report.checkpoint_hash, b.report.checkpoint_hash);
     let again = answers(first.path(), &items, &options());
     assert_eq!(again.rows, a.rows);
-    // The same bytes imported with other options are other edits.
+    // The same bytes imported with other options get another hash.
     let turned = AnswerOptions {
         up: Some(Up::Z),
         ..options()
@@ -574,7 +575,7 @@ fn damage_to_a_table_is_refused_wherever_it_is() {
     for at in 0..bytes.len() {
         let mut damaged = bytes.clone();
         damaged[at] ^= 0x41;
-        // Damaged files are read as far as possible, or refused; nothing else may happen.
+        // A damaged file is either read or refused with a code.
         if let Err(rejected) = table::read(damaged) {
             assert!(rejected.code.starts_with("E-TABLE"), "{at}: {rejected:?}");
         }

@@ -1,4 +1,4 @@
-//! HumanML3D's crop list, and which of its recordings are there.
+//! HumanML3D's crop list, and the recordings of it that are present.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

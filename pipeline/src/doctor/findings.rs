@@ -72,7 +72,7 @@ pub struct CaptureFindings {
     pub code: String,
     /// Motions that are refused.
     pub motions: u64,
-    /// Captures of the source in all.
+    /// Number of all captures of the source.
     pub captures: u64,
     /// Some of the files, and why each is refused.
     pub examples: Vec<(String, String)>,
@@ -145,9 +145,9 @@ pub struct ListFindings {
 /// A subset of AMASS among the files.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct SubsetFindings {
-    /// Today's name; empty for files outside any known subset.
+    /// Present name of the subset; empty for files outside any known subset.
     pub name: String,
-    /// Recordings, body shapes left out.
+    /// Number of recordings, without files of body shapes.
     pub files: u64,
     /// Total size of the files in bytes.
     pub bytes: u64,
@@ -162,11 +162,11 @@ pub struct SubsetFindings {
 pub struct IndexFindings {
     /// The list.
     pub path: PathBuf,
-    /// Rows.
+    /// Number of rows.
     pub rows: u64,
     /// Rows made of HumanAct12's joints, which need no AMASS.
     pub humanact12: u64,
-    /// Rows whose recording is there.
+    /// Rows whose recording was found.
     pub found: u64,
     /// Rows by subset.
     pub subsets: Vec<IndexSubset>,
@@ -177,11 +177,11 @@ pub struct IndexFindings {
 pub struct IndexSubset {
     /// The subset's folder in the list.
     pub name: String,
-    /// Rows.
+    /// Number of rows.
     pub rows: u64,
-    /// Rows whose recording is there.
+    /// Rows whose recording was found.
     pub found: u64,
-    /// Some of the recordings that are not.
+    /// Some of the recordings that were not found.
     pub examples: Vec<String>,
     /// The archive to fetch, if anything is missing.
     pub archive: Option<String>,
@@ -201,16 +201,16 @@ pub struct ReleaseFindings {
 pub struct Part {
     /// Folder or file.
     pub name: String,
-    /// Files of it that were found.
+    /// Number of its files that were found.
     pub files: u64,
-    /// Files that were published.
+    /// Number of its files that were published.
     pub published: u64,
 }
 
 /// Estimate of an ingest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Estimate {
-    /// Motions.
+    /// Number of motions.
     pub clips: u64,
     /// Frames of the dataset at 20 fps.
     pub frames: u64,

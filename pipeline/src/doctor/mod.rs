@@ -1,5 +1,5 @@
-//! Diagnosis of sources before ingesting: what is there and what is missing. Of motions only names and
-//! first bytes are read, but captures of markers, whose labels and unit decide whether they give motions.
+//! Diagnosis of sources before ingesting: present and missing files. Only names and first bytes of motions are read.
+//! Captures of markers are read whole, because their labels and unit decide whether they give motions.
 
 mod advice;
 mod amass;
@@ -214,7 +214,7 @@ fn seconds_in(format: Format, bytes: u64) -> f64 {
     bytes as f64 / format.bytes_per_second()
 }
 
-/// A listed file and what its first bytes say.
+/// A listed file, and what its first bytes identify.
 struct Looked {
     relative: String,
     path: PathBuf,

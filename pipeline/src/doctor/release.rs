@@ -26,7 +26,7 @@ const MOTIONFIX_PARTS: [(&str, u64); 4] = [
     ("splits.json", 1),
 ];
 
-/// Whether a file is a motion of the STANCE release, by where it lies.
+/// Whether the path of a file is that of a motion of the STANCE release.
 pub(super) fn is_stance(relative: &str) -> bool {
     let motion_folders = &STANCE_PARTS[..3];
     relative.ends_with(".pkl")

@@ -57,7 +57,7 @@ impl Files {
         })
     }
 
-    /// AMASS archives, named as those of the release, at the rate of recordings.
+    /// AMASS archives at the rate of recordings, named like those of the release.
     pub(super) fn amass(clips: &Clips) -> Result<Self, Error> {
         Self::new(clips, "npz", amass_stem, |row, skeleton| {
             let motion = formats::write::amass::at_rate_of_recordings(&row.motion()?)?;

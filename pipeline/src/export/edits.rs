@@ -83,7 +83,7 @@ pub fn export_edits(
     let named: Vec<(String, Clip<'_>)> = clips
         .into_iter()
         .map(|clip| {
-            // Files of AMASS end as those of its release do.
+            // AMASS files have the suffix of AMASS's release.
             let name = match layout {
                 Layout::Amass => {
                     format!("{}.{extension}", amass_stem(&clip.stem, &mut taken))
@@ -179,7 +179,7 @@ fn clips<'a>(
     Ok(clips)
 }
 
-/// The folder of a system: its name, in one piece.
+/// The folder of a system: its name as one component of a path.
 fn folder_of(system: &str) -> String {
     safe_path(&system.replace('/', "_"))
 }

@@ -42,7 +42,7 @@ pub(super) struct Form {
     std: &'static str,
     /// Folders of split lists, with the numbers of frames of the clips in them.
     lists: &'static [(&'static str, RangeInclusive<usize>)],
-    /// Clips are named by their ids, captions are plain lines, and a list `all.txt` joins those of the splits.
+    /// Whether clips are named by their ids, captions are plain lines, and a list `all.txt` joins those of the splits.
     /// Otherwise names and captions are those of HumanML3D.
     is_plain: bool,
 }
@@ -77,7 +77,7 @@ pub(super) const MOTIONMILLION: Form = Form {
     is_plain: true,
 };
 
-/// HY-Motion, of whose training folders only the statistics are published.
+/// HY-Motion. Of its training folders, only the statistics are published.
 pub(super) const HY_MOTION: Form = Form {
     mean: "stats/Mean.npy",
     std: "stats/Std.npy",
@@ -134,7 +134,7 @@ impl<const WIDTH: usize> ByClip for FeatureFolder<WIDTH> {
                 .map(|caption| caption.text.replace(['\r', '\n'], " ") + "\n")
                 .collect(),
         };
-        // A loader opens the text of every clip, and passes a clip over whose text is empty.
+        // A loader opens the text of every clip, and skips a clip whose text is empty.
         file(folder, &format!("texts/{name}.txt"), lines.as_bytes())?;
         Ok(None)
     }

@@ -1,4 +1,4 @@
-//! How each layout is written.
+//! Writers of the layouts.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use crate::clips::Clips;
 
 pub(super) enum Form {
     ByClip(Box<dyn ByClip>),
-    /// Compute all of them together, because they depend on each other.
+    /// Writes all clips together, because they depend on each other.
     Whole(fn(&Clips, &Path, &dyn Progress) -> Result<Exported, Error>),
 }
 

@@ -21,12 +21,11 @@ use pickle::npy;
 
 /// A HumanML3D folder.
 ///
-/// Features that the dataset holds are written as they are. Others are computed: a clip of `L` frames has
-/// `L - 1` frames of features and joints, as published. Clips whose id is not of
-/// HumanML3D get a running number of six digits; `ids.csv` lists these numbers, why a clip was left
-/// out, and its licence. Captions made from file names are left out, because the layout has no room for
-/// their origin. Captions without tokens get their words as tokens with the tag `OTHER`, because loaders of this
-/// layout need tokens.
+/// Features that the dataset holds are written as they are. Others are computed: a clip of `L` frames has `L - 1`
+/// frames of features and joints, as published. Clips whose id is not of HumanML3D get a running number of six digits;
+/// `ids.csv` lists these numbers, why a clip was left out, and its licence. Captions made from file names are left out,
+/// because the layout cannot store their origin. Captions without tokens get their words as tokens with the tag
+/// `OTHER`, because loaders of this layout need tokens.
 ///
 /// Joints are those of a SMPL body, as in the published set: with SMPL's bone directions at rest, and the
 /// bone lengths of the dataset's body until the recipe sets its own.
@@ -203,7 +202,7 @@ pub(super) fn names(clips: &Clips) -> Result<BTreeMap<String, String>, Error> {
     Ok(names)
 }
 
-/// Every motion's id and that of the motion it mirrors; no other column is read.
+/// The id of every motion, and the id of the motion that it mirrors. No other column is read.
 pub(super) fn ids(clips: &Clips) -> Result<Vec<(String, Option<String>)>, Error> {
     let mut ids = Vec::new();
     for shard in clips.shards(None) {
@@ -292,7 +291,7 @@ mod tests {
         let stored = points(&at("out/new_joints/000000.npy"));
         assert_eq!(stored.len(), 59 * NUM_BODY_JOINTS, "one frame less");
         for (stored, processed) in stored.iter().zip(processed.as_flattened()) {
-            // Positions in f32, of which the root is a sum of 60 velocities.
+            // Tolerance of positions in f32, where the root is a sum of 60 velocities.
             assert!((*stored - *processed).length() < 1e-5);
         }
         assert_eq!(
@@ -354,7 +353,7 @@ mod tests {
         };
         assert_eq!(array("Mean.npy").shape, [263]);
         let std = array("Std.npy").values;
-        // One spread for each group of features.
+        // All features of a group have one deviation.
         assert!(std[4..67].iter().all(|&value| value == std[4]));
     }
 }

@@ -28,7 +28,7 @@ use work::{NewFolder, is_occupied};
 
 pub(crate) const JOB: &str = "export";
 
-/// Folder of the pieces among what is staged.
+/// Folder of the pieces, within the staging folder.
 const PIECES: &str = "pieces";
 
 #[derive(Serialize, Deserialize)]
@@ -245,7 +245,7 @@ impl Export {
 struct Written {
     clips: u64,
     notes: Vec<Note>,
-    /// Result of an export in one piece. Pieces of earlier versions have none.
+    /// Result of an export in one piece. Pieces of earlier versions do not have it.
     #[serde(default)]
     whole: Exported,
 }
@@ -345,7 +345,7 @@ impl Job for Export {
         let mut notes = Vec::new();
         let mut done = Exported::default();
         for Finished { piece, made } in pieces {
-            // A layout has no table of what is missing.
+            // A layout cannot record that clips are missing, so a failed piece fails the export.
             let made = made.map_err(|Failed { code, reason }| work::Error::Job {
                 code,
                 reason: format!(

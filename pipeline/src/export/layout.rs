@@ -1,4 +1,4 @@
-//! The layouts to export to, and what is said of an export before it begins.
+//! The layouts to export to, and warnings before an export.
 
 use datasets_spec::record::CAPTION_BY_RULE;
 use datasets_spec::table::Caption;

@@ -26,7 +26,7 @@ pub struct Exported {
     pub left_out: Counts,
     /// Items in this program's own files beside the published layout.
     pub beside: Counts,
-    /// Partial folders beside it of another machine, which may be at work on them.
+    /// Partial folders of another machine beside the output; that machine may still be writing them.
     pub left_by_others: Vec<PathBuf>,
 }
 
@@ -51,7 +51,7 @@ impl Exported {
         Ok(())
     }
 
-    /// Adds what another part of the same export says.
+    /// Adds the result of another part of the same export.
     pub(super) fn add(&mut self, other: Self) {
         self.clips += other.clips;
         for (name, count) in other.left_out {
@@ -64,7 +64,7 @@ impl Exported {
     }
 }
 
-/// Adds a number; nothing is said of none.
+/// Adds a count, unless it is 0.
 pub(super) fn put(counts: &mut Counts, name: &str, count: u64) {
     if count > 0 {
         *counts.entry(name.to_owned()).or_default() += count;
@@ -113,8 +113,8 @@ fn held(layout: Layout) -> Vec<&'static str> {
     }
 }
 
-/// The rate to which a layout brings every motion, if it has one. The frames that a clip of another rate has do not come
-/// back.
+/// The rate to which a layout resamples every motion, if it has one. The original frames of clips of other rates are
+/// lost.
 fn rate(layout: Layout) -> Option<Fps> {
     match layout {
         Layout::HumanMl3d | Layout::Stance => Some(Fps::STORE),
@@ -195,7 +195,7 @@ fn left_out(layout: Layout, clips: &Clips) -> Result<Counts, Error> {
     Ok(counts)
 }
 
-/// The captions of the clips of a file, and whether each was made from a file name.
+/// The captions of the clips of a file, each with whether it was made from a file name.
 fn said(shard: &Shard) -> impl Iterator<Item = (Caption, bool)> {
     let captions = newer::<Vec<Caption>>(shard, "captions").into_iter();
     let mut origins = newer::<Vec<String>>(shard, "caption_origins").into_iter();
@@ -212,7 +212,7 @@ fn said(shard: &Shard) -> impl Iterator<Item = (Caption, bool)> {
     })
 }
 
-/// Counts the captions of a file that have no place, and what is lost of the others.
+/// Counts the captions of a file that a layout cannot hold, and the lost parts of the others.
 fn captions(shard: &Shard, layout: Layout, counts: &mut Counts) {
     let held = held(layout);
     for (caption, is_made) in said(shard) {

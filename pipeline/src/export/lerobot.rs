@@ -87,7 +87,7 @@ struct Writer<'a> {
     task_places: BTreeMap<String, usize>,
     num_episodes: usize,
     episodes: Vec<Episode>,
-    /// Frames waiting for their file, with episode, frame and task.
+    /// Frames to be written to the next file; `places` holds the episode, frame and task of each.
     states: Vec<[f32; STATE_WIDTH]>,
     places: Vec<[usize; 3]>,
     files: usize,
@@ -163,7 +163,7 @@ impl<'a> Writer<'a> {
         let places = (0..states.len()).map(|frame| [index, frame, task]);
         self.places.extend(places);
         self.states.extend(states);
-        // An episode lies in one file.
+        // An episode is not split over files.
         if self.states.len() >= FILE_FRAMES {
             self.write_frames()?;
         }
@@ -266,7 +266,7 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// The rate as it was written: 29.97 is stored in single precision, and is not 29.969999313354492.
+/// The rate as it was stated: 29.97 is stored in single precision, and must not become 29.969999313354492.
 fn rate(fps: Option<f32>) -> f64 {
     let fps = fps.unwrap_or(1.0);
     fps.to_string().parse().unwrap_or(f64::from(fps))
@@ -350,7 +350,7 @@ fn texts_column<'a>(lists: impl Iterator<Item = Vec<&'a str>>) -> ArrayRef {
     Arc::new(column.finish())
 }
 
-/// The text is the index of the tasks for pandas, by which LeRobot looks tasks up.
+/// Makes the text the pandas index of the tasks, because LeRobot looks up tasks by text.
 fn tasks_index() -> HashMap<String, String> {
     let column = |name: &str, kind: &str, numpy: &str| {
         json!({

@@ -2,9 +2,9 @@
 //!
 //! `motionfix.pth.tar` holds the triplets of all splits, `motionfix_val.pth.tar` and `motionfix_test.pth.tar` those of
 //! one; `splits.json` lists the keys of each split. A dump is a dictionary from keys to `motion_source`,
-//! `motion_target` ([`Parameters`], with a `timestamp`) and `text`. A pair that was read from MotionFix keeps its key of
-//! six digits; the others have fifteen, drawn from their content, so that the keys of two exports do not meet.
-//! `ids.csv` says what each key is.
+//! `motion_target` ([`Parameters`], with a `timestamp`) and `text`. A pair that was read from MotionFix keeps its key
+//! of six digits; the others have fifteen, drawn from their content, so that the keys of two exports do not collide.
+//! `ids.csv` lists the triplet of each key.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -52,11 +52,11 @@ impl Side {
     }
 }
 
-/// Writes the recorded triplets of a dataset, or else its items with a target, to a new folder.
+/// Writes the recorded triplets of a dataset, or, if there are none, its items with a target, to a new folder.
 ///
 /// # Errors
-/// There are none, the folder exists and is not empty, the dataset cannot be read, or writing fails; nothing is left
-/// behind then.
+/// There are no triplets and no such items, the folder exists and is not empty, the dataset cannot be read, or writing
+/// fails; nothing is left behind then.
 pub fn export_triplets(
     dataset: &Dataset,
     out: &Path,
@@ -102,8 +102,8 @@ fn none(dataset: &Dataset) -> Error {
     Error::NoTriplets(dataset.root().to_owned())
 }
 
-/// Writes the pairs whose motions are both among the clips. A style pair without words gets those of its style; other
-/// pairs without words are left out.
+/// Writes the pairs whose motions are both among the clips. A style pair without an instruction gets one made from its
+/// style; other pairs without an instruction are left out.
 pub(super) fn write(
     clips: &Clips,
     folder: &Path,
@@ -256,9 +256,9 @@ struct Writer<'a> {
     of_split: BTreeMap<Split, Dump>,
     splits: BTreeMap<&'static str, Vec<String>>,
     ids: csv::Writer<Vec<u8>>,
-    /// Keys that no key made here may be.
+    /// Keys that new triplets must not get.
     taken: BTreeSet<String>,
-    /// Published keys that have their pair.
+    /// Published keys that are already used for a pair.
     used: BTreeSet<String>,
     /// Triplets that were left out, because they have no words.
     wordless: u64,
@@ -366,7 +366,7 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// A key by what the triplet is: the same in every export of it, and no other triplet's.
+    /// Makes a key from the content of a triplet: the same in every export, and used by no other triplet.
     fn new_key(&mut self, triplet: &Triplet) -> String {
         let mut hasher = blake3::Hasher::new();
         let mut take = |part: &str| {
@@ -387,7 +387,7 @@ impl<'a> Writer<'a> {
             if self.taken.insert(key.clone()) {
                 return key;
             }
-            // The same triplet twice.
+            // The same triplet occurs twice.
             hasher.update(b"again");
         }
     }
@@ -411,7 +411,7 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// Rows that may have a key of their own.
+/// Rows that may have a published key.
 trait Keyed {
     fn key(&self) -> Option<&str> {
         None
@@ -448,7 +448,7 @@ mod tests {
         ingested_with(&options, source, out)
     }
 
-    /// A dump of two pairs, of which one has no words.
+    /// A dump of two pairs, one of which has no words.
     fn dump() -> Vec<u8> {
         let skeleton = Skeleton::smplx_neutral();
         let side = |frames: usize| {
@@ -514,7 +514,7 @@ mod tests {
                     let (before, after) = (numbers(&before), numbers(&after));
                     assert_eq!(before.len(), after.len(), "{side} {key}");
                     for (a, b) in before.iter().zip(after) {
-                        // Through the store's axes and floor, in f32.
+                        // Tolerance of the conversion to the store's axes and floor, in f32.
                         assert!((a - b).abs() < tolerance, "{side} {key}: {a} and {b}");
                     }
                 }

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeSet;
 
-/// Bytes of a name in a path. File systems take 255; a layout adds an ending, and the names of its other files.
+/// Maximum bytes of a path component. File systems take 255; layouts add suffixes.
 const MAX_NAME: usize = 200;
 
-/// Whether a name in the path of an id is cut short: its beginning is followed by a hash of all of it, so that two names
-/// stay two.
+/// Whether a component of an id's path is shortened: its beginning is followed by a hash of the whole component, so
+/// that different names stay different.
 pub(super) fn is_shortened(id: &str) -> bool {
     id.split('/').any(|part| part.len() > MAX_NAME)
 }

@@ -1,7 +1,7 @@
 //! The layout of the STANCE release: pickles of 20 fps and the lists that go with them.
 //!
-//! The release numbers its files by HumanML3D's clips. Other motions get higher numbers. What the layout has no place for
-//! (ids, splits, captions, and masks and pairs as the dataset has them) is in `origin.json`, `masks.jsonl` and
+//! The release numbers its files by HumanML3D's clips. Other motions get higher numbers. Data that the layout cannot
+//! hold (ids, splits, captions, and masks and pairs as the dataset has them) is in `origin.json`, `masks.jsonl` and
 //! `pairs.jsonl`, which the reader of this crate uses and other readers may ignore.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -25,9 +25,9 @@ use pickle::{self, Array, Value};
 
 /// Writes the motions, pairs and masks of a dataset into an empty folder.
 ///
-/// The layout of the release has no place for semantic pairs, for some styles of styles, for masks without named parts
-/// and for those of other motions than base motions: [`Exported::beside`] counts them. All masks and pairs are in files
-/// of this program. Motions of other rates than 20 fps are resampled.
+/// The layout of the release cannot hold semantic pairs, some styles of styled motions, masks without named parts, and
+/// masks of motions that are not base motions: [`Exported::beside`] counts them. All masks and pairs are in files of
+/// this program. Motions of other rates than 20 fps are resampled.
 pub(super) fn write(
     clips: &Clips,
     folder: &Path,
@@ -80,7 +80,7 @@ pub(super) fn write(
 struct Labels {
     ids: BTreeSet<String>,
     masks: Vec<MaskRow>,
-    /// Pairs of which both motions are chosen.
+    /// Pairs whose motions are both chosen.
     pairs: Vec<PairRow>,
 }
 

@@ -50,7 +50,7 @@ fn exported_amass_archives_come_back() {
     assert!(after.notes.iter().any(|note| note.contains("SMPL-X N")));
     for frame in 0..before.transl.len() {
         for axis in 0..3 {
-            // The floor is found anew: f32 in the store, in metres.
+            // The floor is estimated again from positions in f32, in metres.
             let apart = before.transl[frame][axis] - after.transl[frame][axis];
             assert!(apart.abs() < 1e-6, "{apart}");
         }

@@ -11,9 +11,9 @@ use super::list::labelled;
 use super::plan::Plan;
 
 impl Plan {
-    /// A file that was not planned and may say something about some motions: one beside a motion, or one of its
-    /// folders. Beside a file that is a source of its own nothing is listed when it is planned, and so nothing is
-    /// looked for; a release reads the files that were listed.
+    /// Finds a file that was not planned and may label some motions: a file beside a motion, or in a folder above one.
+    /// Nothing is searched for motions that were given as single files, because their neighbours were not listed when
+    /// they were planned. A release reads only the files that were listed.
     pub(super) fn added(&self, items: &[Item<'_>]) -> Option<PathBuf> {
         let mut looked = BTreeSet::new();
         for item in items {
@@ -56,8 +56,8 @@ impl Plan {
         source.map(|source| source.label.label.as_str())
     }
 
-    /// Whether something of this name was listed. File systems that do not tell upper from lower case find a file
-    /// by other names than the one it was listed by.
+    /// Whether something of this name was listed. Case-insensitive file systems find a file by other names than the
+    /// listed one.
     fn is_known(&self, file: &str) -> bool {
         let special = || self.skipped.iter().map(|row| row.path.as_str());
         let mut listed = self.files.all().chain(special());

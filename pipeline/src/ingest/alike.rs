@@ -1,7 +1,7 @@
 //! Motions that are equal or nearly so share a split, whatever their files.
 //!
-//! Which are is known once they are read. Of every motion a few numbers are kept in memory; frames are read again only
-//! for motions whose numbers are nearly equal.
+//! Which motions are alike is known once they are read. A few numbers of every motion are kept in memory; frames are
+//! read again only for motions whose numbers are nearly equal.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
@@ -29,12 +29,12 @@ pub struct AlikeClips {
     pub splits: Vec<Split>,
 }
 
-/// The motions of a run that are like others.
+/// The motions of a run that are equal or nearly equal to others.
 #[derive(Default)]
 pub(super) struct Alike {
-    /// The class of each motion that is like another, by id.
+    /// The class of each of these motions, by id.
     classes: BTreeMap<String, usize>,
-    /// Splits of classes with a clip that stays: that of the first one.
+    /// Splits of the classes in which a clip stays: the split of the first such clip.
     splits: BTreeMap<usize, Split>,
     /// Classes in which motions are only nearly equal.
     near: BTreeSet<usize>,
@@ -185,12 +185,12 @@ fn numbers_of(path: &Path, file: usize) -> Result<(Vec<Numbers>, Vec<String>), E
     Ok((numbers.collect(), contents))
 }
 
-/// Whether two coordinates of centres are those of motions that may be nearly equal.
+/// Whether one coordinate of two centres is close enough for nearly equal motions.
 fn is_near(a: f32, b: f32) -> bool {
     f64::from((a - b).abs()) <= TOLERANCE_M
 }
 
-/// Whether two motions may be nearly equal by their numbers.
+/// Whether two motions may be nearly equal, judged by their numbers.
 fn may_be_near(a: &Numbers, b: &Numbers) -> bool {
     let centres = a.centre.zip(b.centre);
     a.num_frames.abs_diff(b.num_frames) <= 1
@@ -249,7 +249,7 @@ impl Files {
         Ok(made.into_iter().flatten().collect())
     }
 
-    /// Computes the centres that files of older formats lack, of clips that are as long as one that was made.
+    /// Computes the centres that files of older formats lack, for clips as long as one of the new motions.
     fn fill_centres(
         &self,
         all: &mut [Numbers],
@@ -274,7 +274,7 @@ impl Files {
         Ok(())
     }
 
-    /// Unites motions that are nearly equal, one of which at least was made in this run, and returns one of each pair.
+    /// Unites motions that are nearly equal, at least one of which was made in this run, and returns one of each pair.
     fn unite_near(
         &self,
         all: &[Numbers],
@@ -342,8 +342,8 @@ impl<'a> Order<'a> {
         places.map(|place| self.places[place].1)
     }
 
-    /// Calls `meet` for each pair of motions whose numbers are nearly equal, if this run made at least one of them. Its
-    /// arguments are the first place that a later call may name, and the two places in ascending order.
+    /// Calls `meet` for each pair of motions whose numbers are nearly equal, if this run made at least one of them. The
+    /// arguments of `meet` are the first place that a later call may name, and the two places in ascending order.
     fn neighbours(
         &self,
         mut meet: impl FnMut(usize, [usize; 2]) -> Result<(), Error>,
@@ -390,8 +390,8 @@ struct Window<'a> {
 }
 
 impl Window<'_> {
-    /// The distance of the motions at two places; none where their lengths differ. Those before `start` are not asked
-    /// for again.
+    /// The distance of the motions at two places; none where their lengths differ. Sketches of places before `start`
+    /// are dropped, because later calls do not name them.
     fn distance(&mut self, start: usize, [a, b]: [usize; 2]) -> Result<Option<f64>, Error> {
         while self.coming.front().is_some_and(|place| *place <= b) {
             self.held = self.held.split_off(&start);

@@ -1,4 +1,4 @@
-//! Motions of a plan that are dealt into shards.
+//! Distribution of the motions of a plan over shards.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -37,8 +37,8 @@ pub(super) struct Dealt {
 pub(super) type Shards<'a> = Vec<(ShardName, Vec<Item<'a>>)>;
 
 impl Plan {
-    /// Deals the motions that are read into shards by split. `before` is the number of shards of a split that
-    /// are written before them.
+    /// Distributes the motions that are read over shards, by split. `before` is the number of shards of each split that
+    /// precede them.
     pub(super) fn deal(&self, before: &BTreeMap<Split, usize>) -> Vec<Dealt> {
         let mut by_split: BTreeMap<Split, Vec<Placed>> = BTreeMap::new();
         let mut seen = BTreeSet::new();

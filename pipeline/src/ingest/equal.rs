@@ -14,8 +14,8 @@ use crate::Error;
 use crate::clip_table::ClipRow;
 
 /// Moves rows to the splits that `moves` gives their motions. `shards` are those of motions that were staged, and
-/// `files` the tables that they belong to; `of` counts the shards of every split. Staged files stay as they are, so that
-/// this can be done again.
+/// `files` the tables that they belong to; `of` counts the shards of every split. Staged files stay as they are, so
+/// that this step can be repeated.
 pub(super) fn move_rows(
     (transaction, staging): (&Transaction, &Staging),
     shards: &[(ShardName, FileEntry)],

@@ -126,7 +126,7 @@ impl<'a> Fates<'a> {
         (0..self.fates.len()).all(|index| self.stays(index))
     }
 
-    /// The shards of which some clips stay and others do not, with those that stay.
+    /// The shards of which only some clips stay, each with the clips that stay.
     fn broken(&self) -> Vec<(usize, BTreeSet<&'a str>)> {
         let mut staying: BTreeMap<usize, BTreeSet<&str>> = BTreeMap::new();
         let mut broken = BTreeSet::new();
@@ -156,9 +156,9 @@ impl<'a> Fates<'a> {
         counts
     }
 
-    /// The files of the clips that stay. Shards of which all clips stay are kept; of others, the rows that stay are
-    /// written anew: under the number that was planned for the shard, or behind all others where none of its clips
-    /// was planned to stay. `of` is the number of shards by split that this run writes.
+    /// The files of the clips that stay. Shards of which all clips stay are kept. Of other shards, the rows that stay
+    /// are written again: under the number that was planned for the shard, or after all others if none of its clips was
+    /// planned to stay. `of` is the number of shards by split that this run writes.
     pub(super) fn shards(
         &self,
         transaction: &Transaction,
@@ -277,7 +277,7 @@ impl Plan {
 /// Clips that stay, with the numbers of their sources.
 type Staying<'a> = BTreeMap<&'a str, usize>;
 
-/// Writes rows of recorded shards anew.
+/// Writes rows of recorded shards again.
 struct Rewriter<'a> {
     recorded: &'a Recorded,
     transaction: &'a Transaction,

@@ -44,7 +44,7 @@ pub struct Forecast {
 pub struct SourceForecast {
     /// Name of the source.
     pub name: String,
-    /// Whether the dataset does not have it yet.
+    /// Whether the source is new to the dataset.
     pub is_new: bool,
     /// Files without a motion.
     pub skipped: u64,
@@ -62,17 +62,18 @@ pub struct SourceForecast {
     pub equal: Vec<String>,
     /// Clips whose files are missing; the clips stay in the dataset.
     pub missing: Vec<String>,
-    /// Clips whose files exist and no longer give them. They stay.
+    /// Clips whose files exist and no longer give them; the clips stay in the dataset.
     pub kept_unusable: Vec<String>,
-    /// Clips that would leave.
+    /// Clips that would be removed.
     pub pruned: Vec<String>,
 }
 
-/// Tells what [`ingest`](super::ingest) would do with the same arguments. Nothing is written, and nothing is locked.
+/// Forecasts the result of [`ingest`](super::ingest) with the same arguments. Nothing is written, and nothing is
+/// locked.
 ///
 /// # Errors
-/// A source does not exist, it cannot be known which one it is, or the dataset cannot be read. What would make the run
-/// refuse beside this is told in [`Forecast::refusals`].
+/// A source does not exist or is ambiguous, or the dataset cannot be read. Other reasons to refuse the run are in
+/// [`Forecast::refusals`].
 pub fn forecast<S: Clone + Into<SourceArg>>(
     sources: &[S],
     out: &Path,

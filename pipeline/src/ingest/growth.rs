@@ -25,13 +25,13 @@ pub struct Growth {
     pub pruned: Vec<String>,
     /// Masks and pairs that stay.
     pub labels: BTreeMap<String, u64>,
-    /// Masks and pairs that are lost, with the reason. The version before keeps them.
+    /// Masks and pairs that are lost, with the reason. The previous version keeps them.
     pub lost: Vec<LostLabel>,
     /// Tables that were composed of changed or removed clips; their commands make them again.
     pub dropped_tables: Vec<String>,
 }
 
-/// A mask or pair whose clip changed or went.
+/// A mask or pair whose clip changed or was removed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct LostLabel {
     /// The table: masks or pairs.

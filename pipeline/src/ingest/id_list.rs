@@ -36,7 +36,7 @@ impl IdList {
         }
     }
 
-    /// Parses a list: one id, source file or pattern of them (`*` any characters, `?` one) a line. What follows a `#` at
+    /// Parses a list: one id, source file or pattern of them (`*` any characters, `?` one) a line. Text after a `#` at
     /// the beginning of a line, or behind white space, is a comment.
     pub fn parse(text: &str) -> Self {
         let lines = text.trim_start_matches('\u{feff}').lines().zip(1..);
@@ -51,7 +51,7 @@ impl IdList {
         Self { lines, names }
     }
 
-    /// BLAKE3 of what the lines name, hexadecimal.
+    /// BLAKE3 of the listed names and patterns, hexadecimal.
     pub(super) fn hash(&self) -> String {
         let mut hasher = blake3::Hasher::new();
         for name in &self.names {
@@ -77,7 +77,7 @@ impl IdList {
             || patterns.any(|(_, line)| names.iter().any(|name| matches(line, name)))
     }
 
-    /// The lines that name no clip of these names, by number.
+    /// The lines that match none of these names, with their numbers.
     pub(super) fn unmatched(&self, names: &BTreeSet<String>) -> Vec<(u64, &str)> {
         let lines = self.lines.iter().filter(|(_, line)| {
             let is_named = || names.iter().any(|name| matches(line, name));

@@ -18,9 +18,9 @@ use crate::versions::taken_out;
 impl Plan {
     /// Finds the motions that the dataset has, and gives the others ids.
     ///
-    /// A motion is the clip that was read from the same path, else the one whose file had the same content in the same
-    /// source and is no longer where it was. Motions that the dataset quarantined or skipped are so again while
-    /// nothing they are read from has changed.
+    /// A motion is the clip that was read from the same path, otherwise the clip of the same source whose file had the
+    /// same content and is no longer at its path. Motions that the dataset quarantined or skipped are refused again as
+    /// long as none of their inputs has changed.
     pub(super) fn identify(&mut self, recorded: &Recorded, same_settings: bool) {
         // A clip whose file cannot be read now stays unchanged.
         let (sources, remarks) = (&self.sources, &mut self.remarks);
@@ -49,7 +49,8 @@ impl Plan {
 
     /// Takes over the rows of items that were quarantined or skipped and have not changed.
     fn refuse_again(&mut self, items: &mut Vec<Planned>, recorded: &Recorded) {
-        // Items that could not be read may be readable now. If a piece failed, most of its motions are not the cause.
+        // Items that could not be read may be readable now. A failed piece may have failed because of one of its
+        // motions, so all are tried again.
         let quarantine = recorded.quarantine.iter();
         let quarantine = quarantine.filter(|row| row.code != "E-IO" && row.stage != PIECE_STAGE);
         let quarantine: BTreeMap<(&str, &str), &QuarantineRow> = quarantine
@@ -117,8 +118,8 @@ impl Plan {
         }
     }
 
-    /// Files that lie elsewhere in their source than before, with the paths where they lay. A file is one that was
-    /// recorded if its content is, nothing lies at the recorded path, and no other file could be meant.
+    /// Files that moved within their source, with their previous paths. A file is taken for a recorded one if it has
+    /// the same content, nothing lies at the recorded path, and the match is unique.
     fn moved_files(&self, items: &[Planned], recorded: &Recorded) -> BTreeMap<String, String> {
         let known: BTreeSet<&str> = recorded
             .clips
@@ -194,11 +195,10 @@ impl Plan {
 
     /// Draws or takes over the split of every motion.
     ///
-    /// The user's own lists and labels decide first; then a clip keeps the split it has, then that of a
-    /// published list. Motions of one group, and those
-    /// whose files are equal, share a split: that of the first of them that has one, else the one drawn
-    /// from the smallest of their keys. A key depends on neither the label of the source nor the files
-    /// beside it, so that growth cannot change it.
+    /// The user's own lists and labels decide first; then a clip keeps the split it has; then a published list decides.
+    /// Motions of one group, and motions whose files are equal, share a split: that of the first of them that has one,
+    /// otherwise the one drawn from the smallest of their keys. A key depends on neither the label of the source nor
+    /// the files beside it, so that growth cannot change it.
     pub(super) fn assign_splits(&mut self, recorded: &Recorded, seed: Seed) {
         let splits = self.splits(recorded, seed, &Alike::default());
         for (item, split) in self.items.iter_mut().zip(splits) {
@@ -292,14 +292,15 @@ impl Plan {
             .collect()
     }
 
-    /// The releases of the same format before one.
+    /// Number of releases of the same format that come before one.
     fn number_in_format(&self, release: usize) -> usize {
         let format = self.releases[release].0;
         let before = self.releases[..release].iter();
         before.filter(|(other, _)| *other == format).count()
     }
 
-    /// The label of a clip that its split is drawn from; none if it has none, or splits are drawn by clip.
+    /// The label of a clip that its split is drawn from; none if the clip has no such label, or splits are drawn by
+    /// clip.
     fn split_label(&self, item: &Planned) -> Option<String> {
         match self.split_by {
             SplitBy::Clip => None,
@@ -336,14 +337,14 @@ impl Plan {
         }
     }
 
-    /// Key of the drawn split, for clips without a published one.
+    /// Key from which the split of a clip without a published split is drawn.
     pub(super) fn split_key(&self, item: &Planned) -> String {
         if let Some(key) = self.split_label(item).or_else(|| item.group.clone()) {
             return key;
         }
         match item.release {
-            // Two releases of one clip share a split: the id prefix is left out. Two of one format are other clips
-            // of the same names, unless their content is equal.
+            // A clip in releases of two formats has one split, so the id prefix is left out. Two releases of one format
+            // hold different clips under the same names, unless their content is equal.
             Some(release) => {
                 let id = &item.entry.id;
                 let clip =
@@ -362,12 +363,13 @@ impl Plan {
 /// Separator between a release's number among those of its format and a key. Names have no control characters.
 const AMONG_RELEASES: char = '\u{1f}';
 
-/// Text that the split of a key is drawn from; it is the same whether its release is alone or one of several.
+/// Text that the split of a key is drawn from. It is the same whether the release of the key is the only one or one of
+/// several.
 fn drawn_by(key: &str) -> &str {
     key.rsplit(AMONG_RELEASES).next().unwrap_or(key)
 }
 
-/// Whether a motion of a file is the one a clip was read from, if the file is.
+/// Whether a motion is the one that a clip was read from, given that the file is the same.
 fn is_same_motion(item: &Planned, clip: &RecordedClip) -> bool {
     let id = clip.id.as_str();
     match item.release {
@@ -440,7 +442,7 @@ fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
     }
 }
 
-/// Keys, some of which are united.
+/// Keys in disjoint groups (union-find).
 #[derive(Default)]
 struct Groups {
     names: Vec<String>,

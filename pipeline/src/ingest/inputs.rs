@@ -22,11 +22,11 @@ const SPEAK_OF_ALL_BELOW: [&str; 7] = [
 /// Extensions of label files that apply to the motion of the same name.
 const ENDS_OF_LABELS: [&str; 2] = [".json", ".txt"];
 
-/// What single files are read from, by file. `motions` are the files with motions and `others` those without.
+/// The files that each single file with motions is read from. `motions` are the files with motions and `others` those
+/// without.
 ///
-/// A file without a motion may say something about the motion with its name. Other files than labels may be
-/// read by any motion of their folder; those in a folder without motions belong to the next folder above
-/// that has some.
+/// A file without a motion may label the motion with its name. Files that are not labels may be read by any motion of
+/// their folder; files in a folder without motions belong to the next folder above that has motions.
 pub(super) fn files_of_single<'a>(
     motions: &BTreeSet<&'a str>,
     others: &BTreeSet<&'a str>,
@@ -59,7 +59,7 @@ pub(super) fn files_of_single<'a>(
         if let Some(own) = own {
             of_stem.entry((folder, own)).or_default().push(file);
         } else if is_label {
-            // Labels of a motion that is not there.
+            // Labels of a motion that does not exist.
         } else if let Some(folder) = above(folder).find(|folder| stems.contains_key(folder)) {
             of_folder.entry(folder).or_default().push(file);
         }
@@ -84,7 +84,7 @@ pub(super) fn files_of_single<'a>(
         .collect()
 }
 
-/// Hashes of what single files are read from, by file; see [`files_of_single`].
+/// Hashes of the inputs of single files, by file; see [`files_of_single`].
 pub(super) fn of_single_files<'a>(
     motions: &BTreeSet<&'a str>,
     others: &BTreeSet<&'a str>,
@@ -97,9 +97,9 @@ pub(super) fn of_single_files<'a>(
 }
 
 pub(super) struct FilesOfRelease<'a> {
-    /// By file: it, and those of the same name elsewhere in the release.
+    /// By file: the file, and the files of the same name elsewhere in the release.
     pub(super) own: BTreeMap<&'a str, Vec<&'a str>>,
-    /// Files that have no motion's name: every motion may read them.
+    /// Files that are not named after a motion: every motion may read them.
     pub(super) common: Vec<&'a str>,
 }
 
@@ -132,8 +132,7 @@ pub(super) fn files_of_release(contents: &Contents) -> FilesOfRelease<'_> {
     }
 }
 
-/// Hashes of what the motions of a release are read from, in the order of its entries; see
-/// [`files_of_release`].
+/// Hashes of the inputs of the motions of a release, in the order of its entries; see [`files_of_release`].
 pub(super) fn of_release(contents: &Contents, sources: &BTreeMap<String, Source>) -> Vec<String> {
     let FilesOfRelease { own, common } = files_of_release(contents);
     let common = hash(common.into_iter(), sources);

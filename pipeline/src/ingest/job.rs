@@ -31,12 +31,12 @@ struct Detail {
     split: Split,
     index: usize,
     of: usize,
-    /// Numbers of the sources it is read from.
+    /// Numbers of the files that the piece reads.
     sources: Vec<u32>,
 }
 
-/// Plans an ingestion for any number of processes: every file is listed and hashed, and nothing is read of a motion.
-/// `out` is the folder of the plan.
+/// Plans an ingestion for any number of processes: every file is listed and hashed, but no motion is read. `out` is the
+/// folder of the plan.
 ///
 /// # Errors
 /// As [`ingest`](super::ingest), or the folder of the plan is occupied.
@@ -227,7 +227,7 @@ impl Job for Ingestion {
         let (shard, _) = self.shard(piece)?;
         let items = self.plan.items_of(shard);
         let count = usize::try_from(count).unwrap_or(usize::MAX).max(1);
-        // Spread over the shard, because files that lie together are often alike.
+        // Sample over the whole shard, because neighbouring files are often alike.
         let step = items.len().div_ceil(count).max(1);
         let items: Vec<_> = items.into_iter().step_by(step).collect();
         self.plan.read_items(&items, &self.options, &NoProgress);

@@ -23,7 +23,7 @@ pub(super) struct Labels {
 }
 
 impl Growth {
-    /// Adds what became of the labels.
+    /// Counts the kept and the lost labels.
     pub(super) fn count(&mut self, labels: &Labels) {
         let counts = [
             (MaskRow::TABLE, labels.masks.len()),
@@ -38,12 +38,12 @@ impl Growth {
 }
 
 impl Fates<'_> {
-    /// The labels of clips that are still there. Before the clips are settled, all that are read again are taken to be
-    /// usable.
+    /// The labels of clips that are still there. Before the clips are settled, all clips that are read again are
+    /// assumed to be usable.
     pub(super) fn labels(&self, masks: Vec<MaskRow>, pairs: Vec<PairRow>) -> Labels {
         let mut labels = Labels::default();
         for mask in masks {
-            // Reading the source makes its masks again, and a stage makes those that it derived.
+            // Masks of the source come back when it is read, and a stage derives its own masks again.
             match self.place(&mask.motion_id) {
                 Ok(Place::ReadAgain) if is_mask_of_source(&mask) => {}
                 Ok(_) => labels.masks.push(mask),
@@ -63,7 +63,8 @@ impl Fates<'_> {
         labels
     }
 
-    /// Where the clip of a label is now; if its labels do not apply any more, the clip and what happened to it.
+    /// Where the clip of a label is now. If its labels do not apply any more, the error is the clip and what happened
+    /// to it.
     fn place(&self, id: &MotionId) -> Result<Place, (String, String)> {
         let reason = match self.of_clip(id) {
             Some(Fate::Kept | Fate::Elsewhere | Fate::Missing | Fate::Unusable) => {
@@ -115,7 +116,7 @@ impl Plan {
     /// The rejected items of sources that are not of this run.
     pub(super) fn outside(&self, recorded: &Recorded) -> Outside {
         let is_outside = |name: &str, path: &str| {
-            // The path of one of several motions ends in its key.
+            // For one of several motions of a file, the path ends in the key of the motion.
             let file = path.split_once('#').map_or(path, |(file, _)| file);
             let here = |path| self.sources.contains_key(path) || self.is_of_run(name, path);
             !here(path) && !here(file)
@@ -134,7 +135,7 @@ impl Plan {
         }
     }
 
-    /// Whether this run rejects what is recorded as rejected.
+    /// Whether this run rejects the same items as recorded.
     pub(super) fn has_rejected(&self, recorded: &Recorded, outside: &Outside) -> bool {
         let codes = |rows: &[QuarantineRow]| -> BTreeSet<(String, String, String)> {
             let rows = rows.iter();
@@ -181,7 +182,7 @@ impl Plan {
     }
 }
 
-/// Present id of a clip whose labels are kept.
+/// State of a clip whose labels are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Place {
     Stays,
@@ -189,7 +190,7 @@ enum Place {
 }
 
 impl Labels {
-    /// Brings the labels into the splits of their clips. Pairs whose clips are in two splits now are lost.
+    /// Moves the labels into the splits of their clips. Pairs whose clips are now in two splits are lost.
     pub(super) fn follow(&mut self, splits: &BTreeMap<&str, Split>) {
         for mask in &mut self.masks {
             let split = splits.get(mask.motion_id.as_str());

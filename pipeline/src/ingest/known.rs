@@ -113,7 +113,7 @@ impl Known<'_> {
         Ok((found, remarks))
     }
 
-    /// A recorded source where it can be reached.
+    /// The places of a recorded source that can be read now.
     fn reached(&self, source: &SourceLabel) -> Result<Vec<SourceArg>, Error> {
         let name = &source.name;
         let arg = |place: &str| SourceArg {
@@ -174,7 +174,7 @@ impl Known<'_> {
         sources.map(|source| source.label.as_str())
     }
 
-    /// Paths of the source without a label, as far as there is one.
+    /// Paths of the source without a label, if there is one.
     fn unlabelled_paths<'a>(&'a self, names: &[String], listed: &'a [Listed]) -> Vec<&'a str> {
         let Some(index) = self.labels().position(str::is_empty) else {
             return Vec::new();
@@ -246,7 +246,7 @@ impl Known<'_> {
         Ok(own.to_owned())
     }
 
-    /// A free name for a source that is new, made of the names of its folder and the one above.
+    /// A free name for a new source, made from the names of its folder and the folder above.
     fn other_name(&self, source: &Listed) -> String {
         let is_free = |name: &str| self.source(name).is_none();
         match source.own_name() {
@@ -266,7 +266,7 @@ impl Known<'_> {
         counted.collect::<Vec<_>>().join(", ")
     }
 
-    /// How to say that a place is a recorded source: the one of its name, or any.
+    /// Arguments that state which recorded source a place is: the one of the same name, or any.
     fn answers(&self, own: &str, given: &str) -> String {
         if self.source(own).is_some() {
             return format!("{own}={given}");

@@ -41,7 +41,7 @@ pub(crate) struct Listing {
     pub(crate) unlisted: Vec<(String, String)>,
     /// Archives and members of archives that cannot be used, with the hash of the archive.
     pub(crate) refused: Vec<(String, String, Rejected)>,
-    /// Archives whose members are among the files: these can be read while this is kept.
+    /// Archives whose members are among the files. The members can be read as long as this value is kept.
     pub(crate) archives: Archives,
 }
 
@@ -53,16 +53,16 @@ pub(crate) struct Listed {
     pub(super) name: Option<String>,
     /// The given path; of several files, the first.
     pub(super) given: PathBuf,
-    /// The folder, without links where that can be had, as text.
+    /// The folder as text, with links resolved where possible.
     pub(super) place: String,
     folder: PathBuf,
-    /// Whether all below the folder is listed; else only the files that were given.
+    /// Whether everything below the folder is listed; otherwise only the given files are.
     pub(super) is_whole: bool,
-    /// Names of the files that were given, if not all is listed; archives are among them, and not their members.
+    /// Names of the given files, if only those are listed. Archives are listed here, but not their members.
     given_files: BTreeSet<String>,
     /// Places to record for the source, with their kinds.
     pub(super) places: Vec<(String, Kind)>,
-    /// Folders that are left out because they are datasets, and whether each is the one that is written.
+    /// Folders that are left out because they are datasets, and whether each is the output dataset.
     left_out: BTreeMap<String, bool>,
     pub(super) listing: Listing,
 }
@@ -162,7 +162,7 @@ impl Listed {
 
     pub(super) fn is_there(arg: &SourceArg) -> bool {
         let holds_files = |folder: &Path| {
-            // Whether there is something at a URL is known once it is listed.
+            // A folder at a URL counts as present; listing it shows whether it is.
             is_url(folder) || fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some())
         };
         Located::find(arg)
@@ -332,7 +332,8 @@ pub(super) fn list_given<S: Clone + Into<SourceArg>>(
     list_sources(&sources, Some(out), progress)
 }
 
-/// All files of the sources by their relative path, each behind the label of its source, and those of each source.
+/// All files of the sources by their relative path, prefixed with the label of their source, and the files of each
+/// source.
 pub(crate) fn list_files(sources: &[PathBuf], progress: &dyn Progress) -> Result<Listing, Error> {
     let sources: Vec<SourceArg> = sources.iter().cloned().map(SourceArg::from).collect();
     let listed = list_sources(&sources, None, progress)?;
@@ -342,7 +343,7 @@ pub(crate) fn list_files(sources: &[PathBuf], progress: &dyn Progress) -> Result
     ))
 }
 
-/// Lists every source for itself, with a label that keeps its files apart from those of the others.
+/// Lists every source separately, with a label that keeps its files apart from those of the others.
 pub(crate) fn list_each<'a>(
     sources: &'a [PathBuf],
     progress: &dyn Progress,
@@ -362,8 +363,8 @@ pub(crate) fn list_each<'a>(
         .collect())
 }
 
-/// Labels where nothing is recorded: none for a single source, else the names, with numbers where several places have
-/// one name.
+/// Labels for sources without a record: none for a single source, otherwise the names, with numbers where several
+/// places have one name.
 fn numbered_labels(listed: &[Listed]) -> Vec<String> {
     let places: BTreeSet<&str> = listed.iter().map(|source| source.place.as_str()).collect();
     let mut labels: BTreeMap<&str, String> = BTreeMap::new();
@@ -407,7 +408,7 @@ fn merged(sources: impl IntoIterator<Item = (Listing, String)>) -> Listing {
     merged
 }
 
-/// A path relative to a source, behind the label of the source.
+/// A path relative to a source, prefixed with the label of the source.
 pub(crate) fn labelled(label: &str, name: &str) -> String {
     match label {
         "" => name.to_owned(),
@@ -459,7 +460,7 @@ impl Listing {
         }
     }
 
-    /// Puts the members of archives in the place of these.
+    /// Replaces archives by their members.
     fn open_archives(&mut self, progress: &dyn Progress) -> Result<(), Error> {
         let opened = archive::open_all(&mut self.files, progress)?;
         self.files.extend(opened.files);
@@ -469,7 +470,7 @@ impl Listing {
         Ok(())
     }
 
-    /// Takes an entry that is no folder.
+    /// Adds an entry that is not a folder.
     fn take(&mut self, path: &Path, relative: String, is_file: bool) {
         // A link to a folder could lead back here, and opening a pipe waits for ever. A dangling link
         // is kept, so that reading it reports what is missing.
@@ -526,7 +527,7 @@ pub(super) fn hash_files(
         (relative.clone(), source)
     };
     let hash = || files.par_iter().map(hash).collect();
-    // Files at URLs are waited for, not worked on.
+    // Reading files at URLs is mostly waiting, so use more threads than cores.
     let waiting = rayon::ThreadPoolBuilder::new().num_threads(NUM_REQUESTS);
     let sources: BTreeMap<String, Source> = match waiting.build() {
         Ok(pool) if files.values().any(|(path, _)| is_url(path)) => pool.install(hash),

@@ -1,8 +1,8 @@
 //! From folders of motion files to a committed `motions` dataset.
 //!
-//! The run is planned before any work: every file is listed and hashed, its split drawn and its
-//! shard fixed, so the result depends neither on the order in which threads finish nor on how often
-//! the run was interrupted. A bad file becomes a row of the `quarantine` table and the rest goes on.
+//! The run is planned before any work: every file is listed and hashed, its split drawn and its shard fixed, so the
+//! result depends neither on the order in which threads finish nor on how often the run was interrupted. A bad file
+//! becomes a row of the `quarantine` table and the run continues.
 
 mod added;
 mod alike;
@@ -65,16 +65,14 @@ pub use self::stored::{PlannedMotion, PlannedSource};
 
 /// Reads every motion under `sources` and commits them as a dataset at `out`.
 ///
-/// Run again after an interruption it continues; run again after success it changes nothing. Where the
-/// dataset exists, it grows: only files that are new or changed are read, and clips keep their ids, splits and
-/// labels. Sources that are not given stay as they are, and clips whose files are gone stay unless
-/// [`IngestOptions::prune`] says otherwise.
-/// `holder` is what another run is told while this one holds the lock.
+/// A second run continues an interrupted one, and changes nothing after a successful one. An existing dataset grows:
+/// only files that are new or changed are read, and clips keep their ids, splits and labels. Sources that are not given
+/// stay as they are, and clips whose files are gone stay unless [`IngestOptions::prune`] says otherwise. `holder` is
+/// reported to other runs while this one holds the lock.
 ///
 /// # Errors
-/// A source does not exist, or it cannot be known which one it is; there is no file at all; the dataset is locked or
-/// was made with other settings; labels would be lost; or writing fails. Faulty files are listed in the report and are
-/// no error.
+/// A source does not exist or is ambiguous; there is no file at all; the dataset is locked or was made with other
+/// settings; labels would be lost; or writing fails. Faulty files are listed in the report and are not an error.
 pub fn ingest<S: Clone + Into<SourceArg>>(
     sources: &[S],
     out: &Path,

@@ -1,4 +1,4 @@
-//! How sources are ingested.
+//! Options of an ingestion.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -23,32 +23,31 @@ use work::{absolute, hash_file};
 /// Version of the code that turns files into rows. A dataset made by an older version is read again.
 const INGEST_VERSION: u32 = 4;
 
-/// Fact of a manifest: what a reader should know about its splits.
+/// Fact of a manifest: remarks for readers on its splits.
 pub const REMARKS_FACT: &str = "remarks";
 
-/// Fact of a manifest: lines of the list of pairs that gave none, as JSON.
+/// Fact of a manifest: lines of the list of pairs that gave no pair, as JSON.
 pub(super) const REFUSED_PAIRS_FACT: &str = "refused_pairs";
 
 /// Fact of a manifest: labels that could not be used, as JSON.
 pub(super) const LABEL_PROBLEMS_FACT: &str = "label_problems";
 
-/// How files become rows.
+/// Options of an ingestion.
 #[derive(Clone, Debug)]
 pub struct IngestOptions {
-    /// Rate to store at; none keeps each clip's own.
+    /// Rate to store at; none keeps the rate of each clip.
     pub fps: Option<Fps>,
     /// How clips are brought to that rate.
     pub resample: Resample,
     /// Accept this format only; files of other formats are skipped.
     pub format: Option<Format>,
-    /// Seed of the splits, where a dataset is made; one that is there keeps the seed it was made
-    /// with.
+    /// Seed of the splits of a new dataset; an existing dataset keeps its seed.
     pub seed: Seed,
-    /// Grouping that keeps its clips in one drawn split; if none, the dataset's recorded grouping, or else clips.
+    /// Grouping whose clips share one drawn split; if none, the dataset's recorded grouping, or else clips.
     pub split_by: Option<SplitBy>,
-    /// A list of pairs, by whose lines a styled clip gets the split of its original.
+    /// A list of pairs. A styled clip in it gets the split of its original.
     pub pairs: Option<PairList>,
-    /// Splits of the user's own, which take precedence over published and drawn ones.
+    /// Splits that the user states, which take precedence over published and drawn ones.
     pub splits: Option<SplitList>,
     /// The clips to read; without it, all of them.
     pub ids: Option<IdList>,
@@ -68,7 +67,7 @@ pub struct IngestOptions {
     pub new_version: bool,
     /// Whether to remove clips whose files are missing or no longer give them.
     pub prune: bool,
-    /// Commit although labels are lost, because their clips changed or went.
+    /// Commit although labels are lost, because their clips changed or were removed.
     pub drop_labels: bool,
 }
 
@@ -223,7 +222,7 @@ impl IngestOptions {
     /// Checks the rate to store at.
     ///
     /// # Errors
-    /// It is implausibly low or high.
+    /// The rate is implausibly low or high.
     pub fn check_fps(fps: Fps) -> Result<(), crate::Error> {
         let [lowest, highest] = FPS_LIMITS;
         match (lowest..=highest).contains(&fps.get()) {
@@ -246,11 +245,11 @@ pub(super) const PAIRS_FACT: &str = "pairs";
 /// Fact of a manifest: the settings its clips were read with, as JSON.
 pub(super) const SETTINGS_FACT: &str = "ingest_settings";
 
-/// Settings that are recorded by the hash of a file.
+/// Settings that are recorded as the hash of a file.
 const KEPT_BY_HASH: [&str; 4] = ["splits", "ids", "joint-map", "subject-models"];
 pub(super) const SHARED_SETTINGS: [&str; 4] = ["fps", "resample", "skeleton", "features"];
 
-/// The settings that decide how a clip is read, by name. Clips of a dataset are all read with the same.
+/// The settings that decide how a clip is read, by name. All clips of a dataset are read with the same settings.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub(super) struct Settings(BTreeMap<String, String>);
@@ -319,7 +318,7 @@ impl Settings {
     }
 
     /// The settings that differ from recorded ones, in words; none where all are equal. With `only`, those of these
-    /// names. `in_words` says what a setting that is kept by its hash means.
+    /// names. `in_words` describes a setting that is recorded as a hash.
     pub(super) fn differing(
         &self,
         recorded: Option<&String>,

@@ -1,4 +1,4 @@
-//! The plan of a run: which motions are read, under which ids, in which splits.
+//! The plan of a run: the motions to read, their ids and their splits.
 
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -48,14 +48,14 @@ pub(super) struct Plan {
     pub(super) remarks: Vec<String>,
     /// Remarks on the clips that the user's choice left out, and on its lines that name no clip.
     pub(super) choice: Vec<String>,
-    /// How the sources were recognised, and what was left out of them.
+    /// Remarks on how the sources were recognised, and what was left out of them.
     pub(super) said: Vec<String>,
     /// Labels of motions from files of their folders.
     pub(super) folder_labels: FolderLabels,
     /// Lines of the list of splits that gave no clip a split.
     pub(super) refused_splits: Vec<RefusedLine>,
     pub(super) claimed: BTreeSet<String>,
-    /// Grouping that keeps its clips in one drawn split.
+    /// Grouping whose clips share one drawn split.
     pub(super) split_by: SplitBy,
 }
 
@@ -118,7 +118,7 @@ impl Planned {
         id.map_or(self.id.clone(), |id| id.source_clip().to_owned())
     }
 
-    /// Names by which a list of splits means it: its id, that of its source clip, its file, its subject.
+    /// Names by which a list of splits may refer to the motion: its id, that of its source clip, its file, its subject.
     pub(super) fn names(&self) -> BTreeSet<String> {
         let (entry, subject) = (&self.entry, self.subject.as_deref());
         let file = [entry.file.as_str(), without_extension(&entry.file)];
@@ -130,8 +130,8 @@ impl Planned {
 }
 
 impl Plan {
-    /// Identifies everything under the sources. `recorded` is what the dataset holds; with `same_settings` its clips
-    /// are kept where their files are as they were.
+    /// Identifies everything under the sources. `recorded` is what the dataset holds; with `same_settings`, clips are
+    /// kept if their files have not changed.
     pub(super) fn make(
         store: Arc<dyn Store>,
         (sources, said): Identified,
@@ -193,7 +193,7 @@ impl Plan {
         plan.claimed = plan.take_releases(options);
         plan.take_single_files(options);
         for source in plan.sources.values_mut() {
-            // Files are recognised now.
+            // The first bytes are not needed any more.
             source.head = Vec::new();
         }
         plan.note_inputs();
@@ -358,7 +358,7 @@ impl Plan {
         }
     }
 
-    /// Notes what every motion is read from.
+    /// Records the inputs of every motion.
     fn note_inputs(&mut self) {
         let (motions, others) = self.single_files();
         let of_file = inputs::of_single_files(&motions, &others, &self.sources);
@@ -389,9 +389,9 @@ impl Plan {
         (motions, others)
     }
 
-    /// Takes the labels that decide on splits, and gives single files with labels of action and style the
-    /// group of their original. A motion is rejected if labels beside it or in its folders cannot be read now:
-    /// they may be next time, and the clip might change its split.
+    /// Takes the labels that decide on splits, and gives single files with labels of action and style the group of
+    /// their original. A motion is rejected if labels beside it or in its folders cannot be read now: they may be
+    /// readable next time and change the split of the clip.
     fn take_labels(&mut self) {
         let mut items = std::mem::take(&mut self.items);
         let (files, folder_labels) = (&self.files, &self.folder_labels);
@@ -445,8 +445,8 @@ impl Plan {
         self.items = items;
     }
 
-    /// Gives clips the splits that the user states: those of the list, else those of their labels. All
-    /// motions of a source clip get one split, by the first line that names any of them.
+    /// Gives clips the splits that the user states: those of the list, otherwise those of their labels. All motions of
+    /// a source clip get one split, by the first line that names any of them.
     fn take_own_splits(&mut self, list: Option<&SplitList>) {
         let mut lines: BTreeMap<String, usize> = BTreeMap::new();
         let mut stated: BTreeMap<String, Split> = BTreeMap::new();

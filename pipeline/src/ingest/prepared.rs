@@ -100,7 +100,7 @@ impl Prepared {
         }
     }
 
-    /// The settings that differ and that are one for all clips of a dataset, in words.
+    /// The differing settings that must be the same for all clips of a dataset, in words.
     pub(super) fn must_agree(&self) -> Option<&str> {
         self.must_agree.as_deref()
     }
@@ -145,7 +145,7 @@ impl Prepared {
 }
 
 impl SplitList {
-    /// The recorded clips that it would move, in words.
+    /// The recorded clips whose split the list changes, in words.
     fn changes(&self, recorded: &Recorded) -> String {
         const SHOWN: usize = 3;
         let moved: Vec<String> = recorded
@@ -170,7 +170,7 @@ impl SplitList {
     }
 }
 
-/// The options as a run uses them, and remarks where splits stay as the dataset was made with.
+/// The options as a run uses them, and remarks on splits that stay as they were drawn when the dataset was made.
 pub(super) fn effective(
     base: Option<&Manifest>,
     options: &IngestOptions,

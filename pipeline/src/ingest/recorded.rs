@@ -64,7 +64,7 @@ pub(super) struct Recorded {
     pub(super) skipped: Vec<SkippedRow>,
 }
 
-/// A clip, or a capture that has only markers, which versions before kept.
+/// A clip, or a capture that has only markers, which earlier versions kept.
 #[derive(Clone, Debug)]
 pub(super) struct RecordedClip {
     pub(super) id: MotionId,
@@ -149,7 +149,8 @@ fn sources_of(facts: &BTreeMap<String, String>) -> Vec<SourceLabel> {
 struct Sources(Vec<SourceLabel>);
 
 impl Sources {
-    /// The source of a row with this name and path. Rows of older formats have no name, and their path tells.
+    /// The source of a row with this name and path. Rows of older formats have no name; their path determines the
+    /// source.
     fn index_of(&mut self, name: &str, path: &str) -> usize {
         let named = self.0.iter().position(|source| source.name == name);
         if let Some(index) = named.or_else(|| of_path(&self.0, path)) {
@@ -191,7 +192,7 @@ impl Columns {
         let ids = reader.column::<R, MotionId>("id")?;
         let count = ids.len();
         let text = |name| reader.column::<R, String>(name);
-        // Files of older formats lack the columns that are newer. Without `inputs_hash` their clips are read again.
+        // Files of older formats lack the newer columns. Without `inputs_hash` their clips are read again.
         let newer = |name| text(name).unwrap_or_else(|_| vec![String::new(); count]);
         let number = |name| {
             let numbers = reader.column::<R, Option<f32>>(name);
@@ -355,8 +356,8 @@ impl MergedSources {
         }
     }
 
-    /// The name in the result of the source of a row. `part` is 0 for the first dataset and 1 for the second; `name`
-    /// and `path` are those of the row there.
+    /// Name that the source of a row has in the result. `part` is 0 for the first dataset and 1 for the second; `name`
+    /// and `path` are the row's values in that dataset.
     pub(crate) fn name(&self, part: usize, name: &str, path: &str) -> String {
         let SourceNames { sources, renamed } = &self.names[part];
         let name = match name {

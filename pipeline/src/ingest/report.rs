@@ -129,7 +129,7 @@ impl Tally {
         problems.into_iter().collect()
     }
 
-    /// Brings the labels of clips that moved into their splits.
+    /// Moves the labels of clips that changed their split into the new splits.
     pub(super) fn follow(&mut self, moves: BTreeMap<String, Split>) {
         for mask in &mut self.masks {
             mask.split = *moves.get(mask.motion_id.as_str()).unwrap_or(&mask.split);
@@ -195,8 +195,8 @@ impl Tally {
         list.pairs(&motions, known)
     }
 
-    /// The masks that stay and those that came with clips of this run. A mask that is there already under its id, where
-    /// people may have changed it since, stays as it is.
+    /// The masks that stay and those that came with clips of this run. A mask whose id exists already stays as it is,
+    /// because people may have changed it.
     pub(super) fn masks(&self, mut masks: Vec<MaskRow>) -> Vec<MaskRow> {
         let taken = masks.iter().map(|mask| (&mask.id, &mask.motion_id));
         let mut taken: BTreeMap<String, MotionId> = taken

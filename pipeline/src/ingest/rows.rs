@@ -145,8 +145,8 @@ pub(super) fn clip_rows(
     })
 }
 
-/// The motion of a clip at the rate `target`, checked, and what was found. Where a jump is trimmed away, the clip is
-/// narrowed to what is left.
+/// The motion of a clip at the rate `target`, checked, and what was found. If a jump is trimmed away, the clip is
+/// cropped to the rest.
 fn stored(
     clip: &mut SourceClip,
     target: Fps,
@@ -177,7 +177,7 @@ fn stored(
     Ok((motion, quality))
 }
 
-/// The clip's own features, if they are of the stored frames; else features computed from the stored motion.
+/// The clip's own features, if they describe the stored frames; otherwise features computed from the stored motion.
 fn stored_features(
     clip: &mut SourceClip,
     motion: &Motion,
@@ -197,7 +197,7 @@ fn stored_features(
     }
 }
 
-/// Where each caption of a clip comes from.
+/// Origin of each caption of a clip.
 fn caption_origins(clip: &SourceClip) -> Vec<String> {
     let origins = [CAPTION_BY_SOURCE, CAPTION_BY_RULE];
     let counts = [clip.captions.len(), clip.made_captions.len()];
@@ -296,7 +296,7 @@ pub(super) fn pair_row(edit: EditOf, item: &Item, target: &MotionId) -> Option<P
     })
 }
 
-/// A mask that comes with a clip. One without an id of its own gets it once every shard is done.
+/// A mask that comes with a clip. A mask without an id gets one once every shard is done.
 pub(super) fn mask_row(mask: SourceMask, item: &Item, motion: &MotionId) -> MaskRow {
     if let Some(row) = mask.made {
         return MaskRow {

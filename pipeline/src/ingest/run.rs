@@ -40,7 +40,7 @@ struct Run<'a> {
     settings: &'a Settings,
     base: &'a Base,
     places: &'a Places,
-    /// The settings that differ and that are one for all clips of a dataset, in words.
+    /// The differing settings that must be the same for all clips of a dataset, in words.
     must_agree: Option<&'a str>,
     plan: &'a Plan,
     fates: Fates<'a>,
@@ -48,7 +48,7 @@ struct Run<'a> {
     facts: [(&'static str, String); 6],
 }
 
-/// Where the shards of a run come from.
+/// Origin of the shards of a run.
 pub(super) enum Pieces {
     /// Make the shards: read the motions, or take them from an interrupted run of the same plan.
     Make,
@@ -80,8 +80,8 @@ fn by_content(file: &FileEntry) -> (&str, &str) {
     (&file.path, &file.blake3)
 }
 
-/// The pairs that stay, by id, and those that came with clips. A pair that is there already under its id, where people may
-/// have changed it since, stays as it is; one that says something else under an id that is taken gets another.
+/// The pairs that stay, by id, and those that came with clips. A pair whose id exists already stays as it is, because
+/// people may have changed it; a different pair under a taken id gets another id.
 fn with_made(staying: Vec<PairRow>, made: Vec<PairRow>) -> BTreeMap<String, PairRow> {
     let mut rows: BTreeMap<String, PairRow> = BTreeMap::new();
     rows.extend(staying.into_iter().map(|row| (row.id.clone(), row)));
@@ -103,7 +103,7 @@ fn with_made(staying: Vec<PairRow>, made: Vec<PairRow>) -> BTreeMap<String, Pair
     rows
 }
 
-/// The pairs of the dataset, and what became of the others.
+/// The pairs of the dataset, and the dropped and refused ones.
 struct Pairs {
     rows: Vec<PairRow>,
     dropped: u64,
@@ -192,9 +192,9 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Reads what is new or changed, or takes the shards that were made of it, and commits it with what stays.
-    /// `outside` are rejected items of sources that are not of this run. Tables composed of the clips stay where no
-    /// clip changes and `is_same` says that the settings did not.
+    /// Reads new and changed motions, or takes the shards that were made of them, and commits them with the clips that
+    /// stay. `outside` are rejected items of sources that are not of this run. Tables composed of the clips stay if no
+    /// clip changes and `is_same` says that the settings did not change either.
     fn finish(
         mut self,
         outside: Outside,
@@ -418,7 +418,7 @@ impl<'a> Run<'a> {
         problems
     }
 
-    /// Tables that were composed of the motions of the version before.
+    /// Tables that were composed of the motions of the previous version.
     fn composed(&self) -> BTreeSet<String> {
         let base = self.transaction.base().into_iter();
         let tables = base.flat_map(|base| base.tables.keys());
@@ -510,8 +510,8 @@ pub(super) fn labels(base: &Base, fates: &Fates<'_>) -> Labels {
     fates.labels(base.masks.clone(), base.label_pairs.clone())
 }
 
-/// The fates as far as they can be foreseen: of changed clips whose labels would be lost, the files are read, because a
-/// clip whose file gives it no more stays with its labels.
+/// The fates that can be foreseen. Changed clips whose labels would be lost are read now, because a clip that its file
+/// no longer gives stays with its labels.
 pub(super) fn foreseen<'a>(
     plan: &Plan,
     base: &Base,

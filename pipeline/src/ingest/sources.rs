@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 /// Fact of a manifest: the sources, as JSON.
 pub(super) const SOURCES_FACT: &str = "sources";
 
-/// A source as it is given: a file, a folder or a URL, with a name or without. As text `NAME=PATH`, or the path
-/// alone.
+/// A source as it is given: a file, a folder or a URL, with or without a name. Its text is `NAME=PATH`, or only the
+/// path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SourceArg {
     /// Name of the source; if none, the name of its folder.
@@ -22,8 +22,8 @@ pub struct SourceArg {
 }
 
 impl SourceArg {
-    /// Reads `NAME=PATH`, or a path. What stands before the first `=` is a name unless it holds a slash, so a path
-    /// with `=` in its first part is written with `./` before it.
+    /// Reads `NAME=PATH`, or a path. The text before the first `=` is a name unless it holds a slash, so a path with
+    /// `=` in its first part is written with `./` before it.
     ///
     /// # Errors
     /// The name has characters that names cannot have, or nothing follows it.
@@ -135,13 +135,13 @@ pub(super) enum Kind {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Given {
     pub(super) label: SourceLabel,
-    /// Whether all that is below its folder was listed; else only the files that were given.
+    /// Whether everything below its folder was listed; otherwise only the given files were.
     pub(super) is_whole: bool,
     /// The folder or URL where the source was found; it is never published.
     pub(super) places: Vec<(String, Kind)>,
 }
 
-/// The first of a name and the name with numbers that is free.
+/// The name, or the name with the first number, that is free.
 pub(super) fn free(name: &str, mut is_free: impl FnMut(&str) -> bool) -> String {
     let numbered = (2..).map(|number| format!("{name}-{number}"));
     let mut candidates = std::iter::once(name.to_owned()).chain(numbered);
@@ -149,7 +149,7 @@ pub(super) fn free(name: &str, mut is_free: impl FnMut(&str) -> bool) -> String 
     found.expect("numbers do not end")
 }
 
-/// A path without its label; none if its label is another.
+/// A path without the given label; none if the path has another label.
 pub(super) fn below<'a>(label: &str, path: &'a str) -> Option<&'a str> {
     match label {
         "" => Some(path),

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SplitBy {
-    /// All that is cut from a source clip, and styles of one take.
+    /// Clips cut from one source clip, and styles of one take.
     #[default]
     Clip,
     /// All clips of a subject of a source.
@@ -80,7 +80,7 @@ mod tests {
             let parameters = Parameters::of(&motion, &skeleton).expect("another rate");
             (Value::text(key), parameters.value([0.0, 1.0]))
         };
-        // Motions of their own lengths: equal ones would share a split.
+        // Motions with different lengths: equal motions would share a split.
         let pairs = ids.iter().enumerate().map(|(index, id)| {
             let pair = Value::Dict(vec![
                 side("motion_source", 30 + 6 * index),

@@ -19,7 +19,7 @@ const SUBJECT: &str = "subject:";
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SplitList {
     lines: Vec<Line>,
-    /// Places in `lines` by exact name; the first line of a name counts.
+    /// Indices in `lines` by exact name; the first line of a name counts.
     exact: BTreeMap<String, usize>,
     refused: Vec<RefusedLine>,
 }
@@ -81,7 +81,7 @@ impl SplitList {
         self.lines[line].split
     }
 
-    /// The lines that say nothing of the clips with these names, by number.
+    /// The lines that match none of these names, with their numbers.
     pub(super) fn refused(&self, names: &BTreeSet<String>) -> Vec<RefusedLine> {
         let mut refused = self.refused.clone();
         let unknown = self.lines.iter().filter(|line| {

@@ -58,13 +58,13 @@ datasets_spec::table! {
         pub split: Split [""],
         /// Path of its file, as in the table of sources
         pub file: String [""],
-        /// Which of the file's motions; empty if it holds one
+        /// Key of the motion in its file; empty if the file holds one motion
         pub key: String [""],
         /// Id in its release
         pub entry_id: String [""],
         /// Published split
         pub entry_split: Option<String> [""],
-        /// Motions that share a drawn split by its release
+        /// Group of the release whose motions share a drawn split
         pub entry_group: Option<String> [""],
         /// Id of the motion it mirrors
         pub mirrored_of: Option<String> [""],
@@ -72,7 +72,7 @@ datasets_spec::table! {
         pub format: String [""],
         /// Number of its release; missing for single files
         pub release: Option<u32> [""],
-        /// What its id begins with
+        /// Prefix of its id
         pub prefix: String [""],
         /// Motions that share a drawn split
         pub group: Option<String> [""],
@@ -80,15 +80,15 @@ datasets_spec::table! {
         pub own_split: Option<String> [""],
         /// Split that its labels state
         pub labelled_split: Option<String> [""],
-        /// Who performs it
+        /// Subject that its labels state
         pub subject: Option<String> [""],
         /// Action that its labels state
         pub action: Option<String> ["", newer],
-        /// BLAKE3 of all it is read from, hexadecimal
+        /// BLAKE3 of all its inputs, hexadecimal
         pub inputs: String [""],
-        /// Number of the clip that it is in the version before
+        /// Number of the same clip in the previous version
         pub known: Option<u32> [""],
-        /// 1 if that clip stays as it is, so that no piece reads it
+        /// 1 if that clip stays unchanged, so that no piece reads it
         pub is_kept: u32 [""],
     }
 }
@@ -142,8 +142,8 @@ impl Plan {
         Ok(write_json(&folder.join(REST), &rest)?)
     }
 
-    /// Reads a plan that was written. No source is listed or hashed; of the sources, only what says something about
-    /// many motions is read.
+    /// Reads a written plan. No source is listed or hashed; of the sources, only label files that apply to many motions
+    /// are read.
     pub(super) fn read(
         folder: &Path,
         store: Arc<dyn Store>,

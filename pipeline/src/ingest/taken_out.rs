@@ -15,7 +15,7 @@ use crate::versions::taken_out;
 pub(super) const NOT_CHOSEN: &str = "clip that --ids does not choose";
 
 impl Plan {
-    /// Leaves out clips that the dataset's owner took out, while their files are as they were, in their place or
+    /// Leaves out clips that the dataset's owner took out, as long as their files are unchanged, in the same place or
     /// elsewhere. Their rows stay.
     pub(super) fn leave_out(&mut self, items: &mut Vec<Planned>, recorded: &Recorded) {
         let mut by_hash: BTreeMap<&str, Vec<(&str, &SkippedRow)>> = BTreeMap::new();
@@ -100,7 +100,7 @@ impl Plan {
     }
 }
 
-/// Whether a motion of a file is the one that a clip with this id was read from, if the file is.
+/// Whether a motion is the one that the clip with this id was read from, given that the file is the same.
 fn is_named(item: &Planned, id: &str) -> bool {
     match item.release {
         Some(_) => {

@@ -34,8 +34,8 @@ impl Answer {
     }
 }
 
-/// Whether every edit answers an existing item, once per seed, and every system has one checkpoint and
-/// one set of settings.
+/// Checks that every edit answers an existing item, once per seed, and that every system has one checkpoint and one set
+/// of settings.
 pub(super) fn check_answers(answers: &[Answer], items: &BTreeMap<String, Asked>) -> Vec<Finding> {
     let mut findings = Vec::new();
     let mut taken = BTreeSet::new();

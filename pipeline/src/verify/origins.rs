@@ -8,7 +8,7 @@ use super::finding::{Check, Finding};
 use super::read::Met;
 use crate::recordings::{Origin, Prefixes, Recording};
 
-/// Clips whose recording another clip has, in another split.
+/// Finds clips whose recording also has a clip in another split.
 pub(super) fn check_splits(dataset: &Dataset, met: &[Met]) -> Vec<Finding> {
     let prefixes = Prefixes::of(dataset);
     let mut first: BTreeMap<Recording, &Origin> = BTreeMap::new();
@@ -34,8 +34,8 @@ pub(super) fn check_splits(dataset: &Dataset, met: &[Met]) -> Vec<Finding> {
     findings
 }
 
-/// Motions of another rate than the dataset's, or of two rates in a split whose motions are composed, and features of
-/// several recipes.
+/// Finds motions of another rate than the dataset's, or of two rates in a split whose motions are composed, and
+/// features of several recipes.
 pub(super) fn check_mixture(
     dataset: &Dataset,
     met: &[Met],

@@ -76,7 +76,7 @@ struct Label<'a> {
     id: &'a str,
     split: Split,
     motions: Vec<&'a MotionId>,
-    /// Frames that they must have.
+    /// Frames that the motions must have.
     frames: i32,
     usable: Result<(), compose::Error>,
 }

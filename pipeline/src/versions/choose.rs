@@ -21,12 +21,12 @@ pub(super) const REMOVED: &str = " was removed by its owner";
 /// Text after the id in the reason of a clip that is not in a selection.
 pub(super) const NOT_SELECTED: &str = " was not selected";
 
-/// Clips that somebody means.
+/// A choice of clips.
 #[derive(Clone, Debug)]
 pub enum Choice {
     /// Clips for which a condition is true.
     Where(Condition),
-    /// Clips whose ids are listed in a file, one a line.
+    /// Clips whose ids are listed in a file, one per line.
     Ids {
         /// The file, for errors.
         path: PathBuf,
@@ -36,7 +36,7 @@ pub enum Choice {
 }
 
 impl Choice {
-    /// Reads a list of ids: one a line; empty lines are passed over.
+    /// Reads a list of ids: one a line; empty lines are skipped.
     ///
     /// # Errors
     /// The file cannot be read or is not text.
@@ -85,8 +85,8 @@ impl Choice {
     }
 }
 
-/// Id of the clip of a skipped row, if its owner removed it or did not select it: ingestion leaves the clip out while
-/// its file is as it was.
+/// Id of the clip of a skipped row, if its owner removed it or did not select it: ingestion leaves the clip out as long
+/// as its file is unchanged.
 pub fn taken_out(row: &SkippedRow) -> Option<&str> {
     let reason = row.reason.as_str();
     let id = reason.strip_suffix(REMOVED);
@@ -139,7 +139,7 @@ pub(super) fn left_out(
     Ok(rows)
 }
 
-/// The accounts after clips were left out, each of them a source that is skipped now.
+/// The accounting after clips were left out: each of them now counts as a skipped source.
 pub(super) fn accounting(before: &Accounting, left_out: u64) -> Accounting {
     let ingested = before.ingested.saturating_sub(left_out);
     let skipped = before.skipped + left_out;

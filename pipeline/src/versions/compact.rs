@@ -1,4 +1,4 @@
-//! A dataset in as few files as a new one has.
+//! Rewrites a dataset into as few files as a new one has.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -46,21 +46,21 @@ pub struct Compacted {
     pub version: u64,
     /// Whether the dataset was as compact as it can be.
     pub already_compact: bool,
-    /// The version before.
+    /// Files of the previous version.
     pub before: Layout,
-    /// The result.
+    /// Files of the result.
     pub after: Layout,
     /// Hash of the result.
     pub root_hash: String,
 }
 
-/// Writes the rows of every table into as few files as a new dataset has. Their order and content stay, and so does what
-/// stages recorded of them. Memory holds one shard.
+/// Writes the rows of every table into as few files as a new dataset has. Their order and content stay, and so do the
+/// hashes that stages recorded. Memory holds one shard.
 ///
 /// # Errors
 /// A file is damaged, or the folder is locked or cannot be written.
 pub fn compact(root: &Path, holder: &str, progress: &dyn Progress) -> Result<Compacted, Error> {
-    // Locking would make the folder.
+    // Open the dataset first: locking would create a missing folder.
     Dataset::open_unverified(root)?;
     compact_in(Transaction::begin(root, holder)?, progress)
 }

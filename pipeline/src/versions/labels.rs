@@ -1,4 +1,4 @@
-//! Labels of clips that come back, change or go: which of them people made.
+//! Labels of clips that are restored, changed or removed, and which of these labels people made.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -60,7 +60,7 @@ impl Labels {
     }
 }
 
-/// Writes a table if its rows are not those of `before`, and returns its files; none if they are.
+/// Writes a table and returns its files; none if its rows equal those of `before`.
 fn changed<R: Row + PartialEq>(
     [rows, before]: [&BTreeMap<String, R>; 2],
     split: fn(&R) -> Split,
@@ -76,18 +76,18 @@ fn changed<R: Row + PartialEq>(
     }))
 }
 
-/// Whether reading the source of its clip makes a mask again.
+/// Whether a mask is made again when the source of its clip is read.
 pub(crate) fn is_mask_of_source(mask: &MaskRow) -> bool {
     mask.text_origin == "imported" && format_named(&mask.author).is_some()
 }
 
-/// Whether a person made or judged a mask: no stage derives it again, and reading its source does not bring it back.
+/// Whether a person made or judged a mask. Such a mask is neither derived by a stage nor read from a source again.
 pub(crate) fn is_mask_of_people(mask: &MaskRow) -> bool {
     let derived = mask.text_origin != "human" && mask.author == AUTHOR;
     !is_mask_of_source(mask) && !derived && mask.text_origin != "automatic"
 }
 
-/// Whether reading the source of its target makes a pair again.
+/// Whether a pair is made again when the source of its target is read.
 pub(crate) fn is_pair_of_source(pair: &PairRow) -> bool {
     format_named(&pair.source).is_some()
 }

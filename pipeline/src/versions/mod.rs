@@ -1,8 +1,7 @@
-//! Versions of a dataset: which there are, going back to one, and versions with fewer files or fewer clips.
+//! Versions of a dataset: listing them, going back to one, and making versions with fewer files or fewer clips.
 //!
-//! Every change of a dataset is a new version, and the one before stays until it is pruned. Nothing that people made
-//! is lost unless the caller says so: labels of clips that are not there any more are listed, and the change is refused
-//! until it is allowed to drop them.
+//! Every change of a dataset is a new version, and the one before stays until it is pruned. Labels that people made are
+//! only lost if the caller allows it: otherwise the change is refused, and the labels that it would drop are listed.
 
 mod choose;
 mod compact;
@@ -41,7 +40,7 @@ pub struct Version {
     pub version: u64,
     /// Whether readers of the dataset get this version.
     pub current: bool,
-    /// Clips.
+    /// Number of clips.
     pub clips: u64,
     /// Rows of each table.
     pub tables: BTreeMap<String, u64>,
@@ -49,7 +48,8 @@ pub struct Version {
     pub files: u64,
     /// Total size of the files in bytes.
     pub bytes: u64,
-    /// Tables whose files are others than in the version before, with their rows then and now; all of the oldest one.
+    /// Tables whose files differ from those of the previous version, with their number of rows now and before; all
+    /// tables of the oldest version.
     pub changed: BTreeMap<String, [u64; 2]>,
     /// Program and version that wrote it.
     pub tool_version: String,

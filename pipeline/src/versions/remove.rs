@@ -1,4 +1,4 @@
-//! A version without some clips.
+//! Makes a version without some clips.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -21,15 +21,15 @@ use crate::ingest::LostLabel;
 /// Result of [`remove`], or of its dry run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Removed {
-    /// The clips.
+    /// Ids of the removed clips.
     pub removed: Vec<String>,
     /// Clips of the result.
     pub clips: u64,
-    /// Labels that people made of the removed clips. The version before keeps them.
+    /// Labels that people made of the removed clips. The previous version keeps them.
     pub lost: Vec<LostLabel>,
     /// Other masks and pairs of the removed clips, by table.
     pub dropped: BTreeMap<String, u64>,
-    /// Tables made of all clips, which the result has not; their commands make them again.
+    /// Tables made of all clips, which the result does not contain; their commands make them again.
     pub left_tables: Vec<String>,
     /// Whether nothing was changed, because a dry run was requested.
     pub dry_run: bool,
@@ -39,7 +39,7 @@ pub struct Removed {
     pub root_hash: String,
 }
 
-/// How clips are removed.
+/// Options of a removal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RemoveOptions {
     /// Continue although labels that people made are lost.
@@ -48,8 +48,8 @@ pub struct RemoveOptions {
     pub dry_run: bool,
 }
 
-/// Makes a version without the chosen clips. The version before keeps them, and ingestion leaves them out while their
-/// files are as they were.
+/// Makes a version without the chosen clips. The previous version keeps them, and ingestion leaves them out as long as
+/// their files are unchanged.
 ///
 /// # Errors
 /// No clip is chosen, or all are; labels would be lost and the options do not allow it; or the folder is locked or cannot
@@ -60,7 +60,7 @@ pub fn remove(
     options: RemoveOptions,
     holder: &str,
 ) -> Result<Removed, Error> {
-    // Locking would make the folder.
+    // Open the dataset first: locking would create a missing folder.
     Dataset::open_unverified(root)?;
     remove_in(Transaction::begin(root, holder)?, choice, options)
 }
@@ -140,7 +140,7 @@ pub fn remove_in(
     Ok(report)
 }
 
-/// Labels without those of some clips; those of them that people made, and the number of others by table.
+/// Splits labels into those of other clips, those by people that are lost, and the number of other lost ones by table.
 fn without(
     before: &Labels,
     chosen: &BTreeSet<MotionId>,

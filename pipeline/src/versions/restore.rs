@@ -16,21 +16,22 @@ use crate::ingest::LostLabel;
 /// Result of [`restore`].
 #[derive(Clone, Debug, Serialize)]
 pub struct Restored {
-    /// The version that was gone back to.
+    /// Number of the restored version.
     pub restored: u64,
-    /// Number of the version that was made; that of the newest one where nothing had to change.
+    /// Number of the new version, or of the newest one if nothing had to change.
     pub version: u64,
-    /// Whether the newest version was this one already.
+    /// Whether the restored version equals the newest one.
     pub is_current: bool,
     /// Clips of the result.
     pub clips: u64,
     /// Rows of each table.
     pub tables: BTreeMap<String, u64>,
-    /// Labels that people made since, whose clips are there with the same motion.
+    /// Newer labels by people that are kept, because the restored version has their clips with the same motion.
     pub kept: Vec<KeptLabel>,
-    /// Labels that people made since and whose clips are not there, or differ. The version before keeps them.
+    /// Newer labels by people that are lost, because the restored version does not have their clips, or has other
+    /// motions. The previous version keeps them.
     pub lost: Vec<LostLabel>,
-    /// Tables of the version before that the result has not.
+    /// Tables of the previous version that the result does not contain.
     pub left_tables: Vec<String>,
     /// Hash of the result.
     pub root_hash: String,
@@ -52,8 +53,8 @@ fn clips(dataset: &Dataset) -> Result<Clips, Error> {
     Ok(clips)
 }
 
-/// Makes an older version the newest one, under a new number. Labels that people made since stay where their clips are
-/// there with the same motion.
+/// Makes an older version the newest one, under a new number. Newer labels by people stay if that version has their
+/// clips with the same motion.
 ///
 /// # Errors
 /// There is no such version, one of its files is damaged, labels would be lost and `drop_labels` does not allow it,
@@ -64,7 +65,7 @@ pub fn restore(
     drop_labels: bool,
     holder: &str,
 ) -> Result<Restored, Error> {
-    // Locking would make the folder.
+    // Open the dataset first: locking would create a missing folder.
     Dataset::open_unverified(root)?;
     restore_in(Transaction::begin(root, holder)?, version, drop_labels)
 }
@@ -128,7 +129,7 @@ pub fn restore_in(
     })
 }
 
-/// Whether two versions are the same but for their labels.
+/// Whether two versions are equal except for their labels.
 fn is_alike(a: &Manifest, b: &Manifest) -> bool {
     let tables = |manifest: &Manifest| {
         let mut tables = manifest.tables.clone();

@@ -1,4 +1,4 @@
-//! Rows of clips, from all files of a dataset into shards as a new dataset has them.
+//! Rewrites the rows of clips from all files of a dataset into shards like those of a new dataset.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

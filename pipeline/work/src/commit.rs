@@ -18,20 +18,20 @@ use super::record::{
 };
 use crate::Error;
 
-/// How far the work on a plan is.
+/// Progress of the work on a plan.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Status {
     /// Whether the plan was committed.
     pub committed: bool,
     /// Pieces of the plan.
     pub pieces: u64,
-    /// Pieces that are there and whole.
+    /// Pieces that exist and are complete.
     pub done: u64,
-    /// Ids of pieces that nobody has made.
+    /// Ids of pieces that were not made yet.
     pub missing: Vec<String>,
     /// Records of pieces that failed.
     pub failed: Vec<Record>,
-    /// Seconds of work in the pieces that are there.
+    /// Seconds of work in the pieces that exist.
     pub secs: f64,
 }
 
@@ -60,7 +60,7 @@ fn found(plan: &Plan) -> Result<Vec<(&Piece, Found)>, Error> {
         .collect()
 }
 
-/// Says how far the work on a plan is.
+/// Returns the progress of the work on a plan.
 ///
 /// # Errors
 /// The plan or its destination cannot be read, or the destination changed since it was planned.
@@ -94,7 +94,7 @@ pub fn status(plan: &Plan) -> Result<Status, Error> {
     Ok(status)
 }
 
-/// Makes the pieces of a plan a part of its destination. A plan that was committed before is left alone.
+/// Makes the pieces of a plan a part of its destination. A plan that was committed before is not committed again.
 ///
 /// # Errors
 /// Pieces are missing or failed, the destination is locked or changed since the plan was made, or writing fails.
@@ -161,7 +161,7 @@ pub fn commit(
     }
     let job = jobs.open(plan)?;
     let committed = match job.commit(plan, pieces, options, progress) {
-        // Another process was first.
+        // Another process has committed the plan.
         Err(Error::StalePlan { .. } | Error::Occupied { .. })
             if plan.state()? == State::Committed =>
         {
@@ -193,7 +193,7 @@ fn already_committed(plan: &Plan) -> Result<Committed, Error> {
     })
 }
 
-/// Pieces that failed, as rows of the table of quarantined items: for jobs whose items are no sources.
+/// Pieces that failed, as rows of the table of quarantined items, for jobs whose items are not source files.
 #[derive(Clone, Debug, Default)]
 pub struct Quarantine {
     rows: Vec<QuarantineRow>,

@@ -1,4 +1,4 @@
-//! Tables of edits, of one process or of pieces.
+//! Commits tables of edits, made by one process or in pieces.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -35,7 +35,7 @@ pub enum Error {
         destination: PathBuf,
         /// Version that the plan starts from; 0 for none.
         base: u64,
-        /// Version that is there now; 0 for none.
+        /// Present version of the destination; 0 for none.
         now: u64,
     },
     /// A file changed since a plan was made.
@@ -44,7 +44,7 @@ pub enum Error {
         /// The file or folder.
         path: PathBuf,
     },
-    /// Pieces of a plan are not there.
+    /// Pieces of a plan are missing.
     #[error(
         "{missing} of {of} pieces are missing; make them: stance stage work {} (`stance stage status` lists them)",
         path.display()

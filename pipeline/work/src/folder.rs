@@ -1,8 +1,8 @@
 //! Folders that appear whole or not at all, and cleanup after processes that were killed.
 //!
 //! A folder is written to `.stance.NUMBER.partial/new` beside its destination and renamed from there. The file `LOCK`
-//! beside `new` is locked as long as the process lives, whatever ends it; the system lets go of it then. Whoever writes
-//! a folder removes the partial ones beside it whose lock nobody holds.
+//! beside `new` is locked as long as the process lives; the system releases the lock however the process ends. Every
+//! run that writes a folder removes the partial folders beside it that are not locked.
 
 use std::ffi::OsStr;
 use std::fs::{self, File, TryLockError};
@@ -21,7 +21,7 @@ const END: &str = "partial";
 const CONTENT: &str = "new";
 const LOCK: &str = "LOCK";
 
-/// Whether something is where a folder would be written.
+/// Whether a file or a folder that is not empty is at the path of a new folder.
 pub fn is_occupied(out: &Path) -> bool {
     match fs::read_dir(out) {
         Ok(mut entries) => entries.next().is_some(),
@@ -44,12 +44,12 @@ pub struct NewFolder {
     content: PathBuf,
     out: PathBuf,
     abandoned: Vec<PathBuf>,
-    /// Held until the partial folder is gone. A file system without locks has none.
+    /// Lock that is held until the partial folder is gone; none if the file system has no locks.
     _lock: Option<File>,
 }
 
 impl NewFolder {
-    /// Begins a folder, and removes what killed runs left beside it.
+    /// Begins a folder, and removes partial folders that killed runs left beside it.
     ///
     /// # Errors
     /// The destination exists and is not empty, or the folder cannot be made.
@@ -98,7 +98,7 @@ impl NewFolder {
     /// Renames the partial folder to its final name. An empty folder with that name is replaced.
     ///
     /// # Errors
-    /// Something else has the name, or the system refuses.
+    /// The name is taken, or the system refuses.
     pub fn publish(self) -> Result<(), Error> {
         publish(&self.content, &self.out)
     }
@@ -141,8 +141,8 @@ fn lock(place: &Path) -> io::Result<Option<Held>> {
     Ok(path.exists().then_some(Held { file }))
 }
 
-/// Removes partial folders of a folder whose process has ended, and returns those of which only another machine knows
-/// whether it has. What cannot be removed is left to the next run.
+/// Removes partial folders in a folder whose process has ended, and returns those of other machines, whose processes
+/// cannot be checked. Folders that cannot be removed are left to the next run.
 fn remove_abandoned(parent: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(parent).into_iter().flatten().flatten();
     let mut places: Vec<PathBuf> = entries
@@ -157,8 +157,8 @@ fn remove_abandoned(parent: &Path) -> Vec<PathBuf> {
             .write(true)
             .open(place.join(LOCK))
         else {
-            // Killed before it made the file, or another process is removing it: the folder is empty. A process that
-            // was about to make the file makes another folder instead.
+            // The process was killed before it made the file, or another process is removing the folder: it is empty. A
+            // process that was about to make the file makes another folder instead.
             let _removed = fs::remove_dir(place);
             return false;
         };
@@ -185,8 +185,8 @@ fn is_partial(name: &OsStr) -> bool {
     number.is_some_and(|rest| rest.starts_with('.') && rest.ends_with(&format!(".{END}")))
 }
 
-/// Removes a partial folder, the lock file last: without it, the owner of the remains could not be determined. What
-/// cannot be removed is left to the next run.
+/// Removes a partial folder, the lock file last: without it, the owner of the remains could not be determined. Remains
+/// that cannot be removed are left to the next run.
 fn remove(place: &Path) {
     let _content = fs::remove_dir_all(place.join(CONTENT));
     if !place.join(CONTENT).exists() {
@@ -205,7 +205,7 @@ fn machine() -> String {
 }
 
 /// Whether a lock file names this machine: containers of one machine differ in name, and a restarted machine differs in
-/// boot id. A file without a name is of a process that was killed at once.
+/// boot id. An empty file belongs to a process that was killed right after it made the file.
 fn is_this_machine(said: &str, own: &str) -> bool {
     let (said, own) = (said.trim_end(), own.trim_end());
     let mut names = said.split(' ').zip(own.split(' '));
@@ -268,7 +268,7 @@ mod tests {
         // The process was killed before it took a lock.
         let empty = at(".stance.4-0.partial");
         fs::create_dir(&empty).expect("made");
-        // Folders of an earlier version, whose process holds no lock, and of somebody else.
+        // Folders of an earlier version, whose process holds no lock, and of another machine.
         let foreign = [at(".a.123.partial"), dead("5-0", None)];
         fs::create_dir_all(foreign[0].join("file")).expect("made");
         let next = NewFolder::beside(&at("b")).expect("begun");

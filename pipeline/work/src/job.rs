@@ -1,4 +1,4 @@
-//! Jobs that are planned, and how they are found by name.
+//! Planned jobs, and their lookup by name.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use super::plan::Plan;
 use super::record::{CommitOptions, Committed, Failed, Finished, Made};
 use crate::Error;
 
-/// A job whose plan was made: what all its pieces share.
+/// A planned job, with the data that all its pieces share.
 pub trait Job: Send + Sync {
     /// Makes a piece: stages its files. Equal pieces give equal files.
     ///
@@ -23,14 +23,14 @@ pub trait Job: Send + Sync {
     /// Makes up to `count` items of a piece without writing anything, and returns how many it made.
     ///
     /// # Errors
-    /// They cannot be made.
+    /// The items cannot be made.
     fn sample(&self, piece: &Piece, count: u64) -> Result<u64, Failed>;
 
     /// Makes the pieces a part of the destination. Pieces that failed are given only with
     /// [`CommitOptions::quarantine_failed`].
     ///
     /// # Errors
-    /// The destination is locked, changed meanwhile, or cannot be written. It is as it was then.
+    /// The destination is locked, changed meanwhile, or cannot be written. It then stays unchanged.
     fn commit(
         &self,
         plan: &Plan,

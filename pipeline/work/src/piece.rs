@@ -21,15 +21,15 @@ datasets_spec::table! {
         pub name: String [""],
         /// Items in it: motions, windows, edits
         pub items: u64 [""],
-        /// Bytes of the files that it is the first to read; 0 where all pieces read the same
+        /// Bytes of the files that no earlier piece reads; 0 where all pieces read the same
         pub bytes: u64 ["B"],
-        /// What its job needs to make it, as JSON
+        /// Data that its job needs to make it, as JSON
         pub detail: String [""],
     }
 }
 
 impl Piece {
-    /// A piece of a plan. `reads` identifies what it reads beyond what the plan's hash covers.
+    /// A piece of a plan. `reads` identifies the inputs that the plan's hash does not cover.
     pub fn new<'a>(
         plan_hash: &str,
         number: usize,
@@ -57,7 +57,7 @@ impl Piece {
         }
     }
 
-    /// The piece with what its job needs to make it.
+    /// Adds the size of the piece and the data that its job needs to make it.
     ///
     /// # Panics
     /// If the detail cannot be written as JSON, which is a bug in the job.

@@ -43,7 +43,7 @@ struct Header {
     job: String,
     settings: Value,
     destination: PathBuf,
-    /// Whether the destination is a dataset; else a folder of files.
+    /// Whether the destination is a dataset; otherwise it is a folder of files.
     is_dataset: bool,
     plan_hash: String,
     /// Version of the dataset that the plan starts from; 0 for none.
@@ -62,21 +62,21 @@ pub struct Draft {
     pub job: &'static str,
     /// Settings of the plan.
     pub settings: Value,
-    /// Where the result goes.
+    /// Destination of the result.
     pub destination: PathBuf,
-    /// Whether that is a dataset; else it is a folder of files.
+    /// Whether the destination is a dataset; otherwise it is a folder of files.
     pub is_dataset: bool,
     /// Hash of everything that decides about the result.
     pub plan_hash: String,
-    /// The version of the dataset that it starts from, by [`Staging::base`].
+    /// Version of the dataset that the plan starts from, by [`Staging::base`].
     pub base: (u64, BTreeSet<String>),
     /// The pieces, by number.
     pub pieces: Vec<Piece>,
 }
 
 impl Draft {
-    /// Writes the plan as a new folder, whole or not at all. `tables` writes what else belongs to it. A plan that
-    /// is there already with the same hash stays.
+    /// Writes the plan as a new folder, whole or not at all. `tables` writes its other files. An existing plan with the
+    /// same hash stays.
     ///
     /// # Errors
     /// The folder holds something else, or cannot be written.
@@ -155,7 +155,7 @@ pub fn hash_file(path: &Path) -> Result<String, Error> {
     ByPath.hash(path).map_err(Error::io("read", path))
 }
 
-/// A path that means the same for every worker.
+/// A path that is valid for every worker.
 ///
 /// # Errors
 /// The path is empty, or the current folder is gone.
@@ -189,7 +189,7 @@ impl Plan {
     /// Opens the folder of a plan.
     ///
     /// # Errors
-    /// It is none, it is of another version of the program, or it was altered.
+    /// The folder is not a plan, the plan is of another version of the program, or it was altered.
     pub fn open(path: &Path) -> Result<Self, Error> {
         let bad = |reason: String| Error::BadPlan {
             path: path.to_owned(),
@@ -238,7 +238,7 @@ impl Plan {
         &self.header.plan_hash
     }
 
-    /// Where the result goes.
+    /// Destination of the result.
     pub fn destination(&self) -> &Path {
         &self.header.destination
     }
@@ -256,7 +256,7 @@ impl Plan {
     /// Settings of the job.
     ///
     /// # Errors
-    /// They are those of another job.
+    /// The settings are those of another job.
     pub fn settings<T: DeserializeOwned>(&self) -> Result<T, Error> {
         serde_json::from_value(self.header.settings.clone()).map_err(|error| Error::BadPlan {
             path: self.path.clone(),
@@ -264,7 +264,7 @@ impl Plan {
         })
     }
 
-    /// Where the pieces are staged.
+    /// The staging folder of the pieces.
     pub fn staging(&self) -> Staging {
         let base = (self.header.base, self.header.base_tables.clone());
         Staging::new(ByPath::store(), &self.home(), base, self.hash())
@@ -284,7 +284,7 @@ impl Plan {
         destination.with_file_name(format!(".{name}.{digits}.pieces"))
     }
 
-    /// Where a folder of files is made before it is published.
+    /// Path of a folder of files before it is published.
     pub fn result(&self) -> PathBuf {
         self.home().join(RESULT)
     }
@@ -317,7 +317,7 @@ impl Plan {
             return read_json(&kept).map(Some);
         }
         let before = self.home().join(COMMITTED);
-        // A result that is still there was not published; the destination is then another one's.
+        // A result that still exists was not published; the destination then belongs to another run.
         if !before.is_file() || self.result().exists() {
             return Ok(None);
         }
@@ -326,7 +326,7 @@ impl Plan {
         Ok(Some(committed))
     }
 
-    /// Whether the destination is a dataset; else it is a folder of files.
+    /// Whether the destination is a dataset; otherwise it is a folder of files.
     pub(crate) fn is_dataset(&self) -> bool {
         self.header.is_dataset
     }
@@ -334,7 +334,7 @@ impl Plan {
     /// State of the destination.
     ///
     /// # Errors
-    /// The destination is there and cannot be read.
+    /// The destination exists but cannot be read.
     pub fn state(&self) -> Result<State, Error> {
         if !self.header.is_dataset {
             return Ok(match is_occupied(self.destination()) {
@@ -374,7 +374,8 @@ impl Plan {
         }
     }
 
-    /// Begins the commit of a dataset: locks the destination, then checks that it is as it was when the plan was made.
+    /// Begins the commit of a dataset: locks the destination, then checks that it has not changed since the plan was
+    /// made.
     ///
     /// # Errors
     /// Another run holds the destination, or it has another version now.
@@ -384,10 +385,10 @@ impl Plan {
         Ok(transaction)
     }
 
-    /// Checks that the destination is as it was when the plan was made.
+    /// Checks that the destination has not changed since the plan was made.
     ///
     /// # Errors
-    /// It has another version now.
+    /// The destination has another version now.
     pub fn check_open(&self) -> Result<(), Error> {
         match self.state()? {
             State::Open => Ok(()),

@@ -48,7 +48,7 @@ pub struct Record {
 }
 
 impl Record {
-    /// Whether the piece is there.
+    /// Whether the piece exists.
     pub fn is_done(&self) -> bool {
         self.outcome != Outcome::Failed
     }
@@ -184,7 +184,7 @@ pub struct Finished {
     pub made: Result<Made, Failed>,
 }
 
-/// How a plan is committed.
+/// Options of a commit.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CommitOptions {
     /// Quarantine the items of failed pieces; otherwise failed pieces stop the commit.
@@ -198,7 +198,7 @@ pub struct CommitOptions {
 pub struct Committed {
     /// The destination.
     pub destination: PathBuf,
-    /// The plan was committed before, so this commit changed nothing.
+    /// Whether the plan was committed before, so that this commit changed nothing.
     pub already_committed: bool,
     /// Pieces of the plan.
     pub pieces: u64,

@@ -18,7 +18,7 @@ pub struct Worker {
     plan: Plan,
     staging: Staging,
     jobs: Jobs,
-    /// Opened with the first piece that is not there.
+    /// The job, opened for the first piece that is missing.
     job: OnceLock<Result<Box<dyn Job>, Failed>>,
 }
 
@@ -27,7 +27,7 @@ pub struct Worker {
 pub struct Sample {
     /// Items that were made.
     pub items: u64,
-    /// Seconds.
+    /// Seconds that they took.
     pub secs: f64,
 }
 
@@ -120,7 +120,7 @@ impl Worker {
     /// Makes some items of the largest piece without keeping them, to time them.
     ///
     /// # Errors
-    /// They cannot be made.
+    /// The items cannot be made.
     pub fn sample(&self, count: u64) -> Result<Option<Sample>, Failed> {
         let pieces = self.plan.pieces().iter();
         let Some(piece) = pieces.max_by_key(|piece| piece.items) else {

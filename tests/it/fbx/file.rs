@@ -53,7 +53,7 @@ pub(super) fn ascii(records: &[Record]) -> Vec<u8> {
         for (number, value) in record.values.iter().enumerate() {
             text.push_str(if number == 0 { " " } else { ", " });
             let _ = match value {
-                // The class of an object comes first here, behind its name in binary files.
+                // In text, the class of an object precedes its name; in binary files it follows.
                 Value::Text(value) => match value.split_once("\0\u{1}") {
                     Some((name, class)) => write!(text, "\"{class}::{name}\""),
                     None => write!(text, "\"{value}\""),

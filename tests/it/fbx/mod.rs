@@ -12,7 +12,7 @@ use self::file::{Record, Value, ascii, binary, property, record, text, vector};
 use crate::formats::{all_in_train, assert_shows, ingested, inspected, put, walk};
 use crate::util::{arg, assert_counted, assert_has, motions_of, stance, typed};
 
-/// Ticks of a second.
+/// Ticks per second.
 const TICKS: i64 = 46_186_158_000;
 
 /// A take: its name, and the poses of the body in its frames.
@@ -20,7 +20,7 @@ type Take<'a> = (&'a str, &'a [Pose]);
 
 /// A scene whose skeleton is the body.
 struct Scene {
-    /// Metres of the unit.
+    /// Length of the file's unit in metres.
     metres: f64,
     /// Whether z is up; the front is then -y.
     z_up: bool,
@@ -29,7 +29,7 @@ struct Scene {
     prefix: &'static str,
     /// Whether joints have pre-rotations.
     joint_frames: bool,
-    /// Scale of a node above the skeleton, which the skeleton's own size makes up for.
+    /// Scale of a node above the skeleton; the skeleton's own size compensates for it.
     scale: f64,
     /// Scale of the spine, which its children do not inherit.
     scaled_spine: bool,
@@ -88,7 +88,7 @@ fn degrees(turn: DQuat) -> DVec3 {
 }
 
 impl Scene {
-    /// From y up in metres to the file's axes and unit.
+    /// Rotation from y up to the up axis of the file.
     fn world(&self) -> DQuat {
         match self.z_up {
             true => DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2),
@@ -96,7 +96,7 @@ impl Scene {
         }
     }
 
-    /// Frame of a joint within the body's own.
+    /// Local axes of a joint relative to the body's own.
     fn frame(&self, joint: usize) -> DQuat {
         match self.joint_frames {
             true => {
@@ -111,7 +111,7 @@ impl Scene {
         (joint > 0).then(|| kinematics::skeleton::parent_of(joint))
     }
 
-    /// Place of a joint in its parent, and its turn there between the parent's frame and its own.
+    /// Position of a joint in its parent, and its rotation between the parent's axes and its own.
     fn local(&self, joint: usize, pose: &Pose) -> (DVec3, DQuat) {
         let skeleton = Skeleton::smplx_neutral();
         let size = 1.0 / (self.metres * self.scale);
@@ -134,7 +134,7 @@ impl Scene {
         }
     }
 
-    /// The part of the rotation that a pre-rotation holds: that at rest.
+    /// The rotation that the pre-rotation of a joint holds: the one at rest.
     fn pre(&self, joint: usize) -> DQuat {
         match self.joint_frames {
             true => self.local(joint, &Pose::REST).1,
@@ -167,7 +167,7 @@ impl Scene {
         record("GlobalSettings", Vec::new(), children)
     }
 
-    /// The document.
+    /// The document of a scene with these takes.
     fn records(&self, takes: &[Take<'_>]) -> Vec<Record> {
         let (mut objects, mut links) = (Vec::new(), Vec::new());
         let mut link = |from: i64, to: i64, property: Option<&str>| {
@@ -587,7 +587,7 @@ fn broken_fbx_files_are_quarantined() {
     assert_eq!(codes, expected);
 }
 
-/// Bytes changed, cut and doubled at places that a seed decides: every file is accounted for, and none ends the run.
+/// Files with bytes changed, cut and doubled at seeded places: every file is accounted for, and none ends the run.
 #[test]
 fn damaged_fbx_files_never_end_a_run() {
     const FILES: u64 = 150;

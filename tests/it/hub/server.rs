@@ -1,4 +1,4 @@
-//! A hub on this machine: the calls by which repos are published and pulled, and a storage on another port.
+//! A hub on this machine: the requests that publish and pull repos, and a storage on another port.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader, Read, Write};
@@ -13,9 +13,9 @@ use sha2::{Digest, Sha256};
 
 use crate::util::{Ran, command};
 
-/// The token that may do everything.
+/// The token with all rights.
 pub(crate) const TOKEN: &str = "hf_the_right_one";
-/// Bytes of a part of a large file, and the size beyond which there are parts.
+/// Bytes of a part of a large file; larger files are uploaded in parts.
 const CHUNK: usize = 20_000;
 /// Entries on a page of a listing.
 const PAGE: usize = 3;
@@ -47,11 +47,11 @@ pub(crate) struct State {
     objects: BTreeMap<String, Vec<u8>>,
     parts: BTreeMap<(String, usize), Vec<u8>>,
     pub(crate) calls: Vec<Call>,
-    /// Uploads after which the storage hangs up.
+    /// Uploads after which the storage closes the connection.
     pub(crate) puts_left: Option<usize>,
-    /// Bytes of a download after which the storage hangs up.
+    /// Bytes of a download after which the storage closes the connection.
     pub(crate) cut: Option<usize>,
-    /// Whether the storage gives wrong bytes.
+    /// Whether the storage sends wrong bytes.
     pub(crate) is_tampered: bool,
 }
 
@@ -70,7 +70,7 @@ impl State {
         newest.map_or(Vec::new(), |files| files.keys().cloned().collect())
     }
 
-    /// Changes the newest commit of a repo that was made elsewhere.
+    /// Makes a commit with a changed file, as another user would.
     pub(crate) fn write(&mut self, repo: &str, path: &str, bytes: &[u8]) {
         let commits = self.repos.entry(repo.to_owned()).or_default();
         let mut files = commits.last().cloned().unwrap_or_default();
@@ -78,7 +78,7 @@ impl State {
         commits.push(files);
     }
 
-    /// The requests with a method, by their paths, since they were last taken.
+    /// The paths of the requests with this method since the last call.
     pub(crate) fn take_calls(&mut self, method: &str) -> Vec<String> {
         let calls = std::mem::take(&mut self.calls).into_iter();
         calls
@@ -105,7 +105,7 @@ impl Hub {
             let (state, addresses) = (Arc::clone(&state), addresses.clone());
             std::thread::spawn(move || {
                 for stream in listener.incoming().flatten() {
-                    // A client that hangs up is the client's affair.
+                    // Ignore clients that hang up.
                     let _answered = answer(stream, &state, &addresses, is_storage);
                 }
             });
@@ -123,7 +123,7 @@ impl Hub {
         self.state.lock().expect("no thread panicked")
     }
 
-    /// Where the tools of the hub keep a token.
+    /// Path at which the tools of the hub keep a token.
     pub(crate) fn token_file(&self) -> std::path::PathBuf {
         self.home.path().join("token")
     }
@@ -225,7 +225,7 @@ impl Reply {
         }
     }
 
-    /// Bytes from one on.
+    /// Replies with the bytes from an offset on.
     fn bytes(bytes: &[u8], from: usize) -> Self {
         let mut reply = Self::new("200 OK", &bytes[from..]);
         if from > 0 {
@@ -379,7 +379,7 @@ fn create(asked: &Value, state: &mut State) -> Reply {
     Reply::json(&json!({ "url": repo }))
 }
 
-/// Name of the commit at a place.
+/// Name of the commit with this index.
 fn commit_name(index: usize) -> String {
     format!("{:040x}", index + 1)
 }

@@ -1,4 +1,4 @@
-//! The published way from keypoints to rotations: gradient descent by Adam on axis-angle.
+//! The published fit of rotations to keypoints: gradient descent by Adam on axis-angle.
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -6,10 +6,10 @@ use crate::pose::{KeypointFrame, Pose};
 use crate::rotation::{from_axis_angle, to_axis_angle};
 use crate::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton, parent_of};
 
-/// Numbers of a frame: translation and 22 rotation vectors.
+/// Parameters of a frame: translation and 22 rotation vectors.
 const PARAMETERS: usize = 3 + 3 * NUM_BODY_JOINTS;
 
-/// Decay rates and guard of Adam, as PyTorch has them by default.
+/// Decay rates and epsilon of Adam: PyTorch's defaults.
 const BETAS: [f64; 2] = [0.9, 0.999];
 const EPS: f64 = 1e-8;
 
@@ -25,7 +25,7 @@ pub type Parameters = [f64; PARAMETERS];
 pub struct AdamFit {
     /// Step size.
     pub learning_rate: f64,
-    /// Steps.
+    /// Number of steps.
     pub iterations: u32,
     /// Whether each keypoint counts, `[28]`.
     pub counts: [bool; NUM_KEYPOINTS],
@@ -38,7 +38,7 @@ pub struct AdamFitted {
     pub parameters: Vec<Parameters>,
     /// Mean squared error in m² before each step.
     pub history: Vec<f64>,
-    /// Mean squared error in m² after the last one.
+    /// Mean squared error in m² after the last step.
     pub mse: f64,
 }
 
@@ -164,9 +164,9 @@ impl Body {
 
     /// The sum of squared distances to the target in m², and its gradient.
     ///
-    /// A turn `w` of a joint moves a point at `r` from it by `w x r`, so the gradient of the turn is
-    /// the sum of `r x f` over all points that hang from the joint, with `f` the gradient of each.
-    /// The turn of a rotation vector `v` is that of its left Jacobian, in the axes of the parent.
+    /// A small rotation `w` of a joint moves a point at offset `r` by `w x r`, so the gradient of `w` is the sum of `r
+    /// x f` over all points below the joint, where `f` is the gradient of a point. A change `dv` of a rotation vector
+    /// `v` is the rotation `J(v) dv` in the axes of the parent, with `J` the left Jacobian.
     fn gradient(
         &self,
         parameters: &Parameters,
@@ -219,7 +219,7 @@ impl Body {
 /// The transpose of the left Jacobian of the rotation by `v`, times `x`.
 fn transposed_left_jacobian(v: DVec3, x: DVec3) -> DVec3 {
     let square = v.length_squared();
-    // Series where the quotients would lose their digits.
+    // Use the series where the quotients would lose digits.
     let (a, b) = if square < 1e-6 {
         (0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0)
     } else {
@@ -263,7 +263,8 @@ mod tests {
                 more[index] += STEP;
                 less[index] -= STEP;
                 let slope = (cost(&more) - cost(&less)) / (2.0 * STEP);
-                // The third derivative times the step squared, of a cost of some 50 m².
+                // Truncation error of the finite difference: third derivative times squared step, for a cost of about
+                // 50 m².
                 prop_assert!((gradient[index] - slope).abs() < 1e-6, "{index}");
             }
         }

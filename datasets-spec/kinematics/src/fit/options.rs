@@ -21,11 +21,11 @@ pub struct FitOptions {
     /// 0, the default, exact keypoints are recovered exactly; about 1e-4 smooths jittering points, and
     /// also keeps unobservable twists as in the first frame.
     pub smoothness: f64,
-    /// Temporal prior of [`super::fit_motion_from`] for points that do not lie on the body. The prior
-    /// continues the fitted frame before by the change of the given poses; its weight on the squared
-    /// angle of each global rotation is `continuity` times the frame's mean squared error of bone
-    /// lengths. Set it to the inverse square of the angle in radians by which motions are expected to
-    /// differ in a frame. Points on the body are fitted exactly whatever its value.
+    /// Temporal prior of [`super::fit_motion_from`] for points that do not lie on the body. The prior continues the
+    /// fitted frame before by the change of the given poses; its weight on the squared angle of each global rotation is
+    /// `continuity` times the frame's mean squared error of bone lengths. Set it to the inverse square of the angle in
+    /// radians by which motions are expected to differ in a frame. Points on the body are fitted exactly with any
+    /// value.
     pub continuity: f64,
 }
 

@@ -20,8 +20,8 @@ struct Hinge {
     axis: DVec3,
 }
 
-/// Shins by the feet, thighs by the knees, upper arms by the elbows. At rest the body stands with
-/// its legs along -y, its toes towards +z and its left arm along +x.
+/// The feet set the twist of the shins, the knees that of the thighs, the elbows that of the upper arms. At rest the
+/// body stands with its legs along -y, its toes towards +z and its left arm along +x.
 const HINGES: [Hinge; 6] = [
     Hinge {
         joint: 1,
@@ -60,7 +60,7 @@ const TRIANGLES: [(usize, [usize; 3]); 5] = [
 ];
 
 impl Fitter<'_> {
-    /// An initial body from geometry alone; exact if the keypoints lie on the skeleton.
+    /// An initial body from geometry only; exact if the keypoints lie on the skeleton.
     pub(super) fn start(&self, target: &KeypointFrame) -> Body {
         let mut global = [DQuat::IDENTITY; NUM_BODY_JOINTS];
         global[0] = self.aligned(target, 0).unwrap_or(DQuat::IDENTITY);

@@ -15,7 +15,7 @@ pub(super) struct Evaluation {
     pub(super) points: KeypointFrame,
     /// Weighted residuals, summed over the subtree of each point.
     pub(super) pulls: [DVec3; NUM_KEYPOINTS],
-    /// Rotation vectors from the prior to the body, zero without one.
+    /// Rotation vectors from the prior to the body; zero if there is no prior.
     pub(super) drift: [DVec3; NUM_BODY_JOINTS],
     pub(super) cost: f64,
 }

@@ -73,7 +73,7 @@ proptest! {
     fn the_fit_of_noisy_points_is_a_minimum(pose in pose(1.0), seed in any::<u64>()) {
         let skeleton = Skeleton::smplx_neutral();
         let target = noisy(&skeleton.keypoints(&pose), 0.01, seed);
-        // One pose in five thousand creeps along a nearly free wrist for more than 20 steps.
+        // One pose in five thousand needs more than 20 steps, because a wrist is nearly free.
         let options = FitOptions { max_iterations: 200, ..FitOptions::default() };
         let fitter = Fitter::new(&skeleton, &options);
         let slope = |pose: &Pose| {
@@ -86,8 +86,8 @@ proptest! {
                 .fold(now.pulls[0].length(), f64::max)
         };
         let fit = fit_pose(&skeleton, &target, None, &options);
-        // The last step is below 1e-5 m and the one before it was at least that; converging
-        // faster than linearly, the last one leaves a small part of 28 points times 1e-5 m.
+        // The last step is below 1e-5 m, and the step before it was not. Convergence is faster than linear, so the rest
+        // after the last step is a small part of 28 points times 1e-5 m.
         prop_assert!(slope(&fit.pose) < 1e-4);
         prop_assert!(slope(&fitter.pose_of(&fitter.start(&target), None)) > 1e-3);
     }
@@ -139,8 +139,8 @@ fn knees_and_elbows_bend_as_hinges() {
     let target = skeleton.keypoints(&pose);
     let fit = fit_pose(&skeleton, &target, None, &FitOptions::default());
     for joint in [1, 4, 16, 18] {
-        // A bend of 1.2 rad decides 96 % of a twist, and the twists here are below 0.7 rad; the
-        // forearm takes half of the turn of the hand besides, which is none here.
+        // A bend of 1.2 rad determines 96 % of a twist, and the twists here are below 0.7 rad. The forearm also takes
+        // half of the hand's rotation, which is zero here.
         let off = angle_between(fit.pose.rotations[joint], pose.rotations[joint]);
         assert!(off < 0.1, "joint {joint} is off by {off} rad");
     }
@@ -205,7 +205,7 @@ fn points_off_the_body_do_not_flip_joints_and_points_on_it_are_met() {
         })
         .collect();
     let exact: Vec<KeypointFrame> = poses.iter().map(|pose| skeleton.keypoints(pose)).collect();
-    // 4 cm, as generated points are off a body, on eyes and knuckles that are 3 to 8 cm apart.
+    // Noise of 4 cm, as in generated points, on eyes and knuckles that are 3 to 8 cm apart.
     let trembling: Vec<KeypointFrame> = (0..)
         .zip(&exact)
         .map(|(seed, points)| noisy(points, 0.04, seed))

@@ -9,7 +9,7 @@ pub(super) const MAX_CHAIN: usize = 8;
 
 pub(super) struct Tree {
     pub(super) num_children: [usize; NUM_BODY_JOINTS],
-    /// Slots of those children.
+    /// Keypoint children of each joint, as slots.
     pub(super) children: [[usize; MAX_CHILDREN]; NUM_BODY_JOINTS],
     /// Depth of each joint; 0 for the pelvis.
     pub(super) depth: [usize; NUM_BODY_JOINTS],

@@ -94,8 +94,7 @@ pub fn sin_cos(angle: f64) -> (f64, f64) {
     )
 }
 
-/// The angle in [0, pi / 2] whose sine and cosine, neither of them negative, are in the given
-/// ratio; 0 where both are 0.
+/// The angle in [0, pi / 2] whose sine and cosine are in the given ratio; neither may be negative. 0 if both are 0.
 #[inline(always)]
 pub fn angle_of(sine: f64, cosine: f64) -> f64 {
     /// Tangent and cotangent of an eighth of pi.

@@ -61,9 +61,8 @@ impl HubCache {
     /// `None` if the server has no such file.
     ///
     /// # Errors
-    /// The server cannot be reached or fails, another process is fetching the same file, the
-    /// content does not match the checksum, or the cache cannot be written. What was downloaded
-    /// is kept, unless it is wrong.
+    /// The server cannot be reached or fails, another process is fetching the same file, the content does not match the
+    /// checksum, or the cache cannot be written. Downloaded bytes are kept, unless they are wrong.
     pub fn fetch(
         &self,
         hub: &Hub,

@@ -102,7 +102,7 @@ pub(super) fn hex(bytes: &[u8]) -> String {
 /// verified.
 ///
 /// # Errors
-/// The file cannot be read, or is not what its checksum says.
+/// The file cannot be read, or does not match its checksum.
 pub fn read_checked(path: &Path) -> Result<Vec<u8>, Error> {
     let real = fs::canonicalize(path).map_err(datasets_spec::Error::io("find", path))?;
     let checksum = real

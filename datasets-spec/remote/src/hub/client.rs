@@ -15,14 +15,14 @@ use super::error::Error;
 
 /// The public server. Responses of other servers may name it instead of themselves.
 const ENDPOINT: &str = "https://huggingface.co";
-/// The branch that is followed where none is named.
+/// The branch used if none is named.
 pub(super) const BRANCH: &str = "main";
 pub(super) const MAX_REDIRECTS: u32 = 5;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(30);
 const READ_TIMEOUT: Duration = Duration::from_secs(60);
-/// Time in which a commit of many files, or the assembly of a large file, is answered.
+/// Timeout of a commit of many files, or of the assembly of a large file.
 const COMMIT_TIMEOUT: Duration = Duration::from_secs(600);
-/// Maximum bytes of an answer: a page of a listing, or the places of a thousand parts.
+/// Maximum bytes of an answer: a page of a listing, or the addresses of a thousand parts.
 const MAX_ANSWER_LEN: u64 = 64 << 20;
 /// Characters of a server's message that an error repeats.
 const MAX_MESSAGE_LEN: usize = 300;
@@ -52,9 +52,9 @@ impl Hub {
         Self::through(endpoint, None)
     }
 
-    /// The server, and the proxy to it, that the variables `HF_ENDPOINT`, `HTTPS_PROXY` and
-    /// `ALL_PROXY` name; without them the public server, reached directly. The caller passes the
-    /// environment in. There is no token: a wrong one would be refused where none is needed.
+    /// The server, and the proxy to it, that the variables `HF_ENDPOINT`, `HTTPS_PROXY` and `ALL_PROXY` name; without
+    /// them the public server, reached directly. The caller passes the environment in. No token is set, because a wrong
+    /// token would be refused even where none is needed.
     ///
     /// # Errors
     /// A variable does not name a proxy.
@@ -111,7 +111,7 @@ impl Hub {
     /// Checks that there is a token.
     ///
     /// # Errors
-    /// There is none.
+    /// There is no token.
     pub fn check_token(&self) -> Result<(), Error> {
         match self.token {
             Some(_) => Ok(()),
@@ -123,7 +123,7 @@ impl Hub {
         self.token.is_some()
     }
 
-    /// Where a file of a repo is downloaded from. `repo` is its path on the server.
+    /// URL at which a file of a repo is downloaded. `repo` is its path on the server.
     pub(super) fn address(&self, repo: &str, revision: &str, file: &str) -> String {
         let (revision, file) = (quoted(revision, ""), quoted(file, "/"));
         format!("{}/{repo}/resolve/{revision}/{file}", self.endpoint)

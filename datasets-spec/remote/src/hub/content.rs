@@ -26,12 +26,12 @@ pub enum Content {
         /// SHA-256 of the content, hexadecimal, if it is known.
         sha256: Option<String>,
     },
-    /// Text that is in no file.
+    /// Text in memory.
     Text(String),
 }
 
 impl Content {
-    /// Bytes.
+    /// Size in bytes.
     pub(super) fn size(&self) -> Result<u64, Error> {
         match self {
             Self::File { path, .. } => {
@@ -88,7 +88,7 @@ impl Content {
         }
     }
 
-    /// Path of the file, for errors.
+    /// Path of the file, for errors; a placeholder for text.
     fn place(&self) -> &Path {
         match self {
             Self::File { path, .. } => path,
@@ -111,7 +111,7 @@ pub fn files_below(folder: &Path, without: &[&str]) -> Result<Vec<HubFile>, Erro
             let entries = fs::read_dir(&place)?.map(|entry| {
                 let entry = entry?;
                 let name = entry.file_name().to_string_lossy().into_owned();
-                // A link counts as what it leads to.
+                // A link to a folder counts as a folder.
                 Ok((name, fs::metadata(entry.path())?.is_dir()))
             });
             entries.collect()

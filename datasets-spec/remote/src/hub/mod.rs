@@ -1,7 +1,7 @@
-//! The Hugging Face hub: what its tools keep on this machine, downloads, and repos that are published and pulled.
+//! The Hugging Face hub: its local cache, downloads, and pushing and pulling of repos.
 //!
-//! These are calls of our own on ureq. The crate `hf-hub` 1.0 brings an asynchronous client and some dozens of crates
-//! with it, and 0.5 cannot upload and verifies no checksum. What is sent, and in which order, follows the Python client
+//! The requests are our own, on ureq. The crate `hf-hub` 1.0 brings an asynchronous client and some dozens of crates
+//! with it, and 0.5 cannot upload and verifies no checksum. The requests and their order follow the Python client
 //! (`huggingface_hub` 2.4, over LFS).
 //!
 //! Read [`Hub`] first, then [`Push`] and [`pull()`]. [`HubCache`] is the folder of Hugging Face's own tools.

@@ -44,7 +44,7 @@ impl Staged {
     /// Makes the folder appear.
     ///
     /// # Errors
-    /// It cannot be renamed.
+    /// The folder cannot be renamed.
     pub fn publish(self) -> Result<Pulled, Error> {
         fs::rename(&self.folder, &self.out)
             .map_err(datasets_spec::Error::io("rename into place", &self.out))?;
@@ -54,14 +54,14 @@ impl Staged {
     /// Removes what was downloaded.
     ///
     /// # Errors
-    /// It cannot be removed.
+    /// The folder cannot be removed.
     pub fn discard(self) -> Result<(), Error> {
         let removed = fs::remove_dir_all(&self.folder);
         Ok(removed.map_err(datasets_spec::Error::io("remove", &self.folder))?)
     }
 }
 
-/// The version of a dataset whose manifest a path names.
+/// The version in the path of a manifest; none if the path is not that of a manifest.
 pub fn manifest_version(path: &str) -> Option<u64> {
     let number = path.strip_prefix("meta/manifest-")?;
     number.strip_suffix(".json")?.parse().ok()
@@ -71,8 +71,8 @@ pub fn manifest_version(path: &str) -> Option<u64> {
 /// checked against its checksum, and an interrupted download is resumed.
 ///
 /// # Errors
-/// The folder is there already, the repo has no such revision or holds nothing of this program, the server refuses or
-/// fails, or a file is not what its checksum says. What was downloaded is kept, unless it is wrong.
+/// The folder exists already, the repo has no such revision or holds nothing of this program, the server refuses or
+/// fails, or a file does not match its checksum. Downloaded files are kept, unless they are wrong.
 pub fn pull(
     hub: &Hub,
     repo: &Repo,
@@ -102,7 +102,7 @@ pub fn pull(
         RepoKind::Model => return Err(source.foreign("run", "config.json")),
     };
     files.keys().try_for_each(|path| source.check(path))?;
-    // Settings of the repo itself, such as .gitattributes.
+    // Skip settings of the repo itself, such as .gitattributes.
     files.retain(|path, _| !path.split('/').any(|part| part.starts_with('.')));
     progress.begin("pull", Some(files.len() as u64));
     for (path, file) in &files {
@@ -144,7 +144,7 @@ impl Source<'_> {
         }
     }
 
-    /// Keeps the files of the newest version of a dataset, and what lies beside its tables. Returns the others.
+    /// Keeps the files of the newest version of a dataset, and the files beside its tables. Returns the other files.
     fn keep_newest(&self, files: &mut Tree, progress: &dyn Progress) -> Result<Vec<String>, Error> {
         let newest = files
             .iter()

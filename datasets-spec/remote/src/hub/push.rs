@@ -18,19 +18,19 @@ use super::repo::{Repo, Tree, commit_of, create, tree};
 const BATCH: usize = 256;
 /// First bytes of a file, from which the server decides between text and binary data.
 const SAMPLE_LEN: u64 = 512;
-/// The hub's file of LFS patterns. It belongs to the repo.
+/// The hub's file of LFS patterns, which belongs to the repo.
 const ATTRIBUTES: &str = ".gitattributes";
 
-/// How files are published.
+/// Options of a push.
 #[derive(Clone, Copy, Debug)]
 pub struct PushOptions<'a> {
-    /// Branch.
+    /// Target branch.
     pub revision: &'a str,
     /// First line of the commit's message.
     pub message: &'a str,
     /// Whether a new repo is private.
     pub is_private: bool,
-    /// Files and folders of the repo to delete, of what is not published.
+    /// Files and folders to delete from the repo; published files cannot be deleted.
     pub delete: &'a [String],
 }
 
@@ -45,7 +45,7 @@ pub struct Pushed {
     pub unchanged: usize,
     /// Files that were deleted.
     pub deleted: Vec<String>,
-    /// Files of the repo that are not published, and stay.
+    /// Files of the repo that are not published; they stay.
     pub only_in_repo: Vec<String>,
     /// Large files that were uploaded; the others were already stored, in this repo or by an interrupted upload.
     pub sent: usize,
@@ -53,7 +53,7 @@ pub struct Pushed {
     pub sent_bytes: u64,
 }
 
-/// A commit to make: what of some files a repo lacks.
+/// A planned commit: the files that a repo lacks or has with other content.
 #[derive(Debug)]
 pub struct Push<'a> {
     hub: &'a Hub,
@@ -113,8 +113,8 @@ impl<'a> Push<'a> {
     /// A missing repo is created.
     ///
     /// # Errors
-    /// There is no token, the server refuses or fails, another commit was made meanwhile, or a file cannot be read. What
-    /// was uploaded before is not lost: the same push goes on from there.
+    /// There is no token, the server refuses or fails, another commit was made meanwhile, or a file cannot be read.
+    /// Uploaded files are not lost: the same push continues from there.
     pub fn send(self, progress: &dyn Progress) -> Result<Pushed, Error> {
         let Self {
             hub, repo, options, ..
@@ -258,8 +258,8 @@ fn distinct<'a>(objects: &[Object<'a>]) -> Vec<Object<'a>> {
     distinct
 }
 
-/// The commit in the server's format: a JSON document a line. It names its parent, so it fails if another commit was
-/// made meanwhile.
+/// The commit in the server's format: one JSON document per line. The commit names its parent, so it fails if another
+/// commit was made meanwhile.
 fn commit_lines(
     options: &PushOptions<'_>,
     parent: Option<&str>,

@@ -19,9 +19,9 @@ const MAX_NAME_LEN: usize = 96;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum RepoKind {
-    /// Tables.
+    /// Tables of motions.
     Dataset,
-    /// Weights.
+    /// Weights of a network.
     Model,
 }
 
@@ -153,7 +153,7 @@ pub(super) fn commit_of(hub: &Hub, repo: &Repo, revision: &str) -> Result<Option
 /// Finds whether a name belongs to a dataset or to a model.
 ///
 /// # Errors
-/// It is that of both or of neither, or the server cannot be reached or fails.
+/// The name belongs to both or to neither, or the server cannot be reached or fails.
 pub fn kind_of(hub: &Hub, name: &RepoName, revision: &str) -> Result<RepoKind, Error> {
     let mut found = Vec::new();
     for kind in [RepoKind::Dataset, RepoKind::Model] {

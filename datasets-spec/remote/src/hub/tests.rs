@@ -52,8 +52,8 @@ impl Served {
 /// Requests a server has answered: method, path and range.
 type Log = Arc<Mutex<Vec<String>>>;
 
-/// Starts a server; it ends with the test process. Large files are given from another place, and
-/// small ones are described at another place, as the public server does.
+/// Starts a server that ends with the test process. Like the public server, it redirects large files to another server,
+/// and small files to an address that describes them.
 fn serve(files: BTreeMap<&'static str, Served>) -> (Hub, Log) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = listener.local_addr().expect("bound");
@@ -61,7 +61,7 @@ fn serve(files: BTreeMap<&'static str, Served>) -> (Hub, Log) {
     let answered = log.clone();
     thread::spawn(move || {
         for stream in listener.incoming() {
-            // A client that hangs up is the client's affair.
+            // Ignore clients that hang up.
             let _served = stream.and_then(|stream| answer(stream, &files, &answered));
         }
     });
@@ -209,7 +209,7 @@ fn an_interrupted_download_goes_on_where_it_stopped() {
         cut: Some(400),
         ..Served::large(&weights)
     };
-    // A file that an earlier run left behind.
+    // A partial file that an earlier run left behind.
     let blobs = cache.folder(REPO).join("blobs");
     fs::create_dir_all(&blobs).expect("created");
     let part = blobs.join(format!("{}.incomplete", served.etag));
@@ -282,7 +282,7 @@ fn wrong_content_is_refused_wherever_it_comes_from() {
         assert_eq!(left.count(), 0, "wrong bytes are not continued");
     }
 
-    // Content that went bad later is found when it is read.
+    // Reading detects content that was damaged later.
     let (hub, _) = serve_model(Served::large(&weights));
     let path = fetched(&cache, &hub, "model.safetensors");
     fs::write(&path, &weights[1..]).expect("written through the link");

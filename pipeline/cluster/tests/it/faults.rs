@@ -107,7 +107,7 @@ fn after_a_lost_scheduler_the_same_command_goes_on() {
         told.contains("does not answer") && told.contains("run the same command again"),
         "{told}"
     );
-    // The executor that was there asks the new scheduler for work.
+    // The executor that is still running asks the new scheduler for work.
     cluster.restart_scheduler();
     let said = document(&run_on(&cluster.address, &plan, &[]), 0);
     assert!(said["done_before"].as_u64() >= Some(2), "{said}");
@@ -132,7 +132,7 @@ fn faults_that_ballista_injects_change_nothing() {
     }
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
     let mut said = run_local(&plan, &args);
-    // A task that fails four times ends the job; what is done stays done.
+    // A task that fails four times ends the job; pieces that are done stay done.
     for _ in 0..10 {
         if said.status.success() {
             break;
@@ -145,7 +145,7 @@ fn faults_that_ballista_injects_change_nothing() {
     );
 }
 
-/// A `stance` command that ends one piece in the way `how`.
+/// A `stance` command that runs `how` in place of one piece.
 fn spoiled(folder: &Path, piece: &str, how: &str) -> PathBuf {
     let path = folder.join("stance");
     let stance = stance();

@@ -37,7 +37,7 @@ pub(crate) fn run(program: &Path, args: &[&str]) -> Output {
     output.unwrap_or_else(|error| panic!("{}: {error}", program.display()))
 }
 
-/// Runs `stance` and returns its JSON document; `allowed` are the exit codes beside 0.
+/// Runs `stance` and returns its JSON document; `allowed` are the exit codes that are accepted besides 0.
 pub(crate) fn stance_json(args: &[&str], allowed: &[i32]) -> Value {
     let mut all = vec!["--json", "--no-progress"];
     all.extend(args);
@@ -213,17 +213,17 @@ impl Cluster {
         self.started += 1;
     }
 
-    /// Loses an executor, if it is still there.
+    /// Kills an executor, if it is still there.
     pub(crate) fn lose(&mut self, executor: usize) -> bool {
         self.executors.remove(&executor).is_some()
     }
 
-    /// Loses the scheduler.
+    /// Kills the scheduler.
     pub(crate) fn lose_scheduler(&mut self) {
         self.scheduler.kill();
     }
 
-    /// Starts the scheduler again, at the address it had.
+    /// Starts the scheduler again, at the same address.
     pub(crate) fn restart_scheduler(&mut self) {
         (self.scheduler, _) = scheduler(&self.address);
     }

@@ -9,11 +9,11 @@ from stance import _native
 def main() -> int:
     """Runs the command line of this process and returns its exit code."""
     for number in (signal.SIGINT, signal.SIGTERM):
-        # Python's handler only sets a flag, which nobody looks at while Rust works. A signal that is ignored, as under
+        # Python's handler only sets a flag, which is not checked while Rust works. A signal that is ignored, as under
         # nohup, stays ignored.
         if callable(signal.getsignal(number)):
             signal.signal(number, signal.SIG_DFL)
-    # This file and not `-m stance`, which would find a `stance.py` in the working folder first.
+    # Pass this file and not `-m stance`, which would first find a `stance.py` in the working folder.
     return _native.main(["stance", *sys.argv[1:]], sys.executable, __file__)
 
 

@@ -37,7 +37,7 @@ class Dataset(_native.Dataset):
         if remote is None:
             made = super().__new__(cls, path, verify=verify)
         else:
-            # Each file is checked when it is copied.
+            # Each file is verified when it is copied.
             made = super().__new__(cls, remote.local, verify=False)
         made._remote = remote
         return made

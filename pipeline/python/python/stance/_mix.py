@@ -83,7 +83,7 @@ class MotionCutMix(_Base):
         own = json.dumps(self._normalizer) if self._normalizer else None
         return _native.Mix(self._path, json.dumps(self._config), self._seed, self.split, own)
 
-    # Workers that are spawned make the stream again from its settings; forked ones share its memory.
+    # Spawned workers make the stream again from its settings; forked ones share its memory.
     def __getstate__(self) -> dict[str, Any]:
         state = dict(self.__dict__)
         del state["_mix"]

@@ -40,7 +40,7 @@ def to_rerun(
     if len(set(titles)) < len(titles) or not all(titles):
         raise ValueError(f"names must differ and not be empty, got {titles}")
     recording = rerun.RecordingStream("stance")
-    # A recording that could not be written to its end is not left behind.
+    # Write to a temporary file, so that no incomplete recording is left behind.
     part = Path(f"{os.fspath(path)}.{os.getpid()}.part")
     recording.save(part)
     try:
@@ -101,7 +101,7 @@ def _log_transforms(rerun: Any, recording: Any, root: str, motion: Motion) -> No
 
 def _rest(motion: Motion) -> np.ndarray:
     """The 22 joints of a motion's body at rest, ``[22, 3]`` in metres."""
-    # A motion's skeleton can be had from its pickled parts alone.
+    # The skeleton of a motion is only available from its pickled parts.
     restored, (_, _, _, fps, skeleton) = motion.__reduce__()
     zeros = [np.zeros((1, width), np.float32) for width in (3, 3, 63)]
     return restored(*zeros, fps, skeleton).joints()[0]

@@ -108,9 +108,9 @@ impl PairList {
     }
 
     /// Parses a list in UTF-8, with or without a header line (`styled,original,style,text,kind,parts,edit_type`).
-    /// Fields may be quoted; those from the text on may be left out. The kind is `style` (the default) or
-    /// `fine-grained`, whose lines need a text and no style; the parts are names of body parts with `;`
-    /// between them; the edit type of a fine-grained pair is one of [`EDIT_TYPES`].
+    /// Fields may be quoted; the text and the fields after it may be left out. The kind is `style` (the default) or
+    /// `fine-grained`, whose lines need a text and no style; the parts are names of body parts with `;` between them;
+    /// the edit type of a fine-grained pair is one of [`EDIT_TYPES`].
     pub fn parse(bytes: &[u8]) -> Self {
         let mut list = Self {
             hash: blake3::hash(bytes).to_hex().to_string(),
@@ -255,7 +255,7 @@ impl Line {
     }
 }
 
-/// The kind that a line states; that of a style if it states none.
+/// Parses the kind of a line; the default for an empty word.
 fn parse_kind(word: &str) -> Result<EditKind, String> {
     const ALLOWED: [EditKind; 2] = [EditKind::Style, EditKind::FineGrained];
     if word.is_empty() {
@@ -270,7 +270,7 @@ fn parse_kind(word: &str) -> Result<EditKind, String> {
     })
 }
 
-/// The edit type that a line states, if it states one.
+/// Parses the edit type of a line; none for an empty word.
 fn parse_edit_type(word: &str, kind: EditKind) -> Result<Option<String>, String> {
     if word.is_empty() {
         return Ok(None);
@@ -289,7 +289,7 @@ fn parse_edit_type(word: &str, kind: EditKind) -> Result<Option<String>, String>
     })
 }
 
-/// The names of body parts between semicolons; none of an empty text.
+/// Parses the names of body parts between semicolons; none for an empty text.
 fn parse_parts(text: &str) -> Result<Vec<String>, String> {
     let names = text.split(';').map(str::trim);
     names
@@ -310,7 +310,7 @@ pub(crate) fn names_of(name: &str) -> impl Iterator<Item = &str> {
     std::iter::once(name).chain(stem)
 }
 
-/// The source clip whose split each styled clip of a list takes: its original, or the original's original.
+/// The source clip whose split each styled clip of a list takes: its original, or the last one in a chain of originals.
 /// Cycles are left out.
 pub(crate) fn originals<'a>(
     pairs: impl Iterator<Item = (&'a str, &'a str)>,

@@ -114,7 +114,7 @@ impl LabelledClip {
 /// the style. Motions without a style or an action are skipped.
 ///
 /// # Source
-/// Paper Sec. 3.2: a style pair is one action, performed as it is and in a style.
+/// Paper Sec. 3.2: a style pair is one action, performed neutrally and in a style.
 pub fn style_pairs(motions: &[LabelledClip], config: &PairConfig, seed: Seed) -> StylePairs {
     let is_neutral = |style: &str| config.neutral.iter().any(|n| n.eq_ignore_ascii_case(style));
     // Captures of one session have the same body, floor and actor.

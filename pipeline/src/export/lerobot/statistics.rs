@@ -52,7 +52,7 @@ impl Statistics {
             statistics.mean[column] = mean;
             statistics.variance[column] = scatter / count;
             for (quantile, (_, share)) in statistics.quantiles.iter_mut().zip(QUANTILES) {
-                // Linear between neighbours, as NumPy's.
+                // Linear interpolation between neighbours, as in NumPy.
                 let place = share * last as f64;
                 let below = values[place as usize];
                 let above = values[last.min(place as usize + 1)];

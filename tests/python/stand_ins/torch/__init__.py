@@ -24,7 +24,7 @@ nn = types.SimpleNamespace(Module=Never)
 
 def tensor(values) -> Tensor:
     values = numpy.asarray(values)
-    # PyTorch's numbers are of single precision unless something else is stated.
+    # PyTorch uses single precision unless another type is stated.
     if values.dtype == numpy.float64:
         values = values.astype(numpy.float32)
     return values.view(Tensor)
