@@ -1,5 +1,5 @@
-//! Self-attention, computed from the joint projection of queries, keys and values. This module implements short
-//! sequences and passes long ones to [`crate::long_attention`].
+//! Self-attention, computed from the joint projection of queries, keys and values. This module computes short
+//! sequences; `long_attention` computes long ones.
 
 use kinematics::simd::lanes::{Kernel, LANES, dispatch};
 use rayon::prelude::*;
