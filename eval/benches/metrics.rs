@@ -1,5 +1,5 @@
 //! Times of the metrics at the size of a large test set (10,000 latents of width 512, a million frames), and of a whole
-//! evaluation of items in a folder without encoding.
+//! evaluation of items in a folder with an encoder of negligible cost.
 //!
 //! `cargo bench --bench metrics`; `RAYON_NUM_THREADS` chooses the threads. `matrix_product` measures single-precision
 //! matrix products, whose speed limits that of the galleries.

@@ -68,7 +68,7 @@ impl CoordinatorConfig {
     ///
     /// # Source
     /// Paper, Sec. 5.2 and App. B.4. The released coordinators were saved after 55 k to 68 k steps; `Official` and
-    /// `Paper` make 68 k. Neither publication states this network's learning rate and batch size; the editor's are
+    /// `Paper` run 68 k. Neither publication states this network's learning rate and batch size; the editor's are
     /// used. `Tiny` has a lower rate, because at the editor's rate the coordinator is at chance after 500 steps. Its
     /// 6,000 steps bring the validation loss on real motion well below that of chance
     /// (`eval/plans/real-small/RESULTS.md`). On the few clips of the built-in corpus it overfits to the natural windows

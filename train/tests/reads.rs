@@ -53,7 +53,7 @@ fn nothing_is_read_inside_a_step_of_training_or_sampling() {
         assert_eq!(reads_of(network, &own), expected, "{network}");
     }
     // The pose network logs at least twenty lines and validates at least ten times. Afterwards it is measured, with one
-    // read for each of the fits that start with its poses.
+    // read alone and one for each fit that starts with its poses.
     let reads = reads_of("j2s", &settings("j2s", STEPS, LOG_EVERY));
     assert!((STEPS + 10..STEPS + 20).contains(&reads), "{reads}");
     // The latent diffusion reads the latent vectors of each micro-batch in the loader, outside of the training step.

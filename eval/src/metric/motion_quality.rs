@@ -178,7 +178,7 @@ pub fn jerk(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
 }
 
 /// Mean horizontal speed in m/s of the lowest foot: for each two consecutive frames, the ankle or toe joint with the
-/// lowest height over both. None for fewer than two frames.
+/// lowest mean height in both. None for fewer than two frames.
 ///
 /// A standing or walking body always has a foot at rest on the floor, so the value is near 0; for a gliding body it is
 /// the body's speed. No height threshold defines contact, so a floating body is measured too.

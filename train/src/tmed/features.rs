@@ -102,8 +102,8 @@ pub fn features_of_poses(poses: &[Pose], joints: &[[DVec3; NUM_BODY_JOINTS]]) ->
         .collect()
 }
 
-/// Converts features to poses with +z up, starting from a heading and a translation. The joint positions, the first
-/// frame's changes and the heading part of the root rotation are not used.
+/// Converts features to poses with +z up, starting from a heading and a translation. The joint positions and
+/// the first frame's changes are not used; of the heading change, only the rotation about z.
 ///
 /// # Source
 /// MotionFix, `diffout2motion`.
