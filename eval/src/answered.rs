@@ -35,8 +35,8 @@ impl Answered {
         }
     }
 
-    /// Reads tables of edits of the same items. A folder of items alone has no edits. The motions stay in the files;
-    /// those of the items are read from the first folder.
+    /// Reads tables of edits of the same items. A folder may hold only items, without edits. The motions stay in the
+    /// files; those of the items are read from the first folder.
     ///
     /// # Errors
     /// No folder is given, one cannot be read, or two folders hold different items or skeletons.

@@ -183,7 +183,7 @@ impl Protocol {
     /// Refuses settings with which nothing is measured.
     ///
     /// # Errors
-    /// There are no repeats, no pairs, or galleries of fewer than two items.
+    /// There are no repeats, no Diversity pairs, or galleries of fewer than two items.
     pub fn check(&self) -> Result<(), Error> {
         let at_least = |field, needed, found| {
             if found < needed {

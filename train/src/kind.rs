@@ -22,7 +22,7 @@ use crate::{Error, Session};
 pub struct ModelKind {
     /// Name of the model on the command line and in run folders.
     pub name: &'static str,
-    /// Description in one line.
+    /// Description of the model in one line.
     pub about: &'static str,
     /// All settings of a preset: a JSON object, or null for a model without settings.
     pub preset: fn(Preset) -> Value,

@@ -1,8 +1,8 @@
 //! Sends numbers to devices and reads them back. All reads of this crate are here, so that they can be counted.
 //!
-//! A GPU computes asynchronously. A read waits until it has finished all queued operations, and then it is idle until
-//! the program queues more. So nothing is read within a step of training or sampling. The README of this crate lists
-//! the remaining reads.
+//! A GPU computes asynchronously. A read waits until the GPU has finished all queued operations, and then the GPU is
+//! idle until the program queues more. So nothing is read within a step of training or sampling. The README of this
+//! crate lists the remaining reads.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 

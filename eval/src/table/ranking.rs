@@ -102,7 +102,7 @@ pub(super) fn of_table(scores: &[&ScoreRow]) -> Vec<Standing> {
     standings
 }
 
-/// Systems that do not edit: their printed values equal the identity editor's in every metric that both have. It may
+/// Systems that do not edit: their printed values equal the identity editor's in every metric that both have. They may
 /// have values in metrics that the identity editor lacks, such as the fit error.
 pub(super) fn idle<'a>(scores: &[&'a ScoreRow]) -> BTreeSet<&'a str> {
     let printed = |row: &ScoreRow| {
