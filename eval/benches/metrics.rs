@@ -1,8 +1,8 @@
-//! The metrics at the sizes of a large test set: 10,000 latents of width 512, a million frames; and a whole evaluation
-//! of items in a folder, beside their encoding.
+//! Times of the metrics at the size of a large test set (10,000 latents of width 512, a million frames), and of a whole
+//! evaluation of items in a folder with an encoder of negligible cost.
 //!
-//! `cargo bench --bench metrics`; `RAYON_NUM_THREADS` chooses the threads. `matrix_product` is the
-//! speed of single-precision products in the same run, which bounds that of the galleries.
+//! `cargo bench --bench metrics`; `RAYON_NUM_THREADS` chooses the threads. `matrix_product` measures single-precision
+//! matrix products, whose speed limits that of the galleries.
 
 use std::hint::black_box;
 
@@ -39,7 +39,7 @@ fn latents(name: &str) -> Matrix {
     Matrix::new(NUM_LATENTS, WIDTH, data)
 }
 
-/// Two covariances, a decomposition and the eigenvalues of a product.
+/// Two covariances, one eigendecomposition, and the eigenvalues of one product.
 #[divan::bench(sample_count = 5, sample_size = 1)]
 fn fid_10k(bencher: Bencher) {
     let (real, generated) = (latents("real"), latents("generated"));
@@ -53,7 +53,7 @@ fn full_gallery_10k(bencher: Bencher) {
     bencher.bench_local(|| ranks(black_box(&queries), &gallery, &all).expect("valid"));
 }
 
-/// Ten repeats of 312 galleries.
+/// Ten repeats with 312 galleries each.
 #[divan::bench(sample_count = 5, sample_size = 1)]
 fn galleries_of_32(bencher: Bencher) {
     let unit = |name| unit_rows(&latents(name)).expect("directions");
@@ -91,7 +91,7 @@ fn foot_score_1m(bencher: Bencher) {
         .bench_local(|| foot_score(black_box(&feet), Fps::STORE, Floor::At(0.0)));
 }
 
-/// Single-precision operations a second on one core.
+/// Counts single-precision operations per second on one core.
 #[divan::bench(sample_count = 20)]
 fn matrix_product(bencher: Bencher) {
     let [m, k, n] = [1024, 512, 1024];
@@ -128,7 +128,7 @@ impl MotionEncoder for FirstFrame {
     }
 }
 
-/// Ten seconds of a body that turns its joints and moves.
+/// A motion of ten seconds with rotating joints and a moving root.
 fn motion(name: &str, number: usize) -> Motion {
     let mut rng = Seed(3).rng(&["bench", name, &number.to_string()]);
     let turns = Pose::REST.rotations.map(|_| rng.random_range(-0.5..0.5));
@@ -143,7 +143,7 @@ fn motion(name: &str, number: usize) -> Motion {
     Motion::from_poses(Fps::STORE, &poses).expect("a motion")
 }
 
-/// Reads items and the edits of one system from a folder, and scores them by an encoder that costs nothing.
+/// Reads items and the edits of one system from a folder, and scores them with an encoder of negligible cost.
 #[divan::bench(args = [128, 1024], sample_count = 3, sample_size = 1)]
 fn evaluation(bencher: Bencher, num_items: usize) {
     let root = std::env::temp_dir().join(format!("stance-bench-{}", std::process::id()));

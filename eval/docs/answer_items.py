@@ -4,8 +4,8 @@
     python answer_items.py QUESTIONS ANSWERS
     stance edits import ANSWERS --items ITEMS --name "Raised arm" --out EDITS
 
-It reads what a question holds, source and instruction, and answers by one rule: where the instruction
-names an arm, that arm is held up, else the source is returned. Replace `edited` by your model.
+It reads the source and the instruction of each item. If the instruction names an arm, that arm is raised;
+otherwise the source is returned. Replace `edited` by your model.
 """
 
 import json
@@ -14,12 +14,12 @@ import sys
 
 import numpy
 
-# Places of the shoulders among the 21 body joints of SMPL-X, and the turn about the forward axis that raises each arm.
+# Indices of the shoulders among the 21 body joints of SMPL-X, and the rotation about the forward axis to raise an arm.
 SHOULDERS = {"left": (15, 1.2), "right": (16, -1.2)}
 
 
 def edited(poses: numpy.ndarray, trans: numpy.ndarray, instruction: str):
-    """Poses [T, 66] and translations [T, 3] of the edit; the first 3 numbers of a pose turn the root."""
+    """Poses [T, 66] and translations [T, 3] of the edit; the first 3 numbers of a pose rotate the root."""
     poses = poses.copy()
     words = instruction.lower().replace(".", " ").replace(",", " ").split()
     if {"arm", "arms", "hand", "hands"} & set(words):

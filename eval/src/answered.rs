@@ -1,4 +1,4 @@
-//! Items and the edits that systems made of them: read together and checked, with their motions left in the files.
+//! Items and the edits of them by several systems, read together and checked. Their motions stay in the files.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -10,11 +10,11 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::rows::{EditFacts, Rows};
 
-/// Items whose motions are in memory together, with all that is computed from them. It is a multiple of the batches of
-/// encoders, so that each batch is full.
+/// Number of items whose motions, and everything computed from them, are in memory together. It is a multiple of the
+/// encoders' batch sizes, so that each batch is full.
 pub(crate) const ITEMS_AT_ONCE: usize = 128;
 
-/// Items and the edits that systems made of them. Their motions are read where they are needed, some at a time.
+/// Items and the edits of them by several systems. Motions are read in chunks when they are needed.
 #[derive(Debug)]
 pub struct Answered {
     /// The items.
@@ -26,7 +26,7 @@ pub struct Answered {
 }
 
 impl Answered {
-    /// Items and edits that are in memory.
+    /// Wraps items and edits that are in memory.
     pub fn of_rows(items: Vec<ItemRow>, edits: Vec<EditRow>, skeleton: Skeleton) -> Self {
         Self {
             items: items.into_iter().collect(),
@@ -35,11 +35,11 @@ impl Answered {
         }
     }
 
-    /// Reads tables of edits of the same items. A folder of items alone has no edits. The motions stay in the files;
-    /// those of the items are read from the first folder.
+    /// Reads tables of edits of the same items. A folder may hold only items, without edits. The motions stay in the
+    /// files; those of the items are read from the first folder.
     ///
     /// # Errors
-    /// There is no folder, one cannot be read, or two are of other items or skeletons.
+    /// No folder is given, one cannot be read, or two folders hold different items or skeletons.
     pub fn read(folders: &[PathBuf]) -> Result<Self, Error> {
         let mut all: Option<(&Path, Self)> = None;
         for path in folders {
@@ -69,18 +69,18 @@ impl Answered {
         })
     }
 
-    /// Reads tables of edits whose systems are rows of one result table.
+    /// Reads tables of edits whose systems become rows of one result table.
     ///
     /// # Errors
-    /// As [`Answered::read`], or one name stands for two systems.
+    /// As [`Answered::read`], or two systems have the same name.
     pub fn read_for_table(folders: &[PathBuf]) -> Result<Self, Error> {
         Self::read(folders)?.with_edits(Vec::new())
     }
 
-    /// Adds edits of the same items, whose systems are rows of the same result table.
+    /// Adds edits of the same items, whose systems become rows of the same result table.
     ///
     /// # Errors
-    /// One name stands for two systems, or a take is there twice.
+    /// Two systems have the same name, or a take appears twice.
     pub fn with_edits(mut self, edits: Vec<EditRow>) -> Result<Self, Error> {
         self.edits.extend(edits);
         check_systems(self.edits.facts())?;
@@ -108,8 +108,8 @@ impl Answered {
         Ok(rows)
     }
 
-    /// Reads a table of edits of one system, and adds the side to the system's name: two runs of one method have the
-    /// same.
+    /// Reads a table of edits of one system, and appends `side` to the system's name, because two runs of one method
+    /// have the same name.
     ///
     /// # Errors
     /// As [`Answered::read`], or the table holds several systems.
@@ -174,7 +174,8 @@ fn of_table(path: &Path, source: Error) -> Error {
     }
 }
 
-/// Refuses two checkpoints or settings under one name, which would share a row of a table, and duplicate takes.
+/// Refuses duplicate takes, and two systems (checkpoints or settings) with one name, which would share a row of a
+/// table.
 fn check_systems(edits: &[EditFacts]) -> Result<(), Error> {
     let mut known: BTreeMap<&str, &EditFacts> = BTreeMap::new();
     let mut takes: BTreeSet<(&str, &str, u64)> = BTreeSet::new();

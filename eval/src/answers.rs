@@ -1,4 +1,4 @@
-//! Tables of edits: read together, checked, scored, and the scores committed.
+//! Tables of edits: reading, checking, scoring, and committing the scores.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -21,14 +21,14 @@ use crate::table::Table;
 pub use crate::answered::Answered;
 pub use crate::judge::{RankedGalleries, encoder_retrieval};
 
-/// Scores, and facts about the encoders that they were measured with.
+/// Scores, and facts about the encoders used to measure them.
 #[derive(Clone, Debug)]
 pub struct Scores {
-    /// A row for each system, task and metric.
+    /// One row per system, task and metric.
     pub rows: Vec<ScoreRow>,
-    /// Each encoder by its hash.
+    /// Encoders by their hashes.
     pub judges: Judges,
-    /// Paired differences of the metrics that claims are made of; none in scores that are averaged over trainings.
+    /// Paired differences in the metrics that support claims; empty in scores averaged over trainings.
     pub comparisons: Vec<Comparison>,
 }
 
@@ -69,14 +69,14 @@ impl Scores {
         tables
     }
 
-    /// Reason why the scores cannot rank systems on the whole set of items; none if they can.
+    /// Reason why these scores cannot rank systems on the whole set of items; none if they can.
     pub fn unranked(&self) -> Option<String> {
         let of_all = self.rows.iter().find(|row| row.task == ALL_TASKS);
         let first = of_all.or(self.rows.first())?;
         unranked(first, &self.rows, &self.judges)
     }
 
-    /// Commits the scores as a dataset of their own.
+    /// Commits the scores as a separate dataset.
     ///
     /// # Errors
     /// The folder is locked or cannot be written.

@@ -1,4 +1,4 @@
-//! The edit that a page opens with, chosen by a rule.
+//! Chooses the edit that a page shows first.
 
 use std::collections::BTreeMap;
 
@@ -21,23 +21,24 @@ pub struct BestEdit {
     /// The item's edit.
     pub edit: EditRow,
     /// How much closer to the target the edit is than the source. `None` if no item has a target at the edit's frame
-    /// rate; then the item with the first id is shown. An edit that is not closer to its target than its source
-    /// ([`Gain::is_better`]) is not to be called the best.
+    /// rate; then the item with the first id is shown. A page must not call the edit the best if it is not closer to
+    /// its target than its source is ([`Gain::is_better`]).
     pub gain: Option<Gain>,
 }
 
-/// How much closer to the target the best edit is, and the other edits. Errors are mean distances to the target's 28
-/// keypoints over the frames that both motions have, with every pelvis moved over one point of the ground.
+/// Errors of the best edit and of its source against the target, and the median gain of all edits. An error is the mean
+/// distance to the target's 28 keypoints over the frames that both motions have, with every pelvis moved over the same
+/// point of the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gain {
     /// Error of the source in metres.
     pub source_m: f64,
     /// Error of the edit in metres.
     pub edit_m: f64,
-    /// Median over the items of how much smaller the error of the edit is, in metres; negative where most
-    /// edits are farther from their targets than the sources are.
+    /// Median over the items of the error's reduction, in metres; negative if most edits are farther from their targets
+    /// than the sources are.
     pub median_m: f64,
-    /// Items that were measured.
+    /// Number of measured items.
     pub num_items: usize,
 }
 
@@ -48,12 +49,11 @@ impl Gain {
     }
 }
 
-/// The edit that reduces the distance from source to target most, among the edits of the system listed first; of equal
-/// ones, that of the first item by id. Of several takes of an item, the one with the lowest seed counts. `None` without
-/// edits.
+/// The edit that reduces the distance from source to target most, among the edits of the system listed first. Ties go
+/// to the first item by id. If an item has several takes, the one with the lowest seed counts. `None` without edits.
 ///
-/// Distances are measured as by a camera that follows the pelvis, which is how a page shows the motions: a
-/// body that is off by a constant way over the ground looks right there.
+/// Distances ignore the pelvis's position over the ground, because a page shows the motions with a camera that follows
+/// the pelvis.
 ///
 /// # Errors
 /// A file cannot be read, an item was changed after it was drawn, or a row does not hold a motion.
@@ -85,8 +85,8 @@ pub fn best_edit(answered: &Answered) -> Result<Option<BestEdit>, Error> {
     Ok(chosen.map(|(item, edit)| BestEdit { item, edit, gain }))
 }
 
-/// How many metres closer each edit is to its target than its source is, as [`best_edit`] compares them: of every item
-/// that the system listed first has edited and that can be measured, by id. Items are given by their positions.
+/// How many metres closer each edit is to its target than its source is, as [`best_edit`] compares them: one value for
+/// each measurable item that the system listed first has edited, sorted by id. Items are given by their positions.
 ///
 /// # Errors
 /// As [`best_edit`].
@@ -99,7 +99,7 @@ pub fn gains(answered: &Answered) -> Result<Vec<(usize, f64)>, Error> {
         .collect())
 }
 
-/// Distances of each candidate, which are read some at a time.
+/// Distances of each candidate; motions are read in chunks.
 fn all_errors(
     answered: &Answered,
     candidates: &[[usize; 2]],
@@ -120,7 +120,8 @@ fn all_errors(
     Ok(all)
 }
 
-/// Positions of the items that the system listed first has edited, by id, and of their takes of the lowest seed.
+/// Positions of the items that the system listed first has edited, sorted by id, each with the position of its take
+/// with the lowest seed.
 fn first_takes(answered: &Answered) -> Vec<[usize; 2]> {
     let edits = answered.edits.facts();
     let Some(first) = edits.first() else {
@@ -161,7 +162,7 @@ fn errors(item: &ItemRow, edit: &Motion, skeleton: &Skeleton) -> Result<Option<[
     })))
 }
 
-/// Keypoints `[L, 28]` with the pelvis of every frame over the origin, at its height.
+/// Keypoints `[L, 28]` with every frame moved so that the pelvis is over the origin; its height is kept.
 fn followed(points: &[KeypointFrame]) -> Vec<KeypointFrame> {
     let over_origin = |frame: &KeypointFrame| {
         let mut pelvis = frame[0];
@@ -188,7 +189,7 @@ mod tests {
         Motion::from_poses(Fps::STORE, &poses).expect("valid")
     }
 
-    /// An item from the ground to `target` metres above it.
+    /// An item whose source stands on the ground and whose target is `target` metres above it.
     fn item(name: &str, target: Option<f64>) -> ItemRow {
         let mut item = ItemRow::blank(
             &MotionId::parse("somewhere/walk").expect("an id"),
@@ -213,7 +214,8 @@ mod tests {
         Answered::of_rows(items.to_vec(), edits, Skeleton::smplx_neutral())
     }
 
-    /// Three items whose targets lie 1, 2 and 4 m above their sources; the first is not the first by its id.
+    /// Three items whose targets lie 1, 2 and 4 m above their sources. The item listed first does not have the first
+    /// id.
     fn items() -> [ItemRow; 3] {
         let mut items =
             [("c", 4.0), ("a", 1.0), ("b", 2.0)].map(|(name, target)| item(name, Some(target)));
@@ -241,7 +243,7 @@ mod tests {
         };
         for drift in [0.0, 0.5] {
             let mut edits = edits(drift);
-            // A perfect edit of another system is not in question, and neither is a later take.
+            // Edits of another system and takes with later seeds do not count, even perfect ones.
             let highest = items.iter().find(|item| item.instruction == "c");
             let highest = highest.expect("one of the items");
             edits.push(edit(highest, "other", 0, &lifted(4.0, 0.0)));
@@ -253,7 +255,7 @@ mod tests {
             assert!(words.starts_with("The best case"), "{words}");
             let gain = best.gain.expect("targets");
             assert_eq!(gain.num_items, 3);
-            // Stored in single precision.
+            // Motions are stored in single precision.
             let near = |found: f64, expected: f64| (found - expected).abs() < 1e-5;
             assert!(
                 near(gain.source_m, 2.0) && near(gain.edit_m, 0.5),

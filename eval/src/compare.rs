@@ -1,4 +1,4 @@
-//! Whether one system is better than another: paired differences with intervals.
+//! Paired differences between two systems, with intervals that tell whether one is better.
 
 use datasets_spec::Progress;
 use datasets_spec::quantile::quantile;
@@ -26,7 +26,7 @@ use crate::table::notes::{shortage_of_fid, shortage_of_targets};
 /// Number of resamples for the interval of a Fréchet distance; each decomposes three covariances.
 const FID_RESAMPLES: usize = 200;
 
-/// Share of the resamples outside the interval at either end.
+/// Share of the resamples outside the interval at each end.
 const TAIL: f64 = 0.025;
 
 /// The difference of two systems in one metric, on the same items.
@@ -36,19 +36,19 @@ pub struct Difference {
     pub metric: String,
     /// Value of the first system.
     pub a: f64,
-    /// Value of the second.
+    /// Value of the second system.
     pub b: f64,
-    /// Second less first.
+    /// Value of the second system minus that of the first.
     pub difference: f64,
-    /// Ends of the 95 % interval of the difference; none of fewer than [`MIN_TARGETS`] targets.
+    /// Ends of the 95 % interval of the difference; none with fewer than [`MIN_TARGETS`] targets.
     pub interval: Option<[f64; 2]>,
-    /// Which system is better, `A` or `B`; none without an interval, where it contains 0, and for metrics whose
-    /// good values are those near real data.
+    /// The better system, `A` or `B`. None if there is no interval or it contains 0, and for metrics whose good values
+    /// are those near real data.
     pub better: Option<&'static str>,
     /// Digits after the point that tables print.
     #[serde(skip)]
     decimals: usize,
-    /// The metric of [`CLAIMS`] that this tells of.
+    /// The metric of [`CLAIMS`] that this row measures, if any.
     #[serde(skip)]
     claim: Option<&'static Metric>,
 }
@@ -58,9 +58,9 @@ pub struct Difference {
 pub struct Comparison {
     /// The task.
     pub task: String,
-    /// Items.
+    /// Number of items.
     pub n: usize,
-    /// Distinct motions their targets were made of, which the bootstrap draws.
+    /// Number of distinct targets; the bootstrap draws them.
     pub targets: u32,
     /// Digest of the ids of the items.
     pub items_digest: String,
@@ -72,18 +72,18 @@ pub struct Comparison {
     pub encoder_hash: String,
     /// Reason why no system is called better; none if the encoder can rank systems.
     pub unranked: Option<String>,
-    /// The metrics.
+    /// One difference per metric.
     pub differences: Vec<Difference>,
-    /// Parts that are left out because of too few items, a sentence each.
+    /// One sentence for each body part that is left out because it has too few items.
     pub notes: Vec<String>,
 }
 
 /// Compares two systems item by item.
 ///
-/// Targets are drawn with replacement, with all items that share them and the same draws for both
-/// systems; the interval reaches from the 2.5 to the 97.5 % quantile of the difference (Efron 1979).
-/// An item's rank is its mean over the repeats that ranked it. The Fréchet distance is between all
-/// real motions and all motions of a system, whatever the protocol says, and is named so.
+/// The bootstrap draws targets with replacement, together with all items that share them, and uses the same draws for
+/// both systems. The interval spans the 2.5 to 97.5 % quantiles of the difference (Efron 1979). An item's rank is its
+/// mean over the repeats that ranked it. The Fréchet distance always compares all real motions with all motions of a
+/// system, whatever the protocol says; its name states this.
 ///
 /// # Errors
 /// As [`crate::score::score`]; or the edits lack one of the systems.
@@ -162,7 +162,7 @@ pub fn compare(
     Ok(comparisons)
 }
 
-/// The protocol of a comparison: FID of whole sets, since a resample of a half is too small.
+/// Protocol of a comparison. FID uses whole sets, because a resample of a half is too small.
 fn whole_sets(protocol: &Protocol) -> Protocol {
     Protocol {
         fid_sample: FidSample::All,
@@ -215,8 +215,8 @@ pub(crate) struct Pairing<'a> {
 }
 
 impl Pairing<'_> {
-    /// The differences of those metrics that both systems have values of. A metric of [`CLAIMS`] whose good values are
-    /// those near real data has a second row: the distance from the value of the item's target.
+    /// Differences in the metrics for which both systems have values. A metric of [`CLAIMS`] whose good values are
+    /// those near real data gets a second row: the distance from the value of the item's target.
     pub(crate) fn differences(&self, metrics: &[&'static Metric]) -> Vec<Difference> {
         let mut found = Vec::new();
         for &metric in metrics {
@@ -277,10 +277,10 @@ impl Pairing<'_> {
     }
 }
 
-/// Name of the Fréchet distance here, which is not the FID of the tables.
+/// Name of the Fréchet distance in comparisons, which differs from the FID of the tables.
 const FID_NAME: &str = "FID of whole sets";
 
-/// The difference in FID; none where every resample draws a single row.
+/// The difference in FID; none if every resample draws a single row.
 fn fid_difference(
     task: &str,
     real: &Matrix,
@@ -309,7 +309,7 @@ fn fid_difference(
     }))
 }
 
-/// Ends of an interval from resampled differences; none where they come from too few targets.
+/// Ends of an interval from resampled differences; none if there are too few targets.
 fn interval(resampled: &mut [f64], resamples: &Resamples) -> Option<[f64; 2]> {
     (resamples.num_targets() >= MIN_TARGETS as usize).then(|| {
         [TAIL, 1.0 - TAIL]
@@ -368,10 +368,10 @@ impl Comparison {
         }
     }
 
-    /// The metrics of [`CLAIMS`] that rank the second system above or below the first, as a sentence; none if the
+    /// Names the metrics of [`CLAIMS`] that rank the second system above or below the first, as a sentence; none if the
     /// encoder cannot rank systems or no such metric was measured.
     ///
-    /// A claim needs two of them, because a system can improve each at the cost of the others.
+    /// A claim needs two metrics, because a system can improve any one at the cost of the others.
     pub fn claim(&self) -> Option<String> {
         if self.unranked.is_some() {
             return None;
@@ -456,7 +456,7 @@ impl Comparison {
     }
 }
 
-/// The name of a metric within a sentence: without its unit.
+/// The name of a metric without its unit, for use in a sentence.
 fn spoken(metric: &Metric) -> String {
     let name = metric.name.split(" (").next().unwrap_or(metric.name);
     match name.strip_prefix("E2T ") {
@@ -465,7 +465,7 @@ fn spoken(metric: &Metric) -> String {
     }
 }
 
-/// Several words as a list with "and".
+/// Joins words as a list with "and".
 fn listed(words: &[String]) -> String {
     match words {
         [] => String::new(),
@@ -482,7 +482,8 @@ mod tests {
     use crate::metric::retrieval::E2T_RECALL_1;
     use crate::protocol::Protocol;
 
-    /// Two systems on `num_items` items of as many targets; `values` are of the first, the second and the target.
+    /// Compares two systems on `num_items` items, each with its own target. `values` are those of the first system, the
+    /// second system and the target.
     fn compared(num_items: usize, values: &[(&'static Metric, [f64; 3])]) -> Comparison {
         let of = |side: usize| -> OfItems {
             let of_metric = |(metric, values): &(&'static Metric, [f64; 3])| {
@@ -515,7 +516,7 @@ mod tests {
 
     const ALL_FOUR: [(&Metric, [f64; 3]); 4] = [
         (&E2T_RECALL_1, [40.0, 64.0, 100.0]),
-        // The edit's slide is as far above the target's as the other's is below.
+        // The second system's foot slide exceeds the target's by as much as the first's falls short of it.
         (&FOOT_SLIDE, [0.0, 0.2, 0.1]),
         (&ERROR_INSIDE, [10.0, 8.0, 0.0]),
         (&ERROR_OUTSIDE, [0.0, 1.0, 0.0]),
@@ -537,7 +538,7 @@ mod tests {
             "ours against Identity: R@1 +24.00 [+24.00, +24.00] alone says that it is better; foot slide +0.000 \
              [+0.000, +0.000] shows nothing; no two agree, so nothing is claimed."
         );
-        // Nine targets make no interval, and so no claim.
+        // Nine targets are too few for an interval, and so for a claim.
         assert_eq!(
             claim(9, &ALL_FOUR[..1]),
             "ours against Identity: R@1 +24.00 shows nothing; no two agree, so nothing is claimed."

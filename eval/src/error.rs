@@ -1,4 +1,4 @@
-//! Errors of measuring.
+//! Errors of the evaluation.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use datasets_spec::Code;
 /// Error of a caller's encoder.
 pub type EncoderError = Box<dyn std::error::Error + Send + Sync>;
 
-/// An error that names the system and the item it happened to.
+/// An evaluation error; it names the system and the item concerned.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -17,7 +17,7 @@ pub enum Error {
     /// No table was given.
     #[error("no table of edits was given")]
     NoTables,
-    /// Two tables of edits are on different bodies.
+    /// Two tables of edits use different skeletons.
     #[error(
         "{} is posed on skeleton {first_skeleton}, {} on {other_skeleton}; tables of edits are \
          compared on one body",
@@ -65,7 +65,7 @@ pub enum Error {
         /// The cause.
         source: Box<Error>,
     },
-    /// A comparison needs tables of one system each.
+    /// A comparison needs tables of one system each, and this table holds several.
     #[error(
         "{} holds {count} systems ({systems}), and a comparison needs one",
         path.display()
@@ -78,7 +78,7 @@ pub enum Error {
         /// Names of the systems.
         systems: String,
     },
-    /// One name stands for two systems, which would become one row of a table.
+    /// Two systems have the same name and would share a row of a table.
     #[error(
         "system {system:?} stands for two {what}: {first} and {other}; edit again with --name to tell \
          them apart"
@@ -101,7 +101,7 @@ pub enum Error {
         /// What is wrong with it.
         problem: String,
     },
-    /// The times of editing are not recorded beside a table of edits.
+    /// The editing times beside a table of edits cannot be read.
     #[error(
         "cannot read {}; it is written when `stance edit` edits a split",
         path.display()
@@ -155,7 +155,7 @@ pub enum Error {
         /// Ids of the first ones.
         ids: String,
     },
-    /// A system edited some items more often than others.
+    /// A system has more motions of some items than of others.
     #[error(
         "system {system:?} has {found} motions of item {id:?} but {expected} of the others; give every item the same number of takes"
     )]
@@ -169,7 +169,7 @@ pub enum Error {
         /// Motions of the first item.
         expected: usize,
     },
-    /// A system has one take of an item twice.
+    /// A system has the same take of an item twice.
     #[error(
         "system {system:?} has two motions of item {id:?} sampled with seed {seed}; give each take once, or edit again with another --seed"
     )]
@@ -181,18 +181,18 @@ pub enum Error {
         /// The seed.
         seed: u64,
     },
-    /// A system bears the name of a row this crate computes itself.
+    /// A system has the name of a row that this crate computes itself.
     #[error("a system cannot be named {system:?}, which is a row of every table; rename it")]
     ReservedSystem {
         /// The name.
         system: String,
     },
-    /// No row is of a requested system.
+    /// A requested system has no rows.
     #[error("there is no system {system:?} among the edits; there are: {known}")]
     UnknownSystem {
         /// The requested system.
         system: String,
-        /// The names there are.
+        /// The existing names.
         known: String,
     },
     /// The columns of a row do not form a motion.
@@ -205,7 +205,7 @@ pub enum Error {
         /// The cause, boxed because it is larger than any other variant.
         source: Box<datasets_spec::Error>,
     },
-    /// A motion is too short for a foot speed.
+    /// A motion is too short for measuring the foot speed.
     #[error(
         "system {system:?}, item {id:?}: {frames} frames are too few for the foot score, which needs {needed}"
     )]
@@ -219,7 +219,7 @@ pub enum Error {
         /// Frames needed.
         needed: usize,
     },
-    /// Two sides of an item run at different rates.
+    /// Motions of one item have different frame rates.
     #[error(
         "system {system:?}, item {id:?}: {found} fps, but its target runs at {expected} fps; resample before scoring"
     )]
@@ -251,7 +251,7 @@ pub enum Error {
         /// Motions given.
         expected: usize,
     },
-    /// A latent has another width than the others, is not finite, or has no direction.
+    /// A latent has another width than the others, is not finite, or has length zero.
     #[error("system {system:?}, item {id:?}: the latent {problem}")]
     Latent {
         /// The system.
@@ -291,7 +291,7 @@ pub enum Error {
         /// Row index.
         row: usize,
     },
-    /// A latent of length zero has no cosine with anything.
+    /// A latent has length zero, so its cosine is undefined.
     #[error("{metric}: row {row} is zero and has no direction")]
     NoDirection {
         /// The metric.
@@ -299,7 +299,7 @@ pub enum Error {
         /// Row index.
         row: usize,
     },
-    /// A protocol's settings measure nothing.
+    /// A protocol's setting is too small to measure anything.
     #[error("protocol: {field} must be at least {needed}, got {found}")]
     Protocol {
         /// The setting.
@@ -316,7 +316,7 @@ pub enum Error {
     Limit {
         /// The requested number of items.
         asked: usize,
-        /// Items there are.
+        /// Number of existing items.
         found: usize,
     },
     /// The report of an encoder cannot be read.
@@ -338,7 +338,7 @@ pub enum Error {
 }
 
 impl Error {
-    /// The code of the error, if it has one, and the item it happened to.
+    /// The code of the error, if it has one, and the item concerned.
     pub fn code(&self) -> Option<Code> {
         match self {
             Self::Spec(error) => error.code(),

@@ -4,22 +4,22 @@ use datasets_spec::{Motion, Skeleton};
 
 use crate::error::EncoderError;
 
-/// A frozen network that maps motions to latents in which distance means difference.
+/// A frozen network that maps motions to latents. The distance of latents measures how much motions differ.
 pub trait MotionEncoder {
-    /// One latent for each motion, in order, all of one width.
+    /// Encodes motions: one latent for each motion, in order, all of one width.
     ///
     /// # Errors
     /// The encoder's own error.
     fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f64>>, EncoderError>;
 
-    /// The hash of the weights in hexadecimal; scores of different hashes are not comparable.
+    /// The hash of the weights in hexadecimal. Scores with different hashes are not comparable.
     fn hash(&self) -> String;
 
     /// How the encoder was trained, in one line for the head of a table.
     fn recipe(&self) -> String;
 
-    /// Why scores with this encoder rank no system, such as [`JudgeReport::weakness`](crate::judge::JudgeReport::weakness);
-    /// none if they do.
+    /// Why scores with this encoder cannot rank systems, such as
+    /// [`JudgeReport::weakness`](crate::judge::JudgeReport::weakness); none if they can.
     fn weakness(&self) -> Option<String>;
 }
 
@@ -35,10 +35,10 @@ pub trait MotionClassifier {
 /// Networks and body model for measuring motions.
 #[derive(Clone, Copy)]
 pub struct Evaluators<'a> {
-    /// Maps motions to latents.
+    /// Encoder of motions.
     pub encoder: &'a dyn MotionEncoder,
-    /// Tells composed motions from natural ones; none leaves the metric out.
+    /// Classifier of composed and natural motions; without it the metric "Composed" is left out.
     pub classifier: Option<&'a dyn MotionClassifier>,
-    /// The body of the motions.
+    /// The skeleton of the motions.
     pub skeleton: &'a Skeleton,
 }

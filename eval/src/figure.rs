@@ -1,4 +1,4 @@
-//! Figures of ablations: the points along a setting, and the drawing of their scores.
+//! Figures of ablations: their points along a setting, and plots of the scores.
 
 use std::collections::BTreeMap;
 
@@ -14,22 +14,22 @@ use crate::metric::Metric;
 use crate::names::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA};
 use crate::report::Chart;
 
-/// Sections a setting can be in.
+/// Sections of a setting.
 pub const SECTIONS: [&str; 3] = ["train", "compose", "edit"];
 
 /// Key for the epoch of a kept checkpoint, used in place of a setting.
 pub const EPOCH: &str = "epoch";
 
-/// Settings in place of those of a preset, by section.
+/// Settings that replace those of a preset, by section.
 pub type Sections = BTreeMap<&'static str, Value>;
 
-/// How a setting of a system, or a pair of them, changes its scores.
+/// A figure: how one or two settings of a system change its scores.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Figure {
-    /// Names the drawings.
+    /// Name of the figure, and of its drawings' files.
     pub name: String,
-    /// The system whose setting changes; the first of the plan if it is left out.
+    /// The system whose setting changes; by default the first of the plan.
     pub system: Option<String>,
     /// The setting, such as `compose.mcm_ratio`, or [`EPOCH`].
     pub key: String,
@@ -43,7 +43,7 @@ pub struct Figure {
     /// Names of the metrics that are drawn.
     #[serde(default = "average_rank")]
     pub metrics: Vec<String>,
-    /// Tasks, each drawn by itself; without any, the value over all tasks is drawn.
+    /// Tasks, each in a drawing of its own. If empty, the value over all tasks is drawn.
     #[serde(default)]
     pub tasks: Vec<String>,
 }
@@ -87,7 +87,7 @@ impl Figure {
     /// The points, in the order of the values.
     ///
     /// # Errors
-    /// There is a second setting without values or the reverse, or a key names no section.
+    /// A second setting has no values, values have no second setting, or a key names no section.
     pub fn points(&self, own: &Sections) -> Result<Vec<Point>, Error> {
         let failed = |problem: String| Error::Figure {
             figure: self.name.clone(),
@@ -129,8 +129,8 @@ impl Figure {
         Ok(points)
     }
 
-    /// The numbers of the drawings: a row for each point, with each metric of each task. `scored` holds the rows of each
-    /// point, none for one that failed.
+    /// The numbers of the drawings: one row per point, with each metric of each task. `scored` holds the score rows of
+    /// each point; empty for a point that failed.
     pub fn grid(
         &self,
         metrics: &[&'static Metric],
@@ -171,8 +171,8 @@ impl Figure {
         }
     }
 
-    /// The curve of the setting, or the heat map of the pair, for one metric. `task` is one of the figure's,
-    /// or [`ALL_TASKS`]. `scored` holds the rows of each point, none for one that failed.
+    /// The curve of the setting, or the heat map of two settings, for one metric. `task` is a task of the figure or
+    /// [`ALL_TASKS`]. `scored` holds the score rows of each point; empty for a point that failed.
     pub fn chart(
         &self,
         metric: &Metric,
@@ -205,7 +205,7 @@ impl Figure {
             });
         }
         let at = |point: &Point| point.value(&self.key).cloned().unwrap_or_default();
-        // Values that are not numbers are categories.
+        // Values that are not numbers are treated as categories.
         let numbers: Option<Vec<f64>> = points.iter().map(|point| at(point).as_f64()).collect();
         let x_names: Vec<String> = match numbers {
             Some(_) => Vec::new(),
@@ -242,7 +242,7 @@ impl Figure {
     }
 }
 
-/// Whether the system is the one whose setting changes, and not a row that every table has.
+/// Whether a row belongs to the system whose setting changes, rather than being a reference row of every table.
 fn is_edited(system: &str) -> bool {
     ![REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&system)
 }
@@ -257,7 +257,7 @@ fn value(
     let of_metric = |row: &&ScoreRow| row.metric == metric.name && wanted(&row.system);
     let mut found = rows.iter().filter(of_metric);
     let of_task = found.clone().find(|row| row.task == task);
-    // With one kind of edit there is no row over all tasks.
+    // With one kind of edit, no row covers all tasks.
     let any = || (task == ALL_TASKS).then(|| found.next()).flatten();
     of_task.or_else(any).map_or((f64::NAN, f64::NAN), |row| {
         (row.mean, row.ci95.unwrap_or(f64::NAN))
@@ -288,7 +288,7 @@ fn change(sections: &mut Sections, key: &str, value: &Value) -> Result<(), Strin
     Ok(())
 }
 
-/// A value as its label: texts without quotes.
+/// A value as a label; strings are shown without quotes.
 fn label(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),

@@ -24,7 +24,7 @@ impl Golden {
         }
     }
 
-    /// The only tensor name that begins with `before` and ends with `after`, with a size between them.
+    /// The only tensor name that begins with `before` and ends with `after`; the part between is a size.
     pub(crate) fn name(&self, before: &str, after: &str) -> &str {
         let mut names = self.recorded.tensors.keys();
         names
@@ -43,21 +43,21 @@ impl Golden {
         self.tensor(name).1
     }
 
-    /// A tensor of one number.
+    /// A tensor with one element.
     pub(crate) fn scalar(&self, name: &str) -> f64 {
         let numbers = self.numbers(name);
         assert_eq!(numbers.len(), 1, "{}: {name} is no scalar", self.case);
         numbers[0]
     }
 
-    /// A tensor of two dimensions.
+    /// A two-dimensional tensor.
     pub(crate) fn matrix(&self, name: &str) -> Matrix {
         let (shape, numbers) = self.tensor(name);
         assert_eq!(shape.len(), 2, "{}: {name} is no matrix", self.case);
         Matrix::new(shape[0], shape[1], numbers)
     }
 
-    /// A tensor of positions.
+    /// A tensor of indices.
     pub(crate) fn indices(&self, name: &str) -> Vec<usize> {
         self.numbers(name)
             .into_iter()

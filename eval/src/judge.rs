@@ -1,8 +1,9 @@
-//! Whether an encoder is fit to rank systems: the report of its own retrieval, and the gates that read it.
+//! Decides whether an encoder may rank systems, from a report of its retrieval on held-out clips.
 //!
-//! An encoder ranks nothing if it has no report, or if the lower bound of its R@3 on held-out real motion is below
-//! [`CHANCE_FACTOR`] times chance. Items rank nothing if the encoder cannot tell their targets from their
-//! sources: the lower bound of the paired difference in [`E2T_RECALL_1`], real data less identity editor, is not above 0.
+//! An encoder may not rank if it has no report, or if the lower bound of its R@3 on held-out real motion is below
+//! [`CHANCE_FACTOR`] times chance. A set of items may not be ranked if the encoder cannot distinguish its targets from
+//! its sources: the lower bound of the paired difference in [`E2T_RECALL_1`] between real data and the identity editor
+//! is not above 0.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -25,7 +26,7 @@ use crate::score::Resamples;
 pub const REPORT: &str = "report.json";
 /// The lower bound of an encoder's R@3 must be at least this many times chance.
 pub const CHANCE_FACTOR: f64 = 3.0;
-/// Name of the score that the second gate reads: R@1 of the real data less that of the identity editor, in percent.
+/// Name of the score that the second check uses: R@1 of the real data minus that of the identity editor, in percent.
 pub const TOLD_APART: &str = "Real E2T R@1 above identity";
 /// Share of the bootstrap draws below a lower bound.
 const TAIL: f64 = 0.025;
@@ -34,7 +35,7 @@ const FORMAT: u32 = 1;
 
 /// How well the texts and motions of an encoder retrieve each other on clips that its training never saw.
 ///
-/// One caption of each clip is its text, the first. A hit is any clip with that text.
+/// The first caption of each clip is its text. Any clip with the query's text counts as a hit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JudgeReport {
@@ -48,13 +49,13 @@ pub struct JudgeReport {
     pub split: String,
     /// Seed of galleries and bootstrap draws.
     pub seed: u64,
-    /// Clips.
+    /// Number of clips.
     pub clips: usize,
     /// Number of distinct texts; the bootstrap draws them.
     pub texts: usize,
-    /// Clips of a gallery; fewer than 32 where the split has fewer.
+    /// Number of clips in a gallery; fewer than 32 if the split has fewer.
     pub gallery: usize,
-    /// Times that all clips were dealt into galleries.
+    /// Number of random divisions of all clips into galleries.
     pub repeats: usize,
     /// Texts are the queries, motions the gallery.
     pub text_to_motion: Recalls,
@@ -68,9 +69,9 @@ pub struct JudgeReport {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Recalls {
-    /// Share of queries that find a hit first.
+    /// Share of queries whose first result is a hit.
     pub r1: Bounded,
-    /// Share of queries that find a hit among the first three.
+    /// Share of queries with a hit among the first three results.
     pub r3: Bounded,
 }
 
@@ -84,13 +85,13 @@ pub struct Bounded {
     pub lower: f64,
 }
 
-/// Recall of a random order in percent, given the clips of each gallery that share a text.
+/// Recall of a random order in percent, given how many clips of each gallery share a text.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Chance {
-    /// For the first place.
+    /// R@1.
     pub r1: f64,
-    /// For the first three places.
+    /// R@3.
     pub r3: f64,
 }
 
@@ -177,7 +178,7 @@ impl JudgeReport {
             .lower
             .min(self.motion_to_text.r3.lower);
         let needed = CHANCE_FACTOR * self.chance.r3;
-        // A comparison with a number that is not finite is false.
+        // A comparison with NaN is false.
         let is_fit = lower >= needed;
         (!is_fit).then(|| {
             format!(
@@ -188,7 +189,7 @@ impl JudgeReport {
         })
     }
 
-    /// The report in words, a line each.
+    /// The report as sentences, one per line.
     pub fn lines(&self) -> Vec<String> {
         let few = match Protocol::default().gallery_sizes(usize::MAX).0 {
             size if self.gallery < size => {
@@ -261,7 +262,7 @@ pub fn encoder_retrieval(
     Ok((0..protocol.repeats).map(of_repeat).collect())
 }
 
-/// The cut-offs of the recalls of a report.
+/// Cut-offs of the recalls in a report.
 const RECALL_CUTS: [usize; 2] = [RECALL_AT[0], RECALL_AT[2]];
 
 /// Values of each query, summed over the repeats that ranked it.
@@ -322,7 +323,8 @@ fn of_random_order(gallery: usize, hits: usize, k: usize) -> f64 {
     1.0 - none.product::<f64>()
 }
 
-/// Reason why the encoder of a run folder with these weights cannot rank systems; none if its report shows that it can.
+/// Reason why the encoder with these weights, from a run folder, cannot rank systems; none if its report shows that it
+/// can.
 ///
 /// # Errors
 /// The report cannot be read.
@@ -368,7 +370,7 @@ pub struct Judge {
 pub type Judges = BTreeMap<String, Judge>;
 
 impl Judge {
-    /// Facts that an encoder states about itself.
+    /// Collects the facts that an encoder states about itself.
     pub fn of(encoder: &dyn MotionEncoder) -> Self {
         Self {
             recipe: encoder.recipe(),
@@ -377,8 +379,8 @@ impl Judge {
     }
 }
 
-/// Why a table ranks no system, as a sentence; none if it ranks. The table holds the scores of the task, protocol, encoder and
-/// items of `first`.
+/// Why a table cannot rank systems, as a sentence; none if it can. The table holds the scores with the task, protocol,
+/// encoder and items of `first`.
 pub(crate) fn unranked<'a>(
     first: &ScoreRow,
     rows: impl IntoIterator<Item = &'a ScoreRow>,

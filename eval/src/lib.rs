@@ -1,11 +1,11 @@
 //! Metrics, protocols, tables and reports.
 //!
-//! This crate measures edited motions: it reads the `edits` table, asks the caller's
-//! [`evaluators::MotionEncoder`] for latents, and returns rows of the `scores` table, which it lays out
-//! as text, Markdown, LaTeX, CSV or JSON and draws into one self-contained HTML report. It never
-//! sees a model, so every system is scored by the same path. [`answers`] reads tables of edits and
-//! commits scores; [`judge`] says whether an encoder may rank; [`best_edit`] chooses what a report opens with; [`figure`] holds the points and
-//! drawings of ablations. [`rows`] reads motions where they are needed, so that memory does not grow with them.
+//! This crate measures edited motions: it reads the `edits` table, asks the caller's [`evaluators::MotionEncoder`] for
+//! latents, and returns rows of the `scores` table, which it lays out as text, Markdown, LaTeX, CSV or JSON and draws
+//! into one self-contained HTML report. It has no access to models, so all systems are scored by the same code.
+//! [`answers`] reads tables of edits and commits scores; [`judge`] decides whether an encoder may rank systems;
+//! [`best_edit`] chooses the first edit of a report; [`figure`] holds the points and drawings of ablations. [`rows`]
+//! reads motions on demand, so memory does not grow with their number.
 //!
 //! Start at [`score::score`] and [`protocol::Protocol`].
 //!

@@ -1,4 +1,4 @@
-//! How a table of scores is measured: galleries, repeats, and what varies between repeats.
+//! Evaluation protocol: galleries, repeats, and the draws that vary between repeats.
 
 use datasets_spec::{Rng, Seed};
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
@@ -7,22 +7,22 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 
-/// Galleries in the paper's main tables.
+/// Gallery size in the paper's main tables.
 pub const PAPER_GALLERY: usize = 32;
 
 /// Pairs drawn for Diversity in the T2M evaluation.
 pub const T2M_DIVERSITY_PAIRS: usize = 300;
 
-/// How the name of a protocol ends its number of pairs.
+/// Suffix of the number of pairs in a protocol's name.
 const PAIRS: &str = " diversity pairs";
 
 /// Suffix of a protocol's name for intervals over test sets.
 const FROM_TARGETS: &str = " draws of the targets";
 
-/// Bootstrap resamples behind the interval of a mean or a median over items.
+/// Number of bootstrap resamples for the interval of a mean or a median over items.
 pub(crate) const RESAMPLES: usize = 1000;
 
-/// Bootstrap resamples behind the interval of FID and Diversity, which are recomputed on each.
+/// Number of bootstrap resamples for the intervals of FID and Diversity, which are recomputed on each.
 pub(crate) const SET_RESAMPLES: usize = 100;
 
 /// Size of a retrieval gallery.
@@ -36,17 +36,17 @@ pub enum Gallery {
     Batches(usize),
 }
 
-/// Latents that a Fréchet distance compares.
+/// Latents that the Fréchet distance compares.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FidSample {
-    /// Each repeat splits the items into two random halves and compares the targets of the first
-    /// with the motions of the second: targets again for the real data, edited motions for a
-    /// system. All systems of a repeat share the halves, so the value of the real data is what a
-    /// perfect system reaches, bias of the finite sample included.
+    /// Each repeat splits the items into two random halves. The real data's value compares the targets of both halves;
+    /// a system's value compares the targets of the first half with the system's motions of the second. All systems of
+    /// a repeat share the halves, so the value of the real data is what a perfect system reaches, including the bias of
+    /// finite samples.
     Halves,
-    /// All targets against all motions of a system. The real data have distance 0, and values are
-    /// not comparable between test sets of different size.
+    /// All targets are compared with all motions of a system. The real data have distance 0, and values are not
+    /// comparable between test sets of different size.
     All,
 }
 
@@ -54,10 +54,10 @@ pub enum FidSample {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Queries {
-    /// Originals or targets are the queries, edited motions the gallery: what the MotionFix
-    /// evaluation computes.
+    /// Originals or targets are the queries, and edited motions form the gallery, as in the code of the MotionFix
+    /// evaluation.
     Real,
-    /// Edited motions are the queries: what the words "Edited-to-Source" say.
+    /// Edited motions are the queries, as the words "Edited-to-Source" say.
     Edited,
 }
 
@@ -73,7 +73,7 @@ pub enum Spread {
     Repeats,
 }
 
-/// Where the foot score takes the floor to be.
+/// Height of the floor for the foot score.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Floor {
@@ -81,15 +81,15 @@ pub enum Floor {
     /// score penalises any distance from it.
     #[default]
     Lowest,
-    /// At the given height in metres for every clip; DIMOS uses 0.
+    /// The given height in metres for every clip; DIMOS uses 0.
     At(f64),
 }
 
-/// Points whose positions the position error compares.
+/// Keypoints that the position error compares.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Keypoints {
-    /// All 28 of the model: joints of the body, eyes and fingers.
+    /// All 28 keypoints of the model: joints of the body, eyes and fingers.
     All,
     /// The 22 joints of the body.
     ///
@@ -99,7 +99,7 @@ pub enum Keypoints {
 }
 
 impl Keypoints {
-    /// How many there are; they come first among the keypoints.
+    /// Number of compared keypoints, which are the first ones.
     pub fn count(self) -> usize {
         match self {
             Self::All => NUM_KEYPOINTS,
@@ -108,11 +108,11 @@ impl Keypoints {
     }
 }
 
-/// A part of the test set, drawn at random.
+/// A random part of the test set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Limit {
-    /// Items that are kept.
+    /// Number of items that are kept.
     pub items: usize,
     /// Seed of the draw.
     pub seed: Seed,
@@ -120,9 +120,9 @@ pub struct Limit {
 
 /// How scores are measured. Two runs with equal protocols and encoders are comparable.
 ///
-/// Four things vary between repeats: the galleries, the pairs of Diversity, the halves of the
-/// Fréchet distance and, for a system with several takes of each item, which take is scored. No
-/// draw depends on the system, so all systems are scored on the same draws.
+/// Four things vary between repeats: the galleries, the pairs of Diversity, the halves of the Fréchet distance and, for
+/// a system with several takes of each item, the scored take. Draws do not depend on the system, so all systems are
+/// scored on the same draws.
 ///
 /// # Source
 /// Paper, Sec. 6.1: galleries of 32 sampled at random, ten evaluations, 95 % intervals. New
@@ -132,34 +132,33 @@ pub struct Limit {
 pub struct Protocol {
     /// Size of a retrieval gallery.
     pub gallery: Gallery,
-    /// Evaluations.
+    /// Number of repeats.
     pub repeats: usize,
-    /// Pairs drawn for Diversity, and the fewest items that it is measured on.
+    /// Number of pairs drawn for Diversity, and the minimum number of items for this metric.
     pub diversity_pairs: usize,
-    /// Latents that a Fréchet distance compares.
+    /// Latents that the Fréchet distance compares.
     pub fid_sample: FidSample,
-    /// Where the foot score takes the floor to be.
+    /// Height of the floor for the foot score.
     pub floor: Floor,
     /// Queries of a retrieval.
     pub queries: Queries,
-    /// Whether edited motions are cut to the length of their target before they are encoded, as
-    /// the MotionFix evaluation does.
+    /// Whether edited motions are truncated to the length of their target before encoding, as in the MotionFix
+    /// evaluation.
     pub truncate_to_target: bool,
     /// Variation that the 95 % interval of a value covers.
     pub interval: Spread,
-    /// Points whose positions the position error compares.
+    /// Keypoints that the position error compares.
     pub keypoints: Keypoints,
-    /// The part of the items that is scored; none scores all.
+    /// The random part of the items that is scored; none scores all.
     ///
     /// # Source
-    /// The code of SimMotionEdit, OmniME and CIME scores a random half of MotionFix' test set, 506 of
-    /// 1,013 pairs.
+    /// The code of SimMotionEdit, OmniME and CIME scores a random half of the MotionFix test set: 506 of 1,013 pairs.
     pub limit: Option<Limit>,
     /// Seed of all draws.
     pub seed: Seed,
 }
 
-/// Evaluations behind a row of the paper.
+/// Number of repeats behind a row of the paper.
 const PAPER_REPEATS: usize = 10;
 
 impl Default for Protocol {
@@ -181,10 +180,10 @@ impl Default for Protocol {
 }
 
 impl Protocol {
-    /// Refuses settings that measure nothing.
+    /// Refuses settings with which nothing is measured.
     ///
     /// # Errors
-    /// There are no repeats, no pairs, or galleries without a wrong answer.
+    /// There are no repeats, no Diversity pairs, or galleries of fewer than two items.
     pub fn check(&self) -> Result<(), Error> {
         let at_least = |field, needed, found| {
             if found < needed {
@@ -208,8 +207,7 @@ impl Protocol {
         }
     }
 
-    /// The protocol in words as applied to `num_items` items, so that a table states the actual galleries and not only
-    /// the requested ones.
+    /// The protocol in words, as applied to `num_items` items: a table then states the actual gallery sizes.
     pub fn name(&self, num_items: usize) -> String {
         let gallery = self.gallery_name(num_items);
         let pairs = self.diversity_pairs;
@@ -253,13 +251,13 @@ impl Protocol {
         )
     }
 
-    /// Pairs of Diversity of the protocol with a name ([`Protocol::name`]).
+    /// Number of Diversity pairs, parsed from a protocol's name ([`Protocol::name`]).
     pub(crate) fn diversity_pairs_of(name: &str) -> Option<usize> {
         let count = name.split(", ").find_map(|part| part.strip_suffix(PAIRS))?;
         count.parse().ok()
     }
 
-    /// Whether the intervals of the protocol with a name ([`Protocol::name`]) are over test sets.
+    /// Whether a protocol's name ([`Protocol::name`]) says that its intervals are over test sets.
     pub(crate) fn is_drawn_from_targets(name: &str) -> bool {
         name.contains(FROM_TARGETS)
     }
@@ -284,7 +282,7 @@ impl Protocol {
         }
     }
 
-    /// Items of a gallery, and items in all galleries of a repeat.
+    /// Number of items in a gallery, and in all galleries of a repeat together.
     pub fn gallery_sizes(&self, num_items: usize) -> (usize, usize) {
         match self.gallery {
             Gallery::Batches(size) if num_items >= size => (size, num_items / size * size),
@@ -292,10 +290,10 @@ impl Protocol {
         }
     }
 
-    /// Positions of the items that are scored, of so many in the order of their ids.
+    /// Positions of the scored items among `num_items` items sorted by id.
     ///
     /// # Errors
-    /// There are fewer items than are to be kept.
+    /// There are fewer items than the limit asks for.
     pub fn scored_items(&self, num_items: usize) -> Result<Vec<usize>, Error> {
         let Some(limit) = self.limit else {
             return Ok((0..num_items).collect());
@@ -327,7 +325,7 @@ impl Protocol {
         }
     }
 
-    /// Repeats whose galleries differ: one, if one gallery holds all items.
+    /// Number of repeats with different galleries: one if a gallery holds all items.
     pub fn distinct_galleries(&self, num_items: usize) -> usize {
         match self.gallery {
             Gallery::Batches(size) if num_items > size => self.repeats,
@@ -335,7 +333,7 @@ impl Protocol {
         }
     }
 
-    /// Items on either side of a Fréchet distance.
+    /// Number of items on each side of a Fréchet distance.
     pub fn fid_size(&self, num_items: usize) -> usize {
         match self.fid_sample {
             FidSample::Halves => num_items / 2,
@@ -356,7 +354,7 @@ impl Protocol {
         }
     }
 
-    /// The random generator of one purpose, such as `diversity`, in one repeat or resample.
+    /// The random generator for one purpose, such as `diversity`, in one repeat or resample.
     pub(crate) fn rng(&self, what: &str, repeat: usize) -> Rng {
         self.seed.rng(&["eval", what, &repeat.to_string()])
     }

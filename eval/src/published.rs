@@ -1,8 +1,8 @@
-//! The numbers the paper and its successors print, to stand beside measured ones.
+//! Numbers printed in the paper and its successors, for comparison with measured ones.
 //!
-//! They were measured by their authors with their own encoder and test sets, so they show the order
-//! of magnitude a table ought to have and no more; every row built from them is marked. The papers do
-//! not state the number of items n. It follows from the printed recalls, which are multiples of 1/n.
+//! Their authors measured them with their own encoders and test sets, so they show only the order of magnitude to
+//! expect; every row built from them is marked. The papers do not state the number of items n, but the printed recalls
+//! are multiples of 1/n and determine it.
 
 use crate::metric::diversity::DIVERSITY;
 use crate::metric::fid::FID;
@@ -12,10 +12,10 @@ use crate::names::{IDENTITY, REAL_DATA};
 use crate::protocol::{Gallery, PAPER_GALLERY};
 use crate::table::{Cell, Row, Table};
 
-/// A printed value and, where there is one, the half width of its interval.
+/// A printed value, with the half width of its interval if one is printed.
 type Value = Option<(f64, Option<f64>)>;
 
-/// Columns of the paper's Table 1.
+/// Number of columns of the paper's Table 1.
 const NUM_COLUMNS: usize = 11;
 
 /// The printed columns, in order.
@@ -33,12 +33,12 @@ static COLUMNS: [&Metric; NUM_COLUMNS] = [
     &retrieval::E2T_AVERAGE_RANK,
 ];
 
-/// A table of the paper, or the part of one that is about a single task.
+/// A table of the paper, or the part of a table about one task.
 #[derive(Clone, Copy, Debug)]
 pub struct Published {
-    /// The table in the paper.
+    /// Title of the table in the paper.
     pub title: &'static str,
-    /// The task in the words of this project.
+    /// Name of the task in this project.
     pub task: &'static str,
     /// The protocol, as far as the paper states it.
     pub protocol: &'static str,
@@ -49,13 +49,13 @@ pub struct Published {
 #[derive(Clone, Copy, Debug)]
 struct Printed {
     system: &'static str,
-    /// Items in the galleries, where the printed recalls determine it.
+    /// Number of items in the galleries, if the printed recalls determine it.
     n: Option<u32>,
     values: [Value; NUM_COLUMNS],
 }
 
 impl Published {
-    /// The rows of the table for the given columns, all marked as published.
+    /// The rows of the table with the given columns, all marked as published.
     pub fn rows(&self, metrics: &[&Metric]) -> Vec<Row> {
         self.rows
             .iter()
@@ -80,8 +80,8 @@ impl Published {
             .collect()
     }
 
-    /// Names of the rows by the number of items they were measured on, the largest first; rows whose
-    /// shares fit no number come last.
+    /// Names of the rows, grouped by the number of items that they were measured on. Groups are sorted by descending
+    /// number; rows whose shares fit no number come last.
     pub fn counts(&self) -> Vec<(Option<u32>, Vec<&'static str>)> {
         let mut counts: Vec<(Option<u32>, Vec<&str>)> = Vec::new();
         for printed in self.rows {
@@ -95,7 +95,7 @@ impl Published {
     }
 
     /// Sizes of the data behind the published rows, and whether the rows are comparable with each other and with a
-    /// table of this gallery and number of items.
+    /// table with this gallery and number of items.
     fn note(&self, gallery: Gallery, num_items: u32) -> String {
         let counts = self.counts();
         let known = counts.iter().filter(|(n, _)| n.is_some()).count();
@@ -165,7 +165,7 @@ impl PaperTable {
         }
     }
 
-    /// The tasks the table is about.
+    /// The tasks of the table.
     pub fn tasks(self) -> &'static [&'static str] {
         match self {
             Self::One => &["semantic", "style"],
@@ -174,7 +174,7 @@ impl PaperTable {
         }
     }
 
-    /// The name in the paper.
+    /// Title of the table in the paper.
     pub fn title(self) -> &'static str {
         match self {
             Self::One => "Table 1",
@@ -187,7 +187,7 @@ impl PaperTable {
 }
 
 impl Table {
-    /// Appends the rows a table of the paper has about the same task, and a note of what they were measured on. Returns
+    /// Appends the published rows for the same task, and a note about the data that they were measured on. Returns
     /// whether there are such rows.
     pub fn append_published(&mut self, table: PaperTable) -> bool {
         let Some(published) = TABLES.iter().find(|published| {
@@ -224,9 +224,9 @@ const fn ci(mean: f64, half_width: f64) -> Value {
 /// score's arrow of Table 1 is a misprint too.
 ///
 /// # Source
-/// Paper, Tables 1, 2, A1, A2 and A3. "Ours" is named MotionReFit. Later rows, targets alone: CIME
-/// (arXiv 2608.16008), Tables 1 and 2, and the papers it cites; the code of three of them scores a
-/// random half of the test set.
+/// Paper, Tables 1, 2, A1, A2 and A3. "Ours" is named MotionReFit. Later rows have only the metrics of targets. They
+/// are from CIME (arXiv 2608.16008), Tables 1 and 2, and the papers it cites; the code of three of them scores a random
+/// half of the test set.
 #[rustfmt::skip]
 #[expect(clippy::approx_constant, reason = "a printed rank of 6.28 is not a circle")]
 pub const TABLES: &[Published] = &[
@@ -374,8 +374,7 @@ mod tests {
         }
     }
 
-    /// Whether a share of `n` items prints as a percentage of two decimals, either way of rounding a
-    /// half included.
+    /// Whether a share of `n` items rounds to the printed percentage of two decimals; halves may round up or down.
     fn is_share(printed: f64, n: u32) -> bool {
         let count = (printed * f64::from(n) / 100.0).round();
         (100.0 * count / f64::from(n) - printed).abs() <= 0.005 + 1e-9
@@ -396,8 +395,8 @@ mod tests {
                     .filter_map(|place| printed.values[place].map(|(mean, _)| mean))
                     .collect();
                 let fitting = shares.iter().filter(|share| is_share(**share, n)).count();
-                // One cell of three rows is an average or misprinted; MDM-BP of Table 2 was rounded in
-                // each batch, and its number is that of the rows it was printed with.
+                // One cell of three rows is an average or misprinted. MDM-BP of Table 2 was rounded in each batch, and
+                // is assigned the number of items of the other rows.
                 let allowed = match (table.title, printed.system) {
                     ("Table 2, MotionFix", "MDM-BP") => 4,
                     ("Table 2, MotionFix", "MotionReFit w/o MCM") => 1,

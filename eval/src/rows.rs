@@ -17,23 +17,23 @@ datasets_spec::table! {
         pub task: String [""],
         /// Split of its motions
         pub split: Split [""],
-        /// What is asked for
+        /// Instruction of the edit
         pub instruction: String [""],
-        /// Motion the source was made of
+        /// Motion that the source was made of
         pub source_id: MotionId [""],
-        /// Motion the target took from
+        /// Motion that the target's changes were taken from
         pub target_id: MotionId [""],
         /// Body parts that are edited
         pub parts: Vec<String> [""],
-        /// What of the question training shows
+        /// Novelty of the item: how much of it the training split shows
         pub novelty: Option<String> ["", newer],
-        /// Frame rate of all motions of the question
+        /// Frame rate of all motions of the item
         pub fps: f32 ["1/s"],
         /// Frames of the source
         pub source_frames: i32 ["frame"],
-        /// Frames of the target; 0 where there is none
+        /// Frames of the target; 0 without a target
         pub target_frames: i32 ["frame"],
-        /// Frames of the target made of another capture; 0 where there is none
+        /// Frames of the target made of another capture; 0 without one
         pub other_frames: i32 ["frame"],
     }
 }
@@ -55,11 +55,11 @@ datasets_spec::table! {
         pub seed: u64 [""],
         /// Frame rate
         pub fps: f32 ["1/s"],
-        /// Frames
+        /// Number of frames
         pub n_frames: i32 ["frame"],
         /// Mean distance between generated keypoints and the fitted body
         pub fit_error_m: Option<f32> ["m"],
-        /// Mean distance of the bones of generated keypoints from their lengths in the body
+        /// Mean difference between the lengths of generated bones and of the body's bones
         pub bone_drift_m: Option<f32> ["m"],
     }
 }
@@ -84,7 +84,7 @@ impl From<&ItemRow> for ItemFacts {
 }
 
 impl ItemFacts {
-    /// The edit of the item with this motion, as [`EditRow::answering`] makes it.
+    /// Makes the edit row of the item with this motion, as [`EditRow::answering`] does.
     pub fn answer(&self, motion: &Motion) -> EditRow {
         let item = ItemRow {
             id: self.id.clone(),
@@ -128,7 +128,7 @@ impl MotionTable for EditRow {
     type Facts = EditFacts;
 }
 
-/// Rows of one or more files, and rows that were given, whose motions are in memory.
+/// Rows with motions: rows of one or more files, and given rows whose motions are in memory.
 #[derive(Debug)]
 pub struct Rows<R: MotionTable> {
     facts: Vec<R::Facts>,
@@ -137,7 +137,7 @@ pub struct Rows<R: MotionTable> {
     given: Vec<R>,
 }
 
-/// Where a row with its motions is.
+/// Location of a row with its motions.
 #[derive(Clone, Copy, Debug)]
 enum Place {
     File { file: usize, row: usize },
@@ -220,7 +220,7 @@ impl<R: MotionTable> Rows<R> {
         &mut self.facts
     }
 
-    /// Keeps the rows of which `keep` holds.
+    /// Keeps the rows for which `keep` returns true.
     pub fn retain(&mut self, mut keep: impl FnMut(&R::Facts) -> bool) {
         let facts = std::mem::take(&mut self.facts).into_iter();
         let rows = facts.zip(std::mem::take(&mut self.places));
@@ -249,7 +249,7 @@ impl<R: MotionTable> Rows<R> {
     /// A file cannot be read.
     ///
     /// # Panics
-    /// If a position does not exist, or stands twice among them.
+    /// If a position does not exist, or appears twice.
     pub fn rows(&self, positions: &[usize]) -> Result<Vec<R>, Error> {
         let share = positions.len().div_ceil(rayon::current_num_threads());
         let shares = positions
@@ -259,7 +259,7 @@ impl<R: MotionTable> Rows<R> {
         Ok(shares.into_iter().flatten().collect())
     }
 
-    /// The rows that one thread reads.
+    /// Reads the rows of one thread.
     fn share(&self, positions: &[usize]) -> Result<Vec<R>, Error> {
         let mut found: Vec<Option<R>> = vec![None; positions.len()];
         let mut wanted: BTreeMap<usize, Vec<(usize, usize)>> = BTreeMap::new();

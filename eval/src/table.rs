@@ -17,7 +17,7 @@ use ranking::{Key, key};
 pub use column::Column;
 pub(crate) use ranking::{Standing, standings};
 
-/// The scores of one task under one protocol and one encoder.
+/// A result table: the scores of one task with one protocol and one encoder.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
     /// The task, such as `semantic`.
@@ -28,37 +28,37 @@ pub struct Table {
     pub encoder_hash: String,
     /// How the encoder was trained.
     pub encoder_recipe: String,
-    /// Why the table ranks no system, as a sentence for its first line; none if it ranks systems. Such a table marks no
-    /// value and compares no system.
+    /// Why the table cannot rank systems, as a sentence for its first line; none if it can. An unranked table marks no
+    /// best value and compares no systems.
     pub unranked: Option<String>,
     /// The measured items.
     pub items: Items,
-    /// Evaluations.
+    /// Number of repeats.
     pub repeats: u32,
-    /// Numbers of a latent.
+    /// Width of a latent.
     pub latent_width: u32,
     /// The columns.
     pub columns: Vec<Column>,
-    /// The rows: real data, identity, noise floor where there is one, then the systems.
+    /// The rows: real data, identity editor, noise floor if there is one, then the systems.
     pub rows: Vec<Row>,
-    /// Notes that a reader needs besides the numbers, one sentence each.
+    /// Notes below the table, one sentence each.
     pub notes: Vec<String>,
 }
 
 /// The items behind a table.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Items {
-    /// Items measured.
+    /// Number of items.
     pub count: u32,
-    /// Distinct motions that their targets were made of; 0 where it is not known.
+    /// Number of distinct motions that the targets were made of; 0 if not known.
     pub targets: u32,
-    /// Distinct motions that their sources were made of.
+    /// Number of distinct motions that the sources were made of.
     pub sources: u32,
-    /// Distinct instructions.
+    /// Number of distinct instructions.
     pub instructions: u32,
-    /// Items on either side of a Fréchet distance.
+    /// Number of items on each side of a Fréchet distance.
     pub fid: u32,
-    /// Items of each novelty in words, such as `100 retake, 50 action`; empty where it is not known.
+    /// Number of items of each novelty in words, such as `100 retake, 50 action`; empty if not known.
     pub novelty: String,
     /// Digest of the sorted item ids.
     pub digest: String,
@@ -69,13 +69,13 @@ pub struct Items {
 pub struct Row {
     /// Name of the system.
     pub system: String,
-    /// Whether the row is no competitor: real data, identity, noise floor.
+    /// Whether the row is a reference (real data, identity, noise floor) rather than a system.
     pub baseline: bool,
     /// Whether the values are taken from a publication and were not measured.
     pub published: bool,
-    /// Motions of each item.
+    /// Number of motions per item.
     pub takes: u32,
-    /// One cell for each column; none where the metric was not measured.
+    /// One cell per column; none if the metric was not measured.
     pub cells: Vec<Option<Cell>>,
 }
 
@@ -96,7 +96,7 @@ impl Cell {
         format!("{:.*}", metric.decimals, self.mean)
     }
 
-    /// The half width as printed, with its sign; empty where there is none.
+    /// The half width as printed, with its sign; empty without an interval.
     pub fn ci_text(&self, metric: &Metric) -> String {
         self.ci95
             .map_or_else(String::new, |ci95| format!("±{ci95:.*}", metric.decimals))
@@ -104,11 +104,10 @@ impl Cell {
 }
 
 impl Table {
-    /// Lays out scores: one table for each task, protocol and encoder found, in the order of
-    /// [`crate::score::score`].
+    /// Lays out scores: one table per task, protocol and encoder, in the order of [`crate::score::score`].
     ///
-    /// `judges` holds the encoder of each hash. `metrics` are the columns; those that
-    /// no system has a value of are left out, and so are scores of other metrics.
+    /// `judges` holds the encoder of each hash. `metrics` are the columns. Columns in which no system has a value are
+    /// left out, and so are scores of other metrics.
     pub fn from_scores(
         scores: &[ScoreRow],
         judges: &Judges,
@@ -121,7 +120,7 @@ impl Table {
                 keys.push(key);
             }
         }
-        // A stable sort: tasks keep together even when two runs were joined.
+        // The sort is stable, so tasks stay together even if two runs were joined.
         keys.sort_by_key(|(task, ..)| (place_of_task(task), *task));
         keys.into_iter()
             .filter_map(|wanted| {
@@ -183,7 +182,8 @@ impl Table {
         Some(table)
     }
 
-    /// Note on what training has shown of the items; none if that is not known or the table has only one novelty.
+    /// Note on how much of the items the training split shows; none if that is not known or the table has only one
+    /// novelty.
     fn note_of_novelty(&self) -> Option<String> {
         let is_of_one = NOVELTIES.contains(&self.task.as_str());
         (!is_of_one && !self.items.novelty.is_empty()).then(|| {
@@ -194,7 +194,7 @@ impl Table {
         })
     }
 
-    /// Sorts the systems in the given order, after the rows that every table has.
+    /// Sorts the systems in the given order, after the reference rows.
     pub fn sort_systems(&mut self, names: &[&str]) {
         self.rows.sort_by_key(|row| {
             let place = names.iter().position(|name| *name == row.system);
@@ -202,12 +202,12 @@ impl Table {
         });
     }
 
-    /// The head of the table in one line: the task, and what the numbers depend on.
+    /// One line above the table: the task, and the conditions of the measurement.
     pub fn head(&self) -> String {
         format!("{}: {}", self.task, self.conditions())
     }
 
-    /// Protocol and data that the numbers depend on, in one line.
+    /// Protocol and data of the measurement, in one line.
     pub fn conditions(&self) -> String {
         let items = &self.items;
         let mut text = counted(items.count, "item");
@@ -231,7 +231,7 @@ impl Table {
         text
     }
 
-    /// How many motions of each item the systems made.
+    /// The number of motions per item, in words.
     fn takes(&self) -> String {
         let systems = || self.rows.iter().filter(|row| competes(row));
         let of = |row: &Row| counted(row.takes, "take");
@@ -251,16 +251,16 @@ impl Table {
     }
 }
 
-/// Systems and conditions found in the scores of a table.
+/// Systems and conditions, collected from the scores of a table.
 struct Found<'a> {
-    /// Names of the systems: those that every table has, then the others in the order of their scores.
+    /// Names of the systems: reference rows first, then the others in the order of their scores.
     names: Vec<&'a str>,
     takes: BTreeMap<&'a str, u32>,
     cells: BTreeMap<(&'a str, &'static Metric), Cell>,
 }
 
 impl<'a> Found<'a> {
-    /// Skip scores of unknown metrics; mark no best value if the table does not rank.
+    /// Skips scores of unknown metrics, and marks no best value unless `ranks` is set.
     fn of(scores: &[&'a ScoreRow], standings: &[Standing], ranks: bool) -> Self {
         let mut names: Vec<&str> = Vec::new();
         let mut takes = BTreeMap::new();
@@ -307,7 +307,7 @@ impl<'a> Found<'a> {
     }
 }
 
-/// Whether a row is one of a system that was measured here.
+/// Whether a row is a system that was measured here.
 fn competes(row: &Row) -> bool {
     !row.baseline && !row.published
 }
@@ -335,7 +335,7 @@ fn counted(count: u32, what: &str) -> String {
     }
 }
 
-/// Digits of a hash that tables print: enough to tell the encoders of a project apart.
+/// Number of digits of a hash that tables print: enough to distinguish the encoders of a project.
 const SHORT_HASH: usize = 12;
 
 /// The first digits of a hash.

@@ -9,25 +9,25 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::format::grid::Grid;
 
-/// Seconds for one window, by stage.
+/// Seconds per window, by stage.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WindowTimes {
-    /// Frames of a window.
+    /// Number of frames in a window.
     pub window: usize,
-    /// Denoiser and reverse steps.
+    /// Time of the denoiser and the reverse steps.
     pub diffusion_secs: f64,
-    /// Guidance by the coordinator.
+    /// Time of the coordinator's guidance.
     pub coordinator_secs: f64,
-    /// Finding SMPL-X parameters.
+    /// Time of fitting SMPL-X parameters.
     pub fit_secs: f64,
-    /// Average batch size: 1 where the times are latencies, as published; more where windows share a
-    /// batch. None where it was not recorded.
+    /// Average batch size: 1 if the times are latencies, as in the paper; more if windows share a batch. None if it was
+    /// not recorded.
     #[serde(default)]
     pub batch: Option<f64>,
 }
 
-/// File beside a table of edits with the times of making it, which the hash of the table leaves out.
+/// File beside a table of edits with the times of making it. The hash of the table does not include it.
 pub const TIMES: &str = "times.json";
 
 impl WindowTimes {
@@ -61,7 +61,7 @@ impl WindowTimes {
         })
     }
 
-    /// All three together.
+    /// The sum of the three stages.
     pub fn total_secs(&self) -> f64 {
         self.diffusion_secs + self.coordinator_secs + self.fit_secs
     }
@@ -71,8 +71,8 @@ impl WindowTimes {
         self.batch == Some(1.0)
     }
 
-    /// Frames per second. As in the paper, all frames of a window count, also the two that repeat the
-    /// window before.
+    /// Frames per second. As in the paper, all frames of a window count, including the two repeated from the previous
+    /// window.
     pub fn fps(&self) -> f64 {
         self.window as f64 / self.total_secs()
     }
@@ -88,7 +88,7 @@ const PUBLISHED: [WindowTimes; 3] = [
     printed(16, 0.474, 0.046, 0.126),
 ];
 
-/// The rows that the paper prints, by their names here.
+/// The rows that the paper prints, with their names in this project.
 pub fn published() -> impl Iterator<Item = (String, WindowTimes)> {
     let rows = PUBLISHED.into_iter();
     rows.map(|times| ("RTX 3090 (published)".to_owned(), times))
@@ -130,7 +130,7 @@ pub fn tables(rows: &[(String, WindowTimes)]) -> Vec<Grid> {
             .filter(|(_, times)| wanted(times))
             .map(|(name, times)| {
                 let batch = times.batch.map_or("–".to_owned(), |batch| {
-                    // Whole numbers but for the last batches of a table.
+                    // Averages are whole numbers unless the last batches are smaller.
                     let text = format!("{batch:.1}");
                     text.strip_suffix(".0").map_or(text.clone(), str::to_owned)
                 });
@@ -170,7 +170,7 @@ mod tests {
         let printed = [(0.223, 8.97), (0.497, 16.10), (0.646, 24.76)];
         for (times, (total, fps)) in PUBLISHED.into_iter().zip(printed) {
             assert!((times.total_secs() - total).abs() < 1e-9);
-            // The paper divides before it rounds.
+            // The paper computed the rate from unrounded times.
             assert!((times.fps() - fps).abs() < 0.02, "{}", times.fps());
         }
         let grids = tables(&[("RTX 3090 (published)".to_owned(), PUBLISHED[2])]);

@@ -1,7 +1,7 @@
 //! Training and sampling of the denoiser, and training of TMED and MDM, at the sizes of their papers.
 //!
-//! `cargo bench --bench denoiser`; `RAYON_NUM_THREADS` chooses the threads. Times are to be read
-//! against the matrix products of the same run.
+//! `cargo bench --bench denoiser`; `RAYON_NUM_THREADS` chooses the threads. Compare the times with those of the matrix
+//! products in the same run.
 
 use std::hint::black_box;
 
@@ -30,10 +30,10 @@ use train::schedule::Schedule;
 use train::tmed::features::NUM_FEATURES;
 use train::tmed::{ClipBatch, TmedConfig, loss};
 
-/// Windows in a training step.
+/// Number of windows in a training step.
 const BATCH: usize = 64;
 
-/// The backend's operations alone.
+/// Computes with the backend's own operations only.
 const WITHOUT_KERNELS: Arithmetic = Arithmetic {
     kernels: false,
     bf16: false,
@@ -43,7 +43,7 @@ fn main() {
     divan::main();
 }
 
-/// The network of the paper.
+/// The paper's denoiser.
 fn denoiser(dropout: f64, device: &Device) -> Denoiser {
     let config = TrainConfig::preset(Preset::Paper);
     let network = NetworkConfig {
@@ -75,7 +75,7 @@ fn noisy_batch(device: &Device) -> NoisyBatch {
         noise: values(),
         timesteps: (0..BATCH).collect(),
         progress: vec![0.5; BATCH],
-        // The text vectors are given to the loss.
+        // The loss is given the text vectors directly.
         texts: TextBatch::Vectors {
             values: Vec::new(),
             lengths: Vec::new(),
@@ -91,7 +91,7 @@ fn training_step(bencher: Bencher, dropout: f64) {
     step(bencher, dropout, Arithmetic::default());
 }
 
-/// The same step, composed of the backend's operations; its matrix products are from the crate `gemm`.
+/// The same step with the backend's own operations; its matrix products are from the crate `gemm`.
 #[divan::bench(sample_count = 5, sample_size = 1)]
 fn training_step_without_kernels(bencher: Bencher) {
     step(bencher, 0.0, WITHOUT_KERNELS);
@@ -126,7 +126,7 @@ fn step(bencher: Bencher, dropout: f64, arithmetic: Arithmetic) {
     });
 }
 
-/// One pass over the two rows of a guided step.
+/// One forward pass over the two rows of a guided step.
 #[divan::bench(sample_count = 20)]
 fn forward(bencher: Bencher) {
     let device = Device::flex();
@@ -152,7 +152,7 @@ fn sample(bencher: Bencher, batch: usize) {
     generate(bencher, batch, Arithmetic::default());
 }
 
-/// The same composed of the backend's operations.
+/// The same with the backend's own operations.
 #[divan::bench(args = [1, 32], sample_count = 3, sample_size = 1)]
 fn sample_without_kernels(bencher: Bencher, batch: usize) {
     generate(bencher, batch, WITHOUT_KERNELS);
@@ -195,7 +195,7 @@ const CLIPS: usize = 8;
 const CLIP_FRAMES: usize = 120;
 const TOKENS: usize = 16;
 
-/// Numbers of a text vector of CLIP ViT-B/32.
+/// Width of a text vector of CLIP ViT-B/32.
 const CLIP_WIDTH: usize = 512;
 
 /// Forward, loss, backward and AdamW of eight clips of four seconds.
@@ -241,7 +241,7 @@ fn tmed_training_step(bencher: Bencher, dropout: f64) {
     });
 }
 
-/// Clips of 196 frames, the longest of MDM, as features of HumanML3D.
+/// A training step of MDM with clips of 196 frames, its longest, as HumanML3D features.
 #[divan::bench(args = [0.0, 0.1], sample_count = 5, sample_size = 1)]
 fn mdm_training_step(bencher: Bencher, dropout: f64) {
     let device = Device::flex().autodiff();
@@ -283,7 +283,7 @@ const PRODUCTS: [[usize; 3]; 4] = [
     [2 * (1 + WINDOW_FRAMES), 2048, 512],
 ];
 
-/// The calibration: the backend's matrix product, in floating-point operations a second.
+/// The baseline: the backend's matrix product, in floating-point operations per second.
 #[divan::bench(args = PRODUCTS, sample_count = 20)]
 fn matrix_product(bencher: Bencher, [m, k, n]: [usize; 3]) {
     let device = Device::flex();

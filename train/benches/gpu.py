@@ -1,6 +1,6 @@
-"""The denoiser of the paper in PyTorch, eager and in single precision, measured as `gpu.rs` measures ours.
+"""Times of the paper's denoiser in PyTorch, eager and in single precision, measured like ours in `gpu.rs`.
 
-Results are JSON lines on stdout. `gpu.sh` calls it where PyTorch sees a card.
+Results are JSON lines on stdout. `gpu.sh` runs it if PyTorch finds a GPU.
 """
 
 import json

@@ -1,8 +1,8 @@
-//! The denoiser of the paper on a device: training steps, guided sampling, and the share of time a run waits
-//! for data. `train/benches/gpu.sh` calls it; results are JSON lines on stdout.
+//! Times of the paper's denoiser on a device: training steps, guided sampling, and the share of time that a run waits
+//! for data. `train/benches/gpu.sh` runs it; results are JSON lines on stdout.
 //!
-//! `cargo bench --features wgpu --bench gpu -- wgpu` names the device; `--peak TFLOPS` is the peak of its f32
-//! products, `--bf16` multiplies in bfloat16, `--quick` makes every measurement once on a small batch.
+//! `cargo bench --features wgpu --bench gpu -- wgpu` names the device; `--peak TFLOPS` gives its peak f32 throughput,
+//! `--bf16` multiplies in bfloat16, and `--quick` runs every measurement once with a small batch.
 #![expect(clippy::print_stdout, reason = "results are printed")]
 
 use std::time::{Duration, Instant};
@@ -75,8 +75,8 @@ fn main() {
     }
 }
 
-/// Operations of the products of a training step, of one window: a multiplication and an addition for each weight
-/// and token forwards, twice that backwards.
+/// Floating-point operations of the matrix products of a training step, per window: two for each weight and token in
+/// the forward pass, and twice that in the backward pass.
 fn flops() -> f64 {
     let config = TrainConfig::preset(Preset::Paper).model;
     let (width, hidden) = (config.width as f64, config.feed_forward as f64);
@@ -111,7 +111,7 @@ fn sample(batch: usize, device: &Device, arithmetic: Arithmetic) -> f64 {
     };
     let noise = normal([batch, WINDOW_FRAMES, FRAME_WIDTH], device);
     let mut secs = 0.0;
-    // Kernels are compiled in the first run.
+    // The first run compiles kernels, so only the second is timed.
     for _ in 0..2 {
         let begun = Instant::now();
         let x = sampler.sample(&condition, |_| noise.clone(), |_, _| {});

@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# Measures training and sampling on a card: the denoiser of the paper by itself (`gpu.rs`), the same in PyTorch
-# where it is installed and sees the card (`gpu.py`), and the whole chain on the built-in corpus with the share of
-# time that training waited for data. Results are JSON lines in the folder that is named.
+# Measures training and sampling on a GPU: the paper's denoiser alone (`gpu.rs`), the same in PyTorch if it is installed
+# and finds the GPU (`gpu.py`), and the whole chain on the built-in corpus, with the share of time that training waited
+# for data. Results are written to FOLDER as JSON lines.
 #
 #   train/benches/gpu.sh [FOLDER] [DEVICE] [FEATURE]
 #
-# DEVICE is that of `stance --device list` (wgpu unless named), FEATURE the one the program is built with (vulkan unless
-# named; wgpu, or cuda where its build can fetch the compiler of its kernels). PEAK_TFLOPS is the card's peak of f32 products, as its data
-# sheet states it. A card without a toolchain is measured with a target folder that was built elsewhere: with NO_BUILD=1
-# the programs in it are run as they are.
+# DEVICE is a name from `stance --device list` (default: wgpu). FEATURE is the feature to build the program with
+# (default: vulkan; also wgpu, or cuda if the build can download its kernel compiler). PEAK_TFLOPS is the GPU's peak f32
+# throughput from its data sheet. For a machine without a toolchain, copy a target folder built elsewhere and set
+# NO_BUILD=1: its programs are then run without building.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
@@ -47,7 +47,7 @@ rm -rf "$out/demo"
 begun=$SECONDS
 "$stance" demo --device "$device" --out "$out/demo"
 echo "{\"what\": \"demo\", \"secs\": $((SECONDS - begun))}" | tee "$out/chain.jsonl"
-# Samples per second and the share of time spent waiting for data, of the last line of the editor's run.
+# From the last metrics line of the editor's run: samples per second, and share of time spent waiting for data.
 grep '"samples_per_sec"' "$out/demo/runs/motionrefit/metrics.jsonl" | tail -1 | tee -a "$out/chain.jsonl"
 
 echo "== 1,000 items edited"

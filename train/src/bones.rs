@@ -1,11 +1,11 @@
-//! Keypoints as bones: the pelvis, and each other point as a vector from its parent.
+//! Converts keypoints to bones and back: the pelvis, and each other point as a vector from its parent.
 
 use burn::tensor::{Device, Tensor};
 use kinematics::skeleton::parent_of;
 
 use crate::model::position::Tables;
 
-/// Coordinates of the pelvis, the first numbers of a frame in points and in bones.
+/// Number of coordinates of the pelvis. They come first in a frame, both of points and of bones.
 pub(crate) const ROOT_NUMBERS: usize = 3;
 
 /// Coordinate `number` of a frame of bones: the keypoint minus its parent. The pelvis keeps its position.
@@ -22,11 +22,11 @@ pub(crate) fn parent_number(number: usize) -> usize {
     3 * parent_of(number / 3) + number % 3
 }
 
-/// The linear maps from the keypoints of a frame to the pelvis and the bones, as vectors from parent to
-/// child, and back.
+/// The linear maps from the keypoints of a frame to bones, and back. Bones are the pelvis, and vectors from each parent
+/// to its child.
 ///
 /// # Shapes
-/// Both `[3 keypoints, 3 keypoints]`. A frame is a row vector, left of the map ([`mapped`]).
+/// Both `[3 keypoints, 3 keypoints]`. A frame is a row vector and is multiplied from the left ([`mapped`]).
 pub(crate) fn bones(keypoints: usize, device: &Device) -> [Tensor<2>; 2] {
     static TO_BONES: Tables = Tables::new(to_bones);
     static TO_POINTS: Tables = Tables::new(to_points);
@@ -35,7 +35,7 @@ pub(crate) fn bones(keypoints: usize, device: &Device) -> [Tensor<2>; 2] {
     [&TO_BONES, &TO_POINTS].map(|map| map.rows(&numbers, width, device))
 }
 
-/// Maps all frames by a linear map, as one matrix product.
+/// Applies a linear map to all frames, as one matrix product.
 ///
 /// # Shapes
 /// `[B, W, D]` and `[D, D]` give `[B, W, D]`.
@@ -45,7 +45,7 @@ pub(crate) fn mapped(frames: Tensor<3>, map: Tensor<2>) -> Tensor<3> {
     rows.matmul(map).reshape([batch, window, width])
 }
 
-/// Matrix from the keypoint coordinates of a frame to bone vectors, row by row.
+/// Rows of the matrix that maps the keypoint coordinates of a frame to bone vectors.
 fn to_bones(numbers: &[usize], width: usize) -> Vec<f32> {
     map_rows(numbers, width, |from, to| {
         if from == to {
@@ -58,7 +58,7 @@ fn to_bones(numbers: &[usize], width: usize) -> Vec<f32> {
     })
 }
 
-/// Matrix from the bone vectors of a frame to keypoint coordinates, row by row.
+/// Rows of the matrix that maps the bone vectors of a frame to keypoint coordinates.
 fn to_points(numbers: &[usize], width: usize) -> Vec<f32> {
     map_rows(numbers, width, |from, to| {
         let mut ancestor = to;
@@ -69,8 +69,8 @@ fn to_points(numbers: &[usize], width: usize) -> Vec<f32> {
     })
 }
 
-/// Rows of a linear map of frames, the same for x, y and z: each keypoint `to` becomes the sum over all keypoints
-/// `from` of `weight(from, to)` times their position. A row number of at least `width` gives a row of zeros.
+/// Rows of a linear map of frames that is the same for x, y and z: each keypoint `to` becomes the sum over all
+/// keypoints `from` of `weight(from, to)` times their position. A row number of at least `width` gives a row of zeros.
 fn map_rows(numbers: &[usize], width: usize, weight: impl Fn(usize, usize) -> f32) -> Vec<f32> {
     let cell = |from: usize, to: usize| {
         if from < width && from % 3 == to % 3 {
@@ -114,7 +114,7 @@ mod tests {
                     frame[wrist + 1] - frame[elbow + 1]
                 );
                 for (back, was) in read(mapped(bones, to_points)).iter().zip(&frame) {
-                    // Rounding error of sums of a dozen numbers of size one.
+                    // The tolerance is the rounding error of sums of a dozen numbers of size one.
                     assert!((back - was).abs() < 1e-5, "{back} {was}");
                 }
             }

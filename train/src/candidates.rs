@@ -1,4 +1,4 @@
-//! Candidate pairs of variants of one motion, which people then describe as fine-grained edits.
+//! Candidate pairs of variants of one motion, for people to describe as fine-grained edits.
 
 use std::collections::BTreeMap;
 
@@ -15,24 +15,24 @@ use work::Quarantine;
 
 use crate::Error;
 
-/// Source of candidate pairs; the number is the version of the rules.
+/// Source name of candidate pairs; the number is the version of the rules.
 pub const SOURCE: &str = "variants-1";
 
-/// Bounds within which two variants are a candidate pair.
+/// Bounds on the pairs of variants that become candidates.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct VariantConfig {
-    /// Root mean square distance in metres between their joints below which two variants are identical.
+    /// Root mean square distance in metres between the joints of two variants, below which they count as identical.
     pub min_distance_m: f64,
-    /// The distance above which they are different motions.
+    /// Root mean square distance above which two variants count as different motions.
     pub max_distance_m: f64,
     /// Maximum mean speed of planted feet in m/s.
     pub max_foot_skate: f32,
-    /// Maximum mean distance of bones from their lengths in metres.
+    /// Maximum mean difference of bones from the body's bone lengths in metres.
     pub max_bone_drift_m: f32,
 }
 
 impl Default for VariantConfig {
-    /// Our choice: the filters of the publication are not published.
+    /// These bounds are our choice, because the publication does not state its filters.
     fn default() -> Self {
         Self {
             min_distance_m: 0.02,
@@ -48,14 +48,14 @@ impl Default for VariantConfig {
 pub struct Variant {
     /// Row of the variant; none if the motion failed the checks of [`generated_row`].
     pub row: Option<MotionRow>,
-    /// Mean distance of its bones from their lengths in metres; 0 where that is not known.
+    /// Mean difference of the variant's bones from the body's bone lengths in metres; 0 if not known.
     pub bone_drift_m: f32,
 }
 
-/// The variants of one motion, in the order they are paired.
+/// The variants of one motion, in pairing order.
 #[derive(Clone, Debug)]
 pub struct VariantGroup {
-    /// Names the group.
+    /// Name of the group.
     pub base: String,
     /// Caption of the variants.
     pub text: String,
@@ -66,13 +66,13 @@ pub struct VariantGroup {
 /// Counts of the variants by outcome. Each pair is counted once, by the first bound that it breaks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VariantCounts {
-    /// Motions that variants were made of.
+    /// Number of motions that variants were made of.
     pub bases: usize,
-    /// Variants.
+    /// Number of variants.
     pub variants: usize,
     /// Variants left over from motions with an odd number of them.
     pub unpaired: usize,
-    /// Pairs with a motion that failed the checks, such as a jump that no person can make.
+    /// Pairs with a motion that failed the checks, such as one with an impossible jump.
     pub broken: usize,
     /// Pairs of motions of different lengths.
     pub lengths: usize,
@@ -95,17 +95,17 @@ pub struct VariantCounts {
 pub struct Candidates {
     /// The motions of the pairs.
     pub motions: Vec<MotionRow>,
-    /// The pairs, of kind `fine-grained`; their instruction says what both motions show until a person
-    /// describes the difference.
+    /// The pairs, of kind `fine-grained`. Until a person describes the difference, their instruction is the caption of
+    /// both motions.
     pub pairs: Vec<PairRow>,
     /// Counts of the variants by outcome.
     pub counts: VariantCounts,
 }
 
-/// Row of a motion that a model generated.
+/// The table row of a motion that a model generated.
 ///
 /// # Errors
-/// The motion fails the checks of every ingested one.
+/// The motion fails the checks that every ingested motion must pass.
 pub fn generated_row(
     id: MotionId,
     split: Split,
@@ -133,8 +133,8 @@ pub fn generated_row(
     })
 }
 
-/// The variants among the motions of a dataset: motions whose ids share a folder, `base/variant`. A
-/// folder of one motion is no group.
+/// Groups the variants among the motions of a dataset: motions whose ids share a folder, `base/variant`. A folder with
+/// a single motion is not a group.
 pub fn groups_of_motions(rows: Vec<MotionRow>) -> Vec<VariantGroup> {
     let mut groups: BTreeMap<String, VariantGroup> = BTreeMap::new();
     let mut rows: Vec<MotionRow> = rows
@@ -164,11 +164,10 @@ pub fn groups_of_motions(rows: Vec<MotionRow>) -> Vec<VariantGroup> {
     groups.filter(|group| group.variants.len() > 1).collect()
 }
 
-/// Pairs the variants of each motion one to one, the first with the second and so on, and keeps the
-/// pairs within bounds.
+/// Pairs the variants of each motion, the first with the second and so on, and keeps the pairs within bounds.
 ///
 /// # Errors
-/// A row is no motion.
+/// A row does not hold a motion.
 ///
 /// # Source
 /// MotionReFit, Sec. 4.1 and App. D.3: 16 variants give 8 candidates.
@@ -245,7 +244,7 @@ impl std::ops::AddAssign for VariantCounts {
     }
 }
 
-/// The count of pairs that break the first bound that a pair breaks.
+/// The counter of the first bound that a pair breaks; none if the pair is kept.
 fn broken_bound<'a>(
     pair: [&MotionRow; 2],
     bone_drift_m: f32,
@@ -284,15 +283,15 @@ fn broken_bound<'a>(
     })
 }
 
-/// Root mean square distance in metres between the joints of two motions of one length.
+/// Root mean square distance in metres between the joints of two motions of equal length.
 fn distance_m(a: &[Joints], b: &[Joints]) -> f64 {
     let pairs = a.iter().flatten().zip(b.iter().flatten());
     let sum: f64 = pairs.map(|(a, b)| a.distance_squared(*b)).sum();
     (sum / (a.len() * NUM_BODY_JOINTS).max(1) as f64).sqrt()
 }
 
-/// Commits candidate pairs and their motions as a dataset, with the pieces that failed.
-/// `facts` tells how they were made.
+/// Commits candidate pairs and their motions as a dataset, with the motions that failed. `facts` states how the pairs
+/// were made.
 ///
 /// # Errors
 /// The folder cannot be written.
@@ -335,7 +334,7 @@ mod tests {
 
     use super::*;
 
-    /// A body that stands and raises an arm by an angle, its feet moving at a speed in m/s.
+    /// A standing body that raises an arm by an angle while its feet move at a speed in m/s.
     fn motion(angle: f64, speed: f64, frames: usize) -> Motion {
         let skeleton = Skeleton::smplx_neutral();
         let rest: Vec<Joints> = skeleton.points_of_poses(&[Pose::REST]);

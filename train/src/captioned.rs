@@ -1,4 +1,4 @@
-//! Crops of captioned motions, for training models of motion and text.
+//! Crops of captioned motions, for training text-to-motion models and encoders.
 
 use std::ops::Range;
 
@@ -28,14 +28,14 @@ pub struct CaptionedClip {
     pub captions: Vec<String>,
 }
 
-/// Training data of a model of motion and text.
+/// Training data of a model of motions and texts.
 #[derive(Clone, Copy)]
 pub struct CaptionedCorpus<'a> {
     /// Training clips.
     pub train: &'a [CaptionedClip],
     /// Validation clips.
     pub val: &'a [CaptionedClip],
-    /// Vectors of all captions and of the empty text, of a frozen encoder.
+    /// Vectors of all captions and of the empty text, from a frozen encoder.
     pub vectors: Option<&'a EmbeddingTable>,
     /// The skeleton the motions drive.
     pub skeleton: &'a Skeleton,
@@ -55,11 +55,11 @@ pub(crate) struct CaptionedRows {
     captions: Vec<String>,
 }
 
-/// The features of the clips that have at least `min_frames` of them, on HumanML3D's body with the bone
-/// lengths of a skeleton.
+/// The features of all clips with at least `min_frames` feature rows, on HumanML3D's body with the bone lengths of
+/// `skeleton`.
 ///
 /// # Errors
-/// No clip is long enough, one has no caption, or one has no features.
+/// No clip is long enough, a clip has no caption, or its features cannot be computed.
 pub(crate) fn captioned_rows(
     clips: &[CaptionedClip],
     skeleton: &Skeleton,
@@ -76,7 +76,7 @@ pub(crate) fn captioned_rows(
             let motion = Resample::Exact
                 .apply(&clip.motion, Fps::STORE)
                 .map_err(motion_error(&clip.id))?;
-            // Velocities need the next frame.
+            // Velocities use the next frame, so there is one row less than frames.
             if motion.len() <= min_frames {
                 return Ok(None);
             }
@@ -95,10 +95,10 @@ pub(crate) fn captioned_rows(
     Ok(rows)
 }
 
-/// Mean and standard deviation of the features; standard deviations are averaged over each group of features, as
-/// published by HumanML3D.
+/// Mean and standard deviation of the features. As in HumanML3D, standard deviations are averaged within each group of
+/// features.
 pub(crate) fn grouped_stats(clips: &[CaptionedRows]) -> FeatureStats {
-    /// Lower bound of a spread: what never changes in the training split is not blown up.
+    /// Lower bound of a standard deviation, so that features that are constant in the training split are not amplified.
     const LEAST_STD: f32 = 1e-3;
     let mut statistics = Statistics::default();
     for clip in clips {
@@ -115,7 +115,7 @@ pub(crate) fn grouped_stats(clips: &[CaptionedRows]) -> FeatureStats {
     }
 }
 
-/// Normalised crops of clips and a caption of each, with zeros after each row's length.
+/// Normalised crops of clips with one caption each; rows after a crop's length are zero.
 #[derive(Clone, Debug)]
 pub(crate) struct Crops<'a> {
     /// `[B, T, 263]`
@@ -148,14 +148,13 @@ impl Crops<'_> {
     }
 }
 
-/// Samples crops of clips. What is drawn for a sample depends on the seed and the sample's place in the
-/// run alone.
+/// Samples crops of clips. The draws for a sample depend only on the seed and the sample's index in the run.
 #[derive(Clone, Copy)]
 pub(crate) struct CropSampler<'a> {
     pub(crate) clips: &'a [CaptionedRows],
     pub(crate) stats: &'a FeatureStats,
     pub(crate) max_frames: usize,
-    /// Whether crops are padded to the longest possible one rather than to the longest of the batch.
+    /// Whether crops are padded to the longest possible crop instead of the longest of the batch.
     pub(crate) pads_to_max: bool,
     pub(crate) seed: Seed,
 }
@@ -164,10 +163,10 @@ pub(crate) struct CropSampler<'a> {
 const CROP_UNIT: usize = 4;
 
 impl<'a> CropSampler<'a> {
-    /// The samples `first..first + count` of the run. The count goes on from one epoch to the next.
+    /// The samples `first..first + count` of the run; the numbering continues across epochs.
     ///
-    /// A crop is as long as its clip, rounded down to a multiple of four frames, and in a third of the
-    /// cases four frames shorter.
+    /// A crop's length is that of its clip, rounded down to a multiple of four frames. In a third of the cases it is
+    /// four frames shorter.
     ///
     /// # Source
     /// `Text2MotionDatasetV2` of HumanML3D, which MDM and MLD use.
@@ -205,14 +204,14 @@ impl<'a> CropSampler<'a> {
         self.crops(&crops)
     }
 
-    /// All clips from their first frame with their first caption, in batches of `size`.
+    /// All clips in batches of `size`, each from its first frame and with its first caption.
     pub(crate) fn whole(&self, size: usize) -> Vec<Crops<'a>> {
         let frames = self.clips.iter().map(|clip| clip.rows.len());
         let crops = Crop::firsts(frames, self.max_frames);
         crops.chunks(size).map(|crops| self.crops(crops)).collect()
     }
 
-    /// [`CropSampler::whole`], each with the place of its first clip, and with diffusion steps that are spread
+    /// The batches of [`CropSampler::whole`], each with the index of its first clip, and with diffusion steps spread
     /// evenly, which makes validations comparable.
     pub(crate) fn validation(
         &self,
@@ -267,7 +266,7 @@ pub(crate) struct Crop {
 }
 
 impl Crop {
-    /// All clips, of so many frames each, from their first frame with their first caption.
+    /// All clips, cropped from their first frame to the given numbers of frames, with their first captions.
     pub(crate) fn firsts(frames: impl Iterator<Item = usize>, longest: usize) -> Vec<Self> {
         let crop = |(clip, frames): (usize, usize)| Self {
             clip,

@@ -9,9 +9,10 @@ use serde_json::Value;
 use crate::checkpoint::RunRecord;
 use crate::registry;
 
-/// Name of the file.
+/// Name of the card's file.
 pub const FILE: &str = "README.md";
-/// Lists of settings are written out up to this length. Longer ones were fitted, such as means and vocabularies.
+/// Maximum length of a list of settings that is written out. Longer lists are fitted values, such as means and
+/// vocabularies.
 const MAX_LIST_LEN: usize = 16;
 /// BibTeX entry of the method, as in `CITATION.cff`.
 const CITATION: &str = "@inproceedings{jiang2025motionrefit,
@@ -21,22 +22,22 @@ const CITATION: &str = "@inproceedings{jiang2025motionrefit,
   year      = {2025}
 }";
 
-/// Facts for a card that are not in the run's record.
+/// Facts for a card that the run's record does not contain.
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
-    /// Repo of the model: `OWNER/NAME`.
+    /// Repo of the model on the hub: `OWNER/NAME`.
     pub repo: &'a str,
-    /// Clips of the data by licence.
+    /// Number of clips in the training data by licence.
     pub licenses: &'a BTreeMap<String, u64>,
     /// Root hash of the dataset, if it is known.
     pub root_hash: Option<&'a str>,
-    /// Report of an encoder on its own retrieval, a line each.
+    /// Report on an encoder's own retrieval, one string per line.
     pub judge: &'a [String],
-    /// Scores of its edits.
+    /// Scores of the model's edits.
     pub scores: &'a [Score],
 }
 
-/// A score of `stance eval --json`; its other fields are of no interest here.
+/// A score of `stance eval --json`, without the fields that a card does not use.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Score {
     /// Name of the system.
@@ -45,13 +46,13 @@ pub struct Score {
     pub task: String,
     /// Name of the metric, with its unit.
     pub metric: String,
-    /// Value.
+    /// Mean value.
     pub mean: f64,
-    /// Half of the 95 % interval, where there is one.
+    /// Half width of the 95 % interval; none without an interval.
     pub ci95: Option<f64>,
-    /// Items.
+    /// Number of items.
     pub n: u32,
-    /// Hash of the encoder that judged; empty for metrics of motions alone.
+    /// Hash of the encoder used; empty for metrics without an encoder.
     pub encoder_hash: String,
 }
 
@@ -98,7 +99,7 @@ pub fn text(record: &RunRecord<Value>, about: &About<'_>) -> String {
     text
 }
 
-/// A model has one licence by the rules of the hub.
+/// The model's licence; the hub allows only one.
 fn license(licenses: &BTreeMap<String, u64>) -> String {
     let mut names = hub_names(licenses).into_iter();
     let first = names.next();
@@ -153,7 +154,7 @@ fn scores(about: &About<'_>) -> String {
     text
 }
 
-/// How the model is got and used, and how one like it is trained.
+/// Commands to download and use the model, and to train one like it.
 fn commands(record: &RunRecord<Value>, repo: &str) -> String {
     let kind = &record.kind;
     let mut lines = vec![format!("stance hub pull {repo} --out RUN")];
@@ -168,7 +169,7 @@ fn commands(record: &RunRecord<Value>, repo: &str) -> String {
     format!("\n## Use\n\n```sh\n{}\n```\n", lines.join("\n"))
 }
 
-/// A document in which long lists are only counted.
+/// A copy of a document in which long lists are replaced by their length.
 fn abridged(value: &Value) -> Value {
     match value {
         Value::Array(values) if values.len() > MAX_LIST_LEN => {

@@ -10,7 +10,7 @@
 //! RUN/checkpoint/*/manifest.json  length and BLAKE3 of every file
 //! ```
 //!
-//! A checkpoint appears whole or not at all: it is written beside its place and renamed into it.
+//! A checkpoint is written atomically: to a temporary folder, which is then renamed.
 
 mod events;
 mod record;
@@ -37,14 +37,15 @@ use self::record::{differences, not_a_run, parse_record, text_of, to_value};
 
 pub(crate) const METRICS: &str = "metrics.jsonl";
 const MANIFEST: &str = "manifest.json";
-/// Prefix of the files with averaged weights in a checkpoint; the rest of the name is that of the model's file.
+/// Prefix of the files with averaged weights in a checkpoint; the rest of the file's name is that of the file with the
+/// plain weights.
 pub(crate) const EMA_PREFIX: &str = "ema-";
 pub(crate) const STATE: &str = "state.json";
 
 /// A checkpoint of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Slot {
-    /// The newest.
+    /// The newest checkpoint.
     Last,
     /// The checkpoint with the lowest validation loss.
     Best,
@@ -53,7 +54,7 @@ pub enum Slot {
 }
 
 impl Slot {
-    /// Name of the folder.
+    /// Name of the checkpoint's folder.
     pub fn name(self) -> String {
         match self {
             Self::Last => "last".to_owned(),
@@ -84,15 +85,15 @@ impl std::str::FromStr for Slot {
 /// Files of a checkpoint by name.
 pub type Files = BTreeMap<String, Vec<u8>>;
 
-/// How a run begins: where, and from what.
+/// How a run begins: its folder, and the weights it starts from.
 #[derive(Clone, Copy, Debug)]
 pub struct Start<'a> {
     /// The run folder.
     pub run: &'a Path,
-    /// Whether an existing run continues with other settings, as far as these may change.
+    /// Whether an existing run continues with changed settings, if these may change.
     pub extend: bool,
-    /// Run folder whose weights a new run begins with. What was fitted to its training split is kept for
-    /// the new run too.
+    /// Run folder whose weights a new run starts from. The new run also keeps the parts fitted to that run's training
+    /// split, such as the normaliser.
     pub init: Option<&'a Path>,
 }
 
@@ -107,7 +108,8 @@ impl<'a, P: AsRef<Path> + ?Sized> From<&'a P> for Start<'a> {
 }
 
 impl Start<'_> {
-    /// The record with the run's fitted parts: its own if it has begun, else that of the run it starts from.
+    /// The record with the run's fitted parts: the run's own record if it has begun, else that of the run it starts
+    /// from.
     pub(crate) fn fitted<C: DeserializeOwned>(
         &self,
         kind: &'static str,
@@ -118,7 +120,7 @@ impl Start<'_> {
             .transpose()
     }
 
-    /// The normaliser of the run, if it is not to be fitted.
+    /// The normaliser of the run; none if it is still to be fitted.
     ///
     /// # Errors
     /// A record cannot be read.
@@ -143,8 +145,8 @@ impl Start<'_> {
     }
 }
 
-/// Settings that `extend` may change, without the name of the section they are recorded in: they
-/// affect the length and the speed of a run, not the network or the data.
+/// Settings that `extend` may change, without the name of their section. They affect the length and speed of a run, not
+/// the network or the data.
 const EXTENDABLE: [&str; 11] = [
     "keep_epochs",
     "length.epochs",
@@ -178,19 +180,19 @@ struct FileEntry {
     blake3: String,
 }
 
-/// A folder being trained into.
+/// The folder of a training run.
 #[derive(Clone, Debug)]
 pub struct Run {
     dir: PathBuf,
-    /// Weights to start from, with their folder.
+    /// Folder and files of the weights to start from.
     init: Option<(PathBuf, Files)>,
-    /// The record of the extended run, until the extension is certain to succeed.
+    /// The record of the extended run, kept until the extension is certain to succeed.
     extended: Option<(Value, Vec<Ancestor>)>,
 }
 
 impl Run {
-    /// Starts a run, or opens it again if the folder holds one of the same record, or, where it is to
-    /// be extended, of a record that differs only in settings that may change.
+    /// Starts a run, or reopens the folder's run. A reopened run must have the same record; if it is to be extended,
+    /// settings that may change may differ.
     ///
     /// # Errors
     /// The folder holds another run, or cannot be read or written.
@@ -201,7 +203,7 @@ impl Run {
         let start = start.into();
         let path = start.run.join(CONFIG);
         fs::create_dir_all(start.run).map_err(datasets_spec::Error::io("create", start.run))?;
-        // Both documents are parsed from text, so that numbers compare as written.
+        // Both documents are parsed from text, so that numbers compare as they are written.
         let asked = to_value(record).map_err(json_error(&path))?;
         match text_of(&path)? {
             Some(recorded) => Self::open_again(start, record, asked, &recorded),
@@ -233,8 +235,7 @@ impl Run {
         })
     }
 
-    /// Opens the run whose `config.json` is the text `recorded`. `asked` is the record as it would be
-    /// written now.
+    /// Reopens the run whose `config.json` is the text `recorded`. `asked` is the record of this call.
     fn open_again<C: Serialize + DeserializeOwned>(
         start: Start<'_>,
         record: &RunRecord<C>,
@@ -249,7 +250,7 @@ impl Run {
             let reason = format!("it is a run of {}", kind["kind"]);
             return Err(not_a_run(dir, &record.kind, reason));
         }
-        // Settings missing in a record of an earlier version get the value that version used.
+        // Settings missing in a record of an earlier version get the value that that version used.
         let recorded: RunRecord<C> = parse_record(recorded).map_err(json)?;
         let mut differences = differences(&to_value(&recorded).map_err(json)?, &asked);
         if recorded.skeleton_hash.is_none() {
@@ -331,8 +332,8 @@ impl Run {
         let text = serde_json::to_vec_pretty(&manifest).map_err(json_error(&path))?;
         write_synced(&path, &text)?;
         sync_dir(&new)?;
-        // A folder cannot be renamed onto a full one. Between the two renames the old checkpoint
-        // is still there under its other name, where `read` looks for it.
+        // A folder cannot be renamed onto a non-empty one. Between the two renames the old checkpoint exists under its
+        // other name, where `read` looks for it.
         if place.exists() {
             remove_dir(&old)?;
             fs::rename(&place, &old).map_err(datasets_spec::Error::io("rename", &place))?;
@@ -358,8 +359,7 @@ impl Run {
         append(&events, &records)
     }
 
-    /// Drops the lines of the metrics file, and the events, that lie after `step`: a run that is continued writes
-    /// them again.
+    /// Drops the lines of the metrics file, and the events, after `step`: a continued run writes them again.
     pub(crate) fn rewind_log(&self, step: u64) -> Result<(), Error> {
         #[derive(Deserialize)]
         struct Step {
@@ -372,7 +372,7 @@ impl Run {
         let kept: String = text
             .lines()
             .filter(|line| {
-                // A line cut short by a crash does not parse and is dropped too.
+                // A line cut short by a crash does not parse, and is dropped as well.
                 serde_json::from_str::<Step>(line).is_ok_and(|line| line.step <= step)
             })
             .flat_map(|line| [line, "\n"])
@@ -465,7 +465,7 @@ pub(crate) fn open_for_use<C: Serialize + DeserializeOwned>(
     Ok(Opened::new(record, files))
 }
 
-/// Removes a file from the files of a checkpoint.
+/// Takes a file out of the files of a checkpoint.
 pub(crate) fn take(files: &mut Files, name: &str, run_dir: &Path) -> Result<Vec<u8>, Error> {
     files.remove(name).ok_or_else(|| Error::Corrupt {
         path: run_dir.join("checkpoint"),
@@ -473,7 +473,8 @@ pub(crate) fn take(files: &mut Files, name: &str, run_dir: &Path) -> Result<Vec<
     })
 }
 
-/// Hash of a checkpoint's weights, used by editors and tables: BLAKE3 of configuration and weight files, hexadecimal.
+/// Hash of a checkpoint's weights, used by editors and tables: BLAKE3 of the configuration and the weight files,
+/// hexadecimal.
 fn weights_hash<C: Serialize>(config: &C, files: &Files) -> String {
     let mut hasher = blake3::Hasher::new();
     let config = serde_json::to_vec(config).expect("a configuration that was read can be written");
@@ -518,7 +519,7 @@ fn check_changes<'a>(
     })
 }
 
-/// Checks that a run of the lineage `recorded` began with the last weights of the lineage `past`.
+/// Checks that a run with the lineage `recorded` began with the last weights of the lineage `past`.
 fn check_beginning(dir: &Path, recorded: &[Ancestor], past: &[Ancestor]) -> Result<(), Error> {
     let is_begun_with = |ancestor: &Ancestor| {
         ancestor.by == Inheritance::Init
@@ -536,7 +537,7 @@ fn check_beginning(dir: &Path, recorded: &[Ancestor], past: &[Ancestor]) -> Resu
     })
 }
 
-/// Checks that a run that was started from another run's weights has its own weights by now.
+/// Checks that a run that was started from another run's weights now has weights of its own.
 fn check_needs_no_init<C>(dir: &Path, recorded: &RunRecord<C>) -> Result<(), Error> {
     let mut lineage = recorded.lineage.iter();
     if let Some(begun) = lineage.find(|ancestor| ancestor.by == Inheritance::Init)
@@ -552,7 +553,7 @@ fn check_needs_no_init<C>(dir: &Path, recorded: &RunRecord<C>) -> Result<(), Err
     Ok(())
 }
 
-/// The lineage of a run that begins with the best weights of another, and those weights.
+/// The lineage of a run that starts from the best weights of another run, and those weights.
 fn begin_with<C: Serialize + DeserializeOwned>(
     from: &Path,
     record: &RunRecord<C>,
@@ -634,7 +635,7 @@ mod tests {
     }
 
     fn record(width: usize) -> RunRecord<Settings> {
-        // A number whose shortest decimal form needs 17 digits.
+        // The shortest decimal form of this number needs 17 digits.
         let rate = 0.1 + 0.2;
         RunRecord::new(
             "test",

@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 
-/// Settings and seed of the composer. Rate and anchor apply while editing too, because the network was
-/// trained on such frames alone.
+/// Settings and seed of the composer. The editor also uses the frame rate and the anchor, because the network was
+/// trained only with these.
 ///
-/// Records of version 1.3 and before hold the same as a JSON document in a string, which is read.
+/// Records of version 1.3 and earlier hold the same data as JSON text in a string, which is accepted too.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Written")]
 pub struct ComposeRecord {
@@ -46,7 +46,7 @@ impl TryFrom<Written> for ComposeRecord {
 }
 
 impl ComposeRecord {
-    /// Checks the settings, and that they are those of a network for windows of so many frames.
+    /// Checks the settings, and that their windows have the length that the network expects.
     ///
     /// # Errors
     /// A setting is out of range, or the windows have another length.

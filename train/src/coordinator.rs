@@ -1,4 +1,4 @@
-//! The body-part coordinator: its training, and its use as a guide.
+//! The body-part coordinator: its training, and its use for guidance.
 
 use std::path::Path;
 
@@ -32,7 +32,7 @@ use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "coordinator";
 
-/// Last diffusion steps whose noise the coordinator learns to see through (paper, Sec. 5.2).
+/// Number of last diffusion steps on whose noise the coordinator is trained (paper, Sec. 5.2).
 const NOISE_STEPS: usize = 20;
 
 /// Settings of the coordinator's training.
@@ -41,22 +41,22 @@ const NOISE_STEPS: usize = 20;
 pub struct CoordinatorConfig {
     /// Sizes of the network.
     pub model: NetworkConfig,
-    /// Noise schedule; equal to that of the guided editor.
+    /// Noise schedule; it must equal that of the guided editor.
     pub schedule: ScheduleName,
-    /// Diffusion steps; equal to those of the guided editor.
+    /// Number of diffusion steps; it must equal that of the guided editor.
     pub diffusion_steps: usize,
-    /// Last diffusion steps whose noise is put on the windows.
+    /// Number of last diffusion steps whose noise is added to the windows.
     pub noise_steps: usize,
-    /// Frames of a window.
+    /// Number of frames in a window.
     pub window: usize,
-    /// Keypoints of a frame; equal to those of the guided editor.
+    /// Number of keypoints in a frame; it must equal that of the guided editor.
     #[serde(default = "all_keypoints", skip_serializing_if = "is_all_keypoints")]
     pub keypoints: usize,
-    /// Share of training windows that are mirrored, where the composer's settings mirror none: a mirrored motion is as
+    /// Share of training windows that are mirrored if the composer's settings mirror none. A mirrored motion is as
     /// natural, and a mirrored blend as composed, as the window itself.
     #[serde(default, skip_serializing_if = "is_default")]
     pub mirrored_ratio: f64,
-    /// Windows in a validation.
+    /// Number of windows in a validation.
     pub val_windows: usize,
     /// Settings that every training run has.
     #[serde(flatten)]
@@ -64,14 +64,15 @@ pub struct CoordinatorConfig {
 }
 
 impl CoordinatorConfig {
-    /// The named settings: the trunk and the diffusion of the editor's preset.
+    /// The settings of a preset; network and diffusion are those of the editor's preset.
     ///
     /// # Source
     /// Paper, Sec. 5.2 and App. B.4. The released coordinators were saved after 55 k to 68 k steps; `Official` and
-    /// `Paper` make 68 k. Neither publication tells learning rate and batch of this network: they are
-    /// the editor's. `Tiny` has a lower rate, because at the editor's rate the coordinator is at chance after 500 steps.
-    /// Its 6,000 steps bring the validation loss on real motion well below that of chance (`eval/plans/real-small/RESULTS.md`). On the few
-    /// clips of the built-in corpus it learns the natural windows by heart unless half of them are mirrored.
+    /// `Paper` run 68 k. Neither publication states this network's learning rate and batch size; the editor's are
+    /// used. `Tiny` has a lower rate, because at the editor's rate the coordinator is at chance after 500 steps. Its
+    /// 6,000 steps bring the validation loss on real motion well below that of chance
+    /// (`eval/plans/real-small/RESULTS.md`). On the few clips of the built-in corpus it overfits to the natural windows
+    /// unless half of them are mirrored.
     pub fn preset(preset: Preset) -> Self {
         let editor = TrainConfig::preset(preset);
         let DiffusionConfig {
@@ -101,7 +102,8 @@ impl CoordinatorConfig {
                     },
                     Preset::Paper | Preset::Official => editor.run.optimizer,
                 },
-                // The paper does not say how long. The released coordinators stopped after 55,000 to 68,000 steps.
+                // The paper does not state the number of steps. The released coordinators stopped after 55,000 to
+                // 68,000 steps.
                 length: RunLength::of_steps(if is_tiny { 6_000 } else { 68_000 }),
                 keep_epochs: 0,
                 ..editor.run
@@ -109,7 +111,7 @@ impl CoordinatorConfig {
         }
     }
 
-    /// Checks that the settings can be trained with.
+    /// Checks that the settings allow training.
     ///
     /// # Errors
     /// A setting is out of range.
@@ -159,13 +161,13 @@ pub struct Segments<'a> {
     pub train: &'a dyn WindowSource<CoordinatorBatch>,
     /// Validation segments.
     pub val: &'a dyn WindowSource<CoordinatorBatch>,
-    /// Range the windows were scaled by.
+    /// Normaliser with which the windows were scaled.
     pub normalizer: Normalizer,
-    /// The skeleton the motions drive.
+    /// The skeleton of the motions.
     pub skeleton: &'a Skeleton,
-    /// Hash of the tables the segments are composed from.
+    /// Hash of the tables that the segments are composed from.
     pub dataset_hash: &'a str,
-    /// How the windows were composed.
+    /// Composition settings of the windows.
     pub compose: &'a ComposeRecord,
 }
 
@@ -175,26 +177,25 @@ pub struct Segments<'a> {
 pub struct CoordinatorRecord {
     /// The resolved settings.
     pub train: CoordinatorConfig,
-    /// Range the windows are scaled by.
+    /// Normaliser with which the windows are scaled.
     pub normalizer: Normalizer,
-    /// How the windows were composed.
+    /// Composition settings of the windows.
     pub compose: ComposeRecord,
 }
 
 impl CoordinatorRecord {
-    /// Checks a record that was read.
+    /// Checks a record after reading.
     ///
     /// # Errors
-    /// A setting of the coordinator or of the composer is out of range, or they do not fit each
-    /// other.
+    /// A setting of the coordinator or of the composer is out of range, or the two do not match.
     pub(crate) fn check(&self) -> Result<(), Error> {
         self.train.check()?;
         self.compose.check(self.train.window)
     }
 }
 
-/// Trains the coordinator, or continues where the run folder left off, exactly as
-/// [`crate::fit::train_motionrefit`] does.
+/// Trains the coordinator, or continues the training of the run folder, exactly as [`crate::fit::train_motionrefit`]
+/// does.
 ///
 /// # Errors
 /// The settings are unusable, the folder holds another run or a damaged checkpoint, a loss is not
@@ -278,7 +279,7 @@ struct SegmentSampler<'a> {
 }
 
 impl SegmentSampler<'_> {
-    /// The segments `first..first + count` of the run. The count goes on from one epoch to the next.
+    /// The segments `first..first + count` of the run; the numbering continues across epochs.
     fn draw(&self, first: u64, count: usize) -> Result<SegmentBatch, Error> {
         let window = self.source.window_len() / FRAME_WIDTH * 3 * self.keypoints;
         let mut whole = CoordinatorBatch::default();
@@ -352,14 +353,14 @@ impl TrainedCoordinator {
         })
     }
 
-    /// The same coordinator by other operations, where it judges by itself.
+    /// Returns the coordinator with other arithmetic for its own predictions.
     #[must_use]
     pub fn with_arithmetic(mut self, arithmetic: Arithmetic) -> Self {
         self.arithmetic = arithmetic;
         self
     }
 
-    /// The settings the coordinator was trained with.
+    /// The record of the training run.
     pub fn record(&self) -> &RunRecord<CoordinatorRecord> {
         &self.record
     }
@@ -369,8 +370,7 @@ impl TrainedCoordinator {
         &self.hash
     }
 
-    /// The share of a motion's windows taken for composed, in [0, 1]. Windows follow each other as
-    /// those of an edit do; a motion shorter than one is an error.
+    /// The share of a motion's windows classified as composed, in [0, 1]. The windows are laid out as those of an edit.
     ///
     /// # Errors
     /// The motion is shorter than a window.

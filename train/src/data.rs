@@ -1,4 +1,4 @@
-//! Training windows on their way to the network: drawn, paired with noise, prefetched.
+//! Training windows for the network: drawing, adding noise, prefetching.
 
 use std::ops::Range;
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -20,23 +20,22 @@ use crate::noise_shape::NoiseShape;
 use crate::text::table::EmbeddingTable;
 use crate::vocabulary::Vocabulary;
 
-/// Batches prepared ahead of the trainer: one being taken and one ready.
+/// Number of batches prepared ahead of the trainer: one in transfer and one ready.
 const PREFETCHED_BATCHES: usize = 2;
 
-/// A stream of training windows that can be entered anywhere: item `i` of an epoch is the same
-/// whoever asks for it and whatever was asked before. Items are edits, or the segments that the coordinator
-/// learns from.
+/// A stream of training windows with random access: item `i` of an epoch does not depend on the caller or on earlier
+/// calls. Items are edits, or the coordinator's training segments.
 pub trait WindowSource<B = WindowBatch>: Sync {
-    /// Items of an epoch.
+    /// Number of items in an epoch.
     fn epoch_len(&self) -> u64;
 
-    /// Numbers of a window: its frames times 84.
+    /// Number of values in a window: its frames times 84.
     fn window_len(&self) -> usize;
 
-    /// Whether windows can be drawn.
+    /// Checks that windows can be drawn.
     ///
     /// # Errors
-    /// There are too few motions to compose a window of.
+    /// There are too few motions to compose a window from.
     fn check(&self) -> Result<(), Error> {
         Ok(())
     }
@@ -54,7 +53,7 @@ pub trait WindowSource<B = WindowBatch>: Sync {
     ) -> Result<(), Error>;
 }
 
-/// Reads items of a run, counted across epochs. `read` gets an epoch, its first item, and a number of items.
+/// Reads items that are numbered across epochs. `read` gets an epoch, the first item within it, and a number of items.
 pub(crate) fn across_epochs(
     epoch_len: u64,
     items: Range<u64>,
@@ -112,10 +111,10 @@ impl WindowSource for WindowLoader {
     }
 }
 
-/// How instructions become what a network is given.
+/// How instructions are encoded for a network.
 #[derive(Clone, Copy, Debug)]
 pub enum Texts<'a> {
-    /// Word numbers of a vocabulary.
+    /// Word numbers from a vocabulary.
     Words(&'a Vocabulary),
     /// The vectors of a frozen encoder.
     Vectors(&'a EmbeddingTable),
@@ -155,14 +154,14 @@ impl Texts<'_> {
     }
 }
 
-/// `B` windows of `W` frames with everything a training step draws.
+/// `B` windows of `W` frames, with all random draws of a training step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoisyBatch {
     /// Normalised original windows, `[B, W, D]`; `D` is 84, or 66 for the body joints alone.
     pub original: Vec<f32>,
     /// Normalised edited windows, `[B, W, D]`.
     pub edited: Vec<f32>,
-    /// Standard normal noise, zero on fixed frames that are shown without, `[B, W, D]`.
+    /// Standard normal noise, `[B, W, D]`; zero on fixed frames that are shown without noise.
     pub noise: Vec<f32>,
     /// Diffusion step of each window, `[B]`.
     pub timesteps: Vec<usize>,
@@ -170,9 +169,9 @@ pub struct NoisyBatch {
     pub progress: Vec<f32>,
     /// Instructions.
     pub texts: TextBatch,
-    /// 1 where the instruction is shown to the network, 0 where it is dropped, `[B]`.
+    /// 1 if the instruction is shown to the network, 0 if it is dropped, `[B]`.
     pub text_kept: Vec<f32>,
-    /// Whether each window is shown as the first of its motion, none of whose frames is fixed, `[B]`.
+    /// Whether each window is shown as the first of its motion, without fixed frames, `[B]`.
     pub is_start: Vec<bool>,
 }
 
@@ -183,7 +182,7 @@ impl NoisyBatch {
         self.timesteps.len()
     }
 
-    /// Frames of a window, each of so many numbers.
+    /// Number of frames in a window, given the number of values per frame.
     pub fn window(&self, frame_width: usize) -> usize {
         self.original.len() / (self.len().max(1) * frame_width)
     }
@@ -191,10 +190,10 @@ impl NoisyBatch {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Timesteps {
-    /// Uniformly, each window for itself.
+    /// Uniformly at random, independently for each window.
     Random,
-    /// Spread evenly over the schedule by so many windows from the first on, which makes a
-    /// validation comparable between runs.
+    /// Spread evenly over the schedule, for this number of windows from the first one on. This makes validations of
+    /// different runs comparable.
     Spread(usize),
 }
 
@@ -207,13 +206,13 @@ impl Timesteps {
     }
 }
 
-/// The diffusion step of item `place` of so many, which are spread evenly over the schedule.
+/// The diffusion step of item `place` among `total` items, whose steps are spread evenly over the schedule.
 pub(crate) fn spread_timestep(place: usize, total: usize, num_steps: usize) -> usize {
     (2 * place + 1) * num_steps / (2 * total)
 }
 
-/// Samples noisy batches from a source of windows. Everything drawn for an item depends on the seed and
-/// the item's place in the run alone.
+/// Samples noisy batches from a source of windows. The draws for an item depend only on the seed and the item's index
+/// in the run.
 #[derive(Clone, Copy)]
 pub(crate) struct WindowSampler<'a> {
     pub(crate) source: &'a dyn WindowSource,
@@ -230,7 +229,7 @@ pub(crate) struct WindowSampler<'a> {
 }
 
 impl WindowSampler<'_> {
-    /// The windows `first..first + num_windows` of the run. The count goes on from one epoch to the next.
+    /// The windows `first..first + num_windows` of the run; the numbering continues across epochs.
     pub(crate) fn draw(&self, first: u64, num_windows: usize) -> Result<NoisyBatch, Error> {
         let windows = self.windows(first, num_windows)?;
         let window_len = self.source.window_len() / FRAME_WIDTH * 3 * self.keypoints;
@@ -247,7 +246,7 @@ impl WindowSampler<'_> {
                 } else {
                     1.0
                 };
-                // If the setting is unused, nothing is drawn, so that such runs stay reproducible.
+                // If the setting is unused, no number is drawn, so that earlier runs stay reproducible.
                 let is_start =
                     self.generated_starts > 0.0 && rng.random_bool(self.generated_starts);
                 let first = if is_start || self.fixed_noise > 0.0 {
@@ -322,8 +321,8 @@ fn check_shape(
     Ok(())
 }
 
-/// Prepares values on a separate thread, a few ahead of the receiver. The thread ends when the last value is made, when
-/// making one fails, or when the receiver is dropped.
+/// Makes values on a separate thread, a few ahead of the receiver. The thread ends after the last value, on a failure,
+/// or when the receiver is dropped.
 pub(crate) fn prefetch<'scope, T: Send + 'scope>(
     scope: &'scope Scope<'scope, '_>,
     steps: Range<u64>,
@@ -444,7 +443,7 @@ mod tests {
                 .sum::<f64>();
         }
         let count = (64 * (16 - FIXED_FRAMES) * FRAME_WIDTH) as f64;
-        // Four standard deviations of the mean square of this many normal numbers.
+        // The tolerance is four standard deviations of the mean square of this many normal numbers.
         assert!((square / count - 1.0).abs() < 4.0 * (2.0 / count).sqrt());
         assert_eq!(batch.timesteps.first(), Some(&0));
         assert_eq!(batch.timesteps.last(), Some(&9));

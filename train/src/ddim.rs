@@ -6,27 +6,27 @@ use crate::Error;
 use crate::config::ensure;
 use crate::schedule::Schedule;
 
-/// Added to every sampled timestep, so that they are 1, 21, 41 and so on (`steps_offset` of MLD's scheduler).
+/// Added to every sampled timestep, so that the timesteps are 1, 21, 41 and so on (`steps_offset` of MLD's scheduler).
 const OFFSET: usize = 1;
 
-/// Steps from noise to a clean sample without noise of their own.
+/// Deterministic steps from noise to a clean sample.
 ///
 /// # Source
-/// Song et al. 2021, Eq. 12 with `sigma = 0`; the steps and the end are those of diffusers as MLD sets it
-/// (`algorithms` section 14).
+/// Song et al. 2021, Eq. 12 with `sigma = 0`; the timesteps and the last step are those of diffusers with MLD's
+/// settings (`algorithms` section 14).
 #[derive(Clone, Debug)]
 pub struct Ddim {
     schedule: Schedule,
     stride: usize,
-    /// Falling.
+    /// Diffusion steps in descending order.
     timesteps: Vec<usize>,
 }
 
 impl Ddim {
-    /// `num_steps` steps, spread over those of a schedule.
+    /// Spreads `num_steps` steps over those of a schedule.
     ///
     /// # Errors
-    /// There is no step, or there are more than half of those of the schedule.
+    /// `num_steps` is 0, or more than half the number of steps of the schedule.
     pub fn new(schedule: Schedule, num_steps: usize) -> Result<Self, Error> {
         let most = schedule.len() / 2;
         let problem = format!("it is {num_steps}, and must be from 1 to {most}");
@@ -40,15 +40,16 @@ impl Ddim {
         })
     }
 
-    /// The diffusion steps in the order they are made.
+    /// The diffusion steps in sampling order.
     pub fn timesteps(&self) -> &[usize] {
         &self.timesteps
     }
 
-    /// The sample one step cleaner, given the predicted noise. The last step ends with the noise of step 0.
+    /// Computes the sample after a denoising step from the predicted noise. The last step ends at the noise level of
+    /// step 0.
     ///
     /// # Shapes
-    /// Any, the same.
+    /// Both tensors have the same shape, which is that of the result.
     pub fn step<const D: usize>(&self, x: Tensor<D>, eps: Tensor<D>, timestep: usize) -> Tensor<D> {
         let signal = |timestep: usize| self.schedule.alphas_cumprod[timestep];
         let (now, next) = (
@@ -59,8 +60,8 @@ impl Ddim {
         x0.mul_scalar(next.sqrt()) + eps.mul_scalar((1.0 - next).sqrt())
     }
 
-    /// Samples from noise. `predict` gives the noise of a sample at a step, guidance included; `on_step`
-    /// sees each result.
+    /// Samples from noise. `predict` returns the noise of a sample at a step, including guidance; `on_step` is given
+    /// each result.
     ///
     /// # Errors
     /// Whatever `predict` returns.

@@ -16,17 +16,17 @@ use crate::model::transformer::{EncoderLayer, Padding};
 use crate::model::weights::draw;
 use crate::transfer::{read, send};
 
-/// A kind of device, as it is asked for by name.
+/// A kind of device, as named by the user.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DeviceName {
-    /// `cpu`: the processor, by burn's fastest backend for it and the kernels of this program.
+    /// `cpu`: the processor, with burn's fastest CPU backend and this program's kernels.
     #[default]
     Cpu,
-    /// `ndarray`: the processor, by burn-ndarray.
+    /// `ndarray`: the processor, with burn-ndarray.
     Ndarray,
     /// `cuda`: NVIDIA cards.
     Cuda,
-    /// `wgpu`: the first cards found, of any of the kinds below but the last.
+    /// `wgpu`: the cards of the first kind found, except software drivers.
     Wgpu,
     /// `wgpu:KIND`: cards of one kind.
     WgpuKind(Adapter),
@@ -39,14 +39,14 @@ pub enum Adapter {
     Discrete,
     /// A card that shares the memory of the processor.
     Integrated,
-    /// A part of a card, in a virtual machine.
+    /// A virtualised card in a virtual machine.
     Virtual,
-    /// A driver that computes on the processor. It is slow, and there to test the program.
+    /// A driver that computes on the processor. It is slow, and serves for testing.
     Software,
 }
 
 impl Adapter {
-    /// All kinds, in the order in which `wgpu` looks for them.
+    /// All kinds, in the order in which `wgpu` searches.
     pub const ALL: [Self; 4] = [
         Self::Discrete,
         Self::Integrated,
@@ -54,7 +54,7 @@ impl Adapter {
         Self::Software,
     ];
 
-    /// Name of the kind.
+    /// Name of the kind on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Discrete => "discrete",
@@ -97,25 +97,25 @@ impl FromStr for DeviceName {
     }
 }
 
-/// A device that is there.
+/// An available device.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct FoundDevice {
-    /// Name to ask for it by.
+    /// Name that selects the device.
     pub name: String,
-    /// Index among the devices of that kind.
+    /// Index among the devices with this name.
     pub index: usize,
     /// Name that the device reports.
     pub description: String,
 }
 
-/// Opens `count` devices and tests each that is not the processor.
+/// Opens `count` devices, and tests each of them unless it is the processor.
 ///
 /// # Errors
-/// The program was built without the backend, there are not so many devices, or one gives wrong numbers.
+/// The program was built without the backend, there are fewer devices, or a device computes wrong numbers.
 pub fn open(name: DeviceName, count: usize) -> Result<Vec<Device>, Error> {
     let fails = |problem: String| Error::Refused(format!("device {name} {problem}"));
     let devices = match name {
-        // A second copy of the processor would share its cores with the first.
+        // Two copies of the processor would share its cores.
         DeviceName::Cpu | DeviceName::Ndarray if count > 1 => {
             return Err(fails(
                 "is one device: the processor; several are for cards".to_owned(),
@@ -148,7 +148,7 @@ pub fn open(name: DeviceName, count: usize) -> Result<Vec<Device>, Error> {
     Ok(devices)
 }
 
-/// The processor by an independent backend, which results are compared with.
+/// The processor with an independent backend, whose results serve as reference.
 #[expect(
     deprecated,
     reason = "burn counts on its default for the processor; ours is compared with the other"
@@ -157,7 +157,7 @@ fn ndarray() -> Device {
     Device::ndarray()
 }
 
-/// The devices of this machine that this build of the program can use. Every card is opened, none is tested.
+/// The devices of this machine that this build of the program can use. Every card is opened, but not tested.
 pub fn list() -> Vec<FoundDevice> {
     let threads = rayon::current_num_threads();
     let processor = format!("the processor, {threads} threads");
@@ -174,14 +174,15 @@ pub fn list() -> Vec<FoundDevice> {
         .collect()
 }
 
-/// How a device computes matrix products of single precision. Cards round their factors where that is faster.
+/// Precision of a device's matrix products of single-precision numbers. Some cards round the factors, because that is
+/// faster.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Products {
-    /// Unrounded.
+    /// Factors are not rounded.
     Single,
-    /// With factors of 11 bits, as NVIDIA's tensor cores do.
+    /// Factors are rounded to 11 bits, as in NVIDIA's tensor cores.
     Tf32,
-    /// With factors of 8 bits.
+    /// Factors are rounded to 8 bits.
     Bf16,
 }
 
@@ -196,7 +197,7 @@ impl Products {
         }
     }
 
-    /// Largest relative error of a factor.
+    /// Maximum relative rounding error of a factor.
     fn rounding(self) -> f64 {
         match self.lost_bits() {
             0 => 0.0,
@@ -204,9 +205,10 @@ impl Products {
         }
     }
 
-    /// Finds the precision of a product `[M, N]` of `a` `[M, K]` and `b` `[K, N]`. A precision matches if the result is
-    /// the product of factors that are rounded to nearest or truncated, up to errors of the sums; hardware that rounds
-    /// in another way is known by the bound `2u + u^2` on the error of a term, of the largest error `u` of a factor.
+    /// Finds the precision of a product `[M, N]` of `a` `[M, K]` and `b` `[K, N]`. A precision matches if the result
+    /// equals the product of rounded or truncated factors, up to the error of the sums. Otherwise, for hardware that
+    /// rounds in another way, a precision matches if the error of each term is at most `2u + u^2`, where `u` is the
+    /// precision's largest rounding error.
     ///
     /// # Errors
     /// No precision matches; the error names the first wrong number.
@@ -217,9 +219,9 @@ impl Products {
         if found.len() != expected {
             return Err(wrong_count(WHAT, found.len(), expected));
         }
-        // Sums are of single precision, and may be cut off too.
+        // Sums have single precision, and may be truncated too.
         let sums = inner as f64 * 2f64.powi(-22);
-        // The first number that is off by more than a share of the magnitudes of its terms.
+        // The first number whose error exceeds a share of the sum of its terms' magnitudes.
         let miss = |round: &dyn Fn(f32) -> f32, share: f64| {
             found.iter().enumerate().find_map(|(index, found)| {
                 let (row, column) = (index / columns, index % columns);
@@ -230,7 +232,7 @@ impl Products {
                 let (right, most) = terms.fold((0.0, 0.0), |(sum, most), term: f64| {
                     (sum + term, most + term.abs())
                 });
-                // Not-a-number compares as false.
+                // Comparisons with NaN are false.
                 let is_near = (f64::from(*found) - right).abs() <= share * most;
                 (!is_near).then_some((index, *found, right as f32))
             })
@@ -258,9 +260,9 @@ impl Products {
     }
 }
 
-/// Tests a device on known numbers, in seconds: a sum, a product, a softmax, a gradient and a layer of a
-/// transformer, forwards and backwards. Backends and drivers have faults that give wrong numbers without an
-/// error; the README of this crate lists those that are known. Returns how it computes products.
+/// Tests a device within seconds: a sum, a product, a softmax, a gradient, and the forward and backward pass of a
+/// transformer layer. Some backends and drivers compute wrong numbers without an error; this crate's README lists the
+/// known ones. Returns the precision of the device's products.
 ///
 /// # Errors
 /// A description of what is wrong.
@@ -285,14 +287,14 @@ pub fn check(device: &Device) -> Result<Products, String> {
     let expected = read(softmax(waves(&[33, 40], 0.37, &flex).mul_scalar(8.0), 1));
     compare("a softmax", &found, &expected, 1e-5)?;
 
-    // The gradient of sum(x^2) / 2 is x; weights alone ask for it, as in training.
+    // The gradient of sum(x^2) / 2 is x. Only weights require gradients, as in training.
     let weight = waves(&[17, 23], 0.53, &device.clone().autodiff()).require_grad();
     let grads = weight.clone().square().sum().div_scalar(2.0).backward();
     let grad = weight.grad(&grads).ok_or("no gradient came back")?;
     compare("a gradient", &read(grad), &read(weight.inner()), 1e-6)?;
 
-    // Errors of rounded factors add up over the six products of a layer, and over as many of its gradient; a wrong
-    // kernel is off by about one.
+    // Rounding errors of factors add up over the six products of a layer and the six of its gradient. A wrong kernel is
+    // off by about one.
     let tolerance = 5e-3 + 16.0 * products.rounding() as f32;
     let (found, expected) = (layer(&device)?, layer(&flex)?);
     for ((what, found), (_, expected)) in found.iter().zip(&expected) {
@@ -301,7 +303,7 @@ pub fn check(device: &Device) -> Result<Products, String> {
     Ok(products)
 }
 
-/// Numbers between -1 and 1 that do not repeat.
+/// Numbers between -1 and 1 without repetition.
 fn waves(shape: &[usize; 2], step: f32, device: &Device) -> Tensor<2> {
     let values: Vec<f32> = (0..shape[0] * shape[1])
         .map(|index| (index as f32 * step).sin())
@@ -309,7 +311,7 @@ fn waves(shape: &[usize; 2], step: f32, device: &Device) -> Tensor<2> {
     send(values, *shape, device)
 }
 
-/// The output of a layer of a transformer with padding, and the gradients of its weights.
+/// The output of a transformer layer with padding, and the gradients of its weights.
 fn layer(device: &Device) -> Result<Vec<(&'static str, Vec<f32>)>, String> {
     const CONFIG: NetworkConfig = NetworkConfig {
         width: 32,
@@ -334,13 +336,13 @@ fn layer(device: &Device) -> Result<Vec<(&'static str, Vec<f32>)>, String> {
     Ok(found)
 }
 
-/// Compares numbers; differences are relative to the largest number.
+/// Compares numbers; the tolerance is relative to the largest number.
 fn compare(what: &str, found: &[f32], expected: &[f32], tolerance: f32) -> Result<(), String> {
     let unit = expected
         .iter()
         .fold(1.0f32, |most, value| most.max(value.abs()));
     for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
-        // Not-a-number compares as false.
+        // Comparisons with NaN are false.
         let is_equal = (found - expected).abs() <= tolerance * unit;
         if !is_equal {
             return Err(wrong_number(what, index, *found, *expected));
@@ -364,7 +366,7 @@ fn wrong_count(what: &str, found: usize, expected: usize) -> String {
     format!("computes {what} wrongly: {found} numbers in place of {expected}")
 }
 
-/// Backends enabled by this build's features. Errors say what is wrong with the device.
+/// Backends enabled by this build's features. Errors describe the problem with the device.
 mod backend {
     use super::{Adapter, Device, DeviceName};
 
@@ -401,7 +403,7 @@ mod backend {
             .collect()
     }
 
-    /// Opens a card, or gives one that was opened before.
+    /// Opens a card, or returns it if it was opened before.
     #[cfg(feature = "wgpu")]
     fn wgpu_device(adapter: Adapter, index: usize) -> Result<Device, String> {
         use std::sync::{Mutex, PoisonError};
@@ -409,7 +411,7 @@ mod backend {
         use burn::tensor::DeviceKind;
         use burn::tensor::wgpu::WgpuBackend;
 
-        /// A card can be opened once in a process.
+        /// Opened cards, because a card can be opened only once per process.
         static OPENED: Mutex<Vec<((&str, usize), Device)>> = Mutex::new(Vec::new());
 
         let mut opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner);
@@ -418,7 +420,7 @@ mod backend {
             return Ok(device.clone());
         }
         let api = match adapter {
-            // Mesa's Vulkan on the processor crashes at the first sum in SPIR-V: cubecl-spirv 0.11.3.
+            // Mesa's Vulkan software driver crashes at the first sum in SPIR-V (cubecl-spirv 0.11.3).
             Adapter::Software if cfg!(feature = "vulkan") => WgpuBackend::Gl,
             _ if cfg!(target_os = "macos") => WgpuBackend::Metal,
             _ => WgpuBackend::Vulkan,
@@ -451,7 +453,7 @@ mod backend {
         Err(without("wgpu"))
     }
 
-    /// The cards that can be opened: name, place among those of the name, and description.
+    /// The cards that can be opened: name, index among the cards of that name, and description.
     #[cfg_attr(
         not(any(feature = "cuda", feature = "wgpu")),
         expect(
@@ -512,7 +514,8 @@ mod tests {
         assert_eq!(check(&Device::flex()), Ok(Products::Single));
     }
 
-    /// Devices that round factors are told from those that compute wrongly, and by how much they round.
+    /// Devices that round factors are distinguished from devices that compute wrong numbers, and their precision is
+    /// found.
     #[test]
     fn rounded_products_are_told_from_wrong_ones() {
         const SHAPE: [usize; 3] = [33, 40, 29];
@@ -520,7 +523,7 @@ mod tests {
         let flex = Device::flex();
         let a = read(waves(&[rows, inner], 0.37, &flex));
         let b = read(waves(&[inner, columns], 0.71, &flex));
-        // The factors, each rounded by cutting off bits or to nearest, multiplied in single precision.
+        // The product in single precision of factors that are truncated or rounded to nearest.
         let product = |round: &dyn Fn(f32) -> f32| -> Vec<f32> {
             let number = |index: usize| {
                 let (row, column) = (index / columns, index % columns);
@@ -552,7 +555,7 @@ mod tests {
         let transposed: Vec<f32> = (0..rows * columns)
             .map(|index| right[index % rows * columns + index / rows])
             .collect();
-        // A buffer that holds the product before the last block of columns was written.
+        // A result whose last column block was not written.
         let mut stale = right.clone();
         stale[rows * columns - 1] = right[0];
         for wrong in [transposed, stale, vec![0.0; rows * columns]] {

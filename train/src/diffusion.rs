@@ -16,8 +16,8 @@ use crate::model::pass::Pass;
 use crate::schedule::Schedule;
 use crate::transfer::send;
 
-/// Gates of a keypoint: of the original's bone, of the extrapolated change, of what the network makes and, with
-/// shaped noise, of what the noisy window shows.
+/// Number of gates per keypoint. They weight the original's bone, the extrapolated change, the network's own bone and,
+/// with shaped noise, an estimate from the noisy window.
 pub(crate) fn num_gates(noise: NoiseKind) -> usize {
     match noise {
         NoiseKind::White => 3,
@@ -45,8 +45,8 @@ impl Schedule {
             Prediction::Change => predicted + original.clone(),
             Prediction::Gated => {
                 let (guess, spread) = basis.guess(x_t);
-                // In bones, the guess and the spread of a frame are as in points: both are the same for all
-                // of its numbers.
+                // For bones, the guess is mapped like the points. The spread needs no mapping, because it is the same
+                // for all numbers of a frame.
                 let [batch, window, numbers] = original.dims();
                 let keypoints = numbers / 3;
                 let made = predicted.clone().narrow(2, 0, numbers);
@@ -69,7 +69,7 @@ impl Schedule {
                 let carried = mapped(guess.clone(), to_bones.clone()) * gate(1);
                 let mut mixed = kept + carried + made * gate(2);
                 if basis.shaped.is_some() {
-                    // Noise of the data's covariance leaves this share of the rest as its best linear guess.
+                    // If the noise has the data's covariance, this share of the remainder is its best linear estimate.
                     let (signal, _) = self.mixture(timesteps);
                     let rest = x_t.clone() - original.clone() - guess;
                     mixed = mixed + signal.times(mapped(rest, to_bones)) * gate(3);
@@ -80,8 +80,8 @@ impl Schedule {
     }
 }
 
-/// Classifier-free guidance: the prediction without text, moved towards and beyond the one with
-/// text. Weight 1 is the prediction with text.
+/// Classifier-free guidance: extrapolates from the prediction without text through the prediction with text. Weight 1
+/// gives the prediction with text.
 ///
 /// # Shapes
 /// Any, the same.
@@ -96,7 +96,7 @@ pub fn guide<const D: usize>(
     without_text.clone() + (with_text - without_text).mul_scalar(weight)
 }
 
-/// Replaces the first frames of windows by the fixed ones.
+/// Replaces the first frames of windows by the fixed frames.
 ///
 /// # Shapes
 /// `x` and the result `[B, W, D]`; `fixed` `[B, F, D]`.
@@ -117,7 +117,7 @@ impl Loss {
 
     fn of_each(self, difference: Tensor<3>) -> Tensor<3> {
         match self {
-            // With c = min(|d|, 1), c (|d| - c / 2) is d^2 / 2 below 1 and |d| - 1/2 above.
+            // With c = min(|d|, 1), c (|d| - c / 2) equals d^2 / 2 for |d| < 1, and |d| - 1/2 otherwise.
             Self::SmoothL1 => {
                 let size = difference.abs();
                 let clipped = size.clone().clamp_max(1.0);
@@ -128,7 +128,7 @@ impl Loss {
     }
 }
 
-/// Slots of the ankles and feet among the keypoints.
+/// Ankles and feet, whose speed enters the contact loss.
 const FEET: [Joint; 4] = [
     Joint::LeftAnkle,
     Joint::RightAnkle,
@@ -136,17 +136,17 @@ const FEET: [Joint; 4] = [
     Joint::RightFoot,
 ];
 
-/// Speed in m/s below which a foot is at rest, and the unit of the loss on feet that slide.
+/// Speed in m/s below which a foot is at rest; also the unit of the contact loss.
 const REST_SPEED: f64 = 0.1;
 
-/// Length in metres that is the unit of the loss on bones: half of a hand's way in a gesture.
+/// Unit of the loss on bones in metres: half the distance that a hand moves in a gesture.
 const BONE_UNIT: f64 = 0.1;
 
 /// Windows of a batch on a device, `[B, W, D]`.
 struct Windows {
     x0: Tensor<3>,
     noise: Tensor<3>,
-    /// 1 for windows that are the first of their motion, `[B, 1, 1]`; none if none is.
+    /// 1 for windows that are the first of their motion, `[B, 1, 1]`; none if the batch has no such window.
     starts: Option<Tensor<3>>,
     original: Tensor<3>,
 }
@@ -174,20 +174,19 @@ impl Windows {
 pub struct Objective<'a> {
     /// Noise added to windows.
     pub schedule: &'a Schedule,
-    /// Linear guess that gated predictions are relative to; none for other predictions.
+    /// Linear guess for predictions that are relative to it; none for other predictions.
     pub extrapolation: Option<&'a Extrapolation>,
     /// Prediction, losses and their weights.
     pub config: &'a DiffusionConfig,
-    /// Range the windows were scaled by.
+    /// Normaliser with which the windows were scaled.
     pub normalizer: &'a Normalizer,
-    /// Rate of the windows.
+    /// Frame rate of the windows.
     pub fps: Fps,
 }
 
 impl Objective<'_> {
-    /// The training loss of a batch: the error of the prediction on the frames that are not fixed, and
-    /// with weights of their own the error of its differences from frame to frame and the speed of feet
-    /// that should rest.
+    /// The training loss of a batch: the error of the prediction on the frames that are not fixed, plus the weighted
+    /// losses on frame differences, bones and sliding feet.
     ///
     /// # Shapes
     /// `text` `[B, d]`; the result is one number.
@@ -240,7 +239,7 @@ impl Objective<'_> {
         }
         if config.contact_weight > 0.0 {
             let clean = clean.expect("contacts need it");
-            // The editor puts the fixed frames back; a foot that rests on them must not leave them.
+            // The editor restores the fixed frames, so a foot that rests in them must stay there.
             let clean = put_fixed(clean, x0.clone().narrow(1, 0, FIXED_FRAMES));
             let contact = self.sliding(clean, x0.clone(), &batch.timesteps);
             loss = loss + contact.mul_scalar(config.contact_weight);
@@ -248,8 +247,8 @@ impl Objective<'_> {
         loss
     }
 
-    /// Prediction and target in the form that the loss compares: as predicted, or for gated predictions the change in
-    /// units of the residual's `spread`.
+    /// Prediction and target as the loss compares them: unchanged, or for gated predictions the change divided by the
+    /// residual's `spread`.
     fn compared(
         &self,
         predicted: Tensor<3>,
@@ -277,7 +276,7 @@ impl Objective<'_> {
         }
     }
 
-    /// The error on the frames that are not fixed, including those of first windows.
+    /// The error on the frames that are not fixed; in first windows, no frame is fixed.
     fn of_frames(
         &self,
         predicted: &Tensor<3>,
@@ -291,7 +290,7 @@ impl Objective<'_> {
         });
         let loss = self.config.loss.mean(free(predicted), free(target));
         match begun {
-            // Weight by the number of frames, so that every value counts the same.
+            // Weight the two parts by their number of frames, so that every value counts the same.
             Some(begun) => {
                 let weight = FIXED_FRAMES as f64 / (window - FIXED_FRAMES) as f64;
                 loss + begun.mul_scalar(weight)
@@ -300,8 +299,8 @@ impl Objective<'_> {
         }
     }
 
-    /// Input of the network: noisy frames, with the fixed ones as the settings say. A first window of a motion has no
-    /// fixed frames.
+    /// Input of the network: noisy frames, with the fixed frames as the settings specify. A motion's first window has
+    /// no fixed frames.
     fn shown(&self, windows: &Windows, timesteps: &[usize], basis: &Basis) -> Tensor<3> {
         let Windows {
             x0, noise, starts, ..
@@ -343,9 +342,9 @@ impl Objective<'_> {
         self.config.loss.mean(differences, nothing)
     }
 
-    /// The contact loss: the speed in `clean`, in units of [`REST_SPEED`], of ankles and feet whose speed in
-    /// `wanted` is below it. The mean is over all feet and all steps that end in a generated frame; moving
-    /// feet count as zero, so a window weighs by its contacts.
+    /// The contact loss: the speed in `clean`, in units of [`REST_SPEED`], of ankles and feet that are slower than
+    /// [`REST_SPEED`] in `wanted`. The mean is over all feet and all steps that end in a generated frame. Moving feet
+    /// count as zero, so a window's weight grows with its contacts.
     ///
     /// # Shapes
     /// Both `[B, W, D]`, clean windows; the result is one number.
@@ -360,7 +359,7 @@ impl Objective<'_> {
         let speeds = |x: Tensor<3>| {
             let feet = FEET.map(|joint| x.clone().narrow(2, 3 * joint.index(), 3));
             let steps = steps(Tensor::cat(feet.to_vec(), 2));
-            // A step between two fixed frames is given.
+            // Steps between two fixed frames are not generated, so they are left out.
             let count = window - FIXED_FRAMES;
             let steps = steps.narrow(1, FIXED_FRAMES - 1, count);
             steps.reshape([batch, count, FEET.len(), 3]) * units.clone()
@@ -451,8 +450,8 @@ mod tests {
         };
         let basis = Basis::new(frames(&original), &[false], Some(&guess));
         let schedule = Schedule::new(ScheduleName::Rescaled, 50).expect("enough steps");
-        // Clean prediction of the last frame; `wrist` and `others` are the open gates of the left wrist and of all
-        // other bones.
+        // Clean prediction of the last frame. `wrist` and `others` tell which gates are open for the left wrist and for
+        // all other bones.
         let clean = |wrist: [bool; NUM_GATES], others: [bool; NUM_GATES]| {
             let logits = (0..NUM_GATES).flat_map(|gate| {
                 (0..NUM_KEYPOINTS).map(move |slot| {
@@ -479,7 +478,7 @@ mod tests {
         let of = |values: &[f32], frame: usize, at: usize| values[frame * FRAME_WIDTH + at];
         let change = |frame, at| of(&shown, frame, at) - of(&original, frame, at);
         let near = |found: f32, expected: f32| {
-            // Rounding error of sums of a dozen numbers of size one.
+            // The tolerance is the rounding error of sums of a dozen numbers of size one.
             assert!((found - expected).abs() < 1e-5, "{found} {expected}");
         };
         let copied = clean(kept, kept);
@@ -488,7 +487,8 @@ mod tests {
         for at in 0..FRAME_WIDTH {
             near(copied[at], of(&original, 2, at));
             near(guessed[at], 1.5 * change(1, at) - 0.5 * change(0, at));
-            // The wrist is moved by the network's bone from the elbow; fingers follow, and no other keypoint moves.
+            // The network's bone moves the wrist relative to the elbow. The fingers follow the wrist, and no other
+            // keypoint moves.
             let (slot, axis) = (at / 3, at % 3);
             let [wrist, elbow] =
                 [Joint::LeftWrist, Joint::LeftElbow].map(|joint| 3 * joint.index() + axis);
@@ -528,13 +528,13 @@ mod tests {
             let signal = schedule.alphas_cumprod[t].sqrt();
             let expected = centre.clone() + (x_t.clone() - centre.clone()).mul_scalar(signal);
             for (a, b) in read(clean).iter().zip(read(expected)) {
-                // Rounding error of sums of a dozen numbers of size one.
+                // The tolerance is the rounding error of sums of a dozen numbers of size one.
                 assert!((a - b).abs() < 1e-4, "{a} {b}");
             }
         }
     }
 
-    /// A schedule, and the settings of losses that square differences.
+    /// A schedule, and diffusion settings with squared-error losses.
     fn squares() -> (Schedule, DiffusionConfig) {
         let config = DiffusionConfig {
             loss: Loss::Mse,
@@ -544,8 +544,7 @@ mod tests {
         (schedule, config)
     }
 
-    /// The objective of windows at 10 frames a second, in which a model unit is 2 m on the vertical and 1 m on the
-    /// ground.
+    /// The objective for windows at 10 frames per second, in which a model unit is 2 m vertically and 1 m horizontally.
     fn objective<'a>(schedule: &'a Schedule, config: &'a DiffusionConfig) -> Objective<'a> {
         Objective {
             schedule,
@@ -573,8 +572,8 @@ mod tests {
             }
             send(values, [1, WINDOW, FRAME_WIDTH], &Device::flex())
         };
-        // The ankle rests and the foot moves at 0.5 m/s; the prediction says that both stand still, except for one jump
-        // of the ankle by 6 cm.
+        // In the target, the ankle rests and the foot moves at 0.5 m/s. In the prediction, both stand still, except for
+        // one jump of the ankle by 6 cm.
         let wanted = window(&|frame| [0.3, 0.05 * frame as f32]);
         let jump = window(&|frame| [if frame < 5 { 0.3 } else { 0.33 }, 0.0]);
         let loss_at = |clean: &Tensor<3>, t: usize| -> f32 {
@@ -582,8 +581,8 @@ mod tests {
                 .sliding(clean.clone(), wanted.clone(), &[t])
                 .into_scalar()
         };
-        // 0.6 m/s is six units of rest; the mean is over six steps, four feet and three axes.
-        // A noisy window counts by the share of its signal.
+        // The jump has 0.6 m/s, six times the rest speed; the mean is over six steps, four feet and three axes. Noisy
+        // windows are weighted by their share of signal.
         for t in [0, 20, 49] {
             let expected = schedule.alphas_cumprod[t] as f32 * 36.0 / (6.0 * 4.0 * 3.0);
             let found = loss_at(&jump, t);
@@ -600,7 +599,7 @@ mod tests {
         let objective = objective(&schedule, &config);
         let rest = tensor(&[0.0; FRAME_WIDTH]);
         let loss = |moved: &dyn Fn(usize) -> bool| -> f32 {
-            // 20 cm upwards: two units.
+            // 20 cm upwards is two units.
             let values: Vec<f32> = (0..FRAME_WIDTH)
                 .map(|at| {
                     if at % 3 == 1 && moved(at / 3) {
@@ -638,7 +637,7 @@ mod tests {
             ] {
                 let basis = Basis::new(tensor(&original), &[false], None);
                 let back = schedule.clean_of(prediction, predicted, &x_t, &basis, &[t]);
-                // One rounding of x_t, at most 4 in size, is divided by the remaining signal.
+                // A rounding error of x_t, whose size is at most 4, is divided by the remaining signal.
                 let slack = 4.0 * 1e-6 / schedule.alphas_cumprod[t].sqrt();
                 for (a, b) in x0.iter().zip(read(back)) {
                     prop_assert!(f64::from((a - b).abs()) < slack, "{prediction:?} {a} {b}");

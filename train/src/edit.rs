@@ -1,4 +1,4 @@
-//! MotionReFit as an editing system: windows are generated and merged, then SMPL-X parameters are fitted.
+//! MotionReFit as an editing system: it generates and merges windows, then fits SMPL-X parameters.
 
 use std::borrow::Cow;
 
@@ -29,16 +29,16 @@ use crate::{Error, Session};
 
 struct MotionRefitSystem {
     editor: Editor,
-    /// All but the seed, which every call brings.
+    /// All settings but the seed, which each call passes.
     settings: EditSettings,
     identity: SystemIdentity,
     skeleton: Skeleton,
     source: SystemSource,
 }
 
-/// Weight of a pose network's rotations in the fit, in m^2/rad^2. It moves the joints of head and hands,
-/// whose points lie centimetres apart, and hardly those of limbs. Chosen from 1e-4 to 3e-2 by E2T AvgR on
-/// edited clips of the Bandai-Namco set's test split, so that results on that split are biased by it.
+/// Weight of a pose network's rotations in the fit, in m^2/rad^2. It affects the joints of head and hands, whose points
+/// lie centimetres apart, but hardly those of limbs. Chosen from 1e-4 to 3e-2 by E2T AvgR on edited clips of the
+/// Bandai-Namco set's test split, so that results on that split are biased by it.
 const NETWORK_PRIOR: f64 = 0.01;
 
 pub(crate) fn open(
@@ -102,8 +102,8 @@ fn settings(editor: &Editor, config: &EditConfig) -> EditSettings {
     }
 }
 
-/// Name of the system in result tables where the user gives none: preset size, settings of the
-/// composer that differ from the preset, whether a coordinator is used, and settings of this edit that differ.
+/// Default name of the system in result tables: preset size, composer settings that differ from the preset, whether a
+/// coordinator is used, and settings of this edit that differ from the usual ones.
 fn system_name(editor: &Editor, slot: Slot, settings: &EditSettings) -> String {
     let record = &editor.record().config;
     let (model, compose) = (record.train.model, &record.compose.config);
@@ -127,7 +127,7 @@ fn system_name(editor: &Editor, slot: Slot, settings: &EditSettings) -> String {
     if compose.annotated_ratio < 1.0 {
         name += &format!(", {} % annotated", percent(compose.annotated_ratio));
     }
-    // Both kinds of captured pairs already have a warning.
+    // The name already says "captured pairs alone" for both kinds of captured pairs.
     if compose.kinds != EditKind::ALL && !(are_captured && compose.kinds.len() == 2) {
         let kinds: Vec<&str> = compose.kinds.iter().map(|kind| kind.as_str()).collect();
         name += &format!(", {} only", kinds.join(" and "));
@@ -138,8 +138,8 @@ fn system_name(editor: &Editor, slot: Slot, settings: &EditSettings) -> String {
     named_with(name, slot, &changes(editor, settings))
 }
 
-/// The settings of an edit beside those of the preset whose network the editor has, or, if it has that of none, of its
-/// training.
+/// The edit's settings, paired with the usual ones: those of the preset with the editor's network sizes or, without
+/// such a preset, those of its training.
 fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setting)> {
     let trained = &editor.record().config.train;
     let usual = Preset::ALL
@@ -179,7 +179,8 @@ fn usual_prior(editor: &Editor) -> f64 {
     }
 }
 
-/// Settings of an editor as rows of edits record them: those that change a result, so not the batch size.
+/// Settings of an editor as rows of edits record them. Settings that do not change the result, such as the batch size,
+/// are left out.
 fn settings_document(editor: &Editor, slot: Slot, settings: &EditSettings) -> serde_json::Value {
     let coordinator = editor.has_coordinator().then_some(settings.coordinator);
     let record = &editor.record().config;
@@ -231,7 +232,7 @@ impl EditSystem for MotionRefitSystem {
         table.map_or(Ok(()), |table| self.editor.set_vectors(table))
     }
 
-    /// With one window at a time the fits take turns too, so that the times are those of a single window.
+    /// With a batch size of one window, fits run one at a time too, so that times are those of a single window.
     ///
     /// # Source
     /// Paper App. B.2 (windows) and B.3 (fit).
@@ -288,7 +289,7 @@ impl EditSystem for MotionRefitSystem {
     }
 }
 
-/// How far generated points are from a body on a skeleton.
+/// Mean distances between generated points and the fitted body, and between their bone lengths and the skeleton's.
 fn misfit(frames: &[KeypointFrame], error_m: &[f64], skeleton: &Skeleton) -> Misfit {
     let bones = 1..NUM_KEYPOINTS;
     let lengths: Vec<f64> = bones
@@ -309,20 +310,20 @@ fn misfit(frames: &[KeypointFrame], error_m: &[f64], skeleton: &Skeleton) -> Mis
     }
 }
 
-/// Firmness in 1/rad^2 by which the exact fit holds generated points, as far as they are off the body,
-/// to the frame before: motions are expected to differ by a fifth of a radian in a frame.
+/// Weight in 1/rad^2 that draws the rotations of the exact fit towards the previous frame, in proportion to the
+/// distance of the points from the body. It assumes that rotations change by a fifth of a radian per frame.
 const CONTINUITY: f64 = 25.0;
 
-/// How SMPL-X parameters are found for generated keypoints.
+/// Settings of the fit of SMPL-X parameters to generated keypoints.
 #[derive(Clone, Copy)]
 pub struct Fit<'a> {
     /// The method.
     pub method: FitMethod,
-    /// Weight in m^2/rad^2 by which the exact fit holds rotations to those it starts from.
+    /// Weight in m^2/rad^2 that draws the rotations of the exact fit towards their initial values.
     pub prior: f64,
-    /// A network that guesses poses, and where it computes.
+    /// A network that predicts initial poses, and its device.
     pub poses: Option<(&'a PoseNet, &'a Device)>,
-    /// Keypoints that were generated: all, or those of the body joints alone.
+    /// Number of generated keypoints: all, or only the body joints.
     pub keypoints: usize,
 }
 
@@ -330,7 +331,7 @@ impl<'a> Fit<'a> {
     /// The fit of an editor.
     ///
     /// # Errors
-    /// It asks for a pose network that the editor has not.
+    /// The fit needs a pose network, but the editor has none.
     fn of(editor: &'a Editor, settings: &EditSettings) -> Result<Self, Error> {
         if settings.fit == FitMethod::Paper && editor.poses().is_none() {
             return Err(Error::misfit(
@@ -347,8 +348,8 @@ impl<'a> Fit<'a> {
         })
     }
 
-    /// SMPL-X parameters of keypoints at the model's rate, at the rate and of the length of the item,
-    /// and how far they are from the points.
+    /// Fits SMPL-X parameters to keypoints at the model's frame rate. Returns a motion with the item's rate and length,
+    /// and its distances from the keypoints.
     ///
     /// # Errors
     /// The points are not finite.
@@ -395,8 +396,8 @@ impl<'a> Fit<'a> {
     }
 }
 
-/// Puts eyes and knuckles, which an editor of the body joints alone does not make, where the head and the
-/// hands carry them when these are turned against neck and forearms as in the original.
+/// Adds eyes and knuckles, which an editor of body joints does not generate. Head and hands get the original's local
+/// rotations, and carry these points along.
 fn complete(
     frames: &mut [KeypointFrame],
     item: &EditItem,

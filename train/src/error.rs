@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use datasets_spec::Code;
 
-/// An error that names the item it happened to.
+/// An error that names the item concerned.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The request cannot be carried out. Only the message tells why.
+    /// The request cannot be carried out; the message states why.
     #[error("{0}")]
     Refused(String),
     /// A setting is outside the range the model is defined for.
@@ -22,16 +22,16 @@ pub enum Error {
     /// A file of the hub cannot be fetched, or is damaged.
     #[error(transparent)]
     Hub(#[from] remote_store::hub::Error),
-    /// The motions to train on do not give what the model learns from.
+    /// Training items cannot be composed from the motions.
     #[error(transparent)]
     Compose(#[from] compose::Error),
     /// A dataset cannot be opened, read or written.
     #[error(transparent)]
     Spec(#[from] datasets_spec::Error),
-    /// A job in pieces, or the folder that it writes, cannot go on.
+    /// A job in pieces cannot continue, or its output folder cannot be used.
     #[error(transparent)]
     Work(#[from] work::Error),
-    /// A condition on clips cannot be understood, or chooses none.
+    /// A condition on clips cannot be parsed, or no clip meets it.
     #[error(transparent)]
     Tables(#[from] tables::Error),
     /// The validation split cannot be composed.
@@ -63,10 +63,10 @@ pub enum Error {
     TextModel {
         /// The file.
         path: PathBuf,
-        /// What is not known.
+        /// The unsupported part.
         detail: String,
     },
-    /// A package holds no text encoder, or cannot be read.
+    /// A package does not contain a text encoder, or cannot be read.
     #[error("{} gives no text encoder ({detail})", path.display())]
     TextPackage {
         /// The package.
@@ -74,7 +74,7 @@ pub enum Error {
         /// What is wrong with it.
         detail: String,
     },
-    /// No place for downloads is known.
+    /// No folder for downloads is known.
     #[error("neither HF_HOME nor HOME is set; set one to say where downloads are kept")]
     NoHubCache,
     /// A run folder holds a run with other settings.
@@ -92,7 +92,7 @@ pub enum Error {
     NotARun {
         /// The folder.
         path: PathBuf,
-        /// Kind of run looked for.
+        /// Expected kind of run.
         kind: String,
         /// What is missing or wrong in the folder.
         reason: String,
@@ -102,7 +102,7 @@ pub enum Error {
     Corrupt {
         /// The file or folder.
         path: PathBuf,
-        /// Expected and found.
+        /// The expected and the found value.
         detail: String,
     },
     /// Weights do not fit the network.
@@ -119,7 +119,7 @@ pub enum Error {
         /// Name of the empty input.
         what: &'static str,
     },
-    /// Two models that are to work together were made for different things.
+    /// Two models cannot be used together.
     #[error("{what} does not fit the editor: {problem}")]
     Misfit {
         /// Name of the model that does not fit.
@@ -151,7 +151,7 @@ pub enum Error {
         what: &'static str,
         /// Step whose loss is not finite.
         step: u64,
-        /// Step of the newest checkpoint; 0 where there is none.
+        /// Step of the newest checkpoint; 0 if there is none.
         kept: u64,
     },
     /// An item to edit is malformed.
@@ -162,7 +162,7 @@ pub enum Error {
         /// What is wrong with it.
         problem: String,
     },
-    /// A motion breaks a rule of the contract.
+    /// A motion violates a rule of the data format.
     #[error("motion {id:?} cannot be used")]
     Motion {
         /// Id of the motion.
@@ -170,7 +170,7 @@ pub enum Error {
         /// The cause.
         source: datasets_spec::Error,
     },
-    /// A file is no tokenizer of a text encoder.
+    /// A file is not a tokenizer of a text encoder.
     #[error(
         "{} is no tokenizer of the text encoder ({detail}); give its tokenizer.json, or of CLIP \
          bpe_simple_vocab_16e6.txt.gz, or of BERT vocab.txt",
@@ -182,7 +182,7 @@ pub enum Error {
         /// What is wrong with it.
         detail: String,
     },
-    /// A file is no table of embeddings.
+    /// A file is not a table of embeddings.
     #[error("{} is no table of text embeddings ({detail}); make it again", path.display())]
     EmbeddingTable {
         /// The file.
@@ -197,9 +197,9 @@ pub enum Error {
         quoted(examples)
     )]
     NotEmbedded {
-        /// Texts that are missing.
+        /// Number of missing texts.
         count: usize,
-        /// The first ones.
+        /// The first missing texts.
         examples: Vec<String>,
     },
     /// A JSON document of a run folder is malformed.
@@ -213,7 +213,7 @@ pub enum Error {
 }
 
 impl Error {
-    /// The code of the error, if it has one, and what it happened to.
+    /// The code of the error, if it has one, and the item concerned.
     pub fn code(&self) -> Option<Code> {
         match self {
             Self::Spec(error) => error.code(),
@@ -288,7 +288,7 @@ impl Error {
     }
 }
 
-/// Converts an error of a motion to an error with its id.
+/// Returns a function that adds a motion's id to an error.
 pub(crate) fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E) -> Error + Copy {
     move |source| Error::Motion {
         id: id.to_owned(),
@@ -296,7 +296,7 @@ pub(crate) fn motion_error<E: Into<datasets_spec::Error>>(id: &str) -> impl Fn(E
     }
 }
 
-/// Converts an error of a JSON document to an error with its path.
+/// Returns a function that adds a document's path to a JSON error.
 pub(crate) fn json_error(path: &Path) -> impl Fn(serde_json::Error) -> Error + Copy {
     move |source| Error::Json {
         path: path.to_owned(),

@@ -1,4 +1,4 @@
-//! Models from and for the released program: weights under its names, and the normaliser.
+//! Import from and export to the released program: weights under its tensor names, and the normaliser.
 
 use std::path::{Path, PathBuf};
 
@@ -28,10 +28,10 @@ use crate::text::bert::{BertEncoder, BertFiles};
 use crate::text::package::unpack;
 use crate::tmr::{self, ImportedText, MotionEncoderRecord};
 
-/// Rows of the position tables the released checkpoints store.
+/// Number of rows of the position tables in the released checkpoints.
 const TABLE_ROWS: usize = 5_000;
 
-/// Names under which the released checkpoints store one and the same position table.
+/// Names under which the released checkpoints store copies of the same position table.
 const TABLES: [&str; 4] = [
     "positional_encoder.pos_encoding",
     "embed_timestep.sequence_pos_encoder.pos_encoding",
@@ -43,8 +43,8 @@ const RANGE: &str = "range.json";
 
 /// Makes a run folder of an editor trained elsewhere.
 ///
-/// `weights` is a safetensors file under the released names; tensors the network does not know, such
-/// as position tables, are left alone.
+/// `weights` is a safetensors file under the released names; tensors that the network does not have, such as position
+/// tables, are ignored.
 ///
 /// # Errors
 /// The folder holds another run, a tensor is missing or of another shape, or a file cannot be
@@ -76,7 +76,7 @@ pub fn import_editor(
     write_imported(run_dir, skeleton, (fit::KIND, record.clone()), &network)
 }
 
-/// Makes a run folder of a coordinator trained elsewhere, as [`import_editor`] does.
+/// Makes a run folder of a coordinator trained elsewhere, like [`import_editor`].
 ///
 /// # Errors
 /// As [`import_editor`].
@@ -100,7 +100,7 @@ pub fn import_coordinator(
     )
 }
 
-/// Makes a run folder of a kind with a record, whose best checkpoint is one network.
+/// Makes a run folder from a kind with its record, and a network as its best checkpoint.
 pub(crate) fn write_imported<C: Serialize + DeserializeOwned>(
     run_dir: &Path,
     skeleton: &Skeleton,
@@ -112,19 +112,20 @@ pub(crate) fn write_imported<C: Serialize + DeserializeOwned>(
     Run::open(run_dir, &record)?.write(Slot::Best, &files)
 }
 
-/// The text side of TMR trained elsewhere.
+/// The text encoder of a TMR trained elsewhere.
 #[derive(Clone, Debug)]
 pub struct TextSide<'a> {
-    /// Safetensors file under the released names.
+    /// Contents of a safetensors file with the released tensor names.
     pub weights: Vec<u8>,
     /// Name of the file in errors.
     pub path: &'a Path,
-    /// Folder of the network whose last hidden states it reads: DistilBERT for the released ones. The run keeps a copy.
+    /// Folder of the network whose last hidden states the encoder reads; DistilBERT for the released TMR. The run keeps
+    /// a copy.
     pub folder: &'a Path,
 }
 
-/// Makes a run folder of TMR's motion encoder trained elsewhere: that of TMR itself, or the evaluator of
-/// MotionFix; with its text side, where that is given. Sizes are read off the tensors.
+/// Makes a run folder of a motion encoder trained elsewhere: that of the released TMR, or the evaluator of MotionFix.
+/// The text encoder is included if it is given. Sizes are read from the tensors.
 ///
 /// # Errors
 /// The folder holds another run, a tensor is missing or does not fit the recipe or the states of the text network, the
@@ -166,7 +167,7 @@ pub fn import_motion_encoder(
         features,
         text,
     };
-    // The features do not depend on the body.
+    // The features do not depend on the skeleton.
     let skeleton = Skeleton::smplx_neutral();
     let record = RunRecord::new(checkpoint::MOTION_KIND, "imported", &skeleton, record);
     let run = Run::open(run_dir, &record)?;
@@ -177,8 +178,8 @@ pub fn import_motion_encoder(
     run.write(Slot::Best, &files)
 }
 
-/// One of TMR's encoders, its sizes, and the numbers of a step of its input. Lightning's checkpoints put `name` before the
-/// names of its tensors, extracted files do not.
+/// One of TMR's encoders, its sizes, and its input width. Lightning's checkpoints put `name` before the tensor names;
+/// extracted files do not.
 fn sequence_encoder(
     weights: Vec<u8>,
     name: &str,
@@ -238,8 +239,8 @@ fn check_stats(features: &FeatureStats) -> Result<(), Error> {
     Ok(())
 }
 
-/// Sizes of a `nn.TransformerEncoder` and the inputs of the layer before it, read off their tensors. The
-/// number of heads is not among them.
+/// Sizes of a `nn.TransformerEncoder`, and the input width of the layer before it, read from the tensors. The tensors
+/// do not determine the number of heads.
 pub(crate) fn encoder_sizes(
     weights: &[u8],
     input: &str,
@@ -271,7 +272,7 @@ fn matrix_shape(file: &SafeTensors<'_>, name: &str, path: &Path) -> Result<[usiz
         .map_err(|_| Error::weights(path, format!("{name} is no matrix")))
 }
 
-/// Settings in the `args.json` beside a released checkpoint of MDM. Missing keys have the released defaults.
+/// Settings in the `args.json` beside a released checkpoint of MDM. Missing keys get the released defaults.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(default)]
 pub struct MdmArgs {
@@ -294,12 +295,11 @@ impl Default for MdmArgs {
     }
 }
 
-/// Makes a run folder of an MDM trained elsewhere: the encoder variant, of any size and number of
-/// diffusion steps.
+/// Makes a run folder of an MDM trained elsewhere: the encoder variant, with any size and number of diffusion steps.
 ///
 /// # Errors
-/// It is another variant, the folder holds another run, a tensor is missing or does not fit the
-/// features or the text encoder, the statistics are of another width, or a file cannot be written.
+/// The checkpoint is of another variant, the folder holds another run, a tensor is missing or does not fit the features
+/// or the text encoder, the statistics are of another width, or a file cannot be written.
 pub fn import_mdm(
     run_dir: &Path,
     args: &MdmArgs,
@@ -341,7 +341,7 @@ pub fn import_mdm(
     record.train.check()?;
     let mut network = record.network(device).network;
     from_safetensors(&mut network, weights, "", path)?;
-    // The features do not depend on the body.
+    // The features do not depend on the skeleton.
     let skeleton = Skeleton::smplx_neutral();
     write_imported(run_dir, &skeleton, (mdm::KIND, record), &network)
 }
@@ -361,7 +361,7 @@ pub fn read_torch_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> 
         .ok_or_else(|| Error::weights(path, format!("it holds {}, no tensor", value.describe())))
 }
 
-/// Reads the numbers of a file of `numpy.save`, such as `Mean.npy`.
+/// Reads the numbers of a NumPy file (`numpy.save`), such as `Mean.npy`.
 ///
 /// # Errors
 /// The file is malformed, or holds no numbers.
@@ -371,12 +371,12 @@ pub fn read_npy_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> {
     Ok(array.values.iter().map(|&value| value as f32).collect())
 }
 
-/// Writes the network of a run as one safetensors file under the released names, the position tables
-/// the released program asks for included, and the normaliser as JSON. Returns the files.
+/// Writes the network of a run as a safetensors file under the released names, including the position tables that the
+/// released program requires, and the normaliser as JSON. Returns the files.
 ///
 /// # Errors
-/// The folder is no run of the editor or the coordinator, its checkpoint is damaged, its network has
-/// layers the released one has not, or a file cannot be written.
+/// The folder is not a run of the editor or the coordinator, its checkpoint is damaged, its network has layers that the
+/// released network lacks, or a file cannot be written.
 pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Error> {
     let kind = checkpoint::read_kind(run_dir)?;
     let (files, name, width, normalizer): (Files, &str, usize, Normalizer) =
@@ -405,7 +405,7 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
     Ok(vec![weights, range])
 }
 
-/// A model that the released program could load only in part.
+/// Error about a model that the released program could load only in part.
 fn foreign(found: &str, instead: &str) -> Error {
     Error::misfit(
         "the model",
@@ -453,8 +453,8 @@ pub(crate) fn read_numpy_object(bytes: &[u8], path: &Path) -> Result<Value, Erro
         .map_err(|rejected| Error::weights(path, format!("{}: {}", rejected.code, rejected.reason)))
 }
 
-/// Reads the normaliser of the released program: an array of one object, which is a
-/// dictionary whose value holds the lower bound and the upper, one number or one for each axis.
+/// Reads the normaliser of the released program: an array with one object, a dictionary whose value holds the lower and
+/// the upper bound. Each bound is one number, or one for each axis.
 ///
 /// # Errors
 /// The file holds something else.
@@ -544,7 +544,7 @@ mod tests {
 
     #[test]
     fn an_array_that_numpy_saved_is_read() {
-        // np.save of {(16, 3): (-3.25, 3.5)}, NumPy 2.4, without its header.
+        // Output of np.save for {(16, 3): (-3.25, 3.5)}, NumPy 2.4, without the header.
         let pickled = "800495a3000000000000008c166e756d70792e5f636f72652e6d756c7469617272617\
             9948c0c5f7265636f6e7374727563749493948c056e756d7079948c076e6461727261799493944b00859443\
             01629487945294284b012968038c0564747970659493948c024f3894898887945294284b038c017c944e4e4\

@@ -1,4 +1,4 @@
-//! Linear extrapolation of an edit from the fixed frames of a window, and its residual.
+//! Linear extrapolation of an edit from a window's fixed frames, and the residual of this guess.
 
 use burn::tensor::{Device, Tensor};
 use kinematics::canonical::FIXED_FRAMES;
@@ -10,8 +10,8 @@ use crate::config::NoiseKind;
 use crate::noise_shape::{LEAST_SPREAD, NoiseShape};
 use crate::transfer::send;
 
-/// The best linear prediction of the change of a window from the change of its fixed frames: one matrix for all
-/// coordinates, fitted to training windows.
+/// The best linear prediction of a window's change from the change of its fixed frames. One matrix, fitted to training
+/// windows, is used for all coordinates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Extrapolation {
@@ -28,12 +28,12 @@ pub struct Extrapolation {
 }
 
 impl Extrapolation {
-    /// Fits the guess to pairs of original and edited windows, `[N, W, 84]` each, for fixed frames that
-    /// are shown with noise of a standard deviation of `fixed_noise` in model units, and the shape of the
-    /// noise, if it is not white.
+    /// Fits the linear guess to pairs of original and edited windows, `[N, W, 84]` each; if `noise` is shaped, also the
+    /// covariance of the noise. `fixed_noise` is the standard deviation, in model units, of the noise on the fixed
+    /// frames that the network is shown.
     ///
     /// # Panics
-    /// If a window has no frame beside the fixed ones.
+    /// If a window has only fixed frames.
     pub fn fit(
         original: &[f32],
         edited: &[f32],
@@ -60,7 +60,7 @@ impl Extrapolation {
         for cell in moments.iter_mut().flatten() {
             *cell /= count.max(1) as f64;
         }
-        // The normal equations of two fixed frames; the ridge keeps them apart where nothing moves.
+        // Normal equations of two fixed frames. The ridge keeps them solvable if nothing moves.
         let ridge = LEAST_SPREAD * LEAST_SPREAD + fixed_noise * fixed_noise;
         let (a, b, d) = (moments[0][0] + ridge, moments[0][1], moments[1][1] + ridge);
         let determinant = a * d - b * b;
@@ -107,7 +107,7 @@ impl Extrapolation {
         }
     }
 
-    /// Frames of a window.
+    /// Number of frames in a window.
     pub fn window(&self) -> usize {
         self.gains.len()
     }
@@ -117,7 +117,7 @@ impl Extrapolation {
         self.shape.as_ref()
     }
 
-    /// The gains and spreads of windows on a device, those of windows without fixed frames being others.
+    /// The gains and spreads of each window on a device. Windows without fixed frames have their own.
     ///
     /// # Shapes
     /// `is_start` `[B]`; the results `[B, W, 2]` and `[B, W, 1]`.
@@ -162,21 +162,21 @@ pub struct Basis {
     pub(crate) shaped: Option<ShapedBasis>,
 }
 
-/// Standards of bones, where noise is shaped.
+/// Mean and scale of bones, and the noise's spread; for shaped noise.
 #[derive(Clone, Debug)]
 pub(crate) struct ShapedBasis {
-    /// Mean of each number of edited windows, `[1, 1, D]`.
+    /// Mean of each bone coordinate of edited windows, `[1, 1, D]`.
     mean: Tensor<3>,
-    /// Inverse of its standard deviation, `[1, 1, D]`.
+    /// Inverse of the coordinate's standard deviation, `[1, 1, D]`.
     scale: Tensor<3>,
     /// Standard deviation of the noise, `[B, W, D]`.
     pub(crate) spreads: Tensor<3>,
 }
 
 impl Basis {
-    /// Builds the inputs that predictions for normalised original windows, `[B, W, D]`, are relative to. `is_start`
-    /// marks windows without fixed frames, `[B]`; `extrapolation` is given for predictions that are relative to a
-    /// linear guess.
+    /// Builds the inputs that a prediction is relative to, from normalised original windows, `[B, W, D]`. `is_start`
+    /// marks windows without fixed frames, `[B]`. `extrapolation` is required for predictions relative to a linear
+    /// guess.
     pub fn new(
         original: Tensor<3>,
         is_start: &[bool],
@@ -205,11 +205,11 @@ impl Basis {
         }
     }
 
-    /// Windows as the network sees them: with shaped noise as bones in units of their standard deviation, so that
-    /// a leg is seen as well as the path of the root; otherwise as they are.
+    /// Windows as the network sees them. With shaped noise these are bones, standardised so that a leg's movement is as
+    /// visible as the path of the root; otherwise the windows are unchanged.
     ///
     /// # Shapes
-    /// `[B, W, D]`, also of a larger batch.
+    /// `[B, W, D]`; `B` may differ from the batch of the originals.
     pub fn seen(&self, windows: Tensor<3>) -> Tensor<3> {
         let Some(ShapedBasis { mean, scale, .. }) = &self.shaped else {
             return windows;
@@ -227,7 +227,7 @@ impl Basis {
             .map(|_| self.original.clone() + self.guess(windows).0)
     }
 
-    /// The guessed change and the spread of what is left, for windows whose fixed frames are clean.
+    /// The guessed change and the standard deviation of its residual, for windows whose fixed frames are clean.
     pub(crate) fn guess(&self, windows: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
         let fixed = |x: &Tensor<3>| x.clone().narrow(1, 0, FIXED_FRAMES);
         let change = fixed(windows) - fixed(&self.original);
@@ -254,7 +254,7 @@ mod tests {
         let mut normal = || rand::RngExt::sample::<f32, _>(&mut rng, rand_distr::StandardNormal);
         let numbers = 64 * WINDOW * FRAME_WIDTH;
         let original: Vec<f32> = (0..numbers).map(|_| normal()).collect();
-        // The change of every number is a line over the frames.
+        // The change of each number is linear over the frames.
         let lines: Vec<[f32; 2]> = (0..64 * FRAME_WIDTH)
             .map(|_| [normal(), normal()])
             .collect();
@@ -270,8 +270,8 @@ mod tests {
             .collect();
         let fitted = Extrapolation::fit(&original, &edited, WINDOW, 0.0, NoiseKind::White);
         for (frame, [first, second]) in fitted.gains.iter().enumerate() {
-            // A line through frames 0 and 1 reads 1 - f and f of them in frame f. The ridge takes a
-            // few millionths of that.
+            // For a line through frames 0 and 1, the weights in frame f are 1 - f and f. The ridge changes them by a
+            // few millionths.
             assert!(
                 (first - (1.0 - frame as f32)).abs() < 1e-3,
                 "{frame}: {first}"
@@ -279,11 +279,11 @@ mod tests {
             assert!((second - frame as f32).abs() < 1e-3, "{frame}: {second}");
         }
         for (spread, [first, second]) in fitted.spreads.iter().zip(&fitted.gains) {
-            // The residual comes from the ridge alone, scaled by the gains.
+            // The residual is due to the ridge alone, scaled by the gains.
             let seen = f64::from(first.hypot(*second)).max(1.0) * LEAST_SPREAD;
             assert!(f64::from(*spread) < 1.01 * seen, "{spread} {seen}");
         }
-        // Without fixed frames nothing can be guessed: the spread is that of the change itself.
+        // Without fixed frames nothing is predicted, so the spread is that of the change itself.
         assert!((fitted.start_spreads[0] - 1.0).abs() < 0.05);
 
         let windows = |values: &[f32]| {
@@ -299,7 +299,7 @@ mod tests {
         let (guess, _) = basis.guess(&x0);
         let back = windows(&original) + guess;
         for (a, b) in edited.iter().zip(read(back)) {
-            // Slopes of up to 4 over 5 frames, times the millionths of the ridge.
+            // The tolerance covers slopes of up to 4 over 5 frames, times a few millionths from the ridge.
             assert!((a - b).abs() < 0.02, "{a} {b}");
         }
     }

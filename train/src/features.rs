@@ -1,4 +1,4 @@
-//! Motion features of the evaluation encoder.
+//! Motion features of the evaluation encoders.
 
 use std::borrow::Cow;
 use std::f64::consts::FRAC_PI_2;
@@ -14,18 +14,18 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::error::motion_error;
 
-/// Numbers of a frame: 3 of translation, 21 joints and the root with 6 each.
+/// Number of values in a frame: 3 of translation, and 6 for each of 21 joints and the root.
 pub const FEATURE_WIDTH: usize = 135;
 
 /// Features of one frame.
 pub type FeatureFrame = [f32; FEATURE_WIDTH];
 
-/// The features of consecutive frames: `[translation since the frame before, in the root frame of
-/// that frame | 21 body rotations | root rotation]`, rotations as the first two rows of their
-/// matrix. The first frame has no translation.
+/// The features of consecutive frames: `[translation since the previous frame, in the previous frame's root coordinates
+/// | 21 body rotations | root rotation]`. Rotations are the first two rows of their matrix. The first frame has no
+/// translation.
 ///
 /// # Source
-/// The 135 numbers of the MotionFix evaluator (`algorithms` section 15), there z up at 30 fps.
+/// The 135 features of the MotionFix evaluator (`algorithms` section 15), which uses z up and 30 fps.
 pub fn smpl135(poses: &[Pose]) -> Vec<FeatureFrame> {
     let mut before: Option<&Pose> = None;
     poses
@@ -53,17 +53,17 @@ pub fn smpl135(poses: &[Pose]) -> Vec<FeatureFrame> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FeatureRecipe {
-    /// [`smpl135`] of segments that have been turned to face +z, y up, at 20 fps.
+    /// [`smpl135`] of segments rotated to face +z, y up, at 20 fps.
     Smpl135,
-    /// The 263 numbers of HumanML3D at 20 fps, of the whole clip: the input of the released TMR. They
-    /// lie on HumanML3D's own skeleton, so the body of a motion does not matter.
+    /// The 263 HumanML3D features at 20 fps, of the whole clip: the input of the released TMR. They use HumanML3D's own
+    /// skeleton, so they do not depend on the body of a motion.
     HumanMl3d,
     /// As [`FeatureRecipe::Smpl135`], but z up and at 30 fps: the input of MotionFix's released evaluator.
     MotionFix,
 }
 
 impl FeatureRecipe {
-    /// Numbers of a frame.
+    /// Number of values in a frame.
     pub const fn width(self) -> usize {
         match self {
             Self::Smpl135 | Self::MotionFix => FEATURE_WIDTH,
@@ -71,7 +71,7 @@ impl FeatureRecipe {
         }
     }
 
-    /// The rate features are computed at.
+    /// The frame rate of the features.
     pub fn fps(self) -> Fps {
         match self {
             Self::Smpl135 | Self::HumanMl3d => Fps::STORE,
@@ -79,7 +79,7 @@ impl FeatureRecipe {
         }
     }
 
-    /// The name recorded with everything normalised by the recipe.
+    /// The recipe's name, as recorded with normalised data.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Smpl135 => "smpl135",
@@ -88,12 +88,11 @@ impl FeatureRecipe {
         }
     }
 
-    /// The smallest spread a column is divided by. Joints that hardly turn in the training split
-    /// (ankles' toes, collars) would otherwise turn a small difference into tens of standard
-    /// deviations, and twists that no keypoint shows, which a fitted body has by convention and a
-    /// captured one by nature, would decide every distance.
+    /// Lower bound of a column's standard deviation. Without it, a small difference in joints that hardly rotate in the
+    /// training split (toes, collars) would become tens of standard deviations. So would bone twists, which keypoints
+    /// do not show: fitted bodies have conventional twists, captured ones natural twists.
     fn min_std(self, column: usize) -> f64 {
-        /// In metres, or metres a frame.
+        /// In metres, or metres per frame.
         const LENGTH: f64 = 0.01;
         /// For an entry of a rotation matrix; 0.1 is a rotation by about 6 degrees.
         const ROTATION: f64 = 0.1;
@@ -109,16 +108,16 @@ impl FeatureRecipe {
     }
 }
 
-/// A clip from which features of segments can be computed.
+/// A clip prepared for computing the features of segments.
 pub(crate) enum Prepared {
-    /// Poses at the encoder's rate; features depend on where a segment begins.
+    /// Poses at the encoder's rate, because features depend on where a segment begins.
     Poses(FeatureRecipe, Vec<Pose>),
     /// Features of the whole clip.
     Rows(FeatureRecipe, Vec<f32>),
 }
 
 impl Prepared {
-    /// Brings a motion to the recipe's rate and keeps every `stride`-th frame.
+    /// Resamples a motion to the recipe's rate and keeps every `stride`-th frame.
     pub(crate) fn new(
         motion: &Motion,
         recipe: FeatureRecipe,
@@ -165,7 +164,7 @@ impl Prepared {
     }
 }
 
-/// Turns poses so that up is +z; what faced +z faces -y, whose heading is 0 there.
+/// Rotates poses from y up to z up. What faced +z then faces -y, which is heading 0.
 fn stand_on_z(poses: &mut [Pose]) {
     let turn = DQuat::from_rotation_x(FRAC_PI_2);
     for pose in poses {
@@ -174,7 +173,7 @@ fn stand_on_z(poses: &mut [Pose]) {
     }
 }
 
-/// Turns a segment about the vertical so that its first frame faces +z.
+/// Rotates a segment about the vertical so that its first frame faces +z.
 pub(crate) fn face_forward(segment: &mut [Pose]) {
     let Some(first) = segment.first() else {
         return;
@@ -187,7 +186,7 @@ pub(crate) fn face_forward(segment: &mut [Pose]) {
     }
 }
 
-/// Sums for the mean and the standard deviation of columns; sums of several motions can be merged.
+/// Running sums for the mean and the standard deviation of columns. Those of several motions can be merged.
 #[derive(Clone, Debug)]
 pub(crate) struct Moments {
     count: f64,
@@ -211,7 +210,7 @@ impl Moments {
             moments.count += 1.0;
             let columns = moments.mean.iter_mut().zip(&mut moments.squares);
             for ((mean, squares), &value) in columns.zip(row) {
-                // Welford's update keeps its digits where the mean is large against the spread.
+                // Welford's update stays precise if the mean is large compared with the deviation.
                 let away = f64::from(value) - *mean;
                 *mean += away / moments.count;
                 *squares += away * (f64::from(value) - *mean);
@@ -220,7 +219,7 @@ impl Moments {
         moments
     }
 
-    /// Moments of the rows of both.
+    /// Merges the moments of two sets of rows.
     ///
     /// # Source
     /// Chan, Golub and LeVeque 1983.
@@ -260,9 +259,9 @@ impl Moments {
 pub struct FeatureStats {
     /// Recipe of the features.
     pub recipe: FeatureRecipe,
-    /// Mean, one number a column.
+    /// Mean of each column.
     pub mean: Vec<f32>,
-    /// Standard deviation, bounded from below, one number a column.
+    /// Standard deviation of each column, bounded from below.
     pub std: Vec<f32>,
 }
 
@@ -298,7 +297,7 @@ impl FeatureStats {
             .collect()
     }
 
-    /// Appends rows in units of standard deviations from the mean.
+    /// Appends rows, normalised to zero mean and unit standard deviation.
     pub(crate) fn push_normalized(&self, rows: &[f32], out: &mut Vec<f32>) {
         for row in rows.chunks_exact(self.recipe.width()) {
             let columns = row.iter().zip(&self.mean).zip(&self.std);
@@ -331,7 +330,7 @@ mod tests {
             for frame in &features[1..] {
                 assert!((frame[2] - 0.1).abs() < 1e-6 && frame[0].abs() < 1e-6);
             }
-            // The first two rows of the identity.
+            // The first two rows of the identity matrix.
             for (value, expected) in features[2][129..]
                 .iter()
                 .zip([1.0, 0.0, 0.0, 0.0, 1.0, 0.0])
@@ -347,11 +346,11 @@ mod tests {
         pose.rotations[0] = DQuat::from_rotation_z(FRAC_PI_2);
         pose.rotations[21] = DQuat::from_rotation_x(FRAC_PI_2);
         let frame = smpl135(&[pose])[0];
-        // Rows of a quarter turn about z: (0, -1, 0), (1, 0, 0).
+        // Rows of a 90-degree rotation about z: (0, -1, 0), (1, 0, 0).
         for (value, expected) in frame[129..].iter().zip([0.0, -1.0, 0.0, 1.0, 0.0, 0.0]) {
             assert!((value - expected).abs() < 1e-6);
         }
-        // Rows of a quarter turn about x: (1, 0, 0), (0, 0, -1).
+        // Rows of a 90-degree rotation about x: (1, 0, 0), (0, 0, -1).
         for (value, expected) in frame[123..129].iter().zip([1.0, 0.0, 0.0, 0.0, 0.0, -1.0]) {
             assert!((value - expected).abs() < 1e-6);
         }
@@ -367,7 +366,7 @@ mod tests {
         };
         let stats = fit(&frames).expect("frames");
         assert_eq!((stats.mean[5], stats.std[5]), (2.5, 1.5));
-        // Columns that never change get the least spread of their kind.
+        // Columns that never change get the lower bound of their kind.
         assert_eq!((stats.mean[6], stats.std[6]), (1.0, 0.1));
         assert_eq!((stats.mean[2], stats.std[2]), (1.0, 0.01));
         let mut out = Vec::new();
@@ -402,7 +401,7 @@ mod tests {
             assert_eq!(segment.len(), 10 * recipe.width());
             assert!(segment.iter().all(|value| value.is_finite()));
         }
-        // The second frame of 30 fps has moved two thirds as far as that of 20 fps, and up is z.
+        // At 30 fps, the second frame has moved two thirds as far as at 20 fps, and z is up.
         let moved = |recipe: FeatureRecipe| {
             let clip = Prepared::new(&motion, recipe, 1, "clip").expect("long enough");
             let frames = clip.features(0..2);
@@ -413,13 +412,13 @@ mod tests {
             moved(FeatureRecipe::MotionFix),
         );
         for (ours, theirs) in ours.iter().zip(theirs) {
-            // The heading turns by a hundredth of a radian between two frames.
+            // The heading changes by a hundredth of a radian between two frames.
             assert!((ours * 2.0 / 3.0 - theirs).abs() < 2e-4, "{ours} {theirs}");
         }
         let clip =
             Prepared::new(&motion, FeatureRecipe::MotionFix, 1, "clip").expect("long enough");
         let frame = clip.features(0..1);
-        // The rows of a quarter turn about x, which is the root of a body that faces -y with z up.
+        // The rows of a 90-degree rotation about x: the root of a body that faces -y with z up.
         for (value, expected) in frame[129..].iter().zip([1.0, 0.0, 0.0, 0.0, 0.0, -1.0]) {
             assert!((value - expected).abs() < 1e-6);
         }

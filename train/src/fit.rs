@@ -1,4 +1,4 @@
-//! The training of the editor.
+//! Training of the editor.
 
 use std::collections::BTreeSet;
 
@@ -26,7 +26,7 @@ use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "motionrefit";
 
-/// Windows to which the linear prediction is fitted: each gives 84 samples for a 2 by 2 matrix.
+/// Number of windows to which the linear prediction is fitted; each gives 84 samples for a 2 by 2 matrix.
 const EXTRAPOLATED_WINDOWS: usize = 4_096;
 
 /// Training data of the editor.
@@ -38,15 +38,15 @@ pub struct Corpus<'a> {
     pub val: &'a dyn WindowSource,
     /// Instructions of the training split; their words are the vocabulary of a learned encoder.
     pub instructions: &'a [String],
-    /// Vectors of the instructions of both splits, of a frozen encoder.
+    /// Vectors of the instructions of both splits, from a frozen encoder.
     pub vectors: Option<&'a EmbeddingTable>,
-    /// Range the windows were scaled by.
+    /// Normaliser with which the windows were scaled.
     pub normalizer: Normalizer,
-    /// The skeleton the motions drive.
+    /// The skeleton of the motions.
     pub skeleton: &'a Skeleton,
-    /// Hash of the tables the windows are composed from.
+    /// Hash of the tables that the windows are composed from.
     pub dataset_hash: &'a str,
-    /// How the windows were composed.
+    /// Composition settings of the windows.
     pub compose: &'a ComposeRecord,
 }
 
@@ -56,22 +56,22 @@ pub struct Corpus<'a> {
 pub struct EditorRecord {
     /// The resolved settings.
     pub train: TrainConfig,
-    /// Range the windows are scaled by.
+    /// Normaliser with which the windows are scaled.
     pub normalizer: Normalizer,
     /// Text encoder of the network.
     pub text: TextRecord,
-    /// How the windows were composed.
+    /// Composition settings of the windows.
     pub compose: ComposeRecord,
-    /// Linear guess that gated predictions are relative to; none for other predictions.
+    /// Linear guess for predictions that are relative to it; none for other predictions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub extrapolation: Option<Extrapolation>,
 }
 
 impl EditorRecord {
-    /// Checks a record that was read.
+    /// Checks a record after reading.
     ///
     /// # Errors
-    /// A setting of the editor or of the composer is out of range, or they do not fit each other.
+    /// A setting of the editor or of the composer is out of range, or the two do not match.
     pub(crate) fn check(&self) -> Result<(), Error> {
         self.train.check()?;
         self.compose.check(self.train.window)?;
@@ -115,14 +115,14 @@ pub enum TextRecord {
     Frozen {
         /// Identity of the encoder: the hash of its weights, or the name that a table gives it.
         encoder_hash: String,
-        /// Numbers of its vectors.
+        /// Width of its vectors.
         width: usize,
     },
 }
 
 impl TextRecord {
-    /// Text encoder for the settings: that of the run whose weights are taken over, else one with the words of `texts`,
-    /// or the encoder of `vectors`.
+    /// The text encoder that the settings select: that of the run whose weights are taken over, otherwise one with the
+    /// words of `texts`, or the encoder of `vectors`.
     ///
     /// # Errors
     /// Known and wanted encoders differ, the settings of the words are out of range, or the frozen encoder
@@ -191,10 +191,10 @@ impl TextRecord {
         }
     }
 
-    /// How instructions become what the network is given.
+    /// Selects how instructions are encoded for the network.
     ///
     /// # Errors
-    /// The model listens to a frozen encoder, and none, or the vectors of another, are given.
+    /// The model uses a frozen encoder, but no vectors or those of another encoder are given.
     pub(crate) fn texts<'a>(
         &'a self,
         vectors: Option<&'a EmbeddingTable>,
@@ -222,10 +222,10 @@ impl TextRecord {
     }
 }
 
-/// Trains the editor, or continues where the run folder left off.
+/// Trains the editor, or continues the training of the run folder.
 ///
-/// A run that was interrupted continues exactly: weights, optimiser, data, noise and learning rate
-/// are those of an uninterrupted one. One that begins with the weights of another run keeps its words.
+/// An interrupted run continues exactly: weights, optimiser, data, noise and learning rate are those of an
+/// uninterrupted run. A run that starts from another run's weights keeps that run's vocabulary.
 ///
 /// # Errors
 /// The settings are unusable, the folder holds another run or a damaged checkpoint, the source of
@@ -308,8 +308,8 @@ pub fn train_motionrefit<'a>(
     Ok(train(&task, network, &run, session)?.1)
 }
 
-/// The extrapolation of the run whose weights are taken over; without one, that of the first windows of `sampler`. None
-/// if the prediction is not relative to an extrapolation.
+/// The extrapolation of the run whose weights are taken over, otherwise one fitted to the first windows of `sampler`.
+/// None if the prediction is not relative to an extrapolation.
 fn chosen_extrapolation(
     config: &TrainConfig,
     known: Option<Extrapolation>,

@@ -12,22 +12,21 @@ use crate::schedule::Schedule;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Respacing {
-    /// Steps of training, spread evenly from the first to the last.
+    /// Training steps, spread evenly from the first to the last.
     ///
     /// # Source
     /// Nichol and Dhariwal 2021, Sec. 4.
     #[default]
     Spread,
-    /// A cosine schedule of its own, of whose steps the network is told that they are its first ones.
-    /// It then sees more noise than it was trained to see at those steps: the defect of the released
-    /// TMED.
+    /// A separate cosine schedule, whose steps are shown to the network as the first training steps. The network then
+    /// sees more noise than it was trained with at those steps: the defect of the released TMED.
     Official,
 }
 
 /// A step of sampling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SampleStep {
-    /// Steps that are still to be made after this one: 0 at the last step.
+    /// Number of steps that remain after this one: 0 at the last step.
     pub index: usize,
     /// The diffusion step that the network is shown.
     pub timestep: usize,
@@ -41,10 +40,10 @@ pub struct SampleSteps {
 }
 
 impl SampleSteps {
-    /// `num_steps` steps for a network trained with the cosine schedule of `num_trained`.
+    /// Selects `num_steps` sampling steps for a network trained with a cosine schedule of `num_trained` steps.
     ///
     /// # Errors
-    /// There is no step, or there are more than in training.
+    /// `num_steps` is 0 or greater than `num_trained`.
     pub fn new(num_trained: usize, num_steps: usize, respacing: Respacing) -> Result<Self, Error> {
         let problem = format!("it is {num_steps}, and must be from 1 to {num_trained}");
         ensure((1..=num_trained).contains(&num_steps), "steps", problem)?;
@@ -55,7 +54,7 @@ impl SampleSteps {
             });
         }
         let stride = (num_trained - 1) as f64 / (num_steps.max(2) - 1) as f64;
-        // A single step starts from the most noise.
+        // A single step starts from the noisiest training step.
         let timesteps: Vec<usize> = (0..num_steps)
             .map(|step| {
                 let left = (num_steps - 1 - step) as f64;
@@ -68,18 +67,18 @@ impl SampleSteps {
         })
     }
 
-    /// The schedule over these steps.
+    /// The noise schedule of the sampling steps.
     pub fn schedule(&self) -> &Schedule {
         &self.schedule
     }
 
-    /// The diffusion step that the network is shown at each step, `[N]`, rising.
+    /// The diffusion step that the network is shown at each sampling step, `[N]`, ascending.
     pub fn timesteps(&self) -> &[usize] {
         &self.timesteps
     }
 
-    /// Makes all steps from `start`, which is noise, or a motion with noise. `clean` estimates the clean
-    /// motion of a noisy one, `noise` gives the noise of a step, and `on_step` sees each result.
+    /// Makes all steps from `start`, which is noise or a noised motion. `clean` estimates the clean motion of a noisy
+    /// one, `noise` returns the noise of a step, and `on_step` is given each result.
     ///
     /// # Shapes
     /// All `[B, T, D]`.

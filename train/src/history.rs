@@ -1,5 +1,5 @@
-//! The history of an interactive edit: every result is the original of the next instruction, and
-//! every step can be taken back.
+//! The history of an interactive edit: every result is the original of the next instruction, and every step can be
+//! undone.
 
 use datasets_spec::{Fps, Motion};
 use kinematics::motion::BODY_POSE_WIDTH;
@@ -12,7 +12,7 @@ use crate::system::{Edited, Misfit};
 
 const VERSION: u32 = 2;
 
-/// A motion and the edits made from it, one after another.
+/// A motion and the edits applied to it in sequence.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EditHistory {
@@ -20,23 +20,23 @@ pub struct EditHistory {
     id: String,
     opened: StoredMotion,
     edits: Vec<HistoryStep>,
-    /// Edits that hold now; those after it were taken back.
+    /// Number of edits in effect; later ones were undone.
     held: usize,
 }
 
-/// One edit.
+/// One edit of the history.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HistoryStep {
-    /// The instructions and their frames.
+    /// The instructions and the frames they apply to.
     pub instructions: Vec<TimedInstruction>,
     /// Seed of the noise.
     pub seed: u64,
-    /// Guidance weight.
+    /// Guidance weight of the text.
     pub guidance: f64,
     /// Hash of the weights that made the edit.
     pub editor: String,
-    /// How far the generated points were from a body.
+    /// Distances between the generated points and the fitted body.
     pub misfit: Misfit,
     result: StoredMotion,
 }
@@ -81,7 +81,7 @@ impl StoredMotion {
 }
 
 impl EditHistory {
-    /// Opens a motion.
+    /// Starts a history from a motion.
     pub fn open(id: impl Into<String>, motion: &Motion) -> Self {
         Self {
             version: VERSION,
@@ -95,7 +95,7 @@ impl EditHistory {
     /// Reads a history from its document.
     ///
     /// # Errors
-    /// The document is no history, of another version, or damaged.
+    /// The document is not a history, has another version, or is damaged.
     pub fn from_json(text: &str) -> Result<Self, Error> {
         let item = |problem: String| Error::item("history", problem);
         let history: Self =
@@ -116,7 +116,7 @@ impl EditHistory {
         Ok(history)
     }
 
-    /// The document.
+    /// The history as a JSON document.
     pub fn to_json(&self) -> String {
         serde_json::to_string(self).expect("numbers and texts serialise")
     }
@@ -126,12 +126,12 @@ impl EditHistory {
         &self.id
     }
 
-    /// The edits that hold, in the order they were made.
+    /// The edits in effect, in order.
     pub fn edits(&self) -> &[HistoryStep] {
         &self.edits[..self.held]
     }
 
-    /// Edits that were taken back and can be made again.
+    /// Number of undone edits that can be redone.
     pub fn num_undone(&self) -> usize {
         self.edits.len() - self.held
     }
@@ -139,15 +139,15 @@ impl EditHistory {
     /// The motion that was opened.
     ///
     /// # Errors
-    /// Its numbers are no motion.
+    /// The stored numbers are not a valid motion.
     pub fn original(&self) -> Result<Motion, Error> {
         self.opened.motion(&self.id)
     }
 
-    /// The present motion.
+    /// The current motion.
     ///
     /// # Errors
-    /// Its numbers are no motion.
+    /// The stored numbers are not a valid motion.
     pub fn current(&self) -> Result<Motion, Error> {
         match self.edits().last() {
             Some(edit) => edit.result.motion(&self.id),
@@ -176,14 +176,14 @@ impl EditHistory {
         self.held += 1;
     }
 
-    /// Takes the last edit back; false if there is none.
+    /// Undoes the last edit; false if there is none.
     pub fn undo(&mut self) -> bool {
         let can = self.held > 0;
         self.held -= usize::from(can);
         can
     }
 
-    /// Makes the last edit that was taken back again; false if there is none.
+    /// Redoes the edit that was undone last; false if there is none.
     pub fn redo(&mut self) -> bool {
         let can = self.held < self.edits.len();
         self.held += usize::from(can);

@@ -1,4 +1,5 @@
-//! Motions as the 263 features of HumanML3D, and back to the body and the place they came from.
+//! Converts motions to the 263 features of HumanML3D, and features back to a motion on the source's body and at its
+//! place.
 
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{Fps, JointSet, Motion, Pose, Skeleton};
@@ -13,17 +14,17 @@ use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS, parent_of};
 
 use crate::system::Misfit;
 
-/// Joints that decide where the body goes: pelvis and legs.
+/// Joints from which the root and contact features are computed: pelvis and legs.
 const LOWER_BODY: JointSet = JointSet::of(&[0, 1, 2, 4, 5, 7, 8, 10, 11]);
 
-/// Right knee and ankle. The recipe scales a body by the length of the two bones that end in them.
+/// Right knee and ankle. The recipe scales a body by the length of the two bones that end in these joints.
 const LEG: [usize; 2] = [5, 8];
 
-/// Places of features that some joints decide. Each joint has its position, rotation and velocity; the
-/// four numbers of the root and the foot contacts follow from pelvis and legs.
+/// Mask of the features computed from the given joints. Each joint has a position, rotation and velocity. The four root
+/// features and the foot contacts are computed from pelvis and legs.
 ///
 /// # Source
-/// `humanml_utils.py` of MDM, whose mask of the lower body this is for pelvis and legs.
+/// `humanml_utils.py` of MDM, whose lower-body mask this equals for pelvis and legs.
 pub fn feature_mask(joints: JointSet) -> [bool; HUMANML3D_WIDTH] {
     const POSITIONS: usize = 4;
     const ROTATIONS: usize = 67;
@@ -31,7 +32,7 @@ pub fn feature_mask(joints: JointSet) -> [bool; HUMANML3D_WIDTH] {
     const CONTACTS: usize = 259;
     let mut mask = [false; HUMANML3D_WIDTH];
     for joint in joints.iter().map(kinematics::Joint::index) {
-        // The root has no position and rotation relative to itself.
+        // The root has no position or rotation relative to itself.
         if let Some(place) = joint.checked_sub(1) {
             mask[POSITIONS + 3 * place..][..3].fill(true);
             mask[ROTATIONS + 6 * place..][..6].fill(true);
@@ -45,18 +46,18 @@ pub fn feature_mask(joints: JointSet) -> [bool; HUMANML3D_WIDTH] {
     mask
 }
 
-/// A motion as features, with what leads from features to its body and its place.
+/// A motion as features, with the data needed to convert features back to its body and place.
 #[derive(Clone, Debug)]
 pub struct SourceFeatures {
-    /// The features, a row for each pose.
+    /// The features, one row for each pose.
     pub features: Vec<Features>,
     poses: Vec<Pose>,
     placement: Placement,
-    /// The body whose joints the features are of: that of HumanML3D with the bone lengths of the source's.
+    /// The body of the features: HumanML3D's skeleton with the source's bone lengths.
     body: Skeleton,
 }
 
-/// From the uniform skeleton of the features, which begins at the origin and faces +z, to a source.
+/// Transform from the uniform skeleton of the features, which starts at the origin facing +z, to a source motion.
 #[derive(Clone, Copy, Debug)]
 struct Placement {
     turn: DQuat,
@@ -66,7 +67,7 @@ struct Placement {
 
 impl Placement {
     /// The placement of a source motion. `source` and `uniform` are its first frame on its own skeleton and on the
-    /// uniform one. Between the two, bone directions are equal and the root path is scaled.
+    /// uniform one. Both have the same bone directions, and root paths that differ by a scale.
     fn new(source: &Joints, uniform: &Joints) -> Self {
         let leg: f64 = LEG
             .iter()
@@ -92,11 +93,11 @@ impl Placement {
 impl SourceFeatures {
     /// The features of poses at 20 fps.
     ///
-    /// The recipe takes velocities from the next frame and therefore loses the last one; here the joints
-    /// move on for a frame as they moved before it.
+    /// The recipe computes velocities from the next frame, so it loses the last frame. To keep it, the joints are
+    /// extrapolated linearly by one frame.
     ///
     /// # Errors
-    /// There are fewer than two poses, or a bone without a direction.
+    /// There are fewer than two poses, or a bone has length zero.
     pub fn new(poses: Vec<Pose>, skeleton: &Skeleton) -> Result<Self, FeatureError> {
         let body = smpl_body(skeleton);
         let mut joints: Vec<Joints> = body.points_of_poses(&poses);
@@ -118,8 +119,9 @@ impl SourceFeatures {
         })
     }
 
-    /// Other features as a motion at 20 fps that begins where the source does, and how far their points
-    /// are from a body. Bones have the lengths of the source's; twists that no joint shows are its own.
+    /// Converts features to a motion at 20 fps that starts where the source does. Also returns the distances between
+    /// their points and the fitted body. The motion has the source's bone lengths, and its twists where joints do not
+    /// determine them.
     ///
     /// # Errors
     /// There are more features than poses of the source, or a number is not finite.
@@ -139,14 +141,14 @@ impl SourceFeatures {
         Ok((fitted.motion, misfit))
     }
 
-    /// Joints of the uniform skeleton where they lie on the body and in the place of the source.
+    /// Places joints of the uniform skeleton on the source's body and at its place.
     fn targets(&self, joints: &[Joints]) -> Result<Vec<KeypointFrame>, FeatureError> {
         let Placement { turn, scale, shift } = self.placement;
         joints
             .iter()
             .enumerate()
             .map(|(frame, points)| {
-                // Keypoints beyond the body joints have no weight.
+                // Keypoints other than body joints have no weight.
                 let mut target = [turn * (points[0] * scale) + shift; NUM_KEYPOINTS];
                 for joint in 1..NUM_BODY_JOINTS {
                     let direction = (points[joint] - points[parent_of(joint)])
@@ -161,7 +163,7 @@ impl SourceFeatures {
     }
 }
 
-/// Mean distance in metres of the bones from their lengths in the uniform skeleton.
+/// Mean difference in metres between bone lengths and those of the uniform skeleton.
 pub(crate) fn mean_bone_drift_m(joints: &[Joints]) -> f32 {
     let drifts: Vec<f64> = joints
         .iter()
@@ -182,7 +184,7 @@ fn mean(values: &[f64]) -> f32 {
 mod tests {
     use super::*;
 
-    /// A body that walks in a bow while it waves.
+    /// A body that walks in a curve while it waves.
     fn poses() -> Vec<Pose> {
         (0..30)
             .map(|frame| {
@@ -210,7 +212,7 @@ mod tests {
         let wanted: Vec<Joints> = skeleton.points_of_poses(&poses);
         let found: Vec<Joints> = skeleton.points_of_poses(&motion.poses());
         for (wanted, found) in wanted.iter().flatten().zip(found.iter().flatten()) {
-            // Velocities in single precision add up over thirty frames.
+            // Rounding errors of velocities in single precision add up over thirty frames.
             assert!(wanted.distance(*found) < 1e-4, "{wanted} {found}");
         }
         assert!(misfit.fit_error_m < 1e-4 && misfit.bone_drift_m < 1e-5);

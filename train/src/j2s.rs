@@ -1,4 +1,4 @@
-//! From keypoints to SMPL-X parameters: a network predicts a pose, and a fit refines it.
+//! Converts keypoints to SMPL-X parameters: a network predicts a pose, and a fit refines it.
 
 use std::path::Path;
 
@@ -55,7 +55,7 @@ impl J2sPreset {
     }
 }
 
-/// How a network is trained.
+/// Settings of a network's training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct J2sConfig {
@@ -66,8 +66,8 @@ pub struct J2sConfig {
     /// Standard deviation in metres of the noise on training points, because the network is applied to
     /// generated points.
     pub noise_m: f64,
-    /// Whether a body is turned about the vertical until its hips face +z before the network sees it. The
-    /// network then never meets a root near half a turn, where its axis-angle vector jumps.
+    /// Whether a body is rotated about the vertical until its hips face +z before it is passed to the network. The
+    /// network then never gets a root rotation near 180 degrees, where the axis-angle vector jumps.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub faces_forward: bool,
     /// Settings that every training run has.
@@ -85,8 +85,8 @@ impl J2sConfig {
                 J2sPreset::Official => 64,
             },
             noise_m: 0.005,
-            // The six numbers of a rotation matrix are continuous, and the released network sees bodies
-            // unrotated.
+            // The six-number form of a rotation is continuous, so the released network gets bodies without this
+            // rotation.
             faces_forward: preset == J2sPreset::Paper,
             run: RunSettings {
                 optimizer: OptimizerConfig {
@@ -105,7 +105,7 @@ impl J2sConfig {
         }
     }
 
-    /// The settings for named settings of the editor: those of the release, or else of the paper.
+    /// The settings for a preset of the editor: the released network for `Official`, otherwise the paper's.
     pub fn of(preset: Preset) -> Self {
         Self::preset(match preset {
             Preset::Official => J2sPreset::Official,
@@ -113,7 +113,7 @@ impl J2sConfig {
         })
     }
 
-    /// Checks that the settings can be trained with.
+    /// Checks that the settings allow training.
     ///
     /// # Errors
     /// A setting is out of range.
@@ -123,7 +123,7 @@ impl J2sConfig {
     }
 }
 
-/// A network from keypoints to rotations.
+/// A network that predicts joint rotations from keypoints.
 #[derive(Debug)]
 pub struct PoseNet {
     network: Network,
@@ -141,11 +141,11 @@ enum Network {
 pub struct FitErrors {
     /// The method.
     pub name: &'static str,
-    /// Mean distance of the keypoints in millimetres.
+    /// Mean distance between given and reconstructed keypoints in millimetres.
     pub error_mm: f64,
-    /// Mean angle between the body's rotations, given and found, in degrees.
+    /// Mean angle between given and reconstructed body rotations, in degrees.
     pub error_deg: f64,
-    /// Frames a second on all threads.
+    /// Frames per second with all threads.
     pub frames_per_sec: f64,
 }
 
@@ -156,28 +156,26 @@ pub struct J2sReport {
     pub config: J2sConfig,
     /// Hash of the table of motions.
     pub dataset_hash: String,
-    /// Steps made.
+    /// Number of steps made.
     #[serde(skip)]
     pub steps: u64,
     /// Whether the run reached its last step.
     #[serde(skip)]
     pub is_complete: bool,
-    /// Loss of the first and of the last twentieth of the steps.
+    /// Mean loss over the first and over the last twentieth of the steps.
     pub loss: [f64; 2],
     /// Errors of the network alone and of the fits that follow it.
     #[serde(rename = "ways")]
     pub fits: Vec<FitErrors>,
 }
 
-/// Trains a network on poses of motions and measures it on others.
+/// Trains a network on poses from motions and measures it on other motions.
 ///
-/// A sample is a pose of a random frame, turned about the vertical at random, and its keypoints
-/// relative to the pelvis with noise. The loss is the mean squared error of the rotations in the
-/// network's own form.
+/// A sample is the pose of a random frame, rotated about the vertical by a random angle, and its noisy keypoints
+/// relative to the pelvis. The loss is the mean squared error of the rotations in the network's representation.
 ///
 /// # Errors
-/// There is no motion in one of the lists, a loss is no number, or the run folder cannot be
-/// written.
+/// A list contains no motion, a loss is not finite, or the run folder cannot be written.
 pub fn train_j2s<'a>(
     start: impl Into<Start<'a>>,
     config: &J2sConfig,
@@ -241,7 +239,7 @@ pub fn train_j2s<'a>(
     Ok(report)
 }
 
-/// Trains one of the networks. `forward` is what it makes of rows of points.
+/// Trains one of the networks. `forward` computes its output for rows of points.
 fn fit<M: Networks>(
     forward: fn(&M, Tensor<2>) -> Tensor<2>,
     network: impl FnOnce(&Device) -> M,
@@ -253,7 +251,7 @@ fn fit<M: Networks>(
 ) -> Result<(M, TrainReport), Error> {
     let seed = Seed(config.run.seed).derive(&["poses"]);
     let mut settings = config.run;
-    // At least twenty lines and ten validations in a run, however short it is.
+    // A run has at least twenty lines of metrics and ten validations, however short it is.
     let num_steps = settings.length.steps;
     settings.log_every = settings.log_every.min(num_steps.div_ceil(20));
     settings.val_every = settings.val_every.min(num_steps.div_ceil(10));
@@ -284,7 +282,7 @@ fn tensor(numbers: Vec<f32>, rows: usize, device: &Device) -> Tensor<2> {
     send(numbers, [rows, columns], device)
 }
 
-/// Poses of random frames, turned about the vertical at random.
+/// Poses of random frames, rotated about the vertical by random angles.
 fn draw_poses(motions: &[Motion], count: usize, mut rng: datasets_spec::Rng) -> Vec<Pose> {
     (0..count)
         .map(|_| {
@@ -328,8 +326,8 @@ fn samples(
     (inputs(&frames, config.preset), wanted.collect())
 }
 
-/// Turns each frame about the vertical through its pelvis until the hips face +z. Gives the headings: the
-/// rotations that turn the frames back.
+/// Rotates each frame about the vertical through its pelvis until the hips face +z. Returns the rotations that undo
+/// this.
 fn face_forward(frames: &mut [KeypointFrame]) -> Vec<DQuat> {
     let [left, right] = [Joint::LeftHip, Joint::RightHip].map(Joint::index);
     frames
@@ -346,7 +344,7 @@ fn face_forward(frames: &mut [KeypointFrame]) -> Vec<DQuat> {
         .collect()
 }
 
-/// Keypoints relative to the pelvis, as a network sees them.
+/// Keypoints relative to the pelvis, as the network's input.
 fn inputs(frames: &[KeypointFrame], preset: J2sPreset) -> Vec<f32> {
     let slots: Vec<usize> = match preset {
         J2sPreset::Paper => (0..NUM_KEYPOINTS).collect(),
@@ -363,10 +361,10 @@ fn inputs(frames: &[KeypointFrame], preset: J2sPreset) -> Vec<f32> {
 }
 
 impl PoseNet {
-    /// Loads a trained network from its run folder, and what identifies it: BLAKE3, hexadecimal.
+    /// Loads a trained network from its run folder. Also returns the hash of its weights: BLAKE3, hexadecimal.
     ///
     /// # Errors
-    /// The folder is no such run, or its checkpoint is missing or damaged.
+    /// The folder is not a run of a pose network, or its checkpoint is missing or damaged.
     pub fn load(run_dir: &Path, slot: Slot, device: &Device) -> Result<(Self, String), Error> {
         let mut opened = open_for_use::<J2sConfig>(run_dir, slot, KIND)?;
         let bytes = take(&mut opened.files, PaperPoseNet::FILE, run_dir)?;
@@ -380,8 +378,8 @@ impl PoseNet {
         Ok((net, opened.hash))
     }
 
-    /// Loads a network from safetensors under the names it is published or recorded with, or those
-    /// it is saved with here. It sees bodies as they stand.
+    /// Loads a network from safetensors, with the published tensor names, those of the recorded references, or those of
+    /// this program. Bodies are not rotated before they are passed to it.
     ///
     /// # Errors
     /// The file is malformed, or a tensor is missing or of another shape.
@@ -439,8 +437,8 @@ impl PoseNet {
         read(out)
     }
 
-    /// Poses of keypoint frames in metres: the rotations are the network's, the pelvis is where it
-    /// is.
+    /// Poses for keypoint frames in metres. The network predicts the rotations; the pelvis position is that of the
+    /// keypoints.
     pub fn poses(
         &self,
         frames: &[KeypointFrame],
@@ -483,18 +481,18 @@ impl PoseNet {
     }
 }
 
-/// How the first poses are refined.
+/// How the predicted poses are refined.
 #[derive(Clone, Debug)]
 pub enum Refinement {
-    /// Not at all.
+    /// No refinement.
     None,
     /// Gradient descent, as published.
     Adam(AdamFit),
-    /// Second-order steps.
+    /// A second-order fit.
     SecondOrder(Box<FitOptions>),
 }
 
-/// Poses of keypoint frames in metres: those of the network, refined.
+/// Poses for keypoint frames in metres: predicted by the network, then refined.
 pub fn solve(
     net: &PoseNet,
     refinement: &Refinement,
@@ -507,7 +505,7 @@ pub fn solve(
         Refinement::None => first,
         Refinement::Adam(fit) => {
             let start: Vec<Parameters> = AdamFit::parameters_of(&first);
-            // The steps of a frame do not depend on its neighbours, but for the guard of the root.
+            // A frame's descent does not depend on its neighbours, except through the guard of the root.
             let fitted: Vec<Vec<Pose>> = frames
                 .par_chunks(16)
                 .zip(start.par_chunks(16))
@@ -582,7 +580,7 @@ mod tests {
     use super::*;
     use crate::model::weights::draw;
 
-    /// A body that lunges, turned about the vertical.
+    /// A lunging body, rotated about the vertical.
     fn turned(degrees: f64) -> Pose {
         let mut pose = Pose {
             transl: DVec3::new(1.0, 0.9, -2.0),
@@ -614,7 +612,7 @@ mod tests {
                 .chain(&wanted)
                 .zip(also_seen.iter().chain(&also_wanted));
             for (a, b) in pairs {
-                // Single precision, of numbers below 2.
+                // The tolerance is the rounding of single-precision numbers below 2.
                 assert!((a - b).abs() < 1e-6, "{degrees}: {a} {b}");
             }
             let (left_alone, _) = sample(&as_it_stands, degrees);

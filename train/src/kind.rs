@@ -1,5 +1,5 @@
-//! The interface of a model to the rest of the program: it is trained from a dataset folder and, if it
-//! edits motions, opened as a system.
+//! The interface between a model and the rest of the program: training from a dataset folder and, if the model edits
+//! motions, opening it as a system.
 
 use std::path::Path;
 
@@ -20,15 +20,15 @@ use crate::{Error, Session};
 /// A kind of model.
 #[derive(Clone, Copy, Debug)]
 pub struct ModelKind {
-    /// Name on the command line and in run folders.
+    /// Name of the model on the command line and in run folders.
     pub name: &'static str,
-    /// Description in one line.
+    /// Description of the model in one line.
     pub about: &'static str,
     /// All settings of a preset: a JSON object, or null for a model without settings.
     pub preset: fn(Preset) -> Value,
     /// Trains a model of this kind on a dataset.
     pub train: fn(&TrainRequest<'_>, &Session<'_>) -> Result<Trained, Error>,
-    /// Opens a trained one as an editing system; `None` for models that do not edit motions.
+    /// Opens a trained model as an editing system; `None` for models that do not edit motions.
     pub open: Option<OpenSystem>,
 }
 
@@ -40,20 +40,20 @@ pub(crate) fn document<T: Serialize>(settings: &T) -> Value {
 pub type OpenSystem =
     fn(&SystemSource, &EditConfig, &Skeleton, &Device) -> Result<Box<dyn EditSystem>, Error>;
 
-/// A training run as it is asked for. Models ignore inputs that they have no use for.
+/// A request to train a model. Models ignore inputs that they do not need.
 #[derive(Clone, Copy, Debug)]
 pub struct TrainRequest<'a> {
-    /// The dataset, or the chosen part of it.
+    /// The dataset, or the selected part of it.
     pub dataset: &'a Dataset,
-    /// Run folder, and what the run begins with.
+    /// Run folder, and the weights that the run starts from.
     pub start: Start<'a>,
-    /// Named settings.
+    /// Preset of the settings.
     pub preset: Preset,
     /// Settings that override the preset's: a JSON object.
     pub own: &'a Value,
-    /// How edits are composed.
+    /// Composition settings of edits.
     pub compose: &'a ComposeConfig,
-    /// Windows recorded before, in place of composing them.
+    /// Recorded windows, used instead of composing windows.
     pub windows: Option<&'a Path>,
     /// Source of a frozen text encoder, for settings that use one.
     pub text_encoder: &'a TextEncoderSource,
@@ -61,7 +61,7 @@ pub struct TrainRequest<'a> {
     pub seed: Option<u64>,
     /// Length that overrides that of the settings.
     pub length: Option<RunLength>,
-    /// Memory of the device in bytes, which decides the micro-batches in place of the settings.
+    /// Memory of the device in bytes. If given, the micro-batch size is computed from it, overriding the settings.
     pub memory: Option<u64>,
 }
 
@@ -74,14 +74,14 @@ impl TrainRequest<'_> {
         overlay(preset, self.own).map_err(|source| Error::Settings { source })
     }
 
-    /// Applies seed and length of the request.
+    /// Applies the request's seed and length.
     pub fn change(&self, run: &mut RunSettings) {
         run.seed = self.seed.unwrap_or(run.seed);
         run.length = self.length.unwrap_or(run.length);
     }
 
-    /// Splits the steps of a run into micro-batches that fit into the request's memory. `tokens` are those
-    /// of a sample.
+    /// Splits the steps of a run into micro-batches that fit into the request's memory. `tokens` is the number of
+    /// tokens in a sample.
     pub(crate) fn split(&self, run: &mut RunSettings, model: &NetworkConfig, tokens: usize) {
         if let Some(memory) = self.memory {
             let fitting = model.samples_in(memory, tokens);
@@ -90,14 +90,14 @@ impl TrainRequest<'_> {
     }
 }
 
-/// Result of a training run, whatever was trained.
+/// Result of a training run of any model.
 #[derive(Clone, Debug)]
 pub struct Trained {
     /// Whether the run reached its last step.
     pub is_complete: bool,
-    /// For people.
+    /// Summary for people.
     pub summary: String,
-    /// For programs.
+    /// Report for programs.
     pub document: Value,
 }
 

@@ -1,11 +1,11 @@
 //! Models, diffusion, trainer and editor for text-guided motion editing.
 //!
-//! A model is trained from a dataset folder into a run folder by a function of [`stage`], and a trained
-//! editor answers test items as an [`system::EditSystem`]. [`registry::MODELS`] lists the models. The
-//! crate chooses no device but by [`device::open`], and reads no clock or environment, and nothing but
-//! [`remote_store::hub::HubCache::fetch`] uses the network. The caller passes what it needs as a [`Session`].
+//! A model is trained from a dataset folder into a run folder by a function of [`stage`], and a trained editor answers
+//! test items as an [`system::EditSystem`]. [`registry::MODELS`] lists the models. Only [`device::open`] chooses a
+//! device, and only [`remote_store::hub::HubCache::fetch`] uses the network. The crate does not read the clock or the
+//! environment; the caller passes them in a [`Session`].
 //!
-//! Read [`fit::train_motionrefit`] first, which shows a whole training run, then
+//! Start reading at [`fit::train_motionrefit`], which shows a whole training run, and continue with
 //! [`model::denoiser::Denoiser`].
 //!
 //! ```no_run

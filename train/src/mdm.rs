@@ -36,18 +36,18 @@ pub struct MdmConfig {
     pub model: NetworkConfig,
     /// Text encoder.
     pub text: TextConfig,
-    /// Steps of the diffusion, whose schedule is the squared cosine.
+    /// Number of diffusion steps; the schedule is the squared cosine.
     pub diffusion_steps: usize,
-    /// Whether frames past the end of a motion are hidden from attention. If not, motions are padded to
-    /// `max_frames` wherever the network sees them, because it was trained to see the padding.
+    /// Whether frames after the end of a motion are masked in attention. If not, motions are always padded to
+    /// `max_frames`, because the network was trained to see the padding.
     pub mask_frames: bool,
-    /// Probability of training a motion without its caption.
+    /// Probability that a training motion is shown without its caption.
     pub text_dropout: f64,
     /// Guidance weight of the text.
     pub guidance: f64,
-    /// Shortest motion trained on, in frames at 20 fps.
+    /// Minimum length of training motions, in frames at 20 fps.
     pub min_frames: usize,
-    /// Longest crop trained on, in frames at 20 fps.
+    /// Maximum length of training crops, in frames at 20 fps.
     pub max_frames: usize,
     /// Settings that every training run has.
     #[serde(flatten)]
@@ -55,7 +55,7 @@ pub struct MdmConfig {
 }
 
 impl MdmConfig {
-    /// The named settings.
+    /// The settings of a preset.
     ///
     /// # Source
     /// `Official`: the released defaults (`algorithms` section 12). `Paper`: the same network,
@@ -124,7 +124,7 @@ impl MdmConfig {
         }
     }
 
-    /// Checks that the settings can be trained with.
+    /// Checks that the settings allow training.
     ///
     /// # Errors
     /// A setting is out of range.
@@ -156,9 +156,9 @@ impl MdmRecord {
     }
 }
 
-/// Trains MDM, or continues where the run folder left off, exactly as
-/// [`crate::fit::train_motionrefit`] does. Clips shorter than `min_frames` are left out. A run that starts
-/// from the weights of another keeps its words and feature statistics.
+/// Trains MDM, or continues the training of the run folder, exactly as [`crate::fit::train_motionrefit`] does. Clips
+/// shorter than `min_frames` are left out. A run that starts from another run's weights keeps that run's vocabulary and
+/// feature statistics.
 ///
 /// # Errors
 /// - The settings are unusable, or the text encoder is missing.
@@ -224,24 +224,24 @@ pub fn train_mdm<'a>(
     Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
-/// Noisy motions with their captions, with everything a training step draws.
+/// Noisy motions with their captions, and all random draws of a training step.
 struct MdmBatch {
     /// Normalised features, `[B, T, 263]`.
     features: Vec<f32>,
     /// Standard normal noise, `[B, T, 263]`.
     noise: Vec<f32>,
-    /// Frames of each motion, `[B]`.
+    /// Number of frames in each motion, `[B]`.
     lengths: Vec<usize>,
     /// `T`
     frames: usize,
     /// Diffusion steps, `[B]`.
     timesteps: Vec<usize>,
     texts: TextBatch,
-    /// 1 where the caption is shown, 0 where it is dropped, `[B]`.
+    /// 1 if the caption is shown, 0 if it is dropped, `[B]`.
     text_kept: Vec<f32>,
 }
 
-/// Forward diffusion of motions, and the target of the network.
+/// Adds diffusion noise to motions and computes the loss.
 struct Noising<'a> {
     record: &'a MdmRecord,
     schedule: Schedule,
@@ -249,8 +249,8 @@ struct Noising<'a> {
 }
 
 impl Noising<'_> {
-    /// Draws noise, diffusion steps and dropped captions of crops, the first of which is the sample
-    /// `first` of the run.
+    /// Draws the noise, the diffusion steps and the dropped captions of crops. The first crop is sample `first` of the
+    /// run.
     fn noisy(&self, crops: Crops<'_>, seed: Seed, first: u64) -> Result<MdmBatch, Error> {
         let row = crops.frames * self.record.features.recipe.width();
         let mut noise = Vec::with_capacity(crops.features.len());
@@ -273,7 +273,7 @@ impl Noising<'_> {
         })
     }
 
-    /// The error of the predicted clean motions.
+    /// The loss: the error of the predicted clean motions.
     ///
     /// # Source
     /// Tevet et al. 2023, Eq. 2; the weights of the geometric losses are 0 in the released settings.
@@ -302,7 +302,7 @@ impl Noising<'_> {
     }
 }
 
-/// The mean squared error of each row over the frames that are not padding.
+/// The mean squared error of each row, over the frames that are not padding.
 ///
 /// # Shapes
 /// `predicted` and `target` `[B, T, F]`; `lengths` and the result `[B]`.

@@ -1,5 +1,5 @@
-//! MDM-BP as an editing system: MDM starts from the noised source and keeps what lies outside the edited
-//! body parts until the last steps.
+//! MDM-BP as an editing system: MDM denoises the noised source, and features outside the edited body parts are kept
+//! until the last steps.
 
 use burn::tensor::{Device, Tensor};
 use datasets_spec::record::HUMANML3D_WIDTH;
@@ -30,7 +30,7 @@ use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
 use crate::{Error, Session};
 
-/// Last steps of the published schedule in which the whole body is free, and the steps of that schedule.
+/// Number of last steps in which no body part is kept, and number of all steps, in the published schedule.
 const PUBLISHED_RELEASE: [usize; 2] = [20, 1_000];
 
 struct MdmBpSystem {
@@ -93,8 +93,7 @@ pub(crate) fn open(
     }))
 }
 
-/// Name of the system in result tables where the user gives none, with settings of this edit that differ from the usual
-/// ones.
+/// Default name of the system in result tables, including settings of this edit that differ from the usual ones.
 fn system_name(
     record: &MdmRecord,
     slot: Slot,
@@ -123,7 +122,7 @@ fn system_name(
     Ok(named_with(name.to_owned(), slot, &changes))
 }
 
-/// Sampling that replaces parts of the estimated clean motion by those of a source.
+/// Sampling in which parts of the estimated clean motion are replaced by those of a source.
 #[derive(Clone, Debug)]
 pub struct PartInpainting {
     schedule: Schedule,
@@ -132,7 +131,7 @@ pub struct PartInpainting {
 }
 
 impl PartInpainting {
-    /// Starts from the source with the noise of step `start`, the last one if none is given, and replaces nothing in
+    /// Starts from the source with the noise of step `start` (by default the noisiest step), and replaces nothing in
     /// the last `release` steps. Without `release`, the published share of all steps is used: 20 of 1,000.
     ///
     /// # Errors
@@ -154,9 +153,9 @@ impl PartInpainting {
         })
     }
 
-    /// Generates motions whose kept features are those of the source, but for what the last steps make of
-    /// them. `clean` estimates the clean motion of a noisy one at a step, guidance included; `noise` is
-    /// asked for the start (`None`), then for every step; `on_step` sees the estimate that each step used.
+    /// Generates motions whose kept features are those of the source, apart from changes made in the last steps.
+    /// `clean` estimates the clean motion of a noisy one at a step, including guidance. `noise` is called for the start
+    /// (`None`), then for every step. `on_step` is given the estimate used in each step.
     ///
     /// # Shapes
     /// `source` and the result `[B, T, F]`; `kept` `[B, 1, F]`, 1 where the source is kept and 0
@@ -166,9 +165,8 @@ impl PartInpainting {
     /// Whatever `clean` returns.
     ///
     /// # Source
-    /// MotionReFit, App. C.2 (MDM-BP): the start from the original and the release in the last 20 of 1,000
-    /// steps; the order of guidance, replacement and posterior is that of MDM's released editing. The step
-    /// the original is noised to is not published.
+    /// MotionReFit, App. C.2 (MDM-BP): the start from the original and the release in the last 20 of 1,000 steps; the
+    /// order of guidance, replacement and posterior is that of MDM's released editing. The start step is not published.
     pub fn sample(
         &self,
         source: &Tensor<3>,
@@ -193,7 +191,7 @@ impl PartInpainting {
     }
 }
 
-/// Puts the kept features of a source into an estimate of the clean motion.
+/// Replaces the kept features of an estimated clean motion by those of the source.
 ///
 /// # Shapes
 /// As [`PartInpainting::sample`].
@@ -206,7 +204,7 @@ struct Item<'a> {
     request: &'a EditRequest<'a>,
     instruction: &'a str,
     source: SourceFeatures,
-    /// Frames that the network sees, padding included.
+    /// Number of frames that the network sees, including padding.
     seen_frames: usize,
     rng: Rng,
 }
@@ -268,7 +266,7 @@ fn refused(request: &EditRequest<'_>, problem: impl std::fmt::Display) -> Error 
 }
 
 impl MdmBpSystem {
-    /// Edits items for which the network sees the same number of frames; returns the features of each.
+    /// Edits items for which the network sees the same number of frames. Returns the features of each item.
     fn generate(
         &self,
         items: &mut [&mut Item<'_>],
@@ -294,7 +292,7 @@ impl MdmBpSystem {
         let texts = self.record.text.texts(self.vectors.as_ref())?;
         let texts = texts.batch(items.iter().map(|item| item.instruction))?;
         let text = self.model.text_vectors(&texts, rows, &self.device);
-        // At weight 1 the prediction without text cancels out.
+        // At weight 1 the prediction without text cancels out, so it is not computed.
         let is_guided = self.guidance != 1.0;
         let text = if is_guided {
             Tensor::cat(vec![text.clone(), text.zeros_like()], 0)
@@ -319,7 +317,7 @@ impl MdmBpSystem {
         let mut noise = Noise::new(
             items.iter_mut().map(|item| &mut item.rng),
             [frames, HUMANML3D_WIDTH],
-            // One for the start, and one for each step from it down to 0.
+            // One noise for the start, and one for each step from `start` down to 0.
             2 + self.inpainting.start,
             &self.device,
         )
@@ -436,12 +434,11 @@ mod tests {
         send(values.to_vec(), [1, values.len() / 2, 2], &Device::flex())
     }
 
-    /// Samples with a network that answers 5 everywhere; gives the estimates that the steps used and the
-    /// result.
+    /// Samples with a network that predicts 5 everywhere. Returns the estimates used in the steps, and the result.
     fn run(release: usize) -> (Vec<(usize, Vec<f32>)>, Vec<f32>) {
         let schedule = Schedule::cosine(30).expect("steps");
         let inpainting = PartInpainting::new(schedule, None, Some(release)).expect("usable");
-        // The first of two features is kept.
+        // Of the two features, the first is kept.
         let (source, kept) = (tensor(&[1.0, 2.0, 3.0, 4.0]), tensor(&[1.0, 0.0]));
         let mut estimates = Vec::new();
         let mut rng = Seed(1).rng(&["noise"]);

@@ -1,4 +1,4 @@
-//! Reading the losses that a run logged.
+//! Reads the losses logged by a run.
 
 use std::path::Path;
 
@@ -8,16 +8,16 @@ use crate::Error;
 use crate::checkpoint::METRICS;
 use crate::error::json_error;
 
-/// The loss curves of a run: step and loss of each point.
+/// The loss curves of a run, as points of step and loss.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curves {
-    /// Mean training loss since the point before.
+    /// Mean training loss since the previous point.
     pub loss: Vec<(f64, f64)>,
     /// Validation loss.
     pub val_loss: Vec<(f64, f64)>,
 }
 
-/// A line of the metrics file; other fields than these are of no interest here.
+/// The used fields of a line of the metrics file.
 #[derive(Deserialize)]
 struct Line {
     step: u64,
@@ -28,7 +28,7 @@ struct Line {
 /// Reads the metrics file of a run folder.
 ///
 /// # Errors
-/// The file cannot be read or holds a line that is no JSON object of a step.
+/// The file cannot be read, or a line is not a JSON object with a step.
 pub fn read(run_dir: &Path) -> Result<Curves, Error> {
     let path = run_dir.join(METRICS);
     let text = std::fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;

@@ -1,4 +1,4 @@
-//! Noise with the covariance of what an edit leaves open.
+//! Noise with the covariance of an edit's residual.
 
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::FRAME_WIDTH;
@@ -6,58 +6,60 @@ use serde::{Deserialize, Serialize};
 
 use crate::bones::{ROOT_NUMBERS, bone_number, parent_number};
 
-/// Lower bound of a spread in model units, also of frames whose change is extrapolated. It is a few millimetres, the
-/// noise of motion capture.
+/// Lower bound of a standard deviation in model units, also for frames whose change is extrapolated. It is a few
+/// millimetres, the noise of motion capture.
 pub(crate) const LEAST_SPREAD: f64 = 2e-3;
 
-/// Lower bound of the standard deviation by which a bone is scaled for the network, in model units. Bones of the
-/// trunk hardly change; unbounded, their noise would be seen as large as a swinging leg.
+/// Lower bound of the standard deviation that a bone is divided by for the network, in model units. Bones of the trunk
+/// hardly change; without a bound, their noise would appear as large as a swinging leg.
 const LEAST_STANDARD: f64 = 0.01;
 
-/// Added to the diagonal of temporal covariances, relative to their mean, so that they can be factored.
+/// Share of the mean variance that is added to the diagonal of temporal covariances, so that they can be factored.
 const RIDGE: f64 = 1e-4;
 
-/// The covariance of what the mean of a window leaves open, by which white noise is shaped, and the statistics of
-/// bones by which the network sees windows.
+/// The covariance of the residual around a window's mean, used to shape white noise, and statistics of bones, used to
+/// standardise the network's input.
 ///
-/// In model units a swinging leg is small beside the path of the root. White noise hides it in nearly all steps of
-/// the diffusion, so that a small network learns to ignore the noisy window and predicts the mean over all phases of
-/// a gait: a person who glides. Shaped noise hides all parts alike, and the first steps already show a phase.
+/// In model units a swinging leg is small compared with the path of the root. White noise hides it in nearly all
+/// diffusion steps, so a small network learns to ignore the noisy window and predicts the mean over all phases of a
+/// gait: a person who glides. Shaped noise hides all parts equally, so a phase is visible from the first sampling steps
+/// on.
 ///
 /// The covariance is separable. Each axis of the pelvis has a temporal covariance. All bones share one, which is scaled
 /// by the standard deviation of each coordinate.
 ///
 /// # Source
-/// PriorGrad (Lee et al., ICLR 2022, Sec. 3): diffusion about the mean of a prior, with noise of its covariance.
+/// PriorGrad (Lee et al., ICLR 2022, Sec. 3): diffusion around the mean of a prior, with noise of the prior's
+/// covariance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NoiseShape {
-    /// Mean of each number of a frame in bones over edited windows, in model units, `[84]`.
+    /// Mean of each bone coordinate over edited windows, in model units, `[84]`.
     mean: Vec<f32>,
-    /// Standard deviation of each number, bounded from below, `[84]`.
+    /// Standard deviation of each bone coordinate, bounded from below, `[84]`.
     standard: Vec<f32>,
-    /// Where the first frames are fixed.
+    /// Covariance for windows with fixed frames.
     after_fixed: Covariance,
-    /// Where nothing is fixed.
+    /// Covariance for windows without fixed frames.
     start: Covariance,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Covariance {
-    /// First frame that is open.
+    /// First frame that is not fixed.
     first: usize,
-    /// Standard deviation of each number of a frame in bones, over all open frames, in model units; 1 for the
-    /// pelvis, `[84]`.
+    /// Standard deviation of each bone coordinate over all frames that are not fixed, in model units; 1 for the pelvis,
+    /// `[84]`.
     spreads: Vec<f32>,
-    /// Lower Cholesky factors of the temporal covariances of pelvis x, y and z and of the bones, of `F` open
-    /// frames, row by row without the zeros, `[4, F (F + 1) / 2]`.
+    /// Lower Cholesky factors of the temporal covariances of pelvis x, y and z and of the bones, over `F` frames that
+    /// are not fixed; row by row without the zeros, `[4, F (F + 1) / 2]`.
     factors: Vec<Vec<f32>>,
 }
 
 impl NoiseShape {
-    /// Fits the shape to windows in points, `[N, W, 84]` each: edited windows, and what the means of windows with and
-    /// without fixed frames leave of their change.
+    /// Fits the shape to windows of keypoints, `[N, W, 84]` each: edited windows, and the residuals of their change,
+    /// with and without fixed frames.
     pub(crate) fn fit(edited: &[f32], after_fixed: &[f32], start: &[f32], window: usize) -> Self {
         let (mut mean, mut standard) = (Vec::new(), Vec::new());
         let count = (edited.len() / FRAME_WIDTH).max(1) as f64;
@@ -100,7 +102,7 @@ impl NoiseShape {
                 })
     }
 
-    /// Shapes the white noise of a window in place. Fixed frames keep theirs.
+    /// Shapes the white noise of a window in place. The noise of fixed frames is not changed.
     ///
     /// # Shapes
     /// `noise` `[W, 3 K]`, of the first `K` keypoints.
@@ -108,13 +110,13 @@ impl NoiseShape {
         self.covariance(is_start).apply(noise, 3 * keypoints);
     }
 
-    /// Mean, and inverse standard deviation, of the first `width` numbers of a frame in bones.
+    /// Mean and inverse standard deviation of the first `width` bone coordinates of a frame.
     pub(crate) fn standard(&self, width: usize) -> (Vec<f32>, Vec<f32>) {
         let scale = self.standard[..width].iter().map(|spread| spread.recip());
         (self.mean[..width].to_vec(), scale.collect())
     }
 
-    /// Standard deviation of the noise in bones, `[W, width]`; the least one for fixed frames.
+    /// Standard deviation of the noise of bones, `[W, width]`; the lower bound for fixed frames.
     pub(crate) fn spreads(&self, width: usize, is_start: bool) -> Vec<f32> {
         let covariance = self.covariance(is_start);
         let mut out = vec![LEAST_SPREAD as f32; covariance.first * width];
@@ -140,7 +142,7 @@ impl NoiseShape {
 impl Covariance {
     fn fit(left: &[f32], window: usize, first: usize) -> Self {
         let frames = window - first;
-        // Over pairs of frames, for each number of a bone.
+        // Covariances over pairs of frames, for each bone coordinate.
         let mut moments = vec![vec![0.0f64; frames * frames]; FRAME_WIDTH];
         let mut bone = vec![0.0f64; frames];
         for window in left.chunks_exact(window * FRAME_WIDTH) {
@@ -185,7 +187,7 @@ impl Covariance {
         (2 * self.factors[0].len()).isqrt()
     }
 
-    /// The weights of the frames up to `frame` in that frame of a number.
+    /// The weights with which the noise of frames up to `frame` enters this frame, for one coordinate.
     fn row(&self, number: usize, frame: usize) -> &[f32] {
         &self.factors[number.min(ROOT_NUMBERS)][frame * (frame + 1) / 2..][..frame + 1]
     }
@@ -193,7 +195,7 @@ impl Covariance {
     fn apply(&self, noise: &mut [f32], width: usize) {
         let noise = &mut noise[self.first * width..];
         for number in 0..width {
-            // A frame depends on none after it, so the last comes first.
+            // A frame depends only on earlier frames, so the last one is computed first.
             for frame in (0..noise.len() / width).rev() {
                 let before = noise[number..].iter().step_by(width);
                 let mixed: f32 = self
@@ -206,7 +208,7 @@ impl Covariance {
             }
         }
         for frame in noise.chunks_exact_mut(width) {
-            // From bones to points: parents come before their children.
+            // Converts bones to points: parents come before their children.
             for number in ROOT_NUMBERS..width {
                 frame[number] += frame[parent_number(number)];
             }
@@ -248,7 +250,7 @@ mod tests {
 
     const WINDOW: usize = 5;
 
-    /// Windows in points whose bones are `scale(number)` times a random walk over the frames.
+    /// Windows of keypoints whose bones are random walks over the frames, scaled by `scale(number)`.
     fn walks(count: usize, scale: impl Fn(usize) -> f32) -> Vec<f32> {
         let mut rng = Seed(3).rng(&["walks"]);
         let mut out = Vec::new();
@@ -302,8 +304,8 @@ mod tests {
             let step = f64::from(scale(number)).powi(2);
             for (a, row) in cells.iter().enumerate() {
                 for (b, cell) in row.iter().enumerate() {
-                    // Frames of a random walk share the steps up to the earlier one. 4,000 windows leave 2 % of a
-                    // variance open, twice: of the fit and of the noise.
+                    // Two frames of a random walk share the steps up to the earlier one. With 4,000 windows, a variance
+                    // has an error of 2 %, once in the fit and once in the noise.
                     let expected = step * (1 + a.min(b)) as f64;
                     let open = 0.1 * step * (1 + a.max(b)) as f64;
                     assert!(

@@ -1,4 +1,4 @@
-//! AdamW, in one pass over memory on the processor ([`kernels::adamw`]).
+//! AdamW; on the processor it makes one pass over memory ([`kernels::adamw`]).
 
 use burn::backend::Flex;
 use burn::backend::tensor::FloatTensor;
@@ -11,12 +11,13 @@ use kernels::on_workers;
 
 use crate::model::pass::Arithmetic;
 
-/// AdamW with PyTorch's defaults and a weight decay.
+/// AdamW with PyTorch's defaults and the given weight decay.
 pub fn adamw(weight_decay: f64, arithmetic: Arithmetic) -> ModuleOptimizer {
     OnePass::new(weight_decay as f32, arithmetic).into()
 }
 
-/// AdamW whose step on the processor is one pass. Its state is that of the composed one, to the bit.
+/// AdamW that updates tensors on the processor in one pass. Its state is bit-identical to that of the composed
+/// optimiser.
 #[derive(Clone)]
 struct OnePass {
     composed: AdamW,
@@ -49,7 +50,7 @@ impl Optimizer for OnePass {
         grad: Tensor<D>,
         state: Option<Self::State<D>>,
     ) -> (Tensor<D>, Option<Self::State<D>>) {
-        // The first step makes the state.
+        // The first step creates the state.
         let Some(AdamWState { momentum }) = state else {
             return self.composed.step(rate, tensor, grad, None);
         };
@@ -87,7 +88,7 @@ impl Optimizer for OnePass {
     }
 }
 
-/// The buffer of a tensor on the processor, contiguous and of exactly its numbers.
+/// The buffer of a tensor on the processor, contiguous and without extra elements.
 fn numbers<const D: usize>(tensor: Tensor<D>) -> FloatTensor<Flex> {
     let count = tensor.shape().num_elements();
     let tensor = tensor
@@ -110,7 +111,7 @@ mod tests {
     use super::*;
     use crate::transfer::read;
 
-    /// The weights after some steps on random gradients, among which are very small and large ones.
+    /// The weights after some steps with random gradients, some of them very small or very large.
     fn trained(mut optimizer: ModuleOptimizer) -> Vec<Vec<f32>> {
         let device = Device::flex().autodiff();
         device.seed(3);
@@ -137,7 +138,7 @@ mod tests {
         assert_eq!(trained(ours.into()), trained(composed));
     }
 
-    /// The definition, in double precision.
+    /// Compares a step with its definition, in double precision.
     ///
     /// # Source
     /// Loshchilov and Hutter 2019, algorithm 2.

@@ -1,4 +1,4 @@
-//! Noise schedules: coefficients, forward noising and the reverse step.
+//! Noise schedules: their coefficients, adding noise, and the reverse step.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -19,11 +19,11 @@ const REFERENCE_STEPS: f64 = 1_000.0;
 /// Ho et al. 2020, Eq. 4 to 7.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Schedule {
-    /// Variance added in a step, `[T]`.
+    /// Variance added in each step, `[T]`.
     pub betas: Vec<f64>,
-    /// Product of `1 - beta` up to a step, `[T]`.
+    /// Product of `1 - beta` up to each step, `[T]`.
     pub alphas_cumprod: Vec<f64>,
-    /// The same up to the step before, `[T]`.
+    /// Product of `1 - beta` up to the previous step, `[T]`.
     pub alphas_cumprod_prev: Vec<f64>,
     /// Variance of the posterior, `[T]`.
     pub posterior_variance: Vec<f64>,
@@ -34,7 +34,7 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// The schedule of a name.
+    /// Builds the schedule with the given name.
     ///
     /// # Errors
     /// There are fewer than two steps, or so few that a rescaled variance reaches 1.
@@ -50,7 +50,7 @@ impl Schedule {
         Ok(Self::of_betas(evenly([first, last], num_steps).collect()))
     }
 
-    /// The squared cosine schedule, whose last steps are capped.
+    /// The squared cosine schedule, with a capped variance in the last steps.
     ///
     /// # Errors
     /// There is no step.
@@ -71,7 +71,7 @@ impl Schedule {
         Ok(Self::of_betas(betas.collect()))
     }
 
-    /// The schedule whose standard deviations are linear, of latent diffusion.
+    /// The schedule of latent diffusion, whose standard deviations are linear.
     ///
     /// # Errors
     /// There are fewer than two steps.
@@ -86,8 +86,8 @@ impl Schedule {
         Ok(Self::of_betas(deviations.map(|std| std.powi(2)).collect()))
     }
 
-    /// The schedule over some of the steps, in rising order: each kept step adds the noise of all steps
-    /// since the kept step before it.
+    /// The schedule restricted to some of the steps, in ascending order. Each kept step adds the noise of all steps
+    /// since the previous kept one.
     ///
     /// # Panics
     /// If a step is not in the schedule.
@@ -142,7 +142,7 @@ impl Schedule {
         self.betas.len()
     }
 
-    /// Adds noise to clean windows (Eq. 4).
+    /// Adds noise to clean windows (Ho et al. 2020, Eq. 4).
     ///
     /// # Shapes
     /// `x0`, `noise` and the result `[B, W, D]`; `timesteps` `[B]`.
@@ -151,7 +151,7 @@ impl Schedule {
         signal.times(x0) + spread.times(noise)
     }
 
-    /// The clean window that the predicted noise implies, not yet clipped.
+    /// The clean window computed from the predicted noise, before clipping.
     ///
     /// # Shapes
     /// As [`Schedule::q_sample`].
@@ -168,7 +168,7 @@ impl Schedule {
         )
     }
 
-    /// The mean of the window one step cleaner, given the clean one (Eq. 7).
+    /// The mean of the window after one reverse step, given the clean window (Ho et al. 2020, Eq. 7).
     ///
     /// # Shapes
     /// As [`Schedule::q_sample`].
@@ -178,8 +178,8 @@ impl Schedule {
         of_x0.times(x0) + of_x.times(x_t)
     }
 
-    /// One reverse step, given the estimate of the clean window: noise of the posterior variance is
-    /// added to the mean, except at the last step, `timestep` 0.
+    /// One reverse step, given an estimate of the clean window. Noise with the posterior variance is added to the mean,
+    /// except at the last step, `timestep` 0.
     ///
     /// # Shapes
     /// All `[B, W, D]`.
@@ -194,7 +194,7 @@ impl Schedule {
         self.add_noise(self.posterior_mean(x0, x_t, &timesteps), timestep, noise)
     }
 
-    /// Adds noise of the posterior variance to the mean of the posterior, except at the last step.
+    /// Adds noise with the posterior variance to the mean of the posterior, except at the last step.
     ///
     /// # Shapes
     /// All `[B, W, D]`.
@@ -212,8 +212,8 @@ fn evenly([first, last]: [f64; 2], count: usize) -> impl Iterator<Item = f64> {
     (0..count).map(move |step| first + step as f64 * stride)
 }
 
-/// A coefficient per window, to be multiplied with a batch. While sampling all windows are at one step: their
-/// coefficient is then an argument of the multiplication, and nothing is sent to the device.
+/// A coefficient per window, to be multiplied with a batch. If all windows are at one step, as in sampling, the
+/// coefficient is a scalar argument, and no tensor is sent to the device.
 pub(crate) enum Column {
     Same(f64),
     Each(Vec<f32>),
@@ -229,7 +229,7 @@ impl Column {
         }
     }
 
-    /// The windows, each times its coefficient.
+    /// Multiplies each window by its coefficient.
     pub(crate) fn times(&self, x: Tensor<3>) -> Tensor<3> {
         match self {
             Self::Same(coefficient) => x.mul_scalar(*coefficient),

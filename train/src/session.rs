@@ -1,4 +1,4 @@
-//! Context of a run.
+//! The context that callers pass to a run.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -9,20 +9,20 @@ use datasets_spec::Progress;
 use crate::Error;
 use crate::model::pass::Arithmetic;
 
-/// Context of a run: device and operations, progress sink, stop flag, clock.
+/// Context of a run: devices and arithmetic, progress sink, stop flag, clock.
 #[derive(Clone, Copy)]
 pub struct Session<'a> {
-    /// Device tensors live on, without automatic differentiation.
+    /// Device of the tensors, without automatic differentiation.
     pub device: &'a Device,
-    /// Further devices of the same kind, which share the parts of a training step.
+    /// Further devices of the same kind; the micro-batches of a training step are divided among all devices.
     pub more_devices: &'a [Device],
-    /// The operations that networks are computed by.
+    /// Operations and precision of networks.
     pub arithmetic: Arithmetic,
-    /// Receives the progress.
+    /// Receives progress reports.
     pub progress: &'a dyn Progress,
-    /// Ends the run after the current step and a checkpoint, once set.
+    /// Once set, the run writes a checkpoint and ends after the current step.
     pub stop: &'a AtomicBool,
-    /// Time passed since any fixed moment. It is used for reported speeds alone.
+    /// Returns the time since a fixed moment. It is used only for reported speeds.
     pub clock: &'a (dyn Fn() -> Duration + Sync),
 }
 
@@ -31,7 +31,7 @@ impl Session<'_> {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Ends `what` where the run is to end.
+    /// Returns an error that names `what` if the run is to end.
     pub(crate) fn go_on(&self, what: &'static str) -> Result<(), Error> {
         match self.is_stopped() {
             true => Err(Error::Stopped { what }),

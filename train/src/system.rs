@@ -1,4 +1,5 @@
-//! Editing systems: an item in, a motion out. Commands use systems only through [`EditSystem`].
+//! The interface of editing systems, which turn an item into an edited motion. Commands use systems only through
+//! [`EditSystem`].
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -26,16 +27,16 @@ pub trait EditSystem: Send {
     /// Name, weights and settings, as recorded in rows of edits.
     fn identity(&self) -> &SystemIdentity;
 
-    /// Frame rate the system generates at.
+    /// Frame rate of the motions that the system generates.
     fn fps(&self) -> Fps;
 
     /// Weight of the text guidance.
     fn guidance(&self) -> f64;
 
-    /// Warnings about requested edits: motions as numbers of frames and rates, and the instructions.
+    /// Warnings about requested edits, given the motions (number of frames and frame rate) and the instructions.
     fn remarks(&self, motions: &[(usize, Fps)], texts: &[&str]) -> Remarks;
 
-    /// Prepares the system for the instructions it will be given. Called before [`EditSystem::edit`].
+    /// Prepares the system for the given instructions. Must be called before [`EditSystem::edit`].
     ///
     /// # Errors
     /// The text encoder is missing or cannot encode a text.
@@ -57,50 +58,49 @@ pub trait EditSystem: Send {
 /// A motion to edit.
 #[derive(Clone, Debug)]
 pub struct EditRequest<'a> {
-    /// Names the request, and with the seed decides its noise.
+    /// Id of the request. Together with the seed it determines the noise.
     pub id: &'a str,
-    /// The motion, of any rate.
+    /// The motion, at any frame rate.
     pub motion: &'a Motion,
     /// Instructions for frames of the motion.
     pub instructions: &'a [TimedInstruction],
     /// Frame rate of the edit.
     pub fps: Fps,
-    /// Joints that the edit is said to change; empty where that is not known. Systems that edit by the
-    /// instruction alone ignore them.
+    /// Joints that the edit should change; empty if not known. Systems that use only the instruction ignore them.
     pub joints: JointSet,
-    /// Frames that the edit is asked to have, where that is known. Systems that make windows one after
-    /// another keep the length of the motion.
+    /// Requested number of frames of the edit, if known. Systems that generate windows one after another keep the
+    /// length of the motion.
     pub frames: Option<usize>,
 }
 
-/// How far generated points are from a body, as they know no bones.
+/// Deviation of generated points from a body with constant bone lengths.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Misfit {
     /// Mean distance in metres between the points and the fitted body.
     pub fit_error_m: f32,
-    /// Mean distance in metres of the bones from their lengths in the body.
+    /// Mean difference in metres between the points' bone lengths and the body's.
     pub bone_drift_m: f32,
 }
 
 /// Result of [`EditSystem::edit`].
 #[derive(Clone, Debug)]
 pub struct EditedMotions {
-    /// One motion for each request, as long as its original or as the request asks, and how far the generated points are from
-    /// a body.
+    /// One motion per request, with the length of its original or the requested one, and its deviation from generated
+    /// points.
     pub motions: Vec<(Motion, Misfit)>,
-    /// Where the time went.
+    /// Times of the stages.
     pub times: EditTimes,
 }
 
 /// Identity of a system in rows of edits: name, weights and settings.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SystemIdentity {
-    /// Name in tables.
+    /// Name of the system in tables.
     pub name: String,
     /// Hash of the weights: BLAKE3, hexadecimal.
     pub checkpoint_hash: String,
-    /// Settings of the system as a JSON object; every row of edits also has its hash.
+    /// Settings of the system as a JSON object; rows of edits also store its hash.
     pub settings: String,
 }
 
@@ -113,7 +113,7 @@ impl SystemIdentity {
         blake3::hash(self.settings.as_bytes()).to_hex().to_string()
     }
 
-    /// The row of an edit.
+    /// Makes the row of an edit.
     pub fn row(&self, item: &ItemRow, motion: &Motion, misfit: Misfit, seed: Seed) -> EditRow {
         EditRow {
             system: self.name.clone(),
@@ -128,8 +128,8 @@ impl SystemIdentity {
     }
 }
 
-/// Name of a system with the settings in which it differs from what its preset edits with, such as
-/// `MotionReFit tiny (guidance 3)`: two rows that were sampled differently never share a name.
+/// Name of a system with the settings that differ from those usual for its preset, such as `MotionReFit tiny (guidance
+/// 3)`. So two systems with different settings never share a name.
 pub(crate) fn named_with(name: String, slot: Slot, settings: &[(&str, Setting)]) -> String {
     let checkpoint = (slot != Slot::Best).then(|| format!("checkpoint {}", slot.name()));
     let changed = settings.iter().filter_map(|(what, setting)| match setting {
@@ -146,29 +146,30 @@ pub(crate) fn named_with(name: String, slot: Slot, settings: &[(&str, Setting)])
 
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Setting {
-    /// Used and usual.
+    /// The used value and the usual one.
     Number(f64, f64),
-    /// Used and usual.
+    /// The used value and the usual one.
     Count(usize, usize),
-    /// Whether it is on, which is unusual.
+    /// Whether the setting is on; usually it is off.
     Flag(bool),
 }
 
-/// File beside a table of edits with the warnings about them.
+/// File of warnings beside a table of edits.
 const REMARKS: &str = "remarks.json";
 
 /// Warnings about edits: short clips and unknown words.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Remarks {
-    /// Motions shorter than a window: they are edited with their last pose held, which is cut off
+    /// Number of motions shorter than a window. They are edited with copies of their last pose, which are cut off
     /// again.
     pub num_short: usize,
-    /// Words of the instructions that the system has never seen.
+    /// Words of the instructions that did not occur in the system's training.
     pub unknown_words: BTreeSet<String>,
 }
 
 impl Remarks {
-    /// Reads the warnings beside a table of edits; there are none where another program made it.
+    /// Reads the warnings beside a table of edits. Without the file, as for tables made by other programs, there are no
+    /// warnings.
     ///
     /// # Errors
     /// The file is malformed or cannot be read.
@@ -196,7 +197,7 @@ impl Remarks {
         Ok(write().map_err(datasets_spec::Error::io("write", &path))?)
     }
 
-    /// One line for each warning.
+    /// The warnings as sentences, one per line.
     pub fn lines(&self) -> Vec<String> {
         let mut lines = Vec::new();
         if self.num_short > 0 {
@@ -220,23 +221,23 @@ impl Remarks {
     }
 }
 
-/// Where a system is loaded from.
+/// Folders and files from which a system is loaded.
 #[derive(Clone, Debug)]
 pub struct SystemSource {
-    /// Run folder of the model.
+    /// Run folder of the editing model.
     pub run: PathBuf,
     /// Checkpoint of the run.
     pub slot: Slot,
     /// Run folder of the coordinator.
     pub coordinator: Option<PathBuf>,
-    /// Run folder of the pose network whose twists its poses get.
+    /// Run folder of the pose network that provides the bone twists.
     pub poses: Option<PathBuf>,
     /// Source of the frozen text encoder, if the model uses one.
     pub text_encoder: TextEncoderSource,
 }
 
 impl SystemSource {
-    /// The best checkpoint of a run, without helpers.
+    /// The best checkpoint of a run, without coordinator and pose network.
     pub fn best(run: &Path, text_encoder: TextEncoderSource) -> Self {
         Self {
             run: run.to_owned(),
@@ -248,39 +249,39 @@ impl SystemSource {
     }
 }
 
-/// Section `[edit]` of a plan: how items are edited.
+/// Section `[edit]` of a plan: settings with which items are edited.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EditConfig {
-    /// Name of the system in tables; `None` for one made of its settings.
+    /// Name of the system in tables; by default it is made from the settings.
     pub name: Option<String>,
-    /// Edits of every item, each with a sampling seed of its own.
+    /// Number of edits of each item, each with its own sampling seed.
     pub takes: u64,
-    /// Guidance weight; `None` for the one the editor was trained for.
+    /// Guidance weight of the text; `None` for that of the system's settings.
     pub guidance: Option<f64>,
-    /// Guidance weight of the source, for systems that have one; `None` for that of their settings.
+    /// Guidance weight of the source, for systems that have one; `None` for that of the system's settings.
     pub source_guidance: Option<f64>,
-    /// Diffusion steps, for systems that can make fewer than in training; `None` for those of their
+    /// Number of diffusion steps, for systems that can use fewer than in training; `None` for that of the system's
     /// settings.
     pub steps: Option<usize>,
-    /// Whether a system that can do either begins an edit from the source and not from noise.
+    /// Whether an edit starts from the source instead of noise, for systems that can do both.
     pub from_source: bool,
-    /// Factor of the noise; `None` for the one the editor was trained for.
+    /// Factor of the noise; `None` for that of the system's settings.
     pub temperature: Option<f64>,
-    /// Windows generated at a time.
+    /// Maximum number of windows generated at a time.
     pub max_batch: usize,
-    /// How SMPL-X parameters are found.
+    /// Method of fitting SMPL-X parameters.
     pub fit: FitMethod,
-    /// Weight in m^2/rad^2 by which the exact fit holds rotations to those it starts from; `None` for
-    /// 0.01 with a pose network and 0 without.
+    /// Weight in m^2/rad^2 that draws the rotations of the exact fit towards their initial values; `None` for 0.01 with
+    /// a pose network and 0 without.
     pub prior: Option<f64>,
     /// Strength of the coordinator's guidance; `None` for that of the editor's settings.
     pub coordinator_strength: Option<f64>,
-    /// Last steps that a coordinator guides; `None` for those of the editor's settings.
+    /// Number of last steps that the coordinator guides; `None` for that of the editor's settings.
     pub coordinator_steps: Option<usize>,
-    /// Diffusion step whose noise MDM-BP adds to the source at the start; `None` for the last step.
+    /// Diffusion step whose noise MDM-BP adds to the source at the start; `None` for the noisiest step.
     pub start: Option<usize>,
-    /// Last diffusion steps in which MDM-BP frees the whole body; `None` for 20 of 1,000.
+    /// Number of last diffusion steps in which MDM-BP keeps no body part; `None` for 20 of 1,000.
     pub release: Option<usize>,
 }
 
@@ -305,7 +306,7 @@ impl Default for EditConfig {
     }
 }
 
-/// An instruction for all frames of a motion.
+/// A list entry with one instruction for all frames of a motion.
 pub fn whole(text: &str, motion: &Motion) -> TimedInstruction {
     TimedInstruction {
         frames: 0..motion.len(),
@@ -313,8 +314,8 @@ pub fn whole(text: &str, motion: &Motion) -> TimedInstruction {
     }
 }
 
-/// Edits the source of every item. The rows have the rate of the sources, and their length unless the
-/// system makes edits as long as the targets.
+/// Edits the source of every item. The rows have the frame rate of the sources. They have the sources' length too,
+/// unless the system generates edits as long as the targets.
 ///
 /// # Errors
 /// As [`EditSystem::edit`].
@@ -369,7 +370,7 @@ fn ranges_of(instructions: &[TimedInstruction]) -> Vec<Range<usize>> {
     asked.map(|asked| asked.frames.clone()).collect()
 }
 
-/// The generated motion, with the original frames outside all instructions.
+/// The generated motion, with the original's frames outside all instructions.
 fn kept_outside<'a>(request: &EditRequest<'_>, made: &'a Motion) -> Result<Cow<'a, Motion>, Error> {
     let ranges = ranges_of(request.instructions);
     if !leaves_frames(request.motion.len(), &ranges) {
@@ -379,25 +380,25 @@ fn kept_outside<'a>(request: &EditRequest<'_>, made: &'a Motion) -> Result<Cow<'
     kept.map(Cow::Owned).map_err(motion_error(request.id))
 }
 
-/// An edited motion.
+/// Result of editing one motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edited {
-    /// The motion, as long in time as the original. It has the rate of the original where some frames are
-    /// left as they are; else 20 fps, or the model's rate where that is higher.
+    /// The motion, as long in time as the original. If some frames are kept, it has the frame rate of the original;
+    /// otherwise 20 fps, or the model's rate if that is higher.
     pub motion: Motion,
-    /// How far the generated points are from a body.
+    /// Deviation of the motion from the generated points.
     pub misfit: Misfit,
-    /// Where the time went.
+    /// Times of the stages.
     pub times: EditTimes,
 }
 
-/// Edits one motion, of any rate, by instructions for parts of it or for the whole. Frames without an
-/// instruction are those of the original, bit for bit; 0.4 s at each end of an edited range, or a third of
-/// it, are blended with the original, and the range ends at the position and heading of the original.
+/// Edits a motion of any frame rate with instructions for parts of it or for the whole. Frames without an instruction
+/// are bit-identical to the original. At each end of an edited range, 0.4 s (or a third of the range, if that is
+/// shorter) are blended with the original, and the range ends at the position and heading of the original.
 ///
 /// # Errors
-/// The motion has no frame, an instruction has no frame of its own, the generated motion is not
-/// finite, or the fit asks for a pose network that the editor has not.
+/// The motion has no frame, earlier instructions cover all frames of an instruction, the generated motion is not
+/// finite, or the fit needs a pose network that the editor lacks.
 pub fn edit_motion(
     system: &dyn EditSystem,
     id: &str,
@@ -434,8 +435,8 @@ pub fn edit_motion(
     })
 }
 
-/// Edits one motion several times, each edit being the original of the next. Layers after the first
-/// apply to all frames, because an edit may have another rate than its original.
+/// Edits a motion several times in sequence: each edit is the original of the next. Layers after the first apply to all
+/// frames, because an edit may have another frame rate than its original.
 ///
 /// # Errors
 /// As [`edit_motion`], or there is no layer.
@@ -451,7 +452,7 @@ pub fn edit_layers(
     let mut edited: Option<Edited> = None;
     for (number, layer) in layers.iter().enumerate() {
         let made = match &edited {
-            // The first layer draws the noise of a single edit.
+            // The first layer draws the same noise as a single edit.
             None => edit_motion(system, id, motion, layer, seed, session)?,
             Some(Edited { motion, .. }) => {
                 let layer: Vec<TimedInstruction> = layer
@@ -474,18 +475,18 @@ pub fn edit_layers(
 /// Result of [`answer_items`].
 #[derive(Debug)]
 pub struct Answers {
-    /// The folder of items and edits.
+    /// The dataset with items and edits.
     pub dataset: Dataset,
-    /// Where the time went; `None` where the edits were there already.
+    /// Times of the stages; `None` if the edits existed already.
     pub times: Option<EditTimes>,
     /// Warnings about the edits.
     pub remarks: Remarks,
 }
 
-/// Warnings about edits of items.
+/// Warnings about edits of the items.
 ///
 /// # Errors
-/// An item has no frame rate.
+/// An item has an invalid frame rate.
 pub fn remarks_of(system: &dyn EditSystem, items: &[ItemRow]) -> Result<Remarks, Error> {
     let motions = items
         .iter()
@@ -498,7 +499,7 @@ pub fn remarks_of(system: &dyn EditSystem, items: &[ItemRow]) -> Result<Remarks,
     Ok(system.remarks(&motions, &texts))
 }
 
-/// Hash of everything that decides about the edits of items.
+/// Hash of everything that determines the edits of items.
 pub(crate) fn edits_plan(
     items: &[ItemRow],
     identity: &SystemIdentity,
@@ -514,15 +515,15 @@ pub(crate) fn edits_plan(
         seed,
         takes,
     );
-    // The number counts changes of what the table holds.
+    // The number is raised when the content of the table changes.
     plan_hash("edits-5", &inputs)
 }
 
-/// Edits the items of a folder and commits items and edits as a dataset of their own. Take `n` of
-/// `takes` is sampled with `seed + n`. A table made by the same plan is kept.
+/// Edits the items of a folder and commits items and edits as a separate dataset. Take `n` of `takes` is sampled with
+/// `seed + n`. A table made by the same plan is kept.
 ///
 /// # Errors
-/// A folder cannot be read or written, or as [`EditSystem::edit`].
+/// As [`EditSystem::edit`], or a folder cannot be read or written.
 pub fn answer_items(
     system: &mut dyn EditSystem,
     items: &Dataset,

@@ -1,4 +1,4 @@
-//! How fast a device trains: steps of the editor's network on made-up windows, without a dataset.
+//! Training speed of a device: training steps of the editor's network on synthetic windows, without a dataset.
 
 use std::time::Duration;
 
@@ -18,29 +18,29 @@ use crate::optimizer::adamw;
 use crate::schedule::Schedule;
 use crate::transfer::read;
 
-/// Steps before the clock starts: kernels are compiled and memory is taken in the first ones.
+/// Number of steps before timing starts; the first steps compile kernels and allocate memory.
 const WARM_UP: usize = 3;
 const DIFFUSION_STEPS: usize = 100;
 
 /// Result of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Throughput {
-    /// Steps that were timed.
+    /// Number of timed steps.
     pub steps: usize,
-    /// Windows of a step.
+    /// Number of windows in a step.
     pub rows: usize,
-    /// Duration in seconds.
+    /// Duration of the timed steps in seconds.
     pub secs: f64,
 }
 
 impl Throughput {
-    /// Windows of 16 frames that are trained on in a second.
+    /// Training speed in windows of 16 frames per second.
     pub fn windows_per_sec(&self) -> f64 {
         (self.steps * self.rows) as f64 / self.secs
     }
 }
 
-/// The network of the editor of a preset, with drawn weights.
+/// The editor's network of a preset, with random initial weights.
 pub fn network(preset: Preset, device: &Device) -> Denoiser {
     let config = TrainConfig::preset(preset);
     let (model, previous) = (&config.model, config.diffusion.previous);
@@ -48,11 +48,12 @@ pub fn network(preset: Preset, device: &Device) -> Denoiser {
     draw(network, Seed(1)).expect("every layer has a rule")
 }
 
-/// Trains the network of a preset without additions (`paper` or `official`) for at least this long, in steps of `rows`
-/// windows: batch to the device, forward, loss, backward and AdamW. The device is read after 1, 2, 4, ... more steps.
+/// Trains the network of preset `paper` or `official` (those without additions) for at least this long, in steps of
+/// `rows` windows. A step is: batch to the device, forward pass, loss, backward pass, AdamW. A value is read from the
+/// device after 1, 2, 4, ... further steps.
 ///
 /// # Errors
-/// The loss is not finite, or the device does not answer.
+/// The loss is not finite, or the device fails.
 pub fn of_training(
     preset: Preset,
     rows: usize,
@@ -86,7 +87,7 @@ pub fn of_training(
     let pass = Pass::new(arithmetic);
     let mut begun = clock();
     let mut steps = 0;
-    // A read waits for the device. Runs read it every few steps, so that rounds grow.
+    // A read waits for the device. Training runs read only every few steps, so the rounds between reads grow.
     let rounds = std::iter::successors(Some(1), |round| Some(2 * round));
     for (place, round) in std::iter::once(WARM_UP).chain(rounds).enumerate() {
         let mut last = None;

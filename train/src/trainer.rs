@@ -40,7 +40,7 @@ pub struct TrainReport {
     pub steps: u64,
     /// Whether the run reached its last step.
     pub is_complete: bool,
-    /// Trainable numbers.
+    /// Number of trainable parameters.
     pub num_parameters: usize,
     /// Mean loss up to the first line of the metrics file.
     pub first_loss: Option<f64>,
@@ -52,7 +52,7 @@ pub struct TrainReport {
     pub best_step: u64,
     /// Training samples per second in this session, without validations and checkpoints.
     pub samples_per_sec: f64,
-    /// Share of that time spent waiting for data.
+    /// Share of this time spent waiting for data.
     pub data_wait_share: f64,
 }
 
@@ -76,12 +76,12 @@ impl TrainReport {
     }
 }
 
-/// Trains a model, or continues where the run folder left off, and returns it as it is used: with
-/// averaged weights (EMA) where the settings ask for them. `network` builds the model on a device; its first
-/// weights follow from the seed of the run.
+/// Trains a model, or continues the training of the run folder, and returns the model for use: with averaged weights
+/// (EMA) if the settings ask for them. `network` builds the model on a device; its initial weights depend on the seed
+/// of the run.
 ///
-/// A run that was interrupted continues exactly: weights, optimiser, data, noise and learning rate
-/// are those of an uninterrupted one.
+/// An interrupted run continues exactly: weights, optimiser, data, noise and learning rate are those of an
+/// uninterrupted run.
 ///
 /// # Errors
 /// The run folder holds a damaged checkpoint or a longer run, the data cannot be read, a loss is not
@@ -116,7 +116,7 @@ pub(crate) fn train<M: Networks, B: Send + Sync>(
             session.progress.advance(1);
             training.report_step(&model)?;
         }
-        // A run that is stopped is saved with the losses since its last line.
+        // When a run is stopped, the losses since its last line are saved too.
         training.read()?;
         training.whole.merge(&training.recent);
         Ok(model)
@@ -125,7 +125,7 @@ pub(crate) fn train<M: Networks, B: Send + Sync>(
     Ok((training.used(&model), report))
 }
 
-/// A run that is being trained: all but the model, which every step takes and gives back.
+/// State of a run in training, without the model, which is passed through every step.
 struct Training<'a, M, B> {
     task: &'a Task<'a, M, B>,
     run: &'a Run,
@@ -136,23 +136,23 @@ struct Training<'a, M, B> {
     /// Step of the newest checkpoint.
     kept: u64,
     unread: Unread,
-    /// Norm of the gradient of the last step that was read.
+    /// Norm of the gradient of the last step whose values were read from the device.
     gradient_norm: Option<f64>,
-    /// Since the last line of the metrics file.
+    /// Speed since the last line of the metrics file.
     recent: Speed,
-    /// In this session, up to that line.
+    /// Speed in this session, up to the last line.
     whole: Speed,
 }
 
 struct Due {
     line: bool,
     validation: bool,
-    /// The epoch whose weights are kept for good.
+    /// The epoch whose checkpoint is kept permanently, if one is due.
     epoch: Option<u64>,
 }
 
 impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
-    /// Reads where the run folder left off, into `model` too.
+    /// Starts a training, or restores the state of the run folder, including the weights of `model`.
     fn begin(
         task: &'a Task<'a, M, B>,
         model: &mut M,
@@ -216,7 +216,7 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
         }
         self.state.step += 1;
         let due = self.due();
-        // Reading the loss is the only wait for the card, so the time of a line covers its steps.
+        // Only reading the loss waits for the device, so the time of a line covers exactly its steps.
         if due.line || due.validation {
             self.read()?;
         }
@@ -345,7 +345,7 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
         Ok(())
     }
 
-    /// Ends the session, with a checkpoint where the run is not complete.
+    /// Ends the session. If the run is not complete, a checkpoint is written.
     fn end(&mut self, model: &M) -> Result<TrainReport, Error> {
         let is_complete = self.state.step == self.task.num_steps();
         if !is_complete {

@@ -1,8 +1,8 @@
-//! Numbers sent to a device and read from one: the only place of this crate that reads, so that reads are counted.
+//! Sends numbers to devices and reads them back. All reads of this crate are here, so that they can be counted.
 //!
-//! A card computes behind the program. A read waits until it has done everything asked of it so far, and
-//! then it has nothing to do until the program asks again. So nothing is read inside a step of training or
-//! sampling. The README of this crate lists the reads that remain.
+//! A GPU computes asynchronously. A read waits until the GPU has finished all queued operations, and then the GPU is
+//! idle until the program queues more. So nothing is read within a step of training or sampling. The README of this
+//! crate lists the remaining reads.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -10,12 +10,12 @@ use burn::tensor::{Device, Tensor, TensorData};
 
 static READS: AtomicU64 = AtomicU64::new(0);
 
-/// Number of reads from a device by this process so far, but for those that write checkpoints.
+/// Number of reads from devices by this process so far, without those that write checkpoints.
 pub fn num_reads() -> u64 {
     READS.load(Ordering::Relaxed)
 }
 
-/// Numbers, row by row, as a tensor on a device.
+/// Sends numbers, in row-major order, to a device as a tensor.
 pub(crate) fn send<const D: usize>(
     values: Vec<f32>,
     shape: [usize; D],
@@ -24,7 +24,7 @@ pub(crate) fn send<const D: usize>(
     Tensor::from_data(TensorData::new(values, shape), device)
 }
 
-/// The numbers of a tensor of floats, row by row.
+/// Reads the numbers of a float tensor, in row-major order.
 pub(crate) fn read<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     READS.fetch_add(1, Ordering::Relaxed);
     tensor
@@ -34,7 +34,7 @@ pub(crate) fn read<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
         .expect("converted to the type that is asked for")
 }
 
-/// The numbers of tensors of one number each, in one read.
+/// Reads tensors of one number each, in one transfer.
 pub(crate) fn read_all(numbers: Vec<Tensor<1>>) -> Vec<f32> {
     if numbers.is_empty() {
         return Vec::new();
@@ -42,7 +42,7 @@ pub(crate) fn read_all(numbers: Vec<Tensor<1>>) -> Vec<f32> {
     read(Tensor::cat(numbers, 0))
 }
 
-/// The mean of losses weighted by the rows they are means of, in one read.
+/// The mean of losses, each weighted by its number of rows, in one read.
 pub(crate) fn weighted_mean(losses: impl IntoIterator<Item = (usize, Tensor<1>)>) -> f32 {
     let (rows, losses): (Vec<usize>, Vec<Tensor<1>>) = losses.into_iter().unzip();
     let total: f64 = rows.iter().map(|&rows| rows as f64).sum();
@@ -66,7 +66,7 @@ mod tests {
         assert_eq!(weighted_mean([(1, loss(1.0)), (3, loss(5.0))]), 4.0);
     }
 
-    /// Names of what reads a tensor, each followed by a bracket or the type of the result.
+    /// Names of functions that read a tensor, without the following bracket or type.
     const READERS: [&str; 7] = [
         ".into_data",
         ".to_data",
@@ -89,7 +89,7 @@ mod tests {
                 continue;
             }
             let text = std::fs::read_to_string(&path).expect("a source file");
-            // Unit tests end every file.
+            // Unit tests are at the end of each file.
             let (code, _) = text.split_once("#[cfg(test)]\nmod ").unwrap_or((&text, ""));
             for (index, line) in code.lines().enumerate() {
                 if READERS.iter().any(|reader| line.contains(reader)) {
@@ -107,7 +107,7 @@ mod tests {
             &Path::new(env!("CARGO_MANIFEST_DIR")).join("src"),
             &mut found,
         );
-        // Memory of the processor, by the one-pass optimiser.
+        // The one-pass optimiser reads memory of the processor, not of a device.
         found.retain(|place| !place.starts_with("src/optimizer.rs"));
         let elsewhere: Vec<&String> = found
             .iter()

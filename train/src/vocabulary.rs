@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::config::positive;
 
-/// Number of the token that fills a row up to the length of the longest one.
+/// Id of the padding token, which fills rows up to the length of the longest.
 pub const PADDING: i32 = 0;
 
-/// The words of the training instructions. Unknown words are hashed into a few buckets, so that each
-/// always gets the same token.
+/// The words of the training instructions. Unknown words are hashed into a few buckets, so that a word always gets the
+/// same token.
 ///
-/// Token numbers: 0 padding, then the words in alphabetical order, then the buckets.
+/// Token ids: 0 for padding, then the words in alphabetical order, then the buckets.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Vocabulary {
@@ -23,17 +23,17 @@ pub struct Vocabulary {
     max_words: usize,
 }
 
-/// Token numbers of several texts, `[B, T]` row-major, padded with [`PADDING`].
+/// Token ids of several texts, `[B, T]` row-major, padded with [`PADDING`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TokenBatch {
-    /// Token numbers.
+    /// Token ids.
     pub ids: Vec<i32>,
-    /// Tokens a row holds, at least one.
+    /// Number of tokens in a row, at least one.
     pub width: usize,
 }
 
 impl TokenBatch {
-    /// Texts as rows, padded to the longest.
+    /// Texts as rows, padded to the longest text.
     pub(crate) fn of<T: AsRef<[i32]>>(texts: &[T]) -> Self {
         let texts = texts.iter().map(T::as_ref);
         let width = texts.clone().map(<[i32]>::len).max().unwrap_or(1);
@@ -46,7 +46,7 @@ impl TokenBatch {
         Self { ids, width }
     }
 
-    /// Tokens of each row that are not padding, `[B]`.
+    /// Number of tokens in each row that are not padding, `[B]`.
     pub fn lengths(&self) -> impl Iterator<Item = usize> {
         let rows = self.ids.chunks_exact(self.width);
         rows.map(|row| row.iter().filter(|&&id| id != PADDING).count())
@@ -54,10 +54,10 @@ impl TokenBatch {
 }
 
 impl Vocabulary {
-    /// Collects the words of `texts`. Texts are later cut after `max_words` words.
+    /// Collects the words of `texts`. Encoding truncates texts after `max_words` words.
     ///
     /// # Errors
-    /// There is no bucket for unknown words, or no room for a word.
+    /// `num_buckets` or `max_words` is 0.
     pub fn build<'a>(
         texts: impl IntoIterator<Item = &'a str>,
         num_buckets: usize,
@@ -78,7 +78,7 @@ impl Vocabulary {
         1 + self.words.len() + self.num_buckets
     }
 
-    /// The token numbers of a text. A text without a word gives one padding token.
+    /// The token ids of a text. A text without words gives one padding token.
     pub fn encode(&self, text: &str) -> Vec<i32> {
         let mut ids: Vec<i32> = words_of(text)
             .take(self.max_words)
@@ -90,13 +90,13 @@ impl Vocabulary {
         ids
     }
 
-    /// The token numbers of several texts, padded to the longest.
+    /// The token ids of several texts, padded to the longest.
     pub fn encode_batch<'a>(&self, texts: impl IntoIterator<Item = &'a str>) -> TokenBatch {
         let rows: Vec<Vec<i32>> = texts.into_iter().map(|text| self.encode(text)).collect();
         TokenBatch::of(&rows)
     }
 
-    /// Unknown words among the first `max_words` of a text, each once, in order.
+    /// Unknown words among the first `max_words` of a text, without duplicates, in order.
     pub fn unknown_words(&self, text: &str) -> Vec<String> {
         let mut unknown: Vec<String> = Vec::new();
         for word in words_of(text).take(self.max_words) {
@@ -121,8 +121,7 @@ impl Vocabulary {
     }
 }
 
-/// The words of a text in lower case. Everything that is neither letter, digit nor apostrophe
-/// separates words.
+/// The words of a text in lower case. All characters except letters, digits and apostrophes separate words.
 pub fn words_of(text: &str) -> impl Iterator<Item = String> + '_ {
     text.split(|c: char| !(c.is_alphanumeric() || c == '\''))
         .map(|word| word.trim_matches('\'').to_lowercase())
@@ -161,7 +160,7 @@ mod tests {
             vocabulary.encode("left the arm raise"),
             vocabulary.encode("raise the left arm")
         );
-        // Alphabetical: arm 1, left 2, raise 3, slowly 4, the 5, walk 6.
+        // The ids are alphabetical: arm 1, left 2, raise 3, slowly 4, the 5, walk 6.
         assert_eq!(vocabulary.encode("walk the arm"), [6, 5, 1]);
     }
 

@@ -1,4 +1,4 @@
-//! BERT and DistilBERT as text encoders: recorded vectors, files that do not fit, packages and tables.
+//! BERT and DistilBERT as text encoders: recorded vectors, invalid files, packages and tables.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -31,8 +31,8 @@ const HIDDEN: usize = 6;
 
 type Weights = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
-/// Weights of a network of one layer: number `i` of the tensor at place `k` in the order of the names is
-/// `sin(0.7 i + k) / 2`.
+/// Weights of a one-layer network. Element `i` of the tensor with index `k`, in the order of the names, is `sin(0.7 i +
+/// k) / 2`.
 fn weights(kind: &str, prefix: &str) -> Weights {
     let square = vec![WIDTH, WIDTH];
     let (up, down) = (vec![HIDDEN, WIDTH], vec![WIDTH, HIDDEN]);
@@ -129,7 +129,7 @@ fn write_weights(folder: &Path, weights: &Weights) {
     fs::write(folder.join("model.safetensors"), bytes).expect("written");
 }
 
-/// A folder of a tiny network.
+/// A folder with the files of a tiny network.
 fn folder(kind: &str, prefix: &str) -> tempfile::TempDir {
     let dir = tempfile::tempdir().expect("temporary folder");
     write_weights(dir.path(), &weights(kind, prefix));
@@ -138,7 +138,7 @@ fn folder(kind: &str, prefix: &str) -> tempfile::TempDir {
     dir
 }
 
-/// The modules of a sentence encoder that pools by a mode and then normalises.
+/// The modules of a sentence encoder that pools with the given mode and then normalises.
 fn write_modules(folder: &Path, mode: &str) {
     let module = |name: &str, path: &str| {
         let kind = format!("sentence_transformers.models.{name}");
@@ -181,11 +181,11 @@ fn mean(states: &[f32]) -> Vec<f32> {
     (0..WIDTH).map(column).collect()
 }
 
-/// A kind of network, and three of its recorded vectors.
+/// A kind of network, and its three recorded vectors.
 type Recorded = (&'static str, [f32; WIDTH], [f32; WIDTH], [f32; WIDTH]);
 
-/// Vectors of the first and the last token of a text, and the mean of all, by kind of network: recorded with `states`
-/// of `tests/python/check_bert.py` in double precision, of the weights of [`weights`].
+/// Vectors of the first and the last token of a text, and the mean over all tokens, for each kind of network. They were
+/// recorded in double precision with `states` of `tests/python/check_bert.py`, for the weights of [`weights`].
 const RECORDED: [Recorded; 2] = [
     (
         "bert",
@@ -203,7 +203,7 @@ const RECORDED: [Recorded; 2] = [
 
 #[test]
 fn states_are_those_that_were_recorded() {
-    // [CLS] raise the left arm ##s [SEP].
+    // The tokens are [CLS] raise the left arm ##s [SEP].
     let text = "Raise the LEFT  arms";
     for (kind, first, last, pooled) in RECORDED {
         let dir = folder(kind, "");
@@ -214,7 +214,7 @@ fn states_are_those_that_were_recorded() {
         check(&states[..WIDTH], &first, kind);
         check(&states[6 * WIDTH..], &last, kind);
         check(&encode(&encoder, text, BertVectors::Pooled), &pooled, kind);
-        // A short text is padded to the length of a longer one, which does not change its vectors.
+        // Padding a short text to the length of a longer one does not change its vectors.
         let both = ["wave", text];
         let both = encoder.encode(&both, BertVectors::States).expect("encoded");
         check(
@@ -327,7 +327,7 @@ fn other_networks_are_refused_by_name() {
         assert!(matches!(error, Error::TextModel { .. }), "{error}");
         error.to_string()
     };
-    // MPNet adds a bias of relative positions to its attention.
+    // MPNet adds a bias of relative positions to its attention, which is not supported.
     assert!(refused("model_type", "mpnet").contains("model_type is mpnet"));
     assert!(refused("position_embedding_type", "relative_key").contains("absolute"));
     assert!(refused("hidden_act", "silu").contains("activation silu"));
@@ -355,7 +355,7 @@ fn long_texts_are_cut_where_the_files_say() {
         let encoder = load(dir).expect("loads");
         encode(&encoder, &long, BertVectors::States).len() / WIDTH
     };
-    // At most as many tokens as the network has positions.
+    // The limit is at most the network's number of positions.
     assert_eq!(tokens(dir.path()), 8);
     write(
         dir.path(),
@@ -370,7 +370,7 @@ fn long_texts_are_cut_where_the_files_say() {
     );
     assert_eq!(tokens(dir.path()), 5);
     let encoder = load(dir.path()).expect("loads");
-    // Start and end are kept.
+    // Truncation keeps the start and end tokens.
     check(
         &encode(&encoder, &long, BertVectors::States),
         &encode(&encoder, "wave wave wave", BertVectors::States),
@@ -425,12 +425,12 @@ fn a_package_gives_its_encoder_or_nothing() {
         )
     });
     assert_eq!(ours, theirs);
-    // The folder of an installed package has it somewhere inside.
+    // In the folder of an installed package, the encoder lies in a subfolder.
     fs::create_dir_all(at("site/deep")).expect("made");
     fs::rename(at("encoder"), at("site/deep/model")).expect("moved");
     unpack(&at("site"), &at("again"), &device).expect("unpacked");
 
-    // An encoder that does not load leaves no output.
+    // If an encoder does not load, no output is left.
     fs::write(at("site/deep/model/model.safetensors"), "cut").expect("written");
     unpack(&at("site"), &at("never"), &device).expect_err("broken");
     assert!(!at("never").exists());
@@ -497,7 +497,7 @@ fn the_text_side_of_tmr_reads_the_states_of_its_network() {
     let text = drawn(WIDTH, 2);
     import(&run, &text).expect("imported");
 
-    // The run needs the folder no more.
+    // The run has a copy, so it no longer needs the folder.
     let states = load(distilbert.path()).expect("loads");
     let states = encode(&states, "raise the arm", BertVectors::States);
     drop(distilbert);
@@ -513,7 +513,7 @@ fn the_text_side_of_tmr_reads_the_states_of_its_network() {
         .into_data();
     let expected: Vec<f32> = expected.try_into_vec_as().expect("floats");
     check(&codes[1], &expected, "latent");
-    // A folder that was exchanged is noticed.
+    // A replaced folder is detected.
     let copy = run.join("text_encoder");
     write_weights(&copy, &weights("distilbert", ""));
     TmrEncoder::load(&run, Slot::Best, &device).expect("the same weights without a prefix");

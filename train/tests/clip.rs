@@ -1,4 +1,4 @@
-//! CLIP as a text encoder: parity with the reference, files of every kind, and tables.
+//! CLIP as a text encoder: parity with the reference, all file formats, and tables.
 
 #[path = "../../tests/data/golden.rs"]
 mod recorded;
@@ -27,7 +27,7 @@ use zip::write::SimpleFileOptions;
 
 use recorded::Recorded;
 
-/// Tolerance the recording names for single precision.
+/// Tolerance that the recording states for single precision.
 const TOLERANCE: f32 = 5e-5;
 
 fn read(case: &str) -> Recorded {
@@ -124,7 +124,7 @@ fn golden_clip_text() {
     let hidden = network.hidden(&end_pad, Some(&lengths));
     let pooled = network.project(hidden.clone(), &end_pad);
     check(pooled, &golden, "out.end_pad_masked.text_embeds");
-    // The vectors of padding are recorded as zeros.
+    // The vectors of padding tokens are recorded as zeros.
     let kept: Vec<f32> = mask.values.iter().map(|&kept| kept as f32).collect();
     let kept = TensorData::new(kept, mask.shape.clone());
     let kept = Tensor::<2>::from_data(kept, &Device::flex()).unsqueeze_dim::<3>(2);
@@ -160,7 +160,7 @@ fn golden_clip_text_does_not_depend_on_what_follows_the_end() {
         &golden,
         "out.zero_pad.text_embeds",
     );
-    // Configurations of old record 2 as the end token; the largest number is meant.
+    // Old configurations record 2 as the end token; for them the largest number is the end token.
     let legacy = ClipConfig {
         end_token: 2,
         ..config
@@ -216,7 +216,7 @@ fn skipped() {
     );
 }
 
-/// A vocabulary of two merges: 512 bytes, the merges, start and end.
+/// A list of two merges; the vocabulary has 512 bytes, the merges, start and end.
 const MERGES: &str = "#version: 0.2\nu p</w>\nu n</w>\n";
 
 fn tiny_config() -> ClipConfig {
@@ -232,7 +232,7 @@ fn tiny_config() -> ClipConfig {
     }
 }
 
-/// Weights of a network under Hugging Face's names, with some of a vision tower.
+/// Weights of a network under Hugging Face's names, with some tensors of a vision tower.
 fn tiny_weights(seed: u64) -> BTreeMap<String, (Vec<usize>, Vec<f32>)> {
     let network =
         draw(ClipText::new(&tiny_config(), &Device::flex()), Seed(seed)).expect("known layers");
@@ -279,8 +279,8 @@ fn as_safetensors(weights: &BTreeMap<String, (Vec<usize>, Vec<f32>)>) -> Vec<u8>
     safetensors::serialize(views, None).expect("serialises")
 }
 
-/// A file of `torch.save` of a state dict, by the opcodes that Python writes. Storages lie under
-/// running numbers; `around` are the keys of dictionaries around the state dict.
+/// A file of `torch.save` with a state dict, written with Python's opcodes. Storages are numbered; `around` lists the
+/// keys of dictionaries that enclose the state dict.
 fn as_torch(
     weights: &BTreeMap<String, (Vec<usize>, Vec<f32>)>,
     prefix: &str,
@@ -296,7 +296,7 @@ fn as_torch(
 
     let mut pickle = b"\x80\x02".to_vec();
     for key in around {
-        // Besides the state dict, a checkpoint holds plain values, such as the epoch.
+        // A checkpoint also holds plain values, such as the epoch.
         pickle.extend([b"}(", text("epoch").as_slice(), b"K\x07", &text(key)].concat());
     }
     pickle.extend([&empty, b"(".as_slice()].concat());
@@ -352,7 +352,7 @@ fn a_state_dict_of_torch_becomes_safetensors() {
     let import =
         |bytes: &[u8], options: &StateDictOptions<'_>| state_dict_from_torch(bytes, path, options);
     let options = StateDictOptions::default();
-    // Serialising sorts by name, so equal weights are equal bytes.
+    // Tensors are serialised in the order of their names, so equal weights have equal bytes.
     let expected = as_safetensors(&weights);
     for (prefix, around) in [
         ("", &[][..]),
@@ -373,7 +373,7 @@ fn a_state_dict_of_torch_becomes_safetensors() {
         ["vision_model.encoder.layers.0.self_attn.q_proj.weight"]
     );
 
-    // The error for a checkpoint without a known key lists its keys.
+    // If a checkpoint has no known key, the error lists its keys.
     let elsewhere = as_torch(&weights, "", &["ema"]);
     let error = import(&elsewhere, &options).expect_err("nothing found");
     assert!(error.to_string().contains("ema, epoch"), "{error}");
@@ -422,7 +422,7 @@ fn every_kind_of_file_gives_the_same_encoder() {
     assert_eq!(encoded, encode(&pickled));
     assert!(encoded.iter().map(Vec::len).eq([6, 6]));
     assert_ne!(encoded[0], encoded[1]);
-    // Not normalised.
+    // The vectors are not normalised.
     let norm: f32 = encoded[0].iter().map(|value| value * value).sum();
     assert!((norm - 1.0).abs() > 1e-3, "{norm}");
     assert_ne!(encoder.hash(), tiny_encoder(2, "model.safetensors").hash());
@@ -468,7 +468,7 @@ fn a_table_holds_what_the_encoder_gives() {
         let alone = encoder.encode(&[text], BertVectors::Pooled);
         let found = table.get(text).expect("there");
         for (a, b) in found.iter().zip(&alone.expect("encoded")[0]) {
-            // Sums of 16 products of f32 in another order.
+            // The tolerance covers sums of 16 f32 products in another order.
             assert!((a - b).abs() < 1e-5, "{text:?}: {a} {b}");
         }
     }
@@ -499,7 +499,7 @@ fn a_table_comes_back_bit_for_bit_or_not_at_all() {
     let back = EmbeddingTable::load(&path).expect("whole");
     assert_eq!(back, table);
     assert_eq!(back.hash(), table.hash());
-    // The order texts come in does not matter.
+    // The order of the texts does not matter.
     compute(&mut texts.iter().rev().map(String::as_str))
         .save(&path)
         .expect("saved");

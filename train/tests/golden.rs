@@ -55,7 +55,7 @@ impl Golden {
         Self(Recorded::read(&root, name))
     }
 
-    /// Reads a case that the project does not contain; if it is not found, none, with a message.
+    /// Reads a case that is not stored in the project. If it is not found, returns none, with a message.
     #[expect(clippy::print_stderr, reason = "a skipped test says so")]
     fn find(name: &str) -> Option<Self> {
         if std::env::var_os("STANCE_GOLDEN").is_some() {
@@ -70,7 +70,7 @@ impl Golden {
         found.map(|path| Self(Recorded::read_file(path)))
     }
 
-    /// The file itself, for readers of weights and sizes.
+    /// The content of the file, for readers of weights and sizes.
     fn bytes(&self) -> Vec<u8> {
         std::fs::read(&self.0.path).expect("the file was read before")
     }
@@ -84,8 +84,8 @@ impl Golden {
         self.metadata()[key].parse().expect("a number")
     }
 
-    /// Parts of tensor names between `before` and `after`, such as sizes and parameters of a case. At least one tensor
-    /// has such a name.
+    /// The parts of tensor names between `before` and `after`, such as sizes or parameters of a case. At least one such
+    /// name must exist.
     fn between(&self, before: &str, after: &str) -> Vec<String> {
         let names = self.0.tensors.keys();
         let found: Vec<String> = names
@@ -97,7 +97,7 @@ impl Golden {
         found
     }
 
-    /// Values as `f64`, with the shape.
+    /// Values as `f64`, and the shape.
     fn values(&self, name: &str) -> (Vec<f64>, Vec<usize>) {
         let tensor = self.0.get(name);
         (tensor.values.clone(), tensor.shape.clone())
@@ -184,7 +184,7 @@ fn golden_denoiser() {
     );
     let (_, shape) = golden.values("out.pe");
     let rows: Vec<usize> = (0..shape[0]).collect();
-    // The reference computes angles up to 127 rad in f32.
+    // The reference computes angles of up to 127 rad in f32.
     check(
         sinusoid(&rows, shape[1], &Device::flex()),
         &golden,
@@ -195,7 +195,8 @@ fn golden_denoiser() {
 
 #[test]
 fn golden_denoiser_trains_as_it_infers() {
-    // The attention used for gradients is written out; without dropout it must agree.
+    // The attention with gradients uses separate operations. Without dropout it must agree with the attention without
+    // gradients.
     let golden = Golden::read("motionrefit_denoiser");
     let config = NetworkConfig {
         dropout: 0.0,
@@ -223,7 +224,7 @@ fn golden_networks_are_saved_under_the_reference_names() {
     check_saved(&coordinator(&Device::flex()), "motionrefit_coordinator");
 }
 
-/// A network is saved as the weights of a recorded case.
+/// Checks that a network is saved as the weights of a recorded case.
 fn check_saved(network: &impl Module, case: &str) {
     let bytes = to_safetensors(network, Path::new("memory")).expect("saved");
     let saved = SafeTensors::deserialize(&bytes).expect("a safetensors file");
@@ -314,7 +315,7 @@ fn golden_denoiser_is_imported_as_an_editor_and_exported_again() {
         let found = written.tensor(name).expect("exported");
         assert_eq!(found.data(), tensor.data(), "{name}");
     }
-    // Row 1, column 1 of the table: the cosine of 1.
+    // Row 1, column 1 of the table is the cosine of 1.
     let table = written
         .tensor("positional_encoder.pos_encoding")
         .expect("a table");
@@ -406,7 +407,7 @@ fn golden_training_loss() {
         edited: golden.f32s("in.loss.x_start"),
         noise,
         progress: golden.f32s("in.loss.prog"),
-        // Given below as vectors.
+        // The texts are passed below as vectors.
         texts: TextBatch::Words(TokenBatch {
             ids: vec![0; timesteps.len()],
             width: 1,
@@ -433,13 +434,13 @@ fn golden_training_loss() {
             &Pass::default(),
         )
         .into_scalar();
-    // Mean of some 3,500 terms, each within the tolerance of the network.
+    // The loss is a mean of about 3,500 terms, each within the tolerance of the network.
     assert!((loss - golden.f32s("out.loss.value")[0]).abs() < 2e-5);
 }
 
 fn coordinator(device: &Device) -> Coordinator {
     let golden = Golden::read("motionrefit_coordinator");
-    // The file names the sizes but for the hidden layer, which its weights show.
+    // The file states the sizes except that of the hidden layer, which the weights show.
     let feed_forward = golden
         .values("weights.transformer.layers.0.linear1.weight")
         .1[0];
@@ -497,7 +498,7 @@ fn the_gradient_of_the_coordinator_is_that_of_finite_differences() {
         let p: f32 = network.probability(x, t, &Pass::default()).into_scalar();
         f64::from(p)
     };
-    // Along directions that mix all numbers, so that the difference exceeds f32 rounding.
+    // The directions mix all numbers, so that the difference exceeds f32 rounding.
     for seed in 0..6 {
         let direction: Vec<f32> = (0..values.len())
             .map(|index| ((index * (7 + seed) + seed) as f32 * 0.731).sin())
@@ -517,13 +518,13 @@ fn the_gradient_of_the_coordinator_is_that_of_finite_differences() {
             .zip(&direction)
             .map(|(gradient, direction)| f64::from(gradient * direction))
             .sum();
-        // The third derivative along the direction and the rounding of the probabilities.
+        // The tolerance covers the third derivative along the direction, and rounding of the probabilities.
         let slack = 1e-2 * analytic.abs() + 1e-4;
         assert!((numeric - analytic).abs() < slack, "{numeric} {analytic}");
     }
 }
 
-/// Numbers of a recorded sequence of noises, drawn in the order of sampling.
+/// Recorded noises, in the order in which sampling draws them.
 struct Draws {
     noise: Vec<f32>,
     shape: [usize; 3],
@@ -536,7 +537,7 @@ impl Draws {
         Tensor::from_data(TensorData::new(values, self.shape), &Device::flex())
     }
 
-    /// Row 0 begins, row `1 + k` belongs to step `k`, counted from the noisiest.
+    /// Row 0 is the start; row `1 + k` belongs to step `k`, counted from the noisiest.
     fn of(&self, timestep: Option<usize>, steps: usize) -> Tensor<3> {
         self.row(timestep.map_or(0, |t| steps - t))
     }
@@ -546,7 +547,7 @@ fn floats(tensor: &Tensor<3>) -> Vec<f32> {
     tensor.to_data().try_into_vec_as().expect("floats")
 }
 
-/// How the released sampler is guided: by so many of its last steps.
+/// Guidance as in the released sampler, in the given number of last steps.
 fn released_guidance(num_steps: usize) -> GuidanceConfig {
     GuidanceConfig {
         target: GuidanceTarget::PosteriorMean,
@@ -818,7 +819,7 @@ fn golden_tmr_is_imported_as_an_encoder_of_motions() {
         mean: vec![0.0; width],
         std: vec![1.0; width],
     };
-    // All three networks in one file, as Lightning stores them, and only the motion encoder.
+    // All three networks in one file, as Lightning stores them; then only the motion encoder.
     for taken in ["weights.", "weights.motion_encoder."] {
         let tensors = reference
             .tensors()
@@ -852,7 +853,7 @@ fn golden_tmr_is_imported_as_an_encoder_of_motions() {
         let codes = encoder.encode_features(golden.f32s("in.motion"), &lengths, steps);
         let difference = max_difference(&codes.concat(), &golden.f32s("out.motion_mu"));
         assert!(difference < 3e-5, "{difference}");
-        // The released text encoder uses another network.
+        // The released text encoder reads the states of another network, which is missing here.
         assert!(encoder.encode_texts(&["walk"]).is_err());
         let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 30]).expect("finite");
         let code = encoder.encode(&[&motion]).expect("long enough");
@@ -864,7 +865,7 @@ fn golden_tmr_is_imported_as_an_encoder_of_motions() {
 fn golden_tmr_losses() {
     let golden = Golden::read("tmr_losses");
     let (embeddings, shape) = golden.values("in.sent_emb");
-    // Official threshold 0.8 on scores in [0, 1], as a cosine.
+    // The official threshold is 0.8 on scores in [0, 1]; here it is converted to a cosine.
     let row = |i: usize| &embeddings[i * shape[1]..(i + 1) * shape[1]];
     let filtered: Vec<bool> = (0..shape[0])
         .flat_map(|i| (0..shape[0]).map(move |j| (i, j)))
@@ -920,7 +921,7 @@ fn golden_evaluator_features() {
         })
         .collect();
     let features = smpl135(&poses);
-    // The reference chains matrices in f32.
+    // The reference multiplies a chain of matrices in f32.
     let difference = max_difference(features.as_flattened(), &golden.f32s("out.evaluator135"));
     assert!(difference < 5e-6, "{difference}");
 }

@@ -1,5 +1,5 @@
-//! Every network on a device that is not the processor: a driver in software, by the same backend as a card.
-//! `train/tests/gpu` runs it.
+//! Every network on a device other than the processor: a software driver that uses the same backend as a GPU.
+//! `train/tests/gpu` runs this test.
 
 #[path = "support/items.rs"]
 mod items;
@@ -30,12 +30,12 @@ static DATA: LazyLock<Data> = LazyLock::new(Data::new);
 
 static ITEMS: LazyLock<Vec<ItemRow>> = LazyLock::new(|| items::items(&DATA));
 
-/// Steps of a run.
+/// Number of steps of a run.
 const STEPS: u64 = 10;
 
-/// Largest difference of a loss between the devices, as a share of it. Sums are taken in another order, and
-/// AdamW turns the rounding of a gradient near zero into a whole step of its weight, so the difference grows
-/// from 1e-6 over the ten steps. A wrong derivative changes a loss by per cents.
+/// Maximum relative difference of a loss between the devices. Sums have another order, and AdamW turns a rounding error
+/// of a gradient near zero into a whole step of its weight, so the difference grows from 1e-6 over the ten steps. A
+/// wrong derivative changes a loss by per cents.
 const LOSS_TOLERANCE: f64 = 1e-4;
 
 fn close(found: &[(f64, f64)], expected: &[(f64, f64)], tolerance: f64) -> Result<(), String> {
@@ -47,7 +47,7 @@ fn close(found: &[(f64, f64)], expected: &[(f64, f64)], tolerance: f64) -> Resul
         ));
     }
     for ((step, found), (_, expected)) in found.iter().zip(expected) {
-        // Not-a-number compares as false.
+        // Comparisons with NaN are false.
         let is_close = (found - expected).abs() <= tolerance * expected.abs();
         if !is_close {
             return Err(format!("at step {step} {found} in place of {expected}"));
@@ -78,7 +78,7 @@ fn trained(network: &str, device: &Device, on_device: &str) -> Curves {
 }
 
 fn edits(network: &str, device: &Device) -> Vec<EditRow> {
-    // Trained on the processor, used on either.
+    // The network is trained on the processor and used on either device.
     let run = DATA.run(&format!("{network}-cpu"));
     let source = SystemSource {
         coordinator: (network == "motionrefit").then(|| DATA.run("coordinator-cpu")),
@@ -96,8 +96,8 @@ fn edits(network: &str, device: &Device) -> Vec<EditRow> {
 }
 
 fn check_motions(network: &str) {
-    /// Largest difference of a joint in metres. The noise is the same; a few rounded steps of sampling lie
-    /// between.
+    /// Maximum difference of a joint position in metres. The noise is the same; differences come from rounding in a few
+    /// sampling steps.
     const TOLERANCE_M: f64 = 2e-3;
     let skeleton = Skeleton::smplx_neutral();
     let (found, expected) = (edits(network, &DEVICE), edits(network, &Device::flex()));
@@ -116,7 +116,7 @@ fn check_motions(network: &str) {
     }
 }
 
-/// Everything in one test: a process opens the device once, and its kernels are compiled once.
+/// All checks are one test, because a process opens the device and compiles its kernels only once.
 #[test]
 fn every_network_trains_and_samples_as_on_the_processor() {
     assert_eq!(check(&DEVICE), Ok(Products::Single));
@@ -148,7 +148,7 @@ fn every_network_trains_and_samples_as_on_the_processor() {
     check_crossing();
 }
 
-/// The motions that the generator makes.
+/// Compares the motions that the generator makes.
 fn check_variants() {
     let made = |device: &Device| -> Vec<f32> {
         let generator = Generator::load(&DATA.run("mld-cpu"), device).expect("loads");
@@ -177,7 +177,7 @@ fn check_variants() {
     }
 }
 
-/// Stops a run after some steps.
+/// Stops a run after a number of steps.
 struct StopAfter<'a> {
     stop: &'a AtomicBool,
     left: AtomicU64,
@@ -194,11 +194,11 @@ impl Progress for StopAfter<'_> {
     fn finish(&self, _summary: &str) {}
 }
 
-/// A run that goes from the processor to the device and back is the run of the processor.
+/// Checks that a run that moves from the processor to the device and back equals a run on the processor.
 fn check_crossing() {
     let run = DATA.run("crossing");
     let own = settings("motionrefit", STEPS, 1);
-    // Progress counts the steps of earlier sessions too.
+    // The progress also counts the steps of earlier sessions.
     for (device, until) in [
         (&Device::flex(), 3),
         (&*DEVICE, 7),

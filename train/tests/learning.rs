@@ -1,4 +1,4 @@
-//! The trainer learns, stops and continues, and the editor is repeatable.
+//! The trainer learns, stops and continues runs, and edits are repeatable.
 
 #[path = "learning/mdm.rs"]
 mod mdm;
@@ -45,21 +45,21 @@ use train::tmr::{TmrConfig, TmrEncoder, train_tmr};
 use train::vocabulary::Vocabulary;
 use train::{Error, Session};
 
-/// The composer's own settings.
+/// Composition settings of all runs here.
 static COMPOSE: LazyLock<ComposeRecord> = LazyLock::new(|| ComposeRecord {
     config: ComposeConfig::default(),
     seed: Seed(0),
 });
 
-/// Numbers of a window of 16 frames.
+/// Number of values in a window of 16 frames.
 const WINDOW_NUMBERS: usize = WINDOW_FRAMES * FRAME_WIDTH;
 
-/// Pairs of waves: the instruction says how far the edited wave is raised.
+/// Pairs of waves; the instruction tells how far the edited wave is raised.
 struct Waves {
     items: u64,
 }
 
-/// Waves of other phases than those trained on.
+/// Waves with other phases than the training waves.
 struct HeldOut;
 
 impl WindowSource for HeldOut {
@@ -136,8 +136,8 @@ fn small_config(num_steps: u64) -> TrainConfig {
     config
 }
 
-/// The same for the plain change. Its loss has no floor but what the text leaves open, while much of a
-/// residual is open by its definition.
+/// The same settings for predicting the plain change. Its loss can fall to what the text leaves undetermined, while a
+/// residual is largely unpredictable.
 fn change_config(num_steps: u64) -> TrainConfig {
     let mut config = small_config(num_steps);
     config.diffusion.prediction = Prediction::Change;
@@ -148,7 +148,7 @@ fn change_config(num_steps: u64) -> TrainConfig {
     config
 }
 
-/// Stops a run after so many steps.
+/// Stops a run after a number of steps.
 struct StopAfter<'a> {
     stop: &'a AtomicBool,
     steps: AtomicU64,
@@ -167,7 +167,7 @@ impl Progress for StopAfter<'_> {
 
 static SKELETON: LazyLock<Skeleton> = LazyLock::new(Skeleton::smplx_neutral);
 
-/// Trains on windows and validates on others.
+/// Trains on the given windows and validates on held-out ones.
 fn corpus(source: &dyn WindowSource) -> Corpus<'_> {
     Corpus {
         train: source,
@@ -251,11 +251,11 @@ fn logged_losses(run: &Path) -> Vec<(u64, f64)> {
         .collect()
 }
 
-/// The mean smooth-L1 distance from zero of a normal number of the given spread.
+/// The mean smooth-L1 loss of a normal variable with mean zero and standard deviation `sigma`.
 fn expected_smooth_l1(sigma: f64) -> f64 {
     let cut = 1.0 / sigma;
     let density = (-0.5 * cut * cut).exp() / (2.0 * PI).sqrt();
-    // The error function by the integral of its series, which converges fast up to 1.
+    // The error function by the integral of its series, which converges fast for arguments up to 1.
     let x = cut / SQRT_2;
     let mut term = x;
     let mut erf = x;
@@ -270,7 +270,7 @@ fn expected_smooth_l1(sigma: f64) -> f64 {
 
 #[test]
 fn the_first_loss_is_that_of_an_untrained_network() {
-    // For unit normal noise and a prediction of zero, by hand: 0.4247.
+    // Computed by hand for unit normal noise and a prediction of zero: 0.4247.
     assert!((expected_smooth_l1(1.0) - 0.4247).abs() < 1e-4);
     let dir = tempfile::tempdir().expect("a folder");
     let mut config = small_config(1);
@@ -281,9 +281,9 @@ fn the_first_loss_is_that_of_an_untrained_network() {
     config.run.optimizer.learning_rate = 0.0;
     config.run.batch_size = 64;
     let report = train(dir.path(), &config, &Waves { items: 64 });
-    // The output layer maps tokens of unit variance by weights of variance 1/3 over the width, so
-    // an untrained prediction adds a third to the variance. Ten per cent covers one network's
-    // draw of 84 output rows over tokens that resemble each other.
+    // The output layer maps tokens of unit variance by weights of variance 1/3 over the width, so an untrained
+    // prediction adds a third to the variance. The tolerance of ten per cent covers the random draw of 84 output rows,
+    // applied to similar tokens.
     let expected = expected_smooth_l1((4.0f64 / 3.0).sqrt());
     let first = report.first_loss.expect("a line");
     assert!((first / expected - 1.0).abs() < 0.1, "{first} {expected}");
@@ -328,7 +328,7 @@ fn one_batch_is_overfitted() {
         bone_weight: 0.0,
         ..config.diffusion
     };
-    // Wider than the 84 numbers of a frame, or the noise would not fit through.
+    // The network is wider than the 84 numbers of a frame, because all of the noise must pass through it.
     let network = NetworkConfig {
         width: 128,
         num_layers: 1,
@@ -361,7 +361,7 @@ fn one_batch_is_overfitted() {
     assert!(last < 0.01 * first, "{first} fell to {last}");
 }
 
-/// The objective of windows whose model units are metres, at 20 fps.
+/// The objective for windows at 20 fps, whose model units are metres.
 fn objective<'a>(schedule: &'a Schedule, config: &'a DiffusionConfig) -> Objective<'a> {
     Objective {
         schedule,
@@ -447,7 +447,7 @@ fn gates_are_learned_and_loaded_and_never_exported_in_part() {
     let fell = ended.expect("validated") / begun.expect("a line");
     assert!(fell < 0.2, "{fell}");
     Editor::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
-    // Without the covariance of its noise the editor would sample from other noise than it was trained with.
+    // Without the covariance of its noise, the editor would sample with other noise than in training.
     let path = dir.path().join("config.json");
     let whole = std::fs::read_to_string(&path).expect("a record");
     let mut record: serde_json::Value = serde_json::from_str(&whole).expect("JSON");
@@ -491,12 +491,12 @@ fn an_interrupted_run_ends_as_an_uninterrupted_one() {
     train(whole.path(), &config, &source);
 
     let parts = tempfile::tempdir().expect("a folder");
-    // In the middle of a line of the metrics, right after a checkpoint, and after its end.
+    // Stops between two lines of the metrics, right after a checkpoint, and after the end of the run.
     for steps in [7, 3, 100] {
         let stop = AtomicBool::new(false);
         let progress = StopAfter {
             stop: &stop,
-            // A session first reports the steps of those before it.
+            // A session first reports the steps of earlier sessions.
             steps: AtomicU64::new(steps + steps_done(parts.path())),
         };
         train_until(parts.path(), &config, &source, &progress, &stop).expect("trains");
@@ -519,8 +519,7 @@ fn an_interrupted_run_ends_as_an_uninterrupted_one() {
     }
 }
 
-/// Steps of the last checkpoint of a run.
-/// A run with everything that a checkpoint has to carry: parts, cut gradients, an average, dropout.
+/// A run that uses everything a checkpoint stores: micro-batches, clipped gradients, averaged weights, dropout.
 fn rich_config(num_steps: u64) -> TrainConfig {
     let mut config = small_config(num_steps);
     config.model.dropout = 0.1;
@@ -594,10 +593,10 @@ fn a_batch_in_parts_and_on_several_devices_is_the_whole_batch() {
     let whole = losses(8, &[]);
     let parts = losses(3, &[]);
     let spread = losses(3, &[Device::flex(), Device::flex()]);
-    // Each device gives the same micro-batches in the same order.
+    // Each device computes the same micro-batches in the same order.
     assert_eq!(parts, spread);
     for ((step, whole), (_, parts)) in whole.iter().zip(&parts) {
-        // Sums in another order, carried through ten steps of the optimiser.
+        // The tolerance covers sums in another order, over ten steps of the optimiser.
         assert!(
             (whole - parts).abs() < 1e-4 * whole,
             "{step}: {whole} {parts}"
@@ -623,7 +622,7 @@ fn epochs_are_counted_and_their_checkpoints_kept() {
     }
 }
 
-/// Vectors of the two instructions, as a frozen encoder would give.
+/// Vectors of the two instructions, as from a frozen encoder.
 fn two_vectors(values: &[f32]) -> EmbeddingTable {
     let texts = HEIGHTS.map(|(text, _)| text.to_owned());
     EmbeddingTable::of_vectors("frozen", &texts, values).expect("a row for each text")
@@ -745,7 +744,7 @@ fn a_run_is_extended_and_says_so() {
     );
     let steps = &ancestor["changed"]["config.train.length.steps"];
     assert_eq!(*steps, serde_json::json!([4, 9]));
-    // The same command again does nothing, with and without `--extend`.
+    // Repeating the command does nothing, with and without `--extend`.
     for start in [extend, Start::from(run)] {
         let again = train_until(start, &longer, &source, &NoProgress, &stop).expect("there");
         assert_eq!(again.steps, 9);
@@ -783,7 +782,7 @@ fn a_run_begins_with_the_weights_of_another() {
     let (first, second) = (first.expect("a folder"), second.expect("a folder"));
     let stop = AtomicBool::new(false);
     train(first.path(), &small_config(10), &Waves { items: 8 });
-    // A learning rate of zero keeps the weights.
+    // A learning rate of zero does not change the weights.
     let mut still = small_config(1);
     still.run.optimizer.learning_rate = 0.0;
     let start = Start {
@@ -800,7 +799,7 @@ fn a_run_begins_with_the_weights_of_another() {
     let lineage = &record(second.path())["lineage"];
     assert_eq!(lineage[0]["by"], "init");
     assert_eq!(lineage[0]["weights"], editor.hash());
-    // The run continues without naming the other run again.
+    // The run continues without the other run being given again.
     train_until(second.path(), &still, &other, &NoProgress, &stop).expect("goes on");
     let third = tempfile::tempdir().expect("a folder");
     train(third.path(), &small_config(2), &Waves { items: 8 });
@@ -812,7 +811,7 @@ fn a_run_begins_with_the_weights_of_another() {
         train_until(swapped, &still, &other, &NoProgress, &stop),
         Err(Error::OtherRun { .. })
     ));
-    // A network of another shape cannot begin so.
+    // A network of another shape cannot start from these weights.
     let fourth = tempfile::tempdir().expect("a folder");
     let mut wider = still.clone();
     wider.model.width *= 2;
@@ -826,7 +825,7 @@ fn a_run_begins_with_the_weights_of_another() {
     ));
 }
 
-/// Windows with one infinite number.
+/// Windows that contain one infinite number.
 struct Broken(Waves);
 
 impl WindowSource for Broken {
@@ -955,7 +954,7 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
         .expect("edits")
     };
     let together = edit(&items, &settings);
-    // 61 frames at 20 fps are 31 at 10: windows at 0 and 14, and one at 15 that ends with the motion.
+    // 61 frames at 20 fps are 31 frames at 10 fps: windows start at 0 and 14, and one at 15 ends with the motion.
     let lengths: Vec<usize> = together.iter().map(Vec::len).collect();
     assert_eq!(lengths, [31, WINDOW_FRAMES, 47]);
     assert_eq!(edit(&items, &settings), together);
@@ -968,8 +967,8 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
             .fold(0.0, f64::max)
     };
     let alone = edit(&items[2..], &settings);
-    // Matrix products may add in another order when the batch is smaller: f32 rounding, carried
-    // through 50 steps of three windows, stays below a tenth of a millimetre.
+    // Matrix products of a smaller batch may be summed in another order. The f32 rounding, over 50 steps of three
+    // windows, stays below a tenth of a millimetre.
     assert!(difference(&alone[0], &together[2]) < 1e-4);
     let other = edit(
         &items,
@@ -1000,7 +999,7 @@ fn untrained_record() -> EditorRecord {
     }
 }
 
-/// A session that reports nothing and never stops.
+/// Runs `act` with a session that reports nothing and never stops.
 fn quietly<T>(act: impl FnOnce(&Session<'_>) -> T) -> T {
     let begun = Instant::now();
     act(&Session {
@@ -1013,7 +1012,7 @@ fn quietly<T>(act: impl FnOnce(&Session<'_>) -> T) -> T {
     })
 }
 
-/// Two windows at a time, unguided.
+/// Settings with two windows at a time, without guidance.
 fn edit_settings(record: &EditorRecord) -> EditSettings {
     EditSettings {
         seed: Seed(5),
@@ -1048,7 +1047,7 @@ fn timed(frames: std::ops::Range<usize>, text: &str) -> TimedInstruction {
 fn windows_hear_the_instruction_their_frames_belong_to() {
     let mut record = untrained_record();
     record.train.diffusion.overlap = 0;
-    // 145 frames at 20 fps are 73 at 10: windows at 0, 14, 28, 42 and 56, and one at 57 for the last
+    // 145 frames at 20 fps are 73 frames at 10 fps: windows start at 0, 14, 28, 42 and 56, and one at 57 adds the last
     // frame.
     let motion = walk(145, 1.0, 0.0);
     let cut = |record: &EditorRecord, asked: &[TimedInstruction]| {
@@ -1076,8 +1075,7 @@ fn windows_hear_the_instruction_their_frames_belong_to() {
             None
         ]
     );
-    // A range with fewer frames than a window gets its own window, which begins two frames before it and is used up to
-    // the range's end.
+    // A range shorter than a window gets a window that starts two frames earlier and is used up to the range's end.
     assert_eq!(
         texts(&[timed(40..60, "raise")]),
         [None, None, some("raise"), None, None, None, None]
@@ -1157,7 +1155,7 @@ fn windows_without_an_instruction_stay_as_they_were() {
     // The third window is edited: it adds frames 30 to 43. Earlier frames differ only by f32 rounding.
     assert!(away[..30].iter().all(|&away| away < 1e-5), "{away:?}");
     assert!(away[30..44].iter().any(|&away| away > 0.05), "{away:?}");
-    // Some frames later every body has its own shape again, wherever the edit left it.
+    // After some frames every body has its own shape again, wherever the edit ended.
     let arm = |points: &[DVec3; 28]| points[20].distance(points[21]);
     for (frame, points) in edited[0].iter().enumerate().skip(50) {
         let (found, was) = (arm(points), arm(&original.points[2 * frame]));
@@ -1165,7 +1163,7 @@ fn windows_without_an_instruction_stay_as_they_were() {
     }
 }
 
-/// Natural windows, whose two halves swing together, and composed windows, whose halves come from two of them.
+/// Natural windows, whose two halves swing together, and composed windows, whose halves come from two natural ones.
 struct Swings {
     first: u64,
 }
@@ -1231,7 +1229,7 @@ fn the_coordinator_learns_what_was_composed() {
         train_coordinator(dir.path(), &config, segments, session)
     })
     .expect("trains");
-    // An untrained judge is as good as a coin: ln 2.
+    // An untrained coordinator is at chance: the loss is ln 2.
     assert!((report.first_loss.expect("a line") - 0.69).abs() < 0.2);
     assert!(report.best_val_loss.expect("validated") < 0.2);
     let judge = TrainedCoordinator::load(dir.path(), Slot::Best, &Device::flex()).expect("loads");
@@ -1254,7 +1252,7 @@ fn the_coordinator_learns_what_was_composed() {
     ));
 }
 
-/// Joints turned by a rotation vector in radians.
+/// Joints and their rotation vectors in radians.
 const ARMS_UP: [(usize, DVec3); 2] = [
     (16, DVec3::new(0.0, 0.0, 1.2)),
     (17, DVec3::new(0.0, 0.0, -1.2)),
@@ -1273,7 +1271,7 @@ fn the_encoder_learns_to_tell_motions_apart() {
         ("raise both arms", &ARMS_UP),
         ("sit down", &SITTING),
     ];
-    // Walks of other lengths, speeds and phases are held out.
+    // Held-out walks have other lengths, speeds and phases.
     let motions = |offset: f64| -> Vec<CaptionedClip> {
         (0..18)
             .map(|index| {
@@ -1303,7 +1301,8 @@ fn captioned(index: usize, motion: Motion, caption: &str) -> CaptionedClip {
     }
 }
 
-/// Trains an encoder on 18 motions of three texts in turn and asks it for the texts of 18 others.
+/// Trains an encoder on 18 motions with three texts in turn, and checks that it retrieves the texts of 18 other
+/// motions.
 fn check_encoder(
     train: &[CaptionedClip],
     held_out: &[CaptionedClip],
@@ -1349,12 +1348,12 @@ fn check_encoder(
             best == Some(index % kinds.len())
         })
         .count();
-    // Guessing gets 6 of 18.
+    // Guessing retrieves 6 of 18.
     assert!(
         right >= 15,
         "{recipe:?}: {right} of 18 motions found their text"
     );
-    // Padding to a longer neighbour must not matter: f32 rounding of another batch shape.
+    // Padding to a longer motion of the batch must not matter, up to f32 rounding.
     let alone = encoder.encode(&refs[..1]).expect("encodes");
     for (a, b) in alone[0].iter().zip(&codes[0]) {
         assert!((a - b).abs() < 1e-4, "{a} {b}");

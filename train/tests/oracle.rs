@@ -1,5 +1,5 @@
-//! With the true clean window in place of the network's, the whole editor gives the target back: what is
-//! left of seams is what the network does not know.
+//! If the network is replaced by the true clean window, the editor reproduces the target. So seams in real edits are
+//! due to the network, not to the editor.
 
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -26,15 +26,14 @@ use train::schedule::Schedule;
 use train::vocabulary::Vocabulary;
 use train::{Error, Session};
 
-/// A body that walks along a curve, with its arms and one leg swinging. Slow enough for the splines
-/// through frames at 20/3 fps to stay within 1 mm of the points' paths, and fast enough for the root to
-/// move 6 cm a frame.
+/// A body that walks along a curve, with its arms and one leg swinging. It is slow enough that splines through frames
+/// at 20/3 fps stay within 1 mm of the points' paths, and fast enough that the root moves 6 cm per frame.
 #[derive(Clone, Copy)]
 struct Walk {
-    /// Speed of the root, in m/s and rad/s.
+    /// Speed of the root in m/s and in rad/s.
     speed: f64,
     turn: f64,
-    /// Lowest and highest angle of arms and leg in radians.
+    /// Minimum and maximum angle of arms and leg in radians.
     arms: [f64; 2],
     leg: [f64; 2],
 }
@@ -74,13 +73,13 @@ const SOURCE: Walk = Walk {
     leg: [0.0, -0.3],
 };
 
-/// Another upper body on the same way.
+/// The source's path with another movement of the arms.
 const ARMS: Walk = Walk {
     arms: [0.6, -0.2],
     ..SOURCE
 };
 
-/// Other legs, which go another way from the same place.
+/// Another movement of the legs, and another path from the same start.
 const LEGS: Walk = Walk {
     speed: -0.6,
     turn: -0.2,
@@ -112,25 +111,25 @@ fn record(window: usize, fps: Fps, anchor: Anchor, generated_starts: f64) -> Edi
     }
 }
 
-/// Knows the target.
+/// A model that returns the target's windows.
 struct Oracle<'a> {
     record: &'a EditorRecord,
     target: Walk,
     /// Time of the target's last frame.
     end_secs: f64,
-    /// Whether the frames before a window are the target's too, and must have come back exactly.
+    /// Whether the frames before a window belong to the target too, and must be reproduced exactly.
     is_continued: bool,
     skeleton: &'a Skeleton,
 }
 
 impl Oracle<'_> {
-    /// The clean window, in the coordinates training shows it in.
+    /// The clean window, in the coordinates used in training.
     fn clean(&self, window: &EditWindow) -> Vec<f32> {
         let compose = &self.record.compose.config;
         let mut poses: Vec<Pose> = (window.start..window.start + compose.window)
             .map(|frame| {
                 let secs = compose.fps.secs_at(frame);
-                // Time more than a frame past the end is held, and cut off again.
+                // Beyond one frame after the end, the last pose is repeated; these frames are cut off again.
                 let past = secs - self.end_secs;
                 let step = compose.fps.secs_at(1);
                 self.target
@@ -167,7 +166,7 @@ impl WindowModel for Oracle<'_> {
             {
                 let far = fixed.iter().zip(&clean).map(|(a, b)| (a - b).abs());
                 let far = far.fold(0.0, f32::max);
-                // In model units of up to 2.5 m: a fraction of a millimetre.
+                // A model unit is up to 2.5 m, so this is a fraction of a millimetre.
                 assert!(far < 2e-4, "window {}: {far}", request.window.start);
             }
             let window = |values: Vec<f32>| -> Tensor<3> {
@@ -199,7 +198,7 @@ impl WindowModel for Oracle<'_> {
     }
 }
 
-/// The edit of the source with the true windows of a target.
+/// Edits the source with the true windows of a target.
 fn edited(
     record: &EditorRecord,
     target: Walk,
@@ -250,7 +249,7 @@ fn edited(
     motion
 }
 
-/// The largest distance in metres of a keypoint from that of another motion, frame by frame.
+/// The largest distance in metres between corresponding keypoints of two motions, for each frame.
 fn misses(found: &Motion, wanted: Walk) -> Vec<f64> {
     let skeleton = Skeleton::smplx_neutral();
     let wanted = skeleton
@@ -281,8 +280,8 @@ fn the_true_windows_give_the_target_back_at_every_frame() {
             for stride in [1.0, 2.0, 3.0] {
                 let fps = Fps::new(Fps::STORE.get() / stride).expect("valid");
                 for (window, overlap) in [(8, 0), (8, 4), (16, 0), (16, 4), (21, 7)] {
-                    // Whole windows, a tail of one frame and of most of a window, a clip shorter than
-                    // a window, and a single frame.
+                    // Lengths with whole windows, with a last window that adds one frame or most of a window, shorter
+                    // than a window, and of a single frame.
                     for num_frames in [31, 59, 60, 61, 118, 12, 1] {
                         let mut record = record(window, fps, anchor, 0.25);
                         record.train.diffusion.overlap = overlap;
@@ -303,13 +302,13 @@ fn the_true_windows_give_the_target_back_at_every_frame() {
     }
 }
 
-/// As published, a motion starts on the first frames of the original: these two frames differ from the target's, and no
-/// later frame does.
+/// As published, a motion starts with the first frames of the original: only these two frames differ from the target's.
 #[test]
 fn a_start_on_the_original_is_wrong_for_its_two_frames_alone() {
     let record = record(16, Fps::MODEL, Anchor::Pelvis, 0.0);
     let misses = misses(&edited(&record, ARMS, 61, &whole(61), true), ARMS);
-    // Two frames at 10 fps. The spline sees the jump after them up to one frame of the model later.
+    // The two frames at 10 fps are four at 20 fps. The spline is affected by the jump after them for up to one more
+    // model frame.
     let fixed = 2 * (FIXED_FRAMES + 1);
     assert!(misses[0] > 0.05, "{misses:?}");
     assert!(
@@ -318,8 +317,8 @@ fn a_start_on_the_original_is_wrong_for_its_two_frames_alone() {
     );
 }
 
-/// A range shorter than a window is edited from its first frame to its last; the frames before it are the
-/// original's, and those after it return to the original's within a third of a second.
+/// A range shorter than a window is edited from its first to its last frame. Earlier frames are the original's, and
+/// later frames return to the original within a third of a second.
 #[test]
 fn a_short_range_is_edited_where_it_is() {
     let record = record(16, Fps::MODEL, Anchor::Pelvis, 0.25);
@@ -329,8 +328,8 @@ fn a_short_range_is_edited_where_it_is() {
     }];
     let edited = edited(&record, ARMS, 80, &asked, false);
     let (to_source, to_target) = (misses(&edited, SOURCE), misses(&edited, ARMS));
-    // Frames of odd number lie on a spline through four of the model's. The oracle jumps to its target,
-    // and the spline sees that jump one frame of the model before.
+    // Frames with odd numbers lie on a spline through four model frames. The oracle jumps to its target, which affects
+    // the spline one model frame earlier.
     assert!(
         to_source[..37].iter().all(|&miss| miss < 1e-3),
         "{to_source:?}"

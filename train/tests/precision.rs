@@ -1,4 +1,4 @@
-//! Training with products in bfloat16, compared with single precision.
+//! Training with matrix products in bfloat16, compared with single precision.
 
 mod support;
 
@@ -18,7 +18,7 @@ const LOG_EVERY: u64 = 10;
 fn losses_with_products_in_bf16_are_those_of_single_precision_within_two_per_cent() {
     let data = Data::new();
     assert!(has_bf16(&Device::flex()));
-    // The kernels compute in single precision: both runs are composed of the backend's operations.
+    // The kernels compute only in single precision, so both runs use the backend's operations.
     let losses = |name: &str, bf16: bool| -> Curves {
         let arithmetic = Arithmetic {
             kernels: false,
@@ -38,7 +38,7 @@ fn losses_with_products_in_bf16_are_those_of_single_precision_within_two_per_cen
         });
         metrics::read(&run).expect("metrics")
     };
-    // Both runs share a process: the precision of one does not affect the other.
+    // Both runs share a process, which shows that the precision of one does not affect the other.
     let (single, half) = std::thread::scope(|scope| {
         let half = scope.spawn(|| losses("bf16", true));
         let single = losses("f32", false);

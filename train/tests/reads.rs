@@ -1,5 +1,5 @@
-//! A device is read where `docs/gpu.md` says, and nowhere else. One test, because reads are
-//! counted for the whole process.
+//! A device is read only where `docs/gpu.md` says. There is only one test, because reads are counted for the whole
+//! process.
 
 #[path = "support/items.rs"]
 mod items;
@@ -19,7 +19,7 @@ use train::transfer::num_reads;
 const STEPS: u64 = 20;
 const LOG_EVERY: u64 = 10;
 
-/// Reads while `act` runs.
+/// Runs `act` and counts the reads during it.
 fn counted<T>(act: impl FnOnce() -> T) -> (u64, T) {
     let before = num_reads();
     let result = act();
@@ -45,23 +45,23 @@ fn nothing_is_read_inside_a_step_of_training_or_sampling() {
     let expected = STEPS / LOG_EVERY + 1;
     for network in ["coordinator", "tmr", "mdm", "tmed", "motionrefit"] {
         let mut own = settings(network, STEPS, LOG_EVERY);
-        // Norms are clipped, averages kept and batches split without a read.
+        // Clipping, averaging and micro-batches need no reads.
         own["optimizer"] = serde_json::json!({ "max_gradient_norm": 1.0, "ema_decay": 0.9 });
         if network != "tmr" {
             own["micro_batch_size"] = 3.into();
         }
         assert_eq!(reads_of(network, &own), expected, "{network}");
     }
-    // The pose network logs at least twenty lines and validates at least ten times. Afterwards it is
-    // measured: once beside each of the fits that begin with its poses.
+    // The pose network logs at least twenty lines and validates at least ten times. Afterwards it is measured, with one
+    // read alone and one for each fit that starts with its poses.
     let reads = reads_of("j2s", &settings("j2s", STEPS, LOG_EVERY));
     assert!((STEPS + 10..STEPS + 20).contains(&reads), "{reads}");
-    // The loader of the latent diffusion reads the latent vectors of each micro-batch, beside the step.
+    // The latent diffusion reads the latent vectors of each micro-batch in the loader, outside of the training step.
     let reads = reads_of("mld", &settings("mld", STEPS, LOG_EVERY));
     let of_loader = reads - 2 * expected;
     assert!(of_loader >= STEPS, "{of_loader}");
 
-    // Sampling reads each batch of motions or windows once, whatever its number of steps.
+    // Sampling reads each batch of motions or windows once, however many steps it has.
     for (network, coordinator) in [
         ("motionrefit", None),
         ("motionrefit", Some("coordinator")),
@@ -105,6 +105,6 @@ fn nothing_is_read_inside_a_step_of_training_or_sampling() {
                 .expect("generates")
         })
     });
-    // The latent vectors of all bases, then the variants of each.
+    // One read for the latent vectors of all bases, and one for the variants of each base.
     assert_eq!((reads, made.len()), (1 + 3, 3));
 }

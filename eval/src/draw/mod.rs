@@ -63,14 +63,14 @@ pub fn escaped(text: &str) -> String {
 pub struct Rgb(pub [f64; 3]);
 
 impl Rgb {
-    /// Mixes this colour with another one by a share.
+    /// Mixes this colour with another one; `share` is that of the other.
     pub fn towards(self, other: Self, share: f64) -> Self {
         Self(std::array::from_fn(|i| {
             self.0[i] + share * (other.0[i] - self.0[i])
         }))
     }
 
-    /// The notation of SVG.
+    /// The colour in hexadecimal SVG notation.
     pub fn hex(self) -> String {
         let [r, g, b] = self
             .0
@@ -83,8 +83,8 @@ impl Rgb {
 pub(crate) mod tests {
     use super::*;
 
-    /// Fails unless every tag of a drawing or a page is closed in order and no attribute is left
-    /// open: a small check that catches what string building gets wrong.
+    /// Fails unless every tag of a drawing or page is closed in order and no attribute is left open. It catches
+    /// mistakes in string building.
     pub(crate) fn check_nesting(markup: &str) {
         const VOID: [&str; 3] = ["meta", "br", "!doctype"];
         let mut open: Vec<&str> = Vec::new();
@@ -109,7 +109,7 @@ pub(crate) mod tests {
             } else if !tag.ends_with('/') {
                 let name = tag.split_whitespace().next().expect("a name");
                 if name == "style" {
-                    // A style sheet has another grammar, so skip it.
+                    // Skips style sheets, which have another grammar.
                     rest = &rest[rest.find("</style>").expect("a closed style")..];
                 }
                 if !VOID.contains(&name) {

@@ -12,8 +12,8 @@ pub struct Curve {
     /// Abscissa and ordinate of each point, from left to right. A point that is not finite, or not
     /// positive on a logarithmic axis, interrupts the line.
     pub points: Vec<(f64, f64)>,
-    /// Half width of the interval of each point, drawn as an error bar; empty for a bare line. Values
-    /// that are 0 or not finite are left out.
+    /// Half width of each point's interval, drawn as an error bar; empty for a line without error bars. Values that are
+    /// 0 or not finite are not drawn.
     pub intervals: Vec<f64>,
 }
 
@@ -23,7 +23,7 @@ pub enum Scale {
     /// Equal distances for equal differences.
     #[default]
     Linear,
-    /// Equal distances for equal ratios, as losses are best read.
+    /// Equal distances for equal ratios; suits losses.
     Log,
 }
 
@@ -68,14 +68,14 @@ pub struct HeatMap {
     pub values: Vec<f64>,
 }
 
-/// Colours of the lowest and the highest value of a heat map. Both are pale enough for dark text.
+/// Colours of the lowest and the highest value of a heat map, both pale enough for dark text.
 const COLD: Rgb = Rgb([214.0, 230.0, 244.0]);
 const HOT: Rgb = Rgb([244.0, 178.0, 110.0]);
 
 /// Draws a heat map as one SVG document.
 ///
 /// # Panics
-/// If there is not one value for every pair.
+/// If the number of values is not that of the pairs.
 pub fn heat_map(map: &HeatMap) -> String {
     let (columns, rows) = (&map.x.1, &map.y.1);
     assert_eq!(
@@ -133,8 +133,7 @@ pub fn heat_map(map: &HeatMap) -> String {
     svg
 }
 
-/// Colours of the lines: the first six of the colour-blind safe palette of Okabe and Ito, those with
-/// most contrast on light and dark pages first.
+/// Line colours: six of the colour-blind safe palette of Okabe and Ito, ordered by contrast on light and dark pages.
 const COLOURS: [&str; 6] = [
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9",
 ];
@@ -146,10 +145,10 @@ const MARGIN_START: DVec2 = DVec2::new(64.0, 34.0);
 const MARGIN_END: DVec2 = DVec2::new(16.0, 46.0);
 /// Target number of ticks on an axis; the actual number varies, so that ticks fall on round numbers.
 const NUM_TICKS: f64 = 5.0;
-/// From this many decades on, only powers of ten have a tick.
+/// On an axis of at least this many decades, only powers of ten have ticks.
 const SPARSE_DECADES: f64 = 3.0;
-/// Longest curve that is drawn point by point. A longer one is drawn by the minimum and maximum of each
-/// of half as many pieces, which looks the same and keeps the file small.
+/// Longest curve that is drawn point by point. A longer curve is cut into half as many pieces and drawn by the minimum
+/// and maximum of each, which looks the same and keeps the file small.
 const MAX_POINTS: usize = 1200;
 /// Share of the range that is added below and above the curves.
 const PADDING: f64 = 0.04;
@@ -394,7 +393,7 @@ struct Axes {
 }
 
 impl Axes {
-    /// Axes that contain all drawable points; none if there is no such point.
+    /// Axes that contain all drawable points; none without drawable points.
     fn around(plot: &Plot) -> Option<Self> {
         let scale = plot.y_scale;
         let points = || {
@@ -470,9 +469,9 @@ impl Axes {
         );
     }
 
-    /// Draws the intervals of a curve, and its points, if the curve has intervals.
+    /// Draws the intervals of a curve and a dot at each point, if the curve has intervals.
     fn intervals(&self, svg: &mut String, curve: &Curve, colour: &str) {
-        /// Half the width of a bar's ends, and the radius of a point, in pixels.
+        /// Half the width of the caps of an error bar, and the radius of a dot, in pixels.
         const CAP: f64 = 4.0;
         const DOT: f64 = 3.0;
         if curve.intervals.is_empty() {
@@ -528,7 +527,7 @@ impl Axes {
 }
 
 impl Curve {
-    /// The lower and the upper end of each interval that is drawn, in turn.
+    /// The lower and upper ends of the drawn intervals, in turn.
     fn interval_ends(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
         let bars = self.points.iter().zip(&self.intervals);
         bars.filter(|(point, half)| point.1.is_finite() && half.is_finite() && **half > 0.0)
@@ -553,7 +552,7 @@ fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     })
 }
 
-/// A range of non-zero width.
+/// The range, widened if its width is zero.
 fn widened(low: f64, high: f64) -> (f64, f64) {
     if high > low {
         (low, high)
@@ -563,7 +562,7 @@ fn widened(low: f64, high: f64) -> (f64, f64) {
     }
 }
 
-/// The points of a curve, or the lowest and highest of each piece of a long one in their order.
+/// The points of a curve; for a long curve, the lowest and highest point of each piece, in order.
 fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     if points.len() <= MAX_POINTS {
         return points.to_vec();
@@ -582,7 +581,7 @@ fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// The smallest of 1, 2, 5 and 10 times a power of ten that is not below a positive number.
+/// The smallest number of the form 1, 2, 5 or 10 times a power of ten that is at least the given positive number.
 fn round_step(at_least: f64) -> f64 {
     let magnitude = 10f64.powf(at_least.log10().floor());
     [1.0, 2.0, 5.0]
@@ -600,7 +599,7 @@ fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
     (first..=last).map(|index| index as f64 * step).collect()
 }
 
-/// Powers of ten within a range of exponents, with 2 and 5 between where the range is small.
+/// Powers of ten within a range of exponents, and in small ranges also 2 and 5 times these.
 fn log_ticks(low: f64, high: f64) -> Vec<f64> {
     let factors: &[f64] = if high - low > SPARSE_DECADES {
         &[1.0]
@@ -618,11 +617,11 @@ fn log_ticks(low: f64, high: f64) -> Vec<f64> {
         .collect()
 }
 
-/// A number as short as its step allows; thousands and millions are abbreviated.
+/// A number with only the digits that its step needs; thousands and millions are abbreviated.
 fn tick_text(value: f64, span: f64) -> String {
     const THOUSAND: f64 = 1e3;
     const MILLION: f64 = 1e6;
-    /// Below this, digits after the point would crowd out the axis.
+    /// Numbers below this would need too many digits after the point.
     const SMALL: f64 = 1e-3;
     let trimmed = |value: f64, digits: usize| {
         let text = format!("{value:.digits$}");
@@ -641,7 +640,7 @@ fn tick_text(value: f64, span: f64) -> String {
     } else if value.abs() < SMALL {
         format!("{value:.0e}")
     } else {
-        // Two more digits than the span keep neighbouring ticks distinct.
+        // Two digits beyond the span keep neighbouring ticks distinct.
         let digits = (2.0 - span.log10().floor()).clamp(0.0, 6.0) as usize;
         trimmed(value, digits)
     }
@@ -757,7 +756,7 @@ mod tests {
         assert_eq!(svg.matches("class=\"interval\"").count(), 2);
         assert_eq!(svg.matches("<circle").count(), 3);
         assert!(svg.contains(">off<") && svg.contains(">&lt;both&gt;<"));
-        // The axis holds the whole of the longest interval.
+        // The axis covers the longest interval.
         let axes = Axes::around(&named).expect("points");
         assert!(axes.y.0 < -4.0 && axes.y.1 > 14.0);
     }

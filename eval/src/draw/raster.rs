@@ -10,15 +10,15 @@ use resvg::usvg::{Options, Tree, fontdb};
 
 use super::strip::{Row, moment};
 
-/// Frame rate of a GIF. Delays are stored in hundredths of a second, and many viewers slow down
-/// delays shorter than two of them.
+/// Frame rate of a GIF. Delays are stored in hundredths of a second, and many viewers slow down delays shorter than
+/// 0.02 s.
 const GIF_FPS: f64 = 20.0;
-/// Most frames of a GIF: half a minute.
+/// Maximum number of frames of a GIF: half a minute.
 const MAX_FRAMES: usize = 600;
 /// Colour quantisation speed, from 1 (best) to 30 (fastest).
 const QUANTISER_SPEED: i32 = 10;
 
-/// Why a drawing cannot become pixels.
+/// Why a drawing cannot be rasterised.
 #[derive(Debug, thiserror::Error)]
 pub enum RasterError {
     /// The drawing is not valid SVG: a bug in the code that made it.
@@ -27,9 +27,9 @@ pub enum RasterError {
     /// The picture would have no pixel, or too many.
     #[error("a picture of {width} x {height} pixels cannot be made")]
     Size {
-        /// Pixels across.
+        /// Width in pixels.
         width: u32,
-        /// Pixels down.
+        /// Height in pixels.
         height: u32,
     },
     /// The PNG could not be encoded.
@@ -43,7 +43,7 @@ pub enum RasterError {
     Gif(#[from] gif::EncodingError),
 }
 
-/// The fonts of every picture.
+/// Options with the embedded font, the same for every picture.
 fn options() -> Options<'static> {
     let mut fonts = fontdb::Database::new();
     fonts.load_font_data(dejavu::sans::regular().to_vec());
@@ -62,7 +62,7 @@ fn options() -> Options<'static> {
     }
 }
 
-/// Draws an SVG document on white.
+/// Rasterises an SVG document on a white background.
 fn pixels(svg: &str, options: &Options, zoom: f32) -> Result<Pixmap, RasterError> {
     let tree = Tree::from_str(svg, options)?;
     let size = tree.size();
@@ -83,7 +83,7 @@ fn pixels(svg: &str, options: &Options, zoom: f32) -> Result<Pixmap, RasterError
 /// Renders an SVG document as PNG with `zoom` pixels per unit.
 ///
 /// # Errors
-/// The document is no SVG, or the picture has no pixel.
+/// The document is not SVG, or the picture has no pixel.
 pub fn png(svg: &str, zoom: f32) -> Result<Vec<u8>, RasterError> {
     let pixmap = pixels(svg, &options(), zoom)?;
     pixmap.encode_png().map_err(|error| RasterError::Png {

@@ -1,4 +1,4 @@
-//! Motions as a row of stick figures, one row for each clip, time running to the right.
+//! Draws motions as rows of stick figures, one row per clip; time runs to the right.
 
 use datasets_spec::{Joint, JointSet, Keypoints, Motion, Skeleton};
 use glam::{DVec2, DVec3};
@@ -45,7 +45,7 @@ impl Row {
 pub struct Style {
     /// Width in pixels.
     pub width: f64,
-    /// Figures in each row; a shorter clip has as many as it has frames.
+    /// Figures in each row. A clip with fewer frames has one figure per frame.
     pub num_figures: usize,
 }
 
@@ -58,18 +58,19 @@ impl Default for Style {
     }
 }
 
-/// Angle of the camera in degrees, from the front of the first clip at its start towards its right. So the figure faces
-/// right, the direction of time.
+/// Angle of the camera in degrees, measured from the front of the first clip's first frame towards its right. The
+/// figure then faces right, the direction of time.
 const TO_THE_RIGHT: f64 = 40.0;
 /// Angle of the camera above the horizon in degrees.
 const ELEVATION: f64 = 12.0;
 /// Colour of the first figure.
 const START: Rgb = Rgb([232.0, 131.0, 58.0]);
-/// Colour of the middle: orange and blue mixed would be grey.
+/// Colour of the middle figure. Without it, mixing orange and blue would give grey.
 const MIDDLE: Rgb = Rgb([181.0, 84.0, 140.0]);
 /// Colour of the last figure.
 const END: Rgb = Rgb([47.0, 111.0, 208.0]);
-/// Halo of highlighted joints: far from both in hue, readable on light and dark.
+/// Halo of highlighted joints: its hue is far from both ends of the gradient, and it is readable on light and dark
+/// pages.
 pub(crate) const HALO: &str = "#1BAA78";
 /// Opacity of the halo, of the left limbs and of the trunk's area.
 const HALO_OPACITY: f64 = 0.4;
@@ -78,7 +79,7 @@ const TRUNK_OPACITY: f64 = 0.22;
 
 /// Space for the row labels in pixels.
 const LABEL_WIDTH: f64 = 126.0;
-/// Characters of a line of a label that fit into that space.
+/// Characters per line that fit into the space for labels.
 const LABEL_CHARS: usize = 15;
 /// Pixels from one line of a label to the next.
 const LABEL_LINE: f64 = 15.0;
@@ -88,15 +89,15 @@ const FACTS_HEIGHT: f64 = 34.0;
 const MARGIN: f64 = 8.0;
 /// Height in pixels between the ground line and the next row, for the time labels.
 const TIME_HEIGHT: f64 = 30.0;
-/// Pixels to a metre where there is room: a standing figure is about 115 pixels high.
+/// Pixels per metre if the space allows: a standing figure is about 115 pixels high.
 const PIXELS_PER_M: f64 = 68.0;
-/// Least distance of figures in metres; figures are scaled down to keep it. Less than the arm span,
-/// more than a walking body needs.
+/// Least distance between figures in metres; figures are scaled down to keep it. It is less than the arm span but more
+/// than a walking body needs.
 const MIN_SLOT_M: f64 = 1.0;
 /// Radius of the drawn head in metres, and how far its centre lies behind the eyes.
 const HEAD_RADIUS_M: f64 = 0.1;
 const EYE_DEPTH_M: f64 = 0.07;
-/// Length of the nose from the centre of the head in metres: it tells where the figure looks.
+/// Length of the nose from the centre of the head in metres; it shows where the figure looks.
 const NOSE_M: f64 = 0.15;
 /// Radius of the shadow on the ground in metres.
 const SHADOW_RADIUS_M: f64 = 0.26;
@@ -105,12 +106,12 @@ const HALO_WIDTH_M: f64 = 0.15;
 /// Width of the nose's line in metres.
 const NOSE_WIDTH_M: f64 = 0.05;
 
-/// The left and the right eye.
+/// Keypoints of the left and the right eye.
 const EYES: [usize; 2] = [22, 23];
-/// Corners of the trunk: shoulders and hips.
+/// Keypoints at the corners of the trunk: shoulders and hips.
 const TRUNK: [usize; 4] = [16, 17, 2, 1];
 
-/// A limb is drawn as a whole, those farther away first.
+/// A limb, drawn as a whole. Limbs farther from the camera are drawn first.
 struct Limb {
     /// Keypoints in drawing order.
     chains: &'static [&'static [usize]],
@@ -149,10 +150,9 @@ const LIMBS: [Limb; 5] = [
 
 /// Draws clips below each other as one SVG document.
 ///
-/// Figures stand at equal distances and are sampled at equal times. Their height is shown to scale; the
-/// distance they walk is written under the label. Colours run from orange at the start to blue at the
-/// end. The right limbs are in full colour, the left ones pale. All rows share one camera, so a clip
-/// that faces another way is seen from another side.
+/// Figures stand at equal distances and are sampled at equal times. Height is to scale; the distance walked is written
+/// under the label. Colours run from orange at the start to blue at the end. The right limbs are in full colour, the
+/// left ones pale. All rows share one camera, so a clip that faces another way is seen from another side.
 pub fn strip(rows: &[Row], style: &Style) -> String {
     let camera = Camera::facing(rows);
     let num_figures = style.num_figures.max(1);
@@ -211,10 +211,10 @@ pub fn strip(rows: &[Row], style: &Style) -> String {
     svg
 }
 
-/// Drawings with titles, in columns of one width in pixels.
+/// Arranges drawings with titles in columns of equal width, in pixels.
 pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String {
     const TITLE_HEIGHT: f64 = 30.0;
-    /// Largest width of a character of a title in pixels.
+    /// Maximum width of a title's character in pixels.
     const TITLE_CHAR: f64 = 7.5;
     let columns = columns.max(1);
     let title_chars = ((width - 2.0 * MARGIN) / TITLE_CHAR) as usize;
@@ -268,9 +268,9 @@ pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String 
 
 /// Size of one panel of [`moment`] in pixels, under a label of one line.
 const PANEL: DVec2 = DVec2::new(240.0, 250.0);
-/// Characters of a line of a panel's label.
+/// Characters per line of a panel's label.
 const PANEL_CHARS: usize = 34;
-/// Pixels to a metre in a panel: raised arms of a standing figure fit.
+/// Pixels per metre in a panel: a standing figure with raised arms fits.
 const PANEL_PIXELS_PER_M: f64 = 92.0;
 
 /// Draws the poses of several clips at one time side by side, as one frame of an animation. The colour
@@ -331,7 +331,7 @@ fn colour_at(share: f64) -> Rgb {
     }
 }
 
-/// Three axes to project on, of unit length.
+/// Projection axes, of unit length.
 struct Camera {
     right: DVec3,
     up: DVec3,
@@ -361,7 +361,7 @@ impl Camera {
         }
     }
 
-    /// Right, up and depth of a point, depth growing towards the camera.
+    /// Right, up and depth coordinates of a point; depth grows towards the camera.
     fn project(&self, point: DVec3) -> DVec3 {
         DVec3::new(
             point.dot(self.right),
@@ -379,7 +379,7 @@ struct Drawn<'a> {
     rise_m: f64,
 }
 
-/// One frame: keypoints relative to the ground under the pelvis, projected.
+/// One frame: projected keypoints relative to the ground under the pelvis.
 struct Figure {
     secs: f64,
     points: [DVec3; NUM_KEYPOINTS],
@@ -395,7 +395,7 @@ impl<'a> Drawn<'a> {
         let figures: Vec<Figure> = (0..count)
             .map(|place| {
                 let last = frames.len() - 1;
-                // The nearest frame, without passing through floating point.
+                // The nearest frame, in integer arithmetic.
                 let frame = if count > 1 {
                     (2 * place * last + count - 1) / (2 * (count - 1))
                 } else {
@@ -417,13 +417,12 @@ impl<'a> Drawn<'a> {
         }
     }
 
-    /// Pixels the label takes.
+    /// Height of the label in pixels.
     fn label_height(&self) -> f64 {
         LABEL_LINE * lines(&self.row.label, LABEL_CHARS).len() as f64 + FACTS_HEIGHT
     }
 
-    /// Writes the name of the row on as many lines as it takes, its length, and how far the body
-    /// moves over the ground.
+    /// Writes the row's name (wrapped), its duration, and the distance that the body moves over the ground.
     fn label(&self, svg: &mut String, middle: f64) {
         let frames = &self.row.keypoints.points;
         let path_m: f64 = frames
@@ -449,8 +448,8 @@ impl<'a> Drawn<'a> {
     }
 }
 
-/// Wraps a text at spaces to lines of at most so many characters; only a word longer than a line is
-/// split.
+/// Wraps a text at spaces into lines of at most `max_chars` characters. A word is split only if it is longer than a
+/// line.
 fn lines(text: &str, max_chars: usize) -> Vec<String> {
     let mut lines: Vec<String> = vec![String::new()];
     let mut room = max_chars;
@@ -478,9 +477,9 @@ fn lines(text: &str, max_chars: usize) -> Vec<String> {
 
 /// Position and scale of a figure on the page.
 struct Pen {
-    /// Where the ground under the pelvis is, in pixels.
+    /// Position of the ground under the pelvis in pixels.
     origin: DVec2,
-    /// Pixels to a metre.
+    /// Pixels per metre.
     scale: f64,
     colour: String,
 }
@@ -490,7 +489,7 @@ impl Pen {
         self.origin + self.scale * DVec2::new(point.x, -point.y)
     }
 
-    /// A path that visits chains of points.
+    /// SVG path through chains of points.
     fn path(&self, chains: impl IntoIterator<Item = Vec<DVec3>>) -> String {
         let mut path = String::new();
         for chain in chains {
@@ -641,7 +640,7 @@ mod tests {
         let rows = [row("<original> & \"more\"", 60, 0.0), row("target", 3, 0.0)];
         let svg = strip(&rows, &Style::default());
         check_nesting(&svg);
-        // Ten figures of the long clip, three of the short one.
+        // Ten figures of the long clip and three of the short one.
         assert_eq!(svg.matches("<circle").count(), 13);
         assert!(svg.contains("#E8833A") && svg.contains("#2F6FD0"));
         assert!(svg.contains(">0.0 s<") && svg.contains(">3.0 s<") && svg.contains(">0.1 s<"));
@@ -649,7 +648,7 @@ mod tests {
         assert!(!svg.contains("NaN") && !svg.contains("inf"));
     }
 
-    /// A text of 90 characters, longer than a label has room for.
+    /// A text of 90 characters, longer than a label can show.
     const LONG: &str = "<use the waving of the other clip with your left hand and keep \
                         Donaudampfschifffahrt going>";
 
@@ -708,7 +707,7 @@ mod tests {
             let figure = &drawn.figures[0];
             assert!(figure.nose.x > figure.head.x + 0.05, "{turn}");
             assert!(figure.points[15].y > figure.points[0].y);
-            // The toes of both feet are near the ground, the camera being slightly above.
+            // The toes of both feet are near the ground; the camera is slightly above it.
             assert!(figure.points[10].y.abs() < 0.1 && figure.points[11].y.abs() < 0.1);
         }
     }

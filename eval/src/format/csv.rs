@@ -1,4 +1,4 @@
-//! Scores as comma-separated values, one line for each.
+//! Scores as comma-separated values, one line per score.
 
 use datasets_spec::record::ScoreRow;
 

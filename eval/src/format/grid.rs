@@ -1,4 +1,4 @@
-//! Small tables of text: a head, and rows with a name.
+//! Small tables of text: a header row, and named rows.
 
 use serde::Serialize;
 
@@ -7,7 +7,7 @@ use super::csv::line;
 /// A table of text cells.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Grid {
-    /// Title.
+    /// Title of the table.
     pub title: String,
     /// Names of the columns; the first heads the row names.
     pub head: Vec<String>,
@@ -19,7 +19,7 @@ pub struct Grid {
 const GAP: &str = "  ";
 
 impl Grid {
-    /// For a terminal: names to the left, values to the right.
+    /// The table for a terminal: names left-aligned, values right-aligned.
     pub fn text(&self) -> String {
         let width = |text: &str| text.chars().count();
         let widths: Vec<usize> = (0..self.head.len())
@@ -50,7 +50,7 @@ impl Grid {
         )
     }
 
-    /// For a README.
+    /// The table in Markdown.
     pub fn markdown(&self) -> String {
         let line = |cells: &[String]| {
             let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
@@ -64,7 +64,7 @@ impl Grid {
         text
     }
 
-    /// For a paper, with the rules of `booktabs`.
+    /// The table in LaTeX, with the rules of the package `booktabs`.
     pub fn latex(&self) -> String {
         let line = |cells: &[String]| {
             let cells: Vec<String> = cells
@@ -82,7 +82,7 @@ impl Grid {
         )
     }
 
-    /// For a spreadsheet.
+    /// The table as CSV.
     pub fn csv(&self) -> String {
         let rows: String = self.rows.iter().map(|row| line(row)).collect();
         line(&self.head) + &rows

@@ -1,4 +1,4 @@
-//! Scores as JSON, one object for each.
+//! Scores as JSON, one object per score.
 
 use datasets_spec::record::ScoreRow;
 use serde::Serialize;
@@ -16,8 +16,8 @@ struct Score<'a> {
     standing: Standing,
 }
 
-/// Writes one array with one object for each row of the table of scores, an object a line, so that
-/// the document can be read whole or compared line by line.
+/// Writes an array with one object, on its own line, for each row of the table of scores. So the document can be parsed
+/// whole or compared line by line.
 ///
 /// # Errors
 /// JSON cannot express a row.
@@ -76,7 +76,7 @@ mod tests {
         let text = render(&scores, &Judges::new()).expect("serialisable");
         let read: Vec<Read> = serde_json::from_str(&text).expect("an array");
         assert_eq!(read.len(), scores.len());
-        // The reader of serde_json may be off by the last bit.
+        // serde_json may parse a number with an error in the last bit.
         let same = |a: f64, b: f64| (a - b).abs() <= f64::EPSILON * b.abs();
         for (read, row) in read.iter().zip(&scores) {
             assert_eq!(
@@ -107,7 +107,7 @@ mod tests {
             let is_behind = !is_given && is_last == (row.metric != "Multimodality");
             assert!(read.ranks_systems);
             assert_eq!(read.behind_identity, is_behind, "{row:?}");
-            // The other system is best in all other metrics, even in this one.
+            // The other system is best in every metric except Multimodality.
             let is_best = row.system == "ours_100%|<b>" && row.metric != "Multimodality"
                 || is_last && row.metric == "Multimodality";
             assert_eq!(read.best, is_best, "{row:?}");

@@ -1,4 +1,4 @@
-//! Tables for a paper, with the rules of the `booktabs` package.
+//! LaTeX tables with the rules of the package `booktabs`.
 
 use super::{RowGroup, row_name};
 use crate::metric::Better;
@@ -70,7 +70,7 @@ pub fn render(tables: &[Table]) -> String {
     text
 }
 
-/// A text on one line, as a comment needs.
+/// The text on one line, as a TeX comment requires.
 pub(super) fn comment(text: &str) -> String {
     text.chars()
         .map(|c| if c.is_control() { ' ' } else { c })
@@ -117,7 +117,7 @@ mod tests {
             .collect();
         assert_eq!(rows[0][..2], ["Method", "FID $\\downarrow$"]);
         assert_eq!((rows[2][0], rows[2][3]), ("Identity", "--"));
-        // The escaped ampersand of the name is no separator of cells in TeX.
+        // TeX does not treat the escaped ampersand of the name as a cell separator.
         assert_eq!(
             rows[3][..2].join(" & "),
             "a \\& b \\textbackslash{}input\\{x\\} & 2.857{\\tiny$\\pm$0.029}"

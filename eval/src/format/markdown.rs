@@ -3,7 +3,7 @@
 use super::{ABSENT, row_name};
 use crate::table::Table;
 
-/// Writes tables one below the other, each under a heading of its task.
+/// Writes tables one below the other, each under a heading with its task.
 pub fn render(tables: &[Table]) -> String {
     let mut text = String::new();
     for (index, table) in tables.iter().enumerate() {
@@ -99,7 +99,7 @@ mod tests {
             .filter(|line| line.starts_with('|'))
             .map(cells)
             .collect();
-        // Header, rule, four systems.
+        // Header, rule and four systems.
         assert_eq!(rows.len(), 6);
         assert_eq!(rows[0], [vec!["System".to_owned()], labels].concat());
         assert_eq!(rows[1][..2], [":--", "--:"]);

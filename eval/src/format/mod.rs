@@ -11,12 +11,12 @@ use crate::table::Row;
 
 /// Placeholder of a value that was not measured.
 pub(crate) const ABSENT: &str = "–";
-/// Suffix of the name of a published row, in formats without a heading for them.
+/// Suffix of the name of a published row, in formats that have no heading for published rows.
 const PUBLISHED: &str = "(published)";
 /// Heading of the published rows.
 pub(crate) const PUBLISHED_HEADING: &str = "Published, not measured here";
 
-/// Groups of rows, which formats separate.
+/// Groups of rows, which formats separate visually.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum RowGroup {
     Baseline,

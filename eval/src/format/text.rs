@@ -42,7 +42,7 @@ fn table_text(table: &Table, text: &mut String) {
         text.push_str(&line);
         text.push('\n');
     }
-    // Columns of one family, such as the four of E2S, stand under one heading.
+    // Columns of one family, such as the four of E2S, share a heading.
     let (families, labels): (Vec<&str>, Vec<String>) = table.columns.iter().map(heading).unzip();
     let columns: Vec<Vec<String>> = (0..table.columns.len())
         .map(|index| column_texts(table, index))
@@ -89,7 +89,7 @@ fn table_text(table: &Table, text: &mut String) {
     }
 }
 
-/// Width of the column of names: at most `free`, unless names that are cut so short would be the same.
+/// Width of the column of names: at most `free`, unless shortening would make names equal.
 fn name_width(table: &Table, free: usize) -> usize {
     let names: BTreeSet<&str> = table.rows.iter().map(|row| row.system.as_str()).collect();
     let whole = names
@@ -105,7 +105,7 @@ fn name_width(table: &Table, free: usize) -> usize {
     (least..whole).find(are_apart).unwrap_or(whole)
 }
 
-/// The family of a column and what is left of its label.
+/// The family of a column, and the rest of its label.
 fn heading(column: &Column) -> (&'static str, String) {
     let name = column.metric.name;
     for family in ["E2S", "E2T"] {
@@ -164,7 +164,7 @@ fn push_line(text: &mut String, line: &str) {
     text.push('\n');
 }
 
-/// The cells of a column, aligned at the end of the means.
+/// The cells of a column, aligned after the means.
 fn column_texts(table: &Table, index: usize) -> Vec<String> {
     let column = &table.columns[index];
     let parts: Vec<(String, String)> = table
@@ -201,7 +201,7 @@ fn width(text: &str) -> usize {
     text.chars().count()
 }
 
-/// A text in at most so many columns; a longer one loses its middle.
+/// Shortens a text to at most `max_width` columns by cutting out its middle.
 fn cut(text: &str, max_width: usize) -> String {
     // Control characters of a system's name must not move the cursor.
     let text: String = text
@@ -212,7 +212,7 @@ fn cut(text: &str, max_width: usize) -> String {
     if length <= max_width {
         return text;
     }
-    // Names of variants differ at their ends, so the middle goes.
+    // Names of variants differ at their ends, so the middle is cut out.
     let tail = (max_width - 1) / 2;
     text.chars()
         .take(max_width - 1 - tail)
@@ -221,7 +221,7 @@ fn cut(text: &str, max_width: usize) -> String {
         .collect()
 }
 
-/// Breaks a line at spaces; a word longer than a line keeps a line of its own.
+/// Wraps a line at spaces; a word longer than a line gets its own line.
 fn wrapped(text: &str) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in text.split_whitespace() {
@@ -244,13 +244,13 @@ mod tests {
     use crate::published::PaperTable;
     use crate::table::tests::sample_table;
 
-    /// The parts of a text that two spaces or more separate.
+    /// The parts of a text between runs of two or more spaces.
     fn parts(line: &str) -> Vec<&str> {
         let parts = line.split("  ").map(str::trim);
         parts.filter(|part| !part.is_empty()).collect()
     }
 
-    /// Head, rows and notes of one table, from its text; empty lines separate groups of rows.
+    /// Splits the text of one table into head, rows and notes; empty lines separate groups of rows.
     fn read(text: &str) -> (Vec<&str>, Vec<Vec<&str>>, Vec<&str>) {
         let lines: Vec<&str> = text.lines().collect();
         let rules: Vec<usize> = (0..lines.len())
@@ -307,7 +307,7 @@ mod tests {
         assert_eq!(head, HEAD);
         assert_eq!(rows[4][0], "a system w…s training");
         assert_eq!((rows[4].len(), rows[4][2]), (HEAD.len(), "–"));
-        // Means and half widths meet in the same columns.
+        // The ± signs of a column are aligned.
         let signs = |line: &str| -> Vec<usize> {
             let signs = line.chars().enumerate().filter(|(_, c)| *c == '±');
             signs.map(|(at, _)| at).collect()

@@ -1,8 +1,8 @@
-//! Share of a motion that a classifier takes for composed of several motions.
+//! Share of a motion's windows that a classifier finds composed of several motions.
 
 use super::definition::{Better, Measure, Metric, Part};
 
-/// Share of windows that the coordinator's classifier takes for composed, in percent.
+/// Share of windows that the coordinator's classifier finds composed, in percent.
 ///
 /// # Source
 /// Paper, Sec. 5.2 and App. B.4 for the classifier; its use as a metric is ours.

@@ -1,10 +1,10 @@
-//! Whether an encoder's texts find their motions, and its motions their texts.
+//! Retrieval of motions by text and of texts by motion.
 
 use super::retrieval::{Retrieval, check_galleries, ranks_among_equivalents};
 use crate::Error;
 use crate::linalg::Matrix;
 
-/// How well texts find their motions, and motions their texts.
+/// Recalls and ranks of both directions of retrieval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CrossRetrieval {
     /// Texts are the queries, motions the gallery.
@@ -26,7 +26,7 @@ impl CrossRanks {
     /// The mean over the galleries.
     ///
     /// # Panics
-    /// If there is none.
+    /// If there is no gallery.
     pub fn retrieval(&self) -> CrossRetrieval {
         let mean = |galleries: &[Vec<f64>]| {
             let parts = galleries.iter().map(|ranks| Retrieval::of_ranks(ranks));
@@ -39,8 +39,8 @@ impl CrossRanks {
     }
 }
 
-/// Ranks motions by texts and texts by motions within galleries, by cosine. Where `same_text` holds
-/// for two items, either motion is a correct answer to either text.
+/// Ranks motions by texts and texts by motions within galleries, by cosine. If `same_text` holds for two items, the
+/// motion of one is also a correct answer to the text of the other.
 ///
 /// # Shapes
 /// `texts` and `motions` are `[N, D]` of unit length; `galleries` lists positions.
@@ -87,7 +87,7 @@ mod tests {
         let exact = cross_ranks(&texts, &motions, &galleries, |a, b| a == b)
             .expect("valid")
             .retrieval();
-        // The first text is nearest to the motion of the second, in the same words.
+        // The first text is nearest to the motion of the second item, which has the same text.
         assert_eq!(exact.text_to_motion.recall[0], 200.0 / 3.0);
         assert_eq!(exact.text_to_motion.average_rank, 4.0 / 3.0);
         // The two equal texts tie for the first motion.
@@ -101,8 +101,8 @@ mod tests {
         assert!(cross_ranks(&texts, &motions, &[], same).is_err());
     }
 
-    /// R-precision of the T2M evaluation: the shares of texts whose motion is among the nearest 1, 2
-    /// and 3 of a batch. They are the recalls of [`Retrieval`] where nearness is the Euclidean distance.
+    /// R-precision of the T2M evaluation: the shares of texts whose motion is among the nearest 1, 2 and 3 of a batch.
+    /// These are the recalls of [`Retrieval`] with Euclidean distance.
     #[test]
     fn golden_r_precision_agrees_with_the_reference() {
         let golden = Golden::read("metrics_t2m");

@@ -14,7 +14,7 @@ use crate::rows::EditFacts;
 /// A column of the result tables. Two metrics are the same if their names are.
 #[derive(Debug)]
 pub struct Metric {
-    /// The name in the table of scores, with the unit where there is one.
+    /// Name in the table of scores, with the unit if it has one.
     pub name: &'static str,
     /// Description of the metric in the help of `stance eval`.
     pub about: &'static str,
@@ -28,12 +28,12 @@ pub struct Metric {
     pub measure: Measure,
 }
 
-/// The tables metrics are divided into.
+/// Result tables; each metric belongs to one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
     /// The columns of the paper's Table 1.
     Paper,
-    /// Columns of the main table beside its retrieval ([`super::main_columns`]).
+    /// Columns of the main table except its retrieval ([`super::main_columns`]).
     Main,
     /// Columns that the paper does not print.
     Further,
@@ -53,7 +53,7 @@ pub enum Better {
 }
 
 impl Better {
-    /// The arrow of the paper's tables.
+    /// The arrow that the paper's tables print.
     pub fn arrow(self) -> char {
         match self {
             Self::Lower => '↓',
@@ -63,34 +63,33 @@ impl Better {
     }
 }
 
-/// The value of a motion.
+/// Computes the value of one motion.
 pub type MotionMeasure = fn(&MotionSample<'_>) -> Option<f64>;
 
-/// One value for each set.
+/// Computes one value for each set.
 pub type SetMeasure = fn(&SetSample<'_>) -> Result<Option<Vec<f64>>, Error>;
 
-/// Pairs of an item and its value, from several takes of each item.
+/// Computes pairs of an item and its value from several takes of each item.
 pub type TakesMeasure = fn(&TakesSample<'_>) -> Result<Vec<(usize, f64)>, Error>;
 
-/// How a metric is computed, which also says what it needs.
+/// Computation of a metric; the variant shows the inputs that it needs.
 #[derive(Clone, Copy, Debug)]
 pub enum Measure {
-    /// Computed from each motion alone; none where a motion has no value. Tables show the mean over the items with a
-    /// value.
+    /// From each motion alone; none if the motion has no value. Tables show the mean over the items with a value.
     Motion(MotionMeasure),
-    /// From the latents of whole sets: one value for each set, computed again on each bootstrap
-    /// resample; none where there are too few items. Says what each repeat draws anew.
+    /// From the latents of whole sets: one value for each set, computed again on each bootstrap resample; none if there
+    /// are too few items. [`Draws`] names the random draw of each repeat.
     Set(SetMeasure, Draws),
     /// From several takes of each item: pairs of an item and its value. Tables show their mean.
     Takes(TakesMeasure),
-    /// From the rank of each edit's counterpart in a gallery.
+    /// From the rank of each edit's counterpart ([`Counterpart`]) in a gallery.
     Rank(Counterpart, RankSummary),
 }
 
-/// Random draws that a metric of whole sets repeats.
+/// Random draws of a metric of whole sets; each repeat draws anew.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Draws {
-    /// The halves of a Fréchet distance, where the protocol compares halves.
+    /// The two halves of the items that a Fréchet distance compares, if the protocol compares halves.
     Halves,
     /// Pairs of items.
     Pairs,
@@ -116,7 +115,7 @@ pub enum RankSummary {
     Median,
 }
 
-/// A motion to measure, with facts about it.
+/// A motion to measure, and facts about it.
 #[derive(Clone, Copy)]
 pub struct MotionSample<'a> {
     /// The motion.
@@ -125,16 +124,16 @@ pub struct MotionSample<'a> {
     pub keypoints: &'a [KeypointFrame],
     /// The target of its item.
     pub target: &'a Target,
-    /// Distance of each keypoint from the target's in metres, in the frames that both motions have; both are placed by
-    /// their first frames.
+    /// Distance of each keypoint from the target's in metres, in the frames that both motions have. Both motions are
+    /// placed by their first frames.
     pub distances: &'a [[f64; NUM_KEYPOINTS]],
     /// Mean acceleration of its keypoints.
     pub acceleration: SeamAcceleration,
-    /// Joints that the item asks to change; empty where it does not tell them.
+    /// Joints that the item asks to change; empty if the item does not state them.
     pub edited: JointSet,
     /// Columns of the edit besides its motion; none for sources and targets.
     pub edit: Option<&'a EditFacts>,
-    /// Share of windows that the classifier takes for composed, where there is a classifier.
+    /// Share of windows that the classifier finds composed; none without a classifier.
     pub composed: Option<f64>,
     /// The protocol.
     pub protocol: &'a Protocol,
@@ -143,23 +142,23 @@ pub struct MotionSample<'a> {
 /// Properties of the target of an item that metrics use, measured once for all motions of the item.
 #[derive(Clone, Debug)]
 pub struct Target {
-    /// Keypoints as seen from the first frame, `[L, 28]` in metres.
+    /// Keypoints relative to the first frame, `[L, 28]` in metres.
     pub from_start: Vec<KeypointFrame>,
     /// Mean speed over the ground of the lowest foot in m/s.
     pub foot_slide: Option<f64>,
-    /// Largest distance of the pelvis over the ground from where it began, in metres.
+    /// Largest horizontal distance of the pelvis from its start, in metres.
     pub way_m: f64,
-    /// How far the ankle that swings more moves over the ground relative to the pelvis, in metres.
+    /// Extent of the ankle's movement over the ground relative to the pelvis, in metres; the larger of the two ankles'.
     pub swing_m: f64,
 }
 
-/// Mean acceleration of the keypoints in m/s^2 at the seams of a motion, where one generated window ends and the next
-/// begins, and away from them; none where there is no such frame.
+/// Mean acceleration of the keypoints in m/s^2, split by seams: frames in which one generated window ends and the next
+/// begins. None if there are no such frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SeamAcceleration {
-    /// Over the frames of all seams.
+    /// Mean over the frames of all seams.
     pub at_seams: Option<f64>,
-    /// Over all other frames.
+    /// Mean over all other frames.
     pub inside: Option<f64>,
 }
 
@@ -168,7 +167,7 @@ pub struct SeamAcceleration {
 pub struct Latents {
     /// The encoder's output.
     pub raw: Matrix,
-    /// Scaled to unit length.
+    /// The output scaled to unit length.
     pub unit: Matrix,
 }
 
@@ -185,16 +184,16 @@ impl Latents {
     }
 }
 
-/// Sets of latents of the same items, and which items are drawn in one repeat or resample.
+/// Sets of latents of the same items, and the items drawn in one repeat or resample.
 #[derive(Clone, Copy)]
 pub struct SetSample<'a> {
-    /// A set for each system; the first is of the real data.
+    /// One set per system; the first is the real data.
     pub sets: &'a [&'a Latents],
     /// Drawn items; a bootstrap resample repeats some.
     pub items: &'a [usize],
     /// Items whose targets, and items whose scored motions, enter the Fréchet distance.
     pub fid_items: [&'a [usize]; 2],
-    /// Index of the repeat or resample; it seeds the random draws.
+    /// Index of the repeat or resample, from which random draws are seeded.
     pub draw: usize,
     /// Whether the items are a bootstrap resample.
     pub resampled: bool,
@@ -202,12 +201,12 @@ pub struct SetSample<'a> {
     pub protocol: &'a Protocol,
 }
 
-/// All takes of one system in one repeat.
+/// All takes of one system, for one repeat.
 #[derive(Clone, Copy)]
 pub struct TakesSample<'a> {
     /// Latents of each take.
     pub takes: &'a [&'a Latents],
-    /// The repeat.
+    /// Index of the repeat.
     pub repeat: usize,
     /// The protocol.
     pub protocol: &'a Protocol,
@@ -239,7 +238,7 @@ impl fmt::Display for Metric {
     }
 }
 
-/// Refuses rows that hold a NaN or an infinity, which would spread through a metric unseen.
+/// Refuses rows that contain NaN or infinity, which would spread through a metric unnoticed.
 pub(super) fn check_finite(metric: &'static str, rows: &Matrix) -> Result<(), Error> {
     match rows
         .rows()
@@ -250,7 +249,7 @@ pub(super) fn check_finite(metric: &'static str, rows: &Matrix) -> Result<(), Er
     }
 }
 
-/// Refuses fewer rows than a metric is defined for.
+/// Refuses fewer rows than the metric needs.
 pub(super) fn check_count(metric: &'static str, found: usize, needed: usize) -> Result<(), Error> {
     match found < needed {
         true => Err(Error::TooFewRows {
@@ -262,7 +261,7 @@ pub(super) fn check_count(metric: &'static str, found: usize, needed: usize) -> 
     }
 }
 
-/// Refuses two sizes that ought to be equal.
+/// Refuses two sizes that differ.
 pub(super) fn check_size(
     metric: &'static str,
     what: &'static str,

@@ -1,4 +1,4 @@
-//! How different the motions of a set are from each other.
+//! Diversity: how much the motions of a set differ from each other.
 
 use datasets_spec::Rng;
 
@@ -12,7 +12,7 @@ use crate::protocol::draw_without_replacement;
 
 const METRIC: &str = "Diversity";
 
-/// Mean distance of latents paired at random; reported from as many items as there are pairs.
+/// Mean distance between latents paired at random. It is reported only if there are at least as many items as pairs.
 pub static DIVERSITY: Metric = Metric {
     name: METRIC,
     about: "mean distance of 300 random pairs of raw latents",
@@ -22,7 +22,7 @@ pub static DIVERSITY: Metric = Metric {
     measure: Measure::Set(of_sample, Draws::Pairs),
 };
 
-/// Smallest set two different motions can be drawn from.
+/// Smallest set from which two different motions can be drawn.
 pub const MIN_ROWS: usize = 2;
 
 fn of_sample(sample: &SetSample<'_>) -> Result<Option<Vec<f64>>, Error> {
@@ -40,7 +40,7 @@ fn of_sample(sample: &SetSample<'_>) -> Result<Option<Vec<f64>>, Error> {
     let [first, second] = pairs.map(|drawn| -> Vec<usize> {
         drawn.into_iter().map(|place| sample.items[place]).collect()
     });
-    // The latents are finite: they were checked when they were encoded.
+    // The latents were checked to be finite when they were encoded.
     let values = sample.sets.iter();
     let values = values.map(|latents| mean_distance(&latents.raw, &first, &second));
     Ok(Some(values.collect()))
@@ -55,7 +55,7 @@ fn draw_pairs(num_rows: usize, num_pairs: usize, rng: &mut Rng) -> [Vec<usize>; 
 /// The mean distance between latents paired at random: two lists of positions are drawn, each
 /// without replacement, so a latent may be paired with itself.
 ///
-/// At most `num_pairs` pairs are drawn; a smaller set uses each latent once in either list.
+/// At most `num_pairs` pairs are drawn; a smaller set uses each latent once in each list.
 ///
 /// # Shapes
 /// `latents` is `[N, D]`.
@@ -64,8 +64,8 @@ fn draw_pairs(num_rows: usize, num_pairs: usize, rng: &mut Rng) -> [Vec<usize>; 
 /// There are fewer than [`MIN_ROWS`] latents, or one is not finite.
 ///
 /// # Source
-/// T2M evaluation with 300 pairs. There the set must hold more than 300 rows; the paper reports
-/// the metric for smaller sets too without saying how.
+/// T2M evaluation with 300 pairs. Its code requires more than 300 rows; the paper also reports the metric for smaller
+/// sets, without saying how.
 pub fn diversity(latents: &Matrix, num_pairs: usize, rng: &mut Rng) -> Result<f64, Error> {
     check_count(METRIC, latents.num_rows(), MIN_ROWS)?;
     let [first, second] = draw_pairs(latents.num_rows(), num_pairs, rng);
@@ -131,7 +131,7 @@ mod tests {
         let latents = Matrix::from_rows(&[[0.0, 0.0], [3.0, 4.0]]);
         let value = diversity_of_pairs(&latents, &[0, 1], &[1, 1]).expect("valid");
         assert_eq!(value, 2.5);
-        // Each list holds both points, so the pairs are either all equal or all different.
+        // Each list contains both points, so either all pairs or none are of equal points.
         let drawn =
             diversity(&latents, T2M_DIVERSITY_PAIRS, &mut Seed(1).rng(&["two"])).expect("valid");
         assert!(drawn == 0.0 || drawn == 5.0, "{drawn}");

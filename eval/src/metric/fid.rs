@@ -20,7 +20,7 @@ pub static FID: Metric = Metric {
     ),
 };
 
-/// Fréchet distance of latents as the encoder gives them.
+/// Fréchet distance of latents as the encoder returns them.
 pub static FID_RAW: Metric = Metric {
     name: "FID (raw)",
     about: "the same with latents as the encoder gives them",
@@ -33,7 +33,7 @@ pub static FID_RAW: Metric = Metric {
     ),
 };
 
-/// The distance of each set from the real data. Resamples use a quicker form, which agrees to 1e-6.
+/// The distance of each set from the real data. Resamples use a faster method, which agrees to 1e-6.
 fn of_sample(
     sample: &SetSample<'_>,
     of: fn(&Latents) -> &Matrix,
@@ -57,13 +57,13 @@ fn of_sample(
     found.collect::<Result<_, _>>().map(Some)
 }
 
-/// Fewest items on either side for which the distance is reported. With fewer, the covariance of latents of this width
-/// is singular, and the bias of the small sample dominates.
+/// Minimum number of items on each side for which the distance is reported. With fewer, the covariance of latents of
+/// this width is singular, and the bias of small samples dominates.
 pub const fn min_items(latent_width: usize) -> usize {
     latent_width + 1
 }
 
-/// Smallest set a covariance can be estimated from.
+/// Smallest set from which a covariance can be estimated.
 pub const MIN_ROWS: usize = 2;
 
 /// A normal distribution fitted to a set of latents.
@@ -74,7 +74,7 @@ pub struct Gaussian {
 }
 
 impl Gaussian {
-    /// Takes a mean and a symmetric positive semi-definite covariance.
+    /// Checks a mean and a symmetric positive semi-definite covariance.
     ///
     /// # Errors
     /// The sizes disagree or a number is not finite.
@@ -96,7 +96,7 @@ impl Gaussian {
         Ok(Self { mean, covariance })
     }
 
-    /// Estimates a distribution from latents: mean and unbiased covariance.
+    /// Estimates the mean and the unbiased covariance of latents.
     ///
     /// # Shapes
     /// `latents` is `[N, D]`; `N` may be smaller than `D`.
@@ -106,8 +106,7 @@ impl Gaussian {
     pub fn of_latents(latents: &Matrix) -> Result<Self, Error> {
         check_count(METRIC, latents.num_rows(), MIN_ROWS)?;
         let (mean, covariance) = mean_and_covariance(latents);
-        // A number that is not finite spreads to the mean of its column, so the latents are searched
-        // only to name its row.
+        // NaN and infinity reach the mean of their column, so the latents are searched only if the mean is not finite.
         if mean.iter().any(|value| !value.is_finite()) {
             check_finite(METRIC, latents)?;
         }
@@ -125,12 +124,11 @@ impl Gaussian {
     }
 }
 
-/// One side of a Fréchet distance, with the root of its covariance computed once for many
-/// comparisons.
+/// One side of a Fréchet distance. The square root of its covariance is computed once and used in many comparisons.
 #[derive(Clone, Debug)]
 pub struct Reference {
     gaussian: Gaussian,
-    /// `Λ^{1/2} Vᵀ` over the range of the covariance, `[R, D]`; its Gram matrix is the covariance.
+    /// `Λ^{1/2} Vᵀ` of the nonzero eigenvalues, `[R, D]`; its Gram matrix is the covariance.
     root: Matrix,
 }
 
@@ -140,8 +138,8 @@ impl Reference {
         let eigen = symmetric_eigen(&gaussian.covariance);
         let size = eigen.values.len();
         let largest = eigen.values.last().copied().unwrap_or(0.0);
-        // Eigenvalues below this are rounding noise. Their square roots would not be: dropping
-        // them keeps the distance exact where there are fewer samples than dimensions.
+        // Eigenvalues below this are rounding noise, but their square roots are not small. Dropping them keeps the
+        // distance exact with fewer samples than dimensions.
         let noise = size as f64 * f64::EPSILON * largest;
         let range: Vec<usize> = (0..size).filter(|&k| eigen.values[k] > noise).collect();
         let mut root = eigen.vectors.select_rows(&range);
@@ -160,9 +158,9 @@ impl Reference {
     /// The distributions differ in dimension.
     ///
     /// # Source
-    /// `‖μ_A - μ_B‖² + tr Σ_A + tr Σ_B - 2 tr (R Σ_B Rᵀ)^{1/2}` with `Rᵀ R = Σ_A`. The product under
-    /// the root has the eigenvalues of `Σ_A Σ_B` and is symmetric, so no complex root arises; the
-    /// reference (T2M) takes the root of the plain product and agrees wherever that is defined.
+    /// `‖μ_A - μ_B‖² + tr Σ_A + tr Σ_B - 2 tr (R Σ_B Rᵀ)^{1/2}` with `Rᵀ R = Σ_A`. The product under the root has the
+    /// eigenvalues of `Σ_A Σ_B` and is symmetric, so no complex root arises. The reference (T2M) takes the root of the
+    /// plain product and agrees wherever that root is defined.
     pub fn distance(&self, other: &Gaussian) -> Result<f64, Error> {
         check_size(
             METRIC,
@@ -201,8 +199,8 @@ pub fn fid(real: &Matrix, generated: &Matrix) -> Result<f64, Error> {
     Reference::new(Gaussian::of_latents(real)?).distance(&Gaussian::of_latents(generated)?)
 }
 
-/// The distances of several sets from one, as [`fid`] gives them but for the last digits: where the
-/// set has no more rows than dimensions they follow from products of the rows, which is quicker.
+/// Distances of several sets from one, equal to [`fid`] up to rounding. If the one set has no more rows than
+/// dimensions, they are computed from products of the rows, which is faster.
 ///
 /// # Errors
 /// As [`fid`].
@@ -236,7 +234,7 @@ pub(crate) fn distances(
         .collect()
 }
 
-/// Rows less their mean, divided so that their Gram matrix is the unbiased covariance.
+/// Rows minus their mean, scaled so that their Gram matrix is the unbiased covariance.
 struct Centred {
     mean: Vec<f64>,
     rows: Matrix,
@@ -284,7 +282,7 @@ mod tests {
         Matrix::new(num_rows, num_cols, data)
     }
 
-    /// A symmetric rotation of the plane's axes by an angle, applied to a diagonal covariance.
+    /// The covariance `R diag(variances) Rᵀ` with a rotation `R` of the plane by an angle.
     fn turned(variances: [f64; 2], angle: f64) -> Matrix {
         let (s, c) = angle.sin_cos();
         let rotation = Matrix::from_rows(&[[c, -s], [s, c]]);
@@ -303,7 +301,7 @@ mod tests {
             let symmetric = golden.scalar(&format!("out.{case}.fid_sym"));
             golden.check_scalar(case, value, symmetric, 1e-6, 1e-8);
             let reference = golden.scalar(&format!("out.{case}.fid"));
-            // The reference raises where its matrix root is not finite and records that as NaN.
+            // If the matrix root is not finite, the reference raises; this is recorded as NaN.
             if !reference.is_nan() {
                 golden.check_scalar(case, value, reference, 1e-6, 1e-8);
             }
@@ -335,7 +333,7 @@ mod tests {
                 "{angle}: {value}"
             );
         }
-        // For orthogonal principal axes the cross term is zero: only the traces remain.
+        // For orthogonal principal axes the cross term is zero, so only the traces remain.
         let a = Gaussian::new(vec![0.0; 2], Matrix::diagonal(&[4.0, 0.0])).expect("valid");
         let b = Gaussian::new(vec![0.0; 2], Matrix::diagonal(&[0.0, 9.0])).expect("valid");
         let value = Reference::new(a).distance(&b).expect("same size");
@@ -357,7 +355,7 @@ mod tests {
         }
         let by_shift = fid(&latents, &shifted).expect("valid");
         assert!((by_shift - 6.25).abs() < 1e-10, "{by_shift}");
-        // (1 - 3)² times the trace.
+        // The distance is (1 - 3)² times the trace.
         let by_scale = fid(&latents, &scaled).expect("valid");
         assert!(
             (by_scale - 4.0 * covariance.trace()).abs() < 1e-10,
@@ -369,7 +367,7 @@ mod tests {
     fn a_set_is_at_no_distance_from_itself_even_with_few_samples() {
         for (num_rows, num_cols) in [(50, 10), (6, 40), (2, 5)] {
             let latents = random(num_rows, num_cols, 2);
-            // Rounding of the trace, about the dimension times the precision.
+            // The tolerance covers rounding of the trace, about the dimension times the precision.
             assert!(fid(&latents, &latents).expect("valid") < 1e-11);
         }
     }
@@ -379,12 +377,12 @@ mod tests {
         for (num_rows, num_cols) in [(30, 8), (20, 40), (2, 5)] {
             let real = random(num_rows, num_cols, 4);
             let mut others = [random(num_rows + 3, num_cols, 5), random(2, num_cols, 6)];
-            // A set with one row twice, as in a resample.
+            // A set with a duplicate row, as in a resample.
             others[1] = others[0].select_rows(&[0, 1, 1, 2, 0]);
             let found = distances(&real, others.iter().cloned()).expect("valid");
             for (found, other) in found.into_iter().zip(&others) {
                 let expected = fid(&real, other).expect("valid");
-                // Square roots of eigenvalues that are rounding noise.
+                // The difference is due to square roots of eigenvalues that are rounding noise.
                 assert!((found - expected).abs() < 1e-6, "{found} {expected}");
             }
         }
@@ -426,7 +424,7 @@ mod tests {
             let backward = fid(&b, &a).expect("valid");
             let reversed: Vec<usize> = (0..rows).rev().collect();
             let reordered = fid(&a.select_rows(&reversed), &b).expect("valid");
-            // The square root of a rounding error of 1e-16, summed over the dimensions.
+            // A rounding error of 1e-16 has the square root 1e-8; it is summed over the dimensions.
             let tolerance = 1e-7 * cols as f64;
             prop_assert!((forward - backward).abs() < tolerance);
             prop_assert!((forward - reordered).abs() < tolerance);

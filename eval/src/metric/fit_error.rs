@@ -1,11 +1,11 @@
-//! Errors of generated keypoints that are recorded with an edit.
+//! Fit errors of generated keypoints, as recorded with an edit.
 
 use super::definition::{Better, Measure, Metric, Part};
 
 /// Centimetres in a metre.
 const CM_PER_M: f64 = 100.0;
 
-/// Mean distance of generated keypoints from the body fitted to them, in centimetres.
+/// Mean distance between generated keypoints and the body fitted to them, in centimetres.
 pub static FIT_ERROR: Metric = Metric {
     name: "Fit error (cm)",
     about: "mean distance of generated keypoints from the body fitted to them",
@@ -15,7 +15,7 @@ pub static FIT_ERROR: Metric = Metric {
     measure: Measure::Motion(|sample| Some(CM_PER_M * f64::from(sample.edit?.fit_error_m?))),
 };
 
-/// Mean difference of generated bones from their lengths in the body, in centimetres.
+/// Mean difference between the lengths of generated bones and of the body's bones, in centimetres.
 pub static BONE_DRIFT: Metric = Metric {
     name: "Bone drift (cm)",
     about: "mean difference of generated bones from their lengths in the body",

@@ -1,4 +1,4 @@
-//! Whether feet stand still on the ground when they should.
+//! The foot score: whether feet stand still on the ground when they touch it.
 
 use datasets_spec::{Fps, Joint};
 use glam::DVec3;
@@ -21,7 +21,7 @@ pub static FOOT_SCORE: Metric = Metric {
     }),
 };
 
-/// The joints the score is computed from, in the order the functions here expect them.
+/// The joints of the foot score, in the order that the functions here expect.
 pub const FOOT_JOINTS: [Joint; 4] = [
     Joint::LeftAnkle,
     Joint::LeftFoot,
@@ -32,7 +32,7 @@ pub const FOOT_JOINTS: [Joint; 4] = [
 /// Positions of [`FOOT_JOINTS`] in one frame, in metres, y up.
 pub type Feet = [DVec3; FOOT_JOINTS.len()];
 
-/// Frames a clip needs for one central difference.
+/// Minimum number of frames for one central difference.
 pub const MIN_FRAMES: usize = 3;
 
 /// Speed in m/s below which a foot counts as still (DIMOS).
@@ -40,7 +40,7 @@ const STILL_SPEED: f64 = 0.075;
 /// Height in metres below which a foot joint counts as touching the floor (DIMOS).
 const TOUCH_HEIGHT: f64 = 0.05;
 
-/// The foot joints of keypoints, whose first 22 are the joints of the body.
+/// The foot joints among keypoints; the first 22 keypoints are the body joints.
 fn feet(keypoints: &[KeypointFrame]) -> Vec<Feet> {
     keypoints
         .iter()
@@ -54,12 +54,12 @@ fn feet(keypoints: &[KeypointFrame]) -> Vec<Feet> {
 pub struct Contact {
     /// Speed above the threshold in m/s.
     pub excess_speed: f64,
-    /// Distance from the floor above the threshold in metres; below the floor counts as well.
+    /// Distance from the floor, above or below it, in excess of the threshold, in metres.
     pub excess_height: f64,
 }
 
-/// The penalties of all frames that have a neighbour on both sides, `[L - 2]`; none for a clip of
-/// fewer than [`MIN_FRAMES`] frames.
+/// Penalties of all frames with a neighbour on both sides, `[L - 2]`; none for a clip of fewer than [`MIN_FRAMES`]
+/// frames.
 ///
 /// # Shapes
 /// `feet` is `[L, 4]`.
@@ -83,16 +83,15 @@ pub fn contacts(feet: &[Feet], fps: Fps, floor: Floor) -> impl Iterator<Item = C
     })
 }
 
-/// The foot score of a clip in (0, 1], higher being better; none for a clip of fewer than
-/// [`MIN_FRAMES`] frames.
+/// The foot score of a clip in (0, 1]; higher is better. None for a clip of fewer than [`MIN_FRAMES`] frames.
 ///
 /// # Shapes
 /// `feet` is `[L, 4]`.
 ///
 /// # Source
-/// DIMOS "contact": the mean over interior frames of `exp(-s) exp(-h)`, with `s` and `h` the
-/// penalties of [`contacts`]. The paper's Table 1 prints an arrow down, its Tables A1 and A3 one
-/// up; the definition and the bold entries say up.
+/// DIMOS "contact": the mean over interior frames of `exp(-s) exp(-h)`, with `s` and `h` the penalties of [`contacts`].
+/// The paper's Table 1 prints a down arrow, its Tables A1 and A3 an up arrow; the definition and the bold entries imply
+/// up.
 pub fn foot_score(feet: &[Feet], fps: Fps, floor: Floor) -> Option<f64> {
     let frames = feet.len().checked_sub(MIN_FRAMES - 1).filter(|&n| n > 0)?;
     let scores = contacts(feet, fps, floor)
@@ -111,7 +110,7 @@ mod tests {
         Fps::new(frames_per_second).expect("valid")
     }
 
-    /// Feet at rest on the floor, one joint of which moves along x at a speed in m/s.
+    /// Feet at a height above the floor, with each joint moving along x at its speed in m/s.
     fn sliding(speed: [f64; 4], height: f64, frames_per_second: f64) -> Vec<Feet> {
         (0..20)
             .map(|frame| {

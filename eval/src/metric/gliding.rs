@@ -1,11 +1,11 @@
-//! Bodies that move over the ground without walking.
+//! Gliding: bodies that move over the ground without walking.
 
 use kinematics::KeypointFrame;
 
 use super::definition::{Better, Measure, Metric, Part};
 
 /// Share of the items with locomotion whose edit glides ([`glides`]), in percent. An item has locomotion if the root of
-/// its target moves more than [`LEAST_WAY_M`].
+/// its target moves more than [`LEAST_WAY_M`] over the ground.
 pub static GLIDING: Metric = Metric {
     name: "Gliding (%)",
     about: "share of the items with locomotion whose root moves while the legs do not: the pelvis gets more than 0.5 m \
@@ -24,16 +24,16 @@ pub static GLIDING: Metric = Metric {
     }),
 };
 
-/// Least distance in metres over the ground for a root to count as moving.
+/// Minimum horizontal distance in metres for a root to count as moving.
 pub const LEAST_WAY_M: f64 = 0.5;
 
-/// Share of the target's swing below which ankles do not count as walking.
+/// Share of the target's swing. Ankles that swing less do not count as walking.
 const LEAST_SWING: f64 = 0.5;
 
 const PELVIS: usize = 0;
 const LEFT_HIP: usize = 1;
 const RIGHT_HIP: usize = 2;
-/// Left and right.
+/// Keypoints of the left and the right ankle.
 const ANKLES: [usize; 2] = [7, 8];
 
 /// Whether the root of a motion moves more than [`LEAST_WAY_M`] while the ankles swing less than half as far as the
@@ -42,7 +42,7 @@ pub fn glides(motion: &[KeypointFrame], target_swing_m: f64) -> bool {
     way(motion) > LEAST_WAY_M && swing(motion) < LEAST_SWING * target_swing_m
 }
 
-/// The largest distance in metres over the ground of the pelvis from where it began.
+/// The largest horizontal distance of the pelvis from its start, in metres.
 pub fn way(points: &[KeypointFrame]) -> f64 {
     let Some(first) = points.first() else {
         return 0.0;
@@ -53,8 +53,8 @@ pub fn way(points: &[KeypointFrame]) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// How far the ankle that swings more moves over the ground relative to the pelvis, in metres: the diagonal of the box,
-/// along and across the line of the hips, in which it stays.
+/// The extent of the ankle's movement over the ground relative to the pelvis, in metres; the larger of the two ankles'.
+/// It is the diagonal of the box, aligned with the line of the hips, that contains the movement.
 pub fn swing(points: &[KeypointFrame]) -> f64 {
     let swing_of = |ankle: usize| {
         let (mut least, mut most) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
@@ -86,8 +86,8 @@ mod tests {
 
     use super::*;
 
-    /// A body that moves by `speed` metres a frame towards where it faces, `turn` radians from +z, and whose left ankle
-    /// swings by `reach` metres to both sides of where it is at rest.
+    /// A body that moves forwards by `speed` metres per frame, facing `turn` radians from +z. Its left ankle swings by
+    /// `reach` metres to both sides of its rest position.
     fn walking(speed: f64, reach: f64, turn: f64) -> Vec<KeypointFrame> {
         let rest = Skeleton::smplx_neutral().keypoints(&Pose::REST);
         let turn = DQuat::from_rotation_y(turn);

@@ -2,22 +2,22 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The quantile of the normal distribution that leaves 5 % outside.
+/// Quantile of the normal distribution for a two-sided 95 % interval.
 const NORMAL_95: f64 = 1.96;
 
-/// Quantiles of Student's t that leave 5 % outside, for 1 to 9 degrees of freedom.
+/// Quantiles of Student's t for a two-sided 95 % interval, for 1 to 9 degrees of freedom.
 const STUDENT_95: [f64; 9] = [
     12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262,
 ];
 
-/// Most trainings of a system that [`Interval::over_trainings`] summarises.
+/// Maximum number of trainings of a system that [`Interval::over_trainings`] summarises.
 pub const MOST_TRAININGS: usize = STUDENT_95.len() + 1;
 
-/// Fewest targets that a bootstrap interval is made from.
+/// Minimum number of targets for a bootstrap interval.
 ///
-/// The half width is 1.96 times the population deviation. For a mean of n normal values that covers the true mean with
-/// the probability that Student's t with n - 1 degrees of freedom is below `1.96 √((n - 1) / n)`: 90.4 % for 10 targets,
-/// and less than 90 % for fewer.
+/// The half width is 1.96 times the population deviation. For a mean of n normal values, such an interval covers the
+/// true mean with the probability that the absolute value of Student's t with n - 1 degrees of freedom is below `1.96
+/// √((n - 1) / n)`: 90.4 % for 10 targets, and less than 90 % for fewer.
 pub const MIN_TARGETS: u32 = 10;
 
 /// A mean and the half width of its 95 % interval.
@@ -30,8 +30,8 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// Summarises repeats: the half width is `1.96 σ / √n` with the population deviation. Equal
-    /// repeats have no interval.
+    /// Summarises repeats: the half width is `1.96 σ / √n` with the population deviation. If all repeats are equal,
+    /// there is no interval.
     ///
     /// # Panics
     /// If there are no values.
@@ -47,9 +47,9 @@ impl Interval {
         }
     }
 
-    /// The mean over several trainings of a system, scored on the same items. The squared half width is a sum of two:
-    /// the mean of the squared half widths over test sets, and `t² s² / n`, where `s²` is the sample variance between the
-    /// n trainings and t the quantile of Student's distribution.
+    /// The mean over several trainings of a system, scored on the same items. The squared half width is the sum of two
+    /// terms: the mean of the squared half widths over test sets, and `t² s² / n`. Here `s²` is the sample variance
+    /// between the n trainings, and t the quantile of Student's distribution.
     ///
     /// # Panics
     /// If there are no values, or more than [`MOST_TRAININGS`].
@@ -62,7 +62,7 @@ impl Interval {
         let (mean, between) = moments(&means);
         let of_items = values.iter().filter_map(|value| value.ci95);
         let of_items = of_items.map(|half| half * half).sum::<f64>() / count;
-        // The population variance over n - 1 is the sample variance over n.
+        // The population variance divided by n - 1 equals the sample variance divided by n.
         let of_trainings = between.map_or(0.0, |variance| {
             let quantile = STUDENT_95[values.len() - 2];
             quantile * quantile * variance / (count - 1.0)
@@ -74,15 +74,15 @@ impl Interval {
         }
     }
 
-    /// A value with its bootstrap interval: the half width is 1.96 standard deviations of the
-    /// resampled values. Their mean is not used, because drawing with replacement shifts it.
+    /// A value with its bootstrap interval: the half width is 1.96 standard deviations of the resampled values. The
+    /// mean of the resampled values is not used, because drawing with replacement shifts it.
     ///
-    /// `repeats` holds the values whose mean is `mean`, where each resample is scored as one repeat.
-    /// A resample then varies by the whole variance between repeats, of which the mean of n repeats
-    /// keeps only 1/n; the rest is subtracted.
+    /// If each resample is scored as one repeat, `repeats` holds the values whose mean is `mean`. A resample then
+    /// varies by the full variance between repeats, but the mean of n repeats by only 1/n of it; the difference is
+    /// subtracted.
     ///
     /// # Source
-    /// Efron and Tibshirani 1993, Sec. 13.3, the interval by a normal distribution.
+    /// Efron and Tibshirani 1993, Sec. 13.3, the standard normal interval.
     pub(crate) fn of_resamples(mean: f64, resampled: &[f64], repeats: &[f64]) -> Self {
         let (Some(spread), scatter) = (variance(resampled), variance(repeats).unwrap_or(0.0))
         else {
@@ -167,7 +167,7 @@ mod tests {
             None
         );
         assert_eq!(Interval::of_resamples(1.0, &[], &[]).ci95, None);
-        // The resamples have variance 1, of which the repeats' own variance of 1/4 explains a part: the rest remains.
+        // The resamples have variance 1. Three quarters of the repeats' variance of 1/4 are subtracted from it.
         let repeats = [0.5, -0.5, 0.5, -0.5];
         let ci95 = Interval::of_resamples(0.0, &[1.0, -1.0], &repeats).ci95;
         let expected = NORMAL_95 * (1.0 - 0.25 * 0.75f64).sqrt();

@@ -1,7 +1,7 @@
-//! The metrics, each a function of latents, ranks or positions, and the list of all of them.
+//! The metrics, and the list of all of them. Each is a function of latents, ranks or positions.
 //!
-//! A metric is a file of this folder that declares a [`Metric`], and its line in [`ALL`]. Columns,
-//! directions, formats and the tables of `--further` follow from the declaration.
+//! To add a metric, declare a [`Metric`] in a file of this folder and list it in [`ALL`]. Columns, directions, formats
+//! and the tables of `--further` are derived from the declaration.
 
 pub mod composed;
 pub mod cross_retrieval;
@@ -23,11 +23,11 @@ pub use definition::{
 };
 
 /// Version of the metrics. It is raised when a metric gives other values for the same motions, so that stored scores
-/// are computed again. They are too if the names of [`ALL`] change.
+/// are computed again. Stored scores are also computed again if the names of [`ALL`] change.
 pub const METRICS_VERSION: u32 = 4;
 
-/// All metrics: the columns of the paper's Table 1, those of the main table that are not among them, further ones, and
-/// motion quality.
+/// All metrics: the columns of the paper's Table 1, the other columns of the main table, further ones, and motion
+/// quality.
 pub static ALL: &[&Metric] = &[
     &fid::FID,
     &diversity::DIVERSITY,
@@ -65,13 +65,13 @@ pub fn of_part(part: Part) -> Vec<&'static Metric> {
     all.filter(|metric| metric.part == part).collect()
 }
 
-/// The metrics of the main table: retrieval of the target, foot slide with that of the target, and the error inside and
-/// outside of what the item asks to change.
+/// The metrics of the main table: retrieval of the target, foot slide of the edit and of the target, and the errors
+/// inside and outside the mask.
 pub fn main_columns() -> Vec<&'static Metric> {
     [vec![&retrieval::E2T_RECALL_1], of_part(Part::Main)].concat()
 }
 
-/// Metrics behind a claim: two of these must agree that one system is better than another.
+/// Metrics that support claims: two of them must agree that one system is better than another.
 pub static CLAIMS: [&Metric; 4] = [
     &retrieval::E2T_RECALL_1,
     &motion_quality::FOOT_SLIDE,
@@ -79,7 +79,7 @@ pub static CLAIMS: [&Metric; 4] = [
     &position_error::ERROR_OUTSIDE,
 ];
 
-/// The metric of a name in the table of scores.
+/// The metric with this name in the table of scores.
 pub fn from_name(name: &str) -> Option<&'static Metric> {
     ALL.iter().copied().find(|metric| metric.name == name)
 }

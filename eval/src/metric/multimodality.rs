@@ -1,4 +1,4 @@
-//! How different the motions generated for one condition are from each other.
+//! Multimodality: how much the motions generated for one condition differ from each other.
 
 use datasets_spec::Rng;
 
@@ -12,7 +12,7 @@ use crate::protocol::draw_without_replacement;
 
 const METRIC: &str = "Multimodality";
 
-/// Mean distance of latents of one item, generated from several seeds.
+/// Mean distance between latents of the same item, generated with different seeds.
 pub static MULTIMODALITY: Metric = Metric {
     name: METRIC,
     about: "mean distance of ten pairs of different takes of an item, over up to 100 random items",
@@ -22,13 +22,13 @@ pub static MULTIMODALITY: Metric = Metric {
     measure: Measure::Takes(of_sample),
 };
 
-/// Conditions compared in the T2M evaluation.
+/// Number of conditions in the T2M evaluation.
 pub const T2M_CONDITIONS: usize = 100;
-/// Pairs drawn for each condition in the T2M evaluation.
+/// Number of pairs drawn for each condition in the T2M evaluation.
 pub const T2M_PAIRS: usize = 10;
 
-/// Values of at most [`T2M_CONDITIONS`] items drawn at random; none where a system made too few
-/// takes for [`T2M_PAIRS`] pairs.
+/// Values of at most [`T2M_CONDITIONS`] items drawn at random; empty if the system made too few takes for [`T2M_PAIRS`]
+/// pairs.
 fn of_sample(sample: &TakesSample<'_>) -> Result<Vec<(usize, f64)>, Error> {
     let num_takes = sample.takes.len();
     if num_takes <= T2M_PAIRS {
@@ -49,15 +49,15 @@ fn of_sample(sample: &TakesSample<'_>) -> Result<Vec<(usize, f64)>, Error> {
         .collect()
 }
 
-/// Pairs of different positions below `num_repeats`: two lists, each without repetition, that never
-/// hold the same position in the same place.
+/// Pairs of different positions below `num_repeats`, as two lists. Each list has no duplicates, and the lists differ at
+/// every index.
 ///
 /// # Errors
-/// There are not more repeats than pairs.
+/// `num_repeats` is not greater than the number of pairs.
 ///
 /// # Source
-/// T2M evaluation: 30 repeats, 10 pairs, both lists drawn without replacement. There a motion may
-/// be paired with itself, which adds a distance of 0; here it may not.
+/// T2M evaluation: 30 repeats, 10 pairs, both lists drawn without replacement. The T2M code may pair a motion with
+/// itself, which adds a distance of 0; this function does not.
 pub fn pairs(
     num_repeats: usize,
     num_pairs: usize,
@@ -153,7 +153,7 @@ mod tests {
             }
             assert!(first.iter().zip(&second).all(|(a, b)| a != b));
         }
-        // Takes at distance 1 from each other: a pair of equals would lower the mean.
+        // All takes are at distance 1 from each other, so pairing a take with itself would lower the mean.
         let takes = Matrix::diagonal(&[1.0; 12]);
         let [first, second] = pairs(12, T2M_PAIRS, &mut Seed(3).rng(&["mm"])).expect("enough");
         let value = multimodality_of_pairs(&[takes], &first, &second).expect("valid");

@@ -1,4 +1,4 @@
-//! How far a motion is from another, joint by joint.
+//! Position errors: distances between the keypoints of two motions.
 
 use kinematics::KeypointFrame;
 use kinematics::canonical::GroundTransform;
@@ -9,10 +9,10 @@ use super::definition::{Better, Measure, Metric, MotionSample, Part};
 /// Centimetres in a metre.
 const CM_PER_M: f64 = 100.0;
 
-/// Mean distance to the keypoints of the target in centimetres, both motions placed by their first frames.
+/// Mean distance to the keypoints of the target in centimetres. Both motions are placed by their first frames.
 ///
-/// A target whose root is another capture's moves wherever that was captured, which no editor can know: only its way
-/// from where it began is in question.
+/// A target may take its root from another capture, whose start position no editor can know. So only movement relative
+/// to the first frame counts.
 pub static POSITION_ERROR: Metric = Metric {
     name: "Position error (cm)",
     about: "mean distance to the target's 28 keypoints, with --keypoints 22 over the body joints, both motions placed \
@@ -24,7 +24,7 @@ pub static POSITION_ERROR: Metric = Metric {
     measure: Measure::Motion(|sample| error_cm(sample, |_| true)),
 };
 
-/// [`POSITION_ERROR`] of the keypoints that the item asks to change, in centimetres; none where the item does not tell
+/// [`POSITION_ERROR`] of the keypoints that the item asks to change, in centimetres; none if the item does not state
 /// them.
 pub static ERROR_INSIDE: Metric = Metric {
     name: "Error inside the mask (cm)",
@@ -38,8 +38,8 @@ pub static ERROR_INSIDE: Metric = Metric {
     }),
 };
 
-/// [`POSITION_ERROR`] of all other keypoints, in centimetres; none where the item does not tell which they are, or
-/// asks to change all.
+/// [`POSITION_ERROR`] of all other keypoints, in centimetres; none if the item does not state the changed ones, or
+/// changes all.
 pub static ERROR_OUTSIDE: Metric = Metric {
     name: "Error outside the mask (cm)",
     about: "position error of all other keypoints",
@@ -54,8 +54,8 @@ pub static ERROR_OUTSIDE: Metric = Metric {
     }),
 };
 
-/// Mean distance to some keypoints of the target in centimetres, both motions placed by their first frames; none for no
-/// keypoint.
+/// Mean distance to some keypoints of the target in centimetres, with both motions placed by their first frames; none
+/// without keypoints.
 fn error_cm(sample: &MotionSample<'_>, is_counted: impl Fn(usize) -> bool) -> Option<f64> {
     let count = sample.protocol.keypoints.count();
     let slots: Vec<usize> = (0..count).filter(|&slot| is_counted(slot)).collect();
@@ -65,7 +65,7 @@ fn error_cm(sample: &MotionSample<'_>, is_counted: impl Fn(usize) -> bool) -> Op
     Some(CM_PER_M * mean_of(sample.distances, &slots))
 }
 
-/// The body joint that moves a keypoint: itself, or the one that an eye or a finger hangs from.
+/// The body joint that moves a keypoint: the keypoint itself, or the parent of an eye or a finger.
 fn body_joint(mut slot: usize) -> usize {
     while slot >= NUM_BODY_JOINTS {
         slot = parent_of(slot);
@@ -73,8 +73,8 @@ fn body_joint(mut slot: usize) -> usize {
     slot
 }
 
-/// The motion as seen from its first frame: the pelvis starts over the origin, and the hips lie along x, the left one
-/// at the greater x, so that the body starts facing +z. Heights stay.
+/// Keypoints relative to the first frame: the pelvis starts over the origin, and the hips lie along x with the left one
+/// at the greater x, so that the body starts facing +z. Heights are kept.
 ///
 /// # Panics
 /// If there is no frame.
@@ -90,7 +90,7 @@ pub(crate) fn from_start(points: &[KeypointFrame]) -> Vec<KeypointFrame> {
     points.iter().map(|frame| frame.map(&to_start)).collect()
 }
 
-/// Distances between the keypoints of two motions in metres, in the frames both have.
+/// Distances between the keypoints of two motions in metres, in the frames that both have.
 pub(crate) fn distances(
     found: &[KeypointFrame],
     expected: &[KeypointFrame],
@@ -105,13 +105,13 @@ pub(crate) fn distances(
 /// The mean distance between the first `count` keypoints of two motions in metres, over the
 /// frames both have.
 ///
-/// Frames beyond the end of the shorter motion are left out, and nothing is aligned.
+/// Frames beyond the end of the shorter motion are left out. The motions are not aligned.
 ///
 /// # Shapes
 /// Both are `[L, 28]` at the same frame rate; `L` may differ.
 ///
 /// # Panics
-/// If one of them has no frame, or there are fewer keypoints.
+/// If a motion has no frame, or `count` exceeds the number of keypoints.
 pub fn mean_position_error(
     found: &[KeypointFrame],
     expected: &[KeypointFrame],
@@ -121,7 +121,7 @@ pub fn mean_position_error(
     mean_of(&distances(found, expected), &slots)
 }
 
-/// The mean distance of some keypoints over all frames.
+/// The mean distance over all frames and the given keypoints.
 fn mean_of(distances: &[[f64; NUM_KEYPOINTS]], slots: &[usize]) -> f64 {
     assert!(!distances.is_empty(), "position error of an empty motion");
     let total: f64 = distances
@@ -155,7 +155,7 @@ mod tests {
         assert!((found - expected).abs() < 1e-12);
     }
 
-    /// A body that walks along its heading, and turns on the way.
+    /// A body that walks forwards and turns.
     fn wandering() -> Vec<KeypointFrame> {
         let skeleton = Skeleton::smplx_neutral();
         let poses: Vec<Pose> = (0..20)
@@ -188,7 +188,7 @@ mod tests {
             mean_position_error(&from_start(found), &from_start(expected), NUM_KEYPOINTS)
         };
         assert!(error(&here, &there) < 1e-12);
-        // Drift from the second frame on counts, and so does height.
+        // Drift after the first frame counts, and so does height.
         let mut drifts = there.clone();
         for frame in &mut drifts[1..] {
             *frame = frame.map(|point| point + DVec3::X);

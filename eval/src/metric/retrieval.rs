@@ -1,4 +1,4 @@
-//! Whether a motion finds its counterpart among others.
+//! Retrieval: the rank of a motion's counterpart in a gallery.
 
 use datasets_spec::quantile;
 use faer::linalg::matmul::matmul;
@@ -13,11 +13,10 @@ use crate::linalg::Matrix;
 
 const METRIC: &str = "retrieval";
 
-/// Cut-offs k of the recall that is reported.
+/// Cut-offs k at which recall is reported.
 pub const RECALL_AT: [usize; 3] = [1, 2, 3];
 
-/// Queries that are compared with the gallery at once: at 10,000 gallery rows their similarities
-/// take 10 MB.
+/// Number of queries compared with the gallery at once: at 10,000 gallery rows their similarities take 10 MB.
 const QUERIES_PER_BLOCK: usize = 256;
 
 /// Edits retrieved by their originals: share ranked first, in percent.
@@ -42,7 +41,7 @@ pub static E2S_MEDIAN_RANK: Metric = ranked("E2S MedR", Source, Median);
 /// Edits retrieved by their targets: median rank.
 pub static E2T_MEDIAN_RANK: Metric = ranked("E2T MedR", Target, Median);
 
-/// A metric computed from ranks. The paper's tables have no column for the median rank.
+/// A metric computed from ranks. The paper's tables do not print the median rank.
 const fn ranked(name: &'static str, counterpart: Counterpart, summary: RankSummary) -> Metric {
     Metric {
         name,
@@ -77,8 +76,8 @@ const fn ranked(name: &'static str, counterpart: Counterpart, summary: RankSumma
 const PRESERVING: [&str; 2] = ["fine-grained", "motionfix"];
 
 /// # Source
-/// Table 1 (body parts, style) asks E2S to be close to the real data: an edit that keeps the
-/// original too well has not edited it. Table A1 (fine-grained) and Table 2 ask for more.
+/// In Table 1 (body parts, style), a good E2S recall is close to that of the real data: a higher one means that too
+/// little was edited. In Table A1 (fine-grained) and Table 2, higher is better.
 fn source_recall(task: &str) -> Better {
     if PRESERVING.contains(&task) {
         Better::Higher
@@ -98,7 +97,7 @@ fn source_rank(task: &str) -> Better {
 /// Summary of a set of ranks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Retrieval {
-    /// Share of queries that find their counterpart among the first 1, 2 and 3, in percent.
+    /// Share of queries whose counterpart is among the first 1, 2 and 3, in percent.
     pub recall: [f64; RECALL_AT.len()],
     /// Median rank, the best being 1.
     pub median_rank: f64,
@@ -119,7 +118,7 @@ impl Retrieval {
         }
     }
 
-    /// The mean over galleries of equal standing.
+    /// The unweighted mean over galleries.
     ///
     /// # Panics
     /// If there are none.
@@ -135,10 +134,10 @@ impl Retrieval {
         }
     }
 
-    /// One of the values.
+    /// The value of a summary.
     ///
     /// # Panics
-    /// If a recall is at a cut-off that [`RECALL_AT`] lacks.
+    /// If a recall's cut-off is not in [`RECALL_AT`].
     pub fn value(&self, summary: RankSummary) -> f64 {
         match summary {
             Recall(k) => self.recall[k - RECALL_AT[0]],
@@ -148,8 +147,8 @@ impl Retrieval {
     }
 }
 
-/// The share of ranks below k in percent. A two-way tie for the first place has rank 0.5 and counts
-/// for k = 1; a three-way tie has rank 1 and does not.
+/// The share of ranks below k in percent; ranks count from zero. A two-way tie for the first place has rank 0.5 and
+/// counts for k = 1; a three-way tie has rank 1 and does not.
 ///
 /// # Panics
 /// If there are no ranks.
@@ -159,7 +158,7 @@ pub fn recall_at(ranks: &[f64], k: usize) -> f64 {
     100.0 * hits as f64 / ranks.len() as f64
 }
 
-/// The median rank, counted from one; between the two middle ranks where their number is even.
+/// The median rank, counted from one; for an even number of ranks, the mean of the two middle ones.
 ///
 /// # Panics
 /// If there are no ranks.
@@ -176,8 +175,7 @@ pub fn average_rank(ranks: &[f64]) -> f64 {
     ranks.iter().sum::<f64>() / ranks.len() as f64 + 1.0
 }
 
-/// The rank of one entry of a row of similarities, counted from zero: the mean position of all
-/// entries exactly as similar.
+/// The rank of one entry of a row of similarities, counted from zero. Tied entries share their mean position.
 ///
 /// # Panics
 /// If `truth` does not exist.
@@ -192,8 +190,7 @@ pub fn tied_rank<T: PartialOrd + Copy>(similarities: &[T], truth: usize) -> f64 
     f64::from(nearer) + (f64::from(equal) - 1.0) / 2.0
 }
 
-/// The rank of the diagonal in each row of a similarity matrix, or the best rank of the entries that
-/// are equivalent to it.
+/// The rank of each row's diagonal entry in a similarity matrix, or the best rank among the entries equivalent to it.
 ///
 /// # Errors
 /// The matrix is not square or not finite.
@@ -223,7 +220,7 @@ pub fn ranks_among_equivalents(
         .collect())
 }
 
-/// Scales latents to unit length, which makes dot products cosines.
+/// Scales latents to unit length, so that dot products are cosines.
 ///
 /// # Errors
 /// A latent is zero or not finite.
@@ -232,7 +229,7 @@ pub fn unit_rows(latents: &Matrix) -> Result<Matrix, Error> {
     let mut unit = latents.clone();
     for index in 0..unit.num_rows() {
         let row = unit.row_mut(index);
-        // Dividing by the largest entry first keeps the squares from overflowing or vanishing.
+        // Dividing by the largest entry first keeps the squares from overflowing or underflowing.
         let largest = row.iter().fold(0.0, |m: f64, value| m.max(value.abs()));
         if largest == 0.0 {
             return Err(Error::NoDirection {
@@ -251,10 +248,10 @@ pub fn unit_rows(latents: &Matrix) -> Result<Matrix, Error> {
     Ok(unit)
 }
 
-/// The rank of gallery row i for query row i by dot product in single precision, counted from zero,
-/// among the rows at some positions. Blocks of queries bound the memory.
+/// Ranks gallery row i for query row i, among the rows at `indices`, by dot product in single precision. Ranks count
+/// from zero. Queries are processed in blocks to bound memory.
 ///
-/// Equal gallery rows are exact ties, wherever they stand.
+/// Equal gallery rows are exact ties at any position.
 ///
 /// # Shapes
 /// Both are `[N, D]`; pass rows of unit length to rank by cosine.
@@ -296,7 +293,7 @@ pub fn ranks(queries: &Matrix, gallery: &Matrix, indices: &[usize]) -> Result<Ve
     Ok(blocks.concat())
 }
 
-/// Some rows in single precision, one after the other.
+/// Converts some rows to single precision, concatenated.
 fn single(rows: &Matrix, indices: &[usize]) -> Result<Vec<f32>, Error> {
     let mut values = Vec::with_capacity(indices.len() * rows.num_cols());
     for &row in indices {
@@ -349,14 +346,14 @@ mod tests {
     use super::*;
     use crate::golden::Golden;
 
-    /// Cut-offs of the recall in the recorded metrics, which end with median and mean rank.
+    /// Cut-offs of the recall in the recorded metrics; the median and mean rank follow them.
     const GOLDEN_RECALL_AT: [usize; 5] = [1, 2, 3, 5, 10];
 
     fn ranks_of_similarity(similarity: &Matrix) -> Result<Vec<f64>, Error> {
         ranks_among_equivalents(similarity, |_, _| false)
     }
 
-    /// Ranks in one gallery of all rows.
+    /// Ranks in one gallery that contains all rows.
     fn full_ranks(queries: &Matrix, gallery: &Matrix) -> Result<Vec<f64>, Error> {
         let all: Vec<usize> = (0..queries.num_rows()).collect();
         ranks(queries, gallery, &all)
@@ -371,8 +368,8 @@ mod tests {
         metrics
     }
 
-    /// Whether a value rounds to a recorded one of two decimals. Half a unit, and a little for the
-    /// order of summation.
+    /// Checks that a value rounds to a recorded number of two decimals. The tolerance is half a unit, plus a little for
+    /// the order of summation.
     fn check_rounded(found: f64, recorded: f64) {
         assert!(
             (found - recorded).abs() <= 0.005 + 1e-9,
@@ -485,7 +482,7 @@ mod tests {
         );
     }
 
-    /// A product whose last rows and columns were summed in another order would break ties.
+    /// A product that sums its last rows and columns in another order would break ties.
     #[test]
     fn copies_tie_at_every_place_of_a_block() {
         for (size, width) in [(33, 17), (100, 256), (261, 37), (515, 512)] {
@@ -545,7 +542,7 @@ mod tests {
             width in 1usize..9,
         ) {
             let mut rng = Seed(seed).rng(&["retrieval"]);
-            // A coarse grid of values, so that ties are common.
+            // A coarse grid of values makes ties common.
             let mut draw = || {
                 let data = (0..size * width)
                     .map(|_| f64::from(rng.random_range(-2i32..3)))

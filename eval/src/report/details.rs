@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::draw::escaped;
 use crate::format::ABSENT;
 
-/// Settings side by side: a line for each, a column for each system or stage.
+/// Settings side by side: one row per setting, one column per system or stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Details {
     /// Title of the settings.
@@ -19,8 +19,8 @@ pub struct Details {
 }
 
 impl Details {
-    /// Lays out the settings of one or more JSON documents. Nested settings are named by their path,
-    /// such as `diffusion.steps`; a column that lacks a setting has a dash there.
+    /// Lays out the settings of one or more JSON documents. Nested settings are named by their path, such as
+    /// `diffusion.steps`. A dash marks a setting that a document lacks.
     pub fn of_json(title: &str, documents: &[(&str, &Value)]) -> Self {
         let mut rows: Vec<(String, Vec<String>)> = Vec::new();
         for (column, (_, document)) in documents.iter().enumerate() {
@@ -84,7 +84,7 @@ fn flatten(path: &str, value: &Value, found: &mut Vec<(String, String)>) {
     }
 }
 
-/// The tables of settings.
+/// The tables of settings as HTML.
 pub(super) fn html(details: &[Details]) -> String {
     let mut html = String::new();
     for part in details {

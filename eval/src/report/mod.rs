@@ -1,4 +1,4 @@
-//! A run as one self-contained HTML file.
+//! Report of a run as one self-contained HTML file.
 
 mod details;
 mod opening;
@@ -23,13 +23,13 @@ pub struct Report {
     pub title: String,
     /// One sentence under the title: what was run.
     pub subtitle: String,
-    /// The edit that shows at a glance what was done.
+    /// The edit that the page shows first.
     pub opening: Option<Opening>,
-    /// The few numbers to read first.
+    /// The few most important numbers.
     pub cards: Vec<Card>,
     /// Result tables.
     pub tables: Vec<Table>,
-    /// Scores along settings.
+    /// Plots of scores along settings.
     pub figures: Vec<Chart>,
     /// Loss curves and histograms.
     pub charts: Vec<Chart>,
@@ -56,7 +56,7 @@ pub struct Card {
     pub note: String,
 }
 
-/// A drawing of numbers.
+/// A plot.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Chart {
     /// Curves, such as those of a loss.
@@ -78,12 +78,12 @@ impl Chart {
     }
 }
 
-/// Colours and the viewer, which every page has.
+/// Style sheet of the colours and the viewer, used by every page.
 const VIEWER_STYLE: &str = include_str!("viewer.css");
-/// The rest of a report.
+/// Style sheet of the rest of a report.
 const STYLE: &str = include_str!("report.css");
 
-/// Opens a page. Its policy forbids loading anything, and every script but the viewer's.
+/// Opens a page. Its content security policy allows only the viewer's script, and no loading of resources.
 fn head(title: &str, styles: &[&str]) -> String {
     format!(
         concat!(
@@ -99,10 +99,9 @@ fn head(title: &str, styles: &[&str]) -> String {
     )
 }
 
-/// The motions of a strip in 3D, as a page of their own that loads nothing: for a frame of a notebook. It fills the
-/// frame.
+/// A page with the motions of a strip in 3D, for a frame of a notebook. The page loads nothing and fills the frame.
 ///
-/// The caption stands above the motions, then the joints that any of them has highlighted.
+/// Above the motions are the caption and the names of all highlighted joints.
 pub fn viewer_page(strip: &Strip) -> String {
     let title = match strip.caption.as_str() {
         "" => "Motions",
@@ -117,8 +116,8 @@ pub fn viewer_page(strip: &Strip) -> String {
 }
 
 impl Report {
-    /// Writes the page. All text of the report is escaped, the page runs no script but its own
-    /// viewer's, and its policy forbids loading anything.
+    /// Writes the page. All text of the report is escaped. The page's content security policy allows only the viewer's
+    /// script, and no loading of resources.
     pub fn to_html(&self) -> String {
         let mut html = head(&self.title, &[VIEWER_STYLE, STYLE]);
         let _ = write!(
@@ -289,7 +288,7 @@ mod tests {
     use crate::draw::tests::check_nesting;
     use crate::table::tests::sample_table;
 
-    /// Text that would run if it were taken for markup anywhere.
+    /// Text that would run as a script if it were taken for markup.
     const CANARY: &str = "\"'><script>alert(1)</script><img src=x onerror=alert(1)>&";
 
     fn hostile() -> Report {
@@ -367,7 +366,7 @@ mod tests {
         }
     }
 
-    /// The page without what its script elements hold, which is no markup.
+    /// The page without the content of its script elements, which is not markup.
     fn without_scripts(html: &str) -> String {
         let mut parts = html.split("<script");
         let mut markup = parts.next().unwrap_or_default().to_owned();
@@ -383,12 +382,12 @@ mod tests {
     fn no_text_of_a_report_becomes_markup() {
         let html = hostile().to_html();
         check_nesting(&without_scripts(&html));
-        // The data of the two viewers and their program are the only scripts.
+        // The only scripts are the data of the two viewers and the viewer program.
         assert_eq!(html.matches("<script").count(), 3);
         assert_eq!(html.matches("</script>").count(), 3);
         assert!(!html.contains("<img"));
         assert!(html.contains("&lt;script&gt;alert(1)&lt;/script&gt;"));
-        // An attribute would be left by a bare quotation mark.
+        // A bare quotation mark would end an attribute.
         assert!(!without_scripts(&html).contains("\"'>"));
     }
 
@@ -417,7 +416,7 @@ mod tests {
         let mut strip = hostile().strips.remove(0);
         let html = viewer_page(&strip);
         check_nesting(&without_scripts(&html));
-        // The data and the program.
+        // The scripts are the data and the program.
         assert_eq!(html.matches("<script").count(), 2);
         assert_eq!(html.matches("</script>").count(), 2);
         assert!(html.contains("<h3 class=\"instruction\"><q>&quot;"));
@@ -457,7 +456,7 @@ mod tests {
         assert_eq!(first, place("<section id=\"one-edit\""));
         assert!(place("id=\"opening-viewer\"") < place("<section id=\"summary\""));
         assert!(place("<section id=\"results\"") < place("id=\"viewer\""));
-        // An edit alone needs the program as well.
+        // The opening edit needs the program too, even without strips.
         let alone = Report {
             opening: hostile().opening,
             ..Report::default()

@@ -5,10 +5,10 @@ use crate::draw::escaped;
 
 use super::viewer::{self, Strip};
 
-/// One edit in 3D under its instruction, before any numbers.
+/// One edit in 3D under its instruction, shown before any numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Opening {
-    /// The instruction, and the motions from left to right: source, edit and, where there is one, target.
+    /// The instruction, and the motions from left to right: source, edit and, if the item has one, target.
     pub strip: Strip,
     /// How this edit was chosen, such as [`BestEdit::in_words`].
     pub choice: String,
@@ -31,7 +31,7 @@ pub(super) fn body(opening: Option<&Opening>) -> String {
 }
 
 impl BestEdit {
-    /// The rule by which the edit was chosen, and its numbers, as sentences for a reader of the page.
+    /// The rule by which the edit was chosen, and its error numbers, as sentences for a reader of the page.
     pub fn in_words(&self) -> String {
         let system = &self.edit.system;
         let Some(gain) = self.gain else {

@@ -7,7 +7,7 @@ use crate::format::{PUBLISHED_HEADING, RowGroup};
 use crate::metric::Metric;
 use crate::table::{Cell, Column, Table};
 
-/// All tables, each under the name of its task.
+/// All tables, each under the name of its task, as HTML.
 pub(super) fn html(tables: &[Table]) -> String {
     let mut html = String::new();
     for table in tables {
@@ -67,10 +67,10 @@ pub(super) fn html(tables: &[Table]) -> String {
     html
 }
 
-/// Least number of columns of a table that takes the whole width of the page.
+/// Tables with at least this many columns take the whole width of the page.
 const WIDE_COLUMNS: usize = 5;
 
-/// Two head lines: families of columns, such as E2S, above their members.
+/// Two header rows: families of columns, such as E2S, above their columns.
 fn table_head(html: &mut String, columns: &[Column]) {
     let mut families = "<tr><th rowspan=\"2\" scope=\"col\">System</th>".to_owned();
     let mut members = "<tr>".to_owned();
@@ -102,7 +102,7 @@ fn table_head(html: &mut String, columns: &[Column]) {
     let _ = write!(html, "{families}</tr>{members}</tr>");
 }
 
-/// First words of columns that share a heading.
+/// First words that mark columns of one family.
 const FAMILIES: [&str; 2] = ["E2S", "E2T"];
 
 fn table_cell(html: &mut String, cell: Option<&Cell>, metric: &Metric) {

@@ -1,4 +1,4 @@
-// The viewers of a report: the motions of an item side by side on one clock.
+// The viewers of a report: they show the motions of an item side by side, in sync.
 //
 // It draws with WebGL 2, and with lines on a plain canvas where there is none. The motions lie in
 // the page itself, as millimetres in base64, so that the file works without a server.
@@ -12,7 +12,7 @@
   const FIELD = 0.6;
   // A pane narrower than this share of its height sees the same width from farther away.
   const LEAST_ASPECT = 0.7;
-  // How far the mark of a joint's bone stands out around it, in metres.
+  // How much wider the radius of a bone's mark is than that of the bone, in metres.
   const MARK = 0.032;
   const LEFT_HIP = 1, RIGHT_HIP = 2;
 
@@ -32,7 +32,7 @@
     return a.map((value, at) => (value + (b[at] - value) * t) / 255);
   }
 
-  /** A motion ready to be drawn: where its floor is, and the way of its pelvis over the ground. */
+  /** A motion prepared for drawing: with its floor's height and its pelvis's path over the ground. */
   function prepared(motion, parents) {
     const points = decoded(motion.points);
     const stride = 3 * parents.length;
@@ -81,7 +81,7 @@
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
-  /** The axes of a camera and where it stands. Its yaw is counted from where the figure faces. */
+  /** Axes and position of a camera. Its yaw is measured from the direction that the figure faces. */
   function lens(camera, target) {
     const { pitch, distance } = camera, yaw = camera.heading + camera.yaw;
     const back = [Math.sin(yaw) * Math.cos(pitch), Math.sin(pitch), Math.cos(yaw) * Math.cos(pitch)];
@@ -91,7 +91,7 @@
     return { right, up, back, eye };
   }
 
-  /** Half heights of a pane at a distance of one: the focal length. */
+  /** The focal length, in half heights of a pane. */
   const focal = (aspect) => Math.min(aspect / LEAST_ASPECT, 1) / Math.tan(FIELD / 2);
 
   /** Column-major projection times view. */
@@ -260,7 +260,7 @@
         gl.uniformMatrix4fv(gl.getUniformLocation(body, "camera"), false, projection);
         gl.uniform3fv(gl.getUniformLocation(body, "eye"), lens(scene.camera, scene.target).eye);
         gl.bindBuffer(gl.ARRAY_BUFFER, instances);
-        // Of a mark only the far side is drawn, so that it stands out around its bone.
+        // Only the far side of a mark is drawn, so that it appears as an outline of its bone.
         gl.enable(gl.CULL_FACE);
         gl.cullFace(gl.FRONT);
         capsules(scene.marks);
@@ -329,7 +329,7 @@
     return made;
   }
 
-  /** Fills an element with a viewer of the items; of a single one there is nothing to choose. */
+  /** Fills an element with a viewer of the items. With a single item there is no choice. */
   function viewer(root, { parents, items }) {
     const camera = { heading: 0, yaw: 0.7, pitch: 0.2, distance: 4.2 };
     const choice = element("select", { "aria-label": "Item" });
@@ -364,7 +364,7 @@
       console.warn(problem);
     }
     function drawPlainly() {
-      // A canvas keeps the kind of its first context.
+      // A canvas cannot change the kind of its first context, so it is replaced.
       const fresh = canvas.cloneNode();
       canvas.replaceWith(fresh);
       canvas = fresh;
@@ -373,7 +373,7 @@
     }
     if (backend) {
       root.dataset.renderer = backend.name;
-      // Browsers keep about 16 contexts; one more takes that of the oldest viewer, such as of a long notebook.
+      // Browsers keep about 16 contexts. In a page with more viewers, such as a long notebook, the oldest lose theirs.
       canvas.addEventListener("webglcontextlost", () => { drawPlainly(); redraw(); });
     } else {
       drawPlainly();
@@ -384,10 +384,10 @@
     function open(at) {
       item = items[at];
       motions = item.motions.map((motion) => prepared(motion, parents));
-      // Every item is first seen from the same side of its source.
+      // Every item is first shown from the same side of its source.
       camera.heading = heading(motions[0]);
       last = Math.max(...motions.map((motion) => motion.frames)) - 1;
-      // The list cuts what does not fit into its line.
+      // The list truncates long captions; this line shows the whole text.
       note.textContent = `“${item.caption}” · ${item.note}`;
       scrub.max = String(last);
       labels.replaceChildren(...motions.map((motion) => element("span", {}, motion.label)));
@@ -435,7 +435,7 @@
       const frame = frameNow();
       backend.clear();
       motions.forEach((motion, at) => {
-        // A shorter motion stays at its last frame.
+        // A shorter motion keeps its last frame.
         const own = Math.min(frame, motion.frames - 1);
         const drawn = [];
         const marks = bones(motion, own).filter((bone) => bone.mark)
@@ -478,13 +478,13 @@
         redraw();
       };
       event.target.addEventListener("pointermove", move);
-      // A touch is cancelled where it turns out to scroll the page.
+      // A touch that scrolls the page is cancelled.
       for (const end of ["pointerup", "pointercancel"]) {
         event.target.addEventListener(end, () => event.target.removeEventListener("pointermove", move), { once: true });
       }
     });
     stage.addEventListener("wheel", (event) => {
-      // Whoever scrolls past a viewer wants to go on.
+      // Without focus, the wheel scrolls the page.
       if (!stage.contains(document.activeElement)) return;
       event.preventDefault();
       camera.distance = Math.min(Math.max(camera.distance * Math.exp(event.deltaY / 800), 1.2), 12);
@@ -500,7 +500,7 @@
       event.preventDefault();
     });
     new ResizeObserver(redraw).observe(stage);
-    // Out of sight it stands still, so that several viewers cost no more than one.
+    // A viewer that is out of sight does not play, so that several viewers cost no more than one.
     new IntersectionObserver(([seen]) => {
       visible = seen.isIntersecting;
       before = null;

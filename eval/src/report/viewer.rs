@@ -1,4 +1,4 @@
-//! The motions of a report in three dimensions: data and script of its viewers.
+//! Three-dimensional viewers of a report's motions: their data and script.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 use crate::draw::escaped;
 use crate::draw::strip::Row;
 
-/// An edited item: its instruction, and the motions to compare.
+/// An edited item: its instruction, and the motions shown side by side.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Strip {
     /// The instruction.
@@ -22,22 +22,22 @@ pub struct Strip {
     pub rows: Vec<Row>,
 }
 
-/// The script of all viewers of a page. It builds their elements from the data and loads nothing.
+/// The script of all viewers on a page. It builds their elements from the data and loads nothing.
 pub(super) const SCRIPT: &str = include_str!("viewer.js");
 
-/// Millimetres in a metre: the unit of stored positions.
+/// Millimetres in a metre; positions are stored in millimetres.
 const MM_PER_M: f64 = 1e3;
 
-/// The source by which a content security policy allows the script and no other.
+/// The hash source with which a content security policy allows this script and no other.
 pub(super) fn script_source() -> String {
     format!("'sha256-{}'", STANDARD.encode(Sha256::digest(SCRIPT)))
 }
 
-/// Legend of a viewer, for the text above or below it.
+/// Legend of a viewer, shown above or below it.
 pub(super) const LEGEND: &str = "Colour runs with time from orange to blue; left limbs are pale; \
     <span class=\"marked\">green</span> marks the joints the edit was asked to change.";
 
-/// The viewer of all strips, with its text; empty without strips.
+/// The viewer of all strips, with its heading and legend; empty without strips.
 pub(super) fn section(strips: &[Strip]) -> String {
     if strips.is_empty() {
         return String::new();
@@ -49,13 +49,13 @@ pub(super) fn section(strips: &[Strip]) -> String {
     )
 }
 
-/// Element and data of a viewer; the script fills every element of this class.
+/// Element and data of a viewer. The script fills every element of this class.
 ///
-/// With one strip it offers no choice of items. The id must be the only one of its name on the page.
+/// With one strip, the viewer offers no choice of items. The id must be unique on the page.
 pub(super) fn element(id: &str, strips: &[Strip]) -> String {
     let items: Vec<_> = strips.iter().map(item).collect();
     let data = json!({ "parents": KEYPOINT_PARENTS, "items": items });
-    // Within a script element only its end tag is special.
+    // Within a script element, only its end tag is special.
     let data = data.to_string().replace('<', "\\u003c");
     format!(
         "<div id=\"{id}\" class=\"viewer\"></div>\n\
@@ -63,7 +63,7 @@ pub(super) fn element(id: &str, strips: &[Strip]) -> String {
     )
 }
 
-/// The viewer of one strip, under its caption and the names of its highlighted joints where it has them.
+/// The viewer of one strip, below its caption and the names of its highlighted joints, if any.
 pub(super) fn alone(strip: &Strip) -> String {
     let mut html = String::new();
     if !strip.caption.is_empty() {
@@ -83,7 +83,7 @@ pub(super) fn alone(strip: &Strip) -> String {
 }
 
 fn item(strip: &Strip) -> serde_json::Value {
-    // One origin for all motions of an item: their relative position is part of the edit.
+    // All motions of an item share one origin, because their relative position is part of the edit.
     let origin = strip
         .rows
         .iter()
@@ -108,13 +108,13 @@ fn item(strip: &Strip) -> serde_json::Value {
     json!({ "caption": strip.caption, "note": strip.note, "fps": fps, "motions": motions })
 }
 
-/// Positions in millimetres from the origin, little-endian, 16 bits each; positions beyond 32 m are
-/// clamped.
+/// Base64 of the positions relative to the origin in millimetres, as little-endian 16-bit integers; positions beyond 32
+/// m are clamped.
 fn points(keypoints: &Keypoints, origin: DVec3) -> String {
     let mut bytes = Vec::with_capacity(keypoints.points.len() * size_of_val(&KEYPOINT_PARENTS));
     for point in keypoints.points.iter().flatten() {
         for value in (*point - origin).to_array() {
-            // The conversion saturates.
+            // The conversion to i16 saturates.
             bytes.extend(((MM_PER_M * value).round() as i16).to_le_bytes());
         }
     }
@@ -163,10 +163,10 @@ mod tests {
             .collect();
         for (found, expected) in found.chunks_exact(3).zip(&expected[0]) {
             let expected = *expected - DVec3::new(pelvis.x, 0.0, pelvis.z);
-            // Half a unit and the rounding of a sum.
+            // The tolerance is half a unit, plus the rounding of a sum.
             assert!(DVec3::from_slice(found).abs_diff_eq(expected, 0.5e-3 + 1e-12));
         }
-        // 40 m away: as far as the numbers reach.
+        // The motion is 40 m away, beyond the largest number, 32.767 m.
         let first_of_second = found[expected[0].len() * 3];
         assert!((first_of_second - 32.767).abs() < 1e-12);
         assert!(section(&[]).is_empty());

@@ -1,5 +1,5 @@
-//! From motions to numbers: latents of every motion, and the metrics of single motions. Motions are read some at a
-//! time, and dropped once they are measured.
+//! Measures motions: the latents of every motion, and the metrics of single motions. Motions are read in chunks and
+//! dropped after they are measured.
 
 use std::borrow::Cow;
 
@@ -22,12 +22,12 @@ use crate::names::{IDENTITY, REAL_DATA};
 use crate::protocol::Protocol;
 use crate::rows::EditFacts;
 
-/// A test set as numbers.
+/// Measurements of a test set.
 pub(crate) struct Measured<'a> {
     pub(crate) sources: Take,
     /// The real data, the identity editor and all systems.
     pub(crate) systems: Vec<System<'a>>,
-    /// Targets of other captures, for items that have one.
+    /// Measurements of the targets from other captures, for the items that have one.
     pub(super) floor: Option<Take>,
 }
 
@@ -38,7 +38,7 @@ pub(crate) struct System<'a> {
 }
 
 impl System<'_> {
-    /// The system on some of the items.
+    /// The system restricted to some items.
     pub(crate) fn select(&self, indices: &[usize]) -> Self {
         Self {
             name: self.name,
@@ -46,17 +46,17 @@ impl System<'_> {
         }
     }
 
-    /// The take that a repeat scores.
+    /// The take that is scored in a repeat.
     pub(super) fn take(&self, repeat: usize) -> &Take {
         &self.takes[repeat % self.takes.len()]
     }
 }
 
-/// One motion for each item, as numbers.
+/// Measurements of one motion for each item.
 #[derive(Clone)]
 pub(crate) struct Take {
     pub(crate) latents: Latents,
-    /// Values of the metrics of single motions; NaN where a motion has none.
+    /// Values of the metrics of single motions; NaN if a motion has none.
     of_items: Vec<(&'static Metric, Vec<f64>)>,
 }
 
@@ -79,8 +79,8 @@ impl Take {
     }
 }
 
-/// Encodes and measures the originals and all systems. Each item is read once, and what its motions are compared with
-/// is computed once for all systems.
+/// Encodes and measures the originals and all systems. Each item is read once, and the reference data of its motions is
+/// computed once for all systems.
 pub(crate) fn measured<'a>(
     test_set: &TestSet<'a>,
     evaluators: Evaluators<'_>,
@@ -156,7 +156,7 @@ pub(crate) fn measured<'a>(
     })
 }
 
-/// An item with its motions, and the data that all of them are compared with.
+/// An item with its motions, and the reference data that all of them are compared with.
 struct Asked<'a> {
     id: &'a str,
     source: Motion,
@@ -194,11 +194,11 @@ struct Subject<'a> {
     system: &'a str,
     asked: &'a Asked<'a>,
     motion: Cow<'a, Motion>,
-    /// The edit, where the motion is one.
+    /// The edit; none if the motion is a source or target.
     edit: Option<&'a EditFacts>,
 }
 
-/// A motion of each item.
+/// One motion of each item, such as all sources.
 fn given<'a>(
     system: &'a str,
     asked: &'a [Asked<'a>],
@@ -213,14 +213,14 @@ fn given<'a>(
     asked.iter().map(subject).collect()
 }
 
-/// The targets made of other captures.
+/// The targets made from other captures.
 fn other_takes<'a>(asked: &'a [Asked<'a>]) -> Vec<Subject<'a>> {
     given("other take", asked, |asked| {
         asked.other.as_ref().unwrap_or(&asked.target)
     })
 }
 
-/// Reads the edits of some items in a take, whose positions are given.
+/// Reads the edits of one take for some items; the items' positions are given.
 fn edits<'a>(
     test_set: &TestSet<'a>,
     take: &[usize],
@@ -256,8 +256,8 @@ fn not_a_motion(system: &str, id: &str, source: datasets_spec::Error) -> Error {
 }
 
 impl Subject<'_> {
-    /// The motion, cropped to the length of its target if `cut`, at the rate of its target and long enough to be
-    /// measured.
+    /// Checks that the motion has the frame rate of its target and enough frames. If `cut` is set, the motion is first
+    /// truncated to the target's length.
     fn checked(mut self, cut: bool) -> Result<Self, Error> {
         let (system, id) = (self.system, self.asked.id);
         let target = &self.asked.target;
@@ -286,11 +286,11 @@ impl Subject<'_> {
     }
 }
 
-/// A take under way.
+/// A partially measured take.
 struct Gathered {
-    /// Latents, one after another.
+    /// Latents, concatenated.
     latents: Vec<f64>,
-    /// Width of the latents, once one is known.
+    /// Width of the latents, once the first one is known.
     width: Option<usize>,
     /// Values by metric.
     of_items: Vec<Vec<f64>>,
@@ -300,13 +300,14 @@ struct Gathered {
 struct OfMotions<'a> {
     skeleton: &'a Skeleton,
     protocol: &'a Protocol,
-    /// Windows whose seams are measured in motions that record none: those of the first system.
+    /// Windows used to find the seams of motions that record no windows: those of the first system that records its
+    /// windows.
     windows: Option<Windows>,
     metrics: Vec<(&'static Metric, MotionMeasure)>,
 }
 
 impl OfMotions<'_> {
-    /// The value of each metric; NaN where the motion has none.
+    /// The value of each metric; NaN if the motion has none.
     fn values(&self, subject: &Subject<'_>, composed: Option<f64>) -> Vec<f64> {
         let Subject {
             asked,
@@ -368,7 +369,7 @@ impl<'a> Measuring<'a> {
         }
     }
 
-    /// A take without motions.
+    /// An empty take.
     fn begin(&self) -> Gathered {
         Gathered {
             latents: Vec::new(),
@@ -377,7 +378,7 @@ impl<'a> Measuring<'a> {
         }
     }
 
-    /// Reads items, checks each against its id, and measures their targets.
+    /// Reads items, checks each against its id, and measures its target.
     fn asked<'i>(
         &self,
         test_set: &TestSet<'i>,
@@ -401,11 +402,11 @@ impl<'a> Measuring<'a> {
             .collect()
     }
 
-    /// Measures one motion of each item, cropped to the length of its target first if `cut`.
+    /// Measures one motion of each item. If `cut` is set, motions are first truncated to the length of their targets.
     fn add(&self, subjects: Vec<Subject<'_>>, cut: bool, into: &mut Gathered) -> Result<(), Error> {
         let subjects = subjects.into_iter().map(|subject| subject.checked(cut));
         let subjects = subjects.collect::<Result<Vec<_>, Error>>()?;
-        // The networks stay on this thread: they need not be shareable.
+        // The networks are called on this thread only, so they need not be `Sync`.
         let motions: Vec<&Motion> = subjects.iter().map(|subject| &*subject.motion).collect();
         let latents = self.encode(&subjects, &motions, into.width)?;
         let composed = self.classify(&subjects, &motions)?;
@@ -429,7 +430,7 @@ impl<'a> Measuring<'a> {
         Ok(())
     }
 
-    /// The take whose motions were all measured.
+    /// Builds the take after all its motions are measured.
     fn take(&self, gathered: Gathered) -> Result<Take, Error> {
         let width = gathered.width.unwrap_or(1);
         let raw = Matrix::new(gathered.latents.len() / width, width, gathered.latents);
@@ -441,7 +442,7 @@ impl<'a> Measuring<'a> {
         })
     }
 
-    /// Share of each motion's windows classified as composed, where there is a classifier.
+    /// Share of each motion's windows classified as composed; none without a classifier.
     fn classify(
         &self,
         subjects: &[Subject<'_>],
@@ -457,7 +458,7 @@ impl<'a> Measuring<'a> {
         })
     }
 
-    /// Encodes motions and checks that the latents are points with a direction.
+    /// Encodes motions and checks that the latents are finite and have a nonzero length.
     fn encode(
         &self,
         subjects: &[Subject<'_>],

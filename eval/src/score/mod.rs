@@ -1,4 +1,4 @@
-//! From edited motions to rows of the table of scores.
+//! Scores edited motions: computes rows of the table of scores.
 
 mod measure;
 mod resample;
@@ -31,30 +31,28 @@ pub(crate) use test_set::TestSet;
 pub use trainings::over_trainings;
 pub(crate) use values::{Galleries, OfItems, Ranks, of_items};
 
-/// Scores every system that answered a test set.
+/// Scores every system that edited a test set.
 ///
 /// The edits may hold any number of systems, each with a motion for every item. A system may hold
 /// several takes of every item, such as samples from different seeds; repeat r then scores take r
 /// modulo their number.
 ///
-/// The result has one row for each task, system and metric: first [`REAL_DATA`](crate::names::REAL_DATA)
-/// and [`IDENTITY`],
-/// then the systems by name. With items of more than one task there is also
-/// [`ALL_TASKS`](crate::names::ALL_TASKS), which
-/// comes first. Items that have a target of another capture also make the task [`RECAPTURED`], in
-/// which [`NOISE_FLOOR`] follows the identity editor. Items of several novelties make a task of each
-/// ([`NOVELTIES`](crate::names::NOVELTIES)). A metric that needs more items than a task has
-/// is left out, and so are bootstrap intervals over fewer targets than [`MIN_TARGETS`]. The last row of the identity editor is no metric: [`TOLD_APART`] says whether the encoder tells its targets from its
-/// sources.
+/// The result has one row for each task, system and metric: first [`REAL_DATA`](crate::names::REAL_DATA) and
+/// [`IDENTITY`], then the systems by name. With items of more than one task there is also
+/// [`ALL_TASKS`](crate::names::ALL_TASKS), which comes first. Items with a target from another capture also form the
+/// task [`RECAPTURED`], in which [`NOISE_FLOOR`] follows the identity editor. If there are items of several novelties,
+/// each novelty forms a task ([`NOVELTIES`](crate::names::NOVELTIES)). A metric that needs more items than a task has
+/// is left out, and so are bootstrap intervals over fewer targets than [`MIN_TARGETS`]. The last row of the identity
+/// editor is not a metric: [`TOLD_APART`] shows whether the encoder distinguishes targets from sources.
 ///
 /// # Errors
-/// There is no item, or one without a target; a system lacks items, has unknown ones or uneven
-/// takes, has a reserved name, or holds a motion that cannot be measured; the protocol measures
-/// nothing; the encoder fails or returns latents that are no points.
+/// There is no item, or one without a target; a system lacks items, has unknown ones or uneven takes, has a reserved
+/// name, or holds a motion that cannot be measured; the protocol measures nothing; the encoder fails or returns invalid
+/// latents.
 ///
 /// # Source
-/// Table 1 of the paper for the metrics. FID is on latents of unit length and Diversity on raw
-/// ones, the pair that explains the published magnitudes.
+/// Table 1 of the paper for the metrics. FID is computed on latents of unit length and Diversity on raw ones; this
+/// combination explains the published magnitudes.
 pub fn score(
     answered: &Answered,
     evaluators: Evaluators<'_>,
@@ -64,9 +62,8 @@ pub fn score(
     Ok(score_and_compare(answered, evaluators, protocol, progress)?.0)
 }
 
-/// [`score`], and in each task the paired differences of the metrics that claims are made of
-/// ([`CLAIMS`]): of every system against the identity editor, and of each against the next one
-/// behind it in E2T R@1.
+/// Computes [`score`], and for each task the paired differences in the metrics that support claims ([`CLAIMS`]). Every
+/// system is compared with the identity editor and with the next worse system in E2T R@1.
 ///
 /// # Errors
 /// As [`score`].
@@ -100,10 +97,10 @@ pub fn score_and_compare(
     Ok((scores, comparisons))
 }
 
-/// The systems on the items of one task.
+/// The systems, restricted to the items of one task.
 struct OfTask<'a> {
     task: &'a str,
-    /// The real data, the identity editor, the noise floor where there is one, and the systems by name.
+    /// The real data, the identity editor, the noise floor if there is one, and the systems sorted by name.
     systems: Vec<System<'a>>,
     /// Ranks of each system.
     ranks: Vec<Ranks>,
@@ -160,7 +157,7 @@ impl<'a> OfTask<'a> {
         })
     }
 
-    /// A row for each system and metric.
+    /// One row for each system and metric.
     fn scores(&self, encoder_hash: &str, progress: &dyn Progress) -> Result<Vec<ScoreRow>, Error> {
         let Self {
             systems, protocol, ..
@@ -209,7 +206,7 @@ impl<'a> OfTask<'a> {
         Ok(scores)
     }
 
-    /// The values of each system on the bootstrap resamples, metric by metric.
+    /// Values of the metrics on the bootstrap resamples, for each system.
     fn resampled(&self) -> Result<Vec<OfItems>, Error> {
         let resamples = &self.resamples;
         let of_system = |of_items: &OfItems| -> OfItems {
@@ -275,8 +272,8 @@ impl<'a> OfTask<'a> {
         }
     }
 
-    /// Paired differences of the metrics of [`CLAIMS`](crate::metric::CLAIMS): each system against the identity editor,
-    /// and each against the one behind it in E2T R@1. The hash of the encoder is left out.
+    /// Paired differences in the metrics of [`CLAIMS`](crate::metric::CLAIMS): each system against the identity editor
+    /// and against the next worse system in E2T R@1. The encoder's hash is left empty.
     fn claims(&self) -> Vec<Comparison> {
         let values = &self.of_items;
         let recall = |place: usize| -> f64 {
@@ -315,7 +312,7 @@ impl<'a> OfTask<'a> {
     }
 }
 
-/// How far the real data is above the identity editor in R@1 by targets, on the same items.
+/// The difference between the real data and the identity editor in E2T R@1, on the same items.
 fn told_apart(of_items: [&OfItems; 2], resamples: &Resamples) -> Interval {
     let [real, identity] = of_items.map(|values| {
         let of_system = values.get(&E2T_RECALL_1);

@@ -7,17 +7,17 @@ use rayon::prelude::*;
 
 use crate::protocol::{Protocol, RESAMPLES};
 
-/// Draws of the targets with replacement, the same for all systems and metrics. Items that share a
-/// target are not independent, so they are drawn together.
+/// Draws of the targets with replacement, the same for all systems and metrics. Items that share a target are drawn
+/// together, because they are not independent.
 pub(crate) struct Resamples {
     /// Items of each target.
     groups: Vec<Vec<usize>>,
-    /// How often each target is drawn, resample after resample.
+    /// How often each target is drawn, for each resample.
     counts: Vec<Vec<u32>>,
 }
 
 impl Resamples {
-    /// Draws from the targets of items; equal names mean the same target.
+    /// Draws from the targets of the items; items with equal names share a target.
     pub(crate) fn new<'a>(targets: impl Iterator<Item = &'a str>, protocol: &Protocol) -> Self {
         let mut groups: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
         for (item, target) in targets.enumerate() {
@@ -38,12 +38,12 @@ impl Resamples {
         Self { groups, counts }
     }
 
-    /// Distinct targets.
+    /// Number of distinct targets.
     pub(crate) fn num_targets(&self) -> usize {
         self.groups.len()
     }
 
-    /// How often each item is drawn in each of the first resamples.
+    /// How often each item is drawn, for each of the first `count` resamples.
     pub(crate) fn weights(&self, count: usize) -> impl ExactSizeIterator<Item = Vec<u32>> {
         let num_items = self.groups.iter().map(Vec::len).sum();
         self.counts[..count.min(self.counts.len())]
@@ -59,7 +59,7 @@ impl Resamples {
             })
     }
 
-    /// The mean over the items of each resample; items without a value, which are NaN, are left out.
+    /// The mean over the items of each resample; items without a value (NaN) are left out.
     pub(crate) fn means(&self, values: &[f64]) -> Vec<f64> {
         let sums: Vec<(f64, f64)> = self
             .groups
@@ -83,9 +83,9 @@ impl Resamples {
         means.filter(|mean| mean.is_finite()).collect()
     }
 
-    /// Like [`Resamples::means`], with the median.
+    /// Like [`Resamples::means`], but with the median.
     pub(crate) fn medians(&self, values: &[f64]) -> Vec<f64> {
-        // Sort once: resamples differ only in the weights of the values.
+        // Sort once: resamples differ only in the weights.
         let known = (0..values.len()).filter(|&item| values[item].is_finite());
         let mut order: Vec<usize> = known.collect();
         order.sort_unstable_by(|&a, &b| values[a].total_cmp(&values[b]));
@@ -108,7 +108,7 @@ impl Resamples {
     }
 }
 
-/// Positions in a resample, each repeated as often as it was drawn.
+/// Positions of a resample, each repeated as often as it was drawn.
 pub(crate) fn drawn(positions: &[usize], weights: &[u32]) -> Vec<usize> {
     let copies = |&item: &usize| std::iter::repeat_n(item, weights[item] as usize);
     positions.iter().flat_map(copies).collect()
@@ -134,7 +134,7 @@ mod tests {
         let values = [1.0, 1.0, 1.0, 1.0, 5.0, 5.0, 5.0, 5.0, 3.0, 3.0, 3.0, 3.0];
         let alone = ["a", "b", "c", "d", "e", "f", "g", "h", "i", "j", "k", "l"];
         let shared = ["a", "a", "a", "a", "b", "b", "b", "b", "c", "c", "c", "c"];
-        // The deviation of a mean of twelve, and of three: 1.96 * sqrt(8/3) / sqrt(n).
+        // The expected deviations of a mean of twelve and of three are 1.96 * sqrt(8/3) / sqrt(n).
         let (of_twelve, of_three) = (spread(&alone, &values), spread(&shared, &values));
         // The standard deviation of 1,000 resamples has an error of about 2 %; the bound is four times that.
         assert!((of_twelve / 0.924 - 1.0).abs() < 0.1, "{of_twelve}");

@@ -1,4 +1,4 @@
-//! The test set: items, and the takes of every system, checked and in one order.
+//! The test set: items, and the takes of every system, checked and in the same order.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,20 +15,20 @@ use crate::table::Items;
 
 /// Hexadecimal digits of the digest of the sorted item ids.
 const DIGEST_DIGITS: usize = 12;
-/// Ids an error message lists.
+/// Maximum number of ids that an error message lists.
 const MAX_IDS_SHOWN: usize = 5;
 
 /// The items and the edits of all systems, in the order of the item ids.
 pub(crate) struct TestSet<'a> {
     pub(super) answered: &'a Answered,
-    /// Position of each item among those that were answered.
+    /// Position in `answered.items` of each item.
     pub(super) items: Vec<usize>,
-    /// Takes of each system, each with the position of an edit for every item.
+    /// Takes of each system; a take lists the position of its edit for every item.
     pub(crate) systems: BTreeMap<&'a str, Vec<Vec<usize>>>,
 }
 
 impl<'a> TestSet<'a> {
-    /// Sorts and checks rows, and keeps the items that the protocol scores.
+    /// Sorts and checks the rows, and keeps the items that the protocol scores.
     pub(crate) fn new(answered: &'a Answered, protocol: &Protocol) -> Result<Self, Error> {
         let mut by_id: BTreeMap<&str, usize> = BTreeMap::new();
         for (position, item) in answered.items.facts().iter().enumerate() {
@@ -88,7 +88,7 @@ impl<'a> TestSet<'a> {
         self.systems.values().find_map(first)
     }
 
-    /// Ids of the motions that the targets of items were made of.
+    /// Ids of the motions that the items' targets were made of.
     pub(crate) fn targets(&self, indices: &[usize]) -> impl Iterator<Item = &'a str> {
         indices
             .iter()
@@ -119,7 +119,7 @@ impl<'a> TestSet<'a> {
         }
     }
 
-    /// Motions that will be encoded.
+    /// Number of motions that will be encoded.
     pub(super) fn num_motions(&self) -> usize {
         let num_takes: usize = self.systems.values().map(Vec::len).sum();
         (2 + num_takes) * self.items.len() + self.recaptured().len()
@@ -153,7 +153,7 @@ impl<'a> TestSet<'a> {
         counts.join(", ")
     }
 
-    /// Positions of the items of each novelty, if there are items of several.
+    /// Positions of the items of each novelty; empty unless there are several novelties.
     fn novelties(&self) -> Vec<(&'a str, Vec<usize>)> {
         let of_value = NOVELTIES.iter().map(|value| {
             let is_of = |index: &usize| self.item(*index).novelty.as_deref() == Some(*value);
@@ -167,7 +167,7 @@ impl<'a> TestSet<'a> {
         }
     }
 
-    /// Positions of the items of each task, of all together, and of each novelty.
+    /// Positions of the items of each task, of all tasks together, and of each novelty.
     pub(crate) fn tasks(&self) -> Vec<(&'a str, Vec<usize>)> {
         let mut kinds: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
         for index in 0..self.items.len() {
@@ -182,7 +182,7 @@ impl<'a> TestSet<'a> {
     }
 }
 
-/// The windows recorded in the settings of a system.
+/// The windows recorded in the edit's settings.
 pub(super) fn windows_of(row: &EditFacts) -> Option<Windows> {
     let settings: serde_json::Value = serde_json::from_str(&row.settings).ok()?;
     let count = |name: &str| usize::try_from(settings.get(name)?.as_u64()?).ok();
@@ -202,10 +202,10 @@ pub(super) fn windows_of(row: &EditFacts) -> Option<Windows> {
     })
 }
 
-/// Seed and position of the edits of each item.
+/// Seeds and positions of the edits of each item.
 type OfSystem<'a> = BTreeMap<&'a str, Vec<(u64, usize)>>;
 
-/// Orders the rows of a system by item and take. Takes are distinguished by their seed.
+/// Sorts the rows of a system by item and take. Takes are distinguished by their seed.
 fn takes<'a>(system: &str, rows: OfSystem<'a>, ids: &[&'a str]) -> Result<Vec<Vec<usize>>, Error> {
     let missing: Vec<&str> = ids
         .iter()

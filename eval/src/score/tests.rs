@@ -26,7 +26,7 @@ use crate::protocol::{FidSample, Gallery, Queries, Spread};
 
 type Latents = Result<Vec<Vec<f64>>, EncoderError>;
 
-/// Latents that are a fixed function of the first frame: enough to tell motions apart.
+/// Latents computed from the first frame; they differ between motions.
 fn first_frame(motions: &[&Motion]) -> Latents {
     let latent = |motion: &&Motion| {
         motion.body_pose()[0][..12]
@@ -58,7 +58,7 @@ impl<F: Fn(&[&Motion]) -> Latents> MotionEncoder for Encoder<F> {
     }
 }
 
-/// A posture that follows from the name and the number.
+/// A motion with poses drawn from a seed of the name and the number.
 fn motion(index: usize, name: &str) -> Motion {
     let mut rng = Seed(5).rng(&["row", name, &index.to_string()]);
     let mut pose = Pose::REST;
@@ -92,7 +92,7 @@ fn answer(system: &str, item: &ItemRow, motion: &Motion) -> EditRow {
     }
 }
 
-/// `num_items` items, alternating between two kinds.
+/// `num_items` items that alternate between two tasks.
 fn questions(num_items: usize) -> Vec<ItemRow> {
     (0..num_items)
         .map(|index| item(index, ["semantic", "style"][index % 2]))
@@ -138,7 +138,7 @@ fn answered(items: &[ItemRow], edits: &[EditRow]) -> Answered {
     Answered::of_rows(items.to_vec(), edits.to_vec(), skeleton)
 }
 
-/// Gives every `step`th item a target of another capture.
+/// Gives every `step`th item a target from another capture.
 fn recapture(items: &mut [ItemRow], step: usize) {
     for (index, row) in items.iter_mut().enumerate().step_by(step) {
         let (source, target) = (motion(index, "source"), motion(index, "target"));
@@ -147,7 +147,7 @@ fn recapture(items: &mut [ItemRow], step: usize) {
     }
 }
 
-/// The system's edits with another seed, as a second take.
+/// The system's edits with another seed, which makes them another take.
 fn take(edits: Vec<EditRow>, seed: u64) -> Vec<EditRow> {
     let of_seed = |row| EditRow { seed, ..row };
     edits.into_iter().map(of_seed).collect()
@@ -198,7 +198,7 @@ fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
     };
     let scores = scored(&items, &edits, &protocol).expect("valid");
     let tasks = ["all", "semantic", "style"];
-    // Neither generated keypoints, nor a classifier, nor several takes.
+    // There are no generated keypoints, no classifier and only one take.
     let absent = [
         &FIT_ERROR,
         &BONE_DRIFT,
@@ -210,7 +210,7 @@ fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
         &GLIDING,
     ];
     let metrics = || metric::ALL.iter().filter(|metric| !absent.contains(metric));
-    // Three tasks, four systems, and the gate of each task.
+    // Three tasks, four systems, and one [`TOLD_APART`] row per task.
     assert_eq!(scores.len(), 3 * (4 * metrics().count() + 1));
     let told_apart = scores.iter().filter(|row| row.metric == TOLD_APART);
     for row in told_apart {
@@ -232,7 +232,7 @@ fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
             (REAL_DATA, &POSITION_ERROR, 0.0),
             (IDENTITY, &retrieval::E2S_RECALL_1, 100.0),
             (IDENTITY, &retrieval::E2S_AVERAGE_RANK, 1.0),
-            // Nothing moves, so every foot is planted.
+            // Nothing moves, so the foot score is perfect.
             (IDENTITY, &FOOT_SCORE, 1.0),
         ] {
             assert_eq!(
@@ -328,7 +328,8 @@ fn asking_the_other_way_round_transposes_the_ranks() {
     };
     let by_real = scored(&items, &[], &real).expect("valid");
     let by_edited = scored(&items, &[], &edited).expect("valid");
-    // The originals asking the targets is the targets, taken as edits, asked by the originals.
+    // Real data with originals as queries equals the identity editor with edited motions as queries: both use sources
+    // as queries and targets as the gallery.
     assert_eq!(
         value(&by_real, "all", REAL_DATA, &retrieval::E2S_AVERAGE_RANK),
         value(&by_edited, "all", IDENTITY, &retrieval::E2T_AVERAGE_RANK),
@@ -350,7 +351,8 @@ fn every_motion_is_encoded_once_and_few_are_in_memory_at_a_time() {
     let protocol = Protocol::default();
     let scores = score(&answered, by(&encoder, &answered), &protocol, &NoProgress).expect("valid");
     assert_eq!(scores, scored(&items, &edits, &protocol).expect("valid"));
-    // Sources, targets and two systems; the identity editor has the sources. Then the targets of other captures.
+    // Chunks of sources, targets and the edits of two systems; the identity editor reuses the sources. The targets from
+    // other captures follow.
     let expected = [[ITEMS_AT_ONCE; 4], [12; 4]].concat();
     assert_eq!(at_once.take(), [&expected[..], &[14]].concat());
 }
@@ -383,14 +385,14 @@ fn repeats_that_draw_nothing_have_the_values_of_their_takes() {
         &POSITION_ERROR,
     ] {
         let of = |system: &str| value(&scores, "all", system, metric);
-        // Three repeats score the first take, two the second.
+        // Three repeats score the first take, and two the second.
         let expected = (3.0 * of("first") + 2.0 * of("second")) / 5.0;
         let both = of("both");
         assert!(
             (both - expected).abs() < 1e-9 * expected.abs().max(1.0),
             "{metric}: {both} {expected}"
         );
-        // If takes are equal, there is no variation.
+        // If the takes are equal, the values do not vary.
         assert_eq!(
             found(&scores, "all", "first", metric).ci95,
             None,
@@ -442,7 +444,7 @@ fn metrics_and_intervals_need_their_items() {
         row.map(|row| (row.fid_items, row.ci95.is_some()))
     };
     let default = Protocol::default();
-    // Latents of twelve numbers, in halves and whole.
+    // The latents have twelve numbers; halves and whole sets are tested.
     for metric in [&FID, &FID_RAW] {
         assert_eq!(found(25, &default, metric), None);
         assert_eq!(found(26, &default, metric), Some((13, true)));
@@ -459,7 +461,7 @@ fn metrics_and_intervals_need_their_items() {
     };
     assert_eq!(found(11, &pairs, &DIVERSITY), None);
     assert!(found(12, &pairs, &DIVERSITY).is_some());
-    // Each item has a target of its own.
+    // Each item has its own target.
     for (targets, interval, is_known) in [
         (9, Spread::Targets, false),
         (10, Spread::Targets, true),
@@ -477,7 +479,7 @@ fn metrics_and_intervals_need_their_items() {
 #[test]
 fn every_system_is_compared_with_the_identity_editor_and_with_the_next_one() {
     let items = questions(40);
-    // The half of the items that are style is answered by the sources.
+    // For items of task style, which are half, the system returns the sources.
     let mut half = perfect("half", &items);
     for (index, lazy) in lazy("half", &items)
         .into_iter()
@@ -532,7 +534,7 @@ fn long_edits_are_cut_to_their_target_on_request() {
     let items = questions(8);
     let mut edits = perfect("slow", &items);
     for row in &mut edits {
-        // Surplus frames that hover would cost foot score if they were looked at.
+        // Hovering surplus frames would lower the foot score if they were measured.
         for _ in 0..4 {
             row.transl.push([0.0, 5.0, 0.0]);
             row.global_orient.push([0.0; 3]);

@@ -1,4 +1,4 @@
-//! Scores of systems that were trained several times.
+//! Averages the scores of systems that were trained several times.
 
 use std::collections::BTreeMap;
 
@@ -7,8 +7,9 @@ use datasets_spec::record::ScoreRow;
 use crate::metric::interval::{Interval, MIN_TARGETS};
 
 /// Averages scores over trainings. Each element holds the rows of one training, all of the same items. The result has
-/// one row for each task, system and metric, in the order in which they first appear. A system may be missing from
-/// some trainings. There are no intervals over fewer than [`MIN_TARGETS`] targets. Rows that are equal in all trainings, such as those of the identity editor, stay as they are.
+/// one row for each task, system and metric, in the order in which they first appear. A system may be missing from some
+/// trainings. Values over fewer than [`MIN_TARGETS`] targets have no interval. Rows that are equal in all trainings,
+/// such as those of the identity editor, are kept unchanged.
 ///
 /// # Panics
 /// If a system has more than [`MOST_TRAININGS`](crate::metric::interval::MOST_TRAININGS) trainings.
@@ -32,7 +33,7 @@ pub fn over_trainings(trainings: &[Vec<ScoreRow>]) -> Vec<ScoreRow> {
         .map(|row| {
             let Interval { mean, ci95 } =
                 Interval::over_trainings(&values[&[&*row.task, &*row.system, &*row.metric]]);
-            // Without the part that the items add, an interval would be too narrow.
+            // Without the variance over items, the interval would be too narrow.
             let is_known = row.targets == 0 || row.targets >= MIN_TARGETS;
             ScoreRow {
                 mean,
@@ -74,7 +75,7 @@ mod tests {
         assert!(
             (all[0].mean - 0.9).abs() < 1e-12 && (all[0].ci95.expect("items") - 0.3).abs() < 1e-12
         );
-        // Items: the mean of 1, 4 and 9. Trainings: a sample variance of 1, over three.
+        // The mean over items of 1, 4 and 9, plus the sample variance of 1 between three trainings.
         let expected = (14.0f64 / 3.0 + 4.303 * 4.303 / 3.0).sqrt();
         assert!((all[1].mean - 2.0).abs() < 1e-12);
         assert!((all[1].ci95.expect("varies") - expected).abs() < 1e-9);

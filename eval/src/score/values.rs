@@ -33,8 +33,8 @@ impl Galleries {
     }
 }
 
-/// A system's ranks in the galleries of each repeat: by the sources, and by the targets. Repeats with the same take and
-/// the same galleries have the same ranks, which are computed once.
+/// A system's ranks in the galleries of each repeat, with the sources and with the targets. Repeats with the same take
+/// and galleries share ranks, which are computed once.
 pub(crate) struct Ranks(Vec<[Ranked; 2]>);
 
 /// Ranks in the galleries of one repeat.
@@ -46,7 +46,7 @@ struct Ranked {
 }
 
 impl Ranks {
-    /// Ranks the counterparts of a system.
+    /// Ranks the counterparts of a system's motions.
     pub(crate) fn of_system(
         sources: &Take,
         targets: &Take,
@@ -92,8 +92,8 @@ impl Ranks {
 /// Values by metric.
 type Values = BTreeMap<&'static Metric, f64>;
 
-/// The values of all systems of a task in each repeat, by repeat and then by system; the first system is the real data.
-/// `advance` is called after each repeat.
+/// Values of all systems of a task, indexed by repeat and then by system; the first system is the real data. `advance`
+/// is called after each repeat.
 pub(super) fn of_repeats(
     systems: &[System<'_>],
     ranks: &[Ranks],
@@ -117,7 +117,7 @@ pub(super) fn of_repeats(
         .collect()
 }
 
-/// Values of a system in one repeat, except those of whole sets.
+/// Values of a system in one repeat, without the metrics of whole sets.
 fn of_repeat(
     system: &System<'_>,
     ranks: &Ranks,
@@ -145,7 +145,7 @@ fn of_repeat(
     Ok(values)
 }
 
-/// Values of the metrics of whole sets: for each metric, by repeat and then by system.
+/// Values of the metrics of whole sets: for each metric, indexed by repeat and then by system.
 fn of_sets_by_repeat(
     systems: &[System<'_>],
     protocol: &Protocol,
@@ -162,7 +162,7 @@ fn of_sets_by_repeat(
             Draws::Halves => protocol.fid_sample == FidSample::Halves,
             Draws::Pairs => true,
         };
-        // Without random draws, repeats of the same takes are equal.
+        // Without random draws, repeats with the same takes have equal values.
         let distinct = match is_drawn_anew {
             true => protocol.repeats,
             false => protocol.repeats.min(most_takes.unwrap_or(1)),
@@ -200,8 +200,8 @@ fn of_sets_by_repeat(
     Ok(found)
 }
 
-/// The values of the metrics of whole sets on one bootstrap resample, for each system. Galleries,
-/// halves and takes are those of the repeat of the same number.
+/// Values of the metrics of whole sets on one bootstrap resample, for each system. Galleries, halves and takes are
+/// those of the repeat with the same number.
 pub(super) fn of_resample(
     systems: &[System<'_>],
     weights: &[u32],
@@ -228,8 +228,8 @@ pub(super) fn of_resample(
     Ok(found)
 }
 
-/// The values of a metric of whole sets, for each system. `drawn` are the items, and those on either side of a Fréchet
-/// distance; `draw` is the number of the repeat or resample, and whether it is a resample.
+/// Values of a metric of whole sets, for each system. `drawn` holds the items, and the items on each side of a Fréchet
+/// distance. `draw` holds the number of the repeat or resample, and whether it is a resample.
 fn of_sets(
     of_sample: SetMeasure,
     systems: &[System<'_>],
@@ -252,8 +252,8 @@ fn of_sets(
     })
 }
 
-/// Values of each item, in the order of the items: means over the repeats, each of which scores one take and ranks some
-/// of the items. NaN where no repeat has a value. For a median rank, the values are the ranks.
+/// Values of each item, in order: means over the repeats, each of which scores one take and ranks some of the items.
+/// NaN if no repeat has a value. For the median rank, the item values are ranks.
 pub(crate) fn of_items(
     system: &System<'_>,
     ranks: &Ranks,
@@ -293,7 +293,7 @@ pub(crate) fn of_items(
             }
         }
         if sums.iter().any(|(_, count)| *count > 0.0) {
-            // 0 / 0 marks items without a value.
+            // 0 / 0 gives NaN, which marks items without a value.
             let means = sums.into_iter().map(|(sum, count)| sum / count);
             found.insert(metric, means.collect());
         }
@@ -310,7 +310,7 @@ fn of_rank(rank: f64, summary: RankSummary) -> f64 {
     }
 }
 
-/// Values of items that come from all takes of a system.
+/// Values of items computed from all takes of a system.
 fn of_takes(
     system: &System<'_>,
     value: TakesMeasure,

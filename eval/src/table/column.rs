@@ -1,4 +1,4 @@
-//! A column of a table.
+//! Columns of result tables.
 
 use crate::metric::{Better, Metric};
 

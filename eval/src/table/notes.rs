@@ -9,7 +9,7 @@ use crate::metric::interval::MIN_TARGETS;
 use crate::metric::{Metric, fid};
 use crate::protocol::Protocol;
 
-/// Names the systems that do not edit, and those behind the identity editor in some of the columns.
+/// Names the systems that do not edit, and those worse than the identity editor in some columns.
 pub(super) fn of_ranking(
     scores: &[&ScoreRow],
     standings: &[Standing],
@@ -23,7 +23,7 @@ pub(super) fn of_ranking(
             idle.join(", ")
         ));
     }
-    // Systems that fall behind in the same columns share a clause.
+    // Systems that are worse in the same columns share a clause.
     let mut clauses: Vec<(Vec<&str>, Vec<&str>)> = Vec::new();
     let mut systems: Vec<&str> = Vec::new();
     for row in scores {
@@ -69,8 +69,8 @@ pub(super) fn of_ranking(
     notes
 }
 
-/// Names the metrics that are left out of a table because of too few items, and missing intervals; `row` is any score
-/// of the table. Scores from before the counts were recorded have none.
+/// Names the metrics left out of a table because of too few items, and missing intervals. `row` is any score of the
+/// table; scores of earlier versions, without counts, give no note.
 pub(crate) fn of_shortages(row: &ScoreRow, metrics: &[&Metric]) -> Vec<String> {
     let of_metric = |metric: &&Metric| {
         if [&fid::FID, &fid::FID_RAW].contains(metric) {
@@ -95,7 +95,7 @@ pub(crate) fn of_shortages(row: &ScoreRow, metrics: &[&Metric]) -> Vec<String> {
     notes
 }
 
-/// A note that there are too few items for a Fréchet distance, if that is so.
+/// A note that there are too few items for a Fréchet distance; none if there are enough.
 pub(crate) fn shortage_of_fid(name: &str, items: usize, latent_width: usize) -> Option<String> {
     let needed = fid::min_items(latent_width);
     (items < needed).then(|| {
@@ -106,7 +106,7 @@ pub(crate) fn shortage_of_fid(name: &str, items: usize, latent_width: usize) -> 
     })
 }
 
-/// A note that there are too few targets for intervals, if that is so.
+/// A note that there are too few targets for intervals; none if there are enough.
 pub(crate) fn shortage_of_targets(targets: u32) -> Option<String> {
     (targets < MIN_TARGETS).then(|| {
         format!(

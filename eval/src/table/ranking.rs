@@ -9,7 +9,7 @@ use crate::judge::{Judges, unranked};
 use crate::metric::{self, Better};
 use crate::names::{GIVEN, IDENTITY, REAL_DATA};
 
-/// Task, protocol, encoder and items: scores with equal keys are in one table.
+/// Task, protocol, encoder and items. Scores with equal keys belong to one table.
 pub(super) type Key<'a> = (&'a str, &'a str, &'a str, &'a str);
 
 pub(super) fn key(row: &ScoreRow) -> Key<'_> {
@@ -21,7 +21,7 @@ pub(super) fn key(row: &ScoreRow) -> Key<'_> {
     )
 }
 
-/// Comparison of a score with the other scores of its table.
+/// How a score compares with the other scores of its table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub(crate) struct Standing {
     /// Whether its table ranks systems.
@@ -33,7 +33,7 @@ pub(crate) struct Standing {
 }
 
 /// Compares each score with those of the same task, items, protocol and encoder. In a table without ranking, no score
-/// is best or behind.
+/// is marked as best or as behind the identity editor.
 pub(crate) fn standings(scores: &[ScoreRow], judges: &Judges) -> Vec<Standing> {
     let mut groups: BTreeMap<Key<'_>, Vec<usize>> = BTreeMap::new();
     for (place, row) in scores.iter().enumerate() {
@@ -102,8 +102,8 @@ pub(super) fn of_table(scores: &[&ScoreRow]) -> Vec<Standing> {
     standings
 }
 
-/// Systems that do not edit: their printed values equal the identity editor's in every metric that both have. Such a
-/// system may have values where the identity editor has none, such as an error of its fit.
+/// Systems that do not edit: their printed values equal the identity editor's in every metric that both have. They may
+/// have values in metrics that the identity editor lacks, such as the fit error.
 pub(super) fn idle<'a>(scores: &[&'a ScoreRow]) -> BTreeSet<&'a str> {
     let printed = |row: &ScoreRow| {
         let metric = metric::from_name(&row.metric)?;
@@ -131,8 +131,7 @@ fn printed(mean: f64, decimals: usize) -> f64 {
     (mean * unit).round()
 }
 
-/// How far a value is from the best, as printed; none where values near real data are good and there
-/// is no real data.
+/// How far a value is from the best, as printed. None if values near real data are good, but there is no real data.
 fn badness(column: Column, mean: f64, real: Option<f64>) -> Option<f64> {
     let printed = |mean: f64| printed(mean, column.metric.decimals);
     match column.better {

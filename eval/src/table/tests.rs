@@ -36,7 +36,7 @@ pub(crate) fn score_row(task: &str, system: &str, metric: &Metric, mean: f64) ->
     }
 }
 
-/// Scores of four systems whose names need escaping somewhere.
+/// Scores of four systems, some of whose names need escaping.
 pub(crate) fn sample_scores(task: &str) -> Vec<ScoreRow> {
     let systems = [
         (REAL_DATA, 1.0),
@@ -147,7 +147,7 @@ fn a_weak_encoder_and_items_without_difference_rank_nothing() {
     }
 }
 
-/// The table of scores whose encoders have no report; they make one table.
+/// The one table of scores whose encoders have no report.
 fn table(scores: &[ScoreRow], columns: &[&'static Metric]) -> Table {
     let mut tables = Table::from_scores(scores, &BTreeMap::new(), columns);
     assert_eq!(tables.len(), 1);
@@ -188,7 +188,7 @@ fn no_system_is_best_where_returning_the_original_is_better() {
         score_row("style", IDENTITY, error, 40.0),
         score_row("style", "a", error, 43.0),
         score_row("style", "b", error, 40.001),
-        // Near real data is good here: the identity editor is 48 away, the systems 41 and 49.
+        // Good values are near real data: the identity editor is 48 away, the systems are 41 and 49 away.
         score_row("style", REAL_DATA, recall, 52.0),
         score_row("style", IDENTITY, recall, 100.0),
         score_row("style", "a", recall, 93.0),
@@ -228,7 +228,7 @@ fn a_row_that_does_nothing_is_never_best() {
     let columns = [error, fit];
     let shown = table(&rows, &columns);
     assert!(best(&shown, error).is_empty());
-    // The identity editor has no fit error; a system that does not edit has the smallest one without merit.
+    // The identity editor has no fit error. A system that does not edit has the smallest one, but is not best.
     assert_eq!(best(&shown, fit), ["editor"]);
     assert_eq!(
         shown.notes[0],
@@ -237,11 +237,11 @@ fn a_row_that_does_nothing_is_never_best() {
     let marks = standings(&rows, &BTreeMap::new());
     let best_rows: Vec<usize> = (0..rows.len()).filter(|&place| marks[place].best).collect();
     assert_eq!(best_rows, [5]);
-    // In a table without other systems it is not marked either.
+    // The system is not marked in a table without other systems either.
     rows.truncate(4);
     let shown = table(&rows, &columns);
     assert!(best(&shown, error).is_empty() && best(&shown, fit).is_empty());
-    // A single different value makes it count as a system that edits.
+    // With a single different value, it counts as a system that edits.
     rows[2].mean = 39.0;
     let shown = table(&rows, &columns);
     assert_eq!(best(&shown, error), ["imported sources"]);
@@ -268,7 +268,7 @@ fn what_is_left_out_for_want_of_items_is_explained() {
             "There are no intervals: they need 10 targets, and there are 9.",
         ]
     );
-    // A table without these columns needs no note.
+    // A table without FID and Diversity needs no note.
     assert!(notes(row(299, 64, 10), &[&FOOT_SCORE]).is_empty());
     // Intervals over repeats need no targets.
     let over_repeats = ScoreRow {
@@ -306,7 +306,7 @@ fn takes_are_counted_and_item_sets_kept_apart() {
     let heads = head(&rows);
     assert_eq!(heads.len(), 2);
     assert!(heads[1].contains("ids ffffffffffff"), "{heads:?}");
-    // Scores from before these were recorded.
+    // Scores of earlier versions lack these fields.
     for row in &mut rows {
         (row.takes, row.targets, row.items_digest) = (0, 0, String::new());
     }

@@ -1,25 +1,25 @@
 //! AdamW in one pass over memory.
 //!
-//! Composed of tensor operations, one step reads or writes arrays as large as the model fifteen times,
-//! outside of any cache; that takes a tenth of a training step.
+//! If a step is composed of tensor operations, it reads or writes arrays of the model's size fifteen times, too large
+//! for any cache. That takes a tenth of a training step.
 
 use kinematics::simd::lanes::{Kernel, dispatch};
 use rayon::prelude::*;
 
-/// Decay of the means of gradients and of their squares (PyTorch's defaults).
+/// Decay rates of the running means of gradients and of squared gradients (PyTorch's defaults).
 pub const BETAS: [f32; 2] = [0.9, 0.999];
-/// Added to the root of the second mean (PyTorch's default).
+/// Added to the square root of the second mean (PyTorch's default).
 pub const EPSILON: f32 = 1e-8;
 
-/// Numbers that one task updates.
+/// Number of values that one task updates.
 const PART: usize = 1 << 14;
 
 /// Factors of one step.
 #[derive(Clone, Copy, Debug)]
 pub struct Factors {
-    /// Bias corrections of the two means, which start at zero.
+    /// Bias corrections of the two running means.
     corrections: [f32; 2],
-    /// Factor of weight decay.
+    /// Share of each weight that weight decay keeps.
     kept: f32,
     rate: f32,
 }
@@ -35,7 +35,7 @@ impl Factors {
     }
 }
 
-/// Updates weights and the means of their gradients and squared gradients.
+/// Updates the weights, and the running means of their gradients and squared gradients.
 ///
 /// # Source
 /// Loshchilov and Hutter 2019, algorithm 2.

@@ -1,4 +1,5 @@
-//! Self-attention, from the joint projection of queries, keys and values: here that of short sequences.
+//! Self-attention, computed from the joint projection of queries, keys and values. This module computes short
+//! sequences; `long_attention` computes long ones.
 
 use kinematics::simd::lanes::{Kernel, LANES, dispatch};
 use rayon::prelude::*;
@@ -8,10 +9,10 @@ use crate::heads::soften;
 use crate::long_attention;
 use crate::rows::Mask;
 
-/// Tokens from which a sequence is attended by products of whole matrices.
+/// Sequences of at least this many tokens are computed with whole-matrix products.
 const LONG: usize = 64;
 
-/// Rows of a small product that are computed together.
+/// Number of rows of a small product that are computed together.
 const ROWS: usize = 4;
 
 /// A small matrix padded to whole blocks: rows to fours, columns to [`LANES`]. The padding is zero or never
@@ -66,7 +67,7 @@ impl Small {
             let a: [&[f32]; ROWS] =
                 std::array::from_fn(|row| &a[row * (a.len() / ROWS)..][..depth]);
             let mut column = 0;
-            // Two blocks of columns at a time, to hide the latency of the additions.
+            // Two blocks of columns at a time hide the latency of the additions.
             while column + 2 * LANES <= stride {
                 sum_block::<{ 2 * LANES }>(a, b, column, out, stride);
                 column += 2 * LANES;
@@ -78,7 +79,7 @@ impl Small {
     }
 }
 
-/// `COLUMNS` columns, from `column` on, of the product of four rows with a matrix.
+/// Computes `COLUMNS` columns, starting at `column`, of the product of four rows with a matrix.
 #[inline(always)]
 fn sum_block<const COLUMNS: usize>(
     a: [&[f32]; ROWS],
@@ -103,7 +104,7 @@ fn sum_block<const COLUMNS: usize>(
     }
 }
 
-/// Attends: `joint` is `[B, T, 3 d]`, `out` becomes `[B, T, d]`, and `weights` the attention weights
+/// Forward pass of attention: `joint` is `[B, T, 3 d]`, `out` becomes `[B, T, d]`, and `weights` the attention weights
 /// before dropout, `[B, heads, T, T]`.
 pub fn forward(heads: Heads<'_>, joint: &[f32], mask: Mask, weights: &mut [f32], out: &mut [f32]) {
     if heads.length < LONG {
@@ -188,7 +189,7 @@ fn forward_short(
         });
 }
 
-/// The backward pass of [`forward`]: the gradient of `joint` from that of `out`.
+/// The backward pass of [`forward`]: computes the gradient of `joint` from the gradient of `out`.
 pub fn backward(
     heads: Heads<'_>,
     joint: &[f32],
@@ -225,7 +226,8 @@ impl Kernel for SequenceGrad<'_> {
         let pairs = || Small::new(length, length);
         let (mut queries, mut keys, mut grad) = (tokens(), tokens(), tokens());
         let mut values = Small::new(head, length);
-        // Gradients of the weights, then of the scores; these and the dropped-out weights by keys.
+        // The gradients of the weights, then of the scores; these gradients indexed by key first; and the weights after
+        // dropout, indexed by key first.
         let (mut of_scores, mut by_key, mut dropped) = (pairs(), pairs(), pairs());
         let mut of_part = tokens();
         for at in 0..count {
@@ -325,7 +327,7 @@ mod tests {
         };
         let joint = numbers(SEQUENCES * length * 3 * width, 0.37);
         let grad = numbers(SEQUENCES * length * width, 0.53);
-        // Rows of 70, 60 and 50 tokens.
+        // The sequences have 70, 60 and 50 tokens.
         let padding: Vec<bool> = (0..SEQUENCES * length)
             .map(|at| at % length >= 70 - 10 * (at / length))
             .collect();

@@ -1,17 +1,17 @@
-//! Sizes of an attention, and attention weights of scores.
+//! Sizes of an attention layer, and the softmax of attention scores.
 
 use kinematics::simd::lanes::LANES;
 
 use crate::rows::exp;
 
-/// Sizes of an attention.
+/// Sizes of an attention layer.
 #[derive(Clone, Copy, Debug)]
 pub struct Heads<'a> {
-    /// Tokens of a sequence.
+    /// Number of tokens in a sequence.
     pub length: usize,
     /// Width of a token.
     pub width: usize,
-    /// Heads.
+    /// Number of heads.
     pub count: usize,
     /// True where a token is padding, `[B, T]`.
     pub padding: Option<&'a [bool]>,
@@ -36,8 +36,8 @@ impl Heads<'_> {
     }
 }
 
-/// Reduces `values`, whose number is a multiple of [`LANES`], with `join`: lane by lane over the blocks, then the lanes
-/// pairwise.
+/// Reduces `values` with `join`: lane by lane over the blocks, then the lanes pairwise. The number of values is a
+/// multiple of [`LANES`].
 #[inline(always)]
 fn by_halves(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 {
     let mut lanes = [start; LANES];
@@ -56,8 +56,8 @@ fn by_halves(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 
     lanes[0]
 }
 
-/// Replaces the attention scores of one query by their softmax. The first `length` numbers are scores, the rest fill the
-/// last block. Padding gets weight zero.
+/// Replaces the attention scores of one query by their softmax. The first `length` numbers are scores; the rest only
+/// fill the last block. Padding tokens get weight zero.
 #[inline(always)]
 pub(crate) fn soften(scores: &mut [f32], length: usize, scale: f32, padding: Option<&[bool]>) {
     // Columns beyond the keys count as padding, so that all blocks are whole.

@@ -1,4 +1,4 @@
-//! Self-attention of long sequences, by products of whole matrices: one job for each head of a sequence.
+//! Self-attention of long sequences by whole-matrix products: one job for each head of each sequence.
 
 use kinematics::simd::lanes::{Kernel, LANES, dispatch};
 use rayon::prelude::*;
@@ -7,7 +7,8 @@ use crate::heads::{Heads, soften};
 use crate::product::{Columns, columns, multiply_alone};
 use crate::rows::Mask;
 
-/// Queries, keys or values (`part` 0, 1 or 2) of a head: `place` counts the heads of all sequences.
+/// Queries, keys or values (`part` 0, 1 or 2) of one head. `place` is the head's index among the heads of all
+/// sequences.
 fn part<'a>(heads: Heads<'_>, joint: &'a [f32], place: usize, part: usize) -> Columns<'a> {
     let (length, width, count) = (heads.length, heads.width, heads.count);
     let (sequence, at) = (place / count, place % count);
@@ -99,8 +100,8 @@ pub(crate) fn backward(
     of_joint
 }
 
-/// Writes the rows of every head, `[B, heads, T, head]`, into those of all, `[B, T, ..]`, at a column for
-/// each head.
+/// Copies the rows of every head, `[B, heads, T, head]`, into the rows of all heads, `[B, T, ..]`; each head has its
+/// own columns.
 fn join(
     heads: Heads<'_>,
     parts: &[f32],
@@ -121,13 +122,14 @@ fn join(
         });
 }
 
-/// Replaces the scores of a head by their softmax. Returns a copy of it with dropout applied; none without dropout.
+/// Replaces the scores of a head by their softmax. Returns a copy of the weights with dropout applied; none without
+/// dropout.
 struct Soften<'a> {
     length: usize,
     scale: f32,
     padding: Option<&'a [bool]>,
     mask: Mask,
-    /// Index of the first weight in the array of all heads.
+    /// Index of this head's first weight in the array of all heads.
     first: usize,
     weights: &'a mut [f32],
 }
@@ -155,7 +157,7 @@ impl Kernel for Soften<'_> {
     }
 }
 
-/// Turns gradients of a head's weights after dropout into gradients of its scores, in place. Returns the weights after
+/// Replaces gradients of a head's weights after dropout by gradients of its scores, in place. Returns the weights after
 /// dropout; none without dropout.
 struct Differentiate<'a> {
     length: usize,

@@ -1,4 +1,4 @@
-//! Matrix products in single precision, by the crate faer, on all threads.
+//! Multi-threaded matrix products in single precision, by the crate faer.
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
@@ -13,10 +13,10 @@ pub struct Matrix<'a> {
 }
 
 impl<'a> Matrix<'a> {
-    /// Row-major numbers with `columns` in a row.
+    /// Views row-major numbers with `columns` in a row.
     ///
     /// # Panics
-    /// If they do not fill the last row.
+    /// If the number of values is not a multiple of `columns`.
     pub fn new(values: &'a [f32], columns: usize) -> Self {
         assert!(columns > 0 && values.len().is_multiple_of(columns));
         Self {
@@ -27,12 +27,12 @@ impl<'a> Matrix<'a> {
         }
     }
 
-    /// Rows.
+    /// Number of rows.
     pub fn rows(self) -> usize {
         self.rows
     }
 
-    /// Columns.
+    /// Number of columns.
     pub fn columns(self) -> usize {
         self.columns
     }
@@ -56,7 +56,7 @@ impl<'a> Matrix<'a> {
     }
 }
 
-/// How a product is stored.
+/// How a product is written to the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Write {
     /// The output is overwritten.
@@ -65,8 +65,8 @@ pub enum Write {
     Add,
 }
 
-/// The product `a b`, written to or added to `out`, row-major. Results depend neither on the number of
-/// threads nor on the other rows of `a`.
+/// Computes `a b` and writes it to `out`, or adds it, row-major. Each row of the result depends neither on the number
+/// of threads nor on the other rows of `a`.
 ///
 /// # Shapes
 /// `[M, K]` and `[K, N]` give `[M, N]`.
@@ -86,13 +86,13 @@ pub fn multiply(a: Matrix<'_>, b: Matrix<'_>, out: &mut [f32], write: Write) {
 
 pub(crate) type Columns<'a> = MatRef<'a, f32>;
 
-/// The `count` columns from `first` on of row-major numbers with `stride` in a row.
+/// Views `count` columns, starting at `first`, of row-major numbers with `stride` in a row.
 pub(crate) fn columns(values: &[f32], stride: usize, first: usize, count: usize) -> Columns<'_> {
     let rows = values.len() / stride;
     MatRef::from_row_major_slice_with_stride(&values[first..], rows, count, stride)
 }
 
-/// The product `a b`, written to `out`, row-major, on this thread alone.
+/// Computes `a b` on this thread only and writes it to `out`, row-major.
 ///
 /// # Panics
 /// If the sizes disagree.
@@ -111,7 +111,7 @@ mod tests {
             .collect()
     }
 
-    /// Small whole numbers, whose sums are exact.
+    /// Checks products of small whole numbers, whose sums are exact.
     fn check(m: usize, k: usize, n: usize) {
         let (a, b) = (values(m * k, 1), values(k * n, 5));
         let mut expected = vec![0.0f32; m * n];

@@ -1,19 +1,19 @@
-//! Steps that work on rows of numbers: dropout, GELU and layer norm, with their gradients.
+//! Operations on rows of numbers: dropout, GELU and layer norm, with their gradients.
 
 use kinematics::simd::lanes::{Kernel, LANES, dispatch};
 use rayon::prelude::*;
 
-/// Rows a task works on. It is fixed, so that sums over rows do not depend on the threads.
+/// Number of rows per task. It is fixed, so that sums over rows do not depend on the number of threads.
 const TASK_ROWS: usize = 16;
 
 /// Constant that LayerNorm adds to the variance (PyTorch's default).
 const EPSILON: f32 = 1e-5;
 
-/// A dropout mask. Which numbers of an array it drops depends on the key and their indices alone, so that
-/// the mask need not be stored for the backward pass.
+/// A dropout mask. Whether it drops a number depends only on the key and the number's index, so the mask need not be
+/// stored for the backward pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mask {
-    /// Smallest hash, of 24 bits, of a number that is kept.
+    /// Smallest 24-bit hash of a kept number.
     threshold: i32,
     /// Factor of the numbers that dropout keeps.
     scale: f32,
@@ -38,7 +38,7 @@ impl Mask {
     /// The factor of the number at `index`: 0 or the scale.
     ///
     /// # Source
-    /// The rounds are those of Chris Wellons' `lowbias32`; the key enters before and between them.
+    /// The hash rounds are those of Chris Wellons' `lowbias32`; the key is mixed in before and between them.
     #[inline(always)]
     pub fn factor(self, index: u32) -> f32 {
         let mut hash = index ^ self.key[0];
@@ -80,18 +80,18 @@ pub fn factors(mask: Mask, count: usize) -> Vec<f32> {
     factors
 }
 
-/// e^x, relative error below 2e-7, for vector instructions.
+/// e^x in a form that vectorises, with a relative error below 2e-7.
 #[inline(always)]
 pub(crate) fn exp(x: f32) -> f32 {
-    /// Adding and subtracting this constant rounds to an integer, which is then in the last bits of the sum.
+    /// Adding and subtracting this constant rounds to an integer. The last bits of the sum hold that integer.
     const SHIFT: f32 = 12_582_912.0;
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
-    // Below -87 the result is smaller than the smallest normal number; 88 is the last power.
+    // Below -87 the result is not a normal number; 88 is the largest exponent.
     let x = x.clamp(-87.0, 88.0);
     let shifted = x * std::f32::consts::LOG2_E + SHIFT;
     let power = shifted - SHIFT;
     let rest = (x - power * LN_2[0]) - power * LN_2[1];
-    // Cephes expf.
+    // The polynomial of Cephes' expf.
     let mut series = 1.987_569_1e-4;
     for coefficient in [1.398_2e-3, 8.333_452e-3, 4.166_579_6e-2, 0.166_666_65, 0.5] {
         series = series * rest + coefficient;
@@ -103,8 +103,7 @@ pub(crate) fn exp(x: f32) -> f32 {
 /// The exact GELU of a number and its derivative. The error of both is below 1e-6.
 ///
 /// # Source
-/// Abramowitz and Stegun 1964, formula 7.1.26, whose exponential is the density in the
-/// derivative.
+/// Abramowitz and Stegun 1964, formula 7.1.26, whose exponential is also the density in the derivative.
 #[inline(always)]
 fn gelu(x: f32) -> (f32, f32) {
     const DENSITY: f32 = 0.398_942_3;
@@ -176,7 +175,7 @@ pub fn column_sums(rows: &[f32], width: usize) -> Vec<f32> {
     total(parts, width)
 }
 
-/// Sums partial sums in their order.
+/// Adds up partial sums in order.
 fn total(parts: Vec<Vec<f32>>, width: usize) -> Vec<f32> {
     let mut parts = parts.into_iter();
     let mut sums = parts.next().unwrap_or_else(|| vec![0.0; width]);
@@ -186,8 +185,8 @@ fn total(parts: Vec<Vec<f32>>, width: usize) -> Vec<f32> {
     sums
 }
 
-/// `out = dropout(gelu(hidden + bias))`. With `derivatives`, `hidden` becomes the derivative of that, which
-/// is all the backward pass needs.
+/// `out = dropout(gelu(hidden + bias))`. With `derivatives`, `hidden` is replaced by the derivative of this function,
+/// which is all that the backward pass needs.
 pub fn gelu_dropout(
     hidden: &mut [f32],
     bias: &[f32],
@@ -271,18 +270,17 @@ pub fn times_derivatives(grad: &mut [f32], derivatives: &[f32], width: usize) ->
     total(parts, width)
 }
 
-/// The trainable numbers of a layer norm.
+/// Parameters of a layer norm.
 #[derive(Clone, Copy, Debug)]
 pub struct Norm<'a> {
-    /// Factors of the normalised numbers.
+    /// Factors of the normalised values.
     pub gamma: &'a [f32],
     /// Added after the scaling by gamma.
     pub beta: &'a [f32],
 }
 
-/// `out = norm(residual + dropout(branch + bias))`. `branch` becomes the normalised rows before
-/// gamma and beta; the inverse deviations of the rows are returned. Both are what the backward pass
-/// needs.
+/// `out = norm(residual + dropout(branch + bias))`. `branch` is replaced by the normalised rows before gamma and beta;
+/// the inverse standard deviations of the rows are returned. The backward pass needs both.
 pub fn residual_norm(
     branch: &mut [f32],
     bias: &[f32],
@@ -373,7 +371,7 @@ fn sum(row: &[f32]) -> f32 {
     sums.iter().sum::<f32>() + rest.iter().sum::<f32>()
 }
 
-/// Gradients of the trainable numbers of [`residual_norm`].
+/// Gradients of the parameters of [`residual_norm`].
 #[derive(Clone, Debug)]
 pub struct NormGrads {
     /// Gradient of gamma.
@@ -436,8 +434,8 @@ impl Kernel for NormGradRows<'_> {
     }
 }
 
-/// The backward pass of [`residual_norm`]: `grad` becomes the gradient of the residual, and `branch`
-/// that of the branch. Without dropout they are equal and `branch` is left alone.
+/// The backward pass of [`residual_norm`]: `grad` becomes the gradient of the residual, and `branch` that of the
+/// branch. Without dropout the two are equal, and `branch` is not written.
 pub fn residual_norm_backward(
     grad: &mut [f32],
     normalised: &[f32],
@@ -495,7 +493,7 @@ mod tests {
 
     #[test]
     fn gelu_and_its_derivative_match_a_sum_of_the_bell_curve() {
-        // The cumulative distribution by the trapezoidal rule, in double precision.
+        // Integrates the normal density with the trapezoidal rule, in double precision.
         let bell = |x: f64| (-0.5 * x * x).exp() / (2.0 * std::f64::consts::PI).sqrt();
         let step = 1e-4;
         let (mut below, mut x) = (0.0f64, -9.0f64);
@@ -528,10 +526,10 @@ mod tests {
                 mask.iter()
                     .all(|&f| f == 0.0 || (f - 1.0 / 0.9).abs() < 1e-6)
             );
-            // Five standard deviations of the number of kept values.
+            // The tolerance is five standard deviations of the number of kept values.
             assert!((kept(&mask) as f64 - 90_000.0).abs() < 5.0 * 95.0, "{key}");
             if key != 7 {
-                // Independent masks agree on 0.9^2 + 0.1^2 of their places.
+                // Independent masks agree at a share of 0.9^2 + 0.1^2 of the positions.
                 let equal = mask.iter().zip(&first).filter(|(a, b)| a == b).count();
                 assert!(
                     (equal as f64 - 82_000.0).abs() < 5.0 * 122.0,
@@ -539,7 +537,7 @@ mod tests {
                 );
             }
         }
-        // Neighbours are dropped together as often as independent draws.
+        // Neighbours are dropped together as often as independent values would be.
         let pairs = first
             .windows(2)
             .filter(|pair| pair[0] + pair[1] == 0.0)

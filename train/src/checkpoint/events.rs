@@ -1,14 +1,15 @@
-//! The numbers of the metrics file again, for TensorBoard.
+//! The numbers of the metrics file in TensorBoard's format.
 //!
-//! The file is a sequence of TFRecords: the length as `u64`, its masked CRC-32C, the message, and its masked CRC-32C, all
-//! little-endian. A message is an `Event` of protobuf: `wall_time` (field 1), `step` (2), and `file_version` (3) or `summary` (5),
-//! whose `value`s (1) have a `tag` (1) and a `simple_value` (2). The time is always 0, as the library reads no clock.
+//! The file is a sequence of TFRecords: the length as `u64`, its masked CRC-32C, the message, and its masked CRC-32C,
+//! all little-endian. A message is an `Event` of protobuf: `wall_time` (field 1), `step` (2), and `file_version` (3) or
+//! `summary` (5), whose `value`s (1) have a `tag` (1) and a `simple_value` (2). The time is always 0, because this
+//! library does not read the clock.
 //!
 //! Source: `event.proto`, `summary.proto` and `record_writer.cc` of TensorFlow.
 
 use serde_json::Value;
 
-/// Name of the file. TensorBoard looks for `tfevents` in it.
+/// Name of the file. TensorBoard finds files with `tfevents` in their name.
 pub(super) const EVENTS: &str = "events.out.tfevents.0.stance";
 
 pub(super) fn head() -> Vec<u8> {
@@ -17,7 +18,8 @@ pub(super) fn head() -> Vec<u8> {
     record(&event)
 }
 
-/// The numbers of a line of the metrics file, each under its name. Empty for a line that is no object of a step.
+/// Encodes the numbers of a line of the metrics file, each under its name. Empty if the line is not an object with a
+/// step.
 pub(super) fn of_line(line: &Value) -> Vec<u8> {
     let (Some(fields), Some(step)) = (line.as_object(), line["step"].as_u64()) else {
         return Vec::new();
@@ -81,7 +83,7 @@ fn record(message: &[u8]) -> Vec<u8> {
     record
 }
 
-/// The sum of a record: turned and moved, so that sums of sums are not 0.
+/// The masked CRC of a record: rotated, with a constant added, so that the CRC of data that contains CRCs stays useful.
 fn masked_crc(bytes: &[u8]) -> [u8; 4] {
     let crc = crc32c::crc32c(bytes);
     crc.rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
@@ -96,7 +98,7 @@ mod tests {
     #[test]
     fn a_file_begins_as_those_of_tensorflow_do() {
         let head = head();
-        // Length 24 and its sum, as every file of TensorFlow begins; then the time and the version.
+        // Every TensorFlow file begins with length 24 and its CRC; the time and the version follow.
         assert_eq!(
             head[..12],
             [24, 0, 0, 0, 0, 0, 0, 0, 0xa3, 0x7f, 0x4b, 0x22]

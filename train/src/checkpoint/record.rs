@@ -13,41 +13,39 @@ use crate::Error;
 use crate::config::rename_former;
 use crate::error::json_error;
 
-/// Version of the run folder.
+/// Version of the run folder's format.
 pub const FORMAT: u32 = 1;
 
 /// Version of burn, whose module tree decides the names of weights.
 const BURN_VERSION: &str = "0.22.1";
 
-/// Name of the document that makes a folder a run.
+/// Name of the record's file. A folder that contains it is a run.
 pub const CONFIG: &str = "config.json";
 
-/// Kind of a run folder with a motion encoder trained elsewhere, on features that do not depend on the body.
+/// Kind of a run folder with a motion encoder trained elsewhere, whose features do not depend on the skeleton.
 pub(crate) const MOTION_KIND: &str = "tmr-motion";
 
-/// The document `config.json`: everything a run depends on. `C` is the configuration of the kind of
-/// run.
+/// The document `config.json`: everything that a run depends on. `C` is the configuration type of the model's kind.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunRecord<C> {
-    /// Version of the run folder.
+    /// Version of the run folder's format.
     pub format: u32,
     /// Kind of model.
     pub kind: String,
-    /// Programs that made the run, by name.
+    /// Versions of the programs that made the run, by name.
     pub versions: BTreeMap<String, String>,
-    /// Hash of the tables it was trained on.
+    /// Hash of the tables that the model was trained on.
     pub dataset_hash: String,
-    /// Name of the skeleton the motions drive.
+    /// Name of the skeleton of the motions.
     pub skeleton: String,
-    /// BLAKE3 of that skeleton's rest positions; none in runs of earlier versions, which recorded its
-    /// name alone.
+    /// BLAKE3 of that skeleton's rest positions; none in runs of earlier versions, which recorded only the name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skeleton_hash: Option<String>,
-    /// Lineage of the weights, oldest first; empty for a run trained in one piece.
+    /// Lineage of the weights, oldest first; empty for a run trained without interruption or initial weights.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lineage: Vec<Ancestor>,
-    /// The resolved configuration and what was fitted to the training split.
+    /// The resolved configuration, and parts fitted to the training split.
     pub config: C,
 }
 
@@ -65,11 +63,11 @@ pub struct Ancestor {
     pub changed: BTreeMap<String, [Value; 2]>,
 }
 
-/// How a run takes over weights.
+/// How a run takes over earlier weights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Inheritance {
-    /// The run itself continues, with other settings.
+    /// The same run continues with changed settings.
     Extend,
     /// A new run starts from the weights.
     Init,
@@ -99,7 +97,7 @@ impl<C> RunRecord<C> {
 /// Checks that the model of a run folder was trained on the given skeleton; `what` names the model in errors.
 ///
 /// # Errors
-/// It was trained on another one, or the folder is no run.
+/// The model was trained on another skeleton, or the folder is not a run.
 pub fn check_skeleton(
     run_dir: &Path,
     what: &'static str,
@@ -110,7 +108,8 @@ pub fn check_skeleton(
     check_skeleton_of(&text, run_dir, what, skeleton)
 }
 
-/// Checks the skeleton as [`check_skeleton`], from the text of a run's `config.json`. Errors name the run by `run_dir`.
+/// Checks the skeleton like [`check_skeleton`], but from the text of a run's `config.json`. Errors name the run by
+/// `run_dir`.
 ///
 /// # Errors
 /// As [`check_skeleton`].
@@ -160,10 +159,10 @@ pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
     Ok(found.kind)
 }
 
-/// Reads the document of a run of any kind; its configuration is not interpreted.
+/// Reads the record of a run of any kind, without interpreting its configuration.
 ///
 /// # Errors
-/// The folder holds no run, or one of another format.
+/// The folder is not a run, or has another format.
 pub fn read_any(run_dir: &Path) -> Result<RunRecord<Value>, Error> {
     let path = run_dir.join(CONFIG);
     let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
@@ -188,7 +187,7 @@ pub(crate) fn read_record<C: DeserializeOwned>(
     record_of(&text, run_dir, kind)
 }
 
-/// The text of a file; none where there is no such file.
+/// The text of a file; none if the file does not exist.
 pub(super) fn text_of(path: &Path) -> Result<Option<String>, Error> {
     match fs::read_to_string(path) {
         Ok(text) => Ok(Some(text)),
@@ -248,8 +247,7 @@ pub(super) fn to_value<T: Serialize>(document: &T) -> Result<Value, serde_json::
     serde_json::from_str(&serde_json::to_string(document)?)
 }
 
-/// The fields in which two documents differ, with both values. Versions of programs and the lineage
-/// may differ.
+/// The fields in which two documents differ, with both values. Program versions and lineage are not compared.
 pub(super) fn differences(recorded: &Value, asked: &Value) -> BTreeMap<String, [Value; 2]> {
     fn walk(recorded: &Value, asked: &Value, path: &str, found: &mut BTreeMap<String, [Value; 2]>) {
         let (Value::Object(before), Value::Object(after)) = (recorded, asked) else {

@@ -1,10 +1,10 @@
-//! Checks of numbers.
+//! Checks of numeric settings.
 
 use kinematics::normalise::FRAME_WIDTH;
 
 use crate::Error;
 
-/// Refuses a setting unless a condition holds.
+/// Returns an error about a setting unless the condition holds.
 pub(crate) fn ensure(
     holds: bool,
     field: &'static str,
@@ -39,14 +39,14 @@ pub(crate) fn share(field: &'static str, value: f64) -> Result<(), Error> {
     ensure((0.0..1.0).contains(&value), field, problem)
 }
 
-/// Checks the shortest and the longest motion that is trained on, in frames.
+/// Checks the minimum and maximum length of training motions, in frames.
 pub(crate) fn check_lengths(min_frames: usize, max_frames: usize) -> Result<(), Error> {
     positive("min_frames", min_frames as u64)?;
     let problem = format!("it is {max_frames}, less than min_frames {min_frames}");
     ensure(min_frames <= max_frames, "max_frames", problem)
 }
 
-/// Checks that windows of `found` numbers have the frames that a model is trained on.
+/// Checks that windows of `found` numbers have the number of frames that a model is trained on.
 pub(crate) fn check_windows(frames: usize, found: usize) -> Result<(), Error> {
     let windows = found / FRAME_WIDTH;
     let problem = format!("it is {frames} frames, and the windows to train on have {windows}");

@@ -17,7 +17,7 @@ pub enum Loss {
     Mse,
 }
 
-/// Fixed frames as the network sees them in training. The editor always shows them clean.
+/// How the network sees the fixed frames in training. The editor always shows them clean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FixedFrames {
@@ -35,21 +35,20 @@ pub enum FixedFrames {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Prediction {
-    /// The noise. Its 84 numbers a frame are all surprise and must fit through the network.
+    /// The noise. A frame has 84 unpredictable numbers, all of which must pass through the network.
     Noise,
     /// The clean window.
     Clean,
-    /// The clean window minus the original one. Both are canonical, so an edit that leaves most of
-    /// the body alone is mostly zero; a narrow network learns it far sooner (our addition).
+    /// The clean window minus the original one. Both are canonical, so if an edit leaves most of the body unchanged,
+    /// the difference is mostly zero. A narrow network learns it far sooner (our addition).
     Change,
-    /// Bones, as vectors from joint to joint, each the sum of three parts with a gate between 0 and 1: the
-    /// original's bone, the extrapolated change from the fixed frames, and a bone of the network's own. A
-    /// bone that the instruction does not touch is copied, and one that it replaces need not be cancelled
-    /// first: a narrow network can say which it is, while the numbers of both do not fit through it (our
-    /// addition). Errors count in units of the spread of what the
-    /// [extrapolation](crate::extrapolation::Extrapolation) leaves open in each frame: the frames just after the
-    /// fixed ones, which follow from them almost, count as much as any other, and windows join (the scaling is that of
-    /// Karras et al. 2022, Sec. 5, by frame in place of by noise level).
+    /// Bones, as vectors from joint to joint, each a gated sum of three parts: the original's bone, the change
+    /// extrapolated from the fixed frames, and a bone predicted by the network. Gates are between 0 and 1. So a narrow
+    /// network copies or replaces bones by predicting gates, without reproducing the numbers of the original (our
+    /// addition). Errors are divided by the standard deviation of the residual of the
+    /// [extrapolation](crate::extrapolation::Extrapolation) in each frame. The frames after the fixed ones are almost
+    /// determined by them, and this scaling gives them the same weight as others, so that windows join smoothly (the
+    /// scaling is that of Karras et al. 2022, Sec. 5, per frame instead of per noise level).
     Gated,
 }
 
@@ -60,11 +59,11 @@ impl Prediction {
     }
 }
 
-/// Noise that windows are mixed with.
+/// Noise added to windows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum NoiseKind {
-    /// White noise about zero, as published.
+    /// White noise with mean zero, as published.
     #[default]
     White,
     /// Noise centred on the extrapolated change, with the covariance of its residual
@@ -76,62 +75,61 @@ pub enum NoiseKind {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DiffusionConfig {
-    /// Diffusion steps.
+    /// Number of diffusion steps.
     pub num_steps: usize,
     /// Noise schedule.
     pub schedule: ScheduleName,
-    /// Noise that windows are mixed with.
+    /// Noise added to windows.
     #[serde(default, skip_serializing_if = "is_default")]
     pub noise: NoiseKind,
     /// Target of the network.
     pub prediction: Prediction,
     /// Loss on the prediction.
     pub loss: Loss,
-    /// Fixed frames as the network sees them in training.
+    /// How the network sees the fixed frames in training.
     pub fixed_frames: FixedFrames,
     /// How the fixed frames enter the network.
     pub previous: PreviousFrames,
-    /// Whether the editor clips its estimates of the clean window to [-1, 1]. The range holds the
-    /// central 95 % of the data, so that clipping cuts the lowest feet and the longest steps.
+    /// Whether the editor clips its estimates of the clean window to [-1, 1]. This range holds the central 95 % of the
+    /// data, so clipping cuts off the lowest feet and the longest steps.
     pub clip: bool,
-    /// Probability of training a window without its text.
+    /// Probability that a training window is shown without its text.
     pub text_dropout: f64,
-    /// Weight of the loss on differences from frame to frame beside the loss on the frames, where the
-    /// clean window or the change is predicted: it keeps what is generated from trembling (as in
-    /// Tevet et al. 2023, Eq. 5; neither publication has it).
+    /// Weight of the loss on frame differences, added to the loss on frames if the clean window or the change is
+    /// predicted. It reduces jitter (as in Tevet et al. 2023, Eq. 5; neither publication has it).
     pub motion_weight: f64,
-    /// Weight of the loss on feet that slide beside the loss on the prediction: the speed of each foot,
-    /// in units of 0.1 m/s, in frames in which the edited motion's is slower than that (after Tevet et al.
-    /// 2023, Eq. 4; neither publication has it).
+    /// Weight of the loss on sliding feet, added to the loss on the prediction: the speed of each foot, in units of 0.1
+    /// m/s, in frames in which that foot of the edited motion moves slower than 0.1 m/s (after Tevet et al. 2023, Eq.
+    /// 4; neither publication has it).
     #[serde(default, skip_serializing_if = "is_default")]
     pub contact_weight: f64,
-    /// Weight of the loss on bones, as vectors from joint to joint in units of 10 cm, beside the loss on the
-    /// prediction. In the loss on keypoints, the path of the root counts once for every keypoint, and an arm's movement
-    /// hardly counts (our addition).
+    /// Weight of the loss on bones, as vectors from joint to joint in units of 10 cm, added to the loss on the
+    /// prediction. Without it, the path of the root counts once for every keypoint, and an arm's movement hardly counts
+    /// (our addition).
     #[serde(default, skip_serializing_if = "is_default")]
     pub bone_weight: f64,
-    /// Guidance weight the editor uses unless told otherwise.
+    /// Default guidance weight of the editor.
     pub guidance: f64,
-    /// Factor of the noise the editor draws, unless told otherwise: 1 samples what was learned, less
-    /// stays nearer to its mean.
+    /// Default factor of the noise that the editor draws: 1 samples the learned distribution, smaller values stay
+    /// nearer to its mean.
     pub temperature: f64,
-    /// Share of the training windows that are shown as the first of their motion, without fixed frames. At 0 the editor
-    /// starts a motion on the first frames of the original, as published, although training always fixes those of the
-    /// edited motion; above 0 it generates them.
+    /// Share of training windows that are shown as the first of their motion, without fixed frames. At 0, the editor
+    /// fixes the first frames of the original at the start of a motion, as published, although training fixes those of
+    /// the edited motion. Above 0, the editor generates them.
     #[serde(default, skip_serializing_if = "is_default")]
     pub generated_starts: f64,
-    /// Standard deviation in model units of noise on the clean fixed frames shown while training. While
-    /// editing they are the network's own, and what they are wrong by is carried from window to window
-    /// unless the network has learned to mend it.
+    /// Standard deviation, in model units, of the noise on clean fixed frames in training. While editing, the fixed
+    /// frames are the network's own output, so their errors carry over from window to window unless the network has
+    /// learned to correct them.
     #[serde(default, skip_serializing_if = "is_default")]
     pub fixed_noise: f64,
-    /// Generated frames that a window of an edit shares with the one before it, beside the fixed ones. The two are
-    /// blended there, so that windows that disagree change over gradually. At 0 each window begins where the one before
-    /// ends, as published.
+    /// Number of generated frames that a window shares with the previous one, besides the fixed frames. Both windows
+    /// are blended there, so that differences between them fade gradually. At 0, each window begins where the previous
+    /// one ends, as published.
     #[serde(default, skip_serializing_if = "is_default")]
     pub overlap: usize,
-    /// Whether instruction, diffusion step and progress are added to every frame that the network sees,
-    /// beside their own token.
+    /// Whether instruction, diffusion step and progress are added to every frame that the network sees, in addition to
+    /// their own token.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub tell_frames: bool,
 }
@@ -140,14 +138,14 @@ pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
 
-/// How the frames before a window, which are its fixed first frames, enter the network.
+/// How the previous frames, which are the fixed first frames of a window, enter the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PreviousFrames {
     /// The frames are noisy like all other frames of the window (released code).
     Inpainted,
-    /// A network of two layers encodes each into the token of its place (paper, Sec. 5.1; that the
-    /// tokens stand in the place of the frames is our reading).
+    /// A two-layer network encodes each previous frame into the token at its position (paper, Sec. 5.1; our reading is
+    /// that these tokens replace those of the frames).
     Encoded,
 }
 

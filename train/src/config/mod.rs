@@ -36,15 +36,15 @@ pub struct TrainConfig {
     pub diffusion: DiffusionConfig,
     /// Text encoder trained with the denoiser.
     pub text: TextConfig,
-    /// Guidance by the coordinator, where one is given while editing.
+    /// Guidance by the coordinator, used if the editor is given one.
     pub coordinator: GuidanceConfig,
-    /// Frames of a window, the two fixed ones among them.
+    /// Number of frames in a window, including the two fixed ones.
     pub window: usize,
-    /// Keypoints of a frame that the network sees and makes: all 28, or the 22 body joints alone (paper
-    /// App. C.6, for MotionFix).
+    /// Number of keypoints in a frame of the network: all 28, or only the 22 body joints (paper App. C.6, for
+    /// MotionFix).
     #[serde(default = "all_keypoints", skip_serializing_if = "is_all_keypoints")]
     pub keypoints: usize,
-    /// Windows in a validation.
+    /// Number of windows in a validation.
     pub val_windows: usize,
     /// Settings that every training run has.
     #[serde(flatten)]
@@ -57,9 +57,9 @@ pub struct TrainConfig {
 pub struct NetworkConfig {
     /// Width of a token.
     pub width: usize,
-    /// Encoder layers.
+    /// Number of encoder layers.
     pub num_layers: usize,
-    /// Attention heads.
+    /// Number of attention heads.
     pub num_heads: usize,
     /// Width of the hidden layer of a feed-forward block.
     pub feed_forward: usize,
@@ -68,16 +68,16 @@ pub struct NetworkConfig {
 }
 
 impl NetworkConfig {
-    /// Samples of `tokens` tokens that a training step can compute at once in so many bytes; at least one. It is
-    /// an estimate: the numbers that the layers keep for the backward pass, and for every weight
-    /// itself, its gradient and the two moments of AdamW.
+    /// Estimates how many samples of `tokens` tokens a training step can compute at once in `memory` bytes; at least
+    /// one. Counted are the values that layers keep for the backward pass, and for each weight the weight itself, its
+    /// gradient and the two moments of AdamW.
     pub fn samples_in(&self, memory: u64, tokens: usize) -> usize {
         const BYTES: u64 = 4;
         let [width, hidden, layers] =
             [self.width, self.feed_forward, self.num_layers].map(|size| size as u64);
         let weights = layers * (4 * width * width + 2 * width * hidden);
-        // Activations per token: projections, attention, norms and dropout; the hidden layer with activation and
-        // dropout; and for each head a row of attention weights with softmax and dropout.
+        // Values per token: projections, attention, norms and dropout; the hidden layer with activation and dropout;
+        // and for each head a row of attention weights with softmax and dropout.
         let kept = 14 * width + 3 * hidden + 3 * (self.num_heads * tokens) as u64;
         let sample = BYTES * layers * tokens as u64 * kept;
         let left = memory.saturating_sub(4 * BYTES * weights);
@@ -89,7 +89,7 @@ impl NetworkConfig {
         positive("model.feed_forward", self.feed_forward as u64)?;
         positive("model.num_heads", self.num_heads as u64)?;
         share("model.dropout", self.dropout)?;
-        // Sine and cosine share a token in pairs.
+        // The positional encoding uses pairs of sine and cosine, so the width must be even.
         let (width, heads) = (self.width, self.num_heads);
         let fits = width > 0 && width.is_multiple_of(2) && width.is_multiple_of(heads);
         let problem = format!("it is {width}, and must be even and a multiple of {heads} heads");
@@ -99,8 +99,8 @@ impl NetworkConfig {
 
 /// How the coordinator guides the editor.
 ///
-/// The coordinator gives the probability that a window was composed of several; guidance descends its
-/// gradient. The paper writes the gradient of the opposite probability and ascends it.
+/// The coordinator gives the probability that a window was composed of several motions, and guidance descends its
+/// gradient. The paper ascends the gradient of the opposite probability.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GuidanceConfig {
@@ -108,7 +108,7 @@ pub struct GuidanceConfig {
     pub target: GuidanceTarget,
     /// Factor of the gradient.
     pub strength: f64,
-    /// Last diffusion steps that are guided.
+    /// Number of last diffusion steps that are guided.
     pub num_steps: usize,
 }
 
@@ -116,11 +116,11 @@ pub struct GuidanceConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GuidanceTarget {
-    /// The estimate of the clean window, by the gradient there (paper Sec. 5.2).
+    /// The estimate of the clean window, with the gradient computed there (paper Sec. 5.2).
     CleanPrediction,
-    /// The mean of the posterior, by the gradient there times the posterior's standard deviation; the
-    /// last step, which adds no noise, is left alone (released code). The coordinator was trained on windows with white
-    /// noise, and sees shaped noise here if the editor's is.
+    /// The mean of the posterior, with the gradient computed there and multiplied by the posterior's standard
+    /// deviation. The last step adds no noise and is not guided (released code). The coordinator was trained with white
+    /// noise, but sees shaped noise here if the editor uses it.
     PosteriorMean,
 }
 
@@ -130,8 +130,8 @@ pub enum GuidanceTarget {
 pub struct TextConfig {
     /// The encoder.
     pub encoder: TextEncoder,
-    /// Output of the encoder `bert` that a model uses; if none, token states if the model reads tokens, else the pooled
-    /// vector.
+    /// Output of the encoder `bert` that a model uses. By default, token states if the model reads tokens, else the
+    /// pooled vector.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vectors: Option<BertVectors>,
     /// Vocabulary settings of the learned encoder.
@@ -139,7 +139,7 @@ pub struct TextConfig {
 }
 
 impl TextConfig {
-    /// CLIP, and the vocabulary for runs that replace it by a learned encoder.
+    /// CLIP, with vocabulary settings for runs that replace it by a learned encoder.
     pub(crate) fn clip() -> Self {
         Self {
             encoder: TextEncoder::Clip,
@@ -151,7 +151,7 @@ impl TextConfig {
         }
     }
 
-    /// Checks settings of a model that reads tokens or one vector.
+    /// Checks the settings of a model that reads tokens or one vector.
     ///
     /// # Errors
     /// `vectors` is set for another encoder than `bert`.
@@ -168,10 +168,10 @@ impl TextConfig {
         positive("text.words.max_words", self.words.max_words as u64)
     }
 
-    /// Checks settings of a model that is given one vector for each text.
+    /// Checks the settings of a model that reads one vector for each text.
     ///
     /// # Errors
-    /// As [`Self::check`], or they ask for the vectors of tokens.
+    /// As [`Self::check`], or the settings select the vectors of tokens.
     pub(crate) fn check_pooled(&self) -> Result<(), Error> {
         ensure(
             self.vectors != Some(BertVectors::States),
@@ -187,13 +187,13 @@ impl TextConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BertVectors {
-    /// One vector for each text, pooled as the files of the encoder say.
+    /// One vector for each text, pooled as the encoder's files specify.
     Pooled,
     /// One vector for each token: the last hidden states.
     States,
 }
 
-/// How texts are split into numbered words.
+/// How texts are split into words, which are mapped to numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WordsConfig {
@@ -211,9 +211,9 @@ pub enum TextEncoder {
     Learned,
     /// The text tower of CLIP, frozen: ViT-B/32, or ViT-L/14 for TMED. Its vectors are made before training.
     Clip,
-    /// BERT or one of its relatives, frozen, from a folder that the user names. Its vectors are made before training.
+    /// BERT or a related model, frozen, from a folder that the user names. Its vectors are made before training.
     Bert,
-    /// Any other frozen encoder: a table of its vectors, one for each text, which its user makes.
+    /// Any other frozen encoder, given as a table with one vector for each text, which the user makes.
     Table,
 }
 
@@ -234,12 +234,11 @@ impl Preset {
 }
 
 impl TrainConfig {
-    /// How windows are composed for models of these named settings.
+    /// Composition settings of a preset.
     ///
     /// # Source
-    /// `Official`: the released preprocessing puts the translation above the origin, its file of
-    /// ranges looks like one for all axes, and its slerp averages nearly equal rotations
-    /// (`algorithms` sections 2, 4 and 10).
+    /// `Official`: the released preprocessing puts the translation above the origin, its file of ranges appears to hold
+    /// one range for all axes, and its slerp averages nearly equal rotations (`algorithms` sections 2, 4 and 10).
     pub fn compose_preset(preset: Preset) -> ComposeConfig {
         let paper = ComposeConfig::default();
         match preset {
@@ -253,24 +252,23 @@ impl TrainConfig {
         }
     }
 
-    /// The named settings.
+    /// The settings of a preset.
     ///
     /// # Source
-    /// `Paper`: Sec. 5.1 and App. B (6 layers, squared error, batch 1024, 1,500 epochs and at
-    /// most 800 k steps, learning rate 1e-4 with linear decay, a checkpoint every 50 epochs, guidance
-    /// `w = 3`, which is weight 4 here); what it leaves open is as released. `Official`: the released
-    /// configuration (8 layers, smooth L1, batch 256, 4,000 epochs); `algorithms` section 10 lists
-    /// where the two differ. `Tiny`: our choice. Shaped noise lets a small network
-    /// learn to read noisy windows, and the cosine schedule ends in pure noise, where sampling starts. Editing uses
-    /// temperature 0.5. At temperature 1, edits are more diverse but farther from their targets. It shows the network the
-    /// fixed frames nearly clean, as the editor does: the little noise on them teaches it to correct its
-    /// own errors from window to window, and two fifths of the windows have no fixed frames, because the
-    /// first window of an edit has none. The instruction is added to every frame. For each bone, gates mix the
-    /// original's, a linear extrapolation and the network's own, so that so narrow a network need not reproduce
-    /// what stays. Windows overlap by four frames. The loss on bones weighs an arm as much as the path of the
-    /// root, and the loss on contacts penalises feet that slide where they should rest. Guidance by the text is off,
-    /// because an amplified change overshoots. Guidance by the coordinator is weak: strong guidance moves edits away
-    /// from their targets, which are composed motions too.
+    /// `Paper`: Sec. 5.1 and App. B (6 layers, squared error, batch 1024, 1,500 epochs and at most 800 k steps,
+    /// learning rate 1e-4 with linear decay, a checkpoint every 50 epochs, guidance `w = 3`, which is weight 4 here);
+    /// what it leaves open is as released. `Official`: the released configuration (8 layers, smooth L1, batch 256,
+    /// 4,000 epochs); `algorithms` section 10 lists where the two differ. `Tiny`: our choice. Shaped noise lets a small
+    /// network learn to read noisy windows, and the cosine schedule ends in pure noise, where sampling starts. Editing
+    /// uses temperature 0.5. At temperature 1, edits are more diverse but farther from their targets. The fixed frames
+    /// are shown nearly clean, as the editor shows them; their slight noise teaches the network to correct its own
+    /// errors from window to window. Two fifths of the windows have no fixed frames, because the first window of an
+    /// edit has none. The instruction is added to every frame. Gates mix three bones (the original's, a linear
+    /// extrapolation and the network's own), so that the narrow network need not reproduce unchanged parts. Windows
+    /// overlap by four frames. The loss on bones weighs an arm as much as the path of the root, and the loss on
+    /// contacts penalises feet that slide where they should rest. Guidance by the text is off, because an amplified
+    /// change overshoots. Guidance by the coordinator is weak: strong guidance moves edits away from their targets,
+    /// which are composed motions too.
     pub fn preset(preset: Preset) -> Self {
         match preset {
             Preset::Paper => Self::paper(),
@@ -455,12 +453,12 @@ impl TrainConfig {
     }
 }
 
-/// The setting of models recorded before there was a choice.
+/// Value for models recorded before this setting existed.
 pub(crate) fn all_keypoints() -> usize {
     NUM_KEYPOINTS
 }
 
-/// Left out of records, so that what identifies older models stays as it is.
+/// The default is left out of records, so that the hashes of older models do not change.
 #[expect(
     clippy::trivially_copy_pass_by_ref,
     reason = "serde passes a reference"
@@ -477,7 +475,7 @@ pub(crate) fn check_keypoints(keypoints: usize) -> Result<(), Error> {
     ensure(known.contains(&keypoints), "keypoints", problem)
 }
 
-/// The first keypoints of frames, which are laid out one after another.
+/// Keeps the first keypoints of each frame; frames are stored one after another.
 ///
 /// # Shapes
 /// `[.., 84]` in; `[.., 3 keypoints]` out.
@@ -502,7 +500,7 @@ mod tests {
     fn micro_batches_grow_with_memory() {
         const GB: u64 = 1_000_000_000;
         let model = TrainConfig::preset(Preset::Paper).model;
-        // 5.9 MB for a window of 17 tokens, and 0.3 GB for the weights.
+        // A window of 17 tokens needs 5.9 MB, and the weights 0.3 GB.
         let samples = |memory| model.samples_in(memory, 17);
         assert_eq!(samples(0), 1);
         assert!((250..350).contains(&samples(2 * GB)), "{}", samples(2 * GB));

@@ -5,39 +5,39 @@ use serde::{Deserialize, Serialize};
 use super::check::{above_zero, ensure, not_negative, positive, share};
 use crate::Error;
 
-/// Settings that every training run has, whatever is trained. In files they stand beside the
-/// settings of the model.
+/// Settings that every training run has, for any model. In files they are written next to the settings of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunSettings {
-    /// Optimiser.
+    /// Settings of the optimiser.
     pub optimizer: OptimizerConfig,
-    /// Samples in a step.
+    /// Number of samples in a step.
     pub batch_size: usize,
-    /// Samples computed at once. The gradients of a larger step are accumulated over several
-    /// micro-batches. `None` computes a step at once.
+    /// Number of samples computed at once. A larger step accumulates the gradients of several micro-batches. `None`
+    /// computes a step at once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub micro_batch_size: Option<usize>,
     /// Length of the run.
     pub length: RunLength,
-    /// Steps between two lines of the metrics file.
+    /// Number of steps between two lines of the metrics file.
     #[serde(default = "default_log_every")]
     pub log_every: u64,
-    /// Steps between two validations; each is followed by a checkpoint.
+    /// Number of steps between two validations; each is followed by a checkpoint.
     #[serde(default = "default_val_every")]
     pub val_every: u64,
-    /// Epochs between two checkpoints that are kept for good; 0 keeps only the best and the last.
+    /// Number of epochs between two checkpoints that are kept permanently; 0 keeps only the best and the last
+    /// checkpoint.
     #[serde(default)]
     pub keep_epochs: u64,
-    /// Seed of the weights and of everything drawn while training.
+    /// Seed of the initial weights and of all random draws in training.
     pub seed: u64,
 }
 
-/// For records of pose networks of version 0.1, which had no such setting.
+/// Default for records of pose networks of version 0.1, which lacked this setting.
 fn default_log_every() -> u64 {
     100
 }
 
-/// For records of pose networks of version 0.1, which had no such setting.
+/// Default for records of pose networks of version 0.1, which lacked this setting.
 fn default_val_every() -> u64 {
     200
 }
@@ -48,7 +48,7 @@ impl RunSettings {
             .map_or(self.batch_size, |size| size.min(self.batch_size))
     }
 
-    /// The micro-batches of a step: first sample, counted over the whole run, and number of samples.
+    /// The micro-batches of a step, each as the index of its first sample in the run and its number of samples.
     pub(super) fn micro_batches(&self, step: u64) -> impl Iterator<Item = (u64, usize)> {
         let (size, micro) = (self.batch_size, self.micro_batch());
         (0..size)
@@ -56,8 +56,8 @@ impl RunSettings {
             .map(move |first| (step * size as u64 + first as u64, micro.min(size - first)))
     }
 
-    /// Draws the micro-batches of a step. `draw` is given the first item and the number of items; each micro-batch comes with its
-    /// share of the step's items.
+    /// Draws the micro-batches of a step. `draw` gets the first item and the number of items. Each micro-batch is
+    /// returned with its share of the step's items.
     pub(crate) fn batches<B>(
         &self,
         step: u64,
@@ -69,8 +69,8 @@ impl RunSettings {
             .collect()
     }
 
-    /// Draws the micro-batches of a validation of so many items, as [`RunSettings::batches`] draws those of a step; each comes
-    /// with its number of items.
+    /// Draws the micro-batches of a validation of `num_items` items, as [`RunSettings::batches`] does for a step. Each
+    /// is returned with its number of items.
     pub(crate) fn validation<B>(
         &self,
         num_items: usize,
@@ -84,7 +84,7 @@ impl RunSettings {
             .collect()
     }
 
-    /// Checks that a run can be made with the settings.
+    /// Checks that the settings allow a run.
     ///
     /// # Errors
     /// A setting is out of range.
@@ -97,7 +97,7 @@ impl RunSettings {
         positive("val_every", self.val_every)
     }
 
-    /// Refuses micro-batches for a model whose loss needs the whole batch.
+    /// Refuses micro-batches; for models whose loss needs the whole batch.
     pub(crate) fn check_whole(&self, why: &str) -> Result<(), Error> {
         ensure(
             self.micro_batch() == self.batch_size,
@@ -107,20 +107,20 @@ impl RunSettings {
     }
 }
 
-/// How long a run is: so many epochs, but not more than so many steps.
+/// Length of a run: a number of epochs, limited by a number of steps.
 ///
 /// An epoch visits every window of every annotated motion and of every pair once.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunLength {
-    /// Epochs, if they are counted.
+    /// Number of epochs; if none, only steps are counted.
     pub epochs: Option<u64>,
-    /// Steps at most.
+    /// Maximum number of steps.
     pub steps: u64,
 }
 
 impl RunLength {
-    /// A run of so many steps.
+    /// A run of a fixed number of steps.
     pub fn of_steps(steps: u64) -> Self {
         Self {
             epochs: None,
@@ -146,23 +146,23 @@ impl RunLength {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OptimizerConfig {
-    /// Highest learning rate.
+    /// Maximum learning rate.
     pub learning_rate: f64,
-    /// How the rate falls.
+    /// Schedule of the learning rate.
     pub decay: Decay,
-    /// Steps over which the rate rises from zero.
+    /// Number of steps over which the rate rises from zero.
     pub warmup_steps: u64,
     /// Decoupled weight decay.
     pub weight_decay: f64,
-    /// Norm that all gradients together are clipped to; `None` does not clip.
+    /// Maximum norm of all gradients together, to which they are clipped; `None` does not clip.
     pub max_gradient_norm: Option<f64>,
-    /// Decay of the exponential moving average (EMA) of the weights. In step `n`, counted from 0, the decay is at
-    /// most `(1 + n) / (10 + n)`, so that the average soon forgets the initial weights. Validation and editing use
-    /// the averaged weights. `None` keeps no average.
+    /// Decay of the exponential moving average (EMA) of the weights. In step `n`, counted from 0, the decay is at most
+    /// `(1 + n) / (10 + n)`, so that the initial weights soon lose their influence. Validation and editing use the
+    /// averaged weights. `None` keeps no average.
     pub ema_decay: Option<f64>,
 }
 
-/// How the learning rate falls over a run.
+/// How the learning rate decreases over a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Decay {
@@ -173,7 +173,7 @@ pub enum Decay {
 }
 
 impl OptimizerConfig {
-    /// A constant learning rate and PyTorch's weight decay; no clipping, warm-up or averaging.
+    /// A constant learning rate with PyTorch's weight decay, and without clipping, warm-up or averaging.
     pub(crate) fn of_rate(learning_rate: f64) -> Self {
         Self {
             learning_rate,
@@ -194,7 +194,7 @@ impl OptimizerConfig {
         not_negative("optimizer.weight_decay", self.weight_decay)
     }
 
-    /// The learning rate of a step, counted from 0, of a run of `num_steps`.
+    /// The learning rate of step `step`, counted from 0, in a run of `num_steps`.
     pub fn rate_at(&self, step: u64, num_steps: u64) -> f64 {
         let warmup = ((step + 1) as f64 / (self.warmup_steps + 1) as f64).min(1.0);
         let decay = match self.decay {

@@ -6,13 +6,13 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ScheduleName {
-    /// The released one: the variances of 1000 steps spread over however many there are. With 100
-    /// steps the noisiest training sample keeps 60 % of its signal, while sampling starts from pure
-    /// noise (`algorithms` section 5).
+    /// The released schedule: the variances of 1000 steps, resampled to the number of steps. With 100 steps the
+    /// noisiest training sample keeps 60 % of its signal, although sampling starts from pure noise (`algorithms`
+    /// section 5).
     Official,
     /// Variances scaled by 1000 / steps, so that the last step is almost pure noise.
     Rescaled,
-    /// The squared cosine schedule (Nichol and Dhariwal 2021), which spreads its steps evenly over the levels of
-    /// noise. Of the linear schedules with 50 steps, half are nearly pure noise.
+    /// The squared cosine schedule (Nichol and Dhariwal 2021), which spreads its steps evenly over the noise levels.
+    /// With 50 steps of a linear schedule, half are nearly pure noise.
     Cosine,
 }

@@ -14,7 +14,7 @@ pub struct SettingError {
     pub problem: String,
 }
 
-/// A preset overridden by the user's values. Names of version 0.1 are known.
+/// Overrides a preset with the user's values. Setting names of version 0.1 are accepted.
 ///
 /// # Errors
 /// A key is unknown, or a value is of another type.
@@ -40,7 +40,7 @@ pub fn overlay<T: Serialize + DeserializeOwned>(
         serde_json::from_value::<T>(settings)
     };
     over(own).map_err(|error| {
-        // Serde names at most the last key. Report the first setting that fails by itself.
+        // Serde names at most the last key, so report the first setting that fails by itself.
         let fails_alone = |(keys, alone)| Some((keys, over(&alone).err()?));
         let (keys, error) = settings_of(own)
             .into_iter()
@@ -53,7 +53,7 @@ pub fn overlay<T: Serialize + DeserializeOwned>(
     })
 }
 
-/// Gives settings of version 0.1 their present names: in records on disk and in files of settings.
+/// Renames settings of version 0.1 in records and in files of settings.
 pub(crate) fn rename_former(settings: &mut Value) {
     let Some(table) = settings.as_object_mut() else {
         return;
@@ -71,7 +71,7 @@ pub(crate) fn rename_former(settings: &mut Value) {
         );
     }
     if let Some(rate) = table.remove("learning_rate") {
-        // The pose network's other settings of the optimiser were fixed.
+        // The pose network's other optimiser settings were fixed.
         let optimizer = json!({
             "learning_rate": rate, "decay": "linear", "warmup_steps": 0, "weight_decay": 0.0,
         });
@@ -84,7 +84,7 @@ pub(crate) fn rename_former(settings: &mut Value) {
     }
 }
 
-/// The settings of a document, each with the keys that lead to it and as a document of its own.
+/// The settings of a document, each with its path of keys and as a document that holds only this setting.
 fn settings_of(document: &Value) -> Vec<(Vec<String>, Value)> {
     let Value::Object(fields) = document else {
         return vec![(Vec::new(), document.clone())];

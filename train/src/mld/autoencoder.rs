@@ -1,4 +1,4 @@
-//! The autoencoder of motions: training and use.
+//! The autoencoder of motions: its training and its use.
 
 use std::path::{Path, PathBuf};
 
@@ -33,7 +33,7 @@ fn folder(run: &Path) -> PathBuf {
     run.join("autoencoder")
 }
 
-/// Trains the autoencoder, or continues where its folder left off.
+/// Trains the autoencoder, or continues the training of its folder.
 ///
 /// # Errors
 /// As [`super::train_mld`].
@@ -73,7 +73,7 @@ pub(super) fn train(
             })
         },
         loss: &|model, batch, device, pass| record.loss(model, batch, device, pass),
-        // A validation takes the mean latent vectors.
+        // A validation uses the mean latent vectors.
         validation: val
             .into_iter()
             .map(|crops| (crops.lengths.len(), (crops, None)))
@@ -83,7 +83,7 @@ pub(super) fn train(
     Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
-/// Crops, and the noise of their latent vectors, `[B, d]`.
+/// Crops, and the noise for their latent vectors, `[B, d]`.
 type NoisyCrops<'a> = (Crops<'a>, Option<Vec<f32>>);
 
 impl AutoencoderRecord {
@@ -92,7 +92,7 @@ impl AutoencoderRecord {
         MotionVae::new(&self.train.model, width, MAX_POSITIONS, device)
     }
 
-    /// Errors of features and joints, and the divergence of the latent vectors from the standard normal
+    /// The loss: errors of features and joints, and the divergence of the latent vectors from the standard normal
     /// distribution.
     ///
     /// # Source
@@ -135,8 +135,8 @@ impl AutoencoderRecord {
     }
 }
 
-/// Standard normal noise for the latent vectors of the samples from `first` on, `[count, width]`. It
-/// depends on the seed and the sample alone.
+/// Standard normal noise for the latent vectors of the samples starting at `first`, `[count, width]`. It depends only
+/// on the seed and the sample's index.
 pub(super) fn latent_noise(seed: Seed, first: u64, count: usize, width: usize) -> Vec<f32> {
     (first..first + count as u64)
         .flat_map(|sample| normal(&mut seed.rng(&["latent", &sample.to_string()]), width))
@@ -148,7 +148,7 @@ pub(super) fn latent_noise(seed: Seed, first: u64, count: usize, width: usize) -
 pub(super) struct Autoencoder {
     pub(super) network: MotionVae,
     pub(super) stats: FeatureStats,
-    /// Longest motion it was trained on, in frames.
+    /// Length of the longest training motion, in frames.
     pub(super) max_frames: usize,
     pub(super) hash: String,
 }
@@ -157,7 +157,7 @@ impl Autoencoder {
     /// Loads the autoencoder of a generator. `run` is the run folder of `stance train mld`.
     ///
     /// # Errors
-    /// There is none, or its checkpoint is missing or damaged.
+    /// The autoencoder's run or checkpoint is missing or damaged.
     pub(super) fn load(run: &Path, device: &Device) -> Result<Self, Error> {
         let dir = folder(run);
         let mut opened = open_for_use::<AutoencoderRecord>(&dir, Slot::Best, KIND)?;
@@ -173,7 +173,7 @@ impl Autoencoder {
         })
     }
 
-    /// The latent vectors of crops: samples of their distributions, by the noise that is given.
+    /// The latent vectors of crops, sampled from their distributions with the given noise.
     ///
     /// # Shapes
     /// `noise` `[B, d]`, row by row; the result `[B, d]` on the device of the session.

@@ -13,15 +13,15 @@ use crate::model::mld::MAX_POSITIONS;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AutoencoderConfig {
-    /// Sizes of its two transformers, whose width is that of a latent vector. The number of layers is odd.
+    /// Sizes of the two transformers. Their width is that of a latent vector, and the number of layers is odd.
     pub model: NetworkConfig,
-    /// Shortest motion trained on, in frames at 20 fps.
+    /// Minimum length of training motions, in frames at 20 fps.
     pub min_frames: usize,
-    /// Longest crop trained on, in frames at 20 fps.
+    /// Maximum length of training crops, in frames at 20 fps.
     pub max_frames: usize,
     /// Weight of the loss on joint positions, relative to that on features.
     pub joints_weight: f64,
-    /// Weight of the divergence of the latent vectors from standard normal ones.
+    /// Weight of the divergence of the latent vectors from the standard normal distribution.
     pub kl_weight: f64,
     /// Settings that every training run has.
     #[serde(flatten)]
@@ -32,19 +32,19 @@ pub struct AutoencoderConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MldConfig {
-    /// The autoencoder, which is trained first.
+    /// Settings of the autoencoder, which is trained first.
     pub autoencoder: AutoencoderConfig,
     /// Sizes of the denoiser. Its width is that of a latent vector, and the number of layers is odd.
     pub model: NetworkConfig,
     /// Text encoder.
     pub text: TextConfig,
-    /// Steps of the diffusion in training.
+    /// Number of diffusion steps in training.
     pub diffusion_steps: usize,
-    /// Steps of sampling.
+    /// Number of sampling steps.
     pub sampling_steps: usize,
     /// Guidance weight of the text.
     pub guidance: f64,
-    /// Probability of training a motion with the empty text.
+    /// Probability that a training motion is shown with the empty text.
     pub text_dropout: f64,
     /// Settings that every training run has.
     #[serde(flatten)]
@@ -52,7 +52,7 @@ pub struct MldConfig {
 }
 
 impl MldConfig {
-    /// The named settings.
+    /// The settings of a preset.
     ///
     /// # Source
     /// `Paper` and `Official`: the released configuration for HumanML3D (`algorithms` section 14), its
@@ -129,14 +129,14 @@ impl MldConfig {
             },
             model,
             text: editor.text,
-            // The vocabulary is learned, and strong guidance leaves what was seen.
+            // With a learned vocabulary, strong guidance leads away from the training motions.
             guidance: 2.0,
             run,
             ..official
         }
     }
 
-    /// Checks that the settings can be trained with.
+    /// Checks that the settings allow training.
     ///
     /// # Errors
     /// A setting is out of range.
@@ -153,7 +153,7 @@ impl MldConfig {
 }
 
 impl AutoencoderConfig {
-    /// Checks that the settings can be trained with.
+    /// Checks that the settings allow training.
     ///
     /// # Errors
     /// A setting is out of range.
@@ -161,7 +161,7 @@ impl AutoencoderConfig {
         check_layers("autoencoder.model.num_layers", &self.model)?;
         self.run.check()?;
         positive("autoencoder.min_frames", self.min_frames as u64)?;
-        // Two learned tokens stand before the frames.
+        // Two learned tokens precede the frames.
         let (frames, least, most) = (self.max_frames, self.min_frames, MAX_POSITIONS - 2);
         let problem = format!("it is {frames}, and must be from min_frames {least} to {most}");
         ensure(
@@ -174,7 +174,7 @@ impl AutoencoderConfig {
     }
 }
 
-/// Skip connections join layers in pairs around a middle one.
+/// Checks that the number of layers is odd, because skip connections pair the layers around a middle one.
 fn check_layers(field: &'static str, model: &NetworkConfig) -> Result<(), Error> {
     model.check()?;
     let layers = model.num_layers;

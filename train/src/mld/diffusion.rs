@@ -1,4 +1,4 @@
-//! The diffusion of latent vectors: training.
+//! Training of the diffusion of latent vectors.
 
 use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
@@ -29,7 +29,7 @@ pub(crate) struct MldRecord {
     pub(crate) text: TextRecord,
     /// Hash of the autoencoder: BLAKE3, hexadecimal.
     pub(crate) autoencoder: String,
-    /// Standard deviation of the latent vectors of the training split, over all their numbers.
+    /// Standard deviation of the latent vectors of the training split, over all their elements.
     pub(crate) latent_std: f32,
 }
 
@@ -42,15 +42,15 @@ impl MldRecord {
     }
 }
 
-/// Trains the autoencoder and then the diffusion of its latent vectors, or continues where the run folder
-/// left off. The autoencoder is a run of its own in the folder `autoencoder` of the run. Clips shorter
-/// than its `min_frames` are left out. Returns the report of the part that was trained last.
+/// Trains the autoencoder and then the diffusion of its latent vectors, or continues the training of the run folder.
+/// The autoencoder is a separate run in the subfolder `autoencoder`. Clips shorter than its `min_frames` are left out.
+/// Returns the report of the part that was trained last.
 ///
 /// # Errors
 /// - The settings are unusable, or the text encoder is missing.
 /// - A split has no clip that is long enough, or a clip has no caption.
 /// - The folder holds another run or a damaged checkpoint, or a file cannot be written.
-/// - `start` asks to extend a run or to begin with the weights of another one.
+/// - `start` asks to extend a run or to start from another run's weights.
 /// - A loss is not finite.
 pub fn train_mld<'a>(
     start: impl Into<Start<'a>>,
@@ -124,7 +124,7 @@ pub fn train_mld<'a>(
     Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
-/// The standard deviation of the latent vectors of clips: the root of the mean variance of their numbers.
+/// The standard deviation of the latent vectors of clips: the square root of the mean variance of their elements.
 fn latent_std(
     autoencoder: &Autoencoder,
     sampler: &CropSampler<'_>,
@@ -152,7 +152,7 @@ fn latent_std(
     (variances.sum::<f64>() / width as f64).max(0.0).sqrt() as f32
 }
 
-/// Latent vectors of motions with their captions, with everything a training step draws.
+/// Latent vectors of motions with their captions, and all random draws of a training step.
 struct LatentBatch {
     /// `[B, d]`
     latents: Vec<f32>,
@@ -163,19 +163,19 @@ struct LatentBatch {
     texts: TextBatch,
 }
 
-/// Forward diffusion of latent vectors, and the target of the network.
+/// Adds diffusion noise to latent vectors and computes the loss.
 struct Noising<'a> {
     record: &'a MldRecord,
     autoencoder: &'a Autoencoder,
-    /// Where and how the autoencoder computes.
+    /// Device and arithmetic of the autoencoder.
     session: &'a Session<'a>,
     schedule: Schedule,
     texts: Texts<'a>,
 }
 
 impl Noising<'_> {
-    /// Draws latent vectors, noise, diffusion steps and dropped captions of crops, the first of which is
-    /// the sample `first` of the run.
+    /// Draws latent vectors, noise, diffusion steps and dropped captions of crops. The first crop is sample `first` of
+    /// the run.
     fn noisy(
         &self,
         crops: &Crops<'_>,
@@ -204,7 +204,7 @@ impl Noising<'_> {
         })
     }
 
-    /// The squared error of the predicted noise.
+    /// The loss: the squared error of the predicted noise.
     ///
     /// # Source
     /// Chen et al. 2023, Eq. 4.

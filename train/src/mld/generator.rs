@@ -1,4 +1,4 @@
-//! Inference with a trained MLD: motions for captions, and variants of them.
+//! Inference with a trained MLD: generates motions from captions, and variants of them.
 
 use std::path::Path;
 
@@ -24,25 +24,25 @@ use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
 use crate::{Error, Session};
 
-/// A motion to generate.
+/// A base motion to generate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Base {
-    /// Id of the base; with the seed it determines the noise.
+    /// Id of the base motion. Together with the seed it determines the noise.
     pub id: String,
-    /// Caption of the motion.
+    /// Caption of the base motion.
     pub text: String,
     /// Length in frames at 20 fps.
     pub frames: usize,
 }
 
-/// Standard deviation of the noise between the latent vectors of variants.
+/// Standard deviation of the noise that distinguishes the latent vectors of variants.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LatentNoise {
     /// In units of the latent space, as published.
     Absolute(f64),
-    /// In standard deviations of the latent vectors of motions, because the autoencoder is only lightly
-    /// held to the standard normal distribution.
+    /// In standard deviations of the motions' latent vectors, because the autoencoder's training only weakly enforces
+    /// the standard normal distribution.
     Relative(f64),
 }
 
@@ -62,7 +62,7 @@ impl Generator {
     /// Loads a generator from its run folder.
     ///
     /// # Errors
-    /// The folder is no such run, its autoencoder is not the one the diffusion was trained with, or a
+    /// The folder is not a run of MLD, its autoencoder is not the one that the diffusion was trained with, or a
     /// checkpoint is missing or damaged.
     pub fn load(run: &Path, device: &Device) -> Result<Self, Error> {
         let mut opened = open_for_use::<MldRecord>(run, Slot::Best, KIND)?;
@@ -95,18 +95,18 @@ impl Generator {
         &self.hash
     }
 
-    /// Standard deviation of the latent vectors of the motions it was trained on.
+    /// Standard deviation of the latent vectors of the training motions.
     pub fn latent_std(&self) -> f32 {
         self.record.latent_std
     }
 
-    /// Fewest and most frames of the motions it was trained on.
+    /// Minimum and maximum length of the training motions in frames.
     pub fn frames(&self) -> [usize; 2] {
         let config = &self.record.train.autoencoder;
         [config.min_frames, config.max_frames]
     }
 
-    /// Prepares the generator for texts. Called before [`Generator::variants`].
+    /// Prepares the generator for texts. Must be called before [`Generator::variants`].
     ///
     /// # Errors
     /// The text encoder is missing or cannot encode a text.
@@ -123,8 +123,8 @@ impl Generator {
         self.record.text.texts(self.vectors.as_ref()).map(|_| ())
     }
 
-    /// Features of `count` variants of each base motion: a latent vector is sampled by the text, and each
-    /// variant adds noise of its own to it. All variants of a base are as long as it.
+    /// Features of `count` variants of each base motion. A latent vector is sampled for the text, and each variant adds
+    /// its own noise to it. All variants of a base motion have its length.
     ///
     /// # Shapes
     /// `[bases][count][frames]`.
@@ -167,7 +167,7 @@ impl Generator {
             .collect()
     }
 
-    /// Samples latent vectors by texts, row by row.
+    /// Samples latent vectors for texts, row by row.
     fn latents(
         &self,
         bases: &[Base],
@@ -201,7 +201,7 @@ impl Generator {
         Ok(read(latents))
     }
 
-    /// The motions of latent vectors, all as long as one another.
+    /// Decodes latent vectors to motions, all of the same length.
     fn decoded(
         &self,
         latents: Vec<f32>,

@@ -1,4 +1,4 @@
-//! Joint positions of HumanML3D features, with gradients.
+//! Differentiable joint positions of HumanML3D features.
 
 use burn::tensor::{Device, Tensor};
 use datasets_spec::record::HUMANML3D_WIDTH;
@@ -6,7 +6,7 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use crate::transfer::send;
 
-/// The joints of features, as [`features::humanml3d::recover_joints`] finds them.
+/// The joint positions of features, like those of [`features::humanml3d::recover_joints`].
 ///
 /// # Shapes
 /// `[B, T, 263]`, not normalised, give `[B, T, 66]`.
@@ -15,7 +15,7 @@ pub fn recovered_joints(features: Tensor<3>) -> Tensor<3> {
     assert_eq!(width, HUMANML3D_WIDTH, "features of HumanML3D");
     let device = features.device();
     let column = |index: usize| features.clone().narrow(2, index, 1);
-    // A frame's heading is the sum of the yaw velocities before it, each half the angle.
+    // A frame's heading is the sum of the earlier yaw velocities, which are half angles.
     let earlier = sums(frames, |from, to| from < to, &device).expand([batch, frames, frames]);
     let angle = earlier.matmul(column(0)).mul_scalar(2.0);
     let (cosine, sine) = (angle.clone().cos(), angle.sin());
@@ -26,7 +26,7 @@ pub fn recovered_joints(features: Tensor<3>) -> Tensor<3> {
             z * cosine + x * sine,
         )
     };
-    // The root moves by the velocity of the frame before, seen from its own heading.
+    // The root moves by the velocity of the previous frame, in its own heading.
     let before = sums(frames, |from, to| from + 1 == to, &device).expand([batch, frames, frames]);
     let (x, z) = turned(before.clone().matmul(column(1)), before.matmul(column(2)));
     let until = sums(frames, |from, to| from <= to, &device).expand([batch, frames, frames]);
@@ -45,7 +45,7 @@ pub fn recovered_joints(features: Tensor<3>) -> Tensor<3> {
     Tensor::cat(joints, 2)
 }
 
-/// The matrix that adds the frames `from` for each frame `to`, `[1, T, T]`.
+/// A matrix that sums, for each frame `to`, the frames `from` that `is_added` selects, `[1, T, T]`.
 fn sums(frames: usize, is_added: impl Fn(usize, usize) -> bool, device: &Device) -> Tensor<3> {
     let values: Vec<f32> = (0..frames)
         .flat_map(|to| (0..frames).map(move |from| (from, to)))
@@ -67,7 +67,7 @@ mod tests {
             .map(|frame| {
                 std::array::from_fn(|column| {
                     let place = (frame * 7 + column * 3) as f32;
-                    // Velocities are small numbers.
+                    // Root velocities are small.
                     0.3 * (place * 0.37).sin() * if column < 3 { 0.1 } else { 1.0 }
                 })
             })

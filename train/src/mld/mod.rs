@@ -1,5 +1,5 @@
-//! MLD: an autoencoder of motions, a diffusion of its latent vectors by captions, and variants of motions
-//! that are decoded near each other.
+//! MLD: an autoencoder of motions, a text-conditioned diffusion of its latent vectors, and variants decoded from
+//! neighbouring latent vectors.
 
 mod autoencoder;
 mod config;
@@ -14,7 +14,7 @@ pub use self::joints::recovered_joints;
 
 use crate::text::clip::ClipModel;
 
-/// Kind of a run of the latent diffusion, whose folder holds the run of its autoencoder too.
+/// Kind of a run of the latent diffusion. Its folder also holds the run of its autoencoder.
 pub(crate) const KIND: &str = "mld";
 
 pub(crate) const CLIP: ClipModel = ClipModel::VitL14;

@@ -17,42 +17,42 @@ use super::weights::from_safetensors_named;
 use crate::Error;
 use crate::vocabulary::TokenBatch;
 
-/// Differences between our names and those of Hugging Face's `CLIPTextModelWithProjection`, whose names `CLIPModel`
-/// shares.
+/// Renaming rules between our tensor names and those of Hugging Face's `CLIPTextModelWithProjection`, which `CLIPModel`
+/// also uses.
 const RENAMES: [(&str, &str); 3] = [
     (r"^text_model\.embeddings\.", ""),
     (r"^text_model\.encoder\.", ""),
     (r"^text_model\.", ""),
 ];
 
-/// Prefixes of the text tower's tensors, in files that may hold the vision tower too.
+/// Prefixes of the text tower's tensors; files may also contain the vision tower.
 const TEXT_TOWER: [&str; 2] = ["text_model.", "text_projection."];
 
-/// End token of configurations that were written before the real one was recorded. The reference
-/// then takes the largest token number of a row, which is the end token of CLIP's vocabulary.
+/// End token in configurations that were written before the real one was recorded. For it, the reference uses the
+/// largest token number of a row, which is the end token of CLIP's vocabulary.
 const LEGACY_END_TOKEN: usize = 2;
 
-/// Slope of the sigmoid in CLIP's approximation of GELU.
+/// Factor in the sigmoid of CLIP's approximation of GELU.
 const QUICK_GELU_SLOPE: f64 = 1.702;
 
 /// Sizes of a text tower.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClipConfig {
-    /// Tokens of the vocabulary.
+    /// Number of tokens in the vocabulary.
     pub num_tokens: usize,
-    /// Longest row of tokens, start and end included.
+    /// Maximum number of tokens in a row, including start and end token.
     pub context: usize,
     /// Width of a token.
     pub width: usize,
-    /// Transformer layers.
+    /// Number of transformer layers.
     pub num_layers: usize,
-    /// Attention heads.
+    /// Number of attention heads.
     pub num_heads: usize,
     /// Hidden width of the feed-forward layers.
     pub feed_forward: usize,
     /// Width of the projected text.
     pub projection: usize,
-    /// Number of the end token; 2 stands for the largest number of a row.
+    /// Number of the end token; 2 stands for the largest token number of a row.
     pub end_token: usize,
 }
 
@@ -89,8 +89,7 @@ impl ClipConfig {
     }
 }
 
-/// CLIP's text tower with its projection, for inference: a pre-norm transformer in which a token
-/// sees itself and the tokens before it.
+/// CLIP's text tower with its projection, for inference: a pre-norm transformer with causal attention.
 ///
 /// # Source
 /// Radford et al. 2021, Sec. 2.4; parameters and names are those of Hugging Face's
@@ -107,7 +106,7 @@ pub struct ClipText {
 }
 
 impl ClipText {
-    /// Builds the network with weights of no meaning.
+    /// Builds the network with placeholder weights; [`ClipText::from_safetensors`] loads real ones.
     pub fn new(config: &ClipConfig, device: &Device) -> Self {
         Self {
             token_embedding: EmbeddingConfig::new(config.num_tokens, config.width).init(device),
@@ -124,9 +123,9 @@ impl ClipText {
         }
     }
 
-    /// Builds the network with the weights of a safetensors file whose names are `prefix` followed
-    /// by Hugging Face's. Weights of half and double precision become single precision, and
-    /// tensors of the vision tower are left alone. `path` names the file in errors.
+    /// Builds the network with the weights of a safetensors file whose names are `prefix` followed by Hugging Face's.
+    /// Weights of half and double precision are converted to single precision, and tensors of the vision tower are
+    /// ignored. `path` names the file in errors.
     ///
     /// # Errors
     /// The file is malformed, or a tensor is missing or of another shape.
@@ -164,26 +163,26 @@ impl ClipText {
         width
     }
 
-    /// Tokens of each row up to its end token, which is counted.
+    /// Number of tokens in each row up to and including its end token.
     pub(crate) fn lengths(&self, tokens: &TokenBatch) -> Vec<usize> {
         let rows = tokens.ids.chunks_exact(tokens.width);
         rows.map(|ids| 1 + end_place(ids, self.end_token)).collect()
     }
 
-    /// Longest row of tokens.
+    /// Maximum number of tokens in a row.
     pub fn context(&self) -> usize {
         self.context
     }
 
-    /// The device the weights are on.
+    /// The device that holds the weights.
     pub fn device(&self) -> Device {
         self.token_embedding.weight.val().device()
     }
 
-    /// Encodes texts: the end token of each, projected and not normalised.
+    /// Encodes texts: the projected vector of each end token, not normalised.
     ///
-    /// Attention is causal, so rows may be padded with any tokens after their end token, and may be
-    /// truncated to the longest row.
+    /// Attention is causal, so rows may be padded with any tokens after their end token, and the batch may be truncated
+    /// to the longest row.
     ///
     /// # Shapes
     /// `B` rows of tokens give `[B, d]`.
@@ -194,8 +193,8 @@ impl ClipText {
         self.project(self.hidden(tokens, None), tokens)
     }
 
-    /// Every token after the last norm. With `lengths`, tokens from a row's length on are hidden
-    /// from all others, as a padding mask of the reference hides them.
+    /// The output of the last norm for every token. With `lengths`, tokens after a row's length are masked in
+    /// attention, like with the reference's padding mask.
     ///
     /// # Shapes
     /// `B` rows of `T` tokens give `[B, T, d]`; `lengths` `[B]`.
@@ -223,7 +222,7 @@ impl ClipText {
         self.final_layer_norm.forward(x)
     }
 
-    /// The projected end token of each row of what [`ClipText::hidden`] returned.
+    /// Projects the end token of each row; the input is the result of [`ClipText::hidden`].
     ///
     /// # Shapes
     /// `[B, T, d]` gives `[B, d]`.
@@ -242,7 +241,7 @@ impl ClipText {
     }
 }
 
-/// Where a row ends: at its first end token, or at its start if it has none.
+/// Position of a row's first end token; 0 if it has none.
 fn end_place(ids: &[i32], end_token: usize) -> usize {
     let end = if end_token == LEGACY_END_TOKEN {
         ids.iter().copied().max()
@@ -331,7 +330,7 @@ struct ClipMlp {
 impl ClipMlp {
     fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         let hidden = self.fc1.forward(x);
-        // x * sigmoid(1.702 x), which CLIP was trained with, and not the exact GELU.
+        // The activation is x * sigmoid(1.702 x), with which CLIP was trained, rather than the exact GELU.
         let gate = sigmoid(hidden.clone().mul_scalar(QUICK_GELU_SLOPE));
         self.fc2.forward(hidden * gate)
     }
@@ -354,8 +353,7 @@ mod tests {
 
     #[test]
     fn the_published_sizes_are_those_of_the_paper() {
-        // 63 million parameters of the text tower of ViT-B/32 (Radford et al. 2021, Sec. 2.4), and
-        // its projection.
+        // The text tower of ViT-B/32 has 63 million parameters (Radford et al. 2021, Sec. 2.4), plus its projection.
         let parameters = |config: &ClipConfig| {
             let d = config.width;
             let layer = 4 * (d * d + d) + 2 * d * config.feed_forward + config.feed_forward + 5 * d;

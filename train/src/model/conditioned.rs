@@ -1,4 +1,4 @@
-//! A network with text input, together with the text encoder trained with it, if there is one.
+//! A network with text input, and the text encoder trained with it, if there is one.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use super::weights::{Networks, both_files};
 use crate::Error;
 use crate::checkpoint::Files;
 
-/// A network and its text encoder.
+/// A network with its text encoder.
 #[derive(Module, Debug)]
 pub struct Conditioned<N: Module> {
     /// The network.
@@ -35,8 +35,7 @@ impl<N: Networks> Networks for Conditioned<N> {
 }
 
 impl<N: Module> Conditioned<N> {
-    /// Builds a network for the width of its text vectors. A learned encoder makes vectors of `width`
-    /// numbers.
+    /// Builds a network for the width of its text vectors. A learned encoder makes vectors of width `width`.
     pub fn new(
         text: TextSource,
         width: usize,
@@ -56,10 +55,10 @@ impl<N: Module> Conditioned<N> {
     /// `rows` texts give `[B, text_width]`.
     ///
     /// # Panics
-    /// If words are given to a model without an encoder of words.
+    /// If words are given to a model without a learned encoder.
     pub fn text_vectors(&self, texts: &TextBatch, rows: usize, device: &Device) -> Tensor<2> {
         let vectors = text_vectors(self.text.as_ref(), texts, rows, device);
-        // The learned encoder is as loud as a denoiser needs it that divides text.
+        // The learned encoder's output is scaled for a denoiser that divides text vectors by this number.
         match &self.text {
             Some(_) => vectors.div_scalar(TEXT_DIVISOR),
             None => vectors,

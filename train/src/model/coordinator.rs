@@ -12,13 +12,13 @@ use super::transformer::Encoder;
 use super::weights::Networks;
 use crate::config::NetworkConfig;
 
-/// A transformer over a token of the diffusion step and the frames of a window, and a classifier of
-/// their mean.
+/// A transformer over the frames of a window and a token of the diffusion step, with a classifier of the mean over
+/// frames.
 ///
 /// # Source
-/// Paper, Sec. 5.2 and App. B.4; the layout is that of the released code with `Disc=True` (`algorithms`
-/// section 6). Two of its layers, `embedding_original` and `embed_prog_ind`, play no part; they are
-/// kept because the released checkpoints store them and the released program asks for them.
+/// Paper, Sec. 5.2 and App. B.4; the layout is that of the released code with `Disc=True` (`algorithms` section 6). Two
+/// of its layers, `embedding_original` and `embed_prog_ind`, are unused; they exist because the released checkpoints
+/// store them and the released program requires them.
 #[derive(Module, Debug)]
 pub struct Coordinator {
     embedding_input: Linear,
@@ -27,7 +27,7 @@ pub struct Coordinator {
     embed_prog_ind: TwoLayers,
     transformer: Encoder,
     out: Linear,
-    /// Head on the mean over frames.
+    /// Classifier of the mean over frames.
     pred: TwoLayers,
     dropout: Dropout,
 }
@@ -37,7 +37,7 @@ impl Networks for Coordinator {
 }
 
 impl Coordinator {
-    /// Builds the network for frames of `frame_width` numbers, 84 of all keypoints.
+    /// Builds the network for frames of `frame_width` numbers; all keypoints have 84.
     pub fn new(config: &NetworkConfig, frame_width: usize, device: &Device) -> Self {
         let linear = |from, to| LinearConfig::new(from, to).init(device);
         Self {
@@ -61,7 +61,7 @@ impl Coordinator {
         let device = x.device();
         let frames = self.embedding_input.forward(x);
         let [_, _, width] = frames.dims();
-        // The token of the step is not scaled, unlike that of the denoiser (released code).
+        // Unlike in the denoiser, the step's token is not scaled (released code).
         let step = self.embed_timestep.embed(timesteps).unsqueeze_dim::<3>(1);
         let tokens = Tensor::cat(vec![step, frames.mul_scalar((width as f64).sqrt())], 1);
         let tokens = tokens + positions(1 + window, width, &device);
@@ -89,9 +89,9 @@ impl Coordinator {
     pub fn gradient(&self, x: Tensor<3>, timesteps: &[usize], pass: &Pass) -> Tensor<3> {
         let device = x.device();
         let x = Tensor::<3>::from_inner(x).require_grad();
-        // On a device with gradients dropout would be at work.
+        // On a device with automatic differentiation, dropout would be active.
         let settled = self.valid();
-        // A row never sees another, so that the gradient of the sum holds the gradient of each.
+        // Rows are independent, so the gradient of the sum contains the gradient of each row.
         let sum = settled.probability(x.clone(), timesteps, pass).sum();
         let gradients = sum.backward();
         x.grad(&gradients)

@@ -15,7 +15,7 @@ use crate::config::{NetworkConfig, PreviousFrames};
 /// Divisor of the text feature before it joins the condition token (released code).
 pub const TEXT_DIVISOR: f64 = 10.0;
 
-/// Steps progress in [0, 1] is divided into before it is looked up (released code).
+/// Number of steps into which progress in [0, 1] is quantised before the table look-up (released code).
 const PROGRESS_STEPS: f32 = 100.0;
 
 /// Two layers with SiLU between them.
@@ -26,7 +26,7 @@ pub struct TwoLayers {
 }
 
 impl TwoLayers {
-    /// Builds layers from `input` numbers to `hidden`, and on to `output`.
+    /// Builds two layers with the given input, hidden and output widths.
     pub(crate) fn new([input, hidden, output]: [usize; 3], device: &Device) -> Self {
         Self {
             hidden: LinearConfig::new(input, hidden).init(device),
@@ -42,7 +42,7 @@ impl TwoLayers {
         self.output.forward(silu(self.hidden.forward(x)))
     }
 
-    /// Embeds indices, each looked up in the sinusoidal table.
+    /// Embeds indices by their rows of the sinusoidal table.
     ///
     /// # Shapes
     /// `[B]` indices give `[B, output]`.
@@ -55,13 +55,12 @@ impl TwoLayers {
 /// The noise predictor: a transformer over one condition token and the frames of a window.
 ///
 /// # Source
-/// Paper, Sec. 5.1; the layout and the scales are those of the released code (`algorithms`
-/// section 6). The previous two frames are the first two frames of the noisy window; of
-/// [`PreviousFrames::Encoded`] a network of its own embeds them, of [`PreviousFrames::Inpainted`]
-/// that of every frame.
+/// Paper, Sec. 5.1; the layout and the scales are those of the released code (`algorithms` section 6). The previous two
+/// frames are the first two frames of the noisy window. With [`PreviousFrames::Encoded`] a separate network embeds
+/// them; with [`PreviousFrames::Inpainted`] they are embedded like all frames.
 #[derive(Module, Debug)]
 pub struct Denoiser {
-    /// Maps each frame before a window to the token of its place.
+    /// Maps each previous frame to the token at its position.
     embed_previous: Option<TwoLayers>,
     project_text: Option<Linear>,
     embedding_input: Linear,
@@ -70,7 +69,7 @@ pub struct Denoiser {
     embed_prog_ind: TwoLayers,
     transformer: Encoder,
     out: Linear,
-    /// Gates of each keypoint, for predictions that have them.
+    /// Layer for the gates of each keypoint; none for predictions without gates.
     gate: Option<Linear>,
     /// Whether the condition is added to every frame, in addition to its own token.
     #[module(skip)]
@@ -83,9 +82,9 @@ impl Networks for Denoiser {
 }
 
 impl Denoiser {
-    /// Builds the network for text vectors of `text_width` numbers and frames of `frame_width`, which is 84 of all
-    /// keypoints. If text vectors have not the network's own width, a layer maps one to the other; neither
-    /// publication has one.
+    /// Builds the network for text vectors of `text_width` numbers and frames of `frame_width`; all keypoints have 84.
+    /// If the text vectors have another width than the network, a layer maps them; neither publication has such a
+    /// layer.
     pub fn new(
         config: &NetworkConfig,
         previous: PreviousFrames,
@@ -112,14 +111,14 @@ impl Denoiser {
         }
     }
 
-    /// Adds the condition to every frame, in addition to its own token.
+    /// Sets that the condition is added to every frame, in addition to its own token.
     #[must_use]
     pub fn telling_frames(mut self) -> Self {
         self.tells_frames = true;
         self
     }
 
-    /// Adds a layer that gives `gates` numbers for each keypoint of a frame after the numbers of the frame.
+    /// Adds a layer that outputs `gates` numbers for each keypoint, after the numbers of the frame.
     #[must_use]
     pub fn gated(mut self, gates: usize) -> Self {
         let [width, frame_width] = self.out.weight.val().dims();
@@ -137,7 +136,7 @@ impl Denoiser {
         }
     }
 
-    /// Output of the network for the tokens of frames.
+    /// Output of the network, computed from the encoded tokens of frames.
     fn read(&self, frames: Tensor<3>) -> Tensor<3> {
         match &self.gate {
             None => self.out.forward(frames),
@@ -148,7 +147,7 @@ impl Denoiser {
         }
     }
 
-    /// Numbers of a frame.
+    /// Number of values in a frame.
     pub fn frame_width(&self) -> usize {
         let [_, frame_width] = self.out.weight.val().dims();
         frame_width
@@ -157,8 +156,8 @@ impl Denoiser {
     /// Predicts the noise in `x`.
     ///
     /// # Shapes
-    /// `x`, `original` and the result `[B, W, 84]`, or as wide as its frames are; `timesteps` and `progress` `[B]`; `text`
-    /// `[B, text_width]`, a row of zeros standing for no text.
+    /// `x`, `original` and the result `[B, W, frame_width]`; `timesteps` and `progress` `[B]`; `text` `[B,
+    /// text_width]`, where a row of zeros means no text.
     pub fn forward(
         &self,
         x: Tensor<3>,
@@ -190,8 +189,7 @@ impl Denoiser {
         self.read(tokens.narrow(1, 1, window))
     }
 
-    /// Text vectors in the width of the network. The layer has no bias, which keeps zeros zeros: no
-    /// text stays no text.
+    /// Maps text vectors to the width of the network. The layer has no bias, so zeros, which mean no text, stay zeros.
     fn project(&self, text: Tensor<2>) -> Tensor<2> {
         match &self.project_text {
             Some(layer) => layer.forward(text),
@@ -210,14 +208,14 @@ impl Denoiser {
         Tensor::cat(vec![previous, self.embedding_input.forward(rest)], 1)
     }
 
-    /// Lays out the weights as they are multiplied while sampling.
+    /// Prepares the weights in the layout in which sampling multiplies them.
     pub fn prepared_weights(&self, arithmetic: Arithmetic) -> PreparedWeights {
         self.transformer.prepare(arithmetic)
     }
 
-    /// Computes once what does not change from step to step of sampling: the embeddings of all
-    /// diffusion steps, of the original windows, of progress and positions. The weights are this
-    /// denoiser's, as [`Denoiser::prepared_weights`] gives them.
+    /// Computes once all inputs that do not change between sampling steps: embeddings of all diffusion steps, of the
+    /// original windows, and of progress and positions. The weights must be this denoiser's, from
+    /// [`Denoiser::prepared_weights`].
     ///
     /// # Shapes
     /// As [`Denoiser::forward`].
@@ -246,8 +244,7 @@ impl Denoiser {
     }
 }
 
-/// A denoiser together with what it is conditioned on, for the steps of sampling. No gradients flow
-/// through it on a processor.
+/// A denoiser with its precomputed conditions, for sampling. On a processor, no gradients flow through it.
 #[derive(Debug)]
 pub struct PreparedDenoiser<'a> {
     denoiser: &'a Denoiser,
@@ -282,7 +279,7 @@ impl PreparedDenoiser<'_> {
     }
 }
 
-/// The table rows of progress values, rounded half to even as the released code rounds.
+/// Rows of the sinusoidal table for progress values. Halves are rounded to even, as in the released code.
 pub fn progress_indices(progress: &[f32]) -> Vec<usize> {
     progress
         .iter()

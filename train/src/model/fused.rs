@@ -1,9 +1,9 @@
-//! The encoder layer on a processor: one operation with a backward pass of its own. This is the only
-//! file that calls the kernels for a model; the model files are plain burn modules.
+//! The encoder layer on a processor: one operation with its own backward pass. This is the only file that calls the
+//! kernels for a model; the model files are plain burn modules.
 //!
-//! Composed of tensor operations, a layer walks some forty times through arrays of activations, half
-//! of them only to copy, mask or sum. Here every array is read and written once. Tests compare the layer
-//! with the composed one, also on another backend.
+//! A layer composed of tensor operations passes over arrays of activations about forty times, half of them only to
+//! copy, mask or sum. The fused layer reads and writes every array once. Tests compare it with the composed layer, also
+//! on another backend.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -22,9 +22,9 @@ use kernels::rows::{
     residual_norm_backward, times_derivatives,
 };
 
-/// Numbers of a tensor of the processor's backend.
+/// Values of a tensor on the processor's backend.
 type Buffer = FloatTensor<Flex>;
-/// The same with a place in the graph of gradients.
+/// A tensor on the processor's backend with automatic differentiation.
 type Tracked = FloatTensor<Autodiff<Flex>>;
 
 /// The factors of a dropout: 0 with probability `prob`, otherwise `1 / (1 - prob)`.
@@ -32,14 +32,13 @@ pub(crate) fn dropout_factors(prob: f64, key: u64, count: usize) -> Vec<f32> {
     factors(Mask::new(prob, key), count)
 }
 
-/// The trainable tensors of a layer, the vectors being the biases of the four weights,
-/// then gamma and beta of both norms.
+/// The trainable tensors of a layer. The vectors are the biases of the four weights, then gamma and beta of both norms.
 pub(crate) struct LayerTensors {
     pub(crate) weights: [Tensor<2>; 4],
     pub(crate) vectors: [Tensor<1>; 8],
 }
 
-/// Places of the weights in [`LayerTensors::weights`].
+/// Indices of the weights in [`LayerTensors::weights`].
 const IN_PROJ: usize = 0;
 const OUT_PROJ: usize = 1;
 const LINEAR1: usize = 2;
@@ -54,7 +53,7 @@ pub(crate) struct PreparedLayer {
 }
 
 impl PreparedLayer {
-    /// Prepares a layer whose tensors lie on the processor.
+    /// Prepares a layer whose tensors are on the processor.
     fn new(weights: [Buffer; 4], vectors: [Buffer; 8], num_heads: usize) -> Self {
         Self {
             weights: weights.map(|weight| weight.to_contiguous()),
@@ -63,7 +62,7 @@ impl PreparedLayer {
         }
     }
 
-    /// Prepares a layer for inference; none where its tensors lie elsewhere.
+    /// Prepares a layer for inference; none if its tensors are on another device.
     pub(crate) fn for_inference(tensors: LayerTensors, num_heads: usize) -> Option<Self> {
         let weights = all(tensors.weights.map(plain))?;
         let vectors = all(tensors.vectors.map(plain))?;
@@ -80,7 +79,7 @@ impl PreparedLayer {
     }
 }
 
-/// Dropout masks of the parts of a layer.
+/// Dropout masks of the steps of a layer.
 #[derive(Clone, Copy, Debug)]
 struct Masks {
     weights: Mask,
@@ -91,7 +90,7 @@ struct Masks {
 
 impl Masks {
     fn new(prob: f64, key: u64) -> Self {
-        // Keys of the parts differ in both halves; the constant is the golden ratio's.
+        // The keys of the masks differ in both halves. The constant is derived from the golden ratio.
         let mask = |part: u64| {
             let key = key.wrapping_add((part + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
             Mask::new(prob, key)
@@ -114,7 +113,7 @@ struct Saved {
     weights: Vec<f32>,
     /// `[R, d]`
     attended: Vec<f32>,
-    /// Normalised rows of the first norm, `[R, d]`, and their scales.
+    /// Normalised rows of the first norm, `[R, d]`, and their inverse standard deviations.
     first: (Vec<f32>, Vec<f32>),
     /// Input of the feed-forward block, `[R, d]`.
     middle: Vec<f32>,
@@ -122,7 +121,7 @@ struct Saved {
     derivatives: Vec<f32>,
     /// Values of the hidden layer, `[R, f]`.
     hidden: Vec<f32>,
-    /// Normalised rows of the second norm, `[R, d]`, and their scales.
+    /// Normalised rows of the second norm, `[R, d]`, and their inverse standard deviations.
     second: (Vec<f32>, Vec<f32>),
 }
 
@@ -155,7 +154,7 @@ impl PreparedLayer {
         }
     }
 
-    /// `out` is as large as `x`; `saved` is overwritten.
+    /// Forward pass. `out` is as large as `x`; `saved` is overwritten.
     fn forward(
         &self,
         x: &[f32],
@@ -215,7 +214,7 @@ impl PreparedLayer {
     }
 }
 
-/// Resizes a buffer whose numbers will all be overwritten.
+/// Resizes a buffer whose values will all be overwritten.
 fn resize(values: &mut Vec<f32>, count: usize) {
     values.resize(count, 0.0);
 }
@@ -224,12 +223,12 @@ fn resize(values: &mut Vec<f32>, count: usize) {
 #[derive(Debug)]
 pub(crate) struct PreparedEncoder {
     layers: Vec<PreparedLayer>,
-    /// Scratch buffers of a pass, kept for the next.
+    /// Scratch buffers of a pass, reused by the next one.
     scratch: Mutex<Saved>,
 }
 
 impl PreparedEncoder {
-    /// Gathers layers; none where one could not be prepared.
+    /// Collects layers; none if one could not be prepared.
     pub(crate) fn new(layers: impl IntoIterator<Item = Option<PreparedLayer>>) -> Option<Self> {
         let layers = layers.into_iter().collect::<Option<_>>()?;
         Some(Self {
@@ -238,7 +237,7 @@ impl PreparedEncoder {
         })
     }
 
-    /// Applies all layers; none where `x` lies elsewhere.
+    /// Applies all layers; none if `x` is on another device.
     ///
     /// # Shapes
     /// `[B, T, d]` to `[B, T, d]`
@@ -246,7 +245,7 @@ impl PreparedEncoder {
         let [_, length, _] = x.dims();
         let x = plain(x)?.to_contiguous();
         let (mut from, mut to) = (numbers(&x).to_vec(), vec![0.0; numbers(&x).len()]);
-        // A concurrent pass finds empty buffers and allocates its own.
+        // A concurrent pass finds empty buffers and allocates new ones.
         let lock = || self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
         let mut scratch = std::mem::take(&mut *lock());
         on_workers(|| {
@@ -260,7 +259,7 @@ impl PreparedEncoder {
     }
 }
 
-/// Backward pass of the fused layer.
+/// Backward operation of the fused layer in burn's autodiff.
 #[derive(Debug)]
 struct LayerBackward;
 
@@ -295,7 +294,7 @@ impl Backward<Flex, 13> for LayerBackward {
     }
 }
 
-/// Gradients of a block: of its two weights where they are asked for, of the bias of the first, and of the norm.
+/// Gradients of a block: of its two weights if requested, of the first one's bias, and of the norm.
 struct BlockGrads {
     weights: [Option<Buffer>; 2],
     bias: Vec<f32>,
@@ -303,7 +302,7 @@ struct BlockGrads {
 }
 
 impl LayerState {
-    /// Gradients of the input, the weights and the vectors; those of weights only if requested.
+    /// Gradients of the input, the weights and the vectors. Those of weights are computed only if requested.
     fn backward(&self, grad: Buffer, has_grad: [bool; 13]) -> [Option<Buffer>; 13] {
         let mut residual = numbers(&grad.to_contiguous()).to_vec();
         let mut branch = branch_buffer(self.masks.output, residual.len());
@@ -341,8 +340,8 @@ impl LayerState {
         ]
     }
 
-    /// The backward pass of the second norm and the feed-forward block: `residual`, the gradient of the result of the
-    /// layer, becomes that of what enters the block.
+    /// The backward pass of the second norm and the feed-forward block: `residual` is the gradient of the layer's
+    /// output, and becomes the gradient of the block's input.
     fn feed_forward_backward(
         &self,
         residual: &mut [f32],
@@ -383,8 +382,8 @@ impl LayerState {
         }
     }
 
-    /// The backward pass of the first norm and attention: `residual` becomes the gradient of what goes past attention.
-    /// The second result is the gradient of queries, keys and values.
+    /// The backward pass of the first norm and attention: `residual` becomes the gradient of the residual connection
+    /// around attention. The second result is the gradient of queries, keys and values.
     fn attention_backward(
         &self,
         residual: &mut [f32],
@@ -430,7 +429,7 @@ impl LayerState {
         (grads, of_joint)
     }
 
-    /// The gradient of a weight that multiplied `x`, where it is asked for.
+    /// The gradient of a weight that multiplied `x`, if it is requested.
     fn of_weight(
         &self,
         weight: usize,
@@ -446,7 +445,7 @@ impl LayerState {
         })
     }
 
-    /// The factors of the gradient of what was multiplied with a weight.
+    /// The two factors whose product is the gradient of the operand of a weight.
     fn back<'a>(&'a self, grad: &'a [f32], weight: usize) -> (Matrix<'a>, Matrix<'a>) {
         (
             Matrix::new(grad, grad.len() / self.rows()),
@@ -459,7 +458,7 @@ impl LayerState {
     }
 }
 
-/// Buffer for the gradient of a branch; only needed with dropout, without which it equals the residual's.
+/// Buffer for the gradient of a branch. It is empty without dropout, because this gradient then equals the residual's.
 fn branch_buffer(mask: Mask, count: usize) -> Vec<f32> {
     if mask.is_active() {
         vec![0.0; count]
@@ -468,9 +467,9 @@ fn branch_buffer(mask: Mask, count: usize) -> Vec<f32> {
     }
 }
 
-/// Applies a layer whose tensors all lie on the processor; none where one does not.
+/// Applies a layer whose tensors are all on the processor; none if one is not.
 ///
-/// `draw_key` is asked for a key where `prob` is above zero.
+/// `draw_key` is called for a key if `prob` is above zero.
 ///
 /// # Shapes
 /// `x` and the result `[B, T, d]`; `padding` `[B * T]`.
@@ -547,7 +546,7 @@ fn all<T, const N: usize>(values: [Option<T>; N]) -> Option<[T; N]> {
     values.try_into().ok()
 }
 
-/// The numbers of a tensor that lies on the processor without gradients.
+/// The values of a tensor on the processor; none if it is on another device or has automatic differentiation.
 fn plain<const D: usize>(tensor: Tensor<D>) -> Option<Buffer> {
     if tensor.dtype() != DType::F32 {
         return None;
@@ -555,7 +554,7 @@ fn plain<const D: usize>(tensor: Tensor<D>) -> Option<Buffer> {
     tensor.try_into_primitive::<Flex>().ok()
 }
 
-/// A tensor on the processor with its place in the graph; one without gradients is a constant.
+/// A tensor on the processor with its node in the autodiff graph. A tensor without gradients becomes a constant.
 fn tracked<const D: usize>(tensor: Tensor<D>) -> Option<Tracked> {
     if tensor.dtype() != DType::F32 {
         return None;
@@ -567,7 +566,7 @@ fn tracked<const D: usize>(tensor: Tensor<D>) -> Option<Tracked> {
     }
 }
 
-/// The numbers of a contiguous tensor.
+/// The values of a contiguous tensor.
 fn numbers(tensor: &Buffer) -> &[f32] {
     tensor
         .as_slice()

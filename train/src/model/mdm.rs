@@ -1,4 +1,4 @@
-//! The MDM network: a clean motion from a noisy one, a diffusion step and a caption.
+//! The MDM network: it predicts a clean motion from a noisy one, a diffusion step and a caption.
 
 use burn::module::Module;
 use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig};
@@ -51,8 +51,8 @@ impl Mdm {
 
     /// Predicts the clean motion.
     ///
-    /// A row of zeros stands for no text; the bias of the text's layer stays, as in the released code.
-    /// Frames past a row's length take part in attention unless `lengths` says where they begin.
+    /// A text row of zeros means no text; the text layer's bias is still added, as in the released code. With
+    /// `lengths`, frames after a row's length are masked in attention.
     ///
     /// # Shapes
     /// `x` and the result `[B, T, F]`; `timesteps` `[B]`; `text` `[B, text_width]`; `lengths` `[B]`.
@@ -76,12 +76,12 @@ impl Mdm {
         self.frames(tokens)
     }
 
-    /// Prepares the layers for sampling. They are those the network has now.
+    /// Prepares the current weights of the layers for sampling.
     pub fn prepare(&self, arithmetic: Arithmetic) -> PreparedWeights {
         self.sequence_encoder.prepare(arithmetic)
     }
 
-    /// [`Mdm::forward`] without gradients, all frames of all rows taking part.
+    /// [`Mdm::forward`] without gradients and without masking.
     ///
     /// # Shapes
     /// As [`Mdm::forward`].
@@ -96,7 +96,7 @@ impl Mdm {
         self.frames(self.sequence_encoder.infer(weights, tokens))
     }
 
-    /// Tokens of step and text and of the frames, with positional encoding: `[B, 1 + T, d]`.
+    /// Tokens with positional encoding: one of diffusion step and text, then the frames, `[B, 1 + T, d]`.
     fn tokens(&self, x: Tensor<3>, timesteps: &[usize], text: Tensor<2>) -> Tensor<3> {
         let device = x.device();
         let condition = self.embed_timestep.embed(timesteps) + self.embed_text.forward(text);
@@ -108,7 +108,7 @@ impl Mdm {
         tokens + positions(length, width, &device)
     }
 
-    /// The frames of encoded tokens.
+    /// The output of the network, computed from the encoded tokens.
     fn frames(&self, tokens: Tensor<3>) -> Tensor<3> {
         let [_, length, _] = tokens.dims();
         self.pose_final.forward(tokens.narrow(1, 1, length - 1))

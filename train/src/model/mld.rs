@@ -1,5 +1,4 @@
-//! The networks of MLD: an autoencoder from motions to single latent vectors, and a denoiser of those
-//! vectors.
+//! The networks of MLD: an autoencoder between motions and single latent vectors, and a denoiser of latent vectors.
 
 use burn::module::{Initializer, Module, Param};
 use burn::nn::{Linear, LinearConfig};
@@ -14,7 +13,7 @@ use super::transformer::Padding;
 use super::weights::Networks;
 use crate::config::NetworkConfig;
 
-/// Positions of the released tables.
+/// Number of positions in the released tables.
 pub(crate) const MAX_POSITIONS: usize = 500;
 
 #[derive(Module, Debug)]
@@ -56,7 +55,7 @@ impl Networks for MotionVae {
 }
 
 impl MotionVae {
-    /// Builds the networks for frames of `num_features` numbers, with tables of so many positions.
+    /// Builds the networks for frames of `num_features` numbers, with position tables of the given size.
     pub fn new(
         config: &NetworkConfig,
         num_features: usize,
@@ -89,7 +88,7 @@ impl MotionVae {
         Distribution::of_tokens(&self.encoder.encode(x, Some(&padding), pass))
     }
 
-    /// Decodes latent vectors to motions of `frames`; frames past a row's length are zero.
+    /// Decodes latent vectors to motions of `frames` frames; frames after a row's length are zero.
     ///
     /// # Shapes
     /// `latent` `[B, d]`; `lengths` `[B]`; the result `[B, frames, F]`.
@@ -138,7 +137,7 @@ impl Networks for LatentDenoiser {
 }
 
 impl LatentDenoiser {
-    /// Builds the network for text vectors of `text_width` numbers, with a table of so many positions.
+    /// Builds the network for text vectors of `text_width` numbers, with a position table of the given size.
     pub fn new(
         config: &NetworkConfig,
         text_width: usize,
@@ -147,7 +146,7 @@ impl LatentDenoiser {
     ) -> Self {
         let linear = |from, to| LinearConfig::new(from, to).init(device);
         Self {
-            // Like in the released code, the sinusoidal timestep embedding has the width of the text vectors.
+            // As in the released code, the sinusoidal embedding of the timestep has the width of the text vectors.
             time_embedding: TimeEmbedding {
                 linear_1: linear(text_width, config.width),
                 linear_2: linear(config.width, config.width),
@@ -184,7 +183,7 @@ impl LatentDenoiser {
     }
 }
 
-/// The sinusoids of diffusion steps as diffusers make them: all cosines, then all sines.
+/// The sinusoids of diffusion steps in the layout of diffusers: all cosines, then all sines.
 ///
 /// # Shapes
 /// `[B]` steps give `[B, width]`.
@@ -193,7 +192,7 @@ pub fn step_sinusoid(timesteps: &[usize], width: usize, device: &Device) -> Tens
     TABLES.rows(timesteps, width, device)
 }
 
-/// The numbers of [`step_sinusoid`], row by row.
+/// The values of [`step_sinusoid`], row by row.
 fn step_sinusoid_values(timesteps: &[usize], width: usize) -> Vec<f32> {
     /// Base of the wavelengths.
     const BASE: f64 = 10_000.0;

@@ -1,4 +1,4 @@
-//! Networks.
+//! Neural networks, and their weights as files.
 
 pub mod clip;
 pub mod conditioned;

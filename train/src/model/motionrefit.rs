@@ -1,4 +1,4 @@
-//! The denoiser together with the text encoder trained with it, where there is one.
+//! The MotionReFit denoiser, and the text encoder trained with it, if there is one.
 
 use std::path::Path;
 
@@ -16,26 +16,27 @@ use crate::data::NoisyBatch;
 use crate::diffusion::{Objective, num_gates};
 use crate::transfer::send;
 
-/// MotionReFit.
+/// The trainable networks of MotionReFit.
 #[derive(Module, Debug)]
 pub struct MotionRefit {
-    /// Predicts noise.
+    /// The denoiser.
     pub denoiser: Denoiser,
-    /// Turns instructions into vectors, unless a frozen encoder does.
+    /// The learned text encoder; none if the vectors come from a frozen encoder.
     pub text: Option<LearnedText>,
 }
 
-/// Where the text vectors of a model come from.
+/// Source of a model's text vectors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TextSource {
-    /// An encoder over so many token numbers, trained with the denoiser.
+    /// An encoder trained with the denoiser, with this number of tokens.
     Learned(usize),
-    /// A frozen encoder, whose vectors have so many numbers.
+    /// A frozen encoder, with vectors of this width.
     Frozen(usize),
 }
 
 impl TextSource {
-    /// The width of the text vectors, and the encoder that is trained to make them, of vectors of `width`.
+    /// The width of the text vectors, and the encoder to train, if any. The learned encoder's vectors have width
+    /// `width`.
     pub(super) fn encoder(self, width: usize, device: &Device) -> (usize, Option<LearnedText>) {
         match self {
             Self::Learned(tokens) => (width, Some(LearnedText::new(tokens, width, device))),
@@ -58,7 +59,7 @@ impl Networks for MotionRefit {
 }
 
 impl MotionRefit {
-    /// Builds the networks for frames of `frame_width` numbers, 84 of all keypoints.
+    /// Builds the networks for frames of `frame_width` numbers; all keypoints have 84.
     pub fn new(
         config: &NetworkConfig,
         diffusion: &DiffusionConfig,
@@ -86,7 +87,7 @@ impl MotionRefit {
     /// `[B, text_width]`
     ///
     /// # Panics
-    /// If words are given to a model without an encoder of words.
+    /// If words are given to a model without a learned encoder.
     pub fn text_vectors(&self, texts: &TextBatch, rows: usize, device: &Device) -> Tensor<2> {
         text_vectors(self.text.as_ref(), texts, rows, device)
     }

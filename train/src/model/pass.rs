@@ -1,4 +1,4 @@
-//! How a pass through a network is computed: by which operations, in which precision, with which dropout.
+//! How a pass through a network is computed: operations, precision and dropout.
 
 use std::cell::Cell;
 
@@ -8,20 +8,20 @@ use burn::tensor::{DType, Device, FloatDType, Tensor, TensorData};
 
 use super::fused::dropout_factors;
 
-/// The operations that networks are computed by.
+/// Operations and precision of networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Arithmetic {
-    /// Whether the kernels of this program are used in the memory of the processor. Without them every model is
-    /// composed of burn's own operations; results are equal up to rounding.
+    /// Whether this program's kernels are used on the processor. Without them, every model is composed of burn's own
+    /// operations; results are equal up to rounding.
     pub kernels: bool,
-    /// Whether transformers multiply in bfloat16: the operands of a linear layer are rounded, and its result is single
-    /// precision again. Weights, their gradients, the optimiser, norms, softmax, sums and losses stay in single
-    /// precision.
+    /// Whether transformers multiply in bfloat16: the operands of a linear layer are rounded, and its result is
+    /// converted back to single precision. Weights, gradients, optimiser, norms, softmax, sums and losses stay in
+    /// single precision.
     pub bf16: bool,
 }
 
 impl Default for Arithmetic {
-    /// Kernels, in single precision.
+    /// Single precision, with kernels.
     fn default() -> Self {
         Self {
             kernels: true,
@@ -31,7 +31,7 @@ impl Default for Arithmetic {
 }
 
 impl Arithmetic {
-    /// Whether kernels are used on a device: only in the memory of the processor.
+    /// Whether kernels are used on a device. They run only on the processor.
     pub(crate) fn uses_kernels(self, device: &Device) -> bool {
         // The kernels compute in single precision.
         self.kernels && !self.bf16 && device.clone().inner() == Device::flex()
@@ -43,7 +43,7 @@ pub fn has_bf16(device: &Device) -> bool {
     device.supports_dtype(DType::BF16)
 }
 
-/// A pass through a network, or several of a step of training.
+/// A pass through a network; several passes of a training step may share it.
 #[derive(Debug, Default)]
 pub struct Pass {
     arithmetic: Arithmetic,
@@ -53,12 +53,12 @@ pub struct Pass {
 }
 
 impl Pass {
-    /// A pass whose dropout masks follow from seed 0.
+    /// A pass whose dropout masks are drawn from seed 0.
     pub fn new(arithmetic: Arithmetic) -> Self {
         Self::seeded(arithmetic, 0)
     }
 
-    /// A pass whose dropout masks follow from a seed alone, whatever other passes draw.
+    /// A pass whose dropout masks are drawn from `seed`, independent of other passes.
     pub fn seeded(arithmetic: Arithmetic, seed: u64) -> Self {
         Self {
             arithmetic,
@@ -79,11 +79,10 @@ impl Pass {
         mixed(self.seed ^ mixed(count))
     }
 
-    /// Drops numbers and scales those that are kept.
+    /// Applies dropout: sets numbers to zero and scales the others.
     ///
-    /// On a processor the mask is made by a generator that works on any part of it by itself, in vector
-    /// instructions and on all threads, and is the same however many there are: it depends on a key and
-    /// the index of a number alone. Elsewhere the device draws.
+    /// On a processor, each mask value is computed from a key and its index alone. So the mask is vectorised, computed
+    /// on all threads, and does not depend on their number. Other devices draw their own masks.
     ///
     /// # Shapes
     /// Those of `x`.
@@ -98,7 +97,7 @@ impl Pass {
         x * Tensor::from_data(TensorData::new(factors, shape), &device)
     }
 
-    /// A linear layer.
+    /// Applies a linear layer.
     pub(crate) fn linear<const D: usize>(&self, layer: &Linear, x: Tensor<D>) -> Tensor<D> {
         self.product(
             x,
@@ -133,8 +132,7 @@ impl Pass {
     }
 }
 
-/// The probability with which numbers are dropped here and now: zero outside training and where the
-/// layer is frozen.
+/// The dropout probability in effect: zero outside training and if the layer is frozen.
 pub(crate) fn probability(dropout: &Dropout, device: &Device) -> f64 {
     if dropout.training.is_enabled() && device.is_autodiff() {
         dropout.prob
@@ -183,7 +181,7 @@ mod tests {
                 .all(|&value| value == 0.0 || value == 1.0 / 0.75)
         );
         let share = kept.iter().filter(|&&value| value > 0.0).count() as f64 / kept.len() as f64;
-        // Five standard deviations.
+        // The tolerance is five standard deviations.
         assert!((share - 0.75).abs() < 5.0 * (0.75 * 0.25 / kept.len() as f64).sqrt());
         assert_eq!(kept, dropped(5, &device));
         assert_ne!(kept, dropped(6, &device));
@@ -194,7 +192,7 @@ mod tests {
         );
     }
 
-    /// A product, and two dropped tensors.
+    /// A product, and two tensors with dropout.
     fn computed(bf16: bool) -> [Vec<f32>; 3] {
         let device = Device::flex().autodiff();
         let layer = draw(LinearConfig::new(40, 30).init(&device), Seed(1)).expect("a known layer");
@@ -208,7 +206,7 @@ mod tests {
         let x = || Tensor::<2>::from_data(numbers.clone(), &device);
         let dropped = || match bf16 {
             false => read(pass.drop_out(&DropoutConfig::new(0.25).init(), x())),
-            // The device draws, and not from the seed.
+            // On this backend the device draws the mask, without the seed.
             true => Vec::new(),
         };
         [read(pass.linear(&layer, x())), dropped(), dropped()]
@@ -220,7 +218,7 @@ mod tests {
         let [single, half] = [&alone[0][0], &alone[1][0]];
         assert_ne!(single, half, "nothing was rounded");
         for (single, half) in single.iter().zip(half) {
-            // Forty products of factors below one, each rounded to eight bits.
+            // The sum of forty products of factors below one, each rounded to eight bits.
             assert!((single - half).abs() < 0.1, "{single} {half}");
         }
         assert_ne!(alone[0][1], alone[0][2], "the masks of a pass differ");

@@ -1,4 +1,4 @@
-//! The networks from keypoints to rotations, whose output a fit starts from.
+//! Networks that predict rotations from keypoints; a fit starts from their output.
 
 use burn::module::{Module, ModuleDisplay};
 use burn::nn::{BatchNorm, BatchNormConfig, LayerNorm, LayerNormConfig, Linear, LinearConfig};
@@ -8,17 +8,17 @@ use kinematics::skeleton::{FIT_KEYPOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 
 use super::weights::Networks;
 
-/// Numbers of a frame the network of the paper sees: 28 keypoints.
+/// Input width of the paper's network: 28 keypoints.
 pub(crate) const PAPER_INPUT: usize = 3 * NUM_KEYPOINTS;
-/// Output width: 22 rotation vectors.
+/// Output width of the paper's network: 22 rotation vectors.
 pub(crate) const PAPER_OUTPUT: usize = 3 * NUM_BODY_JOINTS;
-/// Numbers of a frame the released network sees: 24 joints.
+/// Input width of the released network: 24 joints.
 pub(crate) const OFFICIAL_INPUT: usize = 3 * FIT_KEYPOINTS.len();
-/// Output width: the first two rows of 22 rotation matrices.
+/// Output width of the released network: the first two rows of 22 rotation matrices.
 pub(crate) const OFFICIAL_OUTPUT: usize = 6 * NUM_BODY_JOINTS;
 
-/// Where the names of a plain sequence of layers differ from ours: (pattern, ours). The recorded network of the
-/// paper is named so, and the released one with a prefix.
+/// Renaming rules from a plain `nn.Sequential` to our names: (pattern, our name). The recorded network of the paper has
+/// these names, and the released one has them with a prefix.
 pub(crate) const NAMES: [(&str, &str); 5] = [
     (r"^(layers\.)?0\.", "first."),
     (r"^(layers\.)?1\.", "first_norm."),
@@ -27,7 +27,7 @@ pub(crate) const NAMES: [(&str, &str); 5] = [
     (r"^(layers\.)?6\.", "last."),
 ];
 
-/// Three layers, with a norm and ReLU after each but the last.
+/// Three linear layers, the first two followed by a norm and ReLU.
 #[derive(Module, Debug)]
 pub(crate) struct PoseLayers<N: Module> {
     first: Linear,
@@ -74,7 +74,7 @@ impl PaperPoseNet {
         Self::of([PAPER_INPUT, width, PAPER_OUTPUT], norm, device)
     }
 
-    /// Rotation vectors of frames.
+    /// Predicts the rotation vectors of frames.
     ///
     /// # Shapes
     /// `[B, 84]` give `[B, 66]`.
@@ -96,7 +96,7 @@ impl OfficialPoseNet {
         Self::of([OFFICIAL_INPUT, width, OFFICIAL_OUTPUT], norm, device)
     }
 
-    /// Rows of rotation matrices of frames.
+    /// Predicts the rows of rotation matrices of frames.
     ///
     /// # Shapes
     /// `[B, 72]` give `[B, 132]`.

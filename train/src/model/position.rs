@@ -7,7 +7,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 /// Base of the wavelengths.
 const BASE: f64 = 10_000.0;
 
-/// Least number of rows of a table that is kept.
+/// Minimum number of rows of a stored table.
 const LEAST_ROWS: usize = 128;
 
 /// The rows `indices` of the sinusoidal table: column `2i` holds `sin(p / 10000^(2i/d))`, column
@@ -23,15 +23,15 @@ pub fn sinusoid(indices: &[usize], width: usize, device: &Device) -> Tensor<2> {
     TABLES.rows(indices, width, device)
 }
 
-/// Tables whose rows are found by their number, kept on each device that asked for them, so that a step
-/// of training or sampling computes and sends none.
+/// Tables indexed by row number and stored on each device that used them, so that steps of training or sampling neither
+/// compute nor transfer them again.
 pub(crate) struct Tables {
     values: fn(&[usize], usize) -> Vec<f32>,
     kept: Mutex<Vec<(Device, Tensor<2>)>>,
 }
 
 impl Tables {
-    /// Tables of what `values` gives for the numbers of rows and a width, row by row.
+    /// Tables whose rows `values` computes from row numbers and a width, row by row.
     pub(crate) const fn new(values: fn(&[usize], usize) -> Vec<f32>) -> Self {
         Self {
             values,
@@ -39,7 +39,7 @@ impl Tables {
         }
     }
 
-    /// Rows of the table of a width.
+    /// Selects rows of the table with the given width.
     ///
     /// # Shapes
     /// `[N]` indices give `[N, width]`.
@@ -63,7 +63,7 @@ impl Tables {
         }
     }
 
-    /// A table of at least so many rows.
+    /// A table of at least `rows` rows.
     fn table(&self, rows: usize, width: usize, device: &Device) -> Tensor<2> {
         let plain = device.clone().inner();
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
@@ -98,7 +98,7 @@ impl Tables {
     }
 }
 
-/// The numbers of [`sinusoid`], row by row.
+/// The values of [`sinusoid`], row by row.
 pub(crate) fn sinusoid_values(indices: &[usize], width: usize) -> Vec<f32> {
     let frequencies: Vec<f64> = (0..width.div_ceil(2))
         .map(|pair| BASE.powf(-2.0 * pair as f64 / width as f64))
@@ -118,7 +118,7 @@ pub(crate) fn sinusoid_values(indices: &[usize], width: usize) -> Vec<f32> {
     values
 }
 
-/// The first `length` rows of the table, ready to be added to a batch of sequences.
+/// The first `length` rows of the table, in a shape to be added to a batch of sequences.
 ///
 /// # Shapes
 /// `[1, length, d]`
@@ -153,7 +153,7 @@ mod tests {
     #[test]
     fn rows_of_a_table_are_those_computed_for_themselves() {
         for device in [Device::flex(), Device::flex().autodiff()] {
-            // Each of the three ways, and a table that must grow.
+            // The cases cover the three ways of selecting rows, and a table that must grow.
             for indices in [&[5, 5, 5][..], &[0, 1, 2, 3], &[900, 3, 900], &[2]] {
                 let rows = read(sinusoid(indices, 6, &device));
                 assert_eq!(rows, sinusoid_values(indices, 6), "{indices:?}");

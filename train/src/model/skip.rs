@@ -8,8 +8,8 @@ use super::pass::Pass;
 use super::transformer::{DecoderLayer, EncoderLayer, Padding};
 use crate::config::NetworkConfig;
 
-/// Layers whose second half sees what the first half made: the last of the first with the first of the
-/// second, and so on. A final norm follows.
+/// Layers with skip connections: each layer of the second half gets the output of its counterpart in the first half,
+/// the first of the second half that of the last of the first, and so on. A final norm follows.
 ///
 /// # Source
 /// MLD, `operator/cross_attention.py`, after the U-ViT of Bao et al. 2023.
@@ -23,7 +23,7 @@ pub(super) struct SkipLayers<L: Module> {
 }
 
 impl<L: Module> SkipLayers<L> {
-    /// Builds `num_layers` layers; an even number loses one.
+    /// Builds `num_layers` layers, or one less if the number is even.
     fn new(config: &NetworkConfig, device: &Device, layer: impl Fn() -> L) -> Self {
         let half = config.num_layers.saturating_sub(1) / 2;
         let half_of = || (0..half).map(|_| layer()).collect();
@@ -67,7 +67,7 @@ impl SkipLayers<EncoderLayer> {
     }
 }
 
-/// A decoder with skip connections whose memory is one token.
+/// A decoder with skip connections, whose memory is one token.
 pub(super) type SkipDecoder = SkipLayers<DecoderLayer>;
 
 impl SkipLayers<DecoderLayer> {

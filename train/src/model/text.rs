@@ -1,4 +1,4 @@
-//! The text encoder that is trained with the model.
+//! The text encoder that is trained with a model.
 
 use burn::module::Module;
 use burn::nn::{Embedding, EmbeddingConfig, LayerNorm, LayerNormConfig, Linear, LinearConfig};
@@ -11,12 +11,12 @@ use super::weights::Networks;
 use crate::transfer::send;
 use crate::vocabulary::{PADDING, TokenBatch};
 
-/// Words to one vector: each word, knowing its place, is weighed by a gate, and the weighed words
-/// are averaged.
+/// Encodes the words of a text as one vector: an average of word vectors with positional encoding, each weighted by a
+/// gate.
 ///
-/// It needs no download and no pretraining, and an average keeps a short instruction as loud as a
-/// long one. The vector is scaled by what the denoiser divides text by, so that text starts as
-/// loud as the diffusion step.
+/// It needs no download and no pretraining, and averaging gives short and long instructions vectors of similar size.
+/// The vector is multiplied by the denoiser's text divisor, so that initially text and diffusion step have the same
+/// scale.
 #[derive(Module, Debug)]
 pub struct LearnedText {
     embedding: Embedding,
@@ -50,7 +50,7 @@ impl LearnedText {
         let device = self.embedding.weight.val().device();
         let ids = token_tensor(tokens, &device);
         let kept = ids.clone().not_equal_scalar(PADDING).float();
-        // A row of padding alone still averages over one (empty) place.
+        // A row of only padding is averaged over one (empty) position.
         let count = kept.clone().sum_dim(1).clamp_min(1.0);
 
         let words = self.embedding.forward(ids);
@@ -65,22 +65,22 @@ impl LearnedText {
     }
 }
 
-/// Texts as a network is given them.
+/// Texts in the form that a network takes.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TextBatch {
     /// Word numbers of the texts.
     Words(TokenBatch),
     /// The vectors of a frozen encoder.
     Vectors {
-        /// The vectors of the tokens of each text, `[B, N, d]`, zero past its end; N is 1 where a text has one vector.
+        /// The vectors of each text's tokens, `[B, N, d]`, zero after its end; N is 1 if each text has one vector.
         values: Vec<f32>,
-        /// Tokens of each text, `[B]`.
+        /// Number of tokens in each text, `[B]`.
         lengths: Vec<usize>,
     },
 }
 
 impl TextBatch {
-    /// Tokens of each text, `[B]`.
+    /// Number of tokens in each text, `[B]`.
     pub fn lengths(&self) -> Vec<usize> {
         match self {
             Self::Words(tokens) => tokens.lengths().collect(),
@@ -89,14 +89,14 @@ impl TextBatch {
     }
 }
 
-/// The vectors of texts: for a frozen encoder, its stored vectors; for words, the output of the encoder that is trained
-/// with the model.
+/// The vectors of texts: stored vectors of a frozen encoder, or for words the output of the encoder trained with the
+/// model.
 ///
 /// # Shapes
 /// `rows` texts give `[B, d]`.
 ///
 /// # Panics
-/// If words are given to a model without an encoder of words.
+/// If words are given to a model without a learned encoder.
 pub(crate) fn text_vectors(
     learned: Option<&LearnedText>,
     texts: &TextBatch,
@@ -146,7 +146,7 @@ mod tests {
         let alone = encode(&["left arm"]);
         let beside = encode(&["left arm", "raise the left arm slowly"]);
         for (a, b) in alone.iter().zip(&beside) {
-            // Sums of five products of f32 in another order.
+            // Sums of five f32 products in another order.
             assert!((a - b).abs() < 1e-5, "{a} {b}");
         }
         assert_ne!(encode(&["left arm"]), encode(&["arm left"]));

@@ -20,9 +20,8 @@ use crate::config::NetworkConfig;
 /// separator and the noisy target. It predicts the clean target.
 ///
 /// # Source
-/// Athanasiou et al. 2024 (MotionFix), Sec. 5; the layout is that of the released
-/// `tmed_denoiser.py`, whose parameters `feat_comb_coeff` and `first_pose_proj` are never used and
-/// left out.
+/// Athanasiou et al. 2024 (MotionFix), Sec. 5; the layout is that of the released `tmed_denoiser.py`, except that its
+/// unused parameters `feat_comb_coeff` and `first_pose_proj` are left out.
 #[derive(Module, Debug)]
 pub struct Tmed {
     sep_token: Param<Tensor<2>>,
@@ -35,32 +34,33 @@ pub struct Tmed {
     dropout: Dropout,
 }
 
-/// Condition of the generated targets. Tokens and frames past a row's length are masked.
+/// Conditions of a batch of targets. Tokens and frames after a row's length are masked.
 #[derive(Clone, Debug)]
 pub struct Condition {
     /// Tokens of the instructions, `[B, N, text_width]`.
     pub text: Tensor<3>,
-    /// Tokens of each instruction, `[B]`.
+    /// Number of tokens in each instruction, `[B]`.
     pub text_lengths: Vec<usize>,
     /// Normalised source motions, `[B, S, F]`.
     pub source: Tensor<3>,
-    /// Frames of each source that the network sees, `[B]`; 0 hides a source.
+    /// Number of frames of each source that the network sees, `[B]`; 0 hides a source.
     pub source_lengths: Vec<usize>,
-    /// Places in the position table.
+    /// Positions in the position table.
     pub places: Places,
 }
 
-/// Places in the position table: texts begin at 1, sources behind the room for texts.
+/// Layout of positions in the position table: texts start at 1, and sources start after the positions reserved for
+/// texts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Places {
-    /// Places that are kept for a text, however long it is.
+    /// Number of positions reserved for a text, whatever its length.
     pub text: usize,
-    /// Frames of source after which the separator and the target follow, `[B]`.
+    /// Number of source frames after which the separator and the target follow, `[B]`.
     pub source: Vec<usize>,
 }
 
 impl Places {
-    /// Place of each token of a row of `text` tokens, `source` and `target` frames.
+    /// Position of each token in a row of `text` tokens, and `source` and `target` frames.
     fn of_row(
         &self,
         row: usize,
@@ -78,8 +78,8 @@ impl Networks for Tmed {
 }
 
 impl Tmed {
-    /// Builds the network for frames of `num_features` numbers. Tokens of text that have the network's own
-    /// width are not projected, as in the released code.
+    /// Builds the network for frames of `num_features` numbers. Text tokens with the network's own width are not
+    /// projected, as in the released code.
     pub fn new(
         config: &NetworkConfig,
         text_width: usize,
@@ -100,7 +100,7 @@ impl Tmed {
         }
     }
 
-    /// Predicts clean targets; frames past a target's length are zero.
+    /// Predicts clean targets; frames after a target's length are zero.
     ///
     /// # Shapes
     /// `x` and the result `[B, T, F]`; `lengths` and `timesteps` `[B]`.
@@ -146,14 +146,14 @@ impl Tmed {
         Padding::after(lengths, frames).clear(out)
     }
 
-    /// Tokens of source frames. A frame of zeros gives a token of zeros, not the bias.
+    /// Tokens of source frames. A frame of zeros gives a token of zeros, without the bias.
     fn embed_source(&self, source: &Tensor<3>) -> Tensor<3> {
         let is_given = source.clone().abs().sum_dim(2).greater_elem(0.0).float();
         self.pose_proj_in_source.forward(source.clone()) * is_given
     }
 }
 
-/// The position table of a batch, `[B or 1, L, d]`: one row where all have the same places.
+/// The position table of a batch, `[B or 1, L, d]`: one row if all rows have the same positions.
 fn place_table(
     places: &Places,
     batch: usize,
@@ -191,16 +191,16 @@ fn padding(visible: &[[usize; 3]], parts: [usize; 3]) -> Option<Padding> {
     Some(Padding::new(padded, visible.len()))
 }
 
-/// TMED: the denoiser together with the word vectors trained with it, where there are some.
+/// TMED: the denoiser, and the word vectors trained with it, if any.
 #[derive(Module, Debug)]
 pub struct TmedModel {
-    /// Predicts clean motions.
+    /// The denoiser.
     pub denoiser: Tmed,
-    /// Word vectors, unless a frozen encoder gives the tokens of texts.
+    /// Word vectors; none if a frozen encoder provides the tokens.
     pub words: Option<Embedding>,
 }
 
-/// Word vectors without a denoiser.
+/// Word vectors as a separate file of a checkpoint.
 impl Networks for Embedding {
     const FILE: &'static str = "words.safetensors";
 }

@@ -1,4 +1,4 @@
-//! The TMR networks: encoders of motion and text into one space, and a decoder of motions.
+//! The TMR networks: encoders of motions and texts into one latent space, and a decoder of motions.
 
 use burn::module::{Initializer, Module, Param};
 use burn::nn::{Dropout, DropoutConfig, Embedding, EmbeddingConfig, Linear, LinearConfig};
@@ -13,7 +13,7 @@ use super::weights::Networks;
 use crate::config::NetworkConfig;
 use crate::vocabulary::TokenBatch;
 
-/// Learned tokens put before a sequence: one becomes the mean, one the log variance.
+/// Number of learned tokens put before a sequence: one becomes the mean, the other the log variance.
 pub(super) const NUM_TOKENS: usize = 2;
 
 /// Puts learned tokens, `[2, d]`, before the sequences of a batch.
@@ -36,7 +36,7 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// Values of the leading learned tokens after encoding.
+    /// Takes mean and log variance from the encoded learned tokens.
     ///
     /// # Shapes
     /// `[B, 2 + T, d]`
@@ -48,7 +48,7 @@ impl Distribution {
         }
     }
 
-    /// A sample, given standard normal noise.
+    /// A sample, computed from standard normal noise.
     ///
     /// # Shapes
     /// `[B, d]`
@@ -64,7 +64,7 @@ impl Distribution {
         }
     }
 
-    /// The Kullback-Leibler divergence from `self` to `other`, averaged over batch and axes.
+    /// The Kullback-Leibler divergence from `self` to `other`, averaged over batch and dimensions.
     ///
     /// # Shapes
     /// One number.
@@ -79,7 +79,7 @@ impl Distribution {
     }
 }
 
-/// A sequence encoder in the manner of ACTOR.
+/// A sequence encoder like that of ACTOR.
 ///
 /// # Source
 /// Petrovich et al. 2021 and 2023 (`algorithms` section 15).
@@ -92,7 +92,7 @@ pub struct SequenceEncoder {
 }
 
 impl SequenceEncoder {
-    /// Builds the encoder for sequences of `num_features` numbers a step.
+    /// Builds the encoder for sequences with `num_features` numbers per step.
     pub fn new(num_features: usize, config: &NetworkConfig, device: &Device) -> Self {
         Self {
             projection: LinearConfig::new(num_features, config.width).init(device),
@@ -118,7 +118,7 @@ impl SequenceEncoder {
     }
 }
 
-/// A sequence decoder: queries that know their place alone ask one latent vector.
+/// A sequence decoder: queries made only of positional encodings attend to one latent vector.
 #[derive(Module, Debug)]
 pub struct SequenceDecoder {
     sequence_decoder: Decoder,
@@ -127,7 +127,7 @@ pub struct SequenceDecoder {
 }
 
 impl SequenceDecoder {
-    /// Builds the decoder for sequences of `num_features` numbers a step.
+    /// Builds the decoder for sequences with `num_features` numbers per step.
     pub fn new(num_features: usize, config: &NetworkConfig, device: &Device) -> Self {
         Self {
             sequence_decoder: Decoder::new(config, device),
@@ -136,7 +136,7 @@ impl SequenceDecoder {
         }
     }
 
-    /// Decodes latent vectors to sequences of `steps`; steps past a row's length are zero.
+    /// Decodes latent vectors to sequences of `steps` steps; steps after a row's length are zero.
     ///
     /// # Shapes
     /// `latent` `[B, d]`; the result `[B, steps, F]`.
@@ -165,14 +165,14 @@ impl SequenceDecoder {
     }
 }
 
-/// Motion and text encoders, the motion decoder, and the word vectors learned with them.
+/// Motion and text encoders, the motion decoder, and the word vectors trained with them.
 #[derive(Module, Debug)]
 pub struct Tmr {
-    /// Encodes motions.
+    /// Encoder of motions.
     pub motion_encoder: SequenceEncoder,
-    /// Encodes word vectors.
+    /// Encoder of word vectors.
     pub text_encoder: SequenceEncoder,
-    /// Decodes motions.
+    /// Decoder of motions.
     pub motion_decoder: SequenceDecoder,
     words: Embedding,
 }
@@ -182,7 +182,7 @@ impl Networks for Tmr {
 }
 
 impl Tmr {
-    /// Builds the networks for motion frames of `num_features` numbers and `num_tokens` words, whose vectors have
+    /// Builds the networks for motion frames of `num_features` numbers and `num_tokens` words with vectors of
     /// `word_width`. The width of the transformers is that of the latent space.
     pub fn new(
         config: &NetworkConfig,
@@ -210,10 +210,10 @@ impl Tmr {
     }
 }
 
-/// The symmetric InfoNCE loss between texts and motions that belong together row by row.
+/// The symmetric InfoNCE loss between texts and motions, which match row by row.
 ///
-/// `ignored` marks pairs that are neither: two texts that say the same make their motions false
-/// negatives of each other.
+/// `ignored` marks pairs that are left out of the negatives: if two texts have the same meaning, their motions are
+/// false negatives of each other.
 ///
 /// # Shapes
 /// `texts` and `motions` `[B, d]`; `ignored` `[B * B]` row-major; the result is one number.
@@ -234,7 +234,7 @@ pub fn info_nce(
         let mask = Tensor::<2, Bool>::from_data(mask, &device);
         logits = logits.mask_fill(mask, f32::NEG_INFINITY);
     }
-    // The pairs that belong together lie on the diagonal.
+    // Matching pairs lie on the diagonal.
     let diagonal = Tensor::<2>::eye(batch, &device).bool();
     let matched = |logits: Tensor<2>, dim: usize| {
         let chances = log_softmax(logits, dim);
@@ -246,12 +246,12 @@ pub fn info_nce(
     (matched(logits.clone(), 1) + matched(logits, 0)).div_scalar(-2.0 * batch as f64)
 }
 
-/// Cosines between all rows of two batches.
+/// Cosine similarities between all rows of two batches.
 ///
 /// # Shapes
 /// `[A, d]` and `[B, d]` give `[A, B]`.
 pub fn cosine_similarity(a: Tensor<2>, b: Tensor<2>) -> Tensor<2> {
-    // PyTorch's lower bound for a norm used as a divisor.
+    // PyTorch's lower bound for a norm that is used as a divisor.
     const MIN_LENGTH: f64 = 1e-12;
     let unit = |x: Tensor<2>| {
         let length = x.clone().square().sum_dim(1).sqrt().clamp_min(MIN_LENGTH);

@@ -1,7 +1,6 @@
-//! Weights that PyTorch saved, as safetensors.
+//! Converts weights saved by PyTorch to safetensors.
 //!
-//! The pickle in such a file is a program; it is read by the allow-list of
-//! [`pickle`] and never executed.
+//! The pickle in such a file is a program. It is never executed; [`pickle`] accepts only operations of an allow-list.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -14,11 +13,10 @@ use safetensors::{Dtype, View};
 
 use crate::Error;
 
-/// Where the weights are within a file of `torch.save`, and what their names become.
+/// Location of the weights within a file of `torch.save`, and how they are renamed.
 #[derive(Clone, Copy, Debug)]
 pub struct StateDictOptions<'a> {
-    /// Keys of dictionaries that may lie around the weights, outermost first; a key that is not
-    /// there is passed over.
+    /// Keys of dictionaries that may enclose the weights, outermost first; missing keys are skipped.
     pub nested: &'a [&'a str],
     /// Prefixes removed from names, each at most once and in this order.
     pub strip: &'a [&'a str],
@@ -27,8 +25,8 @@ pub struct StateDictOptions<'a> {
 }
 
 impl Default for StateDictOptions<'_> {
-    /// The layouts of the published checkpoints: a state dict, alone or under `model_state_dict`
-    /// or `state_dict`, of a network that may have been wrapped for several devices.
+    /// The layouts of published checkpoints: a state dict, alone or under `model_state_dict` or `state_dict`, of a
+    /// network that may have been wrapped for data parallelism.
     fn default() -> Self {
         Self {
             nested: &["model_state_dict", "state_dict"],
@@ -38,15 +36,14 @@ impl Default for StateDictOptions<'_> {
     }
 }
 
-/// The state dict in a file of `torch.save`, as a safetensors file under the same names. Floating
-/// point becomes single precision, and other numbers keep their type. Equal weights give equal
-/// bytes; `path` names the file in errors.
+/// The state dict in a file of `torch.save`, as a safetensors file under the same names. Floating-point numbers are
+/// converted to single precision, and other numbers keep their type. Equal weights give equal bytes; `path` names the
+/// file in errors.
 ///
-/// Entries that are no tensors are left out.
+/// Entries that are not tensors are left out.
 ///
 /// # Errors
-/// The file is malformed or asks for code, or has no tensor where the options look, or two names
-/// become one.
+/// The file is malformed or would run code, has no tensor at the location in the options, or two names become equal.
 pub fn state_dict_from_torch(
     bytes: &[u8],
     path: &Path,
@@ -92,7 +89,7 @@ pub fn state_dict_from_torch(
     safetensors_of(tensors, path)
 }
 
-/// A tensor on its way into a safetensors file.
+/// A tensor to be written to a safetensors file.
 pub(crate) struct StoredTensor {
     dtype: Dtype,
     shape: Vec<usize>,

@@ -1,4 +1,4 @@
-//! The post-norm transformer of `torch.nn`, in its own layout and names.
+//! The post-norm transformer of `torch.nn`, with its layout and parameter names.
 
 use std::cell::OnceCell;
 use std::sync::Arc;
@@ -14,8 +14,8 @@ use super::fused::{LayerTensors, PreparedEncoder, PreparedLayer, encoder_layer};
 use super::pass::{Arithmetic, Pass, probability};
 use crate::config::NetworkConfig;
 
-/// Padding tokens of a batch of sequences. The lengths are kept on the host, so nothing is read from the device; the
-/// mask is sent once, to the first layer that needs it there.
+/// Padding mask of a batch of sequences. It is kept on the host, so that nothing is read from the device. The first
+/// layer that needs it on the device sends it there, once.
 #[derive(Clone, Debug)]
 pub struct Padding {
     /// Row by row, true where a token is padding.
@@ -25,7 +25,7 @@ pub struct Padding {
 }
 
 impl Padding {
-    /// The padding of `rows` sequences of the same length, row by row.
+    /// The padding mask of `rows` sequences of the same length, row by row.
     pub fn new(values: Vec<bool>, rows: usize) -> Self {
         Self {
             values: values.into(),
@@ -34,7 +34,7 @@ impl Padding {
         }
     }
 
-    /// The padding of rows that end before `width` tokens.
+    /// The padding mask of rows with the given lengths, padded to `width` tokens.
     pub fn after(lengths: &[usize], width: usize) -> Self {
         let padded = lengths
             .iter()
@@ -59,7 +59,7 @@ impl Padding {
             .clone()
     }
 
-    /// The mask of attention: the same for each head and each token that asks.
+    /// The attention mask: the same for each head and query.
     ///
     /// # Shapes
     /// `[B, H, T, T]`
@@ -69,7 +69,7 @@ impl Padding {
         mask.expand([batch, num_heads, length, length])
     }
 
-    /// Puts zeros in place of padding.
+    /// Sets padding to zero.
     ///
     /// # Shapes
     /// `[B, T, F]`
@@ -80,7 +80,7 @@ impl Padding {
     }
 }
 
-/// The heads of tokens.
+/// Splits tokens into heads.
 ///
 /// # Shapes
 /// `[B, T, d]` gives `[B, H, T, d / H]`.
@@ -119,13 +119,13 @@ impl SelfAttention {
     /// Attends from every token to every token that is not padding.
     ///
     /// # Shapes
-    /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
+    /// `x` and the result `[B, T, d]`; `padding` has `B` rows of `T` tokens.
     fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
         let [_, _, width] = x.dims();
         let weight = self.in_proj.weight.val();
         let bias = self.in_proj.bias.as_ref().map(|bias| bias.val());
-        // The weights are cut in three, not the result: the gradient of a cut fills the whole with
-        // zeros, and weights are small beside activations.
+        // The weights are split in three instead of the result: the gradient of a slice fills an array of the whole
+        // size with zeros, and weights are smaller than activations.
         let [q, k, v] = [0, 1, 2].map(|part| {
             let weight = weight.clone().narrow(1, part * width, width);
             let bias = bias.clone().map(|bias| bias.narrow(0, part * width, width));
@@ -133,8 +133,8 @@ impl SelfAttention {
         });
         let mask = padding.map(|padding| padding.of_attention(self.num_heads, &x.device()));
         let attended = if q.device().is_autodiff() {
-            // The fused product has no gradient of its own: its fallback would also carry
-            // gradients through the row maximum, and it cannot drop attention weights.
+            // The backend's fused attention has no gradient of its own: its fallback would also pass gradients through
+            // the row maximum. It cannot drop attention weights either.
             let scale = ((width / self.num_heads) as f64).sqrt().recip();
             let mut scores = q.mul_scalar(scale).matmul(k.swap_dims(2, 3));
             if let Some(mask) = mask {
@@ -150,10 +150,9 @@ impl SelfAttention {
 
 /// Attention to a memory of one token.
 ///
-/// The weight of the only key is 1 whatever the query, so every token receives the projected value
-/// and queries and keys play no part. Their weights are kept, because `torch.nn` stores them.
-/// Dropout of attention weights, which would only remove the memory from single tokens, is left
-/// out.
+/// The only key has weight 1 for every query, so every token receives the projected value, and queries and keys are not
+/// computed. Their weights exist because `torch.nn` stores them. There is no dropout of attention weights, which would
+/// only remove the memory from single tokens.
 #[derive(Module, Debug)]
 struct SingleMemoryAttention {
     in_proj: Linear,
@@ -205,11 +204,11 @@ impl EncoderLayer {
         }
     }
 
-    /// Applies the layer: as one operation where kernels are used and its tensors lie on a processor,
-    /// and composed elsewhere.
+    /// Applies the layer. If kernels are used and the tensors are on a processor, it is one fused operation; otherwise
+    /// it is composed of the backend's operations.
     ///
     /// # Shapes
-    /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
+    /// `x` and the result `[B, T, d]`; `padding` has `B` rows of `T` tokens.
     pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
         let device = x.device();
         let tensors = pass.uses_kernels(&device).then(|| self.tensors()).flatten();
@@ -239,7 +238,7 @@ impl EncoderLayer {
         self.linears().map(|linear| linear.weight.val())
     }
 
-    /// The trainable tensors, where the layer has all of them.
+    /// The trainable tensors; none if the layer lacks some.
     fn tensors(&self) -> Option<LayerTensors> {
         let biases = self.linears().map(|linear| linear.bias.as_ref());
         let [b0, b1, b2, b3] = biases.map(|bias| bias.map(|bias| bias.val()));
@@ -285,7 +284,7 @@ impl Encoder {
         }
     }
 
-    /// Lays out the weights as they are multiplied in many passes without gradients.
+    /// Prepares the weights in the layout in which passes without gradients multiply them.
     pub(crate) fn prepare(&self, arithmetic: Arithmetic) -> PreparedWeights {
         let layers = self.layers.iter().map(|layer| {
             let tensors = layer.tensors()?;
@@ -299,7 +298,7 @@ impl Encoder {
         }
     }
 
-    /// Applies all layers without gradients, all tokens of all rows taking part.
+    /// Applies all layers without gradients and without padding.
     ///
     /// # Shapes
     /// `[B, T, d]` to `[B, T, d]`
@@ -313,7 +312,7 @@ impl Encoder {
     /// Applies all layers.
     ///
     /// # Shapes
-    /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
+    /// `x` and the result `[B, T, d]`; `padding` has `B` rows of `T` tokens.
     pub fn forward(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
         self.layers
             .iter()
@@ -321,8 +320,7 @@ impl Encoder {
     }
 }
 
-/// The weights of an encoder, prepared for many passes where kernels are used. They are those it had when
-/// they were prepared.
+/// The weights of an encoder at the time of the call, prepared for many passes if kernels are used.
 #[derive(Debug)]
 pub struct PreparedWeights {
     encoder: Option<PreparedEncoder>,
@@ -335,7 +333,7 @@ impl PreparedWeights {
     }
 }
 
-/// `nn.TransformerDecoderLayer` whose memory is one token.
+/// `nn.TransformerDecoderLayer` with a memory of one token.
 #[derive(Module, Debug)]
 pub(super) struct DecoderLayer {
     self_attn: SelfAttention,
@@ -382,7 +380,7 @@ impl DecoderLayer {
     }
 }
 
-/// `nn.TransformerDecoder` whose memory is one token, without a final norm.
+/// `nn.TransformerDecoder` with a memory of one token, without a final norm.
 #[derive(Module, Debug)]
 pub(super) struct Decoder {
     layers: Vec<DecoderLayer>,
@@ -484,7 +482,7 @@ mod tests {
         }
     }
 
-    /// The same layer on another backend: its products, its autodiff, its normalisation.
+    /// The same layer on another backend, with other products, autodiff and normalisation.
     #[test]
     fn the_fused_layer_is_that_of_burn_ndarray() {
         #[expect(deprecated, reason = "the independent backend")]
@@ -502,8 +500,8 @@ mod tests {
                 layer.forward(x, Some(&padding), &Pass::default())
             })
         });
-        // The backend's derivative of GELU uses the tanh approximation, which differs from the exact one by up to 1e-3:
-        // burn-backend's `gelu_backward`. Only the result, and the gradients of what lies behind GELU, do not depend on
+        // The backend's derivative of GELU uses the tanh approximation, which differs from the exact one by up to 1e-3
+        // (burn-backend's `gelu_backward`). Only the result, and the gradients of tensors after GELU, do not depend on
         // it.
         const EXACT: [usize; 4] = [0, 5, 12, 13];
         for (index, (ours, theirs)) in ours.iter().zip(&theirs).enumerate() {
@@ -543,7 +541,7 @@ mod tests {
                 read(loss(send(at, [2, 5, 24], &device)))[0]
             };
             let slope = (moved(STEP) - moved(-STEP)) / (2.0 * STEP);
-            // The error of the difference is of the order of the squared step.
+            // The error of the finite difference is of the order of the squared step.
             assert!(
                 (slope - grad[index]).abs() < 5e-3,
                 "{slope} {}",

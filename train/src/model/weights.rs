@@ -15,7 +15,7 @@ use safetensors::SafeTensors;
 use crate::Error;
 use crate::checkpoint::{Files, take};
 
-/// Renamed parameters: (pattern in PyTorch's name, ours; pattern in our name, PyTorch's). The store
+/// Renaming rules: (pattern in PyTorch's name, our name; pattern in our name, PyTorch's name). The store itself
 /// converts layouts of linear layers and names of norms.
 const RENAMES: [(&str, &str, &str, &str); 10] = [
     (
@@ -74,7 +74,7 @@ const RENAMES: [(&str, &str, &str, &str); 10] = [
 /// bytes.
 ///
 /// # Errors
-/// The store refuses a tensor.
+/// burn's store refuses a tensor.
 pub fn to_safetensors<M: Module>(network: &M, path: &Path) -> Result<Vec<u8>, Error> {
     let mut store = SafetensorsStore::from_bytes(None)
         .clear_metadata()
@@ -88,9 +88,9 @@ pub fn to_safetensors<M: Module>(network: &M, path: &Path) -> Result<Vec<u8>, Er
         .map_err(|problem| Error::weights(path, problem))
 }
 
-/// Loads the tensors of a safetensors file whose names start with `prefix` into a network. The
-/// rest of the name is PyTorch's. Tensors the network does not know, such as stored position
-/// tables, are left alone; `path` names the file in errors.
+/// Loads a network from the tensors of a safetensors file whose names start with `prefix`; the rest of the name is
+/// PyTorch's. Tensors that the network does not have, such as position tables, are ignored. `path` names the file in
+/// errors.
 ///
 /// # Errors
 /// The file is malformed, or a tensor is missing or of another shape.
@@ -103,8 +103,8 @@ pub fn from_safetensors<M: Module>(
     from_safetensors_named(network, bytes, prefix, path, &[])
 }
 
-/// [`from_safetensors`] of a network whose names differ from PyTorch's in further ways: (pattern in
-/// PyTorch's name without the prefix, ours).
+/// Like [`from_safetensors`], for networks with further renaming rules: (pattern in PyTorch's name without the prefix,
+/// our name).
 ///
 /// # Errors
 /// As [`from_safetensors`].
@@ -130,8 +130,8 @@ pub fn from_safetensors_named<M: Module>(
     let Err(problem) = store.apply_to(network) else {
         return Ok(());
     };
-    // The store reports our names; errors must name the tensors as the file does. The extra renames
-    // are known in one direction only.
+    // The store reports our names, but errors must name the tensors as the file does. The extra renaming rules work in
+    // one direction only.
     let expected = if names.is_empty() {
         shapes(&to_safetensors(network, path)?, "", path)?
     } else {
@@ -157,7 +157,7 @@ pub fn from_safetensors_named<M: Module>(
     Err(Error::weights(path, detail))
 }
 
-/// Takes a network out of the files of a checkpoint.
+/// Takes a network's file out of the files of a checkpoint, and loads the network.
 ///
 /// # Errors
 /// The file is missing, damaged or of another network.
@@ -173,7 +173,7 @@ pub(crate) fn load_network<M: Module>(
 
 /// Networks as files of a checkpoint.
 pub trait Networks: Module + ModuleDisplay {
-    /// Name of the weight file; of several, that of the main network.
+    /// Name of the weight file; for several networks, that of the main one.
     const FILE: &'static str;
 
     /// The networks as files by name.
@@ -184,7 +184,7 @@ pub trait Networks: Module + ModuleDisplay {
         Ok([(Self::FILE.to_owned(), to_safetensors(self, run_dir)?)].into())
     }
 
-    /// The inverse of [`Networks::to_files`]: takes the files it needs.
+    /// The inverse of [`Networks::to_files`]: takes the needed files out of `files`.
     ///
     /// # Errors
     /// A file is missing, damaged or of another network.
@@ -193,7 +193,7 @@ pub trait Networks: Module + ModuleDisplay {
     }
 }
 
-/// A network that only some models have.
+/// An optional network.
 impl<N: Networks> Networks for Option<N> {
     const FILE: &'static str = N::FILE;
 
@@ -208,7 +208,7 @@ impl<N: Networks> Networks for Option<N> {
     }
 }
 
-/// The files of a main network and of one that goes with it.
+/// The files of a main network and of its companion, if there is one.
 ///
 /// # Errors
 /// A network cannot be written.
@@ -224,7 +224,7 @@ pub(crate) fn both_files(
 
 const LISTED: usize = 5;
 
-/// Shapes of the tensors of a safetensors file whose names start with `prefix`, by the rest.
+/// Shapes of the tensors whose names start with `prefix` in a safetensors file, by the rest of the name.
 fn shapes(bytes: &[u8], prefix: &str, path: &Path) -> Result<BTreeMap<String, Vec<usize>>, Error> {
     let file = SafeTensors::deserialize(bytes).map_err(|error| Error::weights(path, error))?;
     Ok(file
@@ -235,13 +235,13 @@ fn shapes(bytes: &[u8], prefix: &str, path: &Path) -> Result<BTreeMap<String, Ve
         .collect())
 }
 
-/// Initialises every parameter of a network, and derives its id, from its path in the network.
+/// Initialises every parameter of a network, and derives the parameter's id from its path in the network.
 ///
-/// A value depends only on the seed and the path, so that networks can be built in parallel. Ids follow
-/// from paths so that the optimiser finds a parameter's state again in another process.
+/// Values depend only on the seed and the path, so networks can be built in parallel. Ids depend on paths, so that the
+/// optimiser finds a parameter's state in another process.
 ///
 /// # Errors
-/// The network has a parameter that no rule is known for.
+/// The network has a parameter without an initialisation rule.
 ///
 /// # Source
 /// The distributions are PyTorch's: linear layers uniform within `1/sqrt(fan_in)`; the joint
@@ -271,17 +271,17 @@ struct Draw {
     seed: Seed,
     path: Vec<String>,
     containers: Vec<String>,
-    /// Inputs of the linear layer being visited: its weight comes before its bias.
+    /// Number of inputs of the linear layer being visited; its weight is visited before its bias.
     fan_in: usize,
-    /// Name and layer of the first parameter that no rule is known for.
+    /// Name and layer of the first parameter without an initialisation rule.
     unknown: Option<(String, String)>,
 }
 
 enum Values {
     Constant(f32),
-    /// Between minus and plus the bound.
+    /// Uniform between minus and plus the bound.
     Uniform(f64),
-    /// Between 0 and 1.
+    /// Uniform between 0 and 1.
     Unit,
     Normal,
 }

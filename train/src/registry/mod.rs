@@ -1,4 +1,4 @@
-//! The models by name, and those that are one file. A new model adds its line to [`MODELS`].
+//! The list of models, and models that consist of a single file. To add a model, add a line to [`MODELS`].
 
 mod nearest;
 
@@ -30,10 +30,10 @@ pub fn model(name: &str) -> Option<&'static ModelKind> {
     MODELS.iter().find(|kind| kind.name == name)
 }
 
-/// Opens a run folder as an editing system for motions on a skeleton, whatever model it holds.
+/// Opens a run folder of any model as an editing system for motions on a skeleton.
 ///
 /// # Errors
-/// The folder holds no model that edits motions, or the model or one of its helpers cannot be loaded.
+/// The folder does not hold a model that edits motions, or the model or a network that it uses cannot be loaded.
 pub fn open_system(
     source: &SystemSource,
     config: &EditConfig,

@@ -1,5 +1,5 @@
-//! The nearest neighbour in the training set: a system without a network. It answers with the training target
-//! whose instruction is closest to the one it is given. A model that does no better has only learned to recall.
+//! The nearest neighbour in the training set: a system without a network. It returns the training target whose
+//! instruction is closest to the given one. A model that is not better has only memorised its training data.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -41,7 +41,7 @@ const NAME: &str = "Nearest neighbour";
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NearestConfig {
-    /// Training triplets to answer from.
+    /// Number of training triplets to choose from.
     triplets: u64,
     seed: u64,
 }
@@ -180,8 +180,8 @@ impl EditSystem for Nearest {
 }
 
 impl Nearest {
-    /// The target of the closest instruction, one of them where several have it, moved to the start of the
-    /// original and cut to its length; a shorter one ends with its last pose held.
+    /// The target of the closest instruction (one of them, if several have it), moved to the start of the original and
+    /// cut to its length. If the target is shorter, its last pose is repeated.
     fn answer(&self, request: &EditRequest<'_>, seed: Seed) -> Result<Motion, Error> {
         let texts: Vec<&str> = request
             .instructions
@@ -212,7 +212,7 @@ impl Nearest {
         Motion::from_poses(request.fps, &poses).map_err(motion_error(request.id))
     }
 
-    /// Places a motion on the ground position and heading of another motion's first pose. Heights do not change.
+    /// Moves a motion to the ground position and heading of another motion's first pose. Heights are kept.
     fn move_to(&self, poses: &mut [Pose], start: &Pose) {
         canonicalise(poses, Anchor::Pelvis, &self.skeleton);
         let placement = world_from_segment(start, Anchor::Pelvis, &self.skeleton);
@@ -227,7 +227,7 @@ impl Nearest {
     }
 }
 
-/// The training instructions as bags of words with TF-IDF weights: rare words count more.
+/// The training instructions as bags of words with TF-IDF weights, in which rare words count more.
 struct Instructions {
     texts: Vec<(String, BTreeSet<String>)>,
     /// Inverse document frequency of each word: `ln(1 + N / n)` if n of the N instructions contain it.
@@ -255,8 +255,8 @@ impl Instructions {
         }
     }
 
-    /// The instruction with the largest cosine to a text, the first in alphabetical order where several
-    /// have it. Words of no instruction count for nothing.
+    /// The instruction with the highest cosine similarity to a text; ties go to the first in alphabetical order. Words
+    /// that occur in no instruction are ignored.
     fn closest(&self, text: &str) -> Option<&str> {
         let words: BTreeSet<String> = words_of(text).collect();
         let square = |word: &String| self.weights.get(word).map_or(0.0, |weight| weight * weight);
@@ -292,7 +292,7 @@ mod tests {
         assert_eq!(closest(texts[1]), texts[1]);
         assert_eq!(closest("wave the LEFT arm!"), texts[0]);
         assert_eq!(closest("as an old one"), texts[2]);
-        // Nothing in common: the first.
+        // Without common words, the first instruction is returned.
         assert_eq!(closest("jump"), texts[0]);
         assert!(
             Instructions::of(std::iter::empty())

@@ -1,4 +1,4 @@
-//! A trained editor.
+//! A trained editor, loaded for use.
 
 use std::cell::Cell;
 use std::path::Path;
@@ -29,7 +29,7 @@ use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
 use crate::{Error, Session};
 
-/// A trained editor.
+/// A trained editor, with its optional pose network and coordinator.
 #[derive(Debug)]
 pub struct Editor {
     model: MotionRefit,
@@ -66,8 +66,8 @@ impl Editor {
         })
     }
 
-    /// Gives the editor a network that guesses poses from keypoints. The twists that no keypoint
-    /// shows are then its own; without it they are those of the original.
+    /// Gives the editor a network that predicts poses from keypoints. Bone twists, which keypoints do not determine,
+    /// then come from this network, otherwise from the original.
     #[must_use]
     pub fn with_poses(mut self, net: PoseNet, hash: &str) -> Self {
         self.mix_hash(hash);
@@ -80,7 +80,7 @@ impl Editor {
         self.poses.is_some()
     }
 
-    /// Mixes the hash of a pose network or coordinator into the editor's, because it changes the edits.
+    /// Mixes the hash of a pose network or coordinator into the editor's hash, because the network changes the edits.
     fn mix_hash(&mut self, other: &str) {
         let both = [self.hash.as_bytes(), other.as_bytes()].concat();
         self.hash = blake3::hash(&both).to_hex().to_string();
@@ -97,18 +97,17 @@ impl Editor {
     /// Sets the vectors of the instructions, from the editor's frozen encoder.
     ///
     /// # Errors
-    /// They are of another encoder.
+    /// The vectors are of another encoder.
     pub fn set_vectors(&mut self, vectors: EmbeddingTable) -> Result<(), Error> {
         self.record.config.text.texts(Some(&vectors))?;
         self.vectors = Some(vectors);
         Ok(())
     }
 
-    /// Gives the editor a coordinator, which guides its last steps from then on.
+    /// Gives the editor a coordinator, which then guides its last steps.
     ///
     /// # Errors
-    /// The coordinator was trained for another diffusion, another length of windows, other keypoints or
-    /// another range of model units.
+    /// The coordinator was trained with another diffusion, window length, set of keypoints or normaliser.
     pub fn with_coordinator(mut self, coordinator: TrainedCoordinator) -> Result<Self, Error> {
         let theirs = &coordinator.record().config;
         let ours = &self.record.config;
@@ -140,28 +139,27 @@ impl Editor {
         self.coordinator.is_some()
     }
 
-    /// The settings the editor was trained with and what was fitted to its training split.
+    /// The record of the training run: its settings, and values fitted to the training split.
     pub fn record(&self) -> &RunRecord<EditorRecord> {
         &self.record
     }
 
-    /// The range of model units the model was trained in.
+    /// The normaliser of the model's windows.
     pub fn normalizer(&self) -> &Normalizer {
         &self.record.config.normalizer
     }
 
-    /// Hash of the weights, including a coordinator's: BLAKE3, hexadecimal.
+    /// Hash of the weights, including those of a coordinator and a pose network: BLAKE3, hexadecimal.
     pub fn hash(&self) -> &str {
         &self.hash
     }
 
-    /// Edits motions. Each result holds the keypoints of one item in metres at the model's rate, as many
-    /// frames as its windows make; `times` gains what each part took. Keypoints the editor does not
-    /// make lie on the joints they hang from.
+    /// Edits motions. Each result holds the keypoints of one item in metres at the model's rate, for all frames of its
+    /// windows. `times` is increased by the time of each stage. Keypoints that the editor does not generate are placed
+    /// on their parent joints.
     ///
-    /// The noise of an item follows from the seed and its id, and a row of a batch never sees
-    /// another, so a result does not depend on which other items are edited with it. The device is
-    /// that of the editor.
+    /// An item's noise depends on the seed and its id, and rows of a batch are independent. So a result does not depend
+    /// on the other items. The device is that of the editor.
     ///
     /// # Errors
     /// As [`edit_windows`], or a text has no vector.
@@ -282,7 +280,7 @@ impl WindowModel for Generator<'_> {
     }
 }
 
-/// Generated windows with all keypoints: those that were not generated lie on the joints they hang from.
+/// Extends generated windows to all keypoints: those that were not generated are placed on their parent joints.
 fn widened(generated: Vec<f32>, keypoints: usize) -> Vec<f32> {
     if keypoints == NUM_KEYPOINTS {
         return generated;

@@ -1,4 +1,4 @@
-//! A motion cut into windows, and its frames at the rate of the edit.
+//! A motion cut into windows, and its frames at the edit's frame rate.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -15,11 +15,11 @@ use crate::Error;
 use crate::error::motion_error;
 use crate::fit::EditorRecord;
 
-/// An instruction for some frames of a motion.
+/// An instruction for a range of frames of a motion.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TimedInstruction {
-    /// The frames, at the motion's own rate.
+    /// The frames, at the motion's frame rate.
     pub frames: Range<usize>,
     /// Instruction of the range.
     pub text: String,
@@ -46,27 +46,27 @@ impl std::str::FromStr for TimedInstruction {
 /// A motion to edit, cut into windows at the model's rate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EditItem {
-    /// Names the item, and with the seed decides its noise.
+    /// Id of the item. Together with the seed it determines the noise.
     pub id: String,
-    /// The windows, each of which begins no earlier than the one before.
+    /// The windows, sorted by their first frames.
     pub windows: Vec<EditWindow>,
     /// Position and heading of the first window in the world.
     pub placement: GroundTransform,
-    /// The original at the rate of the edit, which becomes equally long. What an edit keeps of it are
-    /// the twists that no keypoint shows.
+    /// The original at the edit's frame rate; the edit has the same length. Bone twists, which keypoints do not
+    /// determine, are taken from it.
     pub original: Vec<Pose>,
-    /// Rate of the edit.
+    /// Frame rate of the edit.
     pub fps: Fps,
 }
 
 /// A window to edit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EditWindow {
-    /// Canonical, normalised frames of the original, `W` of them.
+    /// The `W` canonical, normalised frames of the original.
     pub original: Vec<NormalizedFrame>,
-    /// Instruction; none keeps the window unchanged.
+    /// Instruction; without one, the window is kept unchanged.
     pub instruction: Option<Arc<str>>,
-    /// Position of the window in what its instruction covers, in [0, 1].
+    /// Position of the window within the range of its instruction, in [0, 1].
     pub progress: f32,
     /// First frame of the window, at the model's rate. The window overwrites earlier output from its third frame on,
     /// except for frames that it is blended with.
@@ -76,7 +76,7 @@ pub struct EditWindow {
     pub used: usize,
 }
 
-/// A run of frames at the model's rate that hear the same instruction, or none.
+/// A range of frames at the model's rate with the same instruction, or none.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Span {
     frames: Range<usize>,
@@ -84,24 +84,22 @@ struct Span {
 }
 
 impl EditItem {
-    /// Cuts a motion into windows that ask for what is asked of their frames; a frame belongs to the
-    /// first instruction that covers it, and stays as it is where none does. `fps` is the rate of the
-    /// edit.
+    /// Cuts a motion into windows, each with the instruction of its frames. A frame belongs to the first instruction
+    /// that covers it; frames without one are kept unchanged. `fps` is the frame rate of the edit.
     ///
-    /// The first window of an instruction adds the first frame of its range, and the last one is used
-    /// up to its last. Where a window does not fit before the end of the motion, it begins earlier and
-    /// replaces what was made of the frames it repeats; where the range does not reach back that far,
-    /// or the motion is shorter than a window, the last pose is held to fill it, and the frames that
-    /// were added are cut off again.
+    /// The windows of an instruction generate its range from the first to the last frame. If a window would extend
+    /// beyond the end of the motion, it begins earlier and replaces frames of the previous window. If the range does
+    /// not reach back that far, or the motion is shorter than a window, the window is filled with copies of the last
+    /// pose, and these frames are cut off afterwards.
     ///
     /// # Errors
-    /// The motion has no frame, a range is empty or ends after the motion, or an instruction has no
-    /// frame of its own.
+    /// The motion has no frame, a range is empty or ends after the motion, or earlier instructions cover all frames of
+    /// an instruction.
     ///
     /// # Source
-    /// Paper, App. B.2, and App. E.1 (time-variant editing); which window hears which instruction is not published. The
-    /// windows advance by what each adds; the released demo's 31 raw frames drift against the generated motion
-    /// (`algorithms` section 8).
+    /// Paper, App. B.2, and App. E.1 (time-variant editing); the assignment of instructions to windows is not
+    /// published. Windows advance by the frames that each adds; the released demo advances by 31 raw frames, which
+    /// drifts relative to the generated motion (`algorithms` section 8).
     pub fn timed(
         id: impl Into<String>,
         motion: &Motion,
@@ -160,9 +158,9 @@ impl EditItem {
         })
     }
 
-    /// Resamples keypoints from the model's rate to that of the edit, and to the length of the original.
-    /// The published fit interpolates each coordinate linearly; the exact fit uses a Catmull-Rom spline,
-    /// because linear interpolation has a jump of velocity at every frame of the model.
+    /// Resamples keypoints from the model's rate to that of the edit, and to the length of the original. The published
+    /// fit interpolates each coordinate linearly. The exact fit uses a Catmull-Rom spline, because with linear
+    /// interpolation the velocity jumps at every model frame.
     ///
     /// # Panics
     /// If the frames do not cover the original.
@@ -176,7 +174,7 @@ impl EditItem {
         (0..self.original.len())
             .map(|frame| {
                 let at = frame as f64 * step;
-                // The tolerance absorbs the rounding of a quotient of rates.
+                // The tolerance covers rounding in the quotient of rates.
                 let before = (at + 1e-6).floor() as usize;
                 let share = (at - before as f64).max(0.0);
                 if share < 1e-6 {
@@ -196,7 +194,7 @@ impl EditItem {
 /// Checks that all ranges lie in a motion.
 ///
 /// # Errors
-/// What is wrong with one.
+/// Describes the first wrong range.
 fn check_ranges(motion: &Motion, instructions: &[TimedInstruction]) -> Result<(), String> {
     for asked in instructions {
         let Range { start, end } = asked.frames;
@@ -211,10 +209,10 @@ fn check_ranges(motion: &Motion, instructions: &[TimedInstruction]) -> Result<()
     Ok(())
 }
 
-/// Checks that every instruction has a frame of its own.
+/// Checks that every instruction applies to at least one frame.
 ///
 /// # Errors
-/// Which one has none.
+/// Names the first instruction without frames.
 fn check_heard(
     spans: &[Span],
     instructions: &[TimedInstruction],
@@ -245,8 +243,8 @@ fn model_units(
         .collect()
 }
 
-/// A Catmull-Rom spline through frames, between `before` and the frame after it. Past either end it goes
-/// on as the parabola through the last three frames.
+/// A Catmull-Rom spline through frames, between `before` and the next frame. Beyond the ends, it continues the parabola
+/// through the three frames at that end.
 fn catmull_rom(frames: &[KeypointFrame], before: usize, share: f64) -> KeypointFrame {
     let after = before + 1;
     let (b, c) = (&frames[before], &frames[after]);
@@ -276,7 +274,7 @@ fn catmull_rom(frames: &[KeypointFrame], before: usize, share: f64) -> KeypointF
     })
 }
 
-/// Frames at the model's rate that cover a motion.
+/// Number of frames at the model's rate that cover a motion.
 pub fn model_frames(num_frames: usize, fps: Fps, editor: &EditorRecord) -> usize {
     let to_model = editor.compose.config.fps.get() / fps.get();
     match num_frames.checked_sub(1) {
@@ -285,8 +283,8 @@ pub fn model_frames(num_frames: usize, fps: Fps, editor: &EditorRecord) -> usize
     }
 }
 
-/// The poses of a motion at another rate over the whole of it: where its last frame lies between two,
-/// the second of them is there too, as far beyond the end as the one before is from it.
+/// Resamples the poses of a motion to another rate, over its whole length. If the last frame lies between two resampled
+/// frames, the second one is extrapolated, from the pose at the same distance before the end.
 pub(crate) fn covering(motion: &Motion, fps: Fps) -> Vec<Pose> {
     let poses = motion.poses();
     let Some(last) = poses.len().checked_sub(1) else {
@@ -309,7 +307,7 @@ pub(crate) fn covering(motion: &Motion, fps: Fps) -> Vec<Pose> {
     out
 }
 
-/// The spans of `num_frames` frames at the model's rate, of a motion of `length` frames of its own.
+/// The spans of a motion that has `num_frames` frames at the model's rate, and `length` frames at its own.
 fn spans(
     num_frames: usize,
     length: usize,
@@ -317,7 +315,7 @@ fn spans(
     instructions: &[TimedInstruction],
 ) -> Vec<Span> {
     let owner = |frame: usize| {
-        // A frame past the end has the instruction of the last frame.
+        // Frames after the end have the instruction of the last frame.
         let at = (frame as f64 / to_model).min((length - 1) as f64) + 1e-6;
         instructions
             .iter()
@@ -328,8 +326,8 @@ fn spans(
         let instruction = owner(frame);
         match spans.last_mut() {
             Some(span) if span.instruction == instruction => span.frames.end = frame + 1,
-            // No frame can be fixed before the second frame: an instruction that starts there starts at the first
-            // frame.
+            // Generated frames need two fixed frames before them, so an instruction that starts at the second frame is
+            // extended to the first.
             Some(span) if span.frames.end < FIXED_FRAMES => {
                 span.frames.end = frame + 1;
                 span.instruction = instruction;
@@ -343,7 +341,7 @@ fn spans(
     spans
 }
 
-/// Position of a window in its motion, at the model's rate, and its instruction.
+/// Position of a window in its motion at the model's rate, and its instruction.
 #[derive(Clone, Copy)]
 struct Place {
     start: usize,
@@ -351,12 +349,12 @@ struct Place {
     instruction: Option<usize>,
 }
 
-/// The windows that make the frames of all spans, of a motion of `num_frames`.
+/// The windows that generate the frames of all spans, for a motion of `num_frames` frames.
 fn places_of_spans(spans: &[Span], num_frames: usize, editor: &EditorRecord) -> Vec<Place> {
     spans
         .iter()
         .flat_map(|span| {
-            // Overlap of the unchanged window with earlier output.
+            // Unchanged windows do not overlap earlier output.
             let overlap = span
                 .instruction
                 .map_or(0, |_| editor.train.diffusion.overlap);
@@ -365,8 +363,8 @@ fn places_of_spans(spans: &[Span], num_frames: usize, editor: &EditorRecord) -> 
         .collect()
 }
 
-/// The windows that make the frames of a span, of a motion of `num_frames`. Each window but the first makes the
-/// last `overlap` frames before it anew.
+/// The windows that generate the frames of a span, for a motion of `num_frames` frames. Each window except the first
+/// generates the last `overlap` frames before it again.
 fn places(span: &Span, num_frames: usize, window: usize, overlap: usize) -> Vec<Place> {
     let frames = &span.frames;
     let mut places = Vec::new();
@@ -424,7 +422,7 @@ mod tests {
             let frames: Vec<KeypointFrame> = (0..num_frames).map(|at| parabola(at as f64)).collect();
             let at = place * (num_frames - 1) as f64;
             let before = (at.floor() as usize).min(num_frames - 2);
-            // A Catmull-Rom spline reproduces parabolas, and past the ends ours goes on as one. Numbers
+            // A Catmull-Rom spline reproduces parabolas, and ours continues as a parabola beyond the ends. Numbers
             // reach 50 and are rounded a dozen times.
             let found = catmull_rom(&frames, before, at - before as f64);
             prop_assert!(found[3].distance(parabola(at)[3]) < 1e-12, "{at}");
@@ -445,7 +443,7 @@ mod tests {
             let middle = frames[frame][0];
             let before = middle - catmull_rom(&frames, frame - 1, 1.0 - STEP)[0];
             let after = catmull_rom(&frames, frame, STEP)[0] - middle;
-            // Second derivatives are at most 40 for points in the unit cube.
+            // For points in the unit cube, second derivatives are at most 40.
             prop_assert!((after - before).length() / STEP < 40.0 * 2.0 * STEP);
         }
     }

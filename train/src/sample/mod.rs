@@ -1,4 +1,4 @@
-//! Editing motions: windows generated one after another and merged.
+//! Editing of motions: windows are generated one after another and merged.
 
 mod editor;
 mod item;

@@ -1,8 +1,8 @@
-//! The noise of the steps of sampling.
+//! Noise for the sampling steps.
 //!
-//! The program draws it, not the device: a motion is then the same wherever it is sampled, up to rounding,
-//! and does not depend on what else is in its batch. Many steps are drawn and sent at once, so that a
-//! device does not wait for each.
+//! The program draws it, not the device. So a motion is the same on every device, up to rounding, and does not depend
+//! on the rest of its batch. The noise of many steps is drawn and transferred at once, so that the device need not wait
+//! in each step.
 
 use burn::tensor::{Device, Tensor};
 use datasets_spec::Rng;
@@ -13,25 +13,25 @@ use rayon::prelude::*;
 use crate::noise_shape::NoiseShape;
 use crate::transfer::send;
 
-/// Numbers drawn and sent at once: 16 MB. Most batches need one or two such blocks.
+/// Number of values drawn and transferred at once: 16 MB. Most batches need one or two such blocks.
 const BLOCK: usize = 1 << 22;
 
-/// Standard normal noise for a batch of sequences, step after step. Each sequence has its own generator.
+/// Standard normal noise for a batch of sequences, one step after another. Each sequence has its own generator.
 pub(crate) struct Noise<'a> {
     rngs: Vec<&'a mut Rng>,
-    /// Frames of a sequence and numbers of a frame.
+    /// Number of frames in a sequence, and of values in a frame.
     shape: [usize; 2],
     scale: f32,
-    /// Covariance of the noise, and whether it is that of first windows; none for white noise.
+    /// Covariance of the noise, and whether it is that for windows without fixed frames; none for white noise.
     covariance: Option<(&'a NoiseShape, bool)>,
     device: &'a Device,
     left: usize,
-    /// Steps that were drawn, `[S, B, T, width]`, and the first that was not taken.
+    /// Noise drawn ahead, `[S, B, T, width]`, and the index of the first step not yet used.
     block: Option<(Tensor<4>, usize)>,
 }
 
 impl<'a> Noise<'a> {
-    /// Noise of `num_steps` steps for sequences of `shape`, frames and numbers of a frame.
+    /// Noise of `num_steps` steps for sequences of `shape`: number of frames, and of values in a frame.
     pub(crate) fn new(
         rngs: impl IntoIterator<Item = &'a mut Rng>,
         shape: [usize; 2],
@@ -54,7 +54,7 @@ impl<'a> Noise<'a> {
         self
     }
 
-    /// The same noise with a covariance; `is_start` says whether nothing is fixed in the windows.
+    /// The same noise with a covariance; `is_start` tells whether the windows have no fixed frames.
     pub(crate) fn shaped(mut self, shape: Option<&'a NoiseShape>, is_start: bool) -> Self {
         self.covariance = shape.map(|shape| (shape, is_start));
         self
@@ -66,7 +66,7 @@ impl<'a> Noise<'a> {
     /// `[B, T, width]`
     ///
     /// # Panics
-    /// If all steps were taken.
+    /// If all steps were used.
     pub(crate) fn step(&mut self) -> Tensor<3> {
         let (block, next) = match self.block.take() {
             Some((block, next)) if next < block.dims()[0] => (block, next),

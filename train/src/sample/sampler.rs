@@ -13,12 +13,12 @@ use crate::model::pass::Pass;
 use crate::model::transformer::PreparedWeights;
 use crate::schedule::Schedule;
 
-/// Inputs from which a batch of windows is generated.
+/// Conditions of a batch of windows to generate.
 #[derive(Clone, Debug)]
 pub struct Condition {
     /// Normalised original windows, `[B, W, 84]`.
     pub original: Tensor<3>,
-    /// Normalised first frames, `[B, 2, 84]`; none where they are to be generated too.
+    /// Normalised first frames, `[B, 2, 84]`; none if these frames are generated too.
     pub fixed: Option<Tensor<3>>,
     /// Text vectors, `[B, d]`.
     pub text: Tensor<2>,
@@ -26,22 +26,21 @@ pub struct Condition {
     pub progress: Vec<f32>,
 }
 
-/// The coordinator as a guide of sampling.
+/// A coordinator that guides sampling.
 pub struct Guide<'a> {
-    /// The network.
+    /// The coordinator's network.
     pub network: &'a Coordinator,
-    /// Which tensor the guide moves, and how far.
+    /// The tensor that the guidance moves, and by how much.
     pub config: GuidanceConfig,
-    /// Seconds since any fixed moment.
+    /// Returns the seconds since a fixed moment.
     pub clock: &'a dyn Fn() -> f64,
-    /// Seconds spent in it so far. A card computes asynchronously, and nothing waits for it here: on a card
-    /// these are the seconds of queueing operations, and their computation is counted with the denoiser.
+    /// Seconds spent in the guidance so far. A GPU computes asynchronously, and nothing waits for it here. On a GPU
+    /// these are the seconds for queueing operations, and the computation is counted with the denoiser.
     pub secs: Cell<f64>,
 }
 
 impl Guide<'_> {
-    /// How far `x` is moved at a step, if this is what the guide moves and the step is among the
-    /// guided ones.
+    /// The displacement of `x` at a step; none if the guidance moves another tensor or does not guide this step.
     fn push(
         &self,
         target: GuidanceTarget,
@@ -54,7 +53,7 @@ impl Guide<'_> {
             return None;
         }
         let begun = (self.clock)();
-        // A clean window is seen as one of the first step, whose noise is a hundredth.
+        // The network is told that a clean window is at step 0, whose noise has a standard deviation of about 0.01.
         let seen_as = match target {
             GuidanceTarget::CleanPrediction => 0,
             GuidanceTarget::PosteriorMean => timestep,
@@ -71,35 +70,35 @@ impl Guide<'_> {
 /// Generates windows from pure noise.
 #[derive(Clone, Copy)]
 pub struct Sampler<'a> {
-    /// The network.
+    /// The denoiser's network.
     pub denoiser: &'a Denoiser,
     /// Weights of the denoiser, and the arithmetic of the denoiser and the coordinator.
     pub weights: &'a PreparedWeights,
-    /// The schedule the denoiser was trained with.
+    /// The schedule that the denoiser was trained with.
     pub schedule: &'a Schedule,
     /// Quantity that the denoiser predicts.
     pub prediction: Prediction,
-    /// Linear guess that gated predictions are relative to; none for other predictions.
+    /// Linear guess for predictions that are relative to it; none for other predictions.
     pub extrapolation: Option<&'a Extrapolation>,
     /// Whether estimates of the clean window are clipped to [-1, 1].
     pub clip: bool,
-    /// Guidance weight.
+    /// Guidance weight of the text.
     pub guidance: f64,
     /// Guidance by a coordinator.
     pub coordinator: Option<&'a Guide<'a>>,
 }
 
 impl Sampler<'_> {
-    /// Whether predictions with and without text are mixed: at weight 1 that without cancels out.
+    /// Whether predictions with and without text are combined. At weight 1, the prediction without text cancels out.
     fn is_guided(&self) -> bool {
         self.guidance != 1.0
     }
 
     /// Generates a batch of windows, `[B, W, 84]`.
     ///
-    /// `noise` is asked first for the start (`None`), then for every reverse step in the order they
-    /// are made; `on_step` sees each result. The fixed frames are put back, unscaled, at the start
-    /// and after every step. The predictions with and without text share one batch.
+    /// `noise` is called first for the start (`None`), then for every reverse step in order; `on_step` is given each
+    /// result. The fixed frames are restored, unscaled, at the start and after every step. The predictions with and
+    /// without text share one batch.
     ///
     /// # Source
     /// Released `p_sample_loop` (`algorithms` section 5).
@@ -167,7 +166,7 @@ impl<'a> Sampling<'a> {
         }
     }
 
-    /// The clean windows of noisy ones, `[B, W, 84]`.
+    /// Estimates the clean windows from noisy ones, `[B, W, 84]`.
     fn estimate(&self, x: &Tensor<3>, timestep: usize) -> Tensor<3> {
         let Self { sampler, batch, .. } = self;
         let input = if sampler.is_guided() {
@@ -201,9 +200,9 @@ impl<'a> Sampling<'a> {
         }
     }
 
-    /// The mean of a posterior, moved by the coordinator.
+    /// Moves the mean of a posterior by the coordinator's guidance.
     fn nudge(&self, mean: Tensor<3>, timestep: usize) -> Tensor<3> {
-        // The last step adds no noise, and what is scaled by it is nothing.
+        // The last step has no noise, and the displacement would be multiplied by its standard deviation, 0.
         let gradient = (timestep > 0)
             .then(|| self.push(GuidanceTarget::PosteriorMean, &mean, timestep))
             .flatten();
@@ -226,8 +225,8 @@ fn twice(x: &Tensor<3>) -> Tensor<3> {
     Tensor::cat(vec![x.clone(), x.clone()], 0)
 }
 
-/// Runs the reverse process from pure noise, `[B, W, 84]`, with `estimate` telling the clean windows of
-/// noisy ones and `nudge` moving the mean of a posterior. Noise is about `centre`, or about zero. `noise` and `on_step` are those of
+/// Runs the reverse process from pure noise, `[B, W, 84]`. `estimate` estimates the clean windows from noisy ones, and
+/// `nudge` moves the mean of a posterior. The noise has mean `centre`, or zero. `noise` and `on_step` are those of
 /// [`Sampler::sample`].
 pub fn reverse(
     schedule: &Schedule,
@@ -242,7 +241,7 @@ pub fn reverse(
         Some(fixed) => put_fixed(x, fixed.clone()),
         None => x,
     };
-    // Seen from the centre, and back.
+    // Subtracts the centre, and adds it back.
     let from_centre = |x: Tensor<3>| match centre {
         Some(centre) => x - centre.clone(),
         None => x,

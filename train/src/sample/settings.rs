@@ -1,19 +1,19 @@
-//! How motions are edited, and where the time goes.
+//! Settings of an edit, and its times.
 
 use datasets_spec::Seed;
 use serde::{Deserialize, Serialize};
 
 use crate::config::GuidanceConfig;
 
-/// How SMPL-X parameters are found for generated keypoints.
+/// Method of fitting SMPL-X parameters to generated keypoints.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FitMethod {
-    /// Second-order steps until no point moves, the twists that no point shows being those of the pose
-    /// network or of the original.
+    /// Second-order steps until the points no longer move. Bone twists, which points do not determine, are those of the
+    /// pose network or of the original.
     #[default]
     Exact,
-    /// The published way: a pose network, and from its poses 120 steps of Adam (paper App. B.3).
+    /// The published method: a pose network, followed by 120 steps of Adam (paper App. B.3).
     Paper,
 }
 
@@ -29,28 +29,27 @@ impl std::str::FromStr for FitMethod {
     }
 }
 
-/// How motions are edited.
+/// Settings of an edit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EditSettings {
     /// Seed of the noise.
     pub seed: Seed,
     /// Guidance weight; 1 follows the text without amplifying it.
     pub guidance: f64,
-    /// Factor of the noise; 1 samples what was learned, less stays nearer to its mean.
+    /// Factor of the noise: 1 samples the learned distribution, smaller values stay nearer to its mean.
     pub temperature: f64,
     /// Guidance by the coordinator, if the editor has one.
     pub coordinator: GuidanceConfig,
-    /// How SMPL-X parameters are found.
+    /// Method of fitting SMPL-X parameters.
     pub fit: FitMethod,
-    /// Weight in m^2/rad^2 by which the exact fit holds rotations to those of the pose network or, without
-    /// one, of the original: what short bones gain by it, such as those of head and hands, long ones
-    /// hardly feel.
+    /// Weight in m^2/rad^2 that draws the rotations of the exact fit towards those of the pose network or, without one,
+    /// of the original. It affects short bones, such as those of head and hands, but hardly long ones.
     pub prior: f64,
-    /// Windows generated at a time.
+    /// Maximum number of windows generated at a time.
     pub max_batch: usize,
 }
 
-/// Where the time of editing went.
+/// Time of editing by stage.
 ///
 /// # Source
 /// The columns of the paper's Table A4.
@@ -60,13 +59,13 @@ pub struct EditTimes {
     pub diffusion_secs: f64,
     /// Seconds in the coordinator.
     pub coordinator_secs: f64,
-    /// Seconds in finding SMPL-X parameters.
+    /// Seconds for fitting SMPL-X parameters.
     pub fit_secs: f64,
-    /// Windows generated.
+    /// Number of generated windows.
     pub num_windows: usize,
-    /// Number of batches of the generation.
+    /// Number of batches in which the windows were generated.
     pub num_batches: usize,
-    /// Frames of a window.
+    /// Number of frames in a window.
     pub window: usize,
 }
 

@@ -1,4 +1,4 @@
-//! Windows made one after another and joined.
+//! Generates windows one after another and joins them.
 
 use datasets_spec::{Rng, Skeleton};
 use kinematics::KeypointFrame;
@@ -10,37 +10,37 @@ use super::settings::EditSettings;
 use crate::fit::EditorRecord;
 use crate::{Error, Session};
 
-/// Frames over which an unchanged window is blended from the end of the edit before it to the original.
+/// Number of frames over which an unchanged window is blended from the end of the previous edit to the original.
 const RETURN_FRAMES: usize = 6;
 
-/// A window to be made.
+/// A request to generate a window.
 #[derive(Debug)]
 pub struct WindowRequest<'a> {
-    /// Place of its item among those that are edited.
+    /// Index of the window's item among the edited items.
     pub item: usize,
     /// The window.
     pub window: &'a EditWindow,
     /// Normalised first frames; none if the model generates them as well.
     pub fixed: Option<[NormalizedFrame; FIXED_FRAMES]>,
-    /// Generator of its noise.
+    /// Generator of the window's noise.
     pub rng: Rng,
 }
 
 /// A model that generates windows.
 pub trait WindowModel {
-    /// Makes a window for each request, `[B, W, 84]` normalised. The first window of a motion and
-    /// later ones are never asked for together.
+    /// Generates a window for each request, `[B, W, 84]` normalised. A request for a motion's first window never shares
+    /// a call with requests for later windows.
     ///
     /// # Errors
     /// A window cannot be made.
     fn generate(&mut self, requests: &mut [WindowRequest<'_>]) -> Result<Vec<f32>, Error>;
 }
 
-/// Edits motions window by window: asks for the windows, keeps those without an instruction, and joins
-/// them. Each result holds the keypoints of one item in metres at the model's rate.
+/// Edits motions window by window: requests windows from `model`, keeps those without an instruction, and joins all.
+/// Each result holds the keypoints of one item in metres at the model's rate.
 ///
 /// # Errors
-/// An item has no window or one of another length, the session is stopped, or `model` fails.
+/// An item has no window or a window of another length, the session is stopped, or `model` fails.
 pub fn edit_windows(
     model: &mut dyn WindowModel,
     record: &EditorRecord,
@@ -105,13 +105,13 @@ struct Joining<'a> {
     items: &'a [EditItem],
     settings: &'a EditSettings,
     stitchers: Vec<Stitcher>,
-    /// Frames for blending into the next window of each motion.
+    /// Frames of each motion that are blended into its next window.
     former: Vec<Vec<KeypointFrame>>,
 }
 
 impl<'a> Joining<'a> {
-    /// Advances every motion by one window: adds the unchanged windows, and returns the items whose windows must be
-    /// generated. Longer motions continue after shorter ones are finished.
+    /// Advances every motion by one window: adds unchanged windows, and returns the items whose windows must be
+    /// generated. Longer motions continue when shorter ones are finished.
     fn advance(&mut self, window_index: usize, session: &Session<'_>) -> Vec<usize> {
         let mut active = Vec::new();
         for (index, item) in self.items.iter().enumerate() {
@@ -174,8 +174,8 @@ impl<'a> Joining<'a> {
     }
 }
 
-/// Adds an unchanged window. After an edit, its frames are placed where the edit ended, and the pose is blended to the
-/// original within a few frames.
+/// Adds an unchanged window. After an edit, its frames are moved to where the edit ended, and the pose is blended to
+/// the original within a few frames.
 fn keep(stitcher: &mut Stitcher, window: &EditWindow, normalizer: &Normalizer) {
     let mut frames: Vec<KeypointFrame> = window.original[..window.used]
         .iter()

@@ -12,13 +12,14 @@ use crate::text::clip::ClipModel;
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
-/// The clips of a split, each with its captions of the whole clip. A caption of a part makes that part a separate clip.
+/// The clips of a split, each with captions of the whole clip. A part of a clip with its own caption becomes a separate
+/// clip.
 ///
 /// # Source
 /// `Text2MotionDatasetV2` of HumanML3D.
 ///
 /// # Errors
-/// The dataset cannot be read, or a row is no motion.
+/// The dataset cannot be read, or a row does not hold a motion.
 fn timed_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedClip>, Error> {
     let rows: Vec<MotionRow> = dataset.read(Some(split))?;
     let mut clips = Vec::new();
@@ -56,8 +57,8 @@ fn push_clips(row: &MotionRow, clips: &mut Vec<CaptionedClip>) -> Result<(), dat
     Ok(())
 }
 
-/// Trains a model on the captioned clips of a dataset, its captions told by `encoder`. Vectors of all captions and of the
-/// empty text are kept in the run folder, where the encoder is a frozen one.
+/// Trains a model on the captioned clips of a dataset, with captions encoded by `encoder`. If the encoder is frozen,
+/// the vectors of all captions and of the empty text are stored in the run folder.
 ///
 /// # Errors
 /// The dataset cannot be read, the text encoder is missing or cannot encode a caption, or training fails.

@@ -18,7 +18,7 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     open: None,
 };
 
-/// Trains the coordinator on segments of the motions an editor is trained on, or continues its run.
+/// Trains the coordinator on segments of the motions that an editor is trained on, or continues its run.
 ///
 /// # Errors
 /// As [`coordinator::train_coordinator`], or the dataset cannot be read.

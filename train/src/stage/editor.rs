@@ -30,15 +30,15 @@ pub(crate) const MODEL: ModelKind = ModelKind {
 /// Inputs of the editor's training besides a dataset.
 #[derive(Clone, Copy, Debug)]
 pub struct EditorInputs<'a> {
-    /// How edits are composed.
+    /// Composition settings of edits.
     pub compose: &'a ComposeConfig,
-    /// Windows recorded before, in place of composing them.
+    /// Recorded windows, used instead of composing windows.
     pub windows: Option<&'a Path>,
     /// Source of a frozen text encoder, for settings that use one.
     pub text_encoder: &'a TextEncoderSource,
 }
 
-/// Trains the editor on the composer's stream, or continues its run.
+/// Trains the editor on composed or recorded windows, or continues its run.
 ///
 /// # Errors
 /// As [`train_motionrefit`], or the dataset, recorded windows or the text encoder cannot be read.
@@ -49,7 +49,7 @@ pub fn train_editor<'a>(
     inputs: &EditorInputs<'_>,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
-    // Before texts are encoded.
+    // Check the settings before the slow encoding of texts.
     config.check()?;
     let start = start.into();
     let seed = config.run.seed;
@@ -107,8 +107,7 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     Ok(Trained::from_report(report, request.start.run))
 }
 
-/// Identifies the data an editor learns from: the tables that edits are composed from, and the
-/// recorded windows where there are any.
+/// Identifies the editor's training data: the tables that edits are composed from, and recorded windows, if any.
 fn data_hash(dataset: &Dataset, windows: Option<&Path>) -> Result<String, Error> {
     let composed = dataset.content_hash(&COMPOSED);
     let Some(folder) = windows else {
@@ -119,8 +118,7 @@ fn data_hash(dataset: &Dataset, windows: Option<&Path>) -> Result<String, Error>
     Ok(both.to_hex().to_string())
 }
 
-/// Opens recorded windows. Their normaliser must be the one fitted to the dataset, and the run must use
-/// it too.
+/// Opens recorded windows. Their normaliser must be the one fitted to the dataset, and that of the run.
 fn recorded_windows(
     folder: &Path,
     [fitted, used]: [&Normalizer; 2],

@@ -23,7 +23,7 @@ pub(crate) const MODEL: ModelKind = ModelKind {
 /// The clips of a split that have a caption.
 ///
 /// # Errors
-/// The dataset cannot be read, or a row is no motion.
+/// The dataset cannot be read, or a row does not hold a motion.
 pub fn captioned_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedClip>, Error> {
     let rows: Vec<MotionRow> = dataset.read(Some(split))?;
     let clips = rows.into_iter().filter(|row| !row.captions.is_empty());
@@ -41,7 +41,7 @@ pub fn captioned_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedC
         .collect()
 }
 
-/// Trains the encoder that evaluation measures with, or continues its run.
+/// Trains the evaluation encoder, or continues its run.
 ///
 /// # Errors
 /// As [`train_tmr`], or the dataset cannot be read.

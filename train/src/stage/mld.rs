@@ -13,12 +13,12 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     open: None,
 };
 
-/// Trains MLD as a command line asks for it. Seed and length hold for both of its runs.
+/// Trains MLD as requested. The request's seed and length apply to both of its runs.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&MldConfig::preset(request.preset))?;
     request.change(&mut config.autoencoder.run);
     request.change(&mut config.run);
-    // The encoder and the decoder of motions: twice the layers.
+    // The encoder and the decoder of motions have twice the layers, so a sample counts twice the tokens.
     let autoencoder = &mut config.autoencoder;
     let tokens = 2 * (2 + autoencoder.max_frames);
     request.split(&mut autoencoder.run, &autoencoder.model, tokens);

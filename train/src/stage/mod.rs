@@ -1,5 +1,4 @@
-//! Stages of training, from a dataset folder to a run folder: open the dataset, assemble what the
-//! model learns from, train.
+//! Stages of training, from a dataset folder to a run folder: open the dataset, assemble the training data, train.
 
 mod captioned;
 pub mod coordinator;
@@ -25,10 +24,10 @@ use crate::compose::ComposeRecord;
 use crate::text::source::EMBEDDINGS;
 use crate::text::table::EmbeddingTable;
 
-/// Tables that models of motions without text depend on.
+/// Tables that models without text input depend on.
 const MOTIONS: [&str; 1] = [MotionRow::TABLE];
 
-/// Composed windows of the training and the validation split, in one normaliser.
+/// Composed windows of the training and the validation split, with the same normaliser.
 struct Streams {
     compose: ComposeRecord,
     train: Stream,
@@ -37,9 +36,9 @@ struct Streams {
 }
 
 impl Streams {
-    /// Opens the streams of a dataset for windows of `window` frames, unless the composer's settings set a window
-    /// themselves. Then the model refuses one that does not fit it. The normaliser is fitted to the training split if none
-    /// is given.
+    /// Opens the streams of a dataset for windows of `window` frames. If the composer's settings set another window,
+    /// that one is used, and the model refuses it if it does not fit. The normaliser is fitted to the training split if
+    /// none is given.
     fn open(
         dataset: &Dataset,
         compose: &ComposeConfig,
@@ -66,8 +65,8 @@ impl Streams {
     }
 }
 
-/// The composer's settings without those that thin, fix or mirror the training data:
-/// validation data stay the same.
+/// The composer's settings without those that thin, fix or mirror the training data, so that validation data stay the
+/// same.
 fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
     ComposeConfig {
         mcm_ratio: 1.0,
@@ -89,7 +88,7 @@ pub(crate) fn validation_stream(
     stream.map_err(|source| Error::Validation { source })
 }
 
-/// Keeps the vectors of a run's texts in its folder.
+/// Stores the vectors of a run's texts in its folder.
 pub(crate) fn kept(
     table: Option<EmbeddingTable>,
     run: &Path,

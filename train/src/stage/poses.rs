@@ -1,4 +1,4 @@
-//! Training of the network from keypoints to rotations on a dataset.
+//! Training of the pose network on a dataset.
 
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Motion, Split};

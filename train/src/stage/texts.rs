@@ -1,4 +1,4 @@
-//! Texts that models of a dataset take as input.
+//! Texts that models trained on a dataset take as input.
 
 use std::collections::BTreeSet;
 
@@ -10,9 +10,9 @@ use datasets_spec::{Dataset, Seed, Split};
 use super::unthinned;
 use crate::Error;
 
-/// Every text that a model of a dataset can receive in training, validation and evaluation: the instructions of
-/// composed edits of all splits, all captions, and the empty text, in alphabetical order. A table of vectors that has
-/// all of them serves them all.
+/// Every text that a model trained on a dataset can receive in training, validation and evaluation: the instructions of
+/// composed edits of all splits, all captions, and the empty text, in alphabetical order. A table with the vectors of
+/// these texts suffices for all models.
 ///
 /// # Errors
 /// The dataset cannot be read, or its training split cannot be composed.
@@ -38,7 +38,7 @@ pub fn texts(dataset: &Dataset, compose: &ComposeConfig) -> Result<Vec<String>, 
             let stream = Stream::new(library(dataset, split)?, compose.clone(), seed, &normalizer);
             match stream {
                 Ok(stream) => texts.extend(stream.instructions()),
-                // No motion of this split is as long as a window, so it has no instructions.
+                // The split has no motion of a window's length, so it has no instructions.
                 Err(compose::Error::NoItem { .. }) => {}
                 Err(error) => return Err(error.into()),
             }

@@ -1,4 +1,4 @@
-//! Candidates of fine-grained pairs: variants that MLD makes of captions or of a list of instructions.
+//! Candidates of fine-grained pairs: variants that MLD generates from captions or a list of instructions.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -31,32 +31,32 @@ const BATCH: usize = 32;
 /// Lengths of generated motions are multiples of this number of frames.
 const LENGTH_UNIT: usize = 4;
 
-/// Source of the instructions of variants.
+/// Source of the instructions from which variants are generated.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Instructions {
-    /// Captions of the dataset's clips, each once, with the length of its clip; if a condition is given, only of clips
-    /// that meet it.
+    /// Captions of the dataset's clips, without duplicates, with the lengths of their clips. If a condition is given,
+    /// only of clips that meet it.
     Captions(Option<String>),
-    /// Texts; lengths are drawn.
+    /// Given texts; their lengths are drawn at random.
     Texts(Vec<String>),
 }
 
-/// How variants are made.
+/// Settings for making variants.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MakeVariants {
-    /// Maximum number of instructions, drawn by the seed; `None` for all.
+    /// Maximum number of instructions, drawn with the seed; `None` for all.
     pub count: Option<usize>,
-    /// Variants of an instruction.
+    /// Number of variants of each instruction.
     pub variants: usize,
-    /// Noise between the variants of a base.
+    /// Noise that distinguishes the variants of a base motion.
     pub noise: LatentNoise,
-    /// Bounds of a candidate pair.
+    /// Bounds on a candidate pair.
     pub filter: VariantConfig,
 }
 
 impl Default for MakeVariants {
-    /// The published settings: 16 variants with noise of 0.1.
+    /// The published settings: 16 variants with noise 0.1.
     fn default() -> Self {
         Self {
             count: None,
@@ -74,20 +74,19 @@ pub struct VariantReport {
     pub dataset: Dataset,
     /// Counts of the variants by outcome; none if the dataset already existed.
     pub counts: Option<VariantCounts>,
-    /// Standard deviation of the generator's latent vectors; none for motions made elsewhere.
+    /// Standard deviation of the generator's latent vectors; none for motions that it did not generate.
     pub latent_std: Option<f32>,
 }
 
 /// Makes variants of instructions with a trained generator, pairs them and commits the candidates as a
 /// dataset. A dataset made by the same plan is kept.
 ///
-/// An id names the seed, the batch and the place of a base in it. Captions keep the split of their clip;
-/// the split of other texts is drawn.
+/// A motion's id states the seed, the batch and the index of the base motion in the batch. Captions keep the split of
+/// their clip; the split of other texts is drawn at random.
 ///
 /// # Errors
-/// The generator or the dataset cannot be loaded, there is no instruction, a text cannot be encoded, a
-/// generated motion is not finite, the session is stopped, or the folder holds another dataset or cannot be
-/// written.
+/// The generator or the dataset cannot be loaded, there are no instructions, a text cannot be encoded, a generated
+/// motion is not finite, the session is stopped, or the folder holds another dataset or cannot be written.
 ///
 /// # Source
 /// MotionReFit, Sec. 4.1 and App. D.3.
@@ -202,7 +201,7 @@ impl Making {
             .prepare(&self.run, &texts, text_encoder, session)
     }
 
-    /// The candidates of the first `most` bases of a batch.
+    /// The candidates of a batch, from its first `most` base motions.
     pub(crate) fn batch(
         &self,
         batch: usize,
@@ -240,8 +239,7 @@ impl Making {
     }
 }
 
-/// Pairs variants that were made elsewhere: motions of a dataset whose ids share a folder, as
-/// `base/variant`.
+/// Pairs variants made by other programs: motions of a dataset whose ids share a folder, as `base/variant`.
 ///
 /// # Errors
 /// The dataset cannot be read, no folder of it has two motions, or `out` holds another dataset or cannot be
@@ -279,14 +277,14 @@ pub fn pair_variants(
     })
 }
 
-/// The fact of the manifest that says that its motions are variants, and how they were made or paired.
+/// The manifest's entry that states that the motions are variants, and how they were made or paired.
 fn variants_fact(config: &impl Serialize) -> (String, String) {
     let config = serde_json::to_string(config).expect("plain numbers serialise");
     ("variants".to_owned(), config)
 }
 
-/// The dataset of candidates, if it was made by the plan. Another dataset is not replaced, because people may
-/// have described its pairs.
+/// The dataset of candidates, if it was made by this plan. Another dataset is never replaced, because people may have
+/// described its pairs.
 pub(crate) fn made_before(out: &Path, plan: &str) -> Result<Option<Dataset>, Error> {
     match Dataset::open_unverified(out) {
         Ok(done) if done.manifest().plan(MotionRow::TABLE) == plan => Ok(Some(Dataset::open(out)?)),
@@ -300,7 +298,7 @@ pub(crate) fn made_before(out: &Path, plan: &str) -> Result<Option<Dataset>, Err
 
 struct Instruction {
     text: String,
-    /// Frames at 20 fps and split of the clip it is a caption of.
+    /// Number of frames at 20 fps, and split, of the clip that the caption describes; none for other texts.
     clip: Option<(usize, Split)>,
 }
 
@@ -350,7 +348,7 @@ fn bases(
     Ok(bases.collect())
 }
 
-/// The captions of whole clips, each once, with the frames at 20 fps and the split of its clip.
+/// The captions of whole clips, without duplicates, with the number of frames at 20 fps and the split of their clips.
 fn captions(dataset: &Dataset) -> Result<Vec<Instruction>, Error> {
     let mut known = BTreeSet::new();
     let mut texts = Vec::new();

@@ -1,4 +1,5 @@
-//! BERT and its relatives as encoders of instructions: a folder of Hugging Face's or of sentence-transformers.
+//! BERT and related models as encoders of instructions, from a folder in the format of Hugging Face or
+//! sentence-transformers.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,18 +24,18 @@ use crate::vocabulary::TokenBatch;
 
 const CONFIG: [&str; 1] = ["config.json"];
 const TOKENIZERS: [&str; 2] = ["tokenizer.json", "vocab.txt"];
-/// Settings of the tokenizer, of its lengths, and of what follows the network. A folder may lack each.
+/// Files with settings of the tokenizer, of the maximum length, and of the modules after the network. All are optional.
 const TOKENIZER_CONFIG: &str = "tokenizer_config.json";
 const SENTENCE_CONFIG: &str = "sentence_bert_config.json";
 const MODULES: &str = "modules.json";
-/// Names of the licence and of the model's description, which are copied too.
+/// Names of the model's description and licence, which are copied too.
 const PAPERS: [&str; 3] = ["README.md", "LICENSE", "LICENSE.txt"];
-/// Shortest limit of a text: start, one token, end.
+/// Smallest limit on a text's tokens: start, one token, end.
 const LEAST_TOKENS: usize = 3;
-/// PyTorch's lower bound for a norm used as a divisor.
+/// PyTorch's lower bound for a norm that is used as a divisor.
 const MIN_LENGTH: f64 = 1e-12;
 
-/// The files of a BERT.
+/// The files of a BERT model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BertFiles {
     folder: PathBuf,
@@ -48,7 +49,7 @@ impl BertFiles {
     /// `vocab.txt`.
     ///
     /// # Errors
-    /// One is missing.
+    /// A file is missing.
     pub fn in_folder(folder: &Path) -> Result<Self, Error> {
         let find = file_in(folder);
         Ok(Self {
@@ -59,8 +60,8 @@ impl BertFiles {
         })
     }
 
-    /// Names of all files that the encoder is made of, within its folder and with `/`, of which `has` tells whether
-    /// they are there and `read` reads one.
+    /// Names of all files of the encoder, relative to its folder, with `/` as separator. `has` tells whether a file
+    /// exists, and `read` reads one.
     ///
     /// # Errors
     /// `modules.json` cannot be read.
@@ -85,7 +86,7 @@ impl BertFiles {
         Ok(names)
     }
 
-    /// BLAKE3 of the files that the encoder is made of, in hexadecimal.
+    /// BLAKE3 of the encoder's files, in hexadecimal.
     ///
     /// # Errors
     /// A file cannot be read.
@@ -137,7 +138,7 @@ struct TokenizerConfig {
     do_lower_case: bool,
     strip_accents: Option<bool>,
     tokenize_chinese_chars: bool,
-    /// Some tokenizers without a limit record 10^30.
+    /// Some tokenizers record 10^30 for no limit.
     model_max_length: Option<f64>,
 }
 
@@ -167,9 +168,9 @@ enum Pooling {
 
 #[derive(Debug)]
 struct Rules {
-    /// Longest row of tokens, start and end included; longer texts are cut.
+    /// Maximum number of tokens in a row, including start and end; longer texts are truncated.
     max_tokens: usize,
-    /// Whether texts are put in lower case before they come to the tokenizer, which may do so itself.
+    /// Whether texts are converted to lower case before tokenisation; the tokenizer may convert them too.
     lowers: bool,
     pooling: Pooling,
     normalizes: bool,
@@ -178,7 +179,7 @@ struct Rules {
 impl Rules {
     /// # Source
     /// The modules `Transformer`, `Pooling` and `Normalize` of sentence-transformers. Without `modules.json` the vector
-    /// of a text is the mean over its tokens, as in that library.
+    /// of a text is the mean over its tokens, as in the library.
     fn read(files: &BertFiles, config: &BertConfig, limit: Option<f64>) -> Result<Self, Error> {
         let sentence: SentenceConfig = files.optional(SENTENCE_CONFIG)?.unwrap_or_default();
         let limit = limit.filter(|limit| *limit < config.context as f64);
@@ -215,7 +216,7 @@ impl Rules {
         Ok(rules)
     }
 
-    /// The pooled vector of the states of a text.
+    /// Pools the token states of a text to one vector.
     ///
     /// # Shapes
     /// `states` `[T, d]`, the result `[d]`.
@@ -241,7 +242,7 @@ impl Rules {
     }
 }
 
-/// The pooling that a folder's `config.json` asks for.
+/// The pooling that a pooling module's configuration selects.
 fn pooling(modes: &BTreeMap<String, Value>, path: &Path) -> Result<Pooling, Error> {
     let asked: Vec<&str> = modes
         .iter()
@@ -269,11 +270,11 @@ pub struct BertEncoder {
 }
 
 impl BertEncoder {
-    /// Reads an encoder onto a device. Its sizes, its tokenizer and its pooling are those of its files.
+    /// Loads an encoder onto a device. Sizes, tokenizer and pooling are read from its files.
     ///
     /// # Errors
-    /// A file cannot be read or differs from its checksum, the network is of another kind, a tensor is missing or of
-    /// another shape, or the vocabulary of the tokenizer is larger than that of the network.
+    /// A file cannot be read or differs from its checksum, the network is of an unsupported kind, a tensor is missing
+    /// or of another shape, or the tokenizer's vocabulary is larger than the network's.
     pub fn load(files: &BertFiles, device: &Device) -> Result<Self, Error> {
         let config = BertConfig::parse(&read_checked(&files.config)?, &files.config)?;
         let bytes = read_weights(&files.weights, &[])?;
@@ -299,7 +300,7 @@ impl BertEncoder {
         Ok(encoder)
     }
 
-    /// Hash of everything that a vector depends on, independent of the file formats.
+    /// Hash of everything that determines the vectors, independent of file formats.
     fn hashed(&self) -> Result<String, Error> {
         let mut hasher = blake3::Hasher::new();
         hasher.update_rayon(&to_safetensors(
@@ -344,8 +345,8 @@ impl BertEncoder {
     }
 }
 
-/// A text of more tokens than the folder allows is cut, as sentence-transformers cut it (`max_seq_length` of
-/// `sentence_bert_config.json`, else the places that the network knows).
+/// Texts with more tokens than the folder's limit are truncated, as in sentence-transformers (`max_seq_length` of
+/// `sentence_bert_config.json`, otherwise the number of the network's positions).
 ///
 /// # Source
 /// Pooled vectors are those of `SentenceTransformer.encode`, states are `last_hidden_state` of the network.
@@ -397,7 +398,7 @@ fn read_tokenizer(
     }
     let tokenizer = Tokenizer::from_bytes(content.as_slice());
     let mut tokenizer = tokenizer.map_err(|error| Error::tokenizer(path, error))?;
-    // The limit in the file is from training; here, rows are padded to the longest text.
+    // The file's padding and truncation are for training; here rows are padded to the longest text.
     let truncation = TruncationParams {
         max_length: max_tokens,
         ..TruncationParams::default()
@@ -409,7 +410,7 @@ fn read_tokenizer(
     Ok(tokenizer)
 }
 
-/// The `tokenizer.json` of a list of word pieces, as bytes.
+/// Converts a list of word pieces to the bytes of a `tokenizer.json`.
 ///
 /// # Source
 /// `BertTokenizer` of Hugging Face: a token's number is its line.

@@ -1,4 +1,4 @@
-//! The network of BERT and of DistilBERT.
+//! The networks of BERT and DistilBERT.
 
 use std::path::Path;
 
@@ -19,10 +19,10 @@ use crate::model::transformer::{Padding, join_heads, split_heads};
 use crate::model::weights::from_safetensors;
 use crate::vocabulary::TokenBatch;
 
-/// Prefixes of tensor names: none for the bare network, and the kind for a network with a head.
+/// Prefixes of tensor names: none for the bare network, or one for a network with a head.
 const PREFIXES: [&str; 4] = ["", "bert.", "distilbert.", "model."];
 const WORDS: &str = "embeddings.word_embeddings.weight";
-/// Parts of a layer: our name, BERT's, and DistilBERT's.
+/// Names of the parts of a layer: ours, BERT's, and DistilBERT's.
 const PARTS: [(&str, &str, &str); 8] = [
     ("query", "attention.self.query", "attention.q_lin"),
     ("key", "attention.self.key", "attention.k_lin"),
@@ -38,10 +38,10 @@ const PARTS: [(&str, &str, &str); 8] = [
     ("output_norm", "output.LayerNorm", "output_layer_norm"),
 ];
 
-/// Kinds of network that differ in names, and in that DistilBERT has no segments.
+/// Supported networks. They differ in tensor names, and DistilBERT has no segment embeddings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum BertKind {
-    /// MiniLM is published as it too.
+    /// Also the kind of MiniLM.
     Bert,
     DistilBert,
 }
@@ -59,20 +59,20 @@ pub(super) enum Activation {
 pub(super) struct BertConfig {
     kind: BertKind,
     pub(super) num_tokens: usize,
-    /// Longest row of tokens, start and end included.
+    /// Maximum number of tokens in a row, including start and end.
     pub(super) context: usize,
-    /// Segments of a pair of texts; none of DistilBERT.
+    /// Number of segments for pairs of texts; none for DistilBERT.
     num_segments: usize,
     pub(super) width: usize,
     num_layers: usize,
     pub(super) num_heads: usize,
     feed_forward: usize,
     pub(super) activation: Activation,
-    /// Added to the variance by the norms.
+    /// Added to the variance in layer norms.
     pub(super) norm_epsilon: f64,
 }
 
-/// The fields of `config.json`, under the names of either kind.
+/// The fields of `config.json`, which the two kinds name differently.
 #[derive(Deserialize)]
 struct Described {
     vocab_size: usize,
@@ -106,7 +106,7 @@ impl BertConfig {
     /// Reads a `config.json`; `path` names the file in errors.
     ///
     /// # Errors
-    /// It is of another network than BERT and DistilBERT, or lacks a size.
+    /// The file describes another network than BERT and DistilBERT, or lacks a size.
     pub(super) fn parse(document: &[u8], path: &Path) -> Result<Self, Error> {
         #[derive(Deserialize)]
         struct Named {
@@ -158,7 +158,7 @@ impl BertConfig {
         })
     }
 
-    /// The tensors of the network: their names in a file and here, and their shapes in PyTorch.
+    /// The tensors of the network: their names in the file and in this program, and their shapes in PyTorch.
     fn tensors(&self) -> Vec<(String, String, Vec<usize>)> {
         let (width, hidden) = (self.width, self.feed_forward);
         let mut found = Vec::new();
@@ -202,7 +202,7 @@ impl BertConfig {
     }
 }
 
-/// BERT or DistilBERT without its heads, for inference: a post-norm transformer in which every token sees all others.
+/// BERT or DistilBERT without heads, for inference: a post-norm transformer in which every token attends to all others.
 ///
 /// # Source
 /// Devlin et al. 2019, Sec. 3, and Sanh et al. 2019; parameters are those of Hugging Face's `BertModel` and
@@ -217,7 +217,7 @@ pub(super) struct BertText {
 }
 
 impl BertText {
-    /// Builds the network with weights of no meaning.
+    /// Builds the network with placeholder weights.
     pub(super) fn new(config: &BertConfig, device: &Device) -> Self {
         let table = |rows| EmbeddingConfig::new(rows, config.width).init(device);
         Self {
@@ -266,8 +266,8 @@ impl BertText {
         Ok(network.no_grad())
     }
 
-    /// Every token after the last layer. Tokens from a row's length on are hidden from all others, and what they
-    /// become means nothing.
+    /// The output of the last layer for every token. Tokens after a row's length are masked, and their own outputs are
+    /// meaningless.
     ///
     /// # Shapes
     /// `B` rows of `T` tokens give `[B, T, d]`; `lengths` `[B]`.
@@ -276,7 +276,7 @@ impl BertText {
     /// If rows are longer than the context.
     ///
     /// # Source
-    /// `last_hidden_state` of the reference, whose texts are all of the first segment.
+    /// `last_hidden_state` of the reference, with all texts in the first segment.
     pub(super) fn hidden(
         &self,
         config: &BertConfig,
@@ -299,7 +299,7 @@ impl BertText {
     }
 }
 
-/// The name of a norm's weight or bias in files that were converted from TensorFlow.
+/// The name of a layer norm's weight or bias in files converted from TensorFlow.
 fn former(name: &str) -> String {
     name.replace("LayerNorm.weight", "LayerNorm.gamma")
         .replace("LayerNorm.bias", "LayerNorm.beta")

@@ -1,4 +1,4 @@
-//! CLIP as an encoder of instructions.
+//! CLIP as encoder of instructions.
 
 use std::path::{Path, PathBuf};
 
@@ -21,21 +21,21 @@ const TOKENIZERS: [&str; 3] = [
     "merges.txt",
 ];
 
-/// A published CLIP.
+/// A published CLIP model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ClipModel {
-    /// ViT-B/32, which MotionReFit and MDM use: texts of 512 numbers.
+    /// ViT-B/32, used by MotionReFit and MDM; its text vectors have width 512.
     VitB32,
-    /// ViT-L/14, which TMED and MLD use: texts of 768 numbers.
+    /// ViT-L/14, used by TMED and MLD; its text vectors have width 768.
     VitL14,
 }
 
 impl ClipModel {
-    /// Every model.
+    /// All supported models.
     pub const ALL: [ClipModel; 2] = [Self::VitB32, Self::VitL14];
 
-    /// The name used in configurations.
+    /// The model's name in configurations.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::VitB32 => "vit-b32",
@@ -51,7 +51,7 @@ impl ClipModel {
         }
     }
 
-    /// The sizes of its text tower.
+    /// The sizes of the model's text tower.
     pub fn config(self) -> ClipConfig {
         match self {
             Self::VitB32 => ClipConfig::vit_b_32(),
@@ -60,10 +60,10 @@ impl ClipModel {
     }
 }
 
-/// The files of a CLIP.
+/// The files of a CLIP model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClipFiles {
-    /// Weights: safetensors, or a file of `torch.save`. The vision tower may be among them.
+    /// Weights: safetensors or a file of `torch.save`, possibly with the vision tower.
     pub weights: PathBuf,
     /// Tokenizer file for [`ClipTokenizer::read`].
     pub tokenizer: PathBuf,
@@ -73,7 +73,7 @@ impl ClipFiles {
     /// Finds the files in a folder by their usual names.
     ///
     /// # Errors
-    /// One is missing.
+    /// A file is missing.
     pub fn in_folder(folder: &Path) -> Result<Self, Error> {
         Self::find(folder, file_in(folder))
     }
@@ -81,7 +81,7 @@ impl ClipFiles {
     /// Finds the files in the cache of Hugging Face's tools. Nothing is downloaded.
     ///
     /// # Errors
-    /// One is missing.
+    /// A file is missing.
     pub fn in_cache(model: ClipModel, cache: &HubCache) -> Result<Self, Error> {
         Self::find(&cache.folder(model.repo()), |name| {
             cache.find(model.repo(), name)
@@ -95,8 +95,7 @@ impl ClipFiles {
         })
     }
 
-    /// Downloads the files into the cache, where they are not there yet, as
-    /// [`HubCache::fetch`] does.
+    /// Downloads missing files into the cache, as [`HubCache::fetch`] does.
     ///
     /// # Errors
     /// A download fails, or the server lacks a file.
@@ -119,7 +118,7 @@ impl ClipFiles {
         };
         Ok(Self {
             weights: first("weights", &WEIGHTS)?,
-            // The list of merges holds the same; it is the fallback without the vocabulary.
+            // The list of merges is equivalent; it is the fallback if the vocabulary is missing.
             tokenizer: first("tokenizer", &TOKENIZERS[..1])?,
         })
     }
@@ -134,10 +133,10 @@ pub struct ClipEncoder {
 }
 
 impl ClipEncoder {
-    /// Reads a model onto a device; [`ClipModel::config`] has the sizes of the published ones.
+    /// Loads a model onto a device; [`ClipModel::config`] has the sizes of the published models.
     ///
     /// # Errors
-    /// A file cannot be read, differs from its checksum, or is not of this size.
+    /// A file cannot be read, differs from its checksum, or has other sizes.
     pub fn load(config: &ClipConfig, files: &ClipFiles, device: &Device) -> Result<Self, Error> {
         let path = &files.weights;
         let bytes = read_weights(path, &["text_model.", "text_projection."])?;
@@ -152,13 +151,13 @@ impl ClipEncoder {
         Self::new(network, tokenizer)
     }
 
-    /// Joins a network with a tokenizer of its vocabulary.
+    /// Joins a network with a tokenizer for its vocabulary.
     ///
     /// # Errors
     /// The weights cannot be hashed.
     pub fn new(network: ClipText, tokenizer: ClipTokenizer) -> Result<Self, Error> {
         let mut hasher = blake3::Hasher::new();
-        // Hash the serialised network: equal weights give equal bytes, whatever their file format.
+        // Hash the serialised network, because equal weights then have equal bytes, whatever their file format.
         hasher.update_rayon(&to_safetensors(&network, Path::new("weights of CLIP"))?);
         tokenizer.hash_into(&mut hasher)?;
         Ok(Self {
@@ -169,11 +168,11 @@ impl ClipEncoder {
     }
 }
 
-/// Pooled vectors are projected and not normalised; the states are the last hidden ones.
+/// Pooled vectors are projected and not normalised; states are the last hidden states.
 ///
 /// # Source
-/// `encode_text` of OpenAI's CLIP, in single precision, and `last_hidden_state` of `CLIPTextModel`, without padding: a
-/// token does not see those after it.
+/// `encode_text` of OpenAI's CLIP, in single precision, and `last_hidden_state` of `CLIPTextModel`, without padding,
+/// which causal attention does not need.
 impl FrozenText for ClipEncoder {
     fn hash(&self) -> &str {
         &self.identity

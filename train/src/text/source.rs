@@ -1,4 +1,4 @@
-//! Where a frozen text encoder is found, and the vectors of instructions.
+//! Sources of frozen text encoders, and of the vectors of instructions.
 
 use std::path::{Path, PathBuf};
 
@@ -13,23 +13,23 @@ use crate::config::{BertVectors, TextConfig, TextEncoder};
 use crate::model::denoiser::TEXT_DIVISOR;
 use crate::{Error, Session};
 
-/// Table of the instructions a run was trained with, in its folder.
+/// Table of the run's training instructions, in the run folder.
 pub(crate) const EMBEDDINGS: &str = "embeddings.safetensors";
 
-/// Where a frozen text encoder is found.
+/// Where a frozen text encoder is loaded from.
 #[derive(Clone, Debug, Default)]
 pub struct TextEncoderSource {
-    /// Given by the user: the folder of CLIP or of BERT, or a table of vectors.
+    /// Path given by the user: the folder of a CLIP or BERT model, or a table of vectors.
     pub given: Option<PathBuf>,
-    /// Cache of the Hugging Face hub, searched for CLIP otherwise.
+    /// Cache of the Hugging Face hub, which is searched for CLIP if no path is given.
     pub cache: Option<HubCache>,
 }
 
 impl TextEncoderSource {
-    /// Loads a CLIP.
+    /// Loads a CLIP model.
     ///
     /// # Errors
-    /// No place is known, a file is missing, damaged or of another CLIP.
+    /// Neither a path nor a cache is given, or a file is missing, damaged or of another CLIP model.
     pub fn load(&self, model: ClipModel, device: &Device) -> Result<ClipEncoder, Error> {
         let files = match (&self.given, &self.cache) {
             (Some(folder), _) => ClipFiles::in_folder(folder)?,
@@ -43,10 +43,10 @@ impl TextEncoderSource {
         ClipEncoder::load(&model.config(), &files, device)
     }
 
-    /// Loads the BERT whose folder the user names.
+    /// Loads the BERT model from the folder that the user gave.
     ///
     /// # Errors
-    /// No folder is named, or it holds none.
+    /// No folder is given, or it does not hold a supported model.
     pub fn load_bert(&self, device: &Device) -> Result<BertEncoder, Error> {
         let folder = self.given.as_ref().filter(|given| given.is_dir());
         let folder = folder.ok_or_else(|| {
@@ -59,13 +59,13 @@ impl TextEncoderSource {
         BertEncoder::load(&BertFiles::in_folder(folder)?, device)
     }
 
-    /// Vectors of texts, one each, of the encoder that settings name; none where it is trained. `clip` is the CLIP that the
-    /// model uses. Vectors of CLIP and BERT are in the run folder, or computed; those of another encoder are in the table
-    /// that the user names, or in the run folder.
+    /// One vector for each text, from the encoder that the settings select; none if that encoder is trained with the
+    /// model. `clip` is the CLIP model in use. Vectors of CLIP and BERT are read from the run folder or computed; those
+    /// of another encoder are in the user's table or the run folder.
     ///
     /// # Errors
-    /// As [`Self::load`] and [`Self::load_bert`], a text cannot be encoded, or the table lacks one or contradicts that
-    /// of the run folder.
+    /// As [`Self::load`] and [`Self::load_bert`], a text cannot be encoded, or the table lacks a text, or differs from
+    /// that of the run folder.
     pub(crate) fn embeddings(
         &self,
         run: &Path,
@@ -92,9 +92,9 @@ impl TextEncoderSource {
         table.map(Some)
     }
 
-    /// Vectors of BERT. With `rms`, the pooled ones, scaled so that the numbers of each have that root mean square;
-    /// unscaled they are about a hundred times smaller than what a network learns for words. Without, the states of
-    /// tokens.
+    /// Vectors of BERT. With `rms`, these are the pooled vectors, scaled so that the elements of each have this root
+    /// mean square; without scaling they are about a hundred times smaller than learned word vectors. Without `rms`,
+    /// these are the token states.
     fn bert(
         &self,
         run: &Path,
@@ -137,9 +137,9 @@ impl TextEncoderSource {
         Ok(table)
     }
 
-    /// The vectors of texts for a model that reads tokens, none where they are trained: the last hidden states of CLIP
-    /// ViT-L/14, or of BERT its states or, as a single token, its pooled vector. Those of the run folder if it holds all of
-    /// them, else computed.
+    /// The vectors of texts for a model that reads tokens; none if they are trained with the model. They are the last
+    /// hidden states of CLIP ViT-L/14, or for BERT its states or, as a single token, its pooled vector. The run
+    /// folder's table is used if it holds all texts; otherwise the vectors are computed.
     ///
     /// # Errors
     /// As [`Self::load`] and [`Self::load_bert`], or a text cannot be encoded.
@@ -171,9 +171,9 @@ impl TextEncoderSource {
         table.map(Some)
     }
 
-    /// The table of the run folder if it holds all texts, else one that a loaded encoder computes. Where the user names an
-    /// encoder, a table of another one, which a training that failed may have left, does not count. Vectors are scaled to
-    /// `rms`, where it is given.
+    /// The run folder's table if it holds all texts; otherwise a table that a loaded encoder computes. If the user gave
+    /// an encoder, a table from another one, left by a failed training, is ignored. Vectors are scaled to `rms`, if it
+    /// is given.
     fn computed<E: FrozenText>(
         &self,
         run: &Path,
@@ -200,7 +200,7 @@ impl TextEncoderSource {
         let encoder = match (stored, &self.given) {
             (Some(table), None) => return Ok(table),
             (Some(table), Some(_)) => {
-                // The named encoder may be for another model of the same command.
+                // The given encoder may be for another model of the same command.
                 let Ok(encoder) = load() else {
                     return Ok(table);
                 };

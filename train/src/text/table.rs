@@ -1,4 +1,4 @@
-//! Embeddings of instructions, made once.
+//! Tables of text embeddings, computed once and stored.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
@@ -15,7 +15,7 @@ use crate::model::torch::StoredTensor;
 const BATCH_LEN: usize = 64;
 const NAMED_TEXTS: usize = 3;
 const FORMAT: u32 = 1;
-/// The only key of the file's metadata: several would be written in no fixed order.
+/// The only key of the file's metadata, because the order of several keys would vary.
 const METADATA_KEY: &str = "stance";
 const VECTORS: &str = "embeddings";
 const TEXTS: &str = "texts";
@@ -24,12 +24,12 @@ const LENGTHS: &str = "lengths";
 /// Text embeddings: one vector for each text, or one for each token of a text.
 ///
 /// # Shapes
-/// `[N, d]`. Texts are in alphabetical order. N counts the texts, or the tokens of all texts.
+/// `[N, d]`, with texts in alphabetical order; N is the number of texts, or of the tokens of all texts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmbeddingTable {
     encoder: String,
     texts: Vec<String>,
-    /// Row after the last of each text.
+    /// Index after the last row of each text.
     ends: Vec<usize>,
     width: usize,
     values: Vec<f32>,
@@ -44,8 +44,8 @@ struct Metadata {
 }
 
 impl EmbeddingTable {
-    /// Encodes texts, each once: their pooled vectors, or those of every token. `progress` receives the number of
-    /// finished texts and the total.
+    /// Encodes texts, without duplicates: their pooled vectors, or the vectors of all tokens. `progress` receives the
+    /// number of finished texts and the total.
     ///
     /// # Errors
     /// A text cannot be encoded.
@@ -58,7 +58,7 @@ impl EmbeddingTable {
         let texts: Vec<&str> = BTreeSet::from_iter(texts).into_iter().collect();
         let width = encoder.width(vectors);
         let mut rows = vec![Vec::new(); texts.len()];
-        // Batches of texts of about one length, because a row costs what the longest one costs.
+        // Batches contain texts of similar length, because the longest row determines the cost of all.
         let mut order: Vec<usize> = (0..texts.len()).collect();
         order.sort_by_key(|&index| texts[index].len());
         let mut done = 0;
@@ -80,8 +80,8 @@ impl EmbeddingTable {
         })
     }
 
-    /// The table with every vector scaled so that its numbers have this root mean square. The name of its encoder says so:
-    /// other vectors have another name.
+    /// Scales every vector so that its elements have this root mean square. The name of the encoder records the
+    /// scaling, so that scaled and unscaled tables are distinguished.
     pub(crate) fn scaled_to(mut self, rms: f64) -> Self {
         let length = rms * (self.width as f64).sqrt();
         for row in self.values.chunks_exact_mut(self.width.max(1)) {
@@ -97,13 +97,14 @@ impl EmbeddingTable {
         self
     }
 
-    /// A table of vectors that another program computed, in the order of `texts`.
+    /// A table of vectors computed by another program, in the order of `texts`.
     ///
     /// # Shapes
     /// `values` `[N, d]` for `N` texts.
     ///
     /// # Errors
-    /// There are no texts, a text is listed twice, the numbers are not one row for each text, or a number is not finite.
+    /// There are no texts, a text is listed twice, the number of values does not match the number of texts, or a number
+    /// is not finite.
     pub fn of_vectors(encoder: &str, texts: &[String], values: &[f32]) -> Result<Self, Error> {
         let problem = |problem: String| {
             Error::Refused(format!(
@@ -134,7 +135,7 @@ impl EmbeddingTable {
         })
     }
 
-    /// A text whose vectors in the two tables differ.
+    /// The first text whose vectors differ between two tables.
     pub(crate) fn contradiction(&self, other: &Self) -> Option<String> {
         let differs = |text: &&String| {
             let theirs = other.get(text);
@@ -153,15 +154,15 @@ impl EmbeddingTable {
         &self.texts
     }
 
-    /// Numbers of a vector.
+    /// Width of a vector.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// The vector of a text, letter for letter; or those of its tokens.
+    /// The vector of a text, or the vectors of its tokens. The text must match exactly.
     ///
     /// # Shapes
-    /// `[d]`, or `[T, d]` of `T` tokens.
+    /// `[d]`, or `[T, d]` for `T` tokens.
     pub fn get(&self, text: &str) -> Option<&[f32]> {
         let row = self
             .texts
@@ -171,10 +172,10 @@ impl EmbeddingTable {
         Some(&self.values[first * self.width..self.ends[row] * self.width])
     }
 
-    /// Checks that the table has every text, as a run does before it starts.
+    /// Checks that the table contains every text, as a run does before it starts.
     ///
     /// # Errors
-    /// It lacks some; the error names the first of them.
+    /// Texts are missing; the error names the first ones.
     pub fn check_texts<'a>(&self, texts: impl IntoIterator<Item = &'a str>) -> Result<(), Error> {
         let missing: BTreeSet<&str> = texts
             .into_iter()
@@ -193,7 +194,7 @@ impl EmbeddingTable {
         })
     }
 
-    /// BLAKE3 of the texts and vectors, for a run to record what it was trained with.
+    /// BLAKE3 of the texts and vectors; a run records it as the identity of its training texts.
     pub fn hash(&self) -> String {
         self.content_hash(&self.texts_document())
     }
@@ -216,7 +217,7 @@ impl EmbeddingTable {
         serde_json::to_vec(&self.texts).expect("a list of texts serialises")
     }
 
-    /// Tokens of each text as a JSON list; none where every text has one vector.
+    /// Number of tokens in each text as a JSON list; none if every text has one vector.
     fn lengths_document(&self) -> Option<Vec<u8>> {
         let starts = std::iter::once(0).chain(self.ends.iter().copied());
         let lengths: Vec<usize> = self.ends.iter().zip(starts).map(|(e, s)| e - s).collect();
@@ -226,8 +227,8 @@ impl EmbeddingTable {
             .then(|| serde_json::to_vec(&lengths).expect("a list of numbers serialises"))
     }
 
-    /// Writes the table as one safetensors file: the vectors as `embeddings`, and as `texts` the
-    /// bytes of a JSON list; of tokens, their numbers as `lengths`. Equal tables give equal bytes.
+    /// Writes the table as one safetensors file: the vectors as `embeddings`, the bytes of a JSON list of the texts as
+    /// `texts`, and for token vectors the numbers of tokens as `lengths`. Equal tables give equal bytes.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -302,7 +303,7 @@ impl EmbeddingTable {
             let problem = format!("BLAKE3 {found}, recorded {}", metadata.blake3);
             return Err(malformed(path, problem));
         }
-        // The hash vouches for what was written; these are what lookups rely on.
+        // The hash only shows that the file is as it was written; lookups rely on these properties.
         let sorted = table.texts.is_sorted_by(|a, b| a < b);
         let rows = table.ends.last().copied().unwrap_or(0);
         let belong = table.ends.len() == table.texts.len();

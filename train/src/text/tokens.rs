@@ -1,4 +1,4 @@
-//! CLIP's tokens.
+//! CLIP's tokenizer.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -11,22 +11,22 @@ use tokenizers::Tokenizer;
 use crate::Error;
 use crate::vocabulary::TokenBatch;
 
-/// Names of the start and end tokens in Hugging Face's and in open_clip's files.
+/// Names of the start and end tokens in files of Hugging Face and open_clip.
 const START_NAMES: [&str; 2] = ["<|startoftext|>", "<start_of_text>"];
 const END_NAMES: [&str; 2] = ["<|endoftext|>", "<end_of_text>"];
 const WORD_END: &str = "</w>";
-/// Merges of CLIP's vocabulary of 49,408: all but 512 bytes, the start and the end. OpenAI's list
-/// is longer.
+/// Number of merges in CLIP's vocabulary of 49,408, which also has 512 byte tokens, start and end. OpenAI's list of
+/// merges is longer.
 const NUM_MERGES: usize = 49_152 - 256 - 2;
 /// Regular expression that splits a text into words, which are encoded one by one.
 const WORDS: &str = r"'s|'t|'re|'ve|'m|'ll|'d|[\p{L}]+|[\p{N}]|[^\s\p{L}\p{N}]+";
 const MAX_MERGES_LEN: u64 = 64 << 20;
 const GZIP_MAGIC: &[u8] = &[0x1f, 0x8b];
-/// Probe text for tokenizers that share a vocabulary: case, contractions, digits, punctuation, white
-/// space, and letters beyond ASCII.
+/// Text on which equal tokenizers must agree, besides having the same vocabulary: upper case, contractions, digits,
+/// punctuation, white space, and non-ASCII letters.
 pub(super) const PROBE: &str = "Raise  it's 2nd\tArm, café 90°-ÉÅ &amp; \u{1f600}!";
 
-/// Byte-pair encoding used by CLIP.
+/// The byte-pair encoding of CLIP.
 #[derive(Clone, Debug)]
 pub struct ClipTokenizer {
     tokenizer: Tokenizer,
@@ -39,12 +39,12 @@ impl ClipTokenizer {
     /// `merges.txt`.
     ///
     /// # Errors
-    /// The file cannot be read, or is none of these.
+    /// The file cannot be read, or has another format.
     pub fn read(path: &Path) -> Result<Self, Error> {
         Self::parse(&remote_store::hub::read_checked(path)?, path)
     }
 
-    /// [`ClipTokenizer::read`] of a file's content; `path` names the file in errors.
+    /// Like [`ClipTokenizer::read`], from a file's content; `path` names the file in errors.
     ///
     /// # Errors
     /// As [`ClipTokenizer::read`].
@@ -68,7 +68,7 @@ impl ClipTokenizer {
         let document = document.transpose().map_err(failed)?;
         let tokenizer = Tokenizer::from_bytes(document.as_deref().unwrap_or(content));
         let mut tokenizer = tokenizer.map_err(|error| failed(error.to_string()))?;
-        // Truncate and pad here, in the same way for every file.
+        // Truncation and padding are done here, in the same way for every file.
         tokenizer
             .with_truncation(None)
             .map_err(|error| failed(error.to_string()))?;
@@ -89,21 +89,21 @@ impl ClipTokenizer {
         })
     }
 
-    /// Number of the end token.
+    /// Id of the end token.
     pub fn end(&self) -> i32 {
         self.end
     }
 
-    /// Number of tokens, start and end included.
+    /// Number of tokens in the vocabulary, including start and end.
     pub fn num_tokens(&self) -> usize {
         self.tokenizer.get_vocab_size(true)
     }
 
-    /// The tokens of a text between the start and the end token, truncated to `context` tokens; the end
-    /// token is kept.
+    /// The start token, the tokens of a text and the end token, truncated to `context` tokens; the end token is always
+    /// kept.
     ///
     /// # Errors
-    /// The tokenizer of the file fails on the text.
+    /// The file's tokenizer fails on the text.
     pub fn encode(&self, text: &str, context: usize) -> Result<Vec<i32>, Error> {
         let clean = unescape(&unescape(text));
         let encoding = self.tokenizer.encode_fast(clean.trim(), false);
@@ -117,7 +117,8 @@ impl ClipTokenizer {
             .collect())
     }
 
-    /// The tokens of several texts, padded to the longest of them by zeros, as OpenAI pads, and at most `context` long.
+    /// The tokens of several texts, truncated to `context` tokens and padded with zeros to the longest text, as
+    /// OpenAI's code pads.
     ///
     /// # Shapes
     /// `B` texts give `[B, T]`.
@@ -132,13 +133,13 @@ impl ClipTokenizer {
         Ok(TokenBatch::of(&rows))
     }
 
-    /// Hashes what determines tokenisation. The same vocabulary as JSON or as a list of merges hashes
-    /// alike.
+    /// Hashes everything that determines tokenisation. The same vocabulary has the same hash as JSON and as a list of
+    /// merges.
     ///
     /// # Errors
     /// As [`ClipTokenizer::encode`].
     pub(crate) fn hash_into(&self, hasher: &mut blake3::Hasher) -> Result<(), Error> {
-        // Hash special tokens by number: their names differ between files.
+        // Special tokens are hashed by id, because their names differ between files.
         let special = [self.start, self.end].map(i64::from);
         for (id, token) in vocabulary_of(&self.tokenizer) {
             if !special.contains(&i64::from(id)) {
@@ -154,22 +155,22 @@ impl ClipTokenizer {
     }
 }
 
-/// The tokens of a vocabulary by their numbers.
+/// The tokens of a vocabulary by their ids.
 pub(super) fn vocabulary_of(tokenizer: &Tokenizer) -> BTreeMap<u32, String> {
     let vocabulary = tokenizer.get_vocab(false).into_iter();
     vocabulary.map(|(token, id)| (id, token)).collect()
 }
 
-/// The `tokenizer.json` of a list of merges, as bytes.
+/// Converts a list of merges to the bytes of a `tokenizer.json`.
 ///
 /// # Source
-/// `simple_tokenizer.py` of OpenAI's CLIP: the vocabulary is 256 bytes, the same as ends of words,
-/// the merges, start and end; texts are put in lower case with single spaces. The JSON is that of
+/// `simple_tokenizer.py` of OpenAI's CLIP: the vocabulary consists of 256 bytes, the same bytes as ends of words, the
+/// merges, start and end; texts are converted to lower case with single spaces. The JSON is that of
 /// `openai/clip-vit-base-patch32`.
 fn document_of_merges(text: &str) -> Result<Vec<u8>, String> {
     let merges: Vec<(&str, &str)> = text
         .lines()
-        // The first line is a version.
+        // The first line is a version comment.
         .skip(1)
         .filter(|line| !line.is_empty())
         .take(NUM_MERGES)
@@ -239,7 +240,7 @@ fn byte_letters() -> Vec<char> {
 /// Replaces HTML character references: numeric ones, and the few names that occur in captions. All other text stays
 /// unchanged.
 fn unescape(text: &str) -> String {
-    /// Longest reference looked for, as in `&#x10ffff;`.
+    /// Maximum length of a reference, as in `&#x10ffff;`.
     const MAX_LEN: usize = 10;
     let mut out = String::with_capacity(text.len());
     let mut rest = text;
@@ -294,7 +295,7 @@ pub(crate) mod tests {
 
     use super::*;
 
-    /// A vocabulary of six merges.
+    /// A list with six merges.
     pub(crate) const MERGES: &str = "#version: 0.2\na r\nar m</w>\nl e\nle f\nlef t</w>\nu p</w>\n";
 
     fn small() -> ClipTokenizer {
@@ -304,18 +305,18 @@ pub(crate) mod tests {
     #[test]
     fn merges_are_applied_to_words_in_lower_case() {
         let tokenizer = small();
-        // 512 bytes, then the merges in their order, then start and end.
+        // The vocabulary has 512 bytes, then the merges in order, then start and end.
         let (arm, left, up, start, end) = (513, 516, 517, 518, 519);
         assert_eq!(tokenizer.num_tokens(), 520);
         assert_eq!(
             tokenizer.encode(" LEFT  arm\nup ", 77).expect("encoded"),
             [start, left, arm, up, end]
         );
-        // A single letter is its byte at the end of a word: 256 plus its place in the alphabet.
+        // A single letter is its byte as the end of a word: 256 plus the byte's position in the vocabulary.
         let a = 256 + i32::from(b'a' - b'!');
         assert_eq!(tokenizer.encode("a", 77).expect("encoded"), [start, a, end]);
         assert_eq!(tokenizer.encode("", 77).expect("encoded"), [start, end]);
-        // The end token is kept where the text is cut.
+        // The end token is kept if the text is truncated.
         assert_eq!(
             tokenizer.encode("arm arm arm arm", 4).expect("encoded"),
             [start, arm, arm, end]

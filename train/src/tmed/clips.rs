@@ -1,4 +1,4 @@
-//! Batches of whole clips before and after an edit, for the network.
+//! Batches of whole clips, before and after an edit, for TMED's network.
 
 use std::sync::Arc;
 
@@ -16,26 +16,26 @@ use crate::error::motion_error;
 use crate::features::Moments;
 use crate::sample::noise::normal;
 
-/// Clips of both splits that statistics are taken of; more hardly change them.
+/// Number of clips of both splits from which statistics are computed; more clips hardly change them.
 const STATISTICS_CLIPS: u64 = 4_096;
 
-/// A motion, an instruction and the motion it leads to, which may have another length.
+/// A motion, an instruction, and the edited motion, which may have another length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClipEdit {
     /// The instruction.
     pub instruction: String,
     /// The motion before the edit.
     pub source: Motion,
-    /// The motion after it.
+    /// The motion after the edit.
     pub target: Motion,
 }
 
-/// Training clips; a clip is equal each time it is read.
+/// Training clips. Repeated reads of a clip give equal results.
 pub trait ClipSource: Sync {
-    /// Clips of an epoch.
+    /// Number of clips in an epoch.
     fn num_clips(&self) -> u64;
 
-    /// A clip of an epoch.
+    /// Reads a clip of an epoch.
     ///
     /// # Errors
     /// Its motions cannot be read.
@@ -79,7 +79,7 @@ impl ClipSource for CapturedPairs {
 /// Mean and standard deviation of the features of all motions of clips.
 ///
 /// # Errors
-/// There is no clip, or a motion cannot be brought to the rate.
+/// There is no clip, or a motion cannot be resampled.
 pub(crate) fn statistics(
     sources: &[&dyn ClipSource],
     fps: Fps,
@@ -111,24 +111,24 @@ pub(crate) fn statistics(
     Ok(FeatureStatistics::of(&sum))
 }
 
-/// `B` clips with everything a training step draws.
+/// `B` clips, with all random draws of a training step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClipBatch {
-    /// Normalised source motions, `[B, S, 207]`, whose last frame is repeated behind their end.
+    /// Normalised source motions, `[B, S, 207]`, padded with copies of the last frame.
     pub source: Vec<f32>,
-    /// Frames of each source, `[B]`.
+    /// Number of frames in each source, `[B]`.
     pub source_frames: Vec<usize>,
     /// Whether the network sees each source, `[B]`.
     pub source_is_shown: Vec<bool>,
-    /// Normalised target motions, `[B, T, 207]`, whose last frame is repeated behind their end.
+    /// Normalised target motions, `[B, T, 207]`, padded with copies of the last frame.
     pub target: Vec<f32>,
-    /// Frames of each target, `[B]`.
+    /// Number of frames in each target, `[B]`.
     pub target_frames: Vec<usize>,
     /// Standard normal noise, `[B, T, 207]`.
     pub noise: Vec<f32>,
     /// Diffusion step of each clip, `[B]`.
     pub timesteps: Vec<usize>,
-    /// Instructions; a hidden one is the empty text.
+    /// Instructions; a hidden instruction is the empty text.
     pub texts: TextBatch,
 }
 
@@ -140,8 +140,7 @@ impl ClipBatch {
     }
 }
 
-/// Draws batches of clips. Everything drawn for a clip depends on the seed and its place in the run
-/// alone.
+/// Draws batches of clips. The draws for a clip depend only on the seed and the clip's index in the run.
 #[derive(Clone, Copy)]
 pub(crate) struct ClipSampler<'a> {
     pub(crate) source: &'a dyn ClipSource,
@@ -165,7 +164,7 @@ struct Drawn {
 }
 
 impl ClipSampler<'_> {
-    /// The clips `first..first + count` of the run. The count goes on from one epoch to the next.
+    /// The clips `first..first + count` of the run; the numbering continues across epochs.
     pub(crate) fn draw(&self, first: u64, count: usize) -> Result<ClipBatch, Error> {
         let num_clips = self.source.num_clips();
         if num_clips == 0 {
@@ -202,7 +201,7 @@ impl ClipSampler<'_> {
         })
     }
 
-    /// The clips of an epoch in the order they are shown.
+    /// The clips of an epoch in shuffled order.
     fn order(&self, epoch: u64) -> Vec<u64> {
         let mut order: Vec<u64> = (0..self.source.num_clips()).collect();
         order.shuffle(&mut self.seed.rng(&["epoch order", &epoch.to_string()]));
@@ -244,8 +243,7 @@ impl ClipSampler<'_> {
     }
 }
 
-/// Motions of different lengths as one array `[B, T, 207]`, the last frame of each repeated, and their
-/// lengths.
+/// Motions of different lengths as one array `[B, T, 207]`, padded with copies of the last frames, and their lengths.
 fn padded<'a>(motions: impl Iterator<Item = &'a [FeatureFrame]> + Clone) -> (Vec<f32>, Vec<usize>) {
     let lengths: Vec<usize> = motions.clone().map(<[FeatureFrame]>::len).collect();
     let longest = lengths.iter().copied().max().unwrap_or(0);
@@ -265,7 +263,7 @@ mod tests {
     use crate::config::Preset;
     use crate::vocabulary::Vocabulary;
 
-    /// Clips of 4 and more frames, whose source and target differ in length.
+    /// Clips of at least 4 frames, whose source and target differ in length.
     struct Lines(u64);
 
     fn line(frames: u64, speed: f64) -> Motion {
@@ -329,7 +327,7 @@ mod tests {
                 let own = |values: &[f32]| values[row * stride..][..frames * NUM_FEATURES].to_vec();
                 assert_eq!(one.target, own(&whole.target));
                 assert_eq!(one.noise, own(&whole.noise));
-                // The last frame is repeated.
+                // The last frame is repeated as padding.
                 let (row, width) = (&whole.target[row * stride..][..stride], NUM_FEATURES);
                 let last = &row[(frames - 1) * width..frames * width];
                 assert!(
@@ -354,7 +352,7 @@ mod tests {
                     .count(),
             );
             let silent = share(batch.texts.lengths().iter().filter(|&&n| n == 0).count());
-            // 1 - 0.95 * 0.5, within five standard deviations.
+            // The expected share is 1 - 0.95 * 0.5; the tolerance is five standard deviations.
             for found in [hidden, silent] {
                 assert!((found - 0.525).abs() < 0.056, "{found}");
             }

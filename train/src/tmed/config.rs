@@ -22,37 +22,37 @@ pub struct TmedConfig {
     pub data: ClipData,
     /// Frame rate of the motions.
     pub fps: Fps,
-    /// Frames at that rate after which training clips are cut.
+    /// Maximum length of training clips, in frames at that rate; longer clips are truncated.
     pub max_frames: usize,
-    /// Splits whose motions the features are normalised by.
+    /// Splits from whose motions the normalisation of the features is computed.
     pub statistics: StatisticsSplits,
     /// Diffusion and guidance.
     pub diffusion: TmedDiffusion,
-    /// Clips in a validation.
+    /// Number of clips in a validation.
     pub val_clips: usize,
     /// Settings that every training run has.
     #[serde(flatten)]
     pub run: RunSettings,
 }
 
-/// Clips that TMED is trained on.
+/// Clips for training TMED.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ClipData {
     /// The captured pairs of the dataset, whose motions may differ in length (released code).
     Pairs,
-    /// Whole clips of the composer: MotionCutMix, or fixed pairs by the rule of SINC where its settings
-    /// say `fixed_pairs`.
+    /// Whole clips of the composer: MotionCutMix, or, if its settings say `fixed_pairs`, fixed pairs by the rule of
+    /// SINC.
     Composed,
 }
 
-/// Splits whose motions the features are normalised by.
+/// Splits from whose motions the normalisation of the features is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StatisticsSplits {
-    /// The training split.
+    /// Only the training split.
     Train,
-    /// The validation split too (released code).
+    /// The training and the validation split (released code).
     TrainAndVal,
 }
 
@@ -60,14 +60,14 @@ pub enum StatisticsSplits {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TmedDiffusion {
-    /// Diffusion steps.
+    /// Number of diffusion steps.
     pub num_steps: usize,
-    /// Probability of hiding the instruction while training.
+    /// Probability of hiding the instruction in training.
     pub text_dropout: f64,
-    /// Probability of hiding the source.
+    /// Probability of hiding the source in training.
     pub source_dropout: f64,
-    /// Probability of dropping both instruction and source, in addition to the single ones. The released settings say 5
-    /// %, and its code makes it 15 %.
+    /// Probability of hiding both instruction and source, in addition to the separate probabilities. The released
+    /// settings say 5 %, but the code applies 15 %.
     pub both_dropout: f64,
     /// Guidance weight of the instruction.
     pub guidance: f64,
@@ -75,14 +75,14 @@ pub struct TmedDiffusion {
     pub source_guidance: f64,
     /// Position of the target in the position table.
     pub places: TargetPlaces,
-    /// Input in place of the source for guidance without a source.
+    /// Input that replaces the source for guidance without a source.
     pub no_source: NoSource,
-    /// Start of an edit.
+    /// Starting point of an edit's sampling.
     pub start: EditStart,
-    /// Number of steps of an edit; if none, that of training.
+    /// Number of steps of an edit; by default that of training.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub edit_steps: Option<usize>,
-    /// Selection of steps when an edit uses fewer than training.
+    /// Selection of steps if an edit uses fewer than training.
     pub respacing: Respacing,
 }
 
@@ -90,42 +90,41 @@ pub struct TmedDiffusion {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TargetPlaces {
-    /// Behind the longest source of the batch, so that a target's places depend on what else is in the
-    /// batch (released code).
+    /// After the longest source of the batch, so a target's positions depend on the rest of its batch (released code).
     Padded,
-    /// Behind its own source, as while editing.
+    /// After the target's own source, as while editing.
     Own,
 }
 
-/// Input of the network in place of the source, for guidance without a source.
+/// Input of the network that replaces the source for guidance without a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum NoSource {
-    /// A hidden source, as in training.
+    /// A masked source, as in training.
     Hidden,
     /// Frames of zeros (released code).
     Zeros,
 }
 
-/// Start of an edit.
+/// Starting point of an edit's sampling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EditStart {
-    /// Noise.
+    /// Sampling starts from noise.
     Noise,
-    /// The normalised source without noise, cut to the length of the edit or filled up with zeros
-    /// (`init_from=source` of the released code).
+    /// Sampling starts from the normalised source without noise, truncated to the length of the edit or padded with
+    /// zeros (`init_from=source` of the released code).
     Source,
 }
 
 impl TmedConfig {
-    /// The named settings.
+    /// The settings of a preset.
     ///
     /// # Source
-    /// `Official`: the released code, with its defects (`baselines` A1), and the guidance weights of its
-    /// README. `Paper`: the same network without them, on the composer's clips, trained as the
-    /// MotionReFit paper trains every system: 1,500 epochs in batches of 1,024. `Tiny`: our choice, for a few hundred
-    /// clips and two processor cores.
+    /// `Official`: the released code, including its defects (`baselines` A1), with the guidance weights of its README.
+    /// `Paper`: the same network without these defects, trained on the composer's clips like every system of the
+    /// MotionReFit paper: 1,500 epochs in batches of 1,024. `Tiny`: our choice, for a few hundred clips and two
+    /// processor cores.
     pub fn preset(preset: Preset) -> Self {
         match preset {
             Preset::Paper => Self::paper(),
@@ -222,7 +221,7 @@ impl TmedConfig {
         }
     }
 
-    /// Checks that the settings can be trained with.
+    /// Checks that the settings allow training.
     ///
     /// # Errors
     /// A setting is out of range.
@@ -241,7 +240,7 @@ impl TmedConfig {
         self.text.check_words()
     }
 
-    /// Places of the position table that are kept for a text.
+    /// Number of positions in the position table that are reserved for a text.
     pub(crate) fn text_places(&self) -> usize {
         const CLIP_TOKENS: usize = 77;
         const BERT_TOKENS: usize = 512;
@@ -263,10 +262,10 @@ impl TmedDiffusion {
         self.steps(self.edit_steps).map(|_| ())
     }
 
-    /// Number of steps of an edit: the given one, or else that of training.
+    /// The sampling steps of an edit; without `edit_steps`, as many as in training.
     ///
     /// # Errors
-    /// There is no step, or there are more than in training.
+    /// The number of steps is 0, or greater than in training.
     pub(crate) fn steps(&self, edit_steps: Option<usize>) -> Result<SampleSteps, Error> {
         let steps = edit_steps.unwrap_or(self.num_steps);
         SampleSteps::new(self.num_steps, steps, self.respacing)

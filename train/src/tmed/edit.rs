@@ -1,4 +1,4 @@
-//! TMED as an editing system: a whole motion is generated at once.
+//! TMED as an editing system, which generates a whole motion at once.
 
 use std::collections::BTreeMap;
 
@@ -117,8 +117,8 @@ pub(crate) fn open(
     }))
 }
 
-/// Name of the system in result tables where the user gives none, with settings of this edit that differ from those of
-/// the preset whose network the system has, or, if it has that of none, of its training.
+/// Default name of the system in result tables. It includes the edit's settings that differ from the usual ones: those
+/// of the preset with the system's network sizes or, without such a preset, those of its training.
 fn system_name(record: &TmedRecord, slot: Slot, settings: &TmedSettings) -> Result<String, Error> {
     let mut name = "TMED".to_owned();
     if record.train.model == TmedConfig::preset(Preset::Tiny).model {
@@ -157,9 +157,9 @@ struct Question<'a> {
     text: &'a str,
     source: Vec<FeatureFrame>,
     first: Pose,
-    /// Frames of the edit at the network's rate.
+    /// Number of frames of the edit at the network's rate.
     frames: usize,
-    /// Positions of the result's frames among the generated ones.
+    /// Positions of the result's frames between the generated frames.
     places: Vec<(usize, f64)>,
     fps: Fps,
 }
@@ -210,7 +210,7 @@ impl TmedSystem {
         known.batch(texts.iter().copied())
     }
 
-    /// Generates the edits of questions whose sources, edits and texts have one length each.
+    /// Generates edits for questions with equal lengths of sources, edits and texts.
     fn generate(
         &self,
         questions: &[&Question<'_>],
@@ -263,7 +263,7 @@ impl TmedSystem {
         Ok(values.as_chunks::<NUM_FEATURES>().0.to_vec())
     }
 
-    /// Inputs of the network; the rows of a guidance branch are consecutive.
+    /// Inputs of the network; rows of the same guidance branch are consecutive.
     fn condition(
         &self,
         questions: &[&Question<'_>],
@@ -303,7 +303,7 @@ impl TmedSystem {
 }
 
 impl Question<'_> {
-    /// The motion of generated features, with the requested rate and length.
+    /// Converts generated features to a motion with the requested rate and length.
     fn motion(
         &self,
         record: &TmedRecord,
@@ -353,7 +353,7 @@ impl EditSystem for TmedSystem {
             .par_iter()
             .map(|request| self.question(request))
             .collect::<Result<Vec<_>, Error>>()?;
-        // Group requests by length, so that results do not depend on padding.
+        // Questions are grouped by length, so that results do not depend on padding.
         let mut groups: BTreeMap<[usize; 3], Vec<usize>> = BTreeMap::new();
         for (index, question) in questions.iter().enumerate() {
             let tokens = self.tokens(&[question.text])?.lengths()[0];

@@ -1,4 +1,4 @@
-//! TMED trained elsewhere: released weights and statistics.
+//! Import of TMED trained elsewhere: released weights and statistics.
 
 use std::path::Path;
 
@@ -15,13 +15,13 @@ use crate::exchange::{encoder_sizes, read_numpy_object, write_imported};
 use crate::fit::TextRecord;
 use crate::model::weights::{from_safetensors, to_safetensors};
 
-/// Parameters that released checkpoints hold and the released network never uses.
+/// Parameters of released checkpoints that the released network never uses.
 const UNUSED: [&str; 2] = ["feat_comb_coeff", "first_pose_proj."];
 
-/// Properties of a released checkpoint that are not in its file.
+/// Properties of a released checkpoint that its file does not state.
 #[derive(Clone, Debug)]
 pub struct TmedImport {
-    /// Attention heads.
+    /// Number of attention heads.
     pub num_heads: usize,
     /// Statistics that the features were normalised with.
     pub statistics: FeatureStatistics,
@@ -29,8 +29,7 @@ pub struct TmedImport {
     pub text: TextRecord,
 }
 
-/// Makes a run folder of TMED trained elsewhere, with the released settings. Its sizes are read off the
-/// tensors.
+/// Makes a run folder of a TMED trained elsewhere, with the released settings. Sizes are read from the tensors.
 ///
 /// `weights` is a safetensors file under the released names.
 ///
@@ -57,7 +56,7 @@ pub fn import_tmed(
     let mut model = record.model(device);
     check_names(&to_safetensors(&model.denoiser, path)?, &weights, path)?;
     from_safetensors(&mut model.denoiser, weights, "", path)?;
-    // MotionFix uses another body model; here motions are posed on this program's skeleton.
+    // MotionFix uses another body model, but this program poses motions on its own skeleton.
     let skeleton = Skeleton::smplx_neutral();
     write_imported(run_dir, &skeleton, (KIND, record), &model.denoiser)
 }
@@ -77,13 +76,13 @@ fn sizes(weights: &[u8], num_heads: usize, path: &Path) -> Result<NetworkConfig,
     })
 }
 
-/// Refuses tensors that are neither the network's nor known to be unused, such as those of a network with
-/// more parts.
+/// Refuses tensors that the network lacks and that are not known to be unused, such as those of a network with more
+/// parts.
 fn check_names(ours: &[u8], theirs: &[u8], path: &Path) -> Result<(), Error> {
     let open = |bytes| SafeTensors::deserialize(bytes).map_err(|error| Error::weights(path, error));
     let (ours, theirs) = (open(ours)?, open(theirs)?);
     let is_unused = |name: &str| {
-        // Position tables are stored as "pe".
+        // Released checkpoints store position tables as "pe".
         name.ends_with(".pe") || UNUSED.iter().any(|unused| name.starts_with(unused))
     };
     match theirs
@@ -105,7 +104,7 @@ fn check_names(ours: &[u8], theirs: &[u8], path: &Path) -> Result<(), Error> {
 /// # Source
 /// `formats` section 6.
 pub fn read_released_statistics(bytes: &[u8], path: &Path) -> Result<FeatureStatistics, Error> {
-    /// The groups in their order, and their widths.
+    /// The feature groups in order, with their widths.
     const GROUPS: [(&str, usize); 5] = [
         ("body_transl_delta_pelv", 3),
         ("body_orient_xy", 6),

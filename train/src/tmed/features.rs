@@ -1,4 +1,4 @@
-//! The 207 features of TMED: conversion from and to motions.
+//! The 207 features of TMED: conversion of motions to features and back.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -12,7 +12,7 @@ use crate::Error;
 use crate::config::ensure;
 use crate::features::Moments;
 
-/// Numbers of a frame.
+/// Number of features in a frame.
 pub const NUM_FEATURES: usize = 207;
 
 /// Features of one frame.
@@ -21,11 +21,11 @@ pub type FeatureFrame = [f32; NUM_FEATURES];
 /// A group of features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FeatureGroup {
-    /// Index of its first feature.
+    /// Index of the group's first feature.
     pub start: usize,
-    /// Number of its features.
+    /// Number of features in the group.
     pub width: usize,
-    /// Whether it is a change since the frame before, which the first frame has not.
+    /// Whether the group is a change since the previous frame, which the first frame lacks.
     pub is_delta: bool,
 }
 
@@ -37,9 +37,9 @@ const fn group(start: usize, width: usize, is_delta: bool) -> FeatureGroup {
     }
 }
 
-/// The groups: translation since the frame before in its root frame, root rotation without heading,
-/// heading since the frame before, 21 body rotations, and 22 joints relative to the pelvis without
-/// heading. Rotations are the first two rows of their matrix.
+/// The groups: translation since the previous frame in the previous root coordinates, root rotation without heading,
+/// heading change since the previous frame, 21 body rotations, and 22 joints relative to the pelvis without heading.
+/// Rotations are the first two rows of their matrix.
 pub const GROUPS: [FeatureGroup; 5] = [
     group(0, 3, true),
     group(3, 6, false),
@@ -62,14 +62,13 @@ fn six(rotation: DQuat) -> [f32; 6] {
     to_six_d_rows(DMat3::from_quat(rotation)).map(|value| value as f32)
 }
 
-/// The features of consecutive frames, given with +z up, and the positions of their 22 joints.
+/// The features of consecutive frames, computed from poses with +z up and the positions of their 22 joints.
 ///
 /// # Shapes
 /// `[N]` poses and joints give `[N, 207]`.
 ///
 /// # Source
-/// MotionFix, `data/features.py` (`algorithms` section 11). The first frame has no translation and no
-/// turn.
+/// MotionFix, `data/features.py` (`algorithms` section 11). The first frame has zero translation and heading change.
 pub fn features_of_poses(poses: &[Pose], joints: &[[DVec3; NUM_BODY_JOINTS]]) -> Vec<FeatureFrame> {
     let mut before: Option<&Pose> = None;
     poses
@@ -103,8 +102,8 @@ pub fn features_of_poses(poses: &[Pose], joints: &[[DVec3; NUM_BODY_JOINTS]]) ->
         .collect()
 }
 
-/// Converts features to poses, +z up, starting from a heading and translation. Joint positions and the changes of the
-/// first frame are not used, and of the root's rotation only the heading.
+/// Converts features to poses with +z up, starting from a heading and a translation. The joint positions and
+/// the first frame's changes are not used; of the heading change, only the rotation about z.
 ///
 /// # Source
 /// MotionFix, `diffout2motion`.
@@ -144,10 +143,10 @@ pub fn poses_of_features(
         .collect()
 }
 
-/// The features of a motion at a rate, of its first `max_frames` frames at most.
+/// The features of a motion at a frame rate, for at most its first `max_frames` frames.
 ///
 /// # Errors
-/// The motion cannot be brought to the rate.
+/// The motion cannot be resampled.
 pub fn features_of_motion(
     motion: &Motion,
     fps: Fps,
@@ -164,8 +163,7 @@ pub fn features_of_motion(
     Ok(features_of_poses(&poses, &joints))
 }
 
-/// The poses of a motion, +y up, that features describe. It begins where `first` stands, facing where it
-/// faces.
+/// Converts features to poses with +y up. The motion starts at the position and heading of `first`.
 pub fn poses_from(features: &[FeatureFrame], first: &Pose) -> Vec<Pose> {
     let begin = upright() * first.transl;
     let mut poses = poses_of_features(features, heading(upright() * first.rotations[0]), begin);
@@ -177,7 +175,7 @@ pub fn poses_from(features: &[FeatureFrame], first: &Pose) -> Vec<Pose> {
     poses
 }
 
-/// Added to standard deviations before they divide.
+/// Added to standard deviations used as divisors.
 const LEAST_SPREAD: f32 = 1e-5;
 
 /// Mean and standard deviation of every feature over the training motions.
@@ -198,10 +196,10 @@ impl FeatureStatistics {
         }
     }
 
-    /// Checks statistics that were read.
+    /// Checks statistics after reading.
     ///
     /// # Errors
-    /// A number is missing, not finite or a negative deviation.
+    /// A number is missing or not finite, or a deviation is negative.
     pub fn check(&self) -> Result<(), Error> {
         let fits = |values: &[f32]| {
             values.len() == NUM_FEATURES && values.iter().all(|value| value.is_finite())
@@ -213,7 +211,7 @@ impl FeatureStatistics {
         )
     }
 
-    /// `(x - mean) / (2 (std + 1e-5))`, as released.
+    /// `(x - mean) / (2 (std + 1e-5))`, as in the released code.
     pub fn normalize(&self, frames: &mut [FeatureFrame]) {
         for frame in frames {
             for ((value, mean), std) in frame.iter_mut().zip(&self.mean).zip(&self.std) {
@@ -322,7 +320,7 @@ mod tests {
         let mut back = frames.clone();
         whole.normalize(&mut back);
         let spread: f32 = back.iter().map(|frame| frame[0].powi(2)).sum();
-        // Half a standard deviation is the unit.
+        // A normalised feature has a standard deviation of one half.
         assert!((spread / frames.len() as f32 - 0.25).abs() < 0.01);
         whole.restore(&mut back);
         for (a, b) in back.iter().flatten().zip(frames.iter().flatten()) {

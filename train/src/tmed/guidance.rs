@@ -5,20 +5,19 @@ use burn::tensor::Tensor;
 use crate::model::pass::Pass;
 use crate::model::tmed::{Condition, Tmed};
 
-/// A question to the network, and its weight in the estimate of the clean motion.
+/// A pass through the network with some of the conditions, and its weight in the estimate of the clean motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Branch {
-    /// Factor of its prediction.
+    /// Factor of the branch's prediction.
     pub weight: f64,
-    /// Whether the branch has the instruction.
+    /// Whether the branch is given the instruction.
     pub has_text: bool,
-    /// Whether the branch has the source.
+    /// Whether the branch is given the source.
     pub has_source: bool,
 }
 
-/// The branches of the estimate `u + s_m (m - u) + s_t (f - m)`, where `u` knows nothing, `m` the source
-/// and `f` both. Branches whose predictions cancel are left out: with equal weights that of the source
-/// alone, and with weights of 1 all but the last.
+/// The branches of the estimate `u + s_m (m - u) + s_t (f - m)`: `u` has no condition, `m` the source, and `f` source
+/// and instruction. Branches that cancel are left out: with equal weights `m`, and with both weights 1 all but `f`.
 ///
 /// # Source
 /// MotionFix, `forward_with_guidance` ("3way"); Brooks et al. 2023, Eq. 3.
@@ -37,11 +36,11 @@ pub fn branches(text: f64, source: f64) -> Vec<Branch> {
     all
 }
 
-/// The estimate of the clean motions of `x` at a diffusion step.
+/// Estimates the clean motions of `x` at a diffusion step.
 ///
 /// # Shapes
-/// `x` and the result `[B, T, F]`; `lengths` `[B]`; the condition has `B` rows for each branch, those
-/// of a branch together.
+/// `x` and the result `[B, T, F]`; `lengths` `[B]`; the condition has `B` rows for each branch, and rows of a branch
+/// are consecutive.
 pub fn guided(
     denoiser: &Tmed,
     branches: &[Branch],

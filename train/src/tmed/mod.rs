@@ -1,7 +1,7 @@
-//! TMED: a diffusion over whole motions, given the motion before the edit and an instruction.
+//! TMED: a diffusion model of whole motions, conditioned on the source motion and an instruction.
 //!
 //! # Source
-//! Athanasiou et al. 2024 (MotionFix). [`TmedConfig::preset`] names what differs from the released code.
+//! Athanasiou et al. 2024 (MotionFix). [`TmedConfig::preset`] lists the differences from the released code.
 
 mod clips;
 mod config;

@@ -11,8 +11,8 @@ use crate::model::tmed::{Condition, Places, TmedModel};
 use crate::schedule::Schedule;
 use crate::transfer::send;
 
-/// The squared error of each group of features over the frames of each motion, averaged over the groups.
-/// Changes since the frame before are not asked of the first frame.
+/// The squared error of each feature group over the frames of each motion, averaged over the groups. Groups that are
+/// changes since the previous frame are not counted in the first frame.
 ///
 /// # Shapes
 /// `predicted` and `target` `[B, T, 207]`; `frames` `[B]`; the results are one number, and `[5]`.
@@ -26,7 +26,7 @@ pub fn group_loss(
 ) -> (Tensor<1>, Tensor<1>) {
     let [batch, length, _] = target.dims();
     let device = target.device();
-    // The mask of frames, and the weights that make means of sums.
+    // Weights that are zero outside of motions, and turn sums into means.
     let mut weights = vec![0.0f32; batch * length * NUM_FEATURES];
     for group in GROUPS {
         let first = usize::from(group.is_delta);
@@ -58,7 +58,7 @@ pub fn group_loss(
 /// `[B, N, text_width]`
 ///
 /// # Panics
-/// If words are given to a model without word vectors.
+/// If words are given to a model without learned word vectors.
 pub(crate) fn text_tokens(model: &TmedModel, texts: &TextBatch, device: &Device) -> Tensor<3> {
     match texts {
         TextBatch::Words(tokens) => model
@@ -74,7 +74,7 @@ pub(crate) fn text_tokens(model: &TmedModel, texts: &TextBatch, device: &Device)
     }
 }
 
-/// Positions in the position table for sources of these lengths, of which `padded` is the longest.
+/// Positions in the position table for sources of the given lengths; `padded` is the length of the longest.
 pub(crate) fn places(config: &TmedConfig, source_frames: &[usize], padded: usize) -> Places {
     Places {
         text: config.text_places(),

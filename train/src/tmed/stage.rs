@@ -23,15 +23,15 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     open: Some(edit::open),
 };
 
-/// Trains TMED on the composer's whole clips or on the pairs of a dataset, as its settings say, or
-/// continues its run, as a command line asks for it.
+/// Trains TMED as requested, or continues its run. Its settings select the composer's whole clips or the captured pairs
+/// of the dataset.
 fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, Error> {
     let mut config = request.settings(&TmedConfig::preset(request.preset))?;
     request.change(&mut config.run);
-    // Step, text, source, separator and target.
+    // Tokens: step, text, source, separator and target.
     let tokens = 2 + config.text.words.max_words + 2 * config.max_frames;
     request.split(&mut config.run, &config.model, tokens);
-    // Before texts are encoded.
+    // Check the settings before the slow encoding of texts.
     config.check()?;
     let (dataset, run) = (request.dataset, request.start.run);
     let skeleton = dataset.skeleton()?;

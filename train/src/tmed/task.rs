@@ -1,4 +1,4 @@
-//! The training of TMED.
+//! Training of TMED.
 
 use burn::tensor::Device;
 use datasets_spec::{Seed, Skeleton};
@@ -28,15 +28,15 @@ pub struct TmedCorpus<'a> {
     pub train: &'a dyn ClipSource,
     /// Validation clips.
     pub val: &'a dyn ClipSource,
-    /// Instructions of the training split, whose words are the vocabulary of learned word vectors.
+    /// Instructions of the training split; their words are the vocabulary of learned word vectors.
     pub instructions: &'a [String],
-    /// Token vectors of the instructions of both splits and of the empty text, of a frozen encoder.
+    /// Token vectors of the instructions of both splits and of the empty text, from a frozen encoder.
     pub vectors: Option<&'a EmbeddingTable>,
-    /// The skeleton the motions drive.
+    /// The skeleton of the motions.
     pub skeleton: &'a Skeleton,
-    /// Hash of the tables the clips are made of.
+    /// Hash of the tables that the clips are made from.
     pub dataset_hash: &'a str,
-    /// How the clips were composed; none of captured pairs.
+    /// Composition settings of the clips; none for captured pairs.
     pub compose: Option<&'a ComposeRecord>,
 }
 
@@ -47,13 +47,13 @@ pub(crate) struct TmedRecord {
     pub(crate) train: TmedConfig,
     pub(crate) statistics: FeatureStatistics,
     pub(crate) text: TextRecord,
-    /// How the clips were composed; none of captured pairs.
+    /// Composition settings of the clips; none for captured pairs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) compose: Option<ComposeRecord>,
 }
 
 impl TmedRecord {
-    /// Checks a record that was read.
+    /// Checks a record after reading.
     ///
     /// # Errors
     /// A setting is out of range, or the statistics are unusable.
@@ -67,11 +67,11 @@ impl TmedRecord {
     }
 }
 
-/// Trains TMED, or continues where the run folder left off, exactly as an uninterrupted run would.
+/// Trains TMED, or continues the training of the run folder, exactly like an uninterrupted run.
 ///
 /// # Errors
-/// The settings are unusable, the folder holds another run or a damaged checkpoint, a motion cannot be
-/// brought to the rate, a loss is not finite, or a file cannot be written.
+/// The settings are unusable, the folder holds another run or a damaged checkpoint, a motion cannot be resampled, a
+/// loss is not finite, or a file cannot be written.
 pub fn train_tmed<'a>(
     start: impl Into<Start<'a>>,
     config: &TmedConfig,

@@ -24,7 +24,7 @@ pub(super) struct ClipBatch {
     pub(super) lengths: Vec<usize>,
     pub(super) steps: usize,
     pub(super) tokens: TokenBatch,
-    /// Pairs with equal texts, `[B * B]`.
+    /// Whether two captions of the batch are equal, `[B * B]`.
     pub(super) same_text: Vec<bool>,
     /// Standard normal noise for the text and the motion latents, `[2, B, d]`.
     pub(super) noise: Vec<f32>,
@@ -65,7 +65,7 @@ pub(super) fn fit_features(recipe: FeatureRecipe, clips: &[Clip]) -> Result<Feat
     )
 }
 
-/// Samples batches of clips; a batch depends on the seed and the step alone.
+/// Samples batches of clips; a batch depends only on the seed and the step.
 #[derive(Clone, Copy)]
 pub(super) struct ClipSampler<'a> {
     pub(super) clips: &'a [Clip],
@@ -75,8 +75,8 @@ pub(super) struct ClipSampler<'a> {
 }
 
 impl ClipSampler<'_> {
-    /// The batch of a step: the next clips of the epoch's order, a caption and a crop of each. All
-    /// crops of a step share one drawn length, so that little of the batch is padding.
+    /// The batch of a step: the next clips in the epoch's order, with one caption and one crop each. All crops of a
+    /// step have the same drawn length, which keeps padding small.
     pub(super) fn draw(&self, step: u64) -> ClipBatch {
         let batch_size = self.config.run.batch_size.min(self.clips.len());
         let num_batches = (self.clips.len() / batch_size) as u64;
@@ -104,7 +104,7 @@ impl ClipSampler<'_> {
         self.batch(&crops, noise)
     }
 
-    /// The validation batch: all clips from their first frame, with their first caption and the mean
+    /// The validation batches: all clips from their first frame, with their first caption and without noise on the
     /// latents.
     pub(super) fn whole(&self) -> Vec<ClipBatch> {
         let frames = self.clips.iter().map(|clip| clip.motion.len());

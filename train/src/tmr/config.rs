@@ -22,16 +22,15 @@ pub struct TmrConfig {
     pub model: NetworkConfig,
     /// Width of a word vector.
     pub word_width: usize,
-    /// Vocabulary.
+    /// Settings of the vocabulary.
     pub text: WordsConfig,
-    /// Frames at the rate of the features from one frame of the encoder to the next.
+    /// The encoder uses every `frame_stride`-th frame of the features.
     pub frame_stride: usize,
-    /// Shortest crop shown in training, in frames of the encoder.
+    /// Minimum length of a training crop, in frames of the encoder.
     pub min_frames: usize,
-    /// Longest crop shown in training, in frames of the encoder. Later frames of a longer motion are
-    /// ignored.
+    /// Maximum length of a training crop, in frames of the encoder. Later frames of a longer motion are ignored.
     pub max_frames: usize,
-    /// Weights of the parts of the loss.
+    /// Weights of the terms of the loss.
     pub weights: LossWeights,
     /// Temperature of the contrastive loss.
     pub temperature: f64,
@@ -41,28 +40,28 @@ pub struct TmrConfig {
     pub run: RunSettings,
 }
 
-/// Weights of the parts of the encoder's loss.
+/// Weights of the terms of the encoder's loss.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LossWeights {
-    /// Reconstruction loss of the motions decoded from either latent vector.
+    /// Reconstruction loss of the motions decoded from both latent vectors.
     pub reconstruction: f64,
-    /// KL divergences between the two distributions and from the standard normal one.
+    /// KL divergences between the two distributions, and of each from the standard normal distribution.
     pub kl: f64,
     /// Distance between the two latent vectors.
     pub latent: f64,
-    /// Contrastive loss over the pairs of the batch.
+    /// Contrastive loss over all pairs of a batch.
     pub contrastive: f64,
 }
 
 impl TmrConfig {
-    /// The named settings.
+    /// The settings of a preset.
     ///
     /// # Source
-    /// `Official`: Petrovich et al. 2023 (`algorithms` section 15), its 500 epochs of HumanML3D at
-    /// batch 32 given as steps. `Tiny`: our choice, for a few hundred clips and a minute on two
-    /// processor cores: every second frame, a smaller network, and a larger weight of the contrastive
-    /// loss, because training is too short for the reconstruction to shape the space.
+    /// `Official`: Petrovich et al. 2023 (`algorithms` section 15), with its 500 epochs of HumanML3D at batch size 32
+    /// converted to steps. `Tiny`: our choice, for a few hundred clips and a minute on two processor cores. It uses
+    /// every second frame, a smaller network and a larger weight of the contrastive loss, because training is too short
+    /// for the reconstruction loss to shape the latent space.
     pub fn preset(preset: Preset) -> Self {
         match preset {
             Preset::Paper | Preset::Official => Self::official(),
@@ -146,7 +145,7 @@ impl TmrConfig {
         }
     }
 
-    /// Checks that the settings can be trained with.
+    /// Checks that the settings allow training.
     ///
     /// # Errors
     /// A setting is out of range.

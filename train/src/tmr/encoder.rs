@@ -1,4 +1,4 @@
-//! A trained evaluation encoder: motions and texts to vectors.
+//! A trained evaluation encoder: it encodes motions and texts as vectors.
 
 use std::ops::Range;
 use std::path::Path;
@@ -24,7 +24,7 @@ use crate::vocabulary::Vocabulary;
 
 pub(crate) const MOTION_WEIGHTS: &str = "motion_encoder.safetensors";
 
-/// Weights of a text side trained elsewhere, and the folder of the network whose states it reads.
+/// Files of an imported text encoder: its weights, and the folder of the network whose states it reads.
 pub(crate) const TEXT_WEIGHTS: &str = "text_encoder.safetensors";
 pub(crate) const TEXT_FOLDER: &str = "text_encoder";
 
@@ -36,31 +36,31 @@ const ENCODE_BATCH: usize = 32;
 pub(crate) struct MotionEncoderRecord {
     pub(crate) model: NetworkConfig,
     pub(crate) features: FeatureStats,
-    /// Text encoder, if it was imported too.
+    /// The text encoder, if it was imported too.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) text: Option<ImportedText>,
 }
 
-/// Record of a text side trained elsewhere.
+/// Record of an imported text encoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct ImportedText {
     pub(crate) model: NetworkConfig,
-    /// Identity of the frozen network whose states it reads.
+    /// Identity of the frozen network whose states the encoder reads.
     pub(crate) encoder_hash: String,
-    /// Numbers of a state.
+    /// Width of a state.
     pub(crate) width: usize,
 }
 
 #[derive(Debug)]
 enum TextEncoding {
-    /// Words that were learned with the motion encoder.
+    /// Word vectors trained with the motion encoder.
     Words(Box<(Tmr, Vocabulary)>),
     /// Last hidden states of a frozen network, as in the released TMR.
     States(Box<(SequenceEncoder, BertEncoder)>),
 }
 
-/// A trained encoder.
+/// A trained evaluation encoder.
 #[derive(Debug)]
 pub struct TmrEncoder {
     motion_encoder: SequenceEncoder,
@@ -87,11 +87,11 @@ impl TmrEncoder {
         Self::of_run(open_for_use(run_dir, slot, KIND)?, run_dir, device)
     }
 
-    /// Loads an encoder from the document `config.json` of its run and the weights of its checkpoint. `name` stands for the
-    /// run folder in errors.
+    /// Loads an encoder from its run's document `config.json` and its checkpoint's weights. `name` stands for the run
+    /// folder in errors.
     ///
     /// # Errors
-    /// The document is not that of an encoder, or the weights do not fit it.
+    /// The document is not the record of an encoder, or the weights do not match it.
     pub fn from_bytes(
         config: &str,
         weights: &[u8],
@@ -152,7 +152,7 @@ impl TmrEncoder {
         })
     }
 
-    /// The same encoder by other operations.
+    /// Returns the encoder with other arithmetic.
     #[must_use]
     pub fn with_arithmetic(mut self, arithmetic: Arithmetic) -> Self {
         self.arithmetic = arithmetic;
@@ -169,17 +169,17 @@ impl TmrEncoder {
         )
     }
 
-    /// Features that the encoder sees.
+    /// Features that the encoder takes.
     pub fn recipe(&self) -> FeatureRecipe {
         self.features.recipe
     }
 
-    /// Frames a second the encoder sees.
+    /// Frame rate of the encoder's input, in frames per second.
     pub fn fps(&self) -> f64 {
         self.features.recipe.fps().get() / self.frame_stride as f64
     }
 
-    /// Hash of the motions it was trained on; `imported` where that is not known.
+    /// Hash of the training motions; `imported` if not known.
     pub fn dataset_hash(&self) -> &str {
         &self.dataset_hash
     }
@@ -192,7 +192,7 @@ impl TmrEncoder {
     /// The mean latent vector of each motion, `[d]`.
     ///
     /// # Errors
-    /// A motion cannot be brought to the encoder's rate, or is too short for its features.
+    /// A motion cannot be resampled to the encoder's rate, or is too short for its features.
     pub fn encode(&self, motions: &[&Motion]) -> Result<Vec<Vec<f32>>, Error> {
         let mut codes = Vec::with_capacity(motions.len());
         for (chunk_index, chunk) in motions.chunks(ENCODE_BATCH).enumerate() {
@@ -236,7 +236,7 @@ impl TmrEncoder {
     /// The mean latent vector of each text, `[d]`.
     ///
     /// # Errors
-    /// The encoder was imported without its text side, or a text cannot be cut into tokens.
+    /// The encoder was imported without its text encoder, or a text cannot be tokenised.
     pub fn encode_texts(&self, texts: &[&str]) -> Result<Vec<Vec<f32>>, Error> {
         let Some(encoding) = &self.texts else {
             return Err(Error::encoder(
@@ -286,7 +286,7 @@ fn load_texts(
     Ok(TextEncoding::States(Box::new((network, encoder))))
 }
 
-/// States of texts as one array `[B, T, d]`, zero past the end of a text, and the tokens of each.
+/// States of texts as one array `[B, T, d]`, zero after the end of each text, and the number of tokens in each.
 fn padded(states: &[Vec<f32>], width: usize, device: &Device) -> (Tensor<3>, Vec<usize>) {
     let longest = states.iter().map(Vec::len).max().unwrap_or(0);
     let mut values = Vec::with_capacity(states.len() * longest);

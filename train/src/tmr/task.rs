@@ -1,4 +1,4 @@
-//! The training of the evaluation encoder.
+//! Training of the evaluation encoder.
 
 use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
@@ -28,13 +28,12 @@ pub(crate) struct TmrRecord {
     pub(crate) vocabulary: Vocabulary,
 }
 
-/// Trains the encoder, or continues where the run folder left off, exactly as
-/// [`crate::fit::train_motionrefit`] does. A run that starts from the weights of another keeps its
-/// vocabulary and feature statistics.
+/// Trains the encoder, or continues the training of the run folder, exactly as [`crate::fit::train_motionrefit`] does.
+/// A run that starts from another run's weights keeps that run's vocabulary and feature statistics.
 ///
 /// # Errors
-/// The settings are unusable, a split is empty or a clip without caption, the folder holds another
-/// run or a damaged checkpoint, a loss is not finite, or a file cannot be written.
+/// The settings are unusable, a split is empty, a clip has no caption, the folder holds another run or a damaged
+/// checkpoint, a loss is not finite, or a file cannot be written.
 pub fn train_tmr<'a>(
     start: impl Into<Start<'a>>,
     config: &TmrConfig,
@@ -89,7 +88,7 @@ pub fn train_tmr<'a>(
     Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
-/// The vocabulary and the feature statistics of the run whose weights are taken over; without one, the words of
+/// The vocabulary and the feature statistics of the run whose weights are taken over. Without such a run, the words of
 /// the captions, and no statistics yet.
 fn taken_over(
     fitted: Option<TmrRecord>,

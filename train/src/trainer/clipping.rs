@@ -1,11 +1,11 @@
-//! Gradients whose norm is bounded.
+//! Gradient clipping by norm.
 
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::optim::GradientsParams;
 use burn::tensor::Tensor;
 
-/// Scales the gradients down to `max_norm` if their total norm is larger, as `clip_grad_norm_` of PyTorch does, and
-/// returns the norm before. The norm is not read from the device: gradients within the norm are multiplied by one.
+/// Scales the gradients down to `max_norm` if their total norm is larger, like PyTorch's `clip_grad_norm_`, and returns
+/// the norm before clipping. To avoid reading the norm from the device, smaller gradients are multiplied by one.
 pub(super) fn clip_grad_norm<M: Module>(
     gradients: &mut GradientsParams,
     model: &M,
@@ -56,7 +56,7 @@ mod tests {
             let x = Tensor::<2>::from_data([[3.0, 0.0, 4.0]], &device);
             GradientsParams::from_grads(model.forward(x).sum().backward(), &model)
         };
-        // Weights: two columns of (3, 0, 4); biases: two ones.
+        // The weight gradients are two columns of (3, 0, 4), the bias gradients two ones.
         let expected = (2.0 * 25.0 + 2.0f64).sqrt();
         let mut clipped = gradients();
         let clip = |gradients: &mut GradientsParams, max_norm| -> f64 {
@@ -68,7 +68,7 @@ mod tests {
         let mut left = gradients();
         clip(&mut left, 100.0);
         assert!((clip(&mut left, 100.0) - expected).abs() < 1e-5);
-        // A model at rest, and one beyond the range of numbers.
+        // Gradients of zero, and gradients beyond the range of numbers.
         let mut none = gradients();
         let zero = model.weight.val().inner().zeros_like();
         none.register(model.weight.id, zero.clone());

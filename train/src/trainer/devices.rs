@@ -1,4 +1,4 @@
-//! The loss and the gradients of a step, on one device or on several.
+//! Computes the loss and the gradients of a step, on one or several devices.
 
 use burn::module::Module;
 use burn::optim::{GradientsAccumulator, GradientsParams};
@@ -29,7 +29,7 @@ impl<M: Module> Devices<M> {
         }
     }
 
-    /// Gives the copies the weights that the model has now, each device in one transfer.
+    /// Copies the current weights of the model to the other devices, each in one transfer.
     fn update(&mut self, model: &M) {
         let weights = Flat::of_weights(model);
         let others = std::mem::take(&mut self.others).into_iter();
@@ -55,9 +55,9 @@ pub(super) struct Step<'a, M, B> {
 type Share = (Vec<(usize, Tensor<1>)>, GradientsParams);
 
 impl<M: Module, B: Send + Sync> Step<'_, M, B> {
-    /// The loss of the step and its gradients on the first device. Every device computes a share of the
-    /// micro-batches and adds up their gradients; the sums cross to the first device in one transfer each and
-    /// are added in the order of the devices, so that a step does not depend on which is done first.
+    /// The loss of the step, and its gradients on the first device. Every device adds up the gradients of its share of
+    /// the micro-batches. The sums are sent to the first device in one transfer each and added in the order of the
+    /// devices, so the result does not depend on which device finishes first.
     pub(super) fn gradients(
         &self,
         model: &M,
@@ -128,11 +128,11 @@ impl<M: Module, B: Send + Sync> Step<'_, M, B> {
         (losses, sum.grads())
     }
 
-    /// The share that a micro-batch has in the loss, and its gradients.
+    /// A micro-batch's contribution to the loss, and its gradients.
     fn of_part(&self, model: &M, index: usize, device: &Device) -> (Tensor<1>, GradientsParams) {
         let (share, batch) = &self.parts[index];
-        // Dropout depends on the step and the micro-batch, so that a continued run repeats it. A GPU
-        // draws its own masks.
+        // Dropout depends on the step and the micro-batch, so that a continued run repeats it. A GPU draws its own
+        // masks, from this seed.
         let seed = self.masks.draw_u64(&[&index.to_string()]);
         device.seed(seed);
         let pass = Pass::seeded(self.arithmetic, seed);

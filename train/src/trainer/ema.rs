@@ -60,7 +60,7 @@ impl Ema {
     }
 }
 
-/// EMA decay in a step: smaller at first, so that the average of a short run is not dominated by its initial weights.
+/// EMA decay in a step. It is smaller at first, so that initial weights do not dominate the average of a short run.
 fn warmed_up(decay: f64, step: u64) -> f64 {
     let step = step as f64;
     decay.min((1.0 + step) / (10.0 + step))

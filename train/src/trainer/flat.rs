@@ -1,11 +1,11 @@
-//! Numbers of all parameters of a model in one tensor, which crosses between devices in one transfer.
+//! Values of all parameters of a model in one tensor, which is sent between devices in one transfer.
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamId};
 use burn::optim::GradientsParams;
 use burn::tensor::{Device, Tensor};
 
-/// Numbers of parameters in one tensor without gradients of its own, in the order in which a model visits
-/// the parameters.
+/// Values of parameters in one tensor without automatic differentiation, in the order in which a model visits its
+/// parameters.
 pub(super) struct Flat {
     ids: Vec<ParamId>,
     values: Tensor<1>,
@@ -33,7 +33,7 @@ impl Flat {
         Self::of(found.0)
     }
 
-    /// The gradients of a model; some parameters may have none.
+    /// Collects the gradients of a model; some parameters may have none.
     pub(super) fn of_gradients<M: Module>(model: &M, gradients: &GradientsParams) -> Self {
         struct Collect<'a>(&'a GradientsParams, Vec<(ParamId, Tensor<1>)>);
         impl ModuleVisitor for Collect<'_> {
@@ -86,7 +86,7 @@ impl Flat {
         put.gradients
     }
 
-    /// A copy of the model that these are the weights of, with these weights.
+    /// Returns a copy of the model with these weights.
     pub(super) fn put_into<M: Module>(&self, copy: M) -> M {
         struct Put<'a> {
             from: &'a Flat,

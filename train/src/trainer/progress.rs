@@ -1,4 +1,4 @@
-//! The progress of a run: losses, speed, and the lines of the metrics file.
+//! Progress of a run: losses, speed, and lines of the metrics file.
 
 use burn::tensor::Tensor;
 use serde::{Deserialize, Serialize};
@@ -45,7 +45,7 @@ pub(super) struct MetricsLine {
     pub(super) step: u64,
     pub(super) loss: f32,
     pub(super) learning_rate: f64,
-    /// Norm of the last step's gradient before clipping; only where gradients are clipped.
+    /// Norm of the last step's gradient before clipping; none without clipping.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) gradient_norm: Option<f64>,
     pub(super) samples_per_sec: f64,
@@ -105,7 +105,7 @@ pub(super) struct Unread {
 }
 
 impl Unread {
-    /// Reads everything at once: appends the losses to those of `state`, and returns the norm.
+    /// Reads all values in one transfer: appends the losses to those of `state`, and returns the norm.
     pub(super) fn read(&mut self, state: &mut TrainState, kept: u64) -> Result<Option<f64>, Error> {
         let Self { mut losses, norm } = std::mem::take(self);
         let first = state.step - losses.len() as u64;

@@ -1,4 +1,4 @@
-//! Interface of a model to the trainer.
+//! The interface between a model and the trainer.
 
 use burn::tensor::{Device, Tensor};
 
@@ -6,20 +6,20 @@ use crate::Error;
 use crate::config::RunSettings;
 use crate::model::pass::Pass;
 
-/// A training of networks `M` on micro-batches `B`: its data, loss and settings.
+/// A training of networks `M` with micro-batches `B`: its data, loss and settings.
 pub(crate) struct Task<'a, M, B> {
     /// Kind of model, shown with the progress.
     pub(crate) kind: &'static str,
-    /// Plural noun for a sample.
+    /// Plural noun for the samples, shown with the progress.
     pub(crate) samples: &'static str,
     pub(crate) run: RunSettings,
     pub(crate) epoch_len: u64,
-    /// The micro-batches of a step, each with its share of the step's loss. The shares add up to
-    /// one. The data depend on the seed of the run and on the step alone.
+    /// Draws the micro-batches of a step, each with its share of the step's loss. The shares add up to one. The data
+    /// depend only on the run's seed and the step.
     pub(crate) draw: &'a (dyn Fn(u64) -> Result<Vec<(f64, B)>, Error> + Sync),
-    /// The mean loss of a micro-batch.
+    /// Computes the mean loss of a micro-batch.
     pub(crate) loss: &'a (dyn Fn(&M, &B, &Device, &Pass) -> Tensor<1> + Sync),
-    /// The micro-batches of a validation, and the number of samples that each counts for.
+    /// The micro-batches of a validation, each with its number of samples.
     pub(crate) validation: Vec<(usize, B)>,
 }
 

@@ -1,4 +1,4 @@
-//! Edits of test items as a job in pieces.
+//! Editing of test items as a job in pieces.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -26,7 +26,7 @@ use crate::{Error, Session};
 /// Name of the job.
 pub const JOB: &str = "edit";
 
-/// Items of a piece: as many windows as are generated at a time by default.
+/// Number of items in a piece: the default number of windows generated at a time.
 const PIECE_ITEMS: usize = 64;
 
 #[derive(Serialize, Deserialize)]
@@ -69,11 +69,11 @@ struct Editing {
     surroundings: Surroundings,
 }
 
-/// Plans the answers of a system to the items of a folder. `device` is kept for the workers, and `out` is the folder
-/// of the plan.
+/// Plans the edits of a folder's items by a system. `device` is stored for the workers, and `out` is the folder of the
+/// plan.
 ///
 /// # Errors
-/// As [`answer_items`](crate::system::answer_items), or the folder of the plan is occupied.
+/// As [`answer_items`](crate::system::answer_items), or the plan's folder is already in use.
 pub fn plan_edits(
     source: &SystemSource,
     items: &Path,
@@ -103,7 +103,7 @@ pub fn plan_edits(
 /// Opens the job of a plan.
 ///
 /// # Errors
-/// The system or the items cannot be read, or changed since they were planned.
+/// The system or the items cannot be read, or have changed since the plan was made.
 pub fn open_job(plan: &Plan, surroundings: Surroundings) -> Result<Box<dyn Job>, Failed> {
     let stored: Stored = plan.settings()?;
     let editing = Editing::open(&stored, surroundings)?;
@@ -154,7 +154,7 @@ impl Editing {
         })
     }
 
-    /// A piece for each run of items of each take, in the order of the rows of the table.
+    /// One piece for each group of consecutive items in each take, in the order of the table's rows.
     fn pieces(&self) -> Vec<Piece> {
         let runs = self.rows.len().div_ceil(PIECE_ITEMS);
         let of = runs * usize::try_from(self.takes).unwrap_or(usize::MAX);

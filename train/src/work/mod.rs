@@ -1,4 +1,4 @@
-//! Jobs of models in pieces, for any number of processes.
+//! Jobs of models that are divided into pieces, for any number of processes.
 
 pub mod edits;
 pub mod variants;
@@ -21,14 +21,14 @@ use crate::model::pass::Arithmetic;
 use crate::text::source::TextEncoderSource;
 use crate::{Error, Session};
 
-/// Process-specific additions of a worker to a plan.
+/// Settings of a worker process that are not part of the plan.
 #[derive(Clone, Debug)]
 pub struct Surroundings {
-    /// Device that models run on.
+    /// Device of the models.
     pub device: Device,
-    /// The operations that they are computed by.
+    /// Operations and precision of the models.
     pub arithmetic: Arithmetic,
-    /// Where text encoders are found that the plan names no folder of.
+    /// Cache that is searched for text encoders if the plan names no folder.
     pub cache: Option<HubCache>,
 }
 
@@ -100,7 +100,7 @@ fn changed(what: &str) -> Failed {
     Failed::new("E-SOURCE-CHANGED", problem)
 }
 
-/// The error of a commit, which is one of work in pieces.
+/// Converts an error of a commit to an error of a job in pieces.
 fn of_commit(error: Error) -> work::Error {
     match error {
         Error::Work(error) => error,

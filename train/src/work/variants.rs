@@ -1,4 +1,4 @@
-//! Candidates of fine-grained pairs as a job in pieces.
+//! Candidates of fine-grained pairs, made by a job in pieces.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -59,10 +59,10 @@ struct Variants {
     surroundings: Surroundings,
 }
 
-/// Plans the variants of a generator. `device` is kept for the workers, and `out` is the folder of the plan.
+/// Plans the variants of a generator. `device` is stored for the workers, and `out` is the folder of the plan.
 ///
 /// # Errors
-/// As [`make_variants`](crate::stage::variants::make_variants), or the folder of the plan is occupied.
+/// As [`make_variants`](crate::stage::variants::make_variants), or the plan's folder is already in use.
 pub fn plan_variants(
     [root, run, destination]: [&Path; 3],
     instructions: &Instructions,
@@ -96,7 +96,7 @@ pub fn plan_variants(
 /// Opens the job of a plan.
 ///
 /// # Errors
-/// The generator or the dataset cannot be read, or changed since they were planned.
+/// The generator or the dataset cannot be read, or have changed since the plan was made.
 pub fn open_job(plan: &Plan, surroundings: Surroundings) -> Result<Box<dyn Job>, Failed> {
     let stored: Stored = plan.settings()?;
     let mut making = stored.open(&surroundings)?;

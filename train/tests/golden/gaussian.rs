@@ -6,12 +6,12 @@ use train::schedule::Schedule;
 
 use super::{Golden, check};
 
-/// Compares all recorded arrays of a schedule; their names begin with `prefix`.
+/// Compares all recorded arrays of a schedule, whose names begin with `prefix`.
 fn check_arrays(golden: &Golden, prefix: &str, schedule: &Schedule) {
     let derived = |f: &dyn Fn(f64) -> f64| -> Vec<f64> {
         schedule.alphas_cumprod.iter().map(|&a| f(a)).collect()
     };
-    // The variance of the last step is zero; the reference takes that of the step before.
+    // The variance of the last step is zero, so the reference uses that of the previous step.
     let log_variance = (0..schedule.len()).map(|t| schedule.posterior_variance[t.max(1)].ln());
     for (name, values) in [
         ("betas", schedule.betas.clone()),
@@ -48,7 +48,7 @@ fn check_array(golden: &Golden, name: &str, values: &[f64]) {
     }
 }
 
-/// Numbers of steps whose schedules a case of TMED holds, ascending; the last is that of training.
+/// Numbers of steps of the schedules in a TMED case, ascending; the largest is that of training.
 pub(super) fn step_counts(golden: &Golden) -> Vec<usize> {
     let names = golden.between("out.T", ".betas").into_iter();
     let mut counts: Vec<usize> = names.map(|name| name.parse().expect("a number")).collect();
@@ -70,7 +70,7 @@ fn golden_tmed_schedule_arrays() {
     assert!(counts.len() > 1, "the case has fewer steps too");
     for steps in counts {
         let prefix = format!("out.T{steps}.");
-        // The case has the original's defect: fewer steps use a shorter schedule.
+        // The case has the defect of the original: fewer steps use a separate, shorter schedule.
         let steps = SampleSteps::new(trained, steps, Respacing::Official).expect("steps");
         check_arrays(&golden, &prefix, steps.schedule());
         let map = golden.indices(&format!("{prefix}timestep_map"));
@@ -91,7 +91,7 @@ fn golden_mdm_schedule_arrays() {
     check_arrays(&golden, "out.", &schedule);
 }
 
-/// The recorded `[B, D, 1, T]` as `[B, T, D]`.
+/// Reads the recorded `[B, D, 1, T]` as `[B, T, D]`.
 fn sequence(golden: &Golden, name: &str) -> Tensor<3> {
     let x: Tensor<4> = golden.tensor(name);
     x.squeeze_dim::<3>(2).swap_dims(1, 2)

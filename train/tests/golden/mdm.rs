@@ -1,4 +1,4 @@
-//! MDM against its released code.
+//! MDM compared with its released code.
 
 use std::path::Path;
 
@@ -24,7 +24,7 @@ fn network(golden: &Golden) -> Mdm {
     network
 }
 
-/// The recorded `[B, F, 1, T]` as `[B, T, F]`.
+/// Reads the recorded `[B, F, 1, T]` as `[B, T, F]`.
 fn sequence(golden: &Golden, name: &str) -> Tensor<3> {
     let x: Tensor<4> = golden.tensor(name);
     x.squeeze_dim::<3>(2).swap_dims(1, 2)
@@ -42,7 +42,7 @@ fn masks_frames(golden: &Golden) -> bool {
     golden.metadata()["mask_frames"] == "True"
 }
 
-/// The predictions of the recorded network with and without its recorded text.
+/// Predictions of the recorded network, with and without the recorded text.
 fn predictions(golden: &Golden, x: &Tensor<3>, timesteps: &[usize]) -> [Tensor<3>; 2] {
     let lengths = golden.indices("in.lengths");
     let lengths = masks_frames(golden).then_some(lengths.as_slice());
@@ -173,7 +173,7 @@ fn golden_mdm_is_imported_as_an_editor() {
         let path = Path::new("model.pt");
         import_mdm(run, &args, heads, fitted, bytes.clone(), path, &device)
     };
-    // The released model of 1,000 steps has no such keys in its file; that of 50 steps masks frames.
+    // The file of the released 1,000-step model lacks these keys; the 50-step model masks frames.
     for (args, start, release) in [
         ("{}", 999, 20),
         (

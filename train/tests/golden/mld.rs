@@ -1,4 +1,4 @@
-//! MLD against its released code.
+//! MLD compared with its released code.
 
 use burn::tensor::{Device, Tensor};
 use train::ddim::Ddim;

@@ -1,4 +1,4 @@
-//! TMED: features, network, guidance, sampling and loss.
+//! TMED compared with its released code: features, network, guidance, sampling and loss.
 
 use std::cell::Cell;
 use std::path::Path;
@@ -32,7 +32,7 @@ fn network(golden: &Golden) -> Tmed {
     network
 }
 
-/// Ones of each row of a mask, which begins with them.
+/// Lengths of the rows of a mask: the number of ones, which come first in each row.
 fn lengths(golden: &Golden, name: &str) -> Vec<usize> {
     let (mask, shape) = golden.values(name);
     mask.chunks_exact(shape[1])
@@ -40,7 +40,7 @@ fn lengths(golden: &Golden, name: &str) -> Vec<usize> {
         .collect()
 }
 
-/// Condition of the case: the released network places targets after the padded sources.
+/// Condition of the case. Targets are positioned after the padded sources, as in the released network.
 fn condition(golden: &Golden) -> Condition {
     let text: Tensor<3> = golden.tensor("in.text");
     let source = golden.tensor::<3>("in.source").swap_dims(0, 1);
@@ -81,7 +81,7 @@ fn golden_tmed_denoiser() {
         ..whole.clone()
     };
     check(forward(&nothing), &golden, "out.x0_zero_source", 5e-5);
-    // Texts may be truncated to the longest of them: positions of later tokens stay.
+    // Texts may be truncated to the longest one: positions of later tokens do not change.
     let longest = *whole.text_lengths.iter().max().expect("rows");
     let cut = Condition {
         text: whole.text.clone().narrow(1, 0, longest),
@@ -90,8 +90,8 @@ fn golden_tmed_denoiser() {
     check(forward(&cut), &golden, "out.x0", 5e-5);
 }
 
-/// The condition of the guided row, once for each branch. Where there is no source, the released code
-/// shows zeros.
+/// The condition of the guided row, repeated for each branch. For branches without a source, the released code uses
+/// zeros.
 fn guided_condition(golden: &Golden, text: f64, source: f64) -> Condition {
     let asked: [Tensor<3>; 2] =
         ["in.guide.text_uncond", "in.guide.text_cond"].map(|name| golden.tensor(name));
@@ -188,7 +188,7 @@ fn golden_tmed_loss() {
     check(groups, &golden, "out.loss.per_group", 1e-5);
 }
 
-/// Rows of recorded features.
+/// Reads rows of recorded features.
 fn feature_rows(golden: &Golden, name: &str) -> Vec<FeatureFrame> {
     golden.f32s(name).as_chunks::<NUM_FEATURES>().0.to_vec()
 }
@@ -242,7 +242,7 @@ fn golden_tmed_features() {
     let difference = max_difference(features.as_flattened(), expected.as_flattened());
     assert!(difference <= 5e-6, "{difference}");
 
-    // The reference begins at the mean of the translations, facing nowhere in particular.
+    // The reference starts at the mean of the translations, with heading 0.
     statistics.restore(&mut features);
     let start = golden.values("in.stats.body_transl.mean").0;
     let poses = poses_of_features(&features, DQuat::IDENTITY, vector(&start));
@@ -317,7 +317,7 @@ fn golden_tmed_is_imported_as_an_editor() {
     assert_eq!(system.guidance(), official.diffusion.guidance);
 }
 
-/// The published size has the number of parameters that its parts add up to.
+/// The number of parameters of the published size equals the sum over its parts.
 #[test]
 fn the_official_network_has_the_published_size() {
     use burn::module::Module;

@@ -15,7 +15,7 @@ use train::text::source::TextEncoderSource;
 
 use super::*;
 
-/// Walks of several speeds, in which every second has raised arms.
+/// Walks with several speeds; every second one has raised arms.
 pub(super) fn clips(count: usize) -> Vec<CaptionedClip> {
     (0..count)
         .map(|index| {
@@ -56,7 +56,7 @@ fn config(num_steps: u64) -> MdmConfig {
     config
 }
 
-/// Trains on clips and validates on the same.
+/// Trains and validates on the same clips.
 pub(super) fn trained_by(
     progress: &dyn Progress,
     stop: &AtomicBool,
@@ -120,8 +120,8 @@ fn the_first_loss_of_mdm_is_that_of_an_untrained_network() {
             })
         })
         .collect();
-    // The output layer maps tokens of unit variance by weights of variance 1/3 over the width, and
-    // the prediction knows nothing of the motion. The clips are as long as one another.
+    // The output layer maps tokens of unit variance by weights of variance 1/3 over the width, and the prediction is
+    // independent of the motion. All clips have the same length.
     let expected = squares.iter().sum::<f64>() / squares.len() as f64 + 1.0 / 3.0;
     let found = report.best_val_loss.expect("validated");
     assert!((found / expected - 1.0).abs() < 0.1, "{found} {expected}");
@@ -208,7 +208,7 @@ fn mdm_bp_changes_only_the_joints_it_is_told_to() {
             ..EditConfig::default()
         };
         let system = open_system(&source, &config, &SKELETON, &Device::flex()).expect("opens");
-        // Settings that are not the usual ones are part of the name.
+        // Settings other than the usual ones are part of the name.
         let name = &system.identity().name;
         let named = format!("MDM-BP (release {release})");
         assert!(*name == "MDM-BP" || *name == named, "{name}");
@@ -248,7 +248,7 @@ fn mdm_bp_changes_only_the_joints_it_is_told_to() {
         [24, 25]
     );
     for joint in (0..NUM_BODY_JOINTS).filter(|&joint| !arm.contains(joint)) {
-        // The features are single precision, and velocities add up.
+        // Features have single precision, and rounding errors of velocities add up.
         assert!(moved(&together[0], joint) < 1e-3, "joint {joint}");
     }
     assert!(moved(&together[0], 20) > 0.05);
@@ -257,7 +257,7 @@ fn mdm_bp_changes_only_the_joints_it_is_told_to() {
         let both = [&alone[0], &together[0]].map(|motion| joints_of_motion(motion, &SKELETON));
         assert!(both[0][20][joint].distance(both[1][20][joint]) < 1e-4);
     }
-    // With the whole body free in the last steps the legs move too; other rates are kept.
+    // If no body part is kept in the last steps, the legs move too. Other frame rates are kept.
     let free = edited(3, arm, Fps::STORE, &["a"]);
     assert!(moved(&free[0], 7) > 0.01);
     let faster = edited(0, JointSet::EMPTY, Fps::new(30.0).expect("a rate"), &["a"]);

@@ -94,13 +94,13 @@ fn the_first_losses_of_mld_are_those_of_untrained_networks() {
     let expected = losses.iter().sum::<f64>() / losses.len() as f64;
     let found = best_loss(&dir.path().join("autoencoder"));
     assert!((found / expected - 1.0).abs() < 0.1, "{found} {expected}");
-    // The denoiser ends in a norm: noise of unit variance, and a prediction of unit variance that knows
-    // nothing of it. Six vectors of 128 numbers leave a standard deviation of five per cent.
+    // The denoiser ends in a layer norm, so noise and prediction both have unit variance, and they are independent.
+    // With six vectors of 128 numbers, the standard deviation is five per cent.
     let found = best_loss(dir.path());
     assert!((found / 2.0 - 1.0).abs() < 0.15, "{found}");
 }
 
-/// The first and the last loss of so many steps of training.
+/// The losses of the first and the last of `steps` training steps.
 fn overfitted<M: burn::module::Module>(
     mut model: M,
     steps: u32,
@@ -159,8 +159,8 @@ fn an_interrupted_run_of_mld_ends_as_an_uninterrupted_one() {
     let whole = tempfile::tempdir().expect("a folder");
     trained(whole.path(), &config, &NoProgress, &stop);
     let parts = tempfile::tempdir().expect("a folder");
-    // After two steps of the autoencoder; then after its other two and three of the diffusion, where the
-    // two that were made are counted again.
+    // The first stop is after two steps of the autoencoder. The second is after its other two steps and three of the
+    // diffusion; the first two steps are counted again.
     for (steps, done) in [(2, 2), (2 + 2 + 3, 3)] {
         let interrupt = StopAfter {
             stop: &stop,
@@ -216,7 +216,7 @@ fn variants_of_a_base_differ_by_their_noise_alone() {
         pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
     };
     assert!(apart(&all[0][0], &all[0][1]) > 1e-3 && apart(&all[0][1], &all[0][2]) > 1e-3);
-    // Sums in another order, as the batch is smaller.
+    // The tolerance covers sums in another order, because the batch is smaller.
     assert!(
         apart(
             &all[1][2],

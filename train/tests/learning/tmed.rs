@@ -1,4 +1,4 @@
-//! TMED learns, is continued exactly, and edits.
+//! TMED learns, continues exactly after an interruption, and edits.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -31,7 +31,7 @@ use super::{StopAfter, logged_losses, quietly, steps_done};
 
 const INSTRUCTIONS: [&str; 2] = ["raise the arm", "lower the arm"];
 
-/// Walks whose arm is raised or lowered; the edited one is two frames longer.
+/// Walks with a raised or lowered arm; the edited walk is two frames longer.
 struct Arms;
 
 fn arm(frames: usize, speed: f64, angle: f64) -> Motion {
@@ -110,7 +110,7 @@ fn train(run: &Path, config: &TmedConfig, progress: &dyn Progress, stop: &Atomic
     train_tmed(run, config, corpus, &session).expect("trains");
 }
 
-/// Clips of numbers, of different lengths.
+/// A batch of random clips with different lengths.
 fn batch(vocabulary: &Vocabulary, target: impl FnMut(usize) -> f32) -> ClipBatch {
     const ROWS: usize = 8;
     const FRAMES: usize = 9;
@@ -153,7 +153,7 @@ fn network(width: usize, num_tokens: usize) -> TmedModel {
 fn the_first_loss_of_tmed_is_that_of_an_untrained_network() {
     let vocabulary = vocabulary();
     let mut rng = Seed(4).rng(&["target"]);
-    // Normalised features have half a standard deviation.
+    // Normalised features have a standard deviation of one half.
     let batch = batch(&vocabulary, |_| 0.5 * rng.sample::<f32, _>(StandardNormal));
     let model = network(128, vocabulary.num_tokens());
     let schedule = Schedule::cosine(300).expect("steps");
@@ -168,8 +168,8 @@ fn the_first_loss_of_tmed_is_that_of_an_untrained_network() {
         &Pass::default(),
     );
     let first: f32 = first.into_scalar();
-    // The output layer maps tokens of unit variance by weights of variance 1/3 over the width. Groups of
-    // three features weigh as much as those of 126, and tokens resemble each other.
+    // The output layer maps tokens of unit variance by weights of variance 1/3 over the width. The tolerance is wide
+    // because a group of three features weighs as much as one of 126, and tokens are similar.
     let expected = 0.25 + 1.0 / 3.0;
     assert!((first / expected - 1.0).abs() < 0.25, "{first} {expected}");
 }
@@ -277,7 +277,7 @@ fn tmed_learns_and_its_edits_have_the_length_asked_for() {
         (&short, raise, Some(14)),
         (&long, lower, None),
         (&short, "lower it", None),
-        // The item shares a batch with the first.
+        // This item shares a batch with the first.
         (&alike, "lower an arm", Some(14)),
     ];
     let motions = edited(&*system, &all);

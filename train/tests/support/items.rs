@@ -1,4 +1,4 @@
-//! Questions for editing systems.
+//! Items for tests of editing systems.
 
 use compose::{ItemConfig, ItemCount};
 use datasets_spec::record::ItemRow;

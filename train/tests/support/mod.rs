@@ -1,4 +1,4 @@
-//! A small dataset of the built-in corpus, and every network trained on it.
+//! A small dataset of the built-in corpus, on which tests train every network.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -19,13 +19,13 @@ use train::model::pass::Arithmetic;
 use train::registry;
 use train::text::source::TextEncoderSource;
 
-/// A dataset, in a folder that goes with it.
+/// A dataset in a temporary folder, which is removed with this value.
 pub(crate) struct Data {
     folder: tempfile::TempDir,
 }
 
 impl Data {
-    /// Makes the dataset.
+    /// Makes the dataset from the built-in corpus.
     pub(crate) fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let (sources, dataset) = (folder.path().join("corpus"), folder.path().join("dataset"));
@@ -63,7 +63,7 @@ impl Data {
     }
 }
 
-/// Runs something on a device.
+/// Runs `act` in a session on a device.
 pub(crate) fn on<T>(
     device: &Device,
     progress: &dyn Progress,
@@ -81,7 +81,7 @@ pub(crate) fn on<T>(
     })
 }
 
-/// Settings of a short run of a network: a line every `log_every` steps and one validation at its end.
+/// Settings of a short run of a network: a line of metrics every `log_every` steps, and one validation at the end.
 pub(crate) fn settings(network: &str, steps: u64, log_every: u64) -> Value {
     let mut own = json!({
         "batch_size": 4,
@@ -113,7 +113,7 @@ pub(crate) fn settings(network: &str, steps: u64, log_every: u64) -> Value {
     own
 }
 
-/// Trains a network by its name, or continues its run.
+/// Trains the network with the given name, or continues its run.
 pub(crate) fn train(data: &Data, network: &str, run: &Path, own: &Value, session: &Session<'_>) {
     let kind = registry::model(network).expect("a network");
     let request = TrainRequest {
