@@ -57,7 +57,7 @@ pub(crate) fn mean_estimate(values: &[f64]) -> Option<Estimate> {
     })
 }
 
-/// Gwet's AC1 of labels below `labels`: the agreement beyond chance, 1 for full agreement. It stays high where nearly all
+/// Gwet's AC1 of labels `0..labels`: the agreement beyond chance, 1 for full agreement. It stays high where nearly all
 /// labels are equal.
 fn ac1(items: &[&Item], labels: usize) -> f64 {
     let n = items.len() as f64;
@@ -80,7 +80,7 @@ fn ac1(items: &[&Item], labels: usize) -> f64 {
     (agreed - chance) / (1.0 - chance)
 }
 
-/// Agreement on one decision, whose labels are below `labels`.
+/// Agreement on one decision with labels `0..labels`.
 pub(crate) fn part_agreement(part: &str, items: &[Item], labels: usize) -> PartAgreement {
     PartAgreement {
         part: part.to_owned(),

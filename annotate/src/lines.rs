@@ -83,7 +83,7 @@ impl Judgement {
             || (self.start, self.end) != (drafted.start, drafted.end))
     }
 
-    /// The frames that its mask holds for, of a clip with `frames` frames.
+    /// Checks the mask's range of frames in a clip with `frames` frames; `None` stands for the whole clip.
     fn range(&self, frames: i32) -> Result<Option<[i32; 2]>, String> {
         let range = match (self.start, self.end) {
             (None, None) => return Ok(None),
@@ -113,12 +113,12 @@ pub fn drafts(masks: &[MaskRow]) -> Result<String, datasets_spec::Error> {
     lines.collect()
 }
 
-/// The masks of a dataset after lines were taken back.
+/// The masks of a dataset after reading edited lines.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Taken {
     /// All masks, sorted.
     pub masks: Vec<MaskRow>,
-    /// Edited lines whose verdict is still open: their parts and texts are drafts of the author.
+    /// Number of edited lines without a verdict. Their parts and texts are kept as drafts of the author.
     pub open_edits: usize,
 }
 

@@ -1,9 +1,8 @@
 //! PostgreSQL: the same tables and statements, for several servers on one store.
 //!
-//! Sequence numbers of the log have no gaps, so transactions that write are serialised by one advisory
-//! lock, held to the end of the transaction; `SKIP LOCKED` would therefore gain nothing. One thread of
-//! each server writes and groups waiting work into one transaction, so that the lock and the commit are
-//! paid once for many.
+//! Sequence numbers of the log have no gaps, so transactions that write are serialised by one advisory lock, held to
+//! the end of the transaction; `SKIP LOCKED` would therefore gain nothing. One thread of each server writes and groups
+//! waiting work into one transaction, so that many operations share one lock and one commit.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -94,7 +93,7 @@ impl Postgres {
         })?;
         tx.run("UPDATE version SET number = ?1", params![migrate::VERSION])?;
         tx.batch("COMMIT", migrate::MAKE)?;
-        // Plans prepared for tables that were dropped are of no use.
+        // Discard the plans prepared for the dropped tables.
         connection.statements.clear();
         Ok(upgrade)
     }
