@@ -6,7 +6,7 @@ use datasets_spec::table;
 table! {
     /// An accepted mask of a motion, or an accepted judgement of a pair.
     pub struct AnnotationRow = "annotations" {
-        /// What tells the task from others
+        /// Unique key of the task
         pub task: String [""],
         /// mask_text, pair or style
         pub kind: String [""],
@@ -22,9 +22,9 @@ table! {
         pub hint: Option<String> [""],
         /// Style the source gives
         pub source_style: Option<String> [""],
-        /// Place of the mask in its answer, from 0; 0 for pairs
+        /// Index of the mask in its answer, from 0; 0 for pairs
         pub number: u32 [""],
-        /// Masks of the answer; 1 for pairs, 0 for an answer without a mask
+        /// Number of masks of the answer; 1 for pairs, 0 for an answer without a mask
         pub count: u32 [""],
         /// keep, unnatural, unclear or identical, for pairs
         pub verdict: Option<String> [""],
@@ -54,7 +54,7 @@ table! {
         pub note: String [""],
         /// Pseudonym of the author; the same person has the same one in all tables of a store
         pub author: String [""],
-        /// Whether a reviewer made it of several answers
+        /// Whether a reviewer merged it from several answers
         pub merged: u32 [""],
         /// Fields of a source's file that have no column here, JSON
         pub extra: Option<String> [""],
@@ -66,7 +66,7 @@ table! {
 table! {
     /// An answer of one person, accepted or not.
     pub struct LabelRow = "labels" {
-        /// What tells the task from others
+        /// Unique key of the task
         pub task: String [""],
         /// mask_text, pair or style
         pub kind: String [""],
@@ -80,9 +80,9 @@ table! {
         pub author: String [""],
         /// submitted, accepted, returned or superseded
         pub state: String [""],
-        /// The answer, JSON, as the interface has it
+        /// The answer, JSON, as in the API
         pub answer: String [""],
-        /// Time the author was at it
+        /// Working time of the author
         pub secs: f64 ["s"],
         /// Edit distance of its texts from their drafts; missing without drafts
         pub draft_distance: Option<f64> [""],
@@ -90,7 +90,7 @@ table! {
         pub blind: u32 [""],
         /// 1 for an answer to a hidden gold task
         pub gold: u32 [""],
-        /// When it was handed in, milliseconds since the epoch
+        /// Time of submission, milliseconds since the epoch
         pub at: u64 ["ms"],
         /// How it was accepted: review, own (by its author), rule:NAME; missing if it was not
         pub accepted_by: Option<String> [""],
@@ -100,7 +100,7 @@ table! {
 table! {
     /// A task that was dropped, skipped by somebody, or a pair that was accepted as not usable.
     pub struct RejectRow = "rejects" {
-        /// What tells the task from others
+        /// Unique key of the task
         pub task: String [""],
         /// mask_text, pair or style
         pub kind: String [""],
@@ -112,9 +112,9 @@ table! {
         pub split: String [""],
         /// unnatural, unclear, identical, dropped, or the reason of a skip
         pub reason: String [""],
-        /// More about it
+        /// Note on the reason
         pub note: String [""],
-        /// Pseudonym of who decided
+        /// Pseudonym of the person who decided
         pub author: String [""],
         /// How a pair was accepted as not usable: review, own (by its author), rule:NAME, or import; missing for others
         pub accepted_by: Option<String> ["", newer],
@@ -132,9 +132,9 @@ table! {
         pub value: Option<f64> [""],
         /// Lower end of the 95 % bootstrap interval
         pub low: Option<f64> [""],
-        /// Upper end
+        /// Upper end of the interval
         pub high: Option<f64> [""],
-        /// Items
+        /// Number of items
         pub items: u64 [""],
     }
 }
@@ -142,17 +142,17 @@ table! {
 table! {
     /// An entry of the log.
     pub struct EventRow = "events" {
-        /// Place in the log
+        /// Sequence number in the log
         pub seq: u64 [""],
-        /// When, milliseconds since the epoch
+        /// Time, milliseconds since the epoch
         pub at: u64 ["ms"],
-        /// Pseudonym of who; missing for the program itself
+        /// Pseudonym of the actor; missing for the program itself
         pub actor: Option<String> [""],
-        /// What
+        /// Kind of the entry
         pub kind: String [""],
         /// Number of the task in this store
         pub task: Option<u64> [""],
-        /// The rest, JSON
+        /// Body of the entry, JSON
         pub body: String [""],
     }
 }

@@ -1,6 +1,6 @@
 //! Enums with their names.
 
-/// Declares enums with the lists of their values and the names of these.
+/// Declares enums with lists of their values and names.
 macro_rules! names {
     ($(
         $(#[doc = $doc:literal])*
@@ -336,19 +336,19 @@ names! {
         ScreenReview = "screen_review",
         ScreenDashboard = "screen_dashboard",
         ScreenAdmin = "screen_admin",
-        /// Open what I handed in.
+        /// Open my answers.
         ScreenMine = "screen_mine",
-        /// Open or close the guide beside the work.
+        /// Open or close the guide beside the task.
         GuideBeside = "guide_beside",
         /// Practice: go on after the feedback.
         PracticeNext = "practice_next",
         PracticeAgain = "practice_again",
-        /// Practice: show the known answer on the body, or one's own.
+        /// Practice: switch the body between the known answer and one's own.
         PracticeCompare = "practice_compare",
         ScreenTasks = "screen_tasks",
-        /// Let a mask hold from the begin to the end of the loop.
+        /// Set the range of a mask to the loop.
         RangeSet = "range_set",
-        /// Let a mask hold for the whole clip.
+        /// Apply a mask to the whole clip.
         RangeClear = "range_clear",
     }
 
@@ -389,7 +389,8 @@ names! {
     /// Which skipped tasks the browser lists.
     pub enum SkipFilter {
         Any = "any",
-        /// Undecided, skipped, and nobody is left to get it: every annotator (of none, every user) skipped or answered it.
+        /// Undecided tasks that nobody is left to get: every annotator skipped or answered them; without annotators,
+        /// every user did.
         Everybody = "everybody",
     }
 
@@ -459,7 +460,7 @@ names! {
 }
 
 impl TaskKind {
-    /// What the texts of its answers are. Guide, text box, phrases and drafts follow it.
+    /// Form of the texts of answers. It determines the guide, the text box, the phrases and the drafts.
     pub fn text_form(self) -> TextForm {
         match self {
             Self::MaskText => TextForm::Completion,

@@ -95,7 +95,7 @@ fn a_draft_is_a_suggestion_kept_apart_and_asked_for_once() {
     assert!(asked.contains("take clip00") && asked.contains("left arm"));
     let again: Suggestion = suggest(&ann, &view, "LEFT_ARM").ok();
     assert_eq!(again.text, suggestion.text);
-    // An equal question is not asked twice.
+    // The same prompt is not sent twice.
     assert_eq!(fake.count.load(Ordering::SeqCst), 1);
     let seen: TaskView = ann.get(&format!("tasks/{}", view.task.id)).ok();
     assert!(seen.mine.is_none(), "a draft is no answer");

@@ -161,18 +161,18 @@ impl Fixture {
         self.claim_kind(user, TaskKind::Pair)
     }
 
-    /// Why there is no task for a user.
+    /// Why there is no task for a user. Panics if there is one.
     fn nothing(&self, user: i64, kind: TaskKind) -> Empty {
         let claimed = self.claimed(user, kind);
         claimed.expect_err("nothing is left")
     }
 
-    /// Claims a mask task that there must be.
+    /// Claims a mask task. Panics if there is none.
     pub(crate) fn take(&self, user: i64) -> i64 {
         self.claim(user).expect("a task")
     }
 
-    /// Claims a pair that there must be.
+    /// Claims a pair. Panics if there is none.
     pub(crate) fn take_pair(&self, user: i64) -> i64 {
         self.claim_pair(user).expect("a pair")
     }
@@ -186,7 +186,7 @@ impl Fixture {
         queues.find(|queue| queue.kind == kind).expect("a queue")
     }
 
-    /// Mask tasks that the user's home page promises.
+    /// Number of open mask tasks on the user's home page.
     fn open(&self, user: i64) -> i64 {
         self.queue(user, TaskKind::MaskText).open
     }
@@ -236,7 +236,7 @@ impl Fixture {
         self.append(user, task, vec![event]).remove(0)
     }
 
-    /// Sends an event with the lease that the user has.
+    /// Sends an event under the user's lease.
     pub(crate) fn tell(
         &self,
         user: i64,
@@ -369,7 +369,7 @@ fn an_expired_lease_is_given_away_by_the_claim_itself_and_its_late_answer_is_kep
         let draft = (RevisionState::Draft, masks("late"));
         assert_eq!((mine.state, mine.answer), draft);
         assert_eq!(site.record(task).submitted, 0);
-        // Asked again, the same answer.
+        // A repeated request gets the same reply.
         assert_eq!(site.send(site.ann, task, late), result);
         let again = site.store.claim_task(site.ann, task, site.now());
         assert_eq!(refusal(again), Code::TaskFull);
@@ -543,7 +543,7 @@ fn changed(mut answer: Answer, change: impl FnOnce(&mut MaskAnswer)) -> Answer {
     answer
 }
 
-/// An answer whose first mask holds for a range.
+/// An answer whose first mask has a range.
 fn in_range(range: [i32; 2]) -> Answer {
     changed(masks("waving"), |mask| mask.range = Some(range))
 }
@@ -832,7 +832,7 @@ fn home_promises_what_a_claim_gives() {
     });
 }
 
-/// Tasks of which the first ones are walks and the others waves.
+/// Puts the first tasks into the category of walks, and the others into that of waves.
 fn in_categories(walks: usize, tasks: Vec<NewTask>) -> Vec<NewTask> {
     let tasks = tasks.into_iter().enumerate();
     let named = tasks.map(|(number, task)| NewTask {
@@ -1006,7 +1006,7 @@ fn importing_again_changes_nothing() {
     });
 }
 
-/// Ids of the tasks of a random walk.
+/// Ids of the tasks in a random walk.
 const WALKED: std::ops::RangeInclusive<i64> = 1..=16;
 
 /// A random walk of three people through a store.
@@ -1241,7 +1241,7 @@ fn a_task_that_nobody_took_is_not_said_to_be_taken() {
         let task = site.take(site.ann);
         let epoch = site.epoch(site.ann, task);
         site.wait(16 * MINUTE);
-        // Any claim ends leases that ran out; this one is for another kind of task.
+        // Any claim ends expired leases, even a claim of another kind of task.
         assert_eq!(site.claim_kind(site.bob, TaskKind::Style), None);
         let say = |base: i64, text: &str| {
             let late = event(EventKind::Draft, epoch, base, masks(text));
