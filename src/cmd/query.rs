@@ -80,7 +80,7 @@ fn open(path: &str) -> anyhow::Result<Dataset> {
     Ok(Dataset::open_unverified(path.as_ref())?)
 }
 
-/// The name and the path of `NAME=PATH`. What stands before the first = is a name unless it holds a slash.
+/// The name and the path of `NAME=PATH`. The text before the first = is a name unless it contains a slash.
 fn named(text: &str) -> Option<(&str, &str)> {
     let (name, path) = text.split_once('=')?;
     let is_name = !name.is_empty() && !name.contains(['/', '\\']);
@@ -110,8 +110,7 @@ fn csv(answer: &Answer) -> String {
     text
 }
 
-/// Columns of text, numbers to the right. Cells that are longer than this are cut, with a mark; `--json` and `--csv` have
-/// them whole.
+/// Maximum length of a printed cell. Longer cells are cut, with a mark; `--json` and `--csv` print them whole.
 const LONGEST_CELL: usize = 80;
 
 fn table(answer: &Answer) -> String {

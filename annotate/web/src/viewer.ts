@@ -135,7 +135,7 @@ export class Viewer {
       this.clock.resize(this.length());
       if (playing) this.clock.play(true);
     }
-    // A change of the ghost's position moves no camera.
+    // A change of the ghost's position does not move the camera.
     if (change.together === undefined) this.arrange();
     else this.update(this.clock.now);
   }

@@ -1,5 +1,5 @@
 //! The capture plan of a project, as a CSV file, and its missing takes. A plan comes from a spreadsheet, which writes
-//! CSV and no TOML.
+//! CSV but not TOML.
 
 use std::path::Path;
 
@@ -63,7 +63,7 @@ fn take_plan(store: &Store, file: &Path, global: &Global) -> anyhow::Result<Exit
 /// The cells of a plan.
 ///
 /// # Errors
-/// A line is wrong; the error names it.
+/// A line is invalid; the error names it.
 fn parse(bytes: &[u8]) -> anyhow::Result<Vec<PlannedCapture>> {
     let mut cells = Vec::new();
     for (place, (number, record)) in csv_lines::records(bytes).enumerate() {

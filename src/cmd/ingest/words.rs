@@ -148,7 +148,7 @@ fn problems(problems: &[LabelProblem]) -> String {
     text
 }
 
-/// Clips that are alike.
+/// Message about clips with nearly equal motion.
 fn alike_clips(alike: &[AlikeClips]) -> String {
     const SHOWN: usize = 5;
     let (together, apart): (Vec<&AlikeClips>, Vec<&AlikeClips>) =

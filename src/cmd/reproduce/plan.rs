@@ -116,7 +116,7 @@ struct System {
     /// Whether a coordinator guides the system.
     #[serde(default)]
     coordinator: bool,
-    /// Whether a pose network finds its rotations.
+    /// Whether a pose network estimates the rotations of the system's edits.
     #[serde(default)]
     poses: bool,
     /// Training seeds that override the plan's.
@@ -204,7 +204,7 @@ pub(super) struct Spec {
 }
 
 impl Spec {
-    /// The trainings that its edits need.
+    /// The trainings that the edits need.
     pub(super) fn trainings(&self) -> impl Iterator<Item = &Training> {
         [
             Some(&self.training),
@@ -270,7 +270,7 @@ pub(super) struct FigureSpecs<'a> {
 }
 
 impl Plan {
-    /// Reads a plan. Paths are relative to its file; `dataset` and `out` replace its own.
+    /// Reads a plan. Paths are relative to its file; `dataset` and `out` override those of the plan.
     pub(super) fn read(
         text: &str,
         path: &Path,
@@ -535,7 +535,7 @@ impl Plan {
         })
     }
 
-    /// Hash of the table of text vectors or of the folder of BERT, if settings ask for one and it is there.
+    /// Hash of the table of text vectors or of the folder of BERT, if the settings ask for one and it exists.
     fn text_table(&self, own: &Value) -> anyhow::Result<Option<String>> {
         let asked = own.pointer("/text/encoder").and_then(Value::as_str);
         match (asked, &self.text_encoder) {
