@@ -51,7 +51,7 @@ impl DeviceArgs {
         Ok(Self { device, no_fused })
     }
 
-    /// Name of the device that is asked for.
+    /// Name of the requested device.
     pub(crate) fn name(&self) -> String {
         self.device.to_string()
     }

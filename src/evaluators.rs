@@ -117,7 +117,7 @@ impl MotionEncoder for Encoder {
     }
 }
 
-/// A coordinator, which tells composed motions from natural ones.
+/// A coordinator, which distinguishes composed motions from natural ones.
 struct Classifier<'a> {
     network: TrainedCoordinator,
     skeleton: &'a Skeleton,

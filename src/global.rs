@@ -94,7 +94,7 @@ impl Global {
         Bars::new(self.no_progress, self.quiet)
     }
 
-    /// Names this run to another one that finds a folder locked.
+    /// Describes this run, for other runs that find a folder locked.
     pub(crate) fn holder(&self) -> String {
         let started = std::time::SystemTime::now()
             .duration_since(std::time::UNIX_EPOCH)

@@ -1,6 +1,6 @@
 //! The test set that comes with the program.
 //!
-//! It is not stored: corpus, dataset and items follow from seed 0, and its digest is held below.
+//! It is not stored: corpus, dataset and items follow from seed 0, and its digest is a constant below.
 
 use std::path::Path;
 use std::str::FromStr;

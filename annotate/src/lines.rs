@@ -36,10 +36,10 @@ struct Judgement {
     /// Joints whose weight differs from the weight in their parts.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     joints: Vec<JointChoice>,
-    /// First frame that the mask holds for; missing for the whole clip.
+    /// First frame of the mask; missing for the whole clip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     start: Option<i32>,
-    /// The frame after the last one that the mask holds for; missing for the whole clip.
+    /// The frame after the last one of the mask; missing for the whole clip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     end: Option<i32>,
     /// Instruction for the masked part.
@@ -125,8 +125,8 @@ pub struct Taken {
 /// Origin of a mask text that a person wrote and nobody has judged.
 const DRAFT: &str = "draft";
 
-/// Reads edited lines and returns the new masks of the dataset: pending drafts stay as they were edited, accepted
-/// lines become masks of `author`, rejected drafts are removed. Empty lines are skipped.
+/// Reads edited lines and returns the new masks of the dataset: pending drafts keep their edits, accepted lines become
+/// masks of `author`, rejected drafts are removed. Empty lines are skipped.
 ///
 /// `masks` are the dataset's present masks and `motions` its motions with their splits and numbers of frames.
 ///

@@ -261,7 +261,7 @@ mod tests {
             let found = entered(&arm, mask_of(&arm, soft, chosen));
             assert_eq!(found, (soft, chosen.to_vec()));
         }
-        // Legs have no ring of their own: joints are chosen one by one.
+        // Legs have no ring: joints are chosen one by one.
         let leg = mask_of(
             &parts(&["LEFT_LEG"]),
             true,

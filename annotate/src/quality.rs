@@ -141,7 +141,6 @@ impl Gathered {
         Ok(!changed.is_empty())
     }
 
-    /// The figures.
     pub(crate) fn figures(&self) -> Figures {
         let all: Vec<&Said> = self.tasks.values().flatten().collect();
         let several = self.tasks.values().filter(|said| said.len() > 1);

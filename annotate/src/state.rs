@@ -55,9 +55,9 @@ names! {
 names! {
     /// Purpose of a lease.
     pub enum Purpose {
-        /// To answer.
+        /// A lease to answer the task.
         Annotate = "annotate",
-        /// To review.
+        /// A lease to review the task.
         Review = "review",
         /// Reservation for an author whose answer was returned.
         Returned = "returned",

@@ -18,7 +18,7 @@ pub(crate) struct Args {
     /// Files and folders to look at
     #[arg(required = true)]
     sources: Vec<PathBuf>,
-    /// HumanML3D's index.csv, to say which AMASS recordings it needs are missing
+    /// HumanML3D's index.csv, to list the AMASS recordings that it needs and that are missing
     #[arg(long, value_name = "CSV")]
     humanml3d_index: Option<PathBuf>,
     /// Marker set in JSON that captures will be ingested with

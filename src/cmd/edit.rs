@@ -91,7 +91,7 @@ pub(crate) struct Args {
     /// Test items to answer, as `stance items` draws them; --seed applies only to the sampling
     #[arg(long, conflicts_with_all = ["motion", "text", "during", "history", "dataset"])]
     items: Option<PathBuf>,
-    /// Name of the system in tables [default: one that says what differs from the preset]
+    /// Name of the system in tables [default: made from what differs from the preset]
     #[arg(long)]
     name: Option<String>,
     /// Number of edits of every item, with the sampling seeds --seed, --seed + 1 and so on
@@ -334,7 +334,6 @@ fn remarks(system: &dyn EditSystem, motion: &Motion, layers: &[Vec<TimedInstruct
     remarks
 }
 
-/// Prints the result.
 fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyhow::Result<Exit> {
     let document = serde_json::json!({
         "out": args.out,

@@ -69,7 +69,7 @@ struct ImportArgs {
     /// Settings of the system: a JSON object, or a file with one
     #[arg(long, value_name = "JSON|FILE")]
     settings: Option<String>,
-    /// Rate of the answers in 1/s [default: what the files say]
+    /// Rate of the answers in 1/s [default: as stated in the files]
     #[arg(long, value_parser = parse_fps)]
     fps: Option<Fps>,
     /// Vertical axis of the answers [default: z for AMASS and MotionFix, otherwise y]

@@ -357,8 +357,8 @@ pub(crate) fn result_tables(scores: &Scores, table: TableArg, paper: PaperTable)
     }
 }
 
-/// Scores in the layout of a table of the paper: the table's tasks if the edits have any of them, else the tasks that
-/// exist.
+/// Scores in the layout of a table of the paper: the table's tasks if the edits have any of them, otherwise all tasks
+/// with scores.
 fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     let mut tables = Table::from_scores(&scores.rows, &scores.judges, &table.columns());
     let wanted = |found: &Table| {

@@ -91,7 +91,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
 }
 
-/// A dataset.
+/// The `--json` document about a dataset.
 #[derive(Serialize)]
 struct Document<'a> {
     root_hash: &'a str,
@@ -303,7 +303,7 @@ impl Question {
     }
 }
 
-/// A clip of a dataset.
+/// The `--json` document about a clip of a dataset.
 #[derive(Serialize)]
 struct Clip {
     facts: BTreeMap<String, String>,

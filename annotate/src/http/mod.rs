@@ -379,9 +379,9 @@ fn admit(
     Ok(Some(who))
 }
 
-/// Refuses requests to a host name that is not this server's. In DNS rebinding an attacker points a name of their own at
-/// this address, and the browser takes their page and this server for one origin. `localhost` and IP addresses cannot be
-/// pointed elsewhere, so they are always accepted.
+/// Refuses requests to a host name that is not this server's. In DNS rebinding an attacker points a name of their own
+/// at this address, and the browser treats their page and this server as one origin. `localhost` and IP addresses
+/// cannot be pointed elsewhere, so they are always accepted.
 fn check_host(headers: &HeaderMap, hosts: &[String]) -> Result<(), Error> {
     let asked = text(headers, &header::HOST).and_then(|host| host.parse::<Authority>().ok());
     let name = asked.as_ref().map_or("", |asked| asked.host());

@@ -379,8 +379,8 @@ fn type_limits(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Vec<Strin
     Ok(limits)
 }
 
-/// The next task of a user with its bundle: a new one, else a postponed one. With quotas, in the order of
-/// [`category_limits`], and within a category of [`type_limits`].
+/// The next task of a user with its bundle: a new task, or otherwise a postponed one. With quotas, tasks are tried in
+/// the order of [`category_limits`], and within a category in that of [`type_limits`].
 fn candidate(
     tx: &mut dyn Tx,
     turn: &Turn,

@@ -181,7 +181,7 @@ fn wanted(settings: &Settings, key: &str, bundle: Option<i64>) -> u32 {
     }
 }
 
-/// Tasks that one transaction of [`retarget`] looks at.
+/// Maximum number of tasks that one transaction of [`retarget`] checks.
 const RETARGETED_AT_ONCE: i64 = 1000;
 
 /// Updates a batch of tasks that still want answers to the number of people in the settings, and returns whether all

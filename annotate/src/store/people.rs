@@ -87,7 +87,7 @@ impl Store {
             tx.run(sql, params![user, after.role, after.active])?;
             if !after.active {
                 tx.run("UPDATE token SET revoked = 1 WHERE usr = ?1", params![user])?;
-                // Others can take the tasks.
+                // End the user's leases, so that others can take the tasks.
                 let from = "lease l WHERE l.usr = ?1 ORDER BY l.id";
                 for held in rows::leases(tx, from, params![user])? {
                     leases::end(tx, &held, actor, ReleaseReason::TakenAway, now)?;

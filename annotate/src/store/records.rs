@@ -66,7 +66,7 @@ pub struct NewTask {
     pub key: String,
     /// Kind of question.
     pub kind: TaskKind,
-    /// Hash of the motion, or of the one before the edit.
+    /// Hash of the motion; for a pair, of the motion before the edit.
     pub source: String,
     /// Hash of the motion after the edit.
     pub target: Option<String>,

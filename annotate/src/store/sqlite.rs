@@ -234,7 +234,7 @@ impl Tx for Connection {
     }
 }
 
-/// The network file system that a path lies on, if it can be determined.
+/// The network file system of a path, if it can be determined.
 fn network_file_system(path: &Path) -> Option<String> {
     let folder = path
         .parent()

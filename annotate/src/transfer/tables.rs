@@ -10,7 +10,7 @@ table! {
         pub task: String [""],
         /// mask_text, pair or style
         pub kind: String [""],
-        /// Motion, or the one before the edit
+        /// Motion; for a pair, the motion before the edit
         pub motion_id: String [""],
         /// Motion after the edit
         pub target_id: Option<String> [""],
@@ -18,7 +18,7 @@ table! {
         pub split: String [""],
         /// Action category of the source
         pub category: Option<String> [""],
-        /// What the pair was made for
+        /// Edit that the pair was made for
         pub hint: Option<String> [""],
         /// Style the source gives
         pub source_style: Option<String> [""],
@@ -34,9 +34,9 @@ table! {
         pub hard_joints: Vec<String> [""],
         /// Joints interpolated
         pub soft_joints: Vec<String> [""],
-        /// First frame that the mask holds for; missing for the whole clip
+        /// First frame of the mask; missing for the whole clip
         pub start: Option<i32> ["frame", newer],
-        /// The frame after the last one that the mask holds for; missing for the whole clip
+        /// The frame after the last one of the mask; missing for the whole clip
         pub end: Option<i32> ["frame", newer],
         /// Version of the body-part membership
         pub mask_def_version: u32 [""],
@@ -58,7 +58,7 @@ table! {
         pub merged: u32 [""],
         /// Fields of a source's file that have no column here, JSON
         pub extra: Option<String> [""],
-        /// How it was accepted: review, own (by its author), rule:NAME, or import where a file says no more
+        /// How it was accepted: review, own (by its author), rule:NAME, or import if the imported file does not say
         pub accepted_by: Option<String> ["", newer],
     }
 }
@@ -70,7 +70,7 @@ table! {
         pub task: String [""],
         /// mask_text, pair or style
         pub kind: String [""],
-        /// Motion, or the one before the edit
+        /// Motion; for a pair, the motion before the edit
         pub motion_id: String [""],
         /// Motion after the edit
         pub target_id: Option<String> [""],
@@ -104,7 +104,7 @@ table! {
         pub task: String [""],
         /// mask_text, pair or style
         pub kind: String [""],
-        /// Motion, or the one before the edit
+        /// Motion; for a pair, the motion before the edit
         pub motion_id: String [""],
         /// Motion after the edit
         pub target_id: Option<String> [""],

@@ -101,7 +101,7 @@ messages! {
         pub title: String,
         /// HTTP status.
         pub status: u16,
-        /// Which problem; texts may change, codes do not.
+        /// Code of the problem. Codes are stable; texts may change.
         pub code: Code,
         /// What happened, and what to do.
         pub detail: String,

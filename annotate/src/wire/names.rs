@@ -84,11 +84,11 @@ names! {
 
     /// How a mask takes a joint of the other motion.
     pub enum JointWeight {
-        /// Whole.
+        /// The joint is taken whole.
         Hard = "hard",
-        /// Interpolated, as the soft ring.
+        /// The joint is interpolated, as in the soft ring.
         Soft = "soft",
-        /// Not at all.
+        /// The joint is not taken.
         None = "none",
     }
 
@@ -134,7 +134,7 @@ names! {
         Lower = "lower",
         /// Spine, head and arms.
         Upper = "upper",
-        /// All of it.
+        /// The whole body.
         Whole = "whole",
     }
 
@@ -396,7 +396,7 @@ names! {
 
     /// What a text of an answer is.
     pub enum TextForm {
-        /// It completes "The person is …": "waving with the left arm".
+        /// Completes "The person is …": "waving with the left arm".
         Completion = "completion",
         /// An instruction that turns the first motion into the second: "raise the left arm higher".
         Instruction = "instruction",
@@ -407,16 +407,16 @@ names! {
         Draft = "draft",
         /// The task waits for the answer of another person.
         WaitsForOthers = "waits_for_others",
-        /// It waits for a reviewer.
+        /// The task waits for a reviewer.
         WaitsForReview = "waits_for_review",
         InReview = "in_review",
-        /// It was accepted as it is.
+        /// The answer was accepted unchanged.
         Accepted = "accepted",
         /// A reviewer accepted another answer, or one merged from several.
         Superseded = "superseded",
         Returned = "returned",
         Dropped = "dropped",
-        /// Practice: it was compared with the known answer, and nobody reviews it.
+        /// Practice: the answer was compared with the known one, and nobody reviews it.
         Practice = "practice",
     }
 

@@ -1,4 +1,4 @@
-//! People and what the project asks of them: logging in, preferences, settings, the guide, users and tokens.
+//! Messages about people and the project: login, preferences, settings, the guide, users and tokens.
 
 #![expect(
     missing_docs,
@@ -70,14 +70,14 @@ messages! {
     pub struct Style {
         /// Name of the style in answers and pairs: 1 to 100 characters.
         pub name: String,
-        /// What it looks like, for the people who perform it and who describe it.
+        /// Appearance of the style, for the people who perform and describe it.
         #[serde(default)]
         pub text: String,
-        /// How it is performed, in paragraphs with empty lines between: what the body does, and what it must not do. Up
-        /// to 10,000 characters.
+        /// How the style is performed, in paragraphs separated by empty lines: what the body does, and what it must not
+        /// do. Up to 10,000 characters.
         #[serde(default, skip_serializing_if = "String::is_empty")]
         pub guideline: String,
-        /// The colour of its mark, `#rrggbb`.
+        /// The colour that marks the style, `#rrggbb`.
         pub colour: Option<String>,
     }
 

@@ -1,4 +1,4 @@
-//! What reviewers see and send: reviews, the task browser, bulk actions, and rules of acceptance.
+//! Messages of reviewers: reviews, the task browser, bulk actions, and rules of acceptance.
 
 #![expect(
     missing_docs,
@@ -59,9 +59,9 @@ messages! {
     pub struct Candidate {
         pub revision: Revision,
         pub author_name: String,
-        /// Body joints of its masks, hard or soft, for the viewer.
+        /// Body joints of the answer's masks, hard or soft, for the viewer.
         pub joints: Vec<usize>,
-        /// Edit distance of its texts from their drafts, 0 to 1.
+        /// Edit distance of the answer's texts from their drafts, 0 to 1.
         pub draft_distance: Option<f64>,
     }
 
@@ -141,7 +141,7 @@ messages! {
         pub key: String,
         pub kind: TaskKind,
         pub state: TaskState,
-        /// Id of its motion, or of the one before the edit.
+        /// Id of the motion; for a pair, of the motion before the edit.
         pub source_id: String,
         /// Id of the motion after the edit.
         pub target_id: Option<String>,
@@ -161,7 +161,7 @@ messages! {
         /// Leases and reservations of the task.
         pub holders: Vec<Holder>,
         pub skips: Vec<SkipBrief>,
-        /// How it was accepted: `review`, `own` (by its author), `rule:NAME` or `import`.
+        /// How the task was accepted: `review`, `own` (by its author), `rule:NAME` or `import`.
         pub accepted_by: Option<String>,
     }
 
@@ -170,7 +170,7 @@ messages! {
         pub author: i64,
         pub name: String,
         pub state: RevisionState,
-        /// Its texts, joined.
+        /// Texts of the answer, joined.
         pub text: String,
         pub parts: Vec<String>,
         pub verdict: Option<Verdict>,

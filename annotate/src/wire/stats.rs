@@ -1,4 +1,4 @@
-//! What the project has done: figures of the dashboard, the log, jobs, and the capture plan.
+//! Figures of the dashboard, the log, jobs, and the capture plan.
 
 #![expect(
     missing_docs,
@@ -39,14 +39,14 @@ messages! {
         /// Mean agreement on the tasks whose last answer was submitted in this week: 1 for equal verdicts or joint
         /// sets.
         pub agreement: Option<f64>,
-        /// Number of those tasks.
+        /// Number of tasks behind `agreement`.
         pub shared_items: usize,
     }
 
     /// `GET stats/people`: one for each person.
     pub struct Person {
         pub user: User,
-        /// Answers handed in.
+        /// Submitted answers.
         pub done: i64,
         pub median_secs: Option<f64>,
         pub accepted: i64,
@@ -212,7 +212,7 @@ messages! {
     /// `PUT captures`: the whole plan, in place of the one before.
     #[serde(deny_unknown_fields)]
     pub struct CapturePlan {
-        /// Its cells, each motion with each style once.
+        /// Cells of the plan, each motion with each style once.
         pub cells: Vec<PlannedCapture>,
     }
 

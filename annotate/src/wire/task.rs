@@ -1,4 +1,4 @@
-//! What annotators see and send: tasks, answers, events, the home page, their own answers, and practice.
+//! Messages of annotators: tasks, answers, events, the home page, their own answers, and practice.
 
 #![expect(
     missing_docs,
@@ -111,7 +111,7 @@ messages! {
         pub id: i64,
         pub kind: TaskKind,
         pub state: TaskState,
-        /// One motion, or the one before and the one after the edit.
+        /// One motion; for a pair, the motions before and after the edit.
         pub motions: Vec<MotionInfo>,
         /// Action category, for the quota.
         pub category: Option<String>,
@@ -214,7 +214,7 @@ messages! {
     /// `POST tasks/{id}/events`.
     #[serde(deny_unknown_fields)]
     pub struct EventBatch {
-        /// In the order they happened.
+        /// Events in the order in which they happened.
         pub events: Vec<NewEvent>,
     }
 
@@ -394,7 +394,7 @@ messages! {
         pub comment: Option<String>,
         /// The accepted answer, if it is not mine.
         pub accepted: Option<Answer>,
-        /// How it was accepted: `review`, `own`, `rule:NAME` or `import`.
+        /// How the answer was accepted: `review`, `own`, `rule:NAME` or `import`.
         pub accepted_by: Option<String>,
         /// Whether the event `undo` of `POST tasks/{id}/events` can take the answer back now.
         pub can_take_back: bool,

@@ -67,7 +67,7 @@ fn plural(name: &str) -> String {
     text + "S"
 }
 
-/// A list of strings, as many to a line as fit.
+/// A list of strings, with as many per line as fit.
 fn list(items: &[&str]) -> String {
     let (mut text, mut line) = ("[\n".to_owned(), " ".to_owned());
     for item in items {

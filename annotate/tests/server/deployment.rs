@@ -47,7 +47,7 @@ fn a_right_token_is_never_locked_out_and_counts_for_nothing() {
     let site = Site::new();
     let ann = site.person("ann");
     let log_in = || site.log_in(&ann.token, &[]).status;
-    // Several people behind one address.
+    // Several people log in from one address.
     for _ in 0..30 {
         assert_eq!(log_in(), 200);
     }

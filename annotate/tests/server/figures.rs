@@ -173,7 +173,7 @@ fn describe(task: &TaskDetail, number: u64, own: bool) -> Answer {
     from_json(json!({ "kind": "mask_text", "masks": said }))
 }
 
-/// A team at work on a store.
+/// A team that works on a store.
 struct Team {
     store: Arc<Store>,
     /// Annotators with the seconds that they need for a mask task.

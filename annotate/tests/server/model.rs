@@ -59,7 +59,7 @@ fn fake(response: String) -> Fake {
     Fake { url, asked, count }
 }
 
-/// A response in which the model says this.
+/// A response of the model with this text.
 fn said(content: &str) -> String {
     let body = json!({
         "choices": [{ "message": { "content": content } }], "usage": { "total_tokens": 42 },

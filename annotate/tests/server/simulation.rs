@@ -465,7 +465,7 @@ fn check_answers(project: &Project, size: [usize; 3]) {
     }
 }
 
-/// Measures what a dashboard and a task browser ask for.
+/// Measures the requests of a dashboard and a task browser.
 fn measure(project: &mut Project, now: i64) {
     let store = Arc::clone(&project.store);
     let times = &mut project.times;

@@ -849,7 +849,7 @@ fn home_leaves_out_pairs_that_the_quota_of_their_category_holds_back() {
         assert_eq!(open(site.ann), 9);
         site.set(|settings| settings.category_quota = 2);
         assert_eq!(open(site.ann), 4, "two of each category");
-        // Ann takes as many tasks as the quota allows: two keeps of each category.
+        // Ann takes as many tasks as the quota allows: two kept pairs per category.
         for left in [4, 3, 2] {
             let task = site.take_pair(site.ann);
             assert_eq!(open(site.ann), left);

@@ -604,7 +604,7 @@ pub(crate) fn style() -> Answer {
     )
 }
 
-/// The range that holds every task.
+/// The range of all task keys.
 pub(crate) fn all_keys() -> KeyRange {
     KeyRange {
         after: String::new(),

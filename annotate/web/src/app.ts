@@ -59,7 +59,10 @@ interface Route {
   within?: string;
 }
 
-/** How the login dialog opens: on its own page, over the page unasked, or over the page because the user asked. */
+/**
+ * How the login dialog opens: as a page of its own, over the page by itself, or over the page because the user
+ * asked.
+ */
 export type Opening = "page" | "unasked" | "asked";
 
 /** Resolves with the user; or with null if the dialog over the page was cancelled. */

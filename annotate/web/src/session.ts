@@ -50,8 +50,8 @@ export class TaskSession<A extends Answer> implements OpenSession {
   }
 
   /**
-   * Opens a task with the last state of this tab. If the server has a newer version by somebody else, opens that
-   * version; one undo step restores the state of this tab.
+   * Opens a task with the last state of this tab. If the server has a newer version, opens that version; one undo
+   * step restores the state of this tab.
    */
   static async open<A extends Answer>(
     app: App,

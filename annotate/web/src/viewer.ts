@@ -17,7 +17,7 @@ export interface Clip {
   label: string;
 }
 
-/** How clips are shown; what is stored does not change. */
+/** How clips are shown. Stored data does not change. */
 interface View {
   layout: "single" | "side_by_side" | "ghost";
   swapped: boolean;

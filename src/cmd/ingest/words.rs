@@ -6,7 +6,7 @@ use pipeline::ingest::{AlikeClips, Forecast, Growth, IngestReport};
 
 use crate::report::append_list;
 
-/// Message about clips that stay although their files are missing or no longer give them.
+/// Message about clips that stay although their files are missing or no longer contain them.
 const MISSING: &str = "missing, kept; --prune removes them";
 const UNUSABLE: &str = "kept as they were, their files give them no more; --prune removes them";
 

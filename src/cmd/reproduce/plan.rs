@@ -1,4 +1,4 @@
-//! The plan of `stance reproduce`: its file, and what has to be trained and edited for it.
+//! The plan of `stance reproduce`: its file, and the trainings and edits that it needs.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -163,7 +163,7 @@ fn editor() -> String {
     EDITOR.to_owned()
 }
 
-/// A training. Equal ones are made once.
+/// A training. Equal trainings are made once.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Training {
     #[serde(serialize_with = "name_of")]

@@ -1,5 +1,5 @@
-//! `record.jsonl`: the scores that tables and figures show, one per line. It is small enough to lie beside a document
-//! that quotes them, so that a test can compare the two (`eval/RESULTS.md`, `tests/it/evidence.rs`).
+//! `record.jsonl`: the scores that tables and figures show, one per line. It is small enough to be stored beside a
+//! document that quotes them, so that a test can compare the two (`eval/RESULTS.md`, `tests/it/evidence.rs`).
 
 use serde::Serialize;
 use serde_json::Value;

@@ -258,7 +258,7 @@ fn train_all(
     if config.stages.captured_alone && !is_captured_alone {
         report::note("no editor of captured pairs alone: the training split has no pairs");
     }
-    // The longest come first, so that the last ones fill the time that is left.
+    // Start the longest trainings first, so that the others fill the remaining time.
     let wanted = [
         (Trains::Editor, true),
         (Trains::ComposedOnce, config.stages.composed_once),

@@ -49,7 +49,7 @@ impl Desk {
         self.listed();
     }
 
-    /// Waits until the list has as many tasks.
+    /// Waits until the list shows this number of tasks.
     fn counts(&self, tasks: i64) {
         let words = match tasks {
             1 => "1 task".to_owned(),

@@ -39,7 +39,7 @@ pub(super) fn partners(cx: &Context) -> Result<Response, Error> {
     json(&found)
 }
 
-/// How two motions are compared.
+/// Alignment of two motions that are compared.
 #[derive(Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Align {

@@ -250,8 +250,8 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
   }
 
   /**
-   * The suggestion that the key takes: the next one if the card is empty or has a suggestion's parts, otherwise the
-   * first.
+   * The suggestion that the key takes: the next one if the card has no text, and no parts or those of a suggestion;
+   * otherwise the first one.
    */
   private get nextOffer(): Offer | null {
     const offers = this.offers(this.selected);
