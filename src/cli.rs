@@ -1,4 +1,4 @@
-//! The command line: the verbs, and what runs for each.
+//! The command line: the verbs, and the code that each runs.
 
 use std::ffi::OsString;
 
@@ -16,7 +16,7 @@ const NOTES: &str = "A dataset or source may be a URL: s3://BUCKET/PATH, gs://, 
                      With --json, a failure is a JSON document on stdout too, with the fields code (such as \
                         E-IO), item (a file, folder or clip, or null) and reason.";
 
-/// The verbs in groups, by what they are used for.
+/// The verbs, grouped by purpose.
 const GROUPS: [(&str, &[&str]); 6] = [
     ("Start here", &["demo", "run"]),
     (

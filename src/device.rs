@@ -113,7 +113,7 @@ pub(crate) fn devices() -> &'static [Device] {
     &chosen().0
 }
 
-/// The operations that models are computed by.
+/// The operations with which models are computed.
 pub(crate) fn arithmetic() -> Arithmetic {
     chosen().1
 }

@@ -83,9 +83,8 @@ pub(crate) fn error(error: &anyhow::Error) {
     note(&format!("error: {error:#}"));
 }
 
-/// Text without control characters other than line feeds and tabs. Names of files and of joints may
-/// hold escape codes, which a terminal would obey. The escapes are those of JSON, so that a document
-/// keeps its meaning.
+/// Text without control characters other than line feeds and tabs. Names of files and of joints may contain escape
+/// codes that a terminal would execute. The escapes are those of JSON, so that a document keeps its meaning.
 pub(crate) fn printable(text: &str) -> Cow<'_, str> {
     let obeyed = |c: char| c.is_control() && c != '\n' && c != '\t';
     if !text.contains(obeyed) {

@@ -531,7 +531,7 @@ mod tests {
         }
     }
 
-    /// An answer of two masks of the left arm with the same text, changed.
+    /// An answer with two masks of the left arm and the same text, then changed.
     fn two_arms(change: impl FnOnce(&mut [MaskAnswer])) -> Answer {
         let mut answer = masks(&[ARM, ARM]);
         if let Answer::MaskText { masks, .. } = &mut answer {

@@ -61,7 +61,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
 
     let pairs = folder.join(PAIR_LIST);
-    // A folder of a demo that was moved or copied is the same source.
+    // A demo folder that was moved or copied counts as the same source.
     let source = SourceArg {
         name: Some("corpus".to_owned()),
         path: folder,

@@ -50,7 +50,7 @@ pub(crate) struct Args {
     /// without it, edits have the twists of the original
     #[arg(long, value_name = "RUN")]
     poses: Option<PathBuf>,
-    /// How SMPL-X parameters are found: exact, or paper (the network of --poses, then Adam)
+    /// Method that finds SMPL-X parameters: exact, or paper (the network of --poses, then Adam)
     #[arg(long, value_name = "FIT", default_value = "exact")]
     fit: FitMethod,
     /// Weight in m²/rad² that keeps the rotations of the exact fit near those of --poses, or of the original [default:
@@ -79,7 +79,7 @@ pub(crate) struct Args {
     /// TMED: begin from the motion to edit instead of noise
     #[arg(long)]
     from_source: bool,
-    /// Factor of the sampling noise; below 1 edits vary less [default: from the editor's settings]
+    /// Factor on the sampling noise; below 1, edits vary less [default: from the editor's settings]
     #[arg(long)]
     temperature: Option<f64>,
     /// MDM-BP: diffusion step whose noise is added to the source at the start [default: the last step]
@@ -322,7 +322,7 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
     say(args, &edited, &remarks, global)
 }
 
-/// Warnings about edits of a motion, which are printed too.
+/// Warnings about edits of a motion. They are also printed.
 fn remarks(system: &dyn EditSystem, motion: &Motion, layers: &[Vec<TimedInstruction>]) -> Remarks {
     let texts: Vec<&str> = layers
         .iter()

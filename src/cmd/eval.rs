@@ -120,7 +120,7 @@ struct Measure {
     /// Number of items in a gallery, instead of the table's
     #[arg(long, value_name = "N")]
     gallery: Option<usize>,
-    /// Number of evaluations that each value is the mean of
+    /// Number of evaluations to average
     #[arg(long, default_value_t = Protocol::default().repeats)]
     repeats: usize,
     /// Use edited motions as queries and real ones as the gallery (the paper's text; its code, and the

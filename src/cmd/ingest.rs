@@ -146,7 +146,7 @@ pub(crate) struct RunArgs {
     dry_run: bool,
 }
 
-/// Parses a source with a name or without.
+/// Parses a source with or without a name.
 pub(crate) fn parse_source() -> impl TypedValueParser<Value = SourceArg> {
     OsStringValueParser::new().try_map(|given| SourceArg::parse(&given))
 }

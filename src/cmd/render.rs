@@ -18,9 +18,9 @@ use crate::local;
 
 /// Draw clips as strips of figures, coloured from start (orange) to end (blue).
 ///
-/// An item has a row for its source, its target and each answer in a folder of edits, below its
-/// instruction; --edits adds the answers of other systems below. The extension of --out chooses the format: svg or png for strips below each other,
-/// gif for figures that move side by side.
+/// Below its instruction, an item has a row for its source, its target and each answer in a folder of edits; --edits
+/// adds the answers of other systems. The extension of --out chooses the format: svg or png for strips below each
+/// other, gif for figures that move side by side.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Motion files, FILE#NAME for one motion of a file with several, or ids of clips or items of --dataset

@@ -158,7 +158,7 @@ pub(super) fn parse_query<T: DeserializeOwned>(query: &str) -> Result<T, Error> 
     let refused = |problem: &dyn std::fmt::Display| {
         Error::refused(Code::BadRequest, format!("the query {query:?}: {problem}"))
     };
-    // The parser would take malformed escapes literally.
+    // Refuse malformed escapes: the parser would take them literally.
     let is_escape = |rest: &str| {
         let digits = rest.as_bytes().get(..2);
         digits.is_some_and(|digits| digits.iter().all(u8::is_ascii_hexdigit))

@@ -15,7 +15,7 @@ use crate::lock::lock;
 /// Number of read connections of a store.
 const READERS: usize = 4;
 
-/// A database of one kind, to which connections are made.
+/// A kind of database, which opens connections.
 pub(crate) trait Backend: Send + Sync + 'static {
     /// A connection to the database.
     type Connection: Tx + Send + 'static;

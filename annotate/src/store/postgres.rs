@@ -78,7 +78,7 @@ impl Postgres {
     /// Creates the tables of a new store, or upgrades those of an older version after a copy.
     fn prepare(&self, connection: &mut Connection) -> Result<Option<Upgrade>> {
         let schema = self.schema.as_str();
-        // After an error the connection is dropped, which rolls all of it back.
+        // An error drops the connection, which rolls back the whole transaction.
         self.begin(connection, true)?;
         let make = format!("CREATE SCHEMA IF NOT EXISTS {schema}");
         connection.batch(&make, migrate::MAKE)?;

@@ -244,7 +244,7 @@ fn network_file_system(path: &Path) -> Option<String> {
     network_mount(&mounts, &folder)
 }
 
-/// Looks a folder up in a table of mounts; the longest mount point above it counts.
+/// Looks up a folder in a mount table. The longest mount point above the folder counts.
 fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
     // File systems, with and without the prefix `fuse.`. Cluster and virtual-machine file systems are included: each
     // host maps the shared memory of the write-ahead log separately.
@@ -266,7 +266,7 @@ fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
         .map(|(_, kind)| format!("a network file system ({kind})"))
 }
 
-/// A path of the table of mounts, where blanks and backslashes are octal escapes.
+/// Decodes a path of the mount table, in which blanks and backslashes are octal escapes.
 fn unescaped(text: &str) -> String {
     [
         ("\\040", " "),

@@ -21,15 +21,15 @@ use crate::wire::{
 
 /// Value of column `source` for pairs written by this program.
 pub(crate) const PAIR_SOURCE: &str = "annotate";
-/// Begin of the value of column `source` for pairs of `stance variants`.
+/// Prefix of column `source` for pairs of `stance variants`.
 const VARIANT_SOURCE: &str = "variants-";
 /// Fact of the manifest of a dataset that `stance variants` made.
 const VARIANTS_FACT: &str = "variants";
-/// Begin of the key of a candidate pair, and of its id in table `pairs`.
+/// Prefix of the key of a candidate pair, and of its id in table `pairs`.
 pub(super) const CANDIDATE: &str = "takes:";
-/// Begin of the key of other pairs; the rest is the id of the pair.
+/// Prefix of the key of other pairs, followed by the id of the pair.
 pub(super) const PAIR: &str = "pair:";
-/// Conflicts that an import lists by name.
+/// Maximum number of conflicts that an import lists by name.
 const LISTED_CONFLICTS: usize = 50;
 
 /// Note of a store: the SQL condition on clips for which tasks are created. Without it, tasks are created for all
@@ -247,7 +247,7 @@ pub fn from_dataset(
     Ok(taken)
 }
 
-/// The dataset restricted to the clips that tasks are made of.
+/// The dataset, restricted to the clips for which tasks are created.
 fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
     let Some(text) = store.note(CHOSEN)? else {
         return Ok(dataset.clone());

@@ -116,7 +116,7 @@ struct Said {
 struct Release {
     motions: BTreeMap<String, Said>,
     pairs: Vec<SaidPair>,
-    /// Counts of the shapes of values, and what is wrong with them.
+    /// Counts of the shapes of values, and problems with them.
     taken: Taken,
 }
 

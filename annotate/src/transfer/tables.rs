@@ -20,7 +20,7 @@ table! {
         pub category: Option<String> [""],
         /// Edit that the pair was made for
         pub hint: Option<String> [""],
-        /// Style the source gives
+        /// Style label of the source
         pub source_style: Option<String> [""],
         /// Index of the mask in its answer, from 0; 0 for pairs
         pub number: u32 [""],
@@ -46,9 +46,9 @@ table! {
         pub edit_type: Option<String> [""],
         /// Style of the second motion
         pub style: Option<String> [""],
-        /// How much of the body the style shows in
+        /// Extent of the style: how much of the body shows it
         pub extent: Option<String> [""],
-        /// Why there are fewer or more masks than the project asks for
+        /// Reason for fewer or more masks than the project wants
         pub count_reason: Option<String> [""],
         /// Note of the annotator
         pub note: String [""],
@@ -56,7 +56,7 @@ table! {
         pub author: String [""],
         /// Whether a reviewer merged it from several answers
         pub merged: u32 [""],
-        /// Fields of a source's file that have no column here, JSON
+        /// Fields of the source's file without a column here, JSON
         pub extra: Option<String> [""],
         /// How it was accepted: review, own (by its author), rule:NAME, or import if the imported file does not say
         pub accepted_by: Option<String> ["", newer],
@@ -98,7 +98,7 @@ table! {
 }
 
 table! {
-    /// A task that was dropped, skipped by somebody, or a pair that was accepted as not usable.
+    /// A dropped or skipped task, or a pair that was accepted as not usable.
     pub struct RejectRow = "rejects" {
         /// Unique key of the task
         pub task: String [""],

@@ -358,7 +358,7 @@ names! {
         Rejects = "rejects",
         /// Tasks that a trusted person answered.
         Trusted = "trusted",
-        /// All tasks, but for the share left to reviewers.
+        /// All tasks, except the share left to reviewers.
         Sampled = "sampled",
     }
 

@@ -107,12 +107,12 @@ messages! {
         /// are imported, and a new style when the first answer with it is accepted.
         #[serde(deserialize_with = "styles_or_names")]
         pub styles: Vec<Style>,
-        /// Phrases to complete the instruction of a fine-grained pair with.
+        /// Phrases for completing the instruction of a fine-grained pair.
         pub templates: Vec<String>,
-        /// Phrases to start the description of a mask with: they complete "The person is …".
+        /// Phrases for starting the description of a mask: they complete "The person is …".
         #[serde(default)]
         pub mask_templates: Vec<String>,
-        /// Phrases to complete the instruction of a style pair with; `{style}` is the chosen style.
+        /// Phrases for completing the instruction of a style pair; `{style}` is the chosen style.
         pub style_templates: Vec<String>,
         /// Pairs wanted of each category and edit type, for the dashboard; 0 for no bound.
         pub quota: u32,

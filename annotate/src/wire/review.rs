@@ -137,7 +137,7 @@ messages! {
     /// A task in the browser.
     pub struct TaskRow {
         pub id: i64,
-        /// Key: the same in every store and export of the dataset.
+        /// Key of the task, the same in every store and export of the dataset.
         pub key: String,
         pub kind: TaskKind,
         pub state: TaskState,

@@ -141,7 +141,7 @@ fn figures_for_operators_have_an_address_of_their_own() {
     assert!(Site::new().server.operators().is_none());
 }
 
-/// A connection to the server that gives up after a minute.
+/// A connection to the server with a timeout of one minute.
 pub(crate) fn connect(site: &Site) -> TcpStream {
     let stream = TcpStream::connect(site.server.address()).expect("a connection");
     let minute = Some(Duration::from_secs(60));

@@ -50,7 +50,7 @@ fn weeks_and_days_begin_in_the_time_zone_of_the_project() {
     let monday = TUESDAY + 5 * DAY + 11 * HOUR;
     assert_eq!(last, [(monday, 1), (monday - 7 * DAY, 1)]);
     assert_eq!(funnel.weeks.len(), 12);
-    // A period begins with a whole day, whatever its first moment.
+    // A period includes its whole first day, whatever time it starts at.
     let days = |query: String| -> Vec<(i64, i64)> {
         let days: Vec<DayWork> = eve.get(&format!("stats/days{query}")).ok();
         days.iter().map(|day| (day.start, day.answers)).collect()

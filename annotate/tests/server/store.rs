@@ -64,7 +64,7 @@ pub(crate) struct Fixture {
     pub(crate) eve: i64,
 }
 
-/// Runs a test on a fresh store with these tasks, of each database, and checks the store afterwards.
+/// Runs a test on a fresh store of each database, with these tasks, and checks the store afterwards.
 pub(crate) fn each(test: &str, tasks: Vec<NewTask>, check: impl Fn(&Fixture)) {
     on_each(test, |store| {
         plain_settings(&store);
@@ -891,7 +891,7 @@ fn a_returned_answer_waits_for_its_author_through_lost_leases_and_then_goes_to_a
         assert_eq!((site.open(site.bob), site.claim(site.bob)), (0, None));
         let back = &site.home(site.ann).returned[0];
         assert_eq!((back.task, back.until), (task, START + 7 * DAY));
-        // The same with a draft, and when she gives the lease back.
+        // The same holds with a draft, and after she gives the lease back.
         assert_eq!(site.take(site.ann), task);
         let draft = site.tell(site.ann, task, EventKind::Draft, 1, masks("better"));
         assert_eq!(draft.status, 200);

@@ -452,8 +452,8 @@ fn pair_rows(site: &Site) -> BTreeMap<String, PairRow> {
 #[test]
 fn candidates_are_made_of_every_clip_and_beside_other_pairs() {
     let site = Site::new();
-    // Eighteen clips of one action and split make seventeen candidates, less ten that are pairs already; two clips of
-    // the other split make one.
+    // Eighteen clips of one action and split make seventeen candidates, minus ten existing pairs; two clips of the
+    // other split make one.
     let again = take_dataset(&site, &site.store);
     assert_eq!(again.counts["candidates"], 8);
     assert_eq!(again.counts["new_tasks"], 0);
@@ -501,7 +501,7 @@ fn a_candidate_keeps_its_key_and_leaves_the_pairs_when_it_is_judged_unusable() {
     let found =
         pipeline::verify::verify(&site.dataset, &datasets_spec::NoProgress).expect("a dataset");
     assert_eq!(found.findings, Vec::new());
-    // The store takes the dataset again, as a server does at its start.
+    // The store imports the dataset again, as a server does at its start.
     assert_eq!(take_dataset(&site, store).counts["new_tasks"], 0);
     // A new store creates the same key, with the whole answer.
     let other = fresh_store(&site, "other.sqlite");

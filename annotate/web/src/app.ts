@@ -55,7 +55,7 @@ interface Route {
   role: Role;
   open: Open;
   listed: boolean;
-  /** The listed route that it belongs to, if it is not listed itself. */
+  /** For an unlisted route: the listed route that it belongs to. */
   within?: string;
 }
 

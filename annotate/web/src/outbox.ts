@@ -20,7 +20,10 @@ export interface OutboxItem {
   task: number;
   chain: string;
   event: NewEvent;
-  /** Whether it was sent before: the server may have applied it, so it is repeated unchanged, and not replaced. */
+  /**
+   * Whether the event was sent before. The server may have applied it, so it is repeated unchanged and not
+   * replaced.
+   */
   sent: boolean;
   problem: Problem | null;
 }

@@ -87,7 +87,7 @@ fn open_postgres(_: &str) -> anyhow::Result<Arc<Store>> {
     )
 }
 
-/// Copies the store to a new file, or to a file named by the time in a folder.
+/// Copies the store to a new file, or to a file in a folder, named after the time.
 pub(super) fn back_up(
     store: &Store,
     file: &Path,

@@ -48,10 +48,10 @@ struct PushArgs {
     /// confirm by naming it
     #[arg(long, value_name = "SPDX", value_parser = parse_license)]
     license: Vec<String>,
-    /// Dataset that a run was trained on, whose licences its card states
+    /// Dataset that a run was trained on; the card states its licences
     #[arg(long)]
     dataset: Option<PathBuf>,
-    /// Make a new repo a private one
+    /// Create a new repo as private
     #[arg(long)]
     private: bool,
     /// File or folder of the repo to delete; published files cannot be deleted
@@ -94,7 +94,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
 }
 
-/// The server and the token that the environment names.
+/// The hub, with the server and the token from the environment.
 fn connect() -> anyhow::Result<Hub> {
     let variable = |name: &str| std::env::var_os(name);
     Ok(Hub::from_variables(variable)?.with_token(token_from_variables(variable)))

@@ -270,7 +270,7 @@ fn files_of_dataset(
     Ok(files)
 }
 
-/// Publishes text under a name, in place of the file of that name.
+/// Publishes text under a name, replacing the file of that name.
 fn replace(files: &mut Vec<HubFile>, name: &str, text: String) {
     files.retain(|file| file.path != name);
     files.push(HubFile {

@@ -222,7 +222,7 @@ fn counted(what: &str, count: usize) -> String {
     }
 }
 
-/// A number of clips with the first of them; an empty text for none.
+/// A number of clips, with the first ids; an empty text for none.
 fn listed(what: &str, clips: &[String]) -> String {
     const SHOWN: usize = 5;
     let mut text = counted(what, clips.len());

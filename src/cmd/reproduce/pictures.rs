@@ -44,7 +44,7 @@ enum Order {
     Parts,
     /// Items whose edits by the first system reduce the distance to the target most, compared with the source.
     Best,
-    /// Items whose edits reduce it least.
+    /// Items whose edits reduce this distance least.
     Worst,
 }
 

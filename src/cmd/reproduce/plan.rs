@@ -170,7 +170,7 @@ pub(super) struct Training {
     pub(super) model: &'static ModelKind,
     pub(super) preset: Preset,
     pub(super) own: Value,
-    /// All settings of the preset: another version of the program may have others under its name.
+    /// All settings of the preset, because another version of the program may have other settings under its name.
     pub(super) settings_of_preset: Value,
     /// Hash of the table of text vectors, or of BERT's files, if the model uses one as its text encoder.
     #[serde(skip_serializing_if = "Option::is_none")]

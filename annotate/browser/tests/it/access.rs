@@ -55,7 +55,7 @@ fn every_page_has_names_contrast_and_one_main_part() {
 fn every_page_is_dark_where_the_system_is() {
     let desk = at_a_mask(&["--force-dark-mode"]);
     desk.is("matchMedia('(prefers-color-scheme: dark)').matches", true);
-    // The corner of the stage shows its ground, next to a dark panel.
+    // The corner of the stage shows its background, next to a dark panel.
     let corner = desk.js_async(
         "{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); \
          const canvas = document.querySelector('.stage canvas'); const copy = document.createElement('canvas'); \

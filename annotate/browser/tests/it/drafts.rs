@@ -10,7 +10,7 @@ use crate::steps::Desk;
 
 const DRAFT: &str = "The person is waving <b>slowly</b> with their left arm.";
 
-/// The draft as it completes "The person is …".
+/// The draft, as the completion of "The person is …".
 const SHOWN: &str = "waving <b>slowly</b> with their left arm";
 
 /// Starts a mock server that answers every request with this text, and returns its address.

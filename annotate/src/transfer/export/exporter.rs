@@ -55,7 +55,7 @@ pub(super) struct Exporter<'a> {
 }
 
 impl<'a> Exporter<'a> {
-    /// Takes a snapshot of a store.
+    /// An exporter of a snapshot of a store.
     pub(super) fn new(store: &'a Store, splits: &'a [String]) -> Result<Self, Error> {
         Ok(Self {
             store,

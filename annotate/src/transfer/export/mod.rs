@@ -1,4 +1,4 @@
-//! Export of answers into files and into the dataset, a file for each layout.
+//! Export of answers into files and into the dataset, with a module for each layout.
 
 mod dataset;
 mod exporter;

@@ -7,7 +7,7 @@ export interface Body {
   track: Track;
   paint: Paint;
   frame: number;
-  /** Transparent, for the other clip of an overlay. */
+  /** Whether the body is transparent, as the other clip of an overlay. */
   ghost: boolean;
 }
 
