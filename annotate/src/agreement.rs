@@ -125,7 +125,7 @@ mod tests {
         let random: Vec<Item> = (0..4000)
             .map(|_| (0..3).map(|_| rng.random_range(0..2)).collect())
             .collect();
-        // Three standard errors of 12,000 pairs.
+        // The tolerance is three standard errors of 12,000 pairs.
         let found = ac1(&random.iter().collect::<Vec<_>>(), 2);
         assert!(found.abs() < 0.03, "{found}");
     }

@@ -14,13 +14,13 @@ use crate::{local, report};
 
 /// Ask the tables of datasets in SQL.
 ///
-/// The tables of a dataset have their own names: motions, masks, pairs, markers, humanml3d, triplets, windows, quarantine,
-/// skipped; those of a folder of items or edits: items, edits, scores. Of several datasets, each with a name, they are
-/// NAME.TABLE. Only the columns that a query names are read, of URLs too; nothing but these tables can be read, and nothing
-/// is changed.
+/// The tables of a dataset have their own names: motions, masks, pairs, markers, humanml3d, triplets, windows,
+/// quarantine, skipped; those of a folder of items or edits: items, edits, scores. With several named datasets, they
+/// are NAME.TABLE. Only the columns that a query names are read, also from URLs. A query can read nothing but these
+/// tables, and change nothing.
 ///
-/// Motions have further columns: seconds, max_speed, foot_skate, flags.NAME for the findings of the quality checks, texts and
-/// part_texts (those of captions), n_captions, has_mask and has_pair.
+/// Motions have further columns: seconds, max_speed, foot_skate, flags.NAME for the findings of the quality checks,
+/// texts and part_texts (those of captions), n_captions, has_mask and has_pair.
 ///
 ///   stance query DATASET "SELECT split, count(*), sum(seconds)/3600 AS hours FROM motions GROUP BY split"
 ///   stance query DATASET "SELECT id FROM motions WHERE flags.poor_fit AND NOT has_mask"

@@ -79,7 +79,8 @@ impl Store {
     }
 }
 
-/// A page of tasks. The cursor names the last row by its sort value and id, so that a late page is as fast as the first.
+/// A page of tasks. The cursor names the last row by its sort value and id, so that a late page is as fast as the
+/// first.
 fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage> {
     filter::check(&query.filter)?;
     let sort = query.sort.unwrap_or(TaskSort::Id);

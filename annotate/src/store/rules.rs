@@ -103,8 +103,8 @@ fn is_sampled(seed: u32, task: &TaskRecord, percent: u32) -> bool {
     (task.shuffle + i64::from(seed)) % WHOLE < i64::from(percent)
 }
 
-/// Applies a rule to a task with its answers in the order they were handed in, about a clip with `frames` frames. A style that
-/// the project does not have is left to reviewers.
+/// Applies a rule to a task with its answers in the order of submission, about a clip with `frames` frames. A style
+/// that the project does not have is left to reviewers.
 fn fit(
     rule: &Rule,
     settings: &Settings,
@@ -146,7 +146,7 @@ fn fit(
     }
 }
 
-/// Answers of a task that wait for review, in the order they were handed in.
+/// Answers of a task that wait for review, in the order of submission.
 pub(super) fn waiting_answers(tx: &mut dyn Tx, task: i64) -> Result<Vec<Revision>> {
     let condition = "r.task = ?1 AND r.state = 'submitted' ORDER BY r.at, r.author";
     rows::revisions(tx, condition, params![task])

@@ -189,8 +189,8 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
 
 /// Creates the tasks of a dataset: a mask task for each clip that is neither a mirrored copy nor a variant of another
 /// (`stance variants`), a pair task for each fine-grained pair (in bundles of eight), and a style task for each style
-/// pair. Masks of the pipeline become suggestions; masks by people and pairs written by this program become accepted answers. Clips of one action are
-/// paired as candidates.
+/// pair. Masks of the pipeline become suggestions; masks by people and pairs written by this program become accepted
+/// answers. Clips of one action are paired as candidates.
 ///
 /// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on. If the store has
 /// a note [`CHOSEN`] with a condition, new tasks are created only for clips that meet it, and for pairs of such clips.

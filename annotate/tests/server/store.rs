@@ -1101,7 +1101,7 @@ impl Walk<'_> {
         let site = self.site;
         for task in WALKED {
             if site.state(task) == TaskState::Accepted && self.rng.random::<bool>() {
-                // The task may be gold already.
+                // This may be refused: the task may be gold already.
                 let _tried = site.store.make_gold(ROOT, task, site.now());
             }
         }
@@ -1110,7 +1110,7 @@ impl Walk<'_> {
         if counts.iter().any(dropped) {
             for task in WALKED {
                 if matches!(site.state(task), TaskState::Dropped | TaskState::Accepted) {
-                    // The author may not reopen the task.
+                    // This may be refused: the author may not reopen the task.
                     let _tried = site.decide(task, 0, Decision::Reopen);
                 }
             }

@@ -1,5 +1,5 @@
-//! Pictures of a plan: answers of several systems to one item, below each other, as in Figures 2, 3, 5 and 7 of the paper
-//! and A3 to A14 of its appendix.
+//! Pictures of a plan: answers of several systems to one item, below each other, as in Figures 2, 3, 5 and 7 of the
+//! paper and A3 to A14 of its appendix.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

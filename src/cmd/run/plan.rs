@@ -32,8 +32,8 @@ pub(crate) struct RunConfig {
     /// Named settings of the models.
     #[serde(default = "default_preset")]
     pub(super) preset: Preset,
-    /// Folder of CLIP or BERT, or a table of vectors, for settings with a frozen text encoder; without it CLIP is searched in the
-    /// hub's cache.
+    /// Folder of CLIP or BERT, or a table of vectors, for settings with a frozen text encoder; without it CLIP is
+    /// searched in the hub's cache.
     #[serde(alias = "clip")]
     pub(super) text_encoder: Option<PathBuf>,
     /// Triplets recorded for inspection; training composes its own.

@@ -1,5 +1,5 @@
-//! The quick start of `docs/annotators.md`: one task of each kind is annotated, reviewed and exported, from login to the
-//! tables, without a mouse.
+//! The quick start of `docs/annotators.md`: one task of each kind is annotated, reviewed and exported, from login to
+//! the tables, without a mouse.
 
 use annotate_browser::keys;
 
