@@ -35,7 +35,7 @@ enum Action {
 /// the licence, and a card. Equal answers give equal bytes.
 #[derive(clap::Args, Debug)]
 struct BundleArgs {
-    /// Table of edits, of one system to all items
+    /// Table of edits of one system for all items
     edits: PathBuf,
     /// Licence of the answers, such as CC-BY-4.0 [default: what the table records]
     #[arg(long, value_name = "SPDX", value_parser = parse_license)]

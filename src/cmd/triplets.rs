@@ -67,7 +67,7 @@ pub(crate) struct ComposeArgs {
 }
 
 impl ComposeArgs {
-    /// The settings.
+    /// The settings of the composer.
     pub(crate) fn config(&self) -> anyhow::Result<ComposeConfig> {
         self.over(&ComposeConfig::default())
     }

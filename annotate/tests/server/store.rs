@@ -1013,7 +1013,7 @@ const WALKED: std::ops::RangeInclusive<i64> = 1..=16;
 struct Walk<'a> {
     site: &'a Fixture,
     rng: datasets_spec::Rng,
-    /// Tasks that each person held once.
+    /// Tasks that each person has held.
     held: BTreeMap<i64, Vec<i64>>,
 }
 

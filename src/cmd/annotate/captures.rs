@@ -16,7 +16,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
-/// Head of a plan; the last column may be left out.
+/// Header of a plan; the last column may be left out.
 const HEAD: [&str; 3] = ["motion", "style", "takes"];
 
 /// Stores the plan of a file, or prints the plan or its missing takes, or writes the performers' sheet.

@@ -91,7 +91,7 @@ pub(super) fn quota(cx: &Context) -> Result<Response, Error> {
 
 pub(super) fn edit_types(cx: &Context) -> Result<Response, Error> {
     let quotas = cx.store().settings()?.edit_type_quota;
-    // Every pair requests this. Most projects have no such quota and skip the query.
+    // The page requests this with every pair. Most projects have no such quota and skip the query.
     let kept = match quotas.is_empty() {
         true => Vec::new(),
         false => cx.store().kept()?,
