@@ -19,7 +19,7 @@ use crate::wire::{
 
 /// Maximum number of tasks that one request checks.
 const AT_ONCE: i64 = 2000;
-/// Number of percent in the whole.
+/// 100 percent, and the number of values of a task's `shuffle`.
 const WHOLE: i64 = 100;
 
 /// SQL condition: no reviewer has returned or reopened task `t`.

@@ -708,7 +708,7 @@ fn a_clip_that_was_ingested_anew_stops_nobody_and_its_tasks_ask() {
     };
     let three = ["mask:clip00", "mask:clip03", "pair:fine-grained0"];
     assert_eq!(asking(), three);
-    // A task without answers only gets the clip.
+    // A task without answers gets the new content, and needs no decision.
     assert_eq!(task_of(store, "mask:clip05").source, hash("clip05"));
     let who = Who {
         id: ann,
