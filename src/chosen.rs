@@ -1,15 +1,15 @@
-//! The option of verbs that take a dataset: which of its clips are meant.
+//! The option `--where` of verbs that take a dataset.
 
 use std::path::Path;
 
 use datasets_spec::Dataset;
 use tables::Condition;
 
-/// Which clips are meant.
+/// The clips that a verb reads.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub(crate) struct ChosenArgs {
-    /// Only clips that fulfil a condition in SQL on the columns of the table of motions, such as "split = 'train' AND NOT
-    /// flags.poor_fit"; `stance query --help` tells more
+    /// Only clips that meet an SQL condition on the columns of the table of motions, such as "split = 'train' AND NOT
+    /// flags.poor_fit"; see `stance query --help`
     #[arg(long = "where", value_name = "CONDITION")]
     pub(crate) condition: Option<Condition>,
 }

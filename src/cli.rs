@@ -1,4 +1,4 @@
-//! The command line: the verbs, and what runs for each.
+//! The command line: the verbs, and the code that each runs.
 
 use std::ffi::OsString;
 
@@ -16,7 +16,7 @@ const NOTES: &str = "A dataset or source may be a URL: s3://BUCKET/PATH, gs://, 
                      With --json, a failure is a JSON document on stdout too, with the fields code (such as \
                         E-IO), item (a file, folder or clip, or null) and reason.";
 
-/// The verbs in groups, by what they are used for.
+/// The verbs, grouped by purpose.
 const GROUPS: [(&str, &[&str]); 6] = [
     ("Start here", &["demo", "run"]),
     (
@@ -61,7 +61,7 @@ impl Cli {
     /// Parses a command line, whose first word is the name of the program.
     ///
     /// # Errors
-    /// It is none; or it asks for help, which is printed as an error.
+    /// The words are no valid command line, or ask for help, which clap returns as an error.
     pub(crate) fn of_words(words: &[OsString]) -> Result<Self, clap::Error> {
         let matches = grouped(Self::command()).try_get_matches_from(words)?;
         Self::from_arg_matches(&matches)
@@ -243,7 +243,7 @@ mod tests {
         commands
     }
 
-    /// A renamed verb or option is found here, and not by a reader.
+    /// Finds verbs and options that were renamed in the program but not in the documents.
     #[test]
     fn every_documented_command_is_one() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));

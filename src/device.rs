@@ -17,17 +17,17 @@ static CHOSEN: OnceLock<(Vec<Device>, Arithmetic)> = OnceLock::new();
 #[derive(Clone, Copy, Debug, clap::Args)]
 #[command(next_help_heading = "Model options")]
 pub(crate) struct DeviceArgs {
-    /// Device that models run on: cpu; cuda or wgpu, for a card, in a program built with that feature;
-    /// wgpu:discrete, wgpu:integrated, wgpu:virtual or wgpu:software, for one kind of card; ndarray, an
-    /// independent backend for the processor. `list` prints those of this machine
+    /// Device that models run on: cpu; cuda or wgpu for a GPU, in a program built with that feature; wgpu:discrete,
+    /// wgpu:integrated, wgpu:virtual or wgpu:software for one kind of GPU; ndarray, an independent backend for the CPU.
+    /// `list` prints the devices of this machine
     #[arg(long, value_name = "DEVICE", default_value_t)]
     device: DeviceName,
-    /// Use the backend's own operations, without the fused kernels for the processor
+    /// Use the backend's own operations, without the fused kernels for the CPU
     #[arg(long)]
     no_fused: bool,
 }
 
-/// The options as a plan of pieces keeps them.
+/// The options, as stored in a plan of pieces.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -44,14 +44,14 @@ impl DeviceArgs {
         })?)
     }
 
-    /// The options that a plan keeps.
+    /// The options stored in a plan.
     pub(crate) fn from_json(options: Value) -> anyhow::Result<Self> {
         let Stored { device, no_fused } = serde_json::from_value(options)?;
         let device = device.parse().map_err(|error| anyhow::anyhow!("{error}"))?;
         Ok(Self { device, no_fused })
     }
 
-    /// Name of the device that is asked for.
+    /// Name of the requested device.
     pub(crate) fn name(&self) -> String {
         self.device.to_string()
     }
@@ -88,7 +88,7 @@ pub(crate) struct TrainDeviceArgs {
     /// Number of GPUs to train on together
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     devices: u16,
-    /// Multiply in bfloat16, on a device that can; weights and optimiser stay in single precision
+    /// Multiply in bfloat16, on devices that support it; weights and optimiser stay in single precision
     #[arg(long)]
     bf16: bool,
 }
@@ -113,7 +113,7 @@ pub(crate) fn devices() -> &'static [Device] {
     &chosen().0
 }
 
-/// The operations that models are computed by.
+/// The operations with which models are computed.
 pub(crate) fn arithmetic() -> Arithmetic {
     chosen().1
 }

@@ -30,7 +30,7 @@ pub(crate) struct EvaluatorRuns<'a> {
     pub(crate) coordinator: Option<&'a Path>,
 }
 
-/// Hash of the encoder of a run folder, or of the built-in one: what bundles name their judge by.
+/// Hash of the encoder of a run folder, or of the built-in one. Bundles identify their judge by it.
 pub(crate) fn judge_hash(run: &Path) -> anyhow::Result<String> {
     Ok(network(run)?.hash().to_owned())
 }
@@ -117,7 +117,7 @@ impl MotionEncoder for Encoder {
     }
 }
 
-/// A coordinator, which tells composed motions from natural ones.
+/// A coordinator, which distinguishes composed motions from natural ones.
 struct Classifier<'a> {
     network: TrainedCoordinator,
     skeleton: &'a Skeleton,
@@ -132,8 +132,8 @@ impl MotionClassifier for Classifier<'_> {
     }
 }
 
-/// How well an encoder's texts and motions retrieve each other in a split: the number of clips, and one
-/// result a repeat.
+/// How well an encoder's texts and motions retrieve each other in a split: the number of clips, and one result per
+/// repeat.
 pub(crate) fn encoder_retrieval(
     root: &Path,
     run: &Path,
@@ -192,11 +192,11 @@ pub(crate) fn report_on_encoder(
     Ok(report)
 }
 
-/// Whether results count that rank nothing.
+/// The option that accepts results without a ranking.
 #[derive(clap::Args, Clone, Copy, Debug)]
 pub(crate) struct WeakJudgeArgs {
-    /// Exit with 0 also where no system is ranked, because the encoder is too weak to judge or targets cannot be told
-    /// from sources
+    /// Exit with 0 even if no system is ranked, because the encoder is too weak to judge or cannot tell targets from
+    /// sources
     #[arg(long)]
     weak_judge: bool,
 }

@@ -11,11 +11,11 @@ pub(crate) enum Exit {
     Done,
     /// Could not finish.
     Failed,
-    /// The command line leaves open what is meant.
+    /// The command line is ambiguous.
     Usage,
     /// Finished, some items quarantined.
     Quarantined,
-    /// Ended by an interrupt, with what was done saved (128 and the number of the signal).
+    /// Ended by an interrupt, after saving (128 plus the number of the signal).
     Interrupted,
     /// Locked or overtaken by another run (the `EX_TEMPFAIL` of sysexits).
     Locked,
@@ -35,7 +35,7 @@ impl Exit {
         }
     }
 
-    /// The number.
+    /// The exit code as a number.
     pub(crate) fn code(self) -> u8 {
         match self {
             Self::Done => 0,

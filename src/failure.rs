@@ -43,7 +43,7 @@ impl Failure {
     }
 }
 
-/// Code and item of an error, if its type tells them.
+/// Code and item of an error, if its type states them.
 fn known(cause: &(dyn Error + 'static)) -> Option<Code> {
     macro_rules! code_of {
         ($($error:ty),*) => {$(

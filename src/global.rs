@@ -18,7 +18,7 @@ pub(crate) struct Global {
     /// Worker threads; results do not depend on it [default: all cores]
     #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// Seed of every draw, in place of those in files of settings [default: 0]
+    /// Seed of every draw, instead of the seeds in settings files [default: 0]
     #[arg(long, global = true)]
     seed: Option<u64>,
     /// Print results as one JSON document
@@ -40,7 +40,7 @@ impl Global {
                 .num_threads(threads.into())
                 .build_global()?;
         }
-        // Long work ought not to end by a variable that was wrong from the start.
+        // Check the variables now, so that long work does not fail later because of a wrong one.
         FrameCache::from_environment(|name| std::env::var_os(name)).map_err(anyhow::Error::msg)?;
         Ok(())
     }
@@ -65,7 +65,7 @@ impl Global {
         self.seed
     }
 
-    /// `--seed` if it is given, else a seed of the settings' own.
+    /// `--seed` if it is given, otherwise the seed in the settings.
     pub(crate) fn seed_or(&self, own: Option<u64>) -> Seed {
         Seed(self.seed.or(own).unwrap_or(0))
     }
@@ -94,7 +94,7 @@ impl Global {
         Bars::new(self.no_progress, self.quiet)
     }
 
-    /// Names this run to another one that finds a folder locked.
+    /// Describes this run, for other runs that find a folder locked.
     pub(crate) fn holder(&self) -> String {
         let started = std::time::SystemTime::now()
             .duration_since(std::time::UNIX_EPOCH)

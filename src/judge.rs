@@ -12,7 +12,7 @@ use train::tmr::TmrEncoder;
 
 use crate::device::device;
 
-/// Name of the built-in encoder, in place of a run folder.
+/// Name of the built-in encoder, used instead of a run folder.
 pub(crate) const BUILTIN: &str = "builtin";
 
 const CONFIG: &str = include_str!("../eval/judge/builtin/config.json");
@@ -26,7 +26,7 @@ const REPORT: &str = include_str!("../eval/judge/builtin/report.json");
     expecting = "encoder is \"builtin\", or a section [encoder] with settings of one to train"
 )]
 pub(crate) enum EncoderConfig {
-    /// The one that ships with the program.
+    /// The encoder that ships with the program.
     Named(Builtin),
     /// An encoder to train, with values that override the preset's.
     Trained(Map<String, Value>),
@@ -55,7 +55,7 @@ impl EncoderConfig {
         matches!(self, Self::Named(_))
     }
 
-    /// Values in place of the preset's.
+    /// Settings that override the preset's.
     pub(crate) fn settings(&self) -> Map<String, Value> {
         match self {
             Self::Named(_) => Map::new(),

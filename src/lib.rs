@@ -1,6 +1,6 @@
 //! The `stance` command: parse, dispatch, render. The work is done by the library crates.
 //!
-//! It is a library for two programs: `main.rs`, and the Python package, which brings the same command.
+//! It is a library for two programs: `main.rs`, and the Python package, which has the same command.
 
 mod chosen;
 mod cli;

@@ -42,7 +42,7 @@ impl Bars {
     }
 
     fn with_bar(&self, act: impl FnOnce(&ProgressBar)) {
-        // A panic in another thread while it advanced a bar does not matter to the next line.
+        // A panic of another thread that advanced a bar does not affect the next line.
         let current = match self.current.lock() {
             Ok(current) => current,
             Err(poisoned) => poisoned.into_inner(),

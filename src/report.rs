@@ -37,7 +37,7 @@ pub(crate) fn append_list(text: &mut String, title: &str, lines: &[String]) {
     }
 }
 
-/// Lines with two spaces before each. Of many only the first are shown.
+/// Lines indented by two spaces. Only the first lines of a long list are shown.
 pub(crate) fn listing(lines: &[String]) -> String {
     /// Number of printed lines; `--json` prints all.
     const SHOWN: usize = 10;
@@ -67,7 +67,7 @@ pub(crate) fn columns(rows: &[Vec<String>], is_right: impl Fn(usize) -> bool) ->
     text
 }
 
-/// Writes what the buffer of stdout still holds.
+/// Flushes the buffer of stdout.
 pub(crate) fn flush() {
     // A closed pipe is not an error here either.
     let _flushed = std::io::stdout().flush();
@@ -83,9 +83,8 @@ pub(crate) fn error(error: &anyhow::Error) {
     note(&format!("error: {error:#}"));
 }
 
-/// Text without control characters other than line feeds and tabs. Names of files and of joints may
-/// hold escape codes, which a terminal would obey. The escapes are those of JSON, so that a document
-/// keeps its meaning.
+/// Text without control characters other than line feeds and tabs. Names of files and of joints may contain escape
+/// codes that a terminal would execute. The escapes are those of JSON, so that a document keeps its meaning.
 pub(crate) fn printable(text: &str) -> Cow<'_, str> {
     let obeyed = |c: char| c.is_control() && c != '\n' && c != '\t';
     if !text.contains(obeyed) {

@@ -10,7 +10,7 @@ use crate::global::Global;
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Seeds {
-    /// Seed of what is drawn where the dataset is made: the split of new clips, the pairs.
+    /// Seed of the draws when the dataset is made: the split of new clips, and the pairs.
     split: Option<u64>,
     /// Seed of the test items.
     items: Option<u64>,

@@ -76,7 +76,7 @@ pub(crate) fn surroundings() -> Surroundings {
     }
 }
 
-/// Where a frozen text encoder is found: what the user names, else CLIP in the hub's cache.
+/// Source of a frozen text encoder: the user's path, or otherwise CLIP in the hub's cache.
 pub(crate) fn text_encoder(given: Option<&std::path::Path>) -> TextEncoderSource {
     TextEncoderSource {
         given: given.map(std::path::Path::to_owned),

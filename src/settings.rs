@@ -35,8 +35,8 @@ fn place(text: &str, path: &Path, byte: usize) -> String {
     format!("{}:{line}:{column}", path.display())
 }
 
-/// Puts file, line and column before an error about a setting ([`SettingError`]) of a file. Where several
-/// places of the file have its keys, only the file is named.
+/// Puts file, line and column before an error about a setting ([`SettingError`]) of a file. If several places of the
+/// file have its keys, only the file is named.
 pub(crate) fn at(path: &Path, error: anyhow::Error) -> anyhow::Error {
     let setting = error
         .chain()
@@ -76,7 +76,7 @@ fn find(table: &DeTable<'_>, keys: &[String], found: &mut Vec<usize>) {
     }
 }
 
-/// A preset with a section of a file in place of some of its settings. The keys of an error begin with the section.
+/// A preset with some settings overridden by a section of a file. The keys of an error begin with the section.
 pub(crate) fn over<T: Serialize + DeserializeOwned>(
     preset: &T,
     section: &str,

@@ -1,5 +1,4 @@
-//! Stages that several verbs share, with what the process adds to them: notes on stderr, and the times
-//! of editing beside the edits.
+//! Stages that several verbs share. They also print notes to stderr, and write the times of editing beside the edits.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -22,7 +21,7 @@ use crate::global::Global;
 use crate::report;
 use crate::session::with_session;
 
-/// Ingests folders, or continues.
+/// Ingests sources, or continues an ingestion.
 pub(crate) fn ingested(
     sources: &[SourceArg],
     root: &Path,
@@ -110,7 +109,7 @@ pub(crate) fn unknown_words(edits: &[PathBuf]) -> anyhow::Result<BTreeSet<String
     Ok(words)
 }
 
-/// The times of editing, for one window.
+/// The times of editing per window.
 pub(crate) fn per_window(times: &EditTimes) -> WindowTimes {
     let windows = times.num_windows.max(1) as f64;
     WindowTimes {

@@ -1,6 +1,6 @@
 //! The test set that comes with the program.
 //!
-//! It is not stored: corpus, dataset and items follow from seed 0, and its digest is held below.
+//! It is not stored: corpus, dataset and items follow from seed 0, and its digest is a constant below.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -12,8 +12,8 @@ use datasets_spec::Seed;
 /// A test set by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TestSet {
-    /// Questions on the built-in corpus, a third each of what training has shown in another take, in other combinations,
-    /// and on no such action.
+    /// Questions on the built-in corpus, in thirds by what training has shown: another take, other combinations, or no
+    /// such action.
     Builtin1,
 }
 
@@ -36,7 +36,7 @@ const COUNT: usize = 300;
 const PART: usize = 150;
 /// Digest of the item ids, by [`compose::digest_of_ids`].
 const DIGEST: &str = "099accb8ce2b9bbe74622c0a5611bf21";
-/// Adjusted clips of each neutral one, which make the fine-grained pairs.
+/// Adjusted clips per neutral clip, which make the fine-grained pairs.
 pub(crate) const ADJUSTED: usize = 2;
 
 /// The corpus that the items are drawn from.

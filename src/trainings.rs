@@ -16,8 +16,8 @@ use crate::session::is_stopped;
 pub(crate) struct TrainingsArgs {
     #[command(flatten)]
     device: TrainDeviceArgs,
-    /// Trainings at a time, each with its share of the threads; results do not depend on it
-    /// [default: 2 for preset tiny on the processor, else 1]
+    /// Trainings at a time, each with its share of the threads; results do not depend on it [default: 2 for preset tiny
+    /// on the CPU, else 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     at_once: Option<u16>,
 }

@@ -57,7 +57,7 @@ pub(crate) fn mean_estimate(values: &[f64]) -> Option<Estimate> {
     })
 }
 
-/// Gwet's AC1 of labels below `labels`: the agreement beyond chance, 1 for full agreement. It stays high where nearly all
+/// Gwet's AC1 of labels `0..labels`: the agreement beyond chance, 1 for full agreement. It stays high where nearly all
 /// labels are equal.
 fn ac1(items: &[&Item], labels: usize) -> f64 {
     let n = items.len() as f64;
@@ -80,7 +80,7 @@ fn ac1(items: &[&Item], labels: usize) -> f64 {
     (agreed - chance) / (1.0 - chance)
 }
 
-/// Agreement on one decision, whose labels are below `labels`.
+/// Agreement on one decision with labels `0..labels`.
 pub(crate) fn part_agreement(part: &str, items: &[Item], labels: usize) -> PartAgreement {
     PartAgreement {
         part: part.to_owned(),
@@ -125,7 +125,7 @@ mod tests {
         let random: Vec<Item> = (0..4000)
             .map(|_| (0..3).map(|_| rng.random_range(0..2)).collect())
             .collect();
-        // Three standard errors of 12,000 pairs.
+        // The tolerance is three standard errors of 12,000 pairs.
         let found = ac1(&random.iter().collect::<Vec<_>>(), 2);
         assert!(found.abs() < 0.03, "{found}");
     }

@@ -13,7 +13,7 @@ use crate::wire::{
     MaskAnswer, Settings, Style, TaskKind, Verdict,
 };
 
-/// The fields of an answer of any kind. Those that its kind does not have are empty.
+/// The fields of an answer of any kind. Fields that its kind does not have are empty.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Fields<'a> {
     pub(crate) masks: &'a [MaskAnswer],
@@ -29,7 +29,7 @@ pub(crate) struct Fields<'a> {
 }
 
 impl Fields<'_> {
-    /// An answer of this kind with these fields. A pair without a verdict is kept.
+    /// An answer of this kind with these fields. A missing verdict counts as [`Verdict::Keep`].
     pub(crate) fn answer(self, kind: TaskKind) -> Answer {
         let (parts, text) = (self.parts.to_vec(), self.text.to_owned());
         let (verdict, note) = (self.verdict.unwrap_or(Verdict::Keep), self.note.to_owned());
@@ -142,7 +142,7 @@ pub(crate) fn check_submission(
     }
 }
 
-/// Each mask has a part, a hard joint and a text, and no two are the same.
+/// Checks that each mask has a part, a hard joint and a text, and that no two are the same.
 fn check_masks(masks: &[MaskAnswer], frames: i64) -> Result<(), Error> {
     for (index, mask) in masks.iter().enumerate() {
         let (number, field) = (index + 1, format!("answer.masks.{index}"));
@@ -165,7 +165,7 @@ fn check_masks(masks: &[MaskAnswer], frames: i64) -> Result<(), Error> {
     Ok(())
 }
 
-/// There are as many masks as the project asks for, or a reason why not.
+/// Checks that there are as many masks as the project asks for, or a reason why not.
 fn check_mask_count(
     count: usize,
     reason: Option<CountReason>,
@@ -257,14 +257,14 @@ pub(crate) fn completion(text: &str) -> &str {
 }
 
 /// A description as a whole sentence, as the tables of a dataset hold it: "waving" becomes "The person is waving.".
-/// Texts that do not read on from "The person is" stay as they are.
+/// Texts that do not continue "The person is" are unchanged.
 pub(crate) fn sentence(text: &str) -> String {
     let bare = text.trim();
     let is_gerund = |word: &str| {
         let letters = word.trim_end_matches(|c: char| !c.is_alphabetic());
         letters.len() > 4 && letters.ends_with("ing")
     };
-    // "slowly waving" reads on too.
+    // "slowly waving" continues the sentence too.
     if !bare.split_whitespace().take(2).any(is_gerund) {
         return bare.to_owned();
     }
@@ -272,7 +272,7 @@ pub(crate) fn sentence(text: &str) -> String {
 }
 
 impl Answer {
-    /// The kind of task it answers.
+    /// Kind of the tasks with such answers.
     pub fn kind(&self) -> TaskKind {
         match self {
             Self::MaskText { .. } => TaskKind::MaskText,
@@ -336,7 +336,7 @@ impl Answer {
         self.fields().verdict
     }
 
-    /// Whether it judges a pair unusable.
+    /// Whether the answer rejects a pair.
     pub(crate) fn is_reject(&self) -> bool {
         self.verdict()
             .is_some_and(|verdict| verdict != Verdict::Keep)
@@ -348,7 +348,7 @@ impl Answer {
         style.filter(|style| !settings.has_style(style))
     }
 
-    /// Hard joints of all its parts and masks.
+    /// Hard joints of all parts and masks of the answer.
     pub(crate) fn joints(&self) -> JointSet {
         let said = self.fields();
         let masks = said.masks.iter();
@@ -357,7 +357,7 @@ impl Answer {
         })
     }
 
-    /// Names of all its parts.
+    /// Names of all parts of the answer.
     pub(crate) fn part_names(&self) -> BTreeSet<&str> {
         let said = self.fields();
         let of_masks = said.masks.iter().flat_map(|mask| &mask.parts);
@@ -476,7 +476,7 @@ mod tests {
         }
     }
 
-    /// A pair that is kept with all that it needs.
+    /// A kept pair with all required fields.
     const FASTER: Fields<'static> = Fields {
         verdict: Some(Verdict::Keep),
         text: "faster",
@@ -531,7 +531,7 @@ mod tests {
         }
     }
 
-    /// An answer of two masks of the left arm with the same text, changed.
+    /// An answer with two masks of the left arm and the same text, then changed.
     fn two_arms(change: impl FnOnce(&mut [MaskAnswer])) -> Answer {
         let mut answer = masks(&[ARM, ARM]);
         if let Answer::MaskText { masks, .. } = &mut answer {

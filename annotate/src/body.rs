@@ -56,7 +56,7 @@ mod tests {
     fn the_skeleton_of_the_browser_is_that_of_the_contract() {
         let info = skeleton_info();
         assert_eq!(info.joints.len(), NUM_KEYPOINTS);
-        // Eight joints of the body, an eye and two knuckles.
+        // Each side has eight joints of the body, an eye and two knuckles.
         for side in ["left", "right"] {
             assert_eq!(info.sides.iter().filter(|name| *name == side).count(), 11);
         }

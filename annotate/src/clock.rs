@@ -21,7 +21,7 @@ pub(crate) fn is_zone(name: &str) -> bool {
     TimeZone::get(name).is_ok()
 }
 
-/// The beginning of the present day in a time zone; of the day in UTC if the zone has lost its name since it was set.
+/// Start of the current day in a time zone, or in UTC if the zone is no longer known.
 pub(crate) fn midnight(zone: &str, now: Millis) -> Millis {
     let begun = TimeZone::get(zone).and_then(|zone| {
         Timestamp::from_millisecond(now)?
@@ -33,8 +33,8 @@ pub(crate) fn midnight(zone: &str, now: Millis) -> Millis {
     })
 }
 
-/// The beginnings of the last `count` weeks in a time zone, oldest first, and the end of the present week. Weeks begin
-/// on Mondays. In UTC if the zone has lost its name since it was set.
+/// Starts of the last `count` weeks in a time zone, oldest first, and the end of the current week. Weeks start on
+/// Mondays. A zone that is no longer known counts as UTC.
 pub(crate) fn weeks(zone: &str, now: Millis, count: i64) -> Vec<Millis> {
     let zone = TimeZone::get(zone).unwrap_or(TimeZone::UTC);
     let today = Timestamp::from_millisecond(now)
@@ -54,8 +54,8 @@ pub(crate) fn weeks(zone: &str, now: Millis, count: i64) -> Vec<Millis> {
 /// by less than a millisecond and cannot be set.
 const READ_EVERY: Duration = Duration::from_secs(10);
 
-/// The clock of a store that several servers share, whose time `read` tells. While it cannot be read, the clock counts
-/// on from the last reading.
+/// The clock of a store that several servers share, read with `read`. While reading fails, the clock counts on from the
+/// last reading.
 ///
 /// # Errors
 /// The first reading fails.

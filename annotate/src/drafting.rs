@@ -15,7 +15,7 @@ use crate::motions::MotionLibrary;
 use crate::store::{Millis, Store, TaskRecord};
 use crate::wire::{SuggestionSource, TaskKind};
 
-/// Tasks that are asked for at a time.
+/// Tasks fetched at a time.
 const BATCH: usize = 64;
 /// Requests to the model at the same time.
 const PARALLEL: usize = 4;
@@ -66,8 +66,8 @@ fn each(
     threads.install(|| tasks.par_iter().try_for_each(work))
 }
 
-/// Asks for drafts of up to `limit` tasks that still want answers and have no draft of a model: one for each suggested
-/// mask, or for each active part if none is suggested. Running it again goes on where it ended.
+/// Requests drafts for up to `limit` tasks that still want answers and have no draft of a model: one for each suggested
+/// mask, or for each active part if none is suggested. A repeated run continues where the last one ended.
 ///
 /// # Errors
 /// A motion cannot be read, or the store fails. Failures of the model are counted.

@@ -12,7 +12,7 @@ pub enum Error {
     /// The store cannot be opened.
     #[error("cannot open the store {path}: {reason}")]
     Open {
-        /// Where it is.
+        /// Path or address of the store.
         path: String,
         /// Why, and what to do.
         reason: String,
@@ -88,18 +88,18 @@ impl Error {
         Vec::from_iter(all.map(|error| error.to_string())).join(": ")
     }
 
-    /// Input that is invalid: what, and what is wrong with it.
+    /// An error for an invalid input.
     pub(crate) fn import(what: impl Into<String>, problem: impl Into<String>) -> Self {
         let (what, problem) = (what.into(), problem.into());
         Self::Import { what, problem }
     }
 
-    /// A refusal.
+    /// An error for a refused request.
     pub(crate) fn refused(code: Code, detail: impl Into<String>) -> Self {
         Self::Refused(Box::new(Problem::new(code, detail)))
     }
 
-    /// A refusal of one field.
+    /// An error for a request refused because of one field.
     pub(crate) fn invalid(field: &str, detail: impl Into<String>) -> Self {
         let mut problem = Problem::new(Code::Invalid, detail);
         problem.field = Some(field.to_owned());
@@ -135,7 +135,7 @@ impl Error {
 }
 
 impl Problem {
-    /// A problem of this code.
+    /// A problem with the HTTP status and title of its code.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
         let (status, title) = code.meaning();
         Self {

@@ -20,12 +20,12 @@ fn folder(data: &Path, job: i64) -> PathBuf {
 
 /// How often a server reports that a job runs.
 const BEAT: Duration = Duration::from_secs(10);
-/// Exports whose files a shared store keeps.
+/// Number of latest exports whose files a shared store keeps.
 const KEPT_EXPORTS: i64 = 10;
-/// A job whose server has been silent for so many milliseconds is lost.
+/// Milliseconds without a report after which a running job counts as lost.
 const SILENT: Millis = 60_000;
 
-/// Marks jobs as failed whose server stopped. Jobs of other servers on the same store go on.
+/// Marks jobs as failed whose server stopped. Jobs of other running servers on the same store are unaffected.
 pub(crate) fn abandon(store: &Store, now: Millis) -> Result<(), Error> {
     store.abandon(now - SILENT, now)
 }
@@ -58,7 +58,7 @@ fn start(
     Ok(job)
 }
 
-/// Does the work of a job, and reports meanwhile that it runs.
+/// Does the work of a job, and reports regularly that it is running.
 fn reported<T>(app: &App, job: i64, work: impl FnOnce() -> T) -> T {
     let (running, ended) = std::sync::mpsc::channel::<()>();
     std::thread::scope(|scope| {
@@ -170,7 +170,7 @@ fn keep_files(store: &Store, job: i64, folder: &Path, names: &[String]) -> Resul
     Ok(())
 }
 
-/// A file of a job: from the store if servers share it, and else from the disk of this one.
+/// A file of a job, from the store if servers share it, otherwise from this server's disk.
 pub(crate) fn file(store: &Store, data: &Path, job: i64, name: &str) -> Result<Vec<u8>, Error> {
     if !store.is_shared() {
         let path = folder(data, job).join(name);

@@ -8,8 +8,8 @@
 //! Masks can also be reviewed without a browser: [`drafts`] writes them as JSON lines, [`accept`] reads
 //! the judged lines back.
 //!
-//! This crate reads no environment and no clock: addresses, keys and times are given to it. Only tokens
-//! come from the operating system's random generator.
+//! This crate reads no environment and no clock: the caller passes addresses, keys and times. Only tokens come from the
+//! operating system's random generator.
 //!
 //! Read [`store::Store`] and [`wire`] first.
 //!

@@ -36,10 +36,10 @@ struct Judgement {
     /// Joints whose weight differs from the weight in their parts.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     joints: Vec<JointChoice>,
-    /// First frame that the mask holds for; missing for the whole clip.
+    /// First frame of the mask; missing for the whole clip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     start: Option<i32>,
-    /// The frame after the last one that the mask holds for; missing for the whole clip.
+    /// The frame after the last one of the mask; missing for the whole clip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     end: Option<i32>,
     /// Instruction for the masked part.
@@ -83,7 +83,7 @@ impl Judgement {
             || (self.start, self.end) != (drafted.start, drafted.end))
     }
 
-    /// The frames that its mask holds for, of a clip with `frames` frames.
+    /// Checks the mask's range of frames in a clip with `frames` frames; `None` stands for the whole clip.
     fn range(&self, frames: i32) -> Result<Option<[i32; 2]>, String> {
         let range = match (self.start, self.end) {
             (None, None) => return Ok(None),
@@ -113,20 +113,20 @@ pub fn drafts(masks: &[MaskRow]) -> Result<String, datasets_spec::Error> {
     lines.collect()
 }
 
-/// The masks of a dataset after lines were taken back.
+/// The masks of a dataset after reading edited lines.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Taken {
     /// All masks, sorted.
     pub masks: Vec<MaskRow>,
-    /// Edited lines whose verdict is still open: their parts and texts are drafts of the author.
+    /// Number of edited lines without a verdict. Their parts and texts are kept as drafts of the author.
     pub open_edits: usize,
 }
 
 /// Origin of a mask text that a person wrote and nobody has judged.
 const DRAFT: &str = "draft";
 
-/// Reads edited lines and returns the new masks of the dataset: pending drafts stay as they were edited, accepted
-/// lines become masks of `author`, rejected drafts are removed. Empty lines are skipped.
+/// Reads edited lines and returns the new masks of the dataset: pending drafts keep their edits, accepted lines become
+/// masks of `author`, rejected drafts are removed. Empty lines are skipped.
 ///
 /// `masks` are the dataset's present masks and `motions` its motions with their splits and numbers of frames.
 ///

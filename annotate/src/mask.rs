@@ -118,7 +118,7 @@ pub(crate) fn check_choices(
 }
 
 /// Checks that a range lies in a clip with `frames` frames and is at least as long as a training window. The error says
-/// what is wrong and what to do, as the words that follow the name of the mask.
+/// what is wrong and what to do, and continues a sentence that begins with the name of the mask.
 pub(crate) fn check_range([start, end]: [i32; 2], frames: i64) -> Result<(), String> {
     const WHOLE: &str = "or let it hold for the whole clip";
     let length = i64::from(end) - i64::from(start);
@@ -141,7 +141,7 @@ pub(crate) fn check_range([start, end]: [i32; 2], frames: i64) -> Result<(), Str
     Ok(())
 }
 
-/// Refuses the first range of masks that does not fit a clip with `frames` frames.
+/// Refuses masks if the range of one does not fit a clip with `frames` frames.
 pub(crate) fn check_ranges(masks: &[MaskAnswer], frames: i64) -> Result<(), Error> {
     for (index, mask) in masks.iter().enumerate() {
         let checked = mask
@@ -155,7 +155,7 @@ pub(crate) fn check_ranges(masks: &[MaskAnswer], frames: i64) -> Result<(), Erro
     Ok(())
 }
 
-/// Joints of a mask in full, and its range of frames: the first, and the one after the last.
+/// Hard joints of a mask, and its half-open range of frames.
 pub(crate) type Cells = (JointSet, [i64; 2]);
 
 impl MaskAnswer {
@@ -186,7 +186,7 @@ impl MaskAnswer {
         (self.mask().hard(), self.frames(frames))
     }
 
-    /// Whether two masks have the same joints and frames, apart from the soft ring as a whole.
+    /// Whether two masks have the same joints and frames, regardless of whether their soft rings are on.
     pub(crate) fn is_like(&self, other: &Self, frames: i64) -> bool {
         let joints = |mask: &Self| mask_of(&mask.parts, true, &mask.joints);
         joints(self) == joints(other) && self.frames(frames) == other.frames(frames)
@@ -202,7 +202,7 @@ pub(crate) fn jaccard(a: JointSet, b: JointSet) -> f64 {
     a.intersection(b).len() as f64 / union as f64
 }
 
-/// Jaccard index of the pairs of a joint and a frame that two lists of masks take; 1 if neither takes any.
+/// Jaccard index of the (joint, frame) pairs of two lists of masks; 1 if both have none.
 pub(crate) fn jaccard_in_time(a: &[Cells], b: &[Cells]) -> f64 {
     let mut edges: Vec<i64> = a.iter().chain(b).flat_map(|(_, range)| *range).collect();
     edges.sort_unstable();
@@ -261,7 +261,7 @@ mod tests {
             let found = entered(&arm, mask_of(&arm, soft, chosen));
             assert_eq!(found, (soft, chosen.to_vec()));
         }
-        // Legs have no ring of their own: joints are chosen one by one.
+        // Legs have no ring: joints are chosen one by one.
         let leg = mask_of(
             &parts(&["LEFT_LEG"]),
             true,

@@ -21,12 +21,12 @@ const TIMEOUT: Duration = Duration::from_secs(12);
 const MAX_DRAFT_CHARS: usize = 300;
 /// Maximum size of a response.
 const MAX_RESPONSE_BYTES: u64 = 256 * 1024;
-/// Characters of a caption that are sent.
+/// Maximum number of characters sent of a caption.
 const MAX_CAPTION_CHARS: usize = 500;
 /// Maximum number of captions that are sent.
 const MAX_CAPTIONS: usize = 6;
 
-/// A language model behind an address.
+/// Client of a language model.
 pub struct Model {
     url: String,
     name: String,

@@ -161,7 +161,7 @@ impl MotionLibrary {
         Ok(difference(&source, &target, &self.skeleton))
     }
 
-    /// The target at the rate of the source, or stretched to its length.
+    /// The target at the frame rate of the source, or stretched to the length of the source.
     fn in_step(
         &self,
         source: &Motion,
@@ -177,7 +177,8 @@ impl MotionLibrary {
         Ok(Arc::new(Resample::Exact.apply(&target, source.fps())?))
     }
 
-    /// The blend of a mask of one motion from another, as positions ([`Self::joints`]) over the frames of the shorter one.
+    /// Blends the masked joints of `target` into `source`. Returns positions ([`Self::joints`]) over the frames of the
+    /// shorter motion.
     pub(crate) fn blend(
         &self,
         source: &str,
@@ -213,7 +214,7 @@ fn picked<T: Copy>(column: &[T], frames: &[usize]) -> Vec<T> {
     frames.iter().map(|&frame| column[frame]).collect()
 }
 
-/// Rows of numbers as the interface sends them.
+/// Rows of numbers as little-endian bytes, row by row.
 pub(crate) fn row_bytes(rows: &[Vec<f32>]) -> Vec<u8> {
     let numbers = rows.iter().flatten();
     numbers.flat_map(|value| value.to_le_bytes()).collect()

@@ -49,7 +49,7 @@ pub(crate) struct Figures {
     pub(crate) people: BTreeMap<i64, PersonFigures>,
     /// Time of each submission, and its seconds of work.
     pub(crate) secs_by_time: Vec<(i64, f64)>,
-    /// Time of the last answer to each task with several, and how far they agree, 0 to 1.
+    /// Time of the last answer to each task with several answers, and their agreement, 0 to 1.
     pub(crate) agreed_by_time: Vec<(i64, f64)>,
 }
 
@@ -61,13 +61,13 @@ struct Said {
     blind: bool,
     gold: bool,
     state: RevisionState,
-    /// Edit distances of its texts from their drafts.
+    /// Edit distances of the answer's texts from their drafts.
     drafts: Vec<f64>,
     /// Index of the verdict in [`Verdict::ALL`]; none for masks.
     verdict: Option<usize>,
     /// Whether a mask contains all hard joints of each part of the release: BOTH_ARMS marks each arm.
     covers: [bool; NUM_RELEASE_PARTS],
-    /// Joints and frames that its masks take.
+    /// Joints and frames of the answer's masks.
     cells: Vec<Cells>,
 }
 
@@ -141,7 +141,6 @@ impl Gathered {
         Ok(!changed.is_empty())
     }
 
-    /// The figures.
     pub(crate) fn figures(&self) -> Figures {
         let all: Vec<&Said> = self.tasks.values().flatten().collect();
         let several = self.tasks.values().filter(|said| said.len() > 1);
@@ -267,7 +266,7 @@ fn drafts_of<'a>(
         .collect())
 }
 
-/// Frames of the clips of answers with a range, by their hash. Where no mask has a range, the frames do not matter.
+/// Frames of the clips of answers with a range, by their hash. Without a range, the number of frames does not matter.
 fn frames_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<String, i64>, Error> {
     let ranged: BTreeSet<String> = labels
         .iter()
@@ -310,8 +309,8 @@ fn said(label: &Label, drafts: &BTreeMap<i64, String>, frames: &BTreeMap<String,
     }
 }
 
-/// Figures kept between visits: answers are read once, and the figures computed anew when answers have changed and the
-/// last computation is old enough.
+/// Cached figures. Each answer is read once; figures are computed again if answers have changed and the last
+/// computation is old enough.
 #[derive(Default)]
 pub(crate) struct KeptFigures {
     gathered: Mutex<Gathered>,

@@ -55,13 +55,13 @@ names! {
 names! {
     /// Purpose of a lease.
     pub enum Purpose {
-        /// To answer.
+        /// A lease to answer the task.
         Annotate = "annotate",
-        /// To review.
+        /// A lease to review the task.
         Review = "review",
         /// Reservation for an author whose answer was returned.
         Returned = "returned",
-        /// Reservation for a person whom a reviewer gave the task to.
+        /// Reservation for the person to whom a reviewer assigned the task.
         Assigned = "assigned",
     }
 }
@@ -83,15 +83,15 @@ use TaskState::{Accepted, Dropped, InReview, Leased, Open, Returned, Submitted};
 
 /// States of a task that needs more answers.
 const WANTING: &[TaskState] = &[Open, Leased, Returned];
-/// The same, or all answers are submitted.
+/// The states above, and the state in which all answers are submitted.
 const ANY_UNDECIDED: &[TaskState] = &[Open, Leased, Returned, Submitted];
 /// States in which a reviewer may decide.
 const WITH_REVIEWERS: &[TaskState] = &[Submitted, InReview];
 /// The state does not change.
 const SAME: &[TaskState] = &[];
 
-/// All legal transitions: the event, the states before it, and the possible states after it. The remaining answers and
-/// leases decide which of these it is. Other transitions are refused with `wrong_state`.
+/// All legal transitions: the event, the states before it, and the possible states after it. Which of the possible
+/// states follows depends on the remaining answers and leases. Other transitions are refused with `wrong_state`.
 pub const MOVES: &[(LogKind, &[TaskState], &[TaskState])] = &[
     (E::Filled, &[Open], &[Accepted]),
     (E::Claimed, WANTING, &[Leased]),

@@ -1,5 +1,5 @@
-//! Checks of the committed front end: it is built from the present sources, it is small, and its code cannot
-//! turn data into markup. Node is not needed.
+//! Checks of the committed front end: it is built from the current sources, it is small, and its code cannot turn data
+//! into markup. Node is not needed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

@@ -1,9 +1,9 @@
 // Builds the browser side: `node build.mjs` writes dist/, `--check` compares dist/ with a fresh
 // build byte for byte, `--test` bundles and runs the unit tests.
 //
-// three.js is a chunk of its own, so that it stays in the browser's cache when only the tool
-// changes. The manifest names every source by its hash; a Rust test compares them, so a bundle
-// older than its sources fails the build of people who have no Node.
+// three.js is a separate chunk, so that it stays in the browser's cache when only the tool changes. The manifest names
+// every source by its hash; a Rust test compares them, so a bundle older than its sources fails the build of people who
+// have no Node.
 
 import { createHash } from "node:crypto";
 import { existsSync, mkdirSync, readFileSync, readdirSync, rmSync, writeFileSync } from "node:fs";
@@ -59,7 +59,7 @@ function sources() {
   return [...fixed, ...code].sort();
 }
 
-/** Modules that import each other in a circle, types included; `null` if there is none. */
+/** A circular import of modules, type imports included; `null` if there is none. */
 function circle() {
   const root = join(here, "src");
   const imports = new Map(

@@ -19,19 +19,19 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::{settings, stages};
 
-/// Build a dataset by one file of settings: motions, masks, pairs, splits, triplets.
+/// Build a dataset from one file of settings: motions, masks, pairs, splits, triplets.
 ///
-/// The configuration is a TOML file; every key but `sources` and `out` may be left out. Relative
-/// paths are relative to the file. Interrupted and run again, it continues.
+/// The configuration is a TOML file; every key but `sources` and `out` may be left out. Relative paths are relative to
+/// the file. Run again after an interruption, it continues.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Configuration file
     #[arg(long)]
     config: PathBuf,
-    /// Files, folders and URLs to ingest, in place of those of the configuration
+    /// Files, folders and URLs to ingest, instead of those of the configuration
     #[arg(long, num_args = 1.., value_name = "[NAME=]SOURCE", value_parser = super::ingest::parse_source())]
     sources: Vec<SourceArg>,
-    /// Folder for everything, in place of that of the configuration
+    /// Folder for everything, instead of that of the configuration
     #[arg(long, value_parser = crate::local::path())]
     out: Option<PathBuf>,
 }
@@ -43,7 +43,7 @@ struct BuildConfig {
     /// Files, folders and URLs to ingest, each as NAME=PATH or a path.
     sources: Vec<SourceArg>,
     out: PathBuf,
-    /// Triplets recorded.
+    /// Number of triplets to record.
     #[serde(default = "default_triplets")]
     triplets: u64,
     /// Layouts written beside the dataset.

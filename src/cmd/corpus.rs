@@ -12,10 +12,9 @@ use crate::global::Global;
 
 /// Write the built-in procedural motion corpus as source files.
 ///
-/// Half of the clips are AMASS-layout npz, half are BVH, each with captions beside it. They are
-/// synthetic and free of any licence (CC0), and depend on the seed alone. With
-/// `--adjusted`, neutral clips are there again with a small change each, and pairs.csv pairs them for
-/// `stance ingest --pairs`.
+/// Half of the clips are AMASS-layout npz, half are BVH, each with captions beside it. They are synthetic and free of
+/// any licence (CC0), and depend only on the seed. With `--adjusted`, each neutral clip is also written with small
+/// changes, and pairs.csv pairs these clips for `stance ingest --pairs`.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Folder to write to
@@ -24,15 +23,15 @@ pub(crate) struct Args {
     /// Number of clips, without the adjusted ones
     #[arg(long, default_value_t = CorpusOptions::default().clips)]
     clips: usize,
-    /// Adjusted clips of each neutral one, which make fine-grained pairs
+    /// Adjusted clips per neutral clip, which make fine-grained pairs
     #[arg(long, value_name = "N", default_value_t = CorpusOptions::default().adjusted)]
     adjusted: usize,
-    /// State splits that ask something of a model: actions, a performer, and a style of every action are held out of
-    /// training. The test set builtin-1 is of `--clips 780 --adjusted 2 --held-out`
+    /// State splits that test generalisation: actions, a performer, and a style of every action are held out of
+    /// training. The test set builtin-1 uses `--clips 780 --adjusted 2 --held-out`
     #[arg(long)]
     held_out: bool,
-    /// Instead, write test questions of what editors are known to do badly, in a folder each: counting, left and right, and
-    /// words that training does not have
+    /// Instead, write test questions that editors are known to answer badly, in a folder for each kind: counting, left
+    /// and right, and words that training does not have
     #[arg(long, conflicts_with_all = ["clips", "adjusted", "held_out"])]
     limits: bool,
 }

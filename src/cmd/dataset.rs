@@ -17,7 +17,7 @@ use crate::global::Global;
 
 /// Versions of a dataset, and datasets made of others.
 ///
-/// Every change of a dataset is a new version, and the one before stays until it is pruned.
+/// Every change of a dataset creates a new version, and the previous one stays until it is pruned.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -37,11 +37,11 @@ enum What {
 
 /// Merge two datasets into a new one.
 ///
-/// Clips of the first keep their ids, splits, masks and pairs. A clip of the second that the first has
-/// too is taken once; one whose id is taken by another motion gets the name of its dataset before it.
-/// Clips of one recording share a split: those of the second go into the split of the first's clips that were read from
-/// the same file, mirror them, or have nearly the same motion. Datasets of different skeletons, rates,
-/// resampling or features cannot be merged.
+/// Clips of the first keep their ids, splits, masks and pairs. A clip that both have is taken once. A clip of the
+/// second whose id belongs to another motion of the first gets the name of its dataset as a prefix. Clips of one
+/// recording share a split: a clip of the second gets the split of the clips of the first that were read from the same
+/// file, are its mirrored copies, or have nearly the same motion. Datasets of different skeletons, rates, resampling or
+/// features cannot be merged.
 #[derive(clap::Args, Debug)]
 struct Merge {
     /// Dataset folder whose clips keep their ids and splits
@@ -53,9 +53,9 @@ struct Merge {
     out: PathBuf,
 }
 
-/// Remove old versions of a dataset, and the files that only they name.
+/// Remove old versions of a dataset, and the files that no other version uses.
 ///
-/// Every change of a dataset leaves the version before in place. Nothing else removes versions.
+/// Every change of a dataset leaves the previous version in place. Nothing else removes versions.
 #[derive(clap::Args, Debug)]
 struct Prune {
     /// Dataset folder
@@ -63,7 +63,7 @@ struct Prune {
     /// Number of newest versions to keep
     #[arg(long, default_value = "1")]
     keep: NonZeroUsize,
-    /// Only say what would be removed
+    /// Only print what would be removed
     #[arg(long)]
     dry_run: bool,
 }
@@ -131,7 +131,7 @@ struct Document {
 }
 
 fn pruned(args: &Prune, global: &Global) -> anyhow::Result<Exit> {
-    // Locking would make the folder.
+    // Check that the folder is a dataset: locking would create a missing folder.
     datasets_spec::Dataset::open_unverified(&args.dataset)?;
     let transaction = Transaction::begin(&args.dataset, &global.holder())?;
     let done = transaction.prune(args.keep.get(), args.dry_run)?;

@@ -19,7 +19,7 @@ use crate::trainings::TrainingsArgs;
 /// Run the whole chain on the built-in motion corpus, without files of your own.
 ///
 /// It needs no download and no licence, and ends with a result table, measured with the encoder that ships with the
-/// program. Interrupted and run again, it continues. `stance run` does the same with your own motions.
+/// program. Run again after an interruption, it continues. `stance run` does the same with your own motions.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Folder for everything the demo makes
@@ -28,7 +28,7 @@ pub(crate) struct Args {
     /// Fewer clips and far fewer training steps: shows that the chain works, not how well
     #[arg(long)]
     quick: bool,
-    /// Score on all items of the test set builtin-1, and not on the first 150 of its 300
+    /// Score on all 300 items of the test set builtin-1, instead of the first 150
     #[arg(long, conflicts_with = "quick")]
     full: bool,
     #[command(flatten)]
@@ -61,7 +61,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
 
     let pairs = folder.join(PAIR_LIST);
-    // A folder of a demo that was moved or copied is the same source.
+    // A demo folder that was moved or copied counts as the same source.
     let source = SourceArg {
         name: Some("corpus".to_owned()),
         path: folder,

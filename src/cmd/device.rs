@@ -12,16 +12,17 @@ use crate::global::Global;
 
 /// Test a device, and measure how fast it trains the editor of preset official.
 ///
-/// Known numbers are computed first, forwards and backwards, as at the start of every run on a card. Then the network trains on
-/// made-up windows for some seconds: no dataset is needed. `--device list` prints the devices of this machine.
+/// First, forward and backward passes with known results are computed, as at the start of every run on a GPU. Then the
+/// network trains on synthetic windows for some seconds; no dataset is needed. `--device list` prints the devices of
+/// this machine.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     #[command(flatten)]
     device: DeviceArgs,
-    /// Least seconds to train
+    /// Minimum training time in seconds
     #[arg(long, value_name = "N", default_value_t = 10)]
     secs: u64,
-    /// Windows of a step; the preset trains on 256
+    /// Windows per step; the preset trains on 256
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u16).range(1..))]
     windows: u16,
 }

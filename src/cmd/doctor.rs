@@ -9,23 +9,22 @@ use crate::cmd::ingest::read_markers;
 use crate::exit::Exit;
 use crate::global::Global;
 
-/// Report what folders hold before any work, what is missing, and what it will cost.
+/// Report what folders contain, what is missing, and what ingestion will cost.
 ///
-/// Formats, releases, their missing files and where to get them, and the cost of ingestion are printed.
-/// Files are listed; their first bytes, labels and licences are read, and captures of markers whole; nothing is
-/// written.
+/// Formats, releases, their missing files and where to get them, and the cost of ingestion are printed. Only the first
+/// bytes, labels and licences of files are read, but marker captures are read completely. Nothing is written.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Files and folders to look at
     #[arg(required = true)]
     sources: Vec<PathBuf>,
-    /// HumanML3D's index.csv, to say which AMASS recordings it needs are missing
+    /// HumanML3D's index.csv, to list the AMASS recordings that it needs and that are missing
     #[arg(long, value_name = "CSV")]
     humanml3d_index: Option<PathBuf>,
     /// Marker set in JSON that captures will be ingested with
     #[arg(long, value_name = "JSON")]
     markers: Option<PathBuf>,
-    /// Unit that captures will be ingested with, whatever they state
+    /// Unit that captures will be ingested with, regardless of the unit that they state
     #[arg(long)]
     unit: Option<Unit>,
 }

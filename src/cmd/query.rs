@@ -14,13 +14,13 @@ use crate::{local, report};
 
 /// Ask the tables of datasets in SQL.
 ///
-/// The tables of a dataset have their own names: motions, masks, pairs, markers, humanml3d, triplets, windows, quarantine,
-/// skipped; those of a folder of items or edits: items, edits, scores. Of several datasets, each with a name, they are
-/// NAME.TABLE. Only the columns that a query names are read, of URLs too; nothing but these tables can be read, and nothing
-/// is changed.
+/// The tables of a dataset have their own names: motions, masks, pairs, markers, humanml3d, triplets, windows,
+/// quarantine, skipped; those of a folder of items or edits: items, edits, scores. With several named datasets, they
+/// are NAME.TABLE. Only the columns that a query names are read, also from URLs. A query can read nothing but these
+/// tables, and change nothing.
 ///
-/// Motions have further columns: seconds, max_speed, foot_skate, flags.NAME for the findings of the quality checks, texts and
-/// part_texts (those of captions), n_captions, has_mask and has_pair.
+/// Motions have further columns: seconds, max_speed, foot_skate, flags.NAME for the findings of the quality checks,
+/// texts and part_texts (those of captions), n_captions, has_mask and has_pair.
 ///
 ///   stance query DATASET "SELECT split, count(*), sum(seconds)/3600 AS hours FROM motions GROUP BY split"
 ///   stance query DATASET "SELECT id FROM motions WHERE flags.poor_fit AND NOT has_mask"
@@ -80,7 +80,7 @@ fn open(path: &str) -> anyhow::Result<Dataset> {
     Ok(Dataset::open_unverified(path.as_ref())?)
 }
 
-/// The name and the path of `NAME=PATH`. What stands before the first = is a name unless it holds a slash.
+/// The name and the path of `NAME=PATH`. The text before the first = is a name unless it contains a slash.
 fn named(text: &str) -> Option<(&str, &str)> {
     let (name, path) = text.split_once('=')?;
     let is_name = !name.is_empty() && !name.contains(['/', '\\']);
@@ -110,8 +110,7 @@ fn csv(answer: &Answer) -> String {
     text
 }
 
-/// Columns of text, numbers to the right. Cells that are longer than this are cut, with a mark; `--json` and `--csv` have
-/// them whole.
+/// Maximum length of a printed cell. Longer cells are cut, with a mark; `--json` and `--csv` print them whole.
 const LONGEST_CELL: usize = 80;
 
 fn table(answer: &Answer) -> String {

@@ -18,9 +18,9 @@ use crate::local;
 
 /// Draw clips as strips of figures, coloured from start (orange) to end (blue).
 ///
-/// An item has a row for its source, its target and each answer in a folder of edits, below its
-/// instruction; --edits adds the answers of other systems below. The extension of --out chooses the format: svg or png for strips below each other,
-/// gif for figures that move side by side.
+/// Below its instruction, an item has a row for its source, its target and each answer in a folder of edits; --edits
+/// adds the answers of other systems. The extension of --out chooses the format: svg or png for strips below each
+/// other, gif for figures that move side by side.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Motion files, FILE#NAME for one motion of a file with several, or ids of clips or items of --dataset
@@ -29,8 +29,7 @@ pub(crate) struct Args {
     /// Dataset the ids belong to
     #[arg(long)]
     dataset: Option<PathBuf>,
-    /// Draw also the clips of --dataset that fulfil a condition in SQL, such as "flags.poor_fit"; `stance query --help` tells
-    /// more
+    /// Also draw the clips of --dataset that meet an SQL condition, such as "flags.poor_fit"; see `stance query --help`
     #[arg(long = "where", value_name = "CONDITION", requires = "dataset")]
     condition: Option<Condition>,
     /// Further folders of edits whose answers to the items are drawn too, such as those without a coordinator
@@ -39,10 +38,10 @@ pub(crate) struct Args {
     /// File to write: .svg, .png or .gif
     #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
-    /// Figures in a row
+    /// Figures per row
     #[arg(long, default_value_t = Style::default().num_figures)]
     figures: usize,
-    /// Pixels of a png or gif to each of the drawing
+    /// Pixels of a png or gif per pixel of the drawing
     #[arg(long, default_value_t = 2.0, value_parser = parse_zoom)]
     zoom: f32,
 }
@@ -82,8 +81,8 @@ pub(crate) fn open_for_clips(path: &Path) -> anyhow::Result<Dataset> {
 /// Longest label that fits on one line.
 const LABEL_CHARS: usize = 15;
 
-/// Labels of clips by their names. Where a name is too long for a line, what all have in common at their
-/// beginning is left out, up to the last separator; of a single name, its folder.
+/// Labels of clips, made from their names. If a name is too long for a line, the common beginning of all names, up to
+/// its last separator, is left out; for a single name, its folder.
 fn labels(names: &[String]) -> Vec<String> {
     let [first, others @ ..] = names else {
         return Vec::new();
@@ -121,10 +120,10 @@ fn name_of_file(path: &Path) -> String {
     }
 }
 
-/// Clips in one picture.
+/// Maximum number of clips in one picture.
 const MOST_CLIPS: usize = 200;
 
-/// Ids of the clips that fulfil a condition.
+/// Ids of the clips that meet a condition.
 fn chosen(dataset: &Dataset, condition: &Condition) -> anyhow::Result<Vec<String>> {
     anyhow::ensure!(
         !holds_items(dataset),
@@ -199,7 +198,7 @@ fn further_edits<'a>(args: &'a Args, dataset: Option<&Dataset>) -> anyhow::Resul
     Ok(others)
 }
 
-/// Options of a picture.
+/// Contents of a picture.
 #[derive(Default)]
 struct Picture {
     rows: Vec<Row>,

@@ -25,9 +25,9 @@ use crate::stages::per_window;
 
 /// Do a long job in pieces, on any number of machines, with the same result.
 ///
-/// `plan` lists the pieces of a job in a folder, `work` makes some or all of them, and `commit` makes the result of
-/// them. Any scheduler can start the workers: pieces may be made in any order, at the same time and more than once.
-/// Workers need the folder of the plan, the sources and the destination by the same paths.
+/// `plan` lists the pieces of a job in a folder, `work` makes some or all of them, and `commit` combines them into the
+/// result. Any scheduler can start the workers: pieces may be made in any order, at the same time and more than once.
+/// Workers need the folder of the plan, the sources and the destination at the same paths.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -42,7 +42,7 @@ enum Action {
     Status(StatusArgs),
 }
 
-/// Plan a job. Its options are those of its own verb, with --into in place of --out.
+/// Plan a job. Its options are those of its own verb, with --into instead of --out.
 #[derive(clap::Args, Debug)]
 struct PlanArgs {
     #[command(subcommand)]
@@ -69,18 +69,18 @@ enum JobArgs {
     Variants(Box<cmd::variants::Args>),
 }
 
-/// Make pieces of a plan. Pieces that are there are passed over.
+/// Make pieces of a plan. Existing pieces are skipped.
 #[derive(clap::Args, Debug)]
 struct WorkArgs {
     /// Folder of the plan
     plan: PathBuf,
-    /// Make every N-th piece from number I, counted from 0: that of worker I of N [default: all pieces]
+    /// Make every N-th piece from number I, counted from 0, as worker I of N [default: all pieces]
     #[arg(long, value_name = "I/N", value_parser = parse_share, conflicts_with = "items")]
     shard: Option<Share>,
     /// Make the pieces with these ids; - reads them from the standard input
     #[arg(long, value_name = "IDS", value_delimiter = ',')]
     items: Vec<String>,
-    /// Make each piece in a process of its own, so that one that crashes or is killed fails alone
+    /// Make each piece in a separate process, so that a crash fails only that piece
     #[arg(long)]
     isolate: bool,
     /// Address space of each process, such as 4GB: a piece that needs more fails
@@ -89,12 +89,12 @@ struct WorkArgs {
     memory: Option<u64>,
 }
 
-/// Make the result of a plan whose pieces are all there.
+/// Combine the pieces of a plan into its result.
 #[derive(clap::Args, Debug)]
 struct CommitArgs {
     /// Folder of the plan
     plan: PathBuf,
-    /// Put what failed pieces should have made into quarantine; without it they stop the commit
+    /// Put the items of failed pieces into quarantine; without it, failed pieces stop the commit
     #[arg(long)]
     quarantine_failed: bool,
 }
@@ -408,7 +408,7 @@ fn child(
     Ok((record, child.wait()?))
 }
 
-/// How a process ended that left no record.
+/// How a process without a record ended.
 fn ended(status: ExitStatus) -> String {
     #[cfg(unix)]
     {

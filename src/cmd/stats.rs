@@ -11,7 +11,8 @@ use crate::global::Global;
 
 /// Count a dataset: clips, hours, captions, masks, pairs, findings, fit errors.
 ///
-/// With --where, of some clips, with their masks and pairs. Only metadata is read; `stance verify` checks the motions.
+/// With --where, only some clips are counted, with their masks and pairs. Only metadata is read; `stance verify` checks
+/// the motions.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder

@@ -29,14 +29,14 @@ use crate::settings;
 /// and the checkpoints. The same command continues an interrupted run exactly where it stopped; an
 /// interrupt saves and ends.
 ///
-/// The evaluation encoder ends with a report of its own retrieval on the validation clips (report.json in the run folder),
-/// without which tables rank no system.
+/// Training of the evaluation encoder ends with a report of its retrieval on the validation clips (report.json in the
+/// run folder). Without this report, tables do not rank systems.
 #[derive(clap::Args, Debug)]
 #[command(subcommand_negates_reqs = true, args_conflicts_with_subcommands = true)]
 pub(crate) struct Args {
     #[command(subcommand)]
     action: Option<Action>,
-    /// What to train
+    /// Model to train
     #[arg(required = true, value_parser = model_names())]
     model: Option<String>,
     /// Dataset folder
@@ -53,34 +53,34 @@ pub(crate) struct Args {
     /// TOML file of settings that differ from the preset
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// What the evaluation encoder sees of a motion, in place of what the preset says
+    /// Motion features of the evaluation encoder, instead of the preset's
     #[arg(long, value_parser = one_of(FEATURES))]
     features: Option<FeatureRecipe>,
-    /// Steps to train, in place of the preset's length
+    /// Steps to train, instead of the preset's length
     #[arg(long)]
     steps: Option<u64>,
-    /// Epochs to train, in place of the preset's length
+    /// Epochs to train, instead of the preset's length
     #[arg(long, conflicts_with = "steps")]
     epochs: Option<u64>,
-    /// Continue the run of --out with other settings: a longer one, other rates of learning, other
-    /// intervals; the record keeps what changed at which step
+    /// Continue the run of --out with other settings, such as a longer training, other learning rates or other
+    /// intervals; the run records what changed at which step
     #[arg(long)]
     extend: bool,
-    /// Begin with the weights of another run of the same network, whose normaliser and words are kept; the
-    /// dataset may be another
+    /// Start from the weights of another run of the same network, and keep its normaliser and vocabulary; the dataset
+    /// may be another
     #[arg(long, value_name = "RUN", conflicts_with = "extend")]
     init: Option<PathBuf>,
     #[command(flatten)]
     compose: ComposeArgs,
-    /// Train on windows recorded by `stance triplets --windows` in place of composing them
+    /// Train on windows recorded by `stance triplets --windows` instead of composing them
     #[arg(long, value_name = "FOLDER")]
     windows: Option<PathBuf>,
     /// Folder of CLIP or BERT, or a table of vectors (`stance model table`), for settings with a frozen text encoder
     /// [default: CLIP in the hub's cache]
     #[arg(long, value_name = "PATH")]
     text_encoder: Option<PathBuf>,
-    /// Memory of the device in GB: steps are split into micro-batches that fit, in place of micro_batch_size of the
-    /// settings
+    /// Memory of the device in GB: steps are split into micro-batches that fit, instead of by the setting
+    /// micro_batch_size
     #[arg(long, value_name = "GB", value_parser = gigabytes)]
     memory: Option<f64>,
     #[command(flatten)]
@@ -188,7 +188,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     })
 }
 
-/// The training and validation losses of a run over its steps. `before` is put before the names of the curves.
+/// The training and validation losses of a run over its steps. `before` is the prefix of the names of the curves.
 pub(crate) fn loss_curves(run: &Path, before: &str) -> anyhow::Result<[Curve; 2]> {
     let metrics = train::metrics::read(run)?;
     let curves = [("training", metrics.loss), ("validation", metrics.val_loss)];

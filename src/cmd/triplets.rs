@@ -22,8 +22,8 @@ use crate::{report, settings};
 
 /// Record the composer's training stream, count it, or rebuild one of its triplets.
 ///
-/// A triplet is an original motion, an instruction, and the edited motion MotionCutMix makes of
-/// them. Training composes them on the fly; what is recorded here is the same stream.
+/// A triplet is an original motion, an instruction, and the edited motion MotionCutMix makes of them. Training composes
+/// them on the fly; this command records the same stream.
 #[derive(clap::Args, Debug)]
 #[command(subcommand_negates_reqs = true, args_conflicts_with_subcommands = true)]
 pub(crate) struct Args {
@@ -35,7 +35,7 @@ pub(crate) struct Args {
     /// Folder to record to
     #[arg(long, required_unless_present = "explain")]
     out: Option<PathBuf>,
-    /// Whole-clip triplets to record
+    /// Number of whole-clip triplets to record
     #[arg(long, default_value_t = 64)]
     count: u64,
     /// Record this many training windows instead
@@ -45,7 +45,7 @@ pub(crate) struct Args {
     compose: ComposeArgs,
     #[command(flatten)]
     chosen: ChosenArgs,
-    /// Rebuild the triplet with this id and say what it is made of
+    /// Rebuild the triplet with this id, and print its components
     #[arg(long, value_name = "ID", conflicts_with_all = ["out", "windows"])]
     explain: Option<String>,
 }
@@ -55,7 +55,7 @@ enum Action {
     Stats(StatsArgs),
 }
 
-/// How edits are composed.
+/// Settings of the composer.
 #[derive(clap::Args, Debug)]
 pub(crate) struct ComposeArgs {
     /// Settings of the composer in TOML, as in section `compose` of the file of `stance build`
@@ -67,12 +67,12 @@ pub(crate) struct ComposeArgs {
 }
 
 impl ComposeArgs {
-    /// The settings.
+    /// The settings of the composer.
     pub(crate) fn config(&self) -> anyhow::Result<ComposeConfig> {
         self.over(&ComposeConfig::default())
     }
 
-    /// The settings in place of some of a preset's.
+    /// The settings of a preset, with some overridden by those of a file.
     pub(crate) fn over(&self, preset: &ComposeConfig) -> anyhow::Result<ComposeConfig> {
         let mut config = match &self.compose {
             Some(path) => overlay(preset, &settings::read::<Value>(path)?)
@@ -86,12 +86,12 @@ impl ComposeArgs {
     }
 }
 
-/// Count what the settings can give and what blending does, and draw a sheet of triplets.
+/// Count the triplets that the settings allow and the effects of blending, and draw a sheet of triplets.
 #[derive(clap::Args, Debug)]
 struct StatsArgs {
     /// Dataset folder with motions and masks
     dataset: PathBuf,
-    /// Triplets composed to be counted
+    /// Number of triplets to compose and count
     #[arg(long, default_value_t = 512)]
     count: u64,
     /// Picture of twelve triplets to draw: .svg or .png

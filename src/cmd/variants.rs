@@ -23,11 +23,11 @@ use crate::session::{surroundings, text_encoder, with_session};
 
 /// Make candidates of fine-grained pairs: variants of one motion, paired one to one.
 ///
-/// A generator (`stance train mld`) samples a latent vector for every instruction and decodes variants
-/// of it with a little noise. Pairs that are identical, too different or broken are left out and
-/// counted. `stance annotate` shows the candidates of an instruction as one bundle. Without
-/// --generator, the motions of the dataset are the variants: those whose ids share a folder, as
-/// base/variant. --where chooses the clips whose captions are instructions, or that are the variants.
+/// A generator (`stance train mld`) samples a latent vector for every instruction and decodes variants of it with a
+/// little noise. Pairs that are identical, too different or broken are left out and counted. `stance annotate` shows
+/// the candidates of an instruction as one bundle. Without --generator, motions of the dataset whose ids share a
+/// folder, such as base/variant, are the variants. --where chooses the clips whose captions are instructions, or that
+/// are the variants.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder: its captions are instructions; without --generator, its motions are the variants
@@ -37,13 +37,13 @@ pub(crate) struct Args {
     /// Run folder of the generator
     #[arg(long, value_name = "RUN", requires = "instructions")]
     generator: Option<PathBuf>,
-    /// What the motions show: `captions` for those of the dataset, or a file with a text on each line
+    /// Instructions to sample: `captions` for those of the dataset, or a file with one text per line
     #[arg(long, value_name = "FILE|captions", requires = "generator")]
     instructions: Option<PathBuf>,
-    /// Most instructions, drawn by --seed [default: all]
+    /// Maximum number of instructions, drawn with --seed [default: all]
     #[arg(long, value_name = "N", requires = "generator")]
     count: Option<usize>,
-    /// Variants of an instruction
+    /// Variants per instruction
     #[arg(long, value_name = "N", default_value_t = MakeVariants::default().variants, value_parser = clap::value_parser!(usize))]
     variants: usize,
     /// Standard deviation of the noise between variants, in standard deviations of the latent vectors of motions
@@ -53,7 +53,7 @@ pub(crate) struct Args {
     /// Root mean square distance in metres between joints below which variants are identical
     #[arg(long, value_name = "M", default_value_t = VariantConfig::default().min_distance_m)]
     min_distance: f64,
-    /// The distance above which they are different motions
+    /// Distance in metres above which they are different motions
     #[arg(long, value_name = "M", default_value_t = VariantConfig::default().max_distance_m)]
     max_distance: f64,
     /// Maximum mean speed of planted feet in m/s

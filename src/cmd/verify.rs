@@ -13,14 +13,13 @@ use crate::report::listing;
 
 /// Check a dataset: hashes, columns, contents, and that no split leaks into another.
 ///
-/// Exits with 1 if anything is wrong, also if two motions of different splits are the same within 5 mm,
-/// the mean distance of their joints, wherever they stand. Published splits contain some: see
-/// `--accept-duplicates`.
+/// Exits with 1 if anything is wrong, or if two motions of different splits are the same: the mean distance of their
+/// joints, regardless of position, is below 5 mm. Published splits contain some: see `--accept-duplicates`.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder
     dataset: PathBuf,
-    /// Pass although motions of different splits are the same; they are listed
+    /// Pass even if motions of different splits are the same; they are listed
     #[arg(long)]
     accept_duplicates: bool,
     /// Also compare the features with those of this HumanML3D folder, by id and group of features

@@ -85,7 +85,7 @@ impl Browser {
         Self::start_with(graphics, &[])
     }
 
-    /// Starts a browser with more command-line arguments, for settings of its user's system.
+    /// Starts a browser with extra command-line arguments, such as the settings of a user's system.
     pub fn start_with(graphics: Graphics, more: &[&str]) -> Self {
         let mut driver = Command::new("chromedriver");
         driver.arg("--port=0").stderr(Stdio::null());
@@ -98,7 +98,7 @@ impl Browser {
             "--disable-sync",
             "--no-first-run",
             "--window-size=1280,900",
-            // A host that is not this machine, for the page over plain HTTP.
+            // A name other than localhost for this machine, to test the page over plain HTTP.
             "--host-resolver-rules=MAP annotate.test 127.0.0.1",
             // Expose heap size and garbage collection.
             "--js-flags=--expose-gc",
@@ -133,12 +133,12 @@ impl Browser {
         wait(self.client.goto(address)).expect("the page opens");
     }
 
-    /// Opens the page anew.
+    /// Reloads the page.
     pub fn reload(&self) {
         wait(self.client.refresh()).expect("the page reloads");
     }
 
-    /// Goes back to the page before.
+    /// Goes back to the previous page.
     pub fn back(&self) {
         wait(self.client.back()).expect("the page before");
     }
@@ -246,7 +246,7 @@ impl Browser {
         self.until(selector, &format!("!{}", element(selector)));
     }
 
-    /// Waits until the text of the first matching element has these words.
+    /// Waits until the text of the first matching element contains these words.
     pub fn says(&self, selector: &str, words: &str) {
         let says = format!("?.textContent.includes({})", json!(words));
         self.until(words, &(element(selector) + &says));
@@ -280,8 +280,8 @@ impl Browser {
         wait(field.send_keys(path)).expect("a file is chosen");
     }
 
-    /// Clicks a button of the open dialog, or of the first matching element without one, once it can be clicked: by its
-    /// choice, its accessible name or its text.
+    /// Waits until a button is enabled, and clicks it. It is found by its choice, accessible name or text, in the open
+    /// dialog or, if none is open, in the first matching element.
     pub fn press_button(&self, within: &str, label: &str) {
         let button = format!(
             "[...((document.querySelector('dialog[open]') ?? {})?.querySelectorAll('button:not([disabled])') ?? [])] \
@@ -320,7 +320,7 @@ impl Browser {
         self.press(&letters);
     }
 
-    /// Presses keys, the last of which goes to a text, and types the text.
+    /// Presses keys, the last of which focuses a text field, and types the text.
     pub fn write(&self, pressed: &[&str], text: &str) {
         self.press(pressed);
         self.type_text(text);
@@ -343,7 +343,7 @@ impl Browser {
         self.act(actions);
     }
 
-    /// Touches the middle of the first matching element, which must be on the screen, with a finger.
+    /// Touches the middle of the first matching element with a finger. The element must be on the screen.
     pub fn tap(&self, selector: &str) {
         let button = MOUSE_BUTTON_LEFT;
         let touch = TouchActions::new("finger".to_owned())
@@ -353,8 +353,7 @@ impl Browser {
         self.act(touch);
     }
 
-    /// Drags the middle of the first matching element, which must be on the screen, to the right with the mouse, by a
-    /// number of pixels.
+    /// Drags the first matching element to the right by `by` pixels with the mouse. The element must be on the screen.
     pub fn drag(&self, selector: &str, by: f64) {
         let button = MOUSE_BUTTON_LEFT;
         let mouse = MouseActions::new("mouse".to_owned())
@@ -366,7 +365,7 @@ impl Browser {
         self.act(mouse);
     }
 
-    /// A move to `right` pixels right of the middle of the first matching element.
+    /// A pointer move to `right` pixels right of the middle of the first matching element.
     fn to_middle(&self, selector: &str, right: f64) -> PointerAction {
         let at = self.js_with(
             "const box = document.querySelector(arguments[0]).getBoundingClientRect();
@@ -385,7 +384,7 @@ impl Browser {
         wait(self.client.perform_actions(actions)).expect("the actions are performed");
     }
 
-    /// Logs in with the token in the URL, like the printed address, and opens a page.
+    /// Logs in with the token in the URL, like the address that the server prints, and opens a page.
     pub fn log_in(&self, server: &crate::Server, token: &str, path: &str) {
         self.open(&server.page(&format!("#token={token}")));
         self.shows("header.top:not([hidden])");
@@ -394,7 +393,7 @@ impl Browser {
         self.open(&server.page(path));
     }
 
-    /// The number of the task on the page, once one is shown and drawn.
+    /// Waits until a task is shown and drawn, and returns its number.
     pub fn task(&self) -> i64 {
         self.until(
             "a task is shown",
@@ -404,12 +403,12 @@ impl Browser {
         task.as_i64().expect("a number")
     }
 
-    /// Waits until the page shows another task than this, or none.
+    /// Waits until the page no longer shows this task.
     pub fn leaves(&self, task: i64) {
         self.lacks(&format!(".work[data-task=\"{task}\"]"));
     }
 
-    /// Waits until another task than this is shown.
+    /// Waits until a task other than this one is shown, and returns its number.
     pub fn next_task(&self, task: i64) -> i64 {
         self.until(
             "the next task is shown",
@@ -423,7 +422,7 @@ impl Browser {
         self.shows(".chip[data-state=saved]");
     }
 
-    /// Marks the present page with `data-left`; the next page does not have it.
+    /// Marks the current page with `data-left`; the next page does not have this mark.
     pub fn mark(&self) {
         self.js(
             "document.querySelector('#main')?.firstElementChild?.setAttribute('data-left', '');",
@@ -443,7 +442,7 @@ impl Browser {
         panic!("{label} is not within {MOST} steps of the Tab key");
     }
 
-    /// Whether F6, which goes round the regions of the page, moves the focus into an element.
+    /// Whether pressing F6, which cycles through the regions of the page, moves the focus into an element.
     pub fn reaches(&self, selector: &str) -> bool {
         const REGIONS: usize = 6;
         let inside = format!("document.activeElement.closest('{selector}') !== null");
@@ -493,7 +492,7 @@ impl Browser {
     }
 }
 
-/// The port chosen by the driver, from the line that says it.
+/// Parses the port from the driver's line of output.
 fn driver_port(line: &str) -> Option<u16> {
     let rest = line.split("successfully on port ").nth(1)?;
     let digits: String = rest.chars().take_while(char::is_ascii_digit).collect();

@@ -1,4 +1,4 @@
-//! Requests to the server through the page: with its session, or with the token of somebody else.
+//! Requests to the server from the page, with its session or with another user's token.
 
 use serde_json::{Value, json};
 
@@ -48,10 +48,10 @@ impl Browser {
         assert_eq!(ended["status"], 204, "{ended}");
     }
 
-    /// Waits until the server answers a request as expected: the page shows a change before it is stored.
+    /// Polls the server until a response meets the condition, because the page shows changes before they are stored.
     ///
     /// # Panics
-    /// It does not happen in time.
+    /// The condition is not met in time.
     pub fn until_stored(&self, what: &str, path: &str, is_so: impl Fn(&Value) -> bool) {
         let mut reply = Value::Null;
         let stored = in_time(|| {
@@ -61,7 +61,7 @@ impl Browser {
         assert!(stored, "not in time: {what}; the server says {reply}");
     }
 
-    /// My answer to a task on the server.
+    /// The user's answer to a task, as stored on the server.
     pub fn mine(&self, task: i64) -> Value {
         self.get(&format!("tasks/{task}"))["mine"].clone()
     }

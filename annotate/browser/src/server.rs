@@ -103,7 +103,7 @@ impl Dataset {
         self.folder.path().join("dataset")
     }
 
-    /// Runs a command of `stance annotate` on it, and returns the document that it prints.
+    /// Runs a `stance annotate` command on the dataset, and returns its JSON output.
     pub fn annotate(&self, command: &[&str]) -> Value {
         let path = text(&self.path());
         let printed = run(&[&["annotate", &path], command, &["--json"]].concat());
@@ -167,7 +167,7 @@ impl Server {
         self.program = Some(program);
     }
 
-    /// Serves another dataset from now on, on the same port.
+    /// Restarts the server on another dataset, on the same port.
     pub fn switch_to(&mut self, dataset: &Dataset) {
         self.down();
         self.dataset = dataset.path();
@@ -179,12 +179,12 @@ impl Server {
         self.program = None;
     }
 
-    /// The address of a page.
+    /// The URL of a page.
     pub fn page(&self, path: &str) -> String {
         format!("http://127.0.0.1:{}/{path}", self.port)
     }
 
-    /// The address of a page by the name of a host that browsers do not trust without TLS.
+    /// The URL of a page under a host name that browsers do not trust without TLS.
     pub fn page_from_afar(&self, path: &str) -> String {
         format!("http://{AFAR}:{}/{path}", self.port)
     }
@@ -195,7 +195,7 @@ impl Server {
     }
 }
 
-/// The name of a host that browsers do not trust without TLS.
+/// A host name that browsers do not trust without TLS.
 const AFAR: &str = "annotate.test";
 
 fn free_port() -> u16 {

@@ -1,4 +1,4 @@
-//! Waiting: how long tests do it, for what the page and programs do.
+//! Waiting for the page and for programs, with a timeout.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
@@ -13,8 +13,7 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 /// Polling interval of a condition.
 const LOOK_EVERY: Duration = Duration::from_millis(40);
 
-/// Runs a command of the WebDriver client to its end. Only the client is asynchronous: a test does one thing after the
-/// other.
+/// Blocks until a WebDriver command completes. Tests are sequential; only the client is asynchronous.
 pub(crate) fn wait<T>(work: impl Future<Output = T>) -> T {
     static RUNTIME: LazyLock<Runtime> = LazyLock::new(|| Runtime::new().expect("a runtime"));
     RUNTIME.block_on(work)
@@ -37,7 +36,7 @@ pub(crate) fn in_time(mut is_so: impl FnMut() -> bool) -> bool {
 pub(crate) struct Program(Child);
 
 impl Program {
-    /// Starts a program, and waits for a line of its output that `read` understands.
+    /// Starts a program, and waits for a line of its output that `read` can parse.
     pub(crate) fn start<T: Send + 'static>(
         command: &mut Command,
         read: impl Fn(&str) -> Option<T> + Send + 'static,
@@ -48,7 +47,7 @@ impl Program {
         let lines = BufReader::new(child.stdout.take().expect("stdout is piped")).lines();
         let program = Self(child);
         let (sender, understood) = mpsc::channel();
-        // Drains the rest too, so that the program never blocks.
+        // Drain the rest of the output too, so that the program never blocks.
         std::thread::spawn(move || {
             for value in lines.map_while(Result::ok).filter_map(|line| read(&line)) {
                 let _unheard = sender.send(value);

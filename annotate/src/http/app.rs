@@ -30,15 +30,15 @@ pub const PATIENCE: Duration = Duration::from_secs(15);
 /// Default timeout of an upload: 64 MB at 110 kB/s.
 pub const UPLOAD_PATIENCE: Duration = Duration::from_secs(600);
 
-/// A route.
+/// A route of the API.
 pub struct Route {
     /// Method.
     pub method: &'static str,
     pub(super) filter: MethodFilter,
     /// Path, with parameters in braces.
     pub path: &'static str,
-    /// The least role of its users; `None` lets everybody in. Routes that change something still need the header and
-    /// origin of the page.
+    /// Minimum role of the user; `None` admits everybody. Routes that change something still need the header and origin
+    /// of the page.
     pub role: Option<Role>,
     /// Maximum size of the body in bytes.
     pub max_body: usize,
@@ -65,7 +65,7 @@ pub struct ServerConfig {
     pub listen: SocketAddr,
     /// A second address, for `/metrics`, `/healthz` and `/readyz` without login.
     pub operators: Option<SocketAddr>,
-    /// Whether browsers reach it through TLS.
+    /// Whether browsers reach the server through TLS.
     pub secure: bool,
     /// Host names under which browsers reach the server, besides `localhost` and IP addresses.
     pub hosts: Vec<String>,
@@ -77,11 +77,11 @@ pub struct ServerConfig {
     pub dataset: PathBuf,
     /// The language model, if there is one.
     pub model: Option<Model>,
-    /// Timeout of a request, of its headers, and of a reader that reads nothing; [`PATIENCE`] in production.
+    /// Timeout of a request, of its headers, and of a client that stops reading; [`PATIENCE`] in production.
     pub patience: Duration,
     /// Timeout of an upload; [`UPLOAD_PATIENCE`] in production.
     pub upload_patience: Duration,
-    /// Tells the time, unless the store has a clock.
+    /// Source of the time, unless the store has a clock.
     pub clock: Clock,
     /// Receives messages for the operator.
     pub log: fn(&str),
@@ -153,12 +153,12 @@ impl Context {
     }
 }
 
-/// Reads parameters of a query; one without a value counts as left out.
+/// Parses the parameters of a query. A parameter without a value counts as absent.
 pub(super) fn parse_query<T: DeserializeOwned>(query: &str) -> Result<T, Error> {
     let refused = |problem: &dyn std::fmt::Display| {
         Error::refused(Code::BadRequest, format!("the query {query:?}: {problem}"))
     };
-    // The parser would take malformed escapes literally.
+    // Refuse malformed escapes: the parser would take them literally.
     let is_escape = |rest: &str| {
         let digits = rest.as_bytes().get(..2);
         digits.is_some_and(|digits| digits.iter().all(u8::is_ascii_hexdigit))
@@ -175,7 +175,7 @@ pub(super) fn parse_query<T: DeserializeOwned>(query: &str) -> Result<T, Error> 
         .map_err(|error| refused(&error))
 }
 
-/// The number of rows of a page: as many as asked for, up to `most`. Without a number, which is 0 here, it is `most`.
+/// The number of rows per page: `asked`, but at most `most`; `most` if `asked` is 0.
 pub(super) fn page_size(asked: usize, most: usize) -> usize {
     if asked == 0 { most } else { asked.min(most) }
 }
@@ -190,19 +190,19 @@ pub(super) fn json<T: Serialize>(value: &T) -> Result<Response, Error> {
         })
 }
 
-/// A response with this type and these rules for caches.
+/// A response with this content type and cache policy.
 pub(super) fn content(mime: &str, cache: &str, body: impl Into<Body>) -> Response {
     let headers = [(header::CONTENT_TYPE, mime), (header::CACHE_CONTROL, cache)];
     let body: Body = body.into();
     (headers, body).into_response()
 }
 
-/// Bytes that are not stored by caches.
+/// A binary response that caches do not store.
 pub(super) fn binary(bytes: Vec<u8>) -> Response {
     content("application/octet-stream", "no-store", bytes)
 }
 
-/// 204 without a body.
+/// A 204 response without a body.
 pub(super) fn empty(_: ()) -> Result<Response, Error> {
     Ok(StatusCode::NO_CONTENT.into_response())
 }

@@ -33,7 +33,7 @@ static FILES: &[Asset] = &[
 ];
 
 impl Asset {
-    /// Weak tag of the content: the compressed file has the same.
+    /// Weak ETag of the content, which the compressed file shares.
     pub(super) fn etag(&self) -> String {
         format!("W/\"{}\"", &blake3::hash(self.bytes).to_hex()[..16])
     }

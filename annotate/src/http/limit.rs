@@ -35,7 +35,7 @@ impl Limiter {
             seen.retain(|_, times| times.last().is_some_and(|&last| now - last < MINUTE));
         }
         let times = seen.entry((what, who.to_owned())).or_default();
-        // A time after `now` was counted before the clock was set back; it would count for too long.
+        // Drop times after `now`: the clock was set back, and they would count for too long.
         times.retain(|&at| (0..MINUTE).contains(&(now - at)));
         if times.len() >= most as usize {
             let wait = times.first().map_or(MINUTE, |&first| first + MINUTE - now);

@@ -10,7 +10,7 @@ use crate::lock::lock;
 /// Upper bounds of the latency buckets in seconds.
 const CLASSES: [f64; 9] = [0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 1.0, 5.0, 15.0];
 
-/// Requests of a route.
+/// Request counts of a route.
 #[derive(Default)]
 struct Requests {
     by_status: BTreeMap<u16, u64>,

@@ -57,7 +57,7 @@ connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'"
 /// Minimum size of compressed bodies: smaller ones fit into one packet.
 const WORTHWHILE: u16 = 1400;
 
-/// How often a store that accepted no writes is tried again.
+/// Interval between write attempts on a store that accepted no writes.
 const TRY_AGAIN: Duration = Duration::from_secs(5);
 
 /// A running server. It stops when dropped.
@@ -65,7 +65,7 @@ pub struct Server {
     address: SocketAddr,
     operators: Option<SocketAddr>,
     runtime: Option<tokio::runtime::Runtime>,
-    /// Held beyond the end of the runtime: connections to PostgreSQL cannot be closed inside of one.
+    /// Kept until the runtime has ended: PostgreSQL connections cannot be closed inside a runtime.
     _store: Arc<Store>,
 }
 
@@ -79,7 +79,7 @@ impl Server {
         motions: Arc<MotionLibrary>,
         mut config: ServerConfig,
     ) -> Result<Self, Error> {
-        // Leases of a store that several servers share go by one clock.
+        // Servers that share a store use one clock for its leases.
         if let Some(clock) = store.clock()? {
             config.clock = clock;
         }
@@ -139,7 +139,7 @@ impl Server {
     }
 }
 
-/// The error of an address that cannot be listened on.
+/// The error for an address on which the server cannot listen.
 fn failed(address: SocketAddr) -> impl FnOnce(std::io::Error) -> Error {
     move |source| Error::Listen {
         address: address.to_string(),
@@ -230,7 +230,7 @@ fn router(app: &Arc<App>, routes: &'static [Route]) -> axum::Router {
             problem_response(&Problem::new(code, detail))
         }
     };
-    // Frames of motions hardly shrink.
+    // Do not compress motion data: it hardly shrinks.
     let shrinks = DefaultPredicate::new()
         .and(SizeAbove::new(WORTHWHILE))
         .and(NotForContentType::const_new("application/octet-stream"));
@@ -306,7 +306,7 @@ async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Resul
     let params = RawPathParams::from_request_parts(&mut parts, &())
         .await
         .map_err(|error| Error::refused(Code::BadRequest, error.to_string()))?;
-    // Files, settings and capture plans have size limits of their own, and the timeout of an upload.
+    // Routes with a larger body limit (files, settings, capture plans) have the timeout of an upload.
     let (what, time) = match route.max_body > MAX_BODY_BYTES {
         true => ("the upload", app.config.upload_patience),
         false => ("the request", patience),
@@ -325,7 +325,7 @@ async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Resul
     within(patience, "the request", work).await
 }
 
-/// Bytes of a too large body that are still read: a browser whose upload is cut off does not show the
+/// Bytes of a body that is too large, which are read and discarded: a browser whose upload is cut off does not show the
 /// response.
 const DRAINED_BYTES: usize = 32 * 1024 * 1024;
 
@@ -379,9 +379,9 @@ fn admit(
     Ok(Some(who))
 }
 
-/// Refuses requests to a host name that is not this server's. In DNS rebinding an attacker points a name of their own at
-/// this address, and the browser takes their page and this server for one origin. `localhost` and IP addresses cannot be
-/// pointed elsewhere, so they are always accepted.
+/// Refuses requests to a host name that is not this server's. In DNS rebinding an attacker points a name of their own
+/// at this address, and the browser treats their page and this server as one origin. `localhost` and IP addresses
+/// cannot be pointed elsewhere, so they are always accepted.
 fn check_host(headers: &HeaderMap, hosts: &[String]) -> Result<(), Error> {
     let asked = text(headers, &header::HOST).and_then(|host| host.parse::<Authority>().ok());
     let name = asked.as_ref().map_or("", |asked| asked.host());

@@ -50,7 +50,7 @@ pub(super) fn client(peer: IpAddr, headers: &HeaderMap, trusted: &[TrustedProxy]
     };
     let by_list = outermost(hops(headers, &X_FORWARDED_FOR, address));
     let by_fields = outermost(hops(headers, &FORWARDED, forwarded_for));
-    // A proxy that writes one of the headers passes the client's version of the other one on.
+    // A proxy that writes one of the headers forwards the client's version of the other one.
     match (
         headers.contains_key(X_FORWARDED_FOR),
         headers.contains_key(FORWARDED),
@@ -95,7 +95,7 @@ fn forwarded_for(element: &str) -> Option<IpAddr> {
         .and_then(|(_, value)| address(value.trim().trim_matches('"')))
 }
 
-/// An address with or without a port; IPv6 addresses may stand in brackets.
+/// An address with or without a port; IPv6 addresses may be in brackets.
 fn address(text: &str) -> Option<IpAddr> {
     let text = text.trim();
     let with_port = text.parse().map(|address: SocketAddr| address.ip());

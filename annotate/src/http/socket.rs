@@ -1,4 +1,4 @@
-//! A connection that is given up when its other end stops reading.
+//! A connection that is closed when the peer stops reading.
 
 use std::io;
 use std::pin::Pin;
@@ -14,7 +14,7 @@ use tokio::time::Sleep;
 pub(super) struct Socket {
     stream: TcpStream,
     patience: Duration,
-    /// Runs while a write waits for room.
+    /// Timer of a write that waits for buffer space.
     stalled: Option<Pin<Box<Sleep>>>,
 }
 

@@ -48,7 +48,7 @@ pub(super) async fn watch(app: Arc<App>) {
     }
 }
 
-/// Opens a stream of what happens from now on, or after the event that the client had last.
+/// Opens a stream of new events, or of events after the last one that the client received.
 pub(super) fn open(cx: &Context) -> Result<Response, Error> {
     let app = Arc::clone(&cx.app);
     let login = credential(&app, &cx.headers)?;
@@ -75,7 +75,7 @@ pub(super) fn open(cx: &Context) -> Result<Response, Error> {
         let event = receiver.recv().await?;
         Some((Ok::<_, Infallible>(event), receiver))
     });
-    // Proxies such as nginx would collect events otherwise.
+    // Without this header, proxies such as nginx buffer the events.
     let buffering = HeaderName::from_static("x-accel-buffering");
     let headers = [(CACHE_CONTROL, "no-store"), (buffering, "no")];
     Ok((headers, Sse::new(events)).into_response())

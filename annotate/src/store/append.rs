@@ -97,7 +97,7 @@ fn rev_of(mine: Option<&Revision>) -> i64 {
     mine.map_or(0, |mine| mine.rev)
 }
 
-/// Applies an event, or returns the reply that it got before.
+/// Applies an event, or returns the stored reply to a repeated event.
 fn take(tx: &mut dyn Tx, turn: &Turn, id: i64, event: &NewEvent) -> Result<EventResult> {
     let request = Request::new(turn.user, &event.idem_key, &(id, event))?;
     if let Some(result) = request.replay(tx)? {
@@ -120,7 +120,7 @@ fn take(tx: &mut dyn Tx, turn: &Turn, id: i64, event: &NewEvent) -> Result<Event
     }
 }
 
-/// An event with its author, its task and all else that its entry depends on.
+/// An event with its author, its task, and the other data that its log entry depends on.
 struct Taking<'a> {
     turn: &'a Turn,
     task: TaskRecord,
@@ -153,7 +153,7 @@ impl Taking<'_> {
         Ok(held.filter(|held| held.epoch == self.event.lease_epoch))
     }
 
-    /// The author's answer, if it is handed in.
+    /// The author's answer, if it has been submitted.
     fn handed_in(&self) -> Option<&Revision> {
         let is_handed_in = |mine: &&Revision| {
             !matches!(mine.state, RevisionState::Draft | RevisionState::Returned)
@@ -161,7 +161,7 @@ impl Taking<'_> {
         self.mine.as_ref().filter(is_handed_in)
     }
 
-    /// The entry of an answer that is no submission.
+    /// The log entry that saves an answer as a draft.
     fn draft(&self, answer: Answer, rev: i64, secs: f64, kept_aside: Option<Code>) -> Body {
         Body::DraftSaved {
             answer,
@@ -199,7 +199,7 @@ impl Taking<'_> {
         self.log(tx, Some(held.epoch), body, None, None)
     }
 
-    /// Keeps an answer that is not based on the current one, `mine`, in the log alone.
+    /// Stores an answer that is not based on the current revision, `mine`, only in the log.
     fn stale(&self, tx: &mut dyn Tx, answer: Answer, rev: i64) -> Result<EventResult> {
         let mut problem = Problem::new(
             Code::StaleRevision,
@@ -215,7 +215,8 @@ impl Taking<'_> {
         self.log(tx, Some(self.event.lease_epoch), body, Some(problem), None)
     }
 
-    /// Keeps the answer of a person whose lease has ended: as a draft, or in the log alone if an answer of theirs is submitted.
+    /// Keeps the answer of a person whose lease has ended: as a draft, or only in the log if the person has already
+    /// submitted an answer.
     fn without_lease(&self, tx: &mut dyn Tx, answer: Answer, rev: i64) -> Result<EventResult> {
         let handed_in = self.handed_in().is_some();
         let detail = if handed_in {
@@ -307,7 +308,7 @@ impl Taking<'_> {
             let problem = "taken back: you have no answer waiting for review";
             return Err(Error::wrong_state(state, problem));
         };
-        // No person has decided yet: the rule's acceptance goes first.
+        // Only a rule has accepted the answer, so undo that acceptance first.
         if let Some((rule, at)) = rules::accepted_by_rule(tx, self.task.id)?
             && self.turn.now - at <= take_back_window(&self.turn.settings)
         {

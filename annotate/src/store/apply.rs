@@ -168,7 +168,7 @@ struct Change<'a> {
 }
 
 impl Change<'_> {
-    /// Applies what changes who holds the task, or how many may.
+    /// Applies entries that change the leases of the task or the number of answers it wants.
     fn apply_lease(&self, tx: &mut dyn Tx) -> Result<()> {
         let task = self.task;
         match &self.entry.body {
@@ -207,7 +207,7 @@ impl Change<'_> {
                 self.after_lease(tx, *purpose, TaskState::Submitted)
             }
             Body::Assigned { user, until } => {
-                // The task leaves the person it was reserved for before.
+                // Remove earlier reservations of the task.
                 let sql =
                     "DELETE FROM lease WHERE task = ?1 AND purpose IN ('returned', 'assigned')";
                 tx.run(sql, params![task])?;
@@ -222,7 +222,7 @@ impl Change<'_> {
         }
     }
 
-    /// Applies what its author does with an answer.
+    /// Applies an author's entries about their answer.
     fn apply_answer(&self, tx: &mut dyn Tx) -> Result<()> {
         let (task, actor, at) = (self.task, self.actor, self.entry.at);
         match &self.entry.body {
@@ -320,7 +320,7 @@ impl Change<'_> {
         }
     }
 
-    /// Applies what a reviewer or a rule decides about answers.
+    /// Applies decisions of reviewers and rules about answers.
     fn apply_decision(&self, tx: &mut dyn Tx) -> Result<()> {
         let task = self.task;
         match &self.entry.body {
@@ -412,7 +412,7 @@ impl Change<'_> {
         )
     }
 
-    /// Ends all leases and records the decision, which holds for the clip as it is now.
+    /// Ends all leases and records the decision for the current content of the clip.
     fn settle(
         &self,
         tx: &mut dyn Tx,
@@ -457,7 +457,7 @@ impl Change<'_> {
         put_lease(tx, &lease, purpose, blind)
     }
 
-    /// Keeps the task for people.
+    /// Reserves the task for people.
     fn reserve(
         &self,
         tx: &mut dyn Tx,

@@ -11,8 +11,8 @@ const SUFFIX: &str = ".sqlite";
 /// Characters of the time in a name, such as `20261123T054500Z`.
 const TIME_CHARS: usize = 16;
 
-/// Copies the store into a folder under the name of the time, and removes the oldest copies but `keep`. Returns the
-/// copy, which is on the disk.
+/// Copies the store to a file in a folder, named after the time, and removes all but the newest `keep` copies. Returns
+/// the path of the copy, which is synced to the disk.
 ///
 /// # Errors
 /// The store fails, is on PostgreSQL, or the folder cannot be written.

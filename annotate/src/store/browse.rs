@@ -21,9 +21,9 @@ pub struct PageQuery {
     pub filter: TaskFilter,
     /// Order.
     pub sort: Option<TaskSort>,
-    /// The reverse order.
+    /// Whether to reverse the order.
     pub reverse: bool,
-    /// Cursor of the page before.
+    /// Cursor of the previous page.
     pub after: Option<String>,
     /// Maximum number of rows.
     pub limit: usize,
@@ -37,9 +37,9 @@ pub struct DecisionQuery {
     pub reviewer: Option<i64>,
     /// Only decisions of this kind: `accepted`, `merged`, `returned`, `dropped` or `reopened`.
     pub decision: Option<String>,
-    /// Before this sequence number of the log.
+    /// Only decisions before this sequence number of the log.
     pub before: Option<i64>,
-    /// Maximum number.
+    /// Maximum number of decisions.
     pub limit: usize,
 }
 
@@ -59,7 +59,8 @@ impl Store {
         })
     }
 
-    /// Decisions of reviewers, newest first: the returned answer, its author, and its present state.
+    /// Decisions of reviewers, newest first, each with the answer it is about, the answer's author, and its current
+    /// state.
     pub fn decisions(&self, query: DecisionQuery) -> Result<Decisions> {
         let mut values = Values::default();
         let mut place = format!("v.seq < {}", values.put(query.before.unwrap_or(i64::MAX)));
@@ -78,7 +79,8 @@ impl Store {
     }
 }
 
-/// A page of tasks. The cursor names the last row by its sort value and id, so that a late page is as fast as the first.
+/// A page of tasks. The cursor names the last row by its sort value and id, so that a late page is as fast as the
+/// first.
 fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage> {
     filter::check(&query.filter)?;
     let sort = query.sort.unwrap_or(TaskSort::Id);
@@ -142,7 +144,7 @@ fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage> {
 /// Values of several tasks, by task id.
 type ByTask<T> = BTreeMap<i64, Vec<T>>;
 
-/// Groups the rows of a query by the task in their first column. The query reads the tasks of `{}`.
+/// Groups the rows of a query by the task in their first column. `{}` in the query stands for the ids of the tasks.
 fn by_task<T: DeserializeOwned>(
     tx: &mut dyn Tx,
     sql: &str,
@@ -162,7 +164,7 @@ fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>> {
     if tasks.is_empty() {
         return Ok(Vec::new());
     }
-    // How it was accepted elsewhere cannot be undone here.
+    // The original basis of an imported acceptance is left out: it cannot be undone here.
     let mut facts = by_task::<(Option<String>, Option<String>, i64, Option<String>)>(
         tx,
         "SELECT t.id, s.id, o.id, t.touched, CASE WHEN a.basis LIKE 'import%' THEN 'import' ELSE a.basis END
@@ -170,7 +172,7 @@ fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>> {
          LEFT JOIN accepted a ON a.task = t.id WHERE t.id IN ({})",
         &tasks,
     )?;
-    // Submitted answers in the order of time.
+    // All answers except drafts, by time.
     let sql = format!(
         "SELECT r.task, {REVISION}, COALESCE(u.name, '') FROM revision r LEFT JOIN usr u ON u.id = r.author
          WHERE r.task IN ({{}}) AND r.state <> 'draft' ORDER BY r.at, r.author"
@@ -234,7 +236,7 @@ fn brief((own, name): (Revision, String)) -> AnswerBrief {
     }
 }
 
-/// Decisions `v` that fit what follows `WHERE` in a query.
+/// Decisions `v` that match an SQL condition.
 fn decisions(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<DecisionRow>> {
     let sql = format!(
         "SELECT v.seq, v.task, t.key, v.decision, v.reviewer, COALESCE(u.name, ''), v.author, '[]', v.rule, v.comment,

@@ -15,7 +15,7 @@ use crate::answer;
 use crate::state::{LogKind, targets};
 use crate::wire::{BulkAction, BulkDone, BulkRequest};
 
-/// Tasks that one bulk request looks at.
+/// Maximum number of tasks that one bulk request checks.
 const BULK_AT_ONCE: i64 = 2000;
 
 impl Store {
@@ -56,7 +56,7 @@ fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest, act: bool) -> Result<()> {
     }
 }
 
-/// Plans an action on the tasks of a filter, and applies it if `act` is set. Without it all tasks are counted.
+/// Plans an action on the tasks of a filter, and applies it if `act` is set. Otherwise counts all tasks.
 fn bulk(
     tx: &mut dyn Tx,
     who: i64,
@@ -162,7 +162,7 @@ fn planned(tx: &mut dyn Tx, turn: &Turn, request: &BulkRequest, one: &One) -> Re
     Ok(Ok(body))
 }
 
-/// Accepts the first of answers that agree.
+/// Accepts the first answer if all answers agree.
 fn accepted(tx: &mut dyn Tx, turn: &Turn, one: &One, comment: String) -> Result<Planned> {
     let answers = rules::waiting_answers(tx, one.task.id)?;
     let all: Vec<_> = answers.iter().map(|own| own.answer.clone()).collect();
@@ -186,7 +186,7 @@ fn accepted(tx: &mut dyn Tx, turn: &Turn, one: &One, comment: String) -> Result<
     }))
 }
 
-/// Keeps a task for a person who neither holds nor answered it.
+/// Reserves a task for a person who neither holds nor answered it.
 fn assigned(tx: &mut dyn Tx, task: i64, person: i64, until: Millis) -> Result<Planned> {
     let found = tx.find(
         "SELECT t.wanted - t.submitted - (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.purpose = 'annotate'),

@@ -25,7 +25,7 @@ const MAX_TAKES: u32 = 1_000;
 /// A source motion and a style.
 type Place = (String, String);
 
-/// Takes of a cell that stand, and those that were rejected.
+/// Numbers of valid and of rejected takes of a cell.
 #[derive(Default)]
 struct Takes {
     arrived: u32,
@@ -33,7 +33,7 @@ struct Takes {
 }
 
 impl Store {
-    /// Replaces the capture plan. Its styles join those of the project. Refused with `invalid`.
+    /// Replaces the capture plan. Its styles are added to those of the project. Refused with `invalid`.
     pub fn plan_captures(&self, actor: i64, cells: Vec<PlannedCapture>, now: Millis) -> Result<()> {
         self.write(move |tx| {
             check(&cells, &project::settings(tx)?)?;
@@ -144,9 +144,9 @@ fn takes(tx: &mut dyn Tx) -> Result<(BTreeMap<Place, Takes>, u32)> {
     Ok((all, without_style))
 }
 
-/// The style of a pair, and whether the pair was rejected. The style is that of an accepted answer that keeps the pair,
-/// as in an export; before acceptance, the dataset's label. A rejection does not apply to a clip that was ingested
-/// again.
+/// The style of a pair, and whether the pair was rejected. As in an export, the style is that of an accepted answer
+/// that keeps the pair; before acceptance, it is the dataset's label. A rejection does not apply to a clip that was
+/// ingested again.
 fn judged(
     label: Option<String>,
     state: TaskState,

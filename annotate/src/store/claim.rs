@@ -15,8 +15,8 @@ use crate::Error;
 use crate::state::{LogKind, Purpose, ReleaseReason};
 use crate::wire::{Code, EditType, Empty, Practice, RevisionState, TaskKind, TaskState};
 
-/// SQL condition: user `?2` can get task `t` as new work. Whoever has a returned answer can, once it is no longer
-/// kept for them alone.
+/// SQL condition: user `?2` can get task `t` as new work. This includes the author of a returned answer, once the task
+/// is no longer reserved for them.
 const FOR_ME: &str = "t.claimable = 1
   AND NOT EXISTS (SELECT 1 FROM revision r WHERE r.task = t.id AND r.author = ?2 AND r.state NOT IN ('draft', 'returned'))
   AND NOT EXISTS (SELECT 1 FROM lease l WHERE l.task = t.id AND l.usr = ?2)";
@@ -26,8 +26,8 @@ const IN_BUNDLES: &str =
     "COALESCE(g.bundle, t.bundle, 0), COALESCE(g.bundle_index, t.bundle_index), l.id";
 
 impl Store {
-    /// Claims the next task of a kind, or returns the one that the user holds, with the hashes of the motions of the
-    /// next `ahead` tasks; or returns the reason why there is none.
+    /// Claims the next task of a kind, or returns the task that the user already holds, with the hashes of the motions
+    /// of the next `ahead` tasks. If there is no task, returns the reason.
     pub fn claim(
         &self,
         user: i64,
@@ -57,7 +57,7 @@ impl Store {
         })
     }
 
-    /// A user's practice of each kind.
+    /// A user's progress in the practice of each kind of task.
     pub fn practice(&self, user: i64) -> Result<Vec<Practice>> {
         self.read(|tx| {
             // The time does not affect the result.
@@ -91,7 +91,7 @@ pub(super) fn on_offer(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<i
     let claimable = format!(
         "SELECT {columns}, COUNT(*) FROM task t WHERE t.kind = ?1 AND t.claimable = 1 {group}"
     );
-    // From the user's side, which is short, rather than for each of the open tasks.
+    // Query the user's few tasks instead of checking every open task.
     let not_for_me = format!(
         "SELECT {columns}, -COUNT(*) FROM (
            SELECT task FROM revision WHERE author = ?2 AND state NOT IN ('draft', 'returned')
@@ -171,7 +171,7 @@ fn claim(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Result<i64, Emp
         if let Some((first, bundle)) = candidate(tx, turn, kind, room.as_ref())? {
             break (first, bundle, room);
         }
-        // One request does not end all leases that have expired.
+        // One request ends only some of the expired leases, so try again.
         if expire(tx, turn.user, turn.now)? == 0 {
             let mut empty = empty(tx, turn.user, kind)?;
             if let Some(room) = &room {
@@ -187,7 +187,7 @@ fn claim(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Result<i64, Emp
     let golds = gold_tasks(tx, turn, kind, places.len())?;
     let mut taken = Vec::with_capacity(places.len());
     for ((task, place), gold) in places.into_iter().zip(golds) {
-        // A gold task stands in for one of the tasks, which is left for a later claim.
+        // A gold task replaces one of the tasks, which is left for a later claim.
         let (task, place) = gold.map_or((task, None), |gold| (gold, place));
         turn.take(tx, task, Purpose::Annotate, place)?;
         taken.push(task);
@@ -195,7 +195,7 @@ fn claim(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Result<i64, Emp
     Ok(Ok(taken.first().copied().unwrap_or(first)))
 }
 
-/// The task that comes before new ones: one that the user holds, one kept for them, or practice.
+/// A task that precedes new ones: one that the user holds, one reserved for them, or practice.
 fn due(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<i64>> {
     let from = format!(
         "{PLACED} WHERE l.usr = ?1 AND l.purpose = 'annotate' AND t.kind = ?2 ORDER BY {IN_BUNDLES} LIMIT 1"
@@ -218,7 +218,7 @@ fn due(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<i64>> {
     Ok(task)
 }
 
-/// The tasks of a bundle that a user is given with its task `first`, in their order.
+/// The tasks that a user gets together with `first` of the same bundle, in order.
 fn places(
     tx: &mut dyn Tx,
     user: i64,
@@ -232,7 +232,7 @@ fn places(
                  ORDER BY t.bundle_index, t.id"
     );
     let mut found: Vec<(i64, i64, Option<String>, bool)> = tx.list(&sql, params![bundle, user])?;
-    // The task that was found uses the room first.
+    // The first task uses the quota first.
     found.sort_by_key(|(task, ..)| *task != first);
     let mut places = Vec::new();
     for (task, index, category, counted) in found {
@@ -245,7 +245,7 @@ fn places(
     Ok(places)
 }
 
-/// A category of pairs, with regard to its quota.
+/// State of the quota of a category of pairs.
 struct Category {
     /// Number of pairs that count toward the quota.
     counted: i64,
@@ -256,7 +256,7 @@ struct Category {
 }
 
 impl Category {
-    /// Whether the quota had room for one more pair.
+    /// Uses the quota for one more pair. Returns whether there was room.
     fn use_one(&mut self) -> bool {
         let has_room = self.room > 0;
         self.room -= i64::from(has_room);
@@ -267,8 +267,8 @@ impl Category {
 /// Categories of pairs that can be claimed; tasks without a category form one.
 type Room = BTreeMap<Option<String>, Category>;
 
-/// Pairs that count toward the quota of each category, and those that wait for review, because a reviewer may send them
-/// back or keep them.
+/// Number of pairs of each category that count toward its quota or wait for review. A waiting pair may be kept, or
+/// returned to its author.
 fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>> {
     let sql = "SELECT p.category, COUNT(*) FROM (
          SELECT category FROM task WHERE kind = 'pair' AND counted = 1
@@ -277,13 +277,13 @@ fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>> {
     counts(tx, sql)
 }
 
-/// A query for names and their counts.
+/// Runs a query for names and their counts.
 fn counts(tx: &mut dyn Tx, sql: &str) -> Result<BTreeMap<Option<String>, i64>> {
     let counts: Vec<(Option<String>, i64)> = tx.list(sql, &[])?;
     Ok(BTreeMap::from_iter(counts))
 }
 
-/// Pairs that are wanted of each category, if the project has a quota for tasks of this kind.
+/// Number of pairs wanted of each category, if the project has a quota for tasks of this kind.
 fn quota(turn: &Turn, kind: TaskKind) -> Option<i64> {
     let wanted = i64::from(turn.settings.category_quota);
     (kind == TaskKind::Pair && wanted > 0).then_some(wanted)
@@ -347,7 +347,7 @@ fn type_limits(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Vec<Strin
     if kind != TaskKind::Pair || quotas.is_empty() {
         return Ok(vec![String::new()]);
     }
-    // A pair in work counts with its stated type.
+    // A pair that is not kept yet counts with its stated type.
     let sql = "SELECT COALESCE(kept_type, stated_type), COUNT(*) FROM task WHERE kind = 'pair' AND counted = 1
          GROUP BY COALESCE(kept_type, stated_type)";
     let counted_as = counts(tx, sql)?;
@@ -359,7 +359,7 @@ fn type_limits(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Vec<Strin
         .into_iter()
         .map(|(edit_type, wanted)| (edit_type, counted(edit_type), wanted))
         .partition(|(_, counted, wanted)| counted < wanted);
-    // By the share of the quota that is filled.
+    // Sort by the share of the quota that is filled.
     behind.sort_by(|(_, a, of_a), (_, b, of_b)| (a * of_b).cmp(&(b * of_a)));
     let mut limits: Vec<String> = behind
         .iter()
@@ -379,8 +379,8 @@ fn type_limits(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Vec<Strin
     Ok(limits)
 }
 
-/// The next task of a user with its bundle: a new one, else a postponed one. With quotas, in the order of
-/// [`category_limits`], and within a category of [`type_limits`].
+/// The next task of a user with its bundle: a new task, or otherwise a postponed one. With quotas, tasks are tried in
+/// the order of [`category_limits`], and within a category in that of [`type_limits`].
 fn candidate(
     tx: &mut dyn Tx,
     turn: &Turn,
@@ -454,8 +454,8 @@ fn upcoming(
     Ok(hashes.collect())
 }
 
-/// For each of the next `count` answers of a user: the gold task that takes its place, if one is due. Each draw
-/// depends on the user and the number of the answer, so that asking again changes nothing.
+/// For each of the next `count` answers of a user: the gold task that takes its place, if one is due. Each draw depends
+/// on the user and the number of the answer, so that repeated requests have the same result.
 fn gold_tasks(
     tx: &mut dyn Tx,
     turn: &Turn,
@@ -487,8 +487,8 @@ fn gold_tasks(
     Ok(places)
 }
 
-/// The next gold tasks of a user. Those are left out that the user answered, reviewed or began before they became
-/// gold, and those whose answer is no longer accepted.
+/// The next gold tasks of a user. Excludes tasks that the user answered, reviewed or began before they became gold, and
+/// tasks whose answer is no longer accepted.
 fn known_tasks(tx: &mut dyn Tx, user: i64, kind: TaskKind, count: usize) -> Result<Vec<i64>> {
     let prefix = GOLD_KEY.len() as i64 + 1;
     tx.list(
@@ -578,7 +578,7 @@ fn claim_task(tx: &mut dyn Tx, turn: &Turn, id: i64) -> Result<()> {
     turn.take(tx, id, Purpose::Annotate, None)
 }
 
-/// Where a user stands with the practice tasks of a kind. Reviewers and admins need no practice.
+/// A user's progress in the practice tasks of a kind. Reviewers and admins need no practice.
 pub(super) fn standing(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Practice> {
     let (user, settings) = (turn.user, &turn.settings);
     let sql = "SELECT COUNT(*) FROM task WHERE practice = 1 AND kind = ?1 AND state IN ('open', 'leased')";
@@ -605,8 +605,8 @@ pub(super) fn standing(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<P
     })
 }
 
-/// The practice task that a user has to do next, if real work of the kind is not open to them yet. New tasks come
-/// first, then the one answered longest ago.
+/// The next practice task of a user who has not passed the practice of a kind. New tasks come first, then the one
+/// answered longest ago.
 fn next_practice(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<i64>> {
     if turn.settings.practice_tasks == 0 || standing(tx, turn, kind)?.passed {
         return Ok(None);

@@ -6,7 +6,7 @@ use serde::de::{DeserializeSeed, Deserializer, Error as _, IntoDeserializer, Seq
 use serde::forward_to_deserialize_any;
 use serde_json::{Error, Result};
 
-/// The columns of a row that are still to be read.
+/// The unread columns of a row.
 pub(super) struct Columns<'de>(pub(super) std::slice::Iter<'de, Value>);
 
 impl<'de> Columns<'de> {

@@ -16,7 +16,7 @@ use crate::Error;
 /// The result of work in a transaction.
 pub(crate) type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// The error of a row that cannot be read, or of a value that cannot be stored.
+/// An error for a row that cannot be read, or a value that cannot be stored.
 pub(crate) fn unreadable(table: &'static str, problem: impl std::fmt::Display) -> Error {
     Error::Row {
         table,
@@ -24,7 +24,7 @@ pub(crate) fn unreadable(table: &'static str, problem: impl std::fmt::Display) -
     }
 }
 
-/// The error of a store that cannot be opened.
+/// An error for a store that cannot be opened.
 pub(crate) fn not_opened(path: impl std::fmt::Display, reason: impl std::fmt::Display) -> Error {
     Error::Open {
         path: path.to_string(),
@@ -32,14 +32,14 @@ pub(crate) fn not_opened(path: impl std::fmt::Display, reason: impl std::fmt::Di
     }
 }
 
-/// The error of a store that takes no writes.
+/// An error for a store that takes no writes.
 pub(crate) fn read_only(reason: impl Into<String>) -> Error {
     Error::ReadOnly {
         reason: reason.into(),
     }
 }
 
-/// A value as a column of JSON.
+/// Serializes a value for a JSON column.
 pub(crate) fn json<T: serde::Serialize>(value: &T) -> Result<String> {
     serde_json::to_string(value).map_err(|error| unreadable("of a request", error))
 }
@@ -49,7 +49,7 @@ pub(crate) fn json<T: serde::Serialize>(value: &T) -> Result<String> {
 pub(crate) struct Row(pub(crate) Vec<Value>);
 
 impl Row {
-    /// Reads the row; [`super::columns`] says how. Further columns are left out.
+    /// Deserializes the row as described in [`super::columns`]. Extra columns are ignored.
     pub(crate) fn read<'a, T: Deserialize<'a>>(&'a self) -> Result<T> {
         let mut columns = Columns(self.0.iter());
         T::deserialize(&mut columns).map_err(|error| {
@@ -69,7 +69,7 @@ pub(crate) trait Tx {
     /// Runs a query.
     fn query(&mut self, sql: &str, params: Params) -> Result<Vec<Row>>;
 
-    /// Runs statements; an error says that the store cannot do the action.
+    /// Runs statements. `action` names what they do, for errors.
     fn batch(&mut self, sql: &str, action: &'static str) -> Result<()>;
     /// Runs statements that define tables; each database replaces the placeholders in `schema.sql` by its own keywords.
     fn define(&mut self, sql: &str) -> Result<()>;
@@ -141,7 +141,7 @@ pub(crate) trait Database: Send + Sync {
         Err(Error::Closed)
     }
 
-    /// As [`Backend::backup`](super::pool::Backend::backup).
+    /// See [`Backend::backup`](super::pool::Backend::backup).
     fn backup(&self, _path: &Path, _with_tokens: bool) -> Result<()> {
         Err(Error::Closed)
     }

@@ -1,10 +1,10 @@
-//! The projections, and how they follow from the log.
+//! The projections, and how they are derived from the log.
 
 use super::apply::apply;
 use super::db::{Result, Tx, params};
 use super::entry::{ENTRY_COLUMNS, Entry, read_entry};
 
-/// A table of a projection, its column with the task that a row belongs to, and its sort columns.
+/// A projection: its table, the column with the id of the task, and its sort columns.
 pub(super) type Projection = (&'static str, &'static str, &'static str);
 
 /// The projections.

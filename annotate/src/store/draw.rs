@@ -1,4 +1,4 @@
-//! Draws that depend on a key alone.
+//! Pseudo-random draws that depend only on a key.
 
 /// The pseudo-random number of a key, the same on every call and in a store opened again.
 pub(super) fn draw(parts: &[&str]) -> u64 {

@@ -41,8 +41,8 @@ pub(crate) struct LoggedTask {
     pub(crate) credit: Option<Credit>,
 }
 
-/// Reads a value that another version of this program may have stored: missing fields get their default values,
-/// unknown ones are left out.
+/// Reads a value that another version of this program may have stored: missing fields get their default values, unknown
+/// fields are ignored.
 pub(super) fn stored<'de, T, D>(from: D) -> Result<T, D::Error>
 where
     T: Default + Serialize + DeserializeOwned,
@@ -58,7 +58,7 @@ where
     serde_json::from_value(full).map_err(D::Error::custom)
 }
 
-/// [`stored`] for a column of JSON.
+/// [`stored`] for a JSON column.
 pub(super) fn read_stored<T>(table: &'static str, text: &str) -> Result<T>
 where
     T: Default + Serialize + DeserializeOwned,
@@ -88,7 +88,7 @@ pub(crate) enum Body {
         credit: Option<Credit>,
         extra: Option<serde_json::Value>,
     },
-    /// The clips have other content now; the hashes are the new ones.
+    /// The clips were ingested with other content; the hashes are the new ones.
     ClipChanged {
         source: String,
         target: Option<String>,
@@ -98,7 +98,7 @@ pub(crate) enum Body {
         purpose: Purpose,
         expires: Millis,
         blind: bool,
-        /// Where a gold task stands in for a task of a bundle.
+        /// Position in a bundle at which a gold task replaces a task.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         place: Option<Place>,
     },
@@ -111,7 +111,7 @@ pub(crate) enum Body {
         user: i64,
         purpose: Purpose,
         reason: ReleaseReason,
-        /// Until when the task is kept for the user, whose returned answer it still waits for.
+        /// Until when the task stays reserved for the user, whose returned answer is still open.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         reserved: Option<Millis>,
     },
@@ -119,7 +119,7 @@ pub(crate) enum Body {
         answer: Answer,
         rev: i64,
         secs: f64,
-        /// Reason why the answer did not become a revision, if it did not.
+        /// Why the answer did not become a revision; none if it did.
         kept_aside: Option<String>,
         request: String,
     },
@@ -215,7 +215,7 @@ pub(crate) enum Body {
     Retargeted {
         wanted: u32,
     },
-    /// Written by programs up to version 0.1. The log keeps what people decided.
+    /// Written by programs up to version 0.1, and kept because people made these decisions.
     ParaphraseJudged {
         paraphrase: i64,
         instruction: String,
@@ -266,8 +266,7 @@ impl Body {
         }
     }
 
-    /// Seconds of work that the entry reports, on answers, skips and reviews, and the hash of its request. An older log
-    /// has no seconds.
+    /// Seconds of work that an answer, skip or review reports, and the hash of its request. Older logs have no seconds.
     pub(crate) fn work(&self) -> (f64, Option<&str>) {
         match self {
             Self::DraftSaved { secs, request, .. }

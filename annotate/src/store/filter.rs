@@ -5,12 +5,12 @@ use super::settings::{has_up_to, require};
 use crate::Error;
 use crate::wire::{SkipFilter, TaskFilter};
 
-/// Parameters of a query that is put together.
+/// Parameters of a query under construction.
 #[derive(Default)]
 pub(super) struct Values(Vec<Box<dyn ToSql + Send + Sync>>);
 
 impl Values {
-    /// Adds a value and returns its place in the query.
+    /// Adds a value and returns its placeholder in the query.
     pub(super) fn put(&mut self, value: impl ToSql + Send + Sync + 'static) -> String {
         self.0.push(Box::new(value));
         format!("?{}", self.0.len())
@@ -91,7 +91,7 @@ pub(super) fn condition(filter: &TaskFilter, values: &mut Values) -> String {
     all.join(" AND ")
 }
 
-/// The condition of a task that was skipped.
+/// The SQL condition for skipped tasks.
 fn skipped(by: SkipFilter) -> String {
     let skipped = "EXISTS (SELECT 1 FROM skip s WHERE s.task = t.id AND s.postponed = 0)";
     match by {
@@ -108,7 +108,7 @@ fn skipped(by: SkipFilter) -> String {
     }
 }
 
-/// The condition of a task with a text in its answers, its clips or its own words.
+/// The SQL condition for tasks with a text in their answers, their clips or their own fields.
 fn contains(text: &str, values: &mut Values) -> String {
     let like = values.put(like(text));
     let fits = |column: &str| format!("{column} LIKE {like} ESCAPE '\\'");
@@ -158,7 +158,8 @@ pub(super) fn check(filter: &TaskFilter) -> Result<()> {
     Ok(())
 }
 
-/// The pattern of a text anywhere in a lower-case column. Spaces around the text do not count; a blank text fits all.
+/// The LIKE pattern for a text anywhere in a lower-case column. Spaces around the text are ignored; a blank text
+/// matches everything.
 pub(super) fn like(text: &str) -> String {
     let escaped = text
         .trim()

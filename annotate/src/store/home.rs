@@ -58,7 +58,7 @@ fn queue(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<QueueInfo> {
          FROM task WHERE kind = ?1 AND gold IS NULL AND state <> 'dropped'",
         params![kind, turn.user],
     )?;
-    // Practice that is begun is counted with the practice that is left.
+    // A practice task in progress counts as remaining practice.
     let (kept, held, held_until): (i64, _, _) = tx.get(
         "SELECT COUNT(*), COUNT(CASE WHEN l.purpose = 'annotate' THEN 1 END),
            MIN(CASE WHEN l.purpose = 'annotate' THEN l.expires END)

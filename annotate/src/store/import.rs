@@ -13,20 +13,20 @@ use crate::wire::{Answer, Settings, TaskKind, TaskState};
 
 /// Prefix that turns the key of a task into the key of its gold copy.
 pub(super) const GOLD_KEY: &str = "gold:";
-/// Answers wanted for a gold task: one of everybody.
+/// Number of answers that a gold task wants: one from everybody.
 const GOLD_WANTED: u32 = 1_000_000;
 
 impl Store {
-    /// Changes the settings. A changed number of people is applied to all tasks that still want answers, some at
-    /// a time. Refused with `invalid`.
+    /// Changes the settings. A changed number of people is applied, in batches, to all tasks that still want answers.
+    /// Refused with `invalid`.
     pub fn put_settings(&self, actor: i64, settings: Settings, now: Millis) -> Result<()> {
         self.write(move |tx| project::put_settings(tx, Some(actor), settings, now))?;
         while !self.write(move |tx| retarget(tx, actor, now))? {}
         Ok(())
     }
 
-    /// Imports tasks. Tasks with a known key stay as they are, except that an accepted answer fills one that nobody
-    /// has worked on.
+    /// Imports tasks. Tasks whose key exists stay unchanged, except that an accepted answer fills one that nobody has
+    /// worked on.
     pub fn import(&self, actor: Option<i64>, tasks: Vec<NewTask>, now: Millis) -> Result<Imported> {
         let mut done = Imported::default();
         for group in tasks.chunks(project::AT_ONCE) {
@@ -72,7 +72,7 @@ fn import(tx: &mut dyn Tx, actor: Option<i64>, tasks: &[NewTask], now: Millis) -
     Ok(done)
 }
 
-/// The styles that a task names: the label of its pair, and that of its answer.
+/// Styles that a task names: the label of its pair, and the style of its answer.
 fn styles(task: &NewTask) -> impl Iterator<Item = &str> {
     let label = match task.kind {
         TaskKind::Style => task.style.as_deref(),
@@ -85,7 +85,7 @@ fn styles(task: &NewTask) -> impl Iterator<Item = &str> {
     label.into_iter().chain(answered)
 }
 
-/// Accepts an imported answer to a known task, unless it has another answer, or somebody is at work on it or has
+/// Accepts an imported answer to a known task, unless the task has another answer, or somebody is working on it or has
 /// decided about it.
 fn fill(
     tx: &mut dyn Tx,
@@ -171,7 +171,7 @@ fn put_task(
     Ok(())
 }
 
-/// Number of people who shall answer a task. The tasks of a bundle go to the same people.
+/// Number of people who must answer a task. The tasks of a bundle go to the same people.
 fn wanted(settings: &Settings, key: &str, bundle: Option<i64>) -> u32 {
     let group = bundle.map_or_else(|| key.to_owned(), |bundle| bundle.to_string());
     if percent(&["overlap", &group]) < settings.overlap_percent {
@@ -181,11 +181,11 @@ fn wanted(settings: &Settings, key: &str, bundle: Option<i64>) -> u32 {
     }
 }
 
-/// Tasks that one transaction of [`retarget`] looks at.
+/// Maximum number of tasks that one transaction of [`retarget`] checks.
 const RETARGETED_AT_ONCE: i64 = 1000;
 
-/// Gives some more unanswered and half-answered tasks the number of people that the settings ask for, and returns whether
-/// all have it. Answers and leases that exist are kept, so a task never wants fewer.
+/// Updates a batch of tasks that still want answers to the number of people in the settings, and returns whether all
+/// tasks are up to date. Existing answers and leases are kept, so a task never wants fewer.
 pub(super) fn retarget(tx: &mut dyn Tx, actor: i64, now: Millis) -> Result<bool> {
     let Some(after) = project::get(tx, project::RETARGETING)? else {
         return Ok(true);

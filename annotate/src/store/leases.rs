@@ -71,14 +71,14 @@ pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<usize> {
     Ok(expired.len())
 }
 
-/// Until when the task of a lease that ends is kept for its holder, whose returned answer it waits for.
+/// Until when the task of an ending lease stays reserved for its holder, whose returned answer is still open.
 pub(super) fn reserved_after(
     tx: &mut dyn Tx,
     held: &LeaseRow,
     reason: ReleaseReason,
     now: Millis,
 ) -> Result<Option<Millis>> {
-    // A reviewer who takes a task away wants others to have it.
+    // A task that a reviewer took away is free for others.
     if held.purpose != Purpose::Annotate || reason == ReleaseReason::TakenAway {
         return Ok(None);
     }
@@ -160,7 +160,7 @@ impl Turn {
         self.now + Millis::from(self.settings.lease_minutes) * MINUTE
     }
 
-    /// Until when a task is kept for the author of an answer that is sent back, or for whom it is given to.
+    /// Until when a task is reserved for the author of a returned answer, or for the person it is assigned to.
     pub(super) fn until_returned(&self) -> Millis {
         self.now + Millis::from(self.settings.returned_days) * DAY
     }
@@ -215,7 +215,7 @@ impl Turn {
         self.prolong(tx, held)
     }
 
-    /// Extends the lease of a task that the person resumes, with those of its bundle, but not at every request.
+    /// Extends the leases of a resumed task and its bundle, but at most once a minute.
     pub(super) fn resume(&self, tx: &mut dyn Tx, held: &LeaseRow) -> Result<i64> {
         if held.lease.expires < self.lease_end() - MINUTE {
             self.prolong_bundle(tx, held)?;

@@ -11,7 +11,7 @@ use super::settings::{is_word, require};
 use crate::Error;
 use crate::wire::Code;
 
-/// Writes an entry that no lease gave an epoch.
+/// Writes an entry without an epoch of a lease.
 pub(crate) fn note(
     tx: &mut dyn Tx,
     at: Millis,
@@ -62,11 +62,11 @@ fn put(
     )
 }
 
-/// A request that is not applied twice.
+/// A request with a key, so that it is applied only once.
 pub(super) struct Request {
     /// The client's key prefixed with the user id, so that keys of different people never collide.
     key: String,
-    /// Tells a repetition from another request with the same key.
+    /// Distinguishes a repeated request from another request with the same key.
     pub(super) hash: String,
 }
 
@@ -83,7 +83,7 @@ impl Request {
         })
     }
 
-    /// The reply that was given to this request before.
+    /// The stored reply to this request, if it is repeated.
     pub(super) fn replay<T: DeserializeOwned>(&self, tx: &mut dyn Tx) -> Result<Option<T>> {
         let sql = "SELECT result, body FROM event WHERE idem_key = ?1";
         let found: Option<(Option<String>, serde_json::Value)> = tx.find(sql, params![self.key])?;

@@ -2,13 +2,13 @@
 //!
 //! # To change the tables
 //!
-//! 1. Change `schema.sql` (what is not derived) or `projections.sql` (what is derived from the log) to what a new
-//!    store gets. A new projection also has a line in [`derived::PROJECTIONS`].
-//! 2. Append a step to [`STEPS`]: SQL for both databases that brings the tables of `schema.sql` from the version
-//!    before to the new one. It is empty if only projections or their rows changed: every upgrade drops the
-//!    projections, creates them anew and derives them from the log.
-//! 3. The log itself is never rewritten. A new field of an entry's body needs `#[serde(default)]`. A new setting
-//!    needs no step: a stored value without it gets the one of `Settings::default`.
+//! 1. Change `schema.sql` (tables that are not derived) or `projections.sql` (tables derived from the log) to the form
+//!    in a new store. A new projection also has a line in [`derived::PROJECTIONS`].
+//! 2. Append a step to [`STEPS`]: SQL for both databases that brings the tables of `schema.sql` from the previous
+//!    version to the new one. It is empty if only projections or their rows changed: every upgrade drops the
+//!    projections, creates them again and derives them from the log.
+//! 3. The log itself is never rewritten. A new field of an entry's body needs `#[serde(default)]`. A new setting needs
+//!    no step: a stored value without it gets the value of `Settings::default`.
 //!
 //! Test `a_store_of_each_older_version_is_upgraded_after_a_copy` opens stores of older versions
 //! (`tests/stores`) and compares their tables with those of a new store.
@@ -26,7 +26,7 @@ const STEPS: &[&str] = &[
     "",
     // 3: the projection `work`, which every upgrade derives.
     "",
-    // 4: gold tasks stand in places of bundles, and servers share the files of exports.
+    // 4: gold tasks have places in bundles, and servers share the files of exports.
     "CREATE TABLE job_file (
   job BIGINT NOT NULL,
   name TEXT NOT NULL,
@@ -70,7 +70,7 @@ CREATE INDEX paraphrase_state ON paraphrase (state, id);",
      DROP TABLE motion;
      ALTER TABLE motion_now RENAME TO motion;
      CREATE UNIQUE INDEX motion_id ON motion (id) WHERE current = 1;",
-    // 7: no model is asked for paraphrases. What people decided about theirs stays in the log.
+    // 7: paraphrases are removed. Decisions about them stay in the log.
     "DROP TABLE paraphrase",
     // 8: edit types of pairs, for their quotas.
     "",
@@ -94,8 +94,8 @@ impl Store {
 /// Name of the operation that creates or upgrades tables, for errors.
 pub(super) const MAKE: &str = "make its tables";
 
-/// Creates the tables of a store and `triggers` if its version is 0, or upgrades tables of an older version after
-/// `copy` made a copy and said where it is.
+/// Creates the tables of a store and `triggers` if its version is 0. Otherwise upgrades tables of an older version,
+/// after `copy` made a copy and returned its place.
 pub(super) fn prepare(
     tx: &mut dyn Tx,
     place: &str,

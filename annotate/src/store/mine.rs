@@ -43,7 +43,7 @@ impl Store {
             let kind = query.kind.map_or("", |kind| kind.as_str());
             let (batch, only) = (query.limit as i64 + 1, query.task.unwrap_or(0));
             let mut found = Vec::new();
-            // The standing is not a column, so rows of another standing are read and passed over.
+            // The standing is not a column, so rows with another standing are read and skipped.
             loop {
                 let rows: Vec<Found> = tx.list(&sql, params![user, at, task, kind, batch, only])?;
                 let is_last = (rows.len() as i64) < batch;
@@ -68,7 +68,7 @@ impl Store {
     }
 }
 
-/// An answer with its task, and what was accepted.
+/// An answer, its task, and the accepted answer.
 #[derive(Deserialize)]
 struct Found {
     task: TaskRecord,
@@ -127,7 +127,7 @@ fn own_answer(
         missing,
         comment,
         accepted: found.accepted.filter(|_| other),
-        // Names of rules and reviewers' ways are the project's own facts; the author may know them.
+        // The author may see the rule or the kind of review that accepted the answer.
         accepted_by: found.basis,
         can_take_back,
         until,
@@ -145,7 +145,7 @@ fn feedback(tx: &mut dyn Tx, user: i64, task: &TaskRecord) -> Result<Option<Feed
     Ok(known.map(|(score, known)| Feedback { score, known }))
 }
 
-/// Where an answer stands.
+/// The standing of an answer.
 fn standing(task: TaskState, mine: RevisionState) -> Standing {
     match mine {
         RevisionState::Returned => Standing::Returned,

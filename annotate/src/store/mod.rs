@@ -7,8 +7,8 @@
 //! The operations of [`Store`] are in the module of their kind: `claim` (who gets which task), `leases`, `append`
 //! (drafts, submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser) with
 //! `filter`, `bulk` (actions on many tasks), `home`, `mine`, `work`, `captures` (the capture plan), `import`, `people`,
-//! `jobs` and `pictures`; `read` holds queries, `project` the tables beside the log. `apply` writes the projections,
-//! `db` abstracts from the database, whose connections `pool` holds.
+//! `jobs` and `pictures`; `read` holds queries, `project` the settings, preferences, motions and suggestions. `apply`
+//! writes the projections, `db` abstracts from the database, whose connections `pool` holds.
 
 mod append;
 mod apply;
@@ -68,8 +68,8 @@ pub use records::{
 };
 pub use store::{Store, Upgrade};
 
-/// Opens the store of a file, creating it if needed. A store of an older version is upgraded after a copy of it was
-/// made ([`Store::upgrade`]).
+/// Opens the store of a file, creating it if needed. A store of an older version is copied, then upgraded
+/// ([`Store::upgrade`]).
 ///
 /// # Errors
 /// The file cannot be opened, is of a newer version, or lies on a network file system.
@@ -78,8 +78,8 @@ pub fn open_sqlite(path: &Path) -> Result<Arc<Store>> {
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }
 
-/// Opens a store on PostgreSQL, creating its tables in the schema if needed. A store of an older version is upgraded
-/// after a copy of it was made ([`Store::upgrade`]).
+/// Opens a store on PostgreSQL, creating its tables in the schema if needed. A store of an older version is copied,
+/// then upgraded ([`Store::upgrade`]).
 ///
 /// # Errors
 /// The server cannot be reached, or its tables are of a newer version.

@@ -87,7 +87,7 @@ impl Store {
             tx.run(sql, params![user, after.role, after.active])?;
             if !after.active {
                 tx.run("UPDATE token SET revoked = 1 WHERE usr = ?1", params![user])?;
-                // Others can take the tasks.
+                // End the user's leases, so that others can take the tasks.
                 let from = "lease l WHERE l.usr = ?1 ORDER BY l.id";
                 for held in rows::leases(tx, from, params![user])? {
                     leases::end(tx, &held, actor, ReleaseReason::TakenAway, now)?;
@@ -128,7 +128,7 @@ impl Store {
         Ok(self.read(|tx| find(tx, &hash, purposes, now))?.who)
     }
 
-    /// Begins a session by a token, until a time or the end of the token, whichever is earlier. The end of a one-time
+    /// Begins a session with a token, until a time or the end of the token, whichever is earlier. The end of a one-time
     /// token does not shorten its session. Refused with `unauthenticated`.
     pub fn log_in(&self, token: &str, until: Millis, now: Millis) -> Result<(Who, IssuedToken)> {
         let hash = hash(token);
@@ -267,8 +267,8 @@ fn issue(
 /// Users that one request can add.
 const MAX_LINES: usize = 1000;
 
-/// Reads users from lines of a name, or of a name and a role parted by a comma, a semicolon or a tab. Empty lines
-/// and a heading `name,role` are passed over.
+/// Parses lines of a name, or of a name and a role separated by a comma, a semicolon or a tab. Empty lines and a
+/// heading `name,role` are skipped.
 fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
     let mut users = Vec::new();
     for (index, line) in text.lines().enumerate() {
@@ -326,7 +326,7 @@ fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Resu
     })
 }
 
-/// [`find`], and records the use. A one-time token becomes invalid.
+/// Like [`find`], but also records the use. A one-time token becomes invalid.
 fn used(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
     let found = find(tx, hash, purposes, now)?;
     let sql = "UPDATE token SET last_used = ?2, revoked = ?3 WHERE id = ?1";

@@ -14,7 +14,7 @@ use crate::wire::{MAX_PICTURE_BYTES, PictureInfo};
 
 /// Maximum number of pictures.
 const MAX_PICTURES: i64 = 100;
-/// Types of pictures by the bytes they begin with.
+/// MIME types by the first bytes of a picture.
 const TYPES: [(&[u8], &str); 4] = [
     (b"\x89PNG\r\n\x1a\n", "image/png"),
     (b"\xff\xd8\xff", "image/jpeg"),
@@ -68,7 +68,7 @@ impl Store {
     }
 }
 
-/// The type of a picture; none for anything else, SVG with its scripts among them.
+/// The MIME type of a picture; none for other files, including SVG, which may contain scripts.
 fn mime(bytes: &[u8]) -> Option<&'static str> {
     let (_, mime) = TYPES.iter().find(|(start, _)| bytes.starts_with(start))?;
     let is_webp = bytes.get(8..12) == Some(b"WEBP");

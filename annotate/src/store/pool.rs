@@ -1,4 +1,4 @@
-//! The connections of a store: a thread with one that writes, several that read, and snapshots.
+//! The connections of a store: one that writes, on its own thread; several that read; and snapshots.
 //!
 //! A commit waits for the disk. Work that arrives meanwhile is queued and shares the next commit. Work that
 //! fails is rolled back alone.
@@ -15,17 +15,17 @@ use crate::lock::lock;
 /// Number of read connections of a store.
 const READERS: usize = 4;
 
-/// A database of one kind, to which connections are made.
+/// A kind of database, which opens connections.
 pub(crate) trait Backend: Send + Sync + 'static {
     /// A connection to the database.
     type Connection: Tx + Send + 'static;
     /// Maximum number of operations in one commit; bounds the latency of the first one.
     const GROUP: usize;
-    /// Begins a transaction that writes.
+    /// SQL that begins a write transaction.
     const WRITE: &'static str;
-    /// Begins a transaction that reads one point in time.
+    /// SQL that begins a read transaction on a snapshot.
     const READ: &'static str;
-    /// Reads the database's own time in milliseconds, if servers on several machines can share it.
+    /// SQL for the database's own time in milliseconds, if servers on several machines can share the database.
     const TIME: Option<&'static str> = None;
 
     /// Opens a connection.
@@ -36,7 +36,7 @@ pub(crate) trait Backend: Send + Sync + 'static {
         false
     }
 
-    /// Writes a backup to a new file without blocking others. Tokens and sessions open the store on this machine alone.
+    /// Writes a backup to a new file without blocking others. A backup for another machine has no tokens and sessions.
     fn backup(&self, path: &Path, with_tokens: bool) -> Result<()>;
 
     /// Begins a transaction, on a new connection if the database closed this one.
@@ -134,7 +134,7 @@ impl<B: Backend> Database for Pool<B> {
     fn snapshot(&self) -> Result<Box<dyn Database>> {
         let mut connection = self.backend.connect(false)?;
         self.backend.begin(&mut connection, false)?;
-        // The first read fixes the point in time.
+        // The first read fixes the snapshot.
         connection.query("SELECT COUNT(*) FROM setting", &[])?;
         Ok(Box::new(Snapshot(Mutex::new(connection))))
     }
@@ -148,7 +148,7 @@ impl<B: Backend> Database for Pool<B> {
     }
 }
 
-/// A database as it was when the snapshot was taken: one transaction on a connection of its own.
+/// A snapshot of a database: one transaction on a separate connection.
 struct Snapshot<C>(Mutex<C>);
 
 impl<C: Tx + Send + 'static> Database for Snapshot<C> {
@@ -158,7 +158,7 @@ impl<C: Tx + Send + 'static> Database for Snapshot<C> {
     }
 }
 
-/// Does work; a panic becomes an error.
+/// Runs work; a panic becomes an error.
 fn caught(work: impl FnOnce() -> Result<()>) -> Result<()> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or(Err(Error::Closed))
 }
@@ -202,12 +202,12 @@ impl<B: Backend> Writer<B> {
                 None => answer,
                 Some(reason) => Err(read_only(reason)),
             };
-            // The sender may have gone away.
+            // The caller may have stopped waiting.
             let _told = done.send(answer);
         }
     }
 
-    /// Does a group of work in a transaction. An error means that all of it is lost.
+    /// Runs a group of operations in one transaction. An error means that all of them are lost.
     fn commit(
         &mut self,
         group: Vec<Job>,
@@ -228,7 +228,7 @@ impl<B: Backend> Writer<B> {
         self.connection.batch("COMMIT", "commit")
     }
 
-    /// Does work, and rolls it back alone if it fails. An outer error means that the whole transaction is lost.
+    /// Runs work, and rolls back only this work if it fails. An outer error means that the whole transaction is lost.
     fn work(&mut self, work: Work<'_>) -> Result<Result<()>> {
         let connection = &mut self.connection;
         connection.batch("SAVEPOINT work", "begin a transaction")?;

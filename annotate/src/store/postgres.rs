@@ -1,9 +1,8 @@
 //! PostgreSQL: the same tables and statements, for several servers on one store.
 //!
-//! Sequence numbers of the log have no gaps, so transactions that write are serialised by one advisory
-//! lock, held to the end of the transaction; `SKIP LOCKED` would therefore gain nothing. One thread of
-//! each server writes and groups waiting work into one transaction, so that the lock and the commit are
-//! paid once for many.
+//! Sequence numbers of the log have no gaps, so transactions that write are serialised by one advisory lock, held to
+//! the end of the transaction; `SKIP LOCKED` would therefore gain nothing. One thread of each server writes and groups
+//! waiting work into one transaction, so that many operations share one lock and one commit.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -79,7 +78,7 @@ impl Postgres {
     /// Creates the tables of a new store, or upgrades those of an older version after a copy.
     fn prepare(&self, connection: &mut Connection) -> Result<Option<Upgrade>> {
         let schema = self.schema.as_str();
-        // After an error the connection is dropped, which rolls all of it back.
+        // An error drops the connection, which rolls back the whole transaction.
         self.begin(connection, true)?;
         let make = format!("CREATE SCHEMA IF NOT EXISTS {schema}");
         connection.batch(&make, migrate::MAKE)?;
@@ -94,7 +93,7 @@ impl Postgres {
         })?;
         tx.run("UPDATE version SET number = ?1", params![migrate::VERSION])?;
         tx.batch("COMMIT", migrate::MAKE)?;
-        // Plans prepared for tables that were dropped are of no use.
+        // Discard the plans prepared for the dropped tables.
         connection.statements.clear();
         Ok(upgrade)
     }

@@ -13,7 +13,7 @@ use tokio_postgres_rustls::MakeRustlsConnect;
 use super::db::{Result, not_opened};
 use crate::Error;
 
-/// The error of an address that cannot be used.
+/// An error for an address that cannot be used.
 fn refused(reason: impl std::fmt::Display) -> Error {
     not_opened("on PostgreSQL", reason)
 }
@@ -86,7 +86,7 @@ impl Address {
             .map_err(|error| not_opened(self.place(), self.advice(&causes(&error))))
     }
 
-    /// A failure to connect, and what to do about it.
+    /// The error message for a failed connection, with advice.
     fn advice(&self, causes: &str) -> String {
         let advice = if causes.contains("does not support TLS") {
             "; switch TLS on at the server, or add sslmode=disable to the address if nobody can listen on the way"
@@ -126,7 +126,7 @@ fn is_local(host: &Host) -> bool {
     }
 }
 
-/// Settings of TLS that trust the authorities of a file, or else those that browsers trust.
+/// TLS settings that trust the certificate authorities in a file, or by default those that browsers trust.
 fn tls(authorities: Option<&str>) -> Result<ClientConfig> {
     let mut roots = RootCertStore::empty();
     match authorities {

@@ -28,7 +28,7 @@ impl Store {
     /// Checks that the store accepts writes, by writing.
     ///
     /// # Errors
-    /// It does not.
+    /// The store does not accept writes.
     pub fn check(&self) -> Result<()> {
         self.write(|tx| put(tx, "ready", &"-".repeat(TRIED)))
     }
@@ -45,7 +45,7 @@ impl Store {
         let Some(mut stored) = stored else {
             return Ok(Prefs::default());
         };
-        // Actions that are gone keep no keys.
+        // Drop the keys of actions that no longer exist.
         if let Some(keys) = stored["keys"].as_object_mut() {
             keys.retain(|action, _| Action::parse(action).is_some());
         }
@@ -87,8 +87,9 @@ impl Store {
         Ok(())
     }
 
-    /// Gives clips new content. Tasks on the earlier content get the new one; those with an answer say so until
-    /// somebody has decided about them again ([`TaskRecord::changed`](super::TaskRecord::changed)). Returns the number of tasks.
+    /// Replaces the content of clips. Tasks on the earlier content get the new content; tasks with an answer are marked
+    /// until somebody has decided about them again ([`TaskRecord::changed`](super::TaskRecord::changed)). Returns the
+    /// number of tasks.
     pub fn replace_motions(
         &self,
         actor: Option<i64>,
@@ -231,7 +232,7 @@ pub(super) fn get(tx: &mut dyn Tx, name: &str) -> Result<Option<String>> {
     tx.find(sql, params![name])
 }
 
-/// Note that holds the last task whose number of people was brought up to date, while that goes on.
+/// Note with the last task whose number of people was updated, while an update is in progress.
 pub(super) const RETARGETING: &str = "note:retargeting";
 
 pub(super) fn put_settings(
@@ -253,7 +254,7 @@ pub(super) fn put_settings(
     log::note(tx, now, actor, None, body)
 }
 
-/// Adds styles that the project does not have, in their order. What cannot be a name is no style.
+/// Adds styles that the project does not have, in their order. Skips texts that cannot be names.
 pub(super) fn add_styles<'a>(
     tx: &mut dyn Tx,
     actor: Option<i64>,
@@ -339,13 +340,13 @@ fn settle_changed(
             rule: None,
             request: String::new(),
         },
-        // A reviewer decides in any case, and sees the change.
+        // A reviewer will decide anyway, and sees the change.
         (false, _) => return Ok(()),
     };
     log::note(tx, now, actor, Some(task), body)
 }
 
-/// Motions that fit what follows `WHERE` in a query.
+/// Motions that match an SQL condition.
 pub(super) fn motions_where(
     tx: &mut dyn Tx,
     condition: &str,
@@ -363,7 +364,7 @@ pub(super) fn frames(tx: &mut dyn Tx, hash: &str) -> Result<i64> {
     Ok(frames.unwrap_or(1))
 }
 
-/// Suggestions that fit what follows `WHERE` in a query.
+/// Suggestions that match an SQL condition.
 fn suggestions_where(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<Suggestion>> {
     let sql = format!("SELECT id, source, parts, text, model FROM suggestion WHERE {condition}");
     tx.list(&sql, params)
@@ -406,7 +407,7 @@ pub(super) fn put_suggestion(
     })
 }
 
-/// Suggestions that fit what follows `WHERE` in a query, to be stored for another task.
+/// Suggestions that match an SQL condition, to be stored for another task.
 pub(super) fn drafts_where(
     tx: &mut dyn Tx,
     condition: &str,

@@ -30,7 +30,7 @@ pub(super) fn kept_type(answer: &Answer) -> Option<EditType> {
     }
 }
 
-/// An answer that is accepted.
+/// The acceptance of an answer.
 pub(super) struct Acceptance<'a> {
     pub(super) author: i64,
     pub(super) reviewer: i64,
@@ -40,12 +40,13 @@ pub(super) struct Acceptance<'a> {
     pub(super) credit: Option<&'a str>,
     /// Whether the answer keeps a pair.
     pub(super) keeps: bool,
-    /// How it was accepted: `review`, `own`, `rule:NAME`, or `import`; behind that and a colon, how it was elsewhere.
+    /// How the answer was accepted: `review`, `own`, `rule:NAME` or `import`, or `import:` followed by how it was
+    /// accepted elsewhere.
     pub(super) basis: String,
 }
 
 impl<'a> Acceptance<'a> {
-    /// The acceptance of an answer by its author.
+    /// The acceptance of an answer that `author` wrote.
     pub(super) fn by(author: i64, answer: &'a Answer, basis: String) -> Self {
         Self {
             author,
@@ -153,9 +154,9 @@ pub(super) fn set_state(tx: &mut dyn Tx, task: i64, state: TaskState) -> Result<
     count(tx, task)
 }
 
-/// Derives whether a pair counts toward the quota of its category: an accepted answer keeps it; or, before a decision,
-/// a submitted answer keeps it, or somebody is at work on it. This reserves quota for people at work. A kept pair has
-/// the edit type of the answer that keeps it.
+/// Derives whether a pair counts toward the quota of its category. It counts if an accepted answer keeps it, or if it
+/// is undecided and a submitted answer keeps it or somebody is working on it. Work in progress counts, so that its
+/// quota is reserved. A kept pair has the edit type of the answer that keeps it.
 fn count(tx: &mut dyn Tx, task: i64) -> Result<()> {
     tx.run(
         "UPDATE task SET counted = CASE

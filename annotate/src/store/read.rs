@@ -37,7 +37,7 @@ impl Store {
         self.read(|tx| rows::task(tx, task))
     }
 
-    /// A task as the page shows it.
+    /// A task in the form that the page shows.
     pub(crate) fn view(&self, task: TaskRecord, bundle: Option<Bundle>) -> Result<Task> {
         self.read(|tx| view(tx, task, bundle))
     }
@@ -48,7 +48,7 @@ impl Store {
         self.read(|tx| tx.list(sql, &[]))
     }
 
-    /// Tasks with an answer whose clip was ingested again with other content since.
+    /// Tasks whose clip was ingested again with other content after somebody answered.
     pub fn changed_tasks(&self) -> Result<Vec<TaskRecord>> {
         self.read(|tx| rows::tasks(tx, "t.changed = 1 ORDER BY t.id", &[]))
     }
@@ -73,7 +73,7 @@ impl Store {
         self.read(|tx| accepted_answer(tx, task))
     }
 
-    /// Accepted answers.
+    /// Accepted answers that match a filter.
     pub fn shelf(&self, user: i64, filter: ShelfFilter) -> Result<Vec<AcceptedAnswer>> {
         let part = filter.part.map(|part| format!("%|{part}|%"));
         let text = filter.text.as_deref().map(like);
@@ -190,7 +190,7 @@ impl Store {
         self.read(|tx| tx.list(sql, &[]))
     }
 
-    /// Weeks with their counts, without figures; `bounds` holds their starts and the end of the last one.
+    /// Weeks with their counts, without figures of agreement. `bounds` holds their starts and the end of the last one.
     pub fn weeks(&self, bounds: &[Millis]) -> Result<Vec<Week>> {
         let sql = "SELECT CAST(?1 AS BIGINT), COUNT(CASE WHEN kind = 'submitted' THEN 1 END),
                COUNT(CASE WHEN kind IN ('accepted', 'merged') THEN 1 END), COUNT(CASE WHEN kind = 'returned' THEN 1 END),
@@ -203,7 +203,7 @@ impl Store {
         })
     }
 
-    /// Totals of every person, without figures.
+    /// Totals of every person, without figures of quality.
     pub fn people(&self) -> Result<Vec<Person>> {
         let sql = "SELECT u.id, u.name, u.role, u.active,
                (SELECT COUNT(*) FROM revision WHERE author = u.id AND state <> 'draft'), NULL,
@@ -267,7 +267,7 @@ pub(super) fn accepted_answer(tx: &mut dyn Tx, task: i64) -> Result<Option<Answe
     tx.find("SELECT answer FROM accepted WHERE task = ?1", params![task])
 }
 
-/// The comment of the last decision of a kind on a task that is about a user's answer.
+/// The comment of the last decision of a kind on a user's answer to a task.
 pub(super) fn comment_to(
     tx: &mut dyn Tx,
     task: i64,
@@ -316,7 +316,7 @@ pub(super) fn detail(tx: &mut dyn Tx, user: i64, id: i64) -> Result<TaskDetail> 
     })
 }
 
-/// A task as a user may see it: a gold task looks like one that wants one answer, and stands in a bundle.
+/// A task as shown to a user: a gold task looks like a normal task of a bundle that wants one answer.
 pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<TaskRecord> {
     if task.gold.is_none() {
         return Ok(task);
@@ -339,7 +339,7 @@ pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<
     Ok(task)
 }
 
-/// A task as the page shows it.
+/// A task in the form that the page shows.
 pub(super) fn view(tx: &mut dyn Tx, task: TaskRecord, bundle: Option<Bundle>) -> Result<Task> {
     let mut motions = project::motions_where(tx, "hash = ?1", params![task.source])?;
     motions.extend(project::motions_where(
@@ -402,7 +402,7 @@ fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEnt
         .collect())
 }
 
-/// Accepted answers `a` to tasks `t` of what follows `FROM` in a query.
+/// Accepted answers `a` to tasks `t`, selected by an SQL `FROM` clause.
 fn accepted(tx: &mut dyn Tx, from: &str, params: Params) -> Result<Vec<AcceptedAnswer>> {
     let basis = "CASE WHEN a.basis LIKE 'import:%' THEN substr(a.basis, 8) ELSE a.basis END";
     let columns = format!("a.author, a.merged, a.credit, {basis}, a.answer, a.at, a.seq");
@@ -419,7 +419,7 @@ fn labels(columns: &str, condition: &str) -> String {
     )
 }
 
-/// Entries `e` of the log that fit what follows `WHERE` in a query.
+/// Log entries `e` that match an SQL condition.
 fn log(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<AuditEntry>> {
     let sql = format!(
         "SELECT e.seq, e.at, e.actor, u.name, e.kind, e.task, e.body

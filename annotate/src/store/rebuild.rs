@@ -1,7 +1,7 @@
 //! The check and the repair of the projections.
 //!
 //! Neither a check nor a repair stops writers: the log is read from a snapshot and applied to a scratch database, which
-//! is compared with the snapshot. Only tasks whose rows differ are written, a few in a transaction.
+//! is compared with the snapshot. Only tasks whose rows differ are written, a few per transaction.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};
@@ -17,12 +17,12 @@ use crate::lock::lock;
 
 /// Tasks compared at a time.
 const COMPARED: i64 = 1000;
-/// Tasks repaired in a transaction: as much as claiming two bundles writes.
+/// Tasks repaired per transaction. It writes about as much as claiming two bundles.
 const REPAIRED: usize = 16;
 
 impl Store {
-    /// Derives the projections from the log again and repairs what differs. Returns the names of the tables that did.
-    /// Writers wait for no longer than they do for each other.
+    /// Derives the projections from the log again and repairs what differs. Returns the names of the tables that
+    /// differed. Writers wait no longer than they wait for each other.
     ///
     /// # Errors
     /// An entry of the log cannot be read.
@@ -50,7 +50,7 @@ impl Derived {
         Ok(Self { scratch, last: 0 })
     }
 
-    /// Applies the entries of a log that came since.
+    /// Applies the log entries that were added since the last call.
     fn catch_up(&mut self, log: &mut dyn Tx) -> Result<()> {
         loop {
             let some = entries(log, self.last)?;
@@ -64,7 +64,7 @@ impl Derived {
         }
     }
 
-    /// Replaces the rows of a task by those that follow from the log.
+    /// Replaces the rows of a task by rows derived from the log.
     fn repair(&mut self, tx: &mut dyn Tx, task: i64) -> Result<()> {
         for (table, column, order) in PROJECTIONS {
             let sql = format!("DELETE FROM {table} WHERE {column} = ?1");
@@ -81,10 +81,10 @@ impl Derived {
     }
 }
 
-/// Tasks whose rows differ from what follows from the log, by table.
+/// Tasks whose rows differ from the rows derived from the log, by table.
 type Differing = BTreeMap<&'static str, BTreeSet<i64>>;
 
-/// Rows of a projection for tasks above `after` and up to `up_to`, with their task before their columns.
+/// Rows of a projection for tasks above `after` and up to `up_to`. The task precedes the columns of each row.
 fn rows_of(
     tx: &mut dyn Tx,
     (table, task, order): Projection,
@@ -151,7 +151,7 @@ pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>> {
     if found.is_empty() {
         return Ok(Vec::new());
     }
-    // Most of what was written meanwhile is applied before writers have to wait for the rest.
+    // Apply most of the new entries now, so that writers wait only for the rest.
     db::read(store, |tx| derived.catch_up(tx))?;
     let derived = Arc::new(Mutex::new(derived));
     let tasks: Vec<i64> = found

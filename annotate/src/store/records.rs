@@ -66,7 +66,7 @@ pub struct NewTask {
     pub key: String,
     /// Kind of question.
     pub kind: TaskKind,
-    /// Hash of the motion, or of the one before the edit.
+    /// Hash of the motion; for a pair, of the motion before the edit.
     pub source: String,
     /// Hash of the motion after the edit.
     pub target: Option<String>,
@@ -169,7 +169,7 @@ pub struct TaskRecord {
     pub submitted: u32,
     /// Pseudo-random number from 0 to 99, drawn from its key.
     pub shuffle: i64,
-    /// Distance of its answers.
+    /// Largest distance between its answers.
     pub distance: Option<f64>,
     /// Whether it is a practice task: its known answer is shown to those who answered it.
     pub practice: bool,
@@ -194,7 +194,7 @@ pub struct TaskDetail {
     pub suggestions: Vec<Suggestion>,
     /// Whether suggestions are withheld.
     pub blind: bool,
-    /// Whether the clip was ingested anew after the user wrote an answer.
+    /// Whether the clip was ingested again after the user wrote an answer.
     pub clip_changed: bool,
 }
 
@@ -265,9 +265,9 @@ pub struct AcceptedAnswer {
 pub struct Reject {
     /// The task.
     pub task: TaskRecord,
-    /// Who decided.
+    /// The user who dropped or skipped the task.
     pub user: Option<i64>,
-    /// Why.
+    /// Reason for dropping or skipping the task.
     pub reason: String,
     /// Note on the reason.
     pub note: String,
@@ -279,14 +279,14 @@ pub struct Reject {
 pub struct ShelfFilter {
     /// Only answers of this kind.
     pub kind: Option<TaskKind>,
-    /// With a part.
+    /// Only answers with this part.
     pub part: Option<String>,
     /// Only answers with these words.
     #[serde(rename = "q")]
     pub text: Option<String>,
-    /// Before this sequence number of the log.
+    /// Only answers before this sequence number of the log.
     pub before: Option<i64>,
-    /// Maximum number.
+    /// Maximum number of answers.
     pub limit: usize,
 }
 
@@ -298,11 +298,11 @@ pub struct AuditFilter {
     pub actor: Option<i64>,
     /// Only entries of this kind.
     pub kind: Option<LogKind>,
-    /// About a task.
+    /// Only entries about this task.
     pub task: Option<i64>,
-    /// Before this sequence number of the log.
+    /// Only entries before this sequence number of the log.
     pub before: Option<i64>,
-    /// Maximum number.
+    /// Maximum number of entries.
     pub limit: usize,
 }
 
@@ -314,11 +314,11 @@ pub struct MineQuery {
     pub standing: Option<Standing>,
     /// Only answers of this kind.
     pub kind: Option<TaskKind>,
-    /// To this task.
+    /// Only answers to this task.
     pub task: Option<i64>,
-    /// Cursor of the page before.
+    /// Cursor of the previous page.
     pub before: Option<String>,
-    /// Maximum number.
+    /// Maximum number of answers.
     pub limit: usize,
 }
 
@@ -327,9 +327,9 @@ pub struct MineQuery {
 pub struct Imported {
     /// New tasks.
     pub new: i64,
-    /// Tasks that existed before and stay as they are.
+    /// Existing tasks, which stay unchanged.
     pub known: i64,
-    /// Tasks that existed before, untouched, and are accepted now.
+    /// Existing tasks that nobody had worked on, and that are accepted now.
     pub filled: i64,
     /// Keys of tasks whose imported answer was skipped, because the task already has an answer or a decision.
     pub conflicts: Vec<String>,

@@ -33,8 +33,8 @@ impl Store {
         })
     }
 
-    /// Claims a task to review, or goes on with it.
-    /// Refused with `own_work`, `lease_lost`, `wrong_state`, `not_found`.
+    /// Claims a task to review, or resumes its review. Refused with `own_work`, `lease_lost`, `wrong_state`,
+    /// `not_found`.
     pub fn review_task(&self, user: i64, task: i64, now: Millis) -> Result<ReviewDetail> {
         self.write(move |tx| {
             open(tx, user, task, now)?;
@@ -73,13 +73,13 @@ impl Store {
         })
     }
 
-    /// All answers to a task that were handed in, with the names of their authors. Returned ones come last.
+    /// All submitted answers to a task, with the names of their authors. Returned answers come last.
     pub fn answers_to(&self, task: i64) -> Result<Vec<(Revision, String)>> {
         self.read(move |tx| answers_to(tx, task))
     }
 }
 
-/// The task that a reviewer holds, or the next one of a queue, of a kind or any.
+/// The task that a reviewer holds, or the next one of a queue, of one kind or of any.
 fn next(
     tx: &mut dyn Tx,
     user: i64,
@@ -126,7 +126,7 @@ fn empty(tx: &mut dyn Tx, user: i64, kind: &str) -> Result<ReviewEmpty> {
     )
 }
 
-/// Claims a task to review, or goes on with it.
+/// Claims a task to review, or resumes its review.
 fn open(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
     let turn = Turn::begin(tx, user, now)?;
     let task = rows::task(tx, id)?;
@@ -146,7 +146,8 @@ fn open(tx: &mut dyn Tx, user: i64, id: i64, now: Millis) -> Result<()> {
     turn.take(tx, id, Purpose::Review, None)
 }
 
-/// Whether a reviewer answered the task, which only a project of one person allows.
+/// Whether the reviewer answered the task. Refused with `own_work` unless the project lets people review their own
+/// answers.
 fn check_own(tx: &mut dyn Tx, turn: &Turn, task: i64) -> Result<bool> {
     let mine = rows::revision(tx, task, turn.user)?;
     let own = mine.is_some_and(|mine| mine.state != RevisionState::Draft);
@@ -187,7 +188,7 @@ fn answers_to(tx: &mut dyn Tx, task: i64) -> Result<Vec<(Revision, String)>> {
     tx.list(&sql, params![task])
 }
 
-/// A decision on a task, and what its log entry depends on.
+/// A decision on a task, with the data for its log entry.
 struct Deciding<'a> {
     turn: Turn,
     review: &'a NewReview,
@@ -295,7 +296,7 @@ impl Deciding<'_> {
         })
     }
 
-    /// Who accepts an answer with a new style accepts its name for the project.
+    /// Adds the new style of an accepted answer to the project.
     fn take_style(&self, tx: &mut dyn Tx, body: &Body) -> Result<()> {
         let answer = match body {
             Body::Accepted { author, .. } => {
@@ -338,7 +339,7 @@ fn log_kind(decision: Decision) -> LogKind {
     }
 }
 
-/// The comment of a decision, which `readers` and the log may need.
+/// Checks the comment of a decision. If it is needed, it must not be empty: the log and `readers` need it.
 pub(super) fn comment(text: &str, is_needed: bool, readers: &str) -> Result<String> {
     let comment = text.trim().to_owned();
     let is_short = has_up_to(&comment, MAX_TEXT_CHARS);

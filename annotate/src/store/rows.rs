@@ -13,7 +13,7 @@ pub(crate) const TASK: &str = "t.id, t.key, t.kind, t.source, t.target, t.split,
   t.category, t.hint, t.style, t.wanted, t.gold, t.extra, t.state, t.submitted, t.shuffle, t.distance, t.practice,
   t.changed";
 
-/// Tasks `t` that fit what follows `WHERE` in a query.
+/// Tasks `t` that match an SQL condition.
 pub(crate) fn tasks(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<TaskRecord>> {
     tx.list(
         &format!("SELECT {TASK} FROM task t WHERE {condition}"),
@@ -30,7 +30,7 @@ pub(crate) fn task(tx: &mut dyn Tx, id: i64) -> Result<TaskRecord> {
 /// Columns of a [`Revision`].
 pub(crate) const REVISION: &str = "r.task, r.author, r.rev, r.state, r.answer, r.at, r.secs";
 
-/// Revisions `r` that fit what follows `WHERE` in a query.
+/// Revisions `r` that match an SQL condition.
 pub(crate) fn revisions(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<Revision>> {
     let sql = format!("SELECT {REVISION} FROM revision r WHERE {condition}");
     tx.list(&sql, params)
@@ -52,7 +52,7 @@ pub(crate) struct LeaseRow {
 /// Columns of a [`Lease`].
 pub(crate) const LEASE: &str = "l.id, l.task, l.usr, l.epoch, l.expires";
 
-/// Leases `l` of what follows `FROM` in a query.
+/// Leases `l`, selected by an SQL `FROM` clause.
 pub(crate) fn leases(tx: &mut dyn Tx, from: &str, params: Params) -> Result<Vec<LeaseRow>> {
     tx.list(
         &format!("SELECT {LEASE}, l.purpose, l.blind FROM {from}"),

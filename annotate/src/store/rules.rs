@@ -1,7 +1,7 @@
 //! Rules of acceptance: answers that need no reviewer.
 //!
-//! A rule looks at a task that has all its answers (`submitted`). It skips tasks that a reviewer returned or reopened:
-//! a person decides about those.
+//! A rule applies to tasks that have all their answers (`submitted`). It skips tasks that a reviewer returned or
+//! reopened: a person decides about those.
 
 use std::collections::BTreeMap;
 
@@ -17,9 +17,9 @@ use crate::wire::{
     Answer, Revision, Rule, RuleKind, RuleState, RuleUndone, RulesApplied, Settings,
 };
 
-/// Tasks that one request looks at.
+/// Maximum number of tasks that one request checks.
 const AT_ONCE: i64 = 2000;
-/// Number of percent in the whole.
+/// 100 percent, and the number of values of a task's `shuffle`.
 const WHOLE: i64 = 100;
 
 /// SQL condition: no reviewer has returned or reopened task `t`.
@@ -27,7 +27,7 @@ const UNTOUCHED: &str = "NOT EXISTS (SELECT 1 FROM review v WHERE v.task = t.id
   AND v.decision IN ('returned', 'reopened') AND v.rule IS NULL)";
 
 impl Store {
-    /// The rules of the settings, and removed ones whose acceptances stand, with their counts.
+    /// The rules of the settings, and removed rules whose acceptances are still valid, with their counts.
     pub fn rules(&self) -> Result<Vec<RuleState>> {
         self.read(states)
     }
@@ -35,7 +35,7 @@ impl Store {
     /// Applies the enabled rules to up to 2,000 tasks that wait for review, with ids above `after`.
     pub fn apply_rules(&self, after: i64, now: Millis) -> Result<RulesApplied> {
         self.write(move |tx| {
-            // The actor is no user.
+            // Rules act as user 0, which does not exist.
             let turn = Turn::of(tx, 0, now)?;
             let tasks = waiting(tx, after, i64::MAX, AT_ONCE)?;
             let (looked_at, last) = (tasks.len() as i64, tasks.last().map(|task| task.id));
@@ -103,8 +103,8 @@ fn is_sampled(seed: u32, task: &TaskRecord, percent: u32) -> bool {
     (task.shuffle + i64::from(seed)) % WHOLE < i64::from(percent)
 }
 
-/// Applies a rule to a task with its answers in the order they were handed in, about a clip with `frames` frames. A style that
-/// the project does not have is left to reviewers.
+/// Applies a rule to a task with its answers in the order of submission, about a clip with `frames` frames. A style
+/// that the project does not have is left to reviewers.
 fn fit(
     rule: &Rule,
     settings: &Settings,
@@ -146,7 +146,7 @@ fn fit(
     }
 }
 
-/// Answers of a task that wait for review, in the order they were handed in.
+/// Answers of a task that wait for review, in the order of submission.
 pub(super) fn waiting_answers(tx: &mut dyn Tx, task: i64) -> Result<Vec<Revision>> {
     let condition = "r.task = ?1 AND r.state = 'submitted' ORDER BY r.at, r.author";
     rows::revisions(tx, condition, params![task])

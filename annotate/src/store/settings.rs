@@ -12,7 +12,7 @@ const MAX_NAMES: usize = 200;
 const MAX_QUOTA: u32 = 10_000_000;
 /// Minutes of a week.
 const WEEK: u32 = 7 * 24 * 60;
-/// Maximum number of styles: datasets of a hundred are published.
+/// Maximum number of styles. Published datasets have about a hundred.
 const MAX_STYLES: usize = 2_000;
 
 /// Refuses a field unless a condition holds.
@@ -92,7 +92,7 @@ pub(super) fn is_name(text: &str) -> bool {
     !text.trim().is_empty() && has_up_to(text, MAX_NAME_CHARS)
 }
 
-/// Whether a text has no more than so many characters.
+/// Whether a text has at most `most` characters.
 pub(super) fn has_up_to(text: &str, most: usize) -> bool {
     text.chars().count() <= most
 }

@@ -79,7 +79,7 @@ fn open_error(path: &Path, reason: impl std::fmt::Display) -> Error {
     not_opened(path.display(), reason)
 }
 
-/// The version of its tables; 0 of a store without tables.
+/// The version of the tables; 0 if there are none.
 fn version(tx: &mut dyn Tx) -> Result<i64> {
     tx.number("PRAGMA user_version", &[])
 }
@@ -90,9 +90,9 @@ impl Sqlite {
         if version(db)? == migrate::VERSION {
             return Ok(None);
         }
-        // An error drops the connection, which rolls all of it back.
+        // An error drops the connection, which rolls back the whole transaction.
         self.begin(db, true)?;
-        // Another process may have done it meanwhile.
+        // Another process may have upgraded the store meanwhile.
         let found = version(db)?;
         let place = self.path.display().to_string();
         let upgrade = migrate::prepare(db, &place, found, TRIGGERS, |_| {
@@ -106,7 +106,7 @@ impl Sqlite {
     }
 }
 
-/// An unused name for the copy of a store before its upgrade, beside it.
+/// An unused file name, beside the store, for its copy before an upgrade.
 fn unused(path: &Path, version: i64) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let name = |number: u32| match number {
@@ -120,13 +120,13 @@ fn unused(path: &Path, version: i64) -> PathBuf {
     path.with_file_name(name(number))
 }
 
-/// Removes tokens from a copy, also from the pages that they lay in.
+/// Removes tokens from a copy, including their remains in free pages.
 fn forget_tokens(copy: &Path) -> rusqlite::Result<()> {
     Connection::open(copy)?.execute_batch("DELETE FROM token; VACUUM")
 }
 
-/// Gives a file its name once its content is on the disk, and brings the name there too. `sync` brings a file or a folder
-/// to the disk.
+/// Syncs a file to the disk, renames it, and syncs the folder: the name never refers to incomplete content. `sync`
+/// syncs a file or a folder.
 fn publish(
     temporary: &Path,
     path: &Path,
@@ -234,7 +234,7 @@ impl Tx for Connection {
     }
 }
 
-/// The network file system that a path lies on, if it can be determined.
+/// The network file system of a path, if it can be determined.
 fn network_file_system(path: &Path) -> Option<String> {
     let folder = path
         .parent()
@@ -244,7 +244,7 @@ fn network_file_system(path: &Path) -> Option<String> {
     network_mount(&mounts, &folder)
 }
 
-/// Looks a folder up in a table of mounts; the longest mount point above it counts.
+/// Looks up a folder in a mount table. The longest mount point above the folder counts.
 fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
     // File systems, with and without the prefix `fuse.`. Cluster and virtual-machine file systems are included: each
     // host maps the shared memory of the write-ahead log separately.
@@ -266,7 +266,7 @@ fn network_mount(mounts: &str, folder: &Path) -> Option<String> {
         .map(|(_, kind)| format!("a network file system ({kind})"))
 }
 
-/// A path of the table of mounts, where blanks and backslashes are octal escapes.
+/// Decodes a path of the mount table, in which blanks and backslashes are octal escapes.
 fn unescaped(text: &str) -> String {
     [
         ("\\040", " "),
@@ -340,7 +340,7 @@ mod tests {
         db::write(store, move |tx| tx.query(sql, &[])).expect("a pragma");
     }
 
-    /// A row that takes a few pages.
+    /// Writes a row that takes a few pages.
     fn put_much(store: &Pool<Sqlite>, name: &str) -> Result<()> {
         let name = name.to_owned();
         db::write(store, move |tx| {
@@ -351,7 +351,7 @@ mod tests {
     #[test]
     fn a_full_disk_refuses_writes_until_there_is_room_and_loses_nothing() {
         let (_dir, store) = store();
-        // The database may not grow beyond so many pages, which SQLite reports as a full disk.
+        // Limit the number of pages: SQLite then reports a full disk.
         pragma(&store, "PRAGMA max_page_count=160");
         let mut written = Vec::new();
         let refused = loop {

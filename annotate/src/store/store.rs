@@ -21,7 +21,7 @@ pub struct Upgrade {
 /// The caller passes the time: a store has no clock.
 ///
 /// # Errors
-/// Every operation fails if the database does; the codes that a request is refused with are named with its operation.
+/// Every operation fails if the database does; each operation names the codes with which it refuses requests.
 pub struct Store {
     pub(super) db: Box<dyn Database>,
     upgrade: Option<Upgrade>,
@@ -56,7 +56,7 @@ impl Store {
         self.db.time().is_some()
     }
 
-    /// Changes rows past the log, for tests of what notices it.
+    /// Changes rows without a log entry, for tests of how this is detected.
     #[cfg(test)]
     pub(super) fn damage(&self, sql: &'static str) -> Result<u64> {
         self.write(move |tx| tx.execute(sql, &[]))
@@ -83,19 +83,19 @@ impl Store {
         self.db.backup(path, false)
     }
 
-    /// Checks that the store can be read and that its writer answers, without writing anything. A full disk shows
-    /// only at a write.
+    /// Checks that the store can be read and that its writer answers, without writing anything. Only a write detects a
+    /// full disk.
     ///
     /// # Errors
-    /// It does not answer, or is read-only.
+    /// The store does not answer, or is read-only.
     pub fn ready(&self) -> Result<()> {
         self.read(|tx| tx.number("SELECT COUNT(*) FROM pref WHERE usr = 0", &[]))?;
         // A transaction without changes takes the writer's lock, and commits nothing.
         self.write(|_| Ok(()))
     }
 
-    /// The clock of the database, for a store that several servers share. Their own clocks may differ by more than
-    /// a lease lasts.
+    /// The clock of the database, for a store that several servers share. The servers' own clocks may differ by more
+    /// than the duration of a lease.
     pub fn clock(self: &Arc<Self>) -> Result<Option<Clock>> {
         let Some(sql) = self.db.time() else {
             return Ok(None);

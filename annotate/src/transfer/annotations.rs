@@ -76,7 +76,7 @@ fn annotation_task(
     Ok(new)
 }
 
-/// Refuses masks of another definition, and parts that this program does not know.
+/// Refuses masks of another version of the mask definition, and parts that this program does not know.
 fn check_masks(row: &AnnotationRow) -> Result<(), String> {
     if row.mask_def_version != MASK_DEF_VERSION {
         return Err(format!(
@@ -91,7 +91,7 @@ fn check_masks(row: &AnnotationRow) -> Result<(), String> {
     Ok(())
 }
 
-/// The answer that the rows of a task hold.
+/// Builds an answer from the rows of a task.
 fn answer(rows: &[AnnotationRow], kind: TaskKind) -> Result<Answer, String> {
     fn known<T>(text: Option<&String>, parse: fn(&str) -> Option<T>) -> Result<Option<T>, String> {
         text.map(|text| parse(text).ok_or_else(|| format!("{text:?} is not known")))
@@ -129,8 +129,8 @@ fn answer(rows: &[AnnotationRow], kind: TaskKind) -> Result<Answer, String> {
     Ok(said.answer(kind))
 }
 
-/// The key that a task of an export has today. Earlier versions exported a candidate that came back from the dataset
-/// under a second key.
+/// The current key of a task of an export. Earlier versions used a second key for a candidate that was imported from
+/// the dataset.
 fn current_key(key: &str) -> &str {
     key.strip_prefix(PAIR)
         .filter(|id| id.starts_with(CANDIDATE))

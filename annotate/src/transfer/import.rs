@@ -21,15 +21,15 @@ use crate::wire::{
 
 /// Value of column `source` for pairs written by this program.
 pub(crate) const PAIR_SOURCE: &str = "annotate";
-/// Begin of the value of column `source` for pairs of `stance variants`.
+/// Prefix of column `source` for pairs of `stance variants`.
 const VARIANT_SOURCE: &str = "variants-";
 /// Fact of the manifest of a dataset that `stance variants` made.
 const VARIANTS_FACT: &str = "variants";
-/// Begin of the key of a candidate pair, and of its id in table `pairs`.
+/// Prefix of the key of a candidate pair, and of its id in table `pairs`.
 pub(super) const CANDIDATE: &str = "takes:";
-/// Begin of the key of other pairs; the rest is the id of the pair.
+/// Prefix of the key of other pairs, followed by the id of the pair.
 pub(super) const PAIR: &str = "pair:";
-/// Conflicts that an import lists by name.
+/// Maximum number of conflicts that an import lists by name.
 const LISTED_CONFLICTS: usize = 50;
 
 /// Note of a store: the SQL condition on clips for which tasks are created. Without it, tasks are created for all
@@ -58,7 +58,7 @@ impl Taken {
         }
     }
 
-    /// Takes the result of an import of answers.
+    /// Adds the counts and conflicts of an import of answers.
     pub(super) fn take(&mut self, done: Imported) {
         self.count("new_tasks", done.new);
         self.count("filled_tasks", done.filled);
@@ -189,8 +189,8 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
 
 /// Creates the tasks of a dataset: a mask task for each clip that is neither a mirrored copy nor a variant of another
 /// (`stance variants`), a pair task for each fine-grained pair (in bundles of eight), and a style task for each style
-/// pair. Masks of the pipeline become suggestions; masks by people and pairs written by this program become accepted answers. Clips of one action are
-/// paired as candidates.
+/// pair. Masks of the pipeline become suggestions; masks by people and pairs written by this program become accepted
+/// answers. Clips of one action are paired as candidates.
 ///
 /// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on. If the store has
 /// a note [`CHOSEN`] with a condition, new tasks are created only for clips that meet it, and for pairs of such clips.
@@ -239,7 +239,7 @@ pub fn from_dataset(
         let done = store.import(actor, chunk.to_vec(), now)?;
         taken.count("new_tasks", done.new);
         taken.count("filled_tasks", done.filled);
-        // The dataset may hold an earlier export of this store: what people decided since stays, without a message.
+        // The dataset may contain an earlier export of this store. Later decisions are kept, without a message.
         taken.count("known_tasks", done.known + done.conflicts.len() as i64);
         seen += chunk.len() as i64;
         progress(seen, total);
@@ -247,7 +247,7 @@ pub fn from_dataset(
     Ok(taken)
 }
 
-/// The dataset restricted to the clips that tasks are made of.
+/// The dataset, restricted to the clips for which tasks are created.
 fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
     let Some(text) = store.note(CHOSEN)? else {
         return Ok(dataset.clone());
@@ -285,8 +285,8 @@ fn by_motion(masks: Vec<MaskRow>) -> BTreeMap<String, Vec<MaskRow>> {
     all
 }
 
-/// Mask tasks of the chosen clips that are neither mirrored copies nor variants, which the pairs of the whole dataset
-/// tell. A variant with masks by people gets one, too.
+/// Mask tasks of the chosen clips, except mirrored copies and variants. The pairs of the whole dataset tell which clips
+/// are variants. A variant with masks by people gets a task, too.
 fn mask_tasks(
     whole: &Dataset,
     dataset: &Dataset,
@@ -301,7 +301,7 @@ fn mask_tasks(
     let variants: BTreeSet<&str> = of_variants
         .flat_map(|pair| [pair.source_id.as_str(), pair.target_id.as_str()])
         .collect();
-    // Judged pairs have another source, and unusable ones are gone.
+    // A judged pair has another source, and an unusable pair is removed, so check the manifest too.
     let are_variants = dataset.manifest().facts.contains_key(VARIANTS_FACT);
     let mut tasks = Vec::new();
     for clip in chosen.iter().filter(|clip| !clip.mirrored) {
@@ -384,7 +384,7 @@ fn tasks_of_pairs<'a>(
 }
 
 /// Imports the masks and pairs of an exported dataset (`stance export --to stance`) into the tasks of the same motions.
-/// Those that people made become accepted answers of tasks that nobody has worked on; masks by people whose task has
+/// Labels made by people become accepted answers of tasks that nobody has worked on; masks by people whose task has
 /// another answer are left out and reported, and so are labels of motions that this dataset lacks.
 ///
 /// # Errors
@@ -424,7 +424,7 @@ pub fn from_labels(
         match by_id.get(id.as_str()) {
             Some(clip) => {
                 let new = mask_task(&clip.record, rows, &mut taken)?;
-                // As in the tasks of a dataset: a mirrored copy adds nothing to its original.
+                // As in the tasks of a dataset, skip mirrored copies: they add nothing to their originals.
                 if new.accepted.is_some() || !clip.mirrored {
                     tasks.push(new);
                 }
@@ -455,8 +455,8 @@ pub fn from_labels(
     Ok(taken)
 }
 
-/// Gives clips that were ingested anew, under the same id, their new content, and says how many clips the project knows
-/// that are not in the dataset. `all` are those of the dataset, `clips` those without copies.
+/// Updates the content of clips that were ingested again under the same id, and reports how many known clips are not in
+/// the dataset. `all` are the clips of the dataset, `clips` those without copies.
 fn compare_with_known(
     store: &Store,
     all: &[Clip],
@@ -525,7 +525,7 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow], taken: &mut Taken) -> Resu
         });
         new.credit = credit(&people[0].author, false, people[0].accepted_by.as_deref());
     }
-    // Suggestions are parts and a text.
+    // Suggestions have only parts and a text, so report the ranges.
     let ranged = drafts.iter().filter(|row| row.start.is_some()).count();
     if ranged > 0 {
         taken.count("drafts_of_a_range", ranged as i64);
@@ -582,9 +582,9 @@ pub(super) fn credit(author: &str, merged: bool, accepted_by: Option<&str>) -> O
     })
 }
 
-/// Tasks of candidate pairs, by the name of their bundles: each clip of an action with the next one of the same split,
-/// sorted by style. Two clips are judged only once: a pair of the dataset is no candidate, and neither is one that people
-/// judged unusable, which is no longer in the dataset.
+/// Tasks of candidate pairs, by the name of their bundles. The clips of an action and split are sorted by style, and
+/// each is paired with the next. Two clips are judged only once: pairs of the dataset are not candidates, nor are pairs
+/// that people judged unusable, which are no longer in the dataset.
 fn candidates(
     store: &Store,
     chosen: &[&Clip],

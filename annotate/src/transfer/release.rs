@@ -20,12 +20,12 @@ use crate::wire::{Answer, EditType, MaskAnswer, TaskKind, Verdict};
 /// Name of a release in error messages.
 pub(crate) const RELEASE: &str = "the annotations of a STANCE release";
 
-/// Imports `mask_all.json` and `part_annotations.json` of a STANCE release, and `accepted_by.json` and `pairs.json` of an
-/// export, given as one object with the names of the files. The annotations become accepted answers of tasks that nobody
-/// has worked on; unknown fields are kept for export. Those of tasks with another answer are left out and reported.
+/// Imports `mask_all.json` and `part_annotations.json` of a STANCE release, and `accepted_by.json` and `pairs.json` of
+/// an export, given as one object keyed by file name. The annotations become accepted answers of tasks that nobody has
+/// worked on; unknown fields are kept for export. Annotations of tasks with another answer are left out and reported.
 ///
 /// # Errors
-/// It is not such an object, or the store fails.
+/// The document is not such an object, or the store fails.
 pub fn from_release(
     store: &Store,
     document: &Value,
@@ -116,7 +116,7 @@ struct Said {
 struct Release {
     motions: BTreeMap<String, Said>,
     pairs: Vec<SaidPair>,
-    /// Counts of the shapes of values, and what is wrong with them.
+    /// Counts of the shapes of values, and problems with them.
     taken: Taken,
 }
 

@@ -6,11 +6,11 @@ use datasets_spec::table;
 table! {
     /// An accepted mask of a motion, or an accepted judgement of a pair.
     pub struct AnnotationRow = "annotations" {
-        /// What tells the task from others
+        /// Unique key of the task
         pub task: String [""],
         /// mask_text, pair or style
         pub kind: String [""],
-        /// Motion, or the one before the edit
+        /// Motion; for a pair, the motion before the edit
         pub motion_id: String [""],
         /// Motion after the edit
         pub target_id: Option<String> [""],
@@ -18,13 +18,13 @@ table! {
         pub split: String [""],
         /// Action category of the source
         pub category: Option<String> [""],
-        /// What the pair was made for
+        /// Edit that the pair was made for
         pub hint: Option<String> [""],
-        /// Style the source gives
+        /// Style label of the source
         pub source_style: Option<String> [""],
-        /// Place of the mask in its answer, from 0; 0 for pairs
+        /// Index of the mask in its answer, from 0; 0 for pairs
         pub number: u32 [""],
-        /// Masks of the answer; 1 for pairs, 0 for an answer without a mask
+        /// Number of masks of the answer; 1 for pairs, 0 for an answer without a mask
         pub count: u32 [""],
         /// keep, unnatural, unclear or identical, for pairs
         pub verdict: Option<String> [""],
@@ -34,9 +34,9 @@ table! {
         pub hard_joints: Vec<String> [""],
         /// Joints interpolated
         pub soft_joints: Vec<String> [""],
-        /// First frame that the mask holds for; missing for the whole clip
+        /// First frame of the mask; missing for the whole clip
         pub start: Option<i32> ["frame", newer],
-        /// The frame after the last one that the mask holds for; missing for the whole clip
+        /// The frame after the last one of the mask; missing for the whole clip
         pub end: Option<i32> ["frame", newer],
         /// Version of the body-part membership
         pub mask_def_version: u32 [""],
@@ -46,19 +46,19 @@ table! {
         pub edit_type: Option<String> [""],
         /// Style of the second motion
         pub style: Option<String> [""],
-        /// How much of the body the style shows in
+        /// Extent of the style: how much of the body shows it
         pub extent: Option<String> [""],
-        /// Why there are fewer or more masks than the project asks for
+        /// Reason for fewer or more masks than the project wants
         pub count_reason: Option<String> [""],
         /// Note of the annotator
         pub note: String [""],
         /// Pseudonym of the author; the same person has the same one in all tables of a store
         pub author: String [""],
-        /// Whether a reviewer made it of several answers
+        /// Whether a reviewer merged it from several answers
         pub merged: u32 [""],
-        /// Fields of a source's file that have no column here, JSON
+        /// Fields of the source's file without a column here, JSON
         pub extra: Option<String> [""],
-        /// How it was accepted: review, own (by its author), rule:NAME, or import where a file says no more
+        /// How it was accepted: review, own (by its author), rule:NAME, or import if the imported file does not say
         pub accepted_by: Option<String> ["", newer],
     }
 }
@@ -66,11 +66,11 @@ table! {
 table! {
     /// An answer of one person, accepted or not.
     pub struct LabelRow = "labels" {
-        /// What tells the task from others
+        /// Unique key of the task
         pub task: String [""],
         /// mask_text, pair or style
         pub kind: String [""],
-        /// Motion, or the one before the edit
+        /// Motion; for a pair, the motion before the edit
         pub motion_id: String [""],
         /// Motion after the edit
         pub target_id: Option<String> [""],
@@ -80,9 +80,9 @@ table! {
         pub author: String [""],
         /// submitted, accepted, returned or superseded
         pub state: String [""],
-        /// The answer, JSON, as the interface has it
+        /// The answer, JSON, as in the API
         pub answer: String [""],
-        /// Time the author was at it
+        /// Working time of the author
         pub secs: f64 ["s"],
         /// Edit distance of its texts from their drafts; missing without drafts
         pub draft_distance: Option<f64> [""],
@@ -90,7 +90,7 @@ table! {
         pub blind: u32 [""],
         /// 1 for an answer to a hidden gold task
         pub gold: u32 [""],
-        /// When it was handed in, milliseconds since the epoch
+        /// Time of submission, milliseconds since the epoch
         pub at: u64 ["ms"],
         /// How it was accepted: review, own (by its author), rule:NAME; missing if it was not
         pub accepted_by: Option<String> [""],
@@ -98,13 +98,13 @@ table! {
 }
 
 table! {
-    /// A task that was dropped, skipped by somebody, or a pair that was accepted as not usable.
+    /// A dropped or skipped task, or a pair that was accepted as not usable.
     pub struct RejectRow = "rejects" {
-        /// What tells the task from others
+        /// Unique key of the task
         pub task: String [""],
         /// mask_text, pair or style
         pub kind: String [""],
-        /// Motion, or the one before the edit
+        /// Motion; for a pair, the motion before the edit
         pub motion_id: String [""],
         /// Motion after the edit
         pub target_id: Option<String> [""],
@@ -112,9 +112,9 @@ table! {
         pub split: String [""],
         /// unnatural, unclear, identical, dropped, or the reason of a skip
         pub reason: String [""],
-        /// More about it
+        /// Note on the reason
         pub note: String [""],
-        /// Pseudonym of who decided
+        /// Pseudonym of the person who decided
         pub author: String [""],
         /// How a pair was accepted as not usable: review, own (by its author), rule:NAME, or import; missing for others
         pub accepted_by: Option<String> ["", newer],
@@ -132,9 +132,9 @@ table! {
         pub value: Option<f64> [""],
         /// Lower end of the 95 % bootstrap interval
         pub low: Option<f64> [""],
-        /// Upper end
+        /// Upper end of the interval
         pub high: Option<f64> [""],
-        /// Items
+        /// Number of items
         pub items: u64 [""],
     }
 }
@@ -142,17 +142,17 @@ table! {
 table! {
     /// An entry of the log.
     pub struct EventRow = "events" {
-        /// Place in the log
+        /// Sequence number in the log
         pub seq: u64 [""],
-        /// When, milliseconds since the epoch
+        /// Time, milliseconds since the epoch
         pub at: u64 ["ms"],
-        /// Pseudonym of who; missing for the program itself
+        /// Pseudonym of the actor; missing for the program itself
         pub actor: Option<String> [""],
-        /// What
+        /// Kind of the entry
         pub kind: String [""],
         /// Number of the task in this store
         pub task: Option<u64> [""],
-        /// The rest, JSON
+        /// Body of the entry, JSON
         pub body: String [""],
     }
 }

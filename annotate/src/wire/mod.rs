@@ -3,8 +3,8 @@
 //! Requests with unknown fields are refused. Times are milliseconds since the epoch, ids are integers, and
 //! names of enums are `snake_case`.
 
-/// Declares messages: structs that are read from JSON and written to it, and that are types of the page. A field whose
-/// name says what it is needs no words.
+/// Declares messages: structs that are read from JSON and written to it, and that are types of the page. Fields with
+/// clear names need no docs.
 macro_rules! messages {
     ($(
         $(#[doc = $doc:literal])+
@@ -74,7 +74,7 @@ pub const MAX_PICTURE_BYTES: usize = 2 * 1024 * 1024;
 pub const MAX_MASKS: usize = 16;
 /// Maximum pairs of a bundle.
 pub const BUNDLE: usize = 8;
-/// Modifiers of a key, in the order in which they are written. Alt belongs to browsers and keyboard layouts.
+/// Modifiers of a key, in the order in which they are written. Alt is left to browsers and keyboard layouts.
 pub const KEY_MODIFIERS: [&str; 2] = ["Ctrl+", "Shift+"];
 /// Keys that can be bound, by `KeyboardEvent.code`. The page reports `NumpadEnter` as `Enter`.
 #[rustfmt::skip]
@@ -101,7 +101,7 @@ messages! {
         pub title: String,
         /// HTTP status.
         pub status: u16,
-        /// Which problem; texts may change, codes do not.
+        /// Code of the problem. Codes are stable; texts may change.
         pub code: Code,
         /// What happened, and what to do.
         pub detail: String,

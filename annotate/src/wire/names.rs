@@ -1,6 +1,6 @@
 //! Enums with their names.
 
-/// Declares enums with the lists of their values and the names of these.
+/// Declares enums with lists of their values and names.
 macro_rules! names {
     ($(
         $(#[doc = $doc:literal])*
@@ -84,11 +84,11 @@ names! {
 
     /// How a mask takes a joint of the other motion.
     pub enum JointWeight {
-        /// Whole.
+        /// The joint is taken whole.
         Hard = "hard",
-        /// Interpolated, as the soft ring.
+        /// The joint is interpolated, as in the soft ring.
         Soft = "soft",
-        /// Not at all.
+        /// The joint is not taken.
         None = "none",
     }
 
@@ -134,7 +134,7 @@ names! {
         Lower = "lower",
         /// Spine, head and arms.
         Upper = "upper",
-        /// All of it.
+        /// The whole body.
         Whole = "whole",
     }
 
@@ -336,19 +336,19 @@ names! {
         ScreenReview = "screen_review",
         ScreenDashboard = "screen_dashboard",
         ScreenAdmin = "screen_admin",
-        /// Open what I handed in.
+        /// Open my answers.
         ScreenMine = "screen_mine",
-        /// Open or close the guide beside the work.
+        /// Open or close the guide beside the task.
         GuideBeside = "guide_beside",
         /// Practice: go on after the feedback.
         PracticeNext = "practice_next",
         PracticeAgain = "practice_again",
-        /// Practice: show the known answer on the body, or one's own.
+        /// Practice: switch the body between the known answer and one's own.
         PracticeCompare = "practice_compare",
         ScreenTasks = "screen_tasks",
-        /// Let a mask hold from the begin to the end of the loop.
+        /// Set the range of a mask to the loop.
         RangeSet = "range_set",
-        /// Let a mask hold for the whole clip.
+        /// Apply a mask to the whole clip.
         RangeClear = "range_clear",
     }
 
@@ -358,7 +358,7 @@ names! {
         Rejects = "rejects",
         /// Tasks that a trusted person answered.
         Trusted = "trusted",
-        /// All tasks, but for the share left to reviewers.
+        /// All tasks, except the share left to reviewers.
         Sampled = "sampled",
     }
 
@@ -389,13 +389,14 @@ names! {
     /// Which skipped tasks the browser lists.
     pub enum SkipFilter {
         Any = "any",
-        /// Undecided, skipped, and nobody is left to get it: every annotator (of none, every user) skipped or answered it.
+        /// Undecided tasks that nobody is left to get: every annotator skipped or answered them; without annotators,
+        /// every user did.
         Everybody = "everybody",
     }
 
     /// What a text of an answer is.
     pub enum TextForm {
-        /// It completes "The person is …": "waving with the left arm".
+        /// Completes "The person is …": "waving with the left arm".
         Completion = "completion",
         /// An instruction that turns the first motion into the second: "raise the left arm higher".
         Instruction = "instruction",
@@ -406,16 +407,16 @@ names! {
         Draft = "draft",
         /// The task waits for the answer of another person.
         WaitsForOthers = "waits_for_others",
-        /// It waits for a reviewer.
+        /// The task waits for a reviewer.
         WaitsForReview = "waits_for_review",
         InReview = "in_review",
-        /// It was accepted as it is.
+        /// The answer was accepted unchanged.
         Accepted = "accepted",
         /// A reviewer accepted another answer, or one merged from several.
         Superseded = "superseded",
         Returned = "returned",
         Dropped = "dropped",
-        /// Practice: it was compared with the known answer, and nobody reviews it.
+        /// Practice: the answer was compared with the known one, and nobody reviews it.
         Practice = "practice",
     }
 
@@ -459,7 +460,7 @@ names! {
 }
 
 impl TaskKind {
-    /// What the texts of its answers are. Guide, text box, phrases and drafts follow it.
+    /// Form of the texts of answers. It determines the guide, the text box, the phrases and the drafts.
     pub fn text_form(self) -> TextForm {
         match self {
             Self::MaskText => TextForm::Completion,

@@ -1,4 +1,4 @@
-//! People and what the project asks of them: logging in, preferences, settings, the guide, users and tokens.
+//! Messages about people and the project: login, preferences, settings, the guide, users and tokens.
 
 #![expect(
     missing_docs,
@@ -36,11 +36,12 @@ messages! {
         pub prefs: Prefs,
         /// Name of the language model, if there is one.
         pub model: Option<String>,
-        /// Why nothing can be saved at present, if so.
+        /// Why nothing can be saved now; `null` if it can.
         pub read_only: Option<String>,
         /// Version of the server.
         pub version: String,
-        /// Id of the store. What a browser keeps belongs to it: another project may be served at the same address.
+        /// Id of the store. Browsers keep their data by store, because another project may be served at the same
+        /// address.
         pub store: String,
     }
 
@@ -67,16 +68,16 @@ messages! {
     #[derive(Default)]
     #[serde(deny_unknown_fields)]
     pub struct Style {
-        /// Its name, as answers and pairs have it: 1 to 100 characters.
+        /// Name of the style in answers and pairs: 1 to 100 characters.
         pub name: String,
-        /// What it looks like, for the people who perform it and who describe it.
+        /// Appearance of the style, for the people who perform and describe it.
         #[serde(default)]
         pub text: String,
-        /// How it is performed, in paragraphs with empty lines between: what the body does, and what it must not do. Up
-        /// to 10,000 characters.
+        /// How the style is performed, in paragraphs separated by empty lines: what the body does, and what it must not
+        /// do. Up to 10,000 characters.
         #[serde(default, skip_serializing_if = "String::is_empty")]
         pub guideline: String,
-        /// The colour of its mark, `#rrggbb`.
+        /// The colour that marks the style, `#rrggbb`.
         pub colour: Option<String>,
     }
 
@@ -84,8 +85,8 @@ messages! {
     #[serde(deny_unknown_fields)]
     pub struct Settings {
         pub name: String,
-        /// People a task wants, for the share `overlap_percent` of tasks. A change applies to tasks that still want
-        /// answers.
+        /// Number of people who answer a task, for the share `overlap_percent` of tasks. A change applies to tasks that
+        /// still want answers.
         pub answers_per_task: u32,
         /// Share of tasks that want more than one person.
         pub overlap_percent: u32,
@@ -98,27 +99,27 @@ messages! {
         pub lease_minutes: u32,
         /// Days a returned task waits for its author.
         pub returned_days: u32,
-        /// Fewest masks of an answer without a reason.
+        /// Minimum number of masks of an answer without a stated reason.
         pub min_masks: usize,
-        /// Most masks of an answer without a reason.
+        /// Maximum number of masks of an answer without a stated reason.
         pub max_masks: usize,
-        /// Styles to choose from, in the order in which they came. Those of the dataset are added as its pairs are
-        /// imported, and a new one as the first answer with it is accepted.
+        /// Styles to choose from, in the order in which they were added. Styles of the dataset are added when its pairs
+        /// are imported, and a new style when the first answer with it is accepted.
         #[serde(deserialize_with = "styles_or_names")]
         pub styles: Vec<Style>,
-        /// Phrases to complete the instruction of a fine-grained pair with.
+        /// Phrases for completing the instruction of a fine-grained pair.
         pub templates: Vec<String>,
-        /// Phrases to start the description of a mask with: they complete "The person is …".
+        /// Phrases for starting the description of a mask: they complete "The person is …".
         #[serde(default)]
         pub mask_templates: Vec<String>,
-        /// Phrases to complete the instruction of a style pair with; `{style}` is the chosen style.
+        /// Phrases for completing the instruction of a style pair; `{style}` is the chosen style.
         pub style_templates: Vec<String>,
         /// Pairs wanted of each category and edit type, for the dashboard; 0 for no bound.
         pub quota: u32,
-        /// Pairs kept of each category, after which its other pairs are not given out; 0 for no bound.
+        /// Kept pairs of a category after which its other pairs are not given out; 0 for no bound.
         pub category_quota: u32,
-        /// Pairs wanted of each edit type, of all categories together; 0, or no entry, for no bound. Pairs that are
-        /// stated to be of the type that is furthest behind are given out first; none is held back.
+        /// Pairs wanted of each edit type, of all categories together; 0, or no entry, for no bound. Pairs whose stated
+        /// type is furthest behind its quota are given out first; no pair is held back.
         #[serde(default)]
         pub edit_type_quota: BTreeMap<EditType, u32>,
         /// The guide, plain text.
@@ -133,13 +134,13 @@ messages! {
         /// Minutes in which an author may take back an answer that a rule accepted.
         #[serde(default = "take_back_minutes")]
         pub take_back_minutes: u32,
-        /// Seed of the draws that leave tasks to reviewers.
+        /// Seed for choosing the tasks that are left to reviewers.
         #[serde(default)]
         pub seed: u32,
         /// Practice tasks that an annotator does before real work of a kind; 0 for none.
         #[serde(default)]
         pub practice_tasks: u32,
-        /// Mean score that opens real work, in percent.
+        /// Mean score in percent that opens real work.
         #[serde(default = "practice_percent")]
         pub practice_percent: u32,
         /// Whether reviewers may accept their own answers: for a project of one person. Such acceptances are marked in
@@ -175,7 +176,7 @@ messages! {
     /// `POST users/bulk`: many users at once, all or none.
     #[serde(deny_unknown_fields)]
     pub struct NewUsers {
-        /// Lines of a name, or of a name and a role parted by a comma, a semicolon or a tab.
+        /// Lines of a name, or of a name and a role separated by a comma, a semicolon or a tab.
         pub lines: String,
         /// Days until their tokens end, 1 to 365.
         #[serde(default = "token_days")]
@@ -185,7 +186,7 @@ messages! {
     /// Answer to `POST users/bulk`: a new user with a link to log in.
     pub struct NewUserLink {
         pub user: User,
-        /// What follows the address of the server: it logs the user in until the token ends. Shown this once.
+        /// Path to append to the address of the server: it logs the user in until the token ends. Shown only once.
         pub path: String,
         pub expires: i64,
     }
@@ -201,7 +202,7 @@ messages! {
     /// `POST users/{id}/tokens`.
     #[serde(deny_unknown_fields)]
     pub struct NewToken {
-        /// Days until it ends, 1 to 365.
+        /// Days until the token ends, 1 to 365.
         pub days: u32,
     }
 
@@ -226,10 +227,10 @@ messages! {
 
     /// `GET guide`.
     pub struct Guide {
-        /// What holds for all kinds, plain text.
+        /// Guidelines for all kinds of task, plain text.
         pub text: String,
         pub kinds: BTreeMap<TaskKind, KindGuide>,
-        /// What the texts of each kind are.
+        /// Form of the texts of each kind.
         pub forms: BTreeMap<TaskKind, TextForm>,
     }
 
@@ -262,7 +263,7 @@ messages! {
 }
 
 impl Style {
-    /// A style that has a name alone.
+    /// A style with only a name.
     pub fn named(name: &str) -> Self {
         Self {
             name: name.to_owned(),
@@ -271,7 +272,7 @@ impl Style {
     }
 }
 
-/// Stores of version 0.1 have names alone.
+/// Stores of version 0.1 have only names.
 fn styles_or_names<'de, D: Deserializer<'de>>(stored: D) -> Result<Vec<Style>, D::Error> {
     #[derive(Deserialize)]
     #[serde(untagged)]
@@ -320,7 +321,7 @@ impl Default for Settings {
             returned_days: 7,
             min_masks: 2,
             max_masks: 4,
-            // Styles of the paper (Sec. 4.1) and the one more of the release.
+            // Styles of the paper (Sec. 4.1) and one more style of the release.
             styles: ["proud", "old", "playful", "depressed", "angry", "sexy"]
                 .map(Style::named)
                 .into(),

@@ -1,4 +1,4 @@
-//! What reviewers see and send: reviews, the task browser, bulk actions, and rules of acceptance.
+//! Messages of reviewers: reviews, the task browser, bulk actions, and rules of acceptance.
 
 #![expect(
     missing_docs,
@@ -17,9 +17,9 @@ messages! {
     #[serde(deny_unknown_fields)]
     pub struct ReviewRequest {
         pub queue: ReviewQueue,
-        /// Only this kind.
+        /// Only tasks of this kind.
         pub kind: Option<TaskKind>,
-        /// This task, whatever its queue and kind.
+        /// Only this task, regardless of its queue and kind.
         pub task: Option<i64>,
     }
 
@@ -34,9 +34,9 @@ messages! {
     pub struct ReviewEmpty {
         /// Submitted tasks of the queue.
         pub waiting: i64,
-        /// Of these, those I answered myself.
+        /// Waiting tasks that I answered.
         pub mine: i64,
-        /// Of these, those leased by another reviewer.
+        /// Waiting tasks that are leased by another reviewer.
         pub in_review: i64,
     }
 
@@ -51,7 +51,7 @@ messages! {
         pub comments: Vec<String>,
         /// Suggestions that the annotators were offered, unless theirs was a blind task.
         pub suggestions: Vec<Suggestion>,
-        /// Whether the clip was ingested anew, with other content, after the answers were written.
+        /// Whether the clip was ingested again, with other content, after the answers were written.
         pub clip_changed: bool,
     }
 
@@ -59,9 +59,9 @@ messages! {
     pub struct Candidate {
         pub revision: Revision,
         pub author_name: String,
-        /// Body joints of its masks, hard or soft, for the viewer.
+        /// Body joints of the answer's masks, hard or soft, for the viewer.
         pub joints: Vec<usize>,
-        /// Edit distance of its texts from their drafts, 0 to 1.
+        /// Edit distance of the answer's texts from their drafts, 0 to 1.
         pub draft_distance: Option<f64>,
     }
 
@@ -89,9 +89,9 @@ messages! {
 
     /// Answer to `POST reviews`.
     pub struct ReviewDone {
-        /// Its sequence number in the log.
+        /// Sequence number of the decision in the log.
         pub seq: i64,
-        /// State of the task after it.
+        /// State of the task after the decision.
         pub state: TaskState,
     }
 
@@ -104,7 +104,7 @@ messages! {
         /// Words of an answer, a caption, the id of a motion, the category, the hint or the style. Case is ignored;
         /// names of fields and parts are not searched.
         pub q: Option<String>,
-        /// A person who answered, skipped or holds it.
+        /// A person who answered, skipped or holds the task.
         pub person: Option<i64>,
         /// A part that an answer names.
         pub part: Option<String>,
@@ -113,12 +113,12 @@ messages! {
         pub category: Option<String>,
         /// train, val or test.
         pub split: Option<String>,
-        /// Least distance of its answers, 0 to 1: it has two or more.
+        /// Minimum distance of the answers, 0 to 1. Tasks with fewer than two answers do not match.
         pub min_distance: Option<f64>,
-        /// Largest distance of its answers, 0 to 1: it has two or more.
+        /// Maximum distance of the answers, 0 to 1. Tasks with fewer than two answers do not match.
         pub max_distance: Option<f64>,
         pub skipped: Option<SkipFilter>,
-        /// Accepted by the rule of this name.
+        /// Only tasks accepted by the rule with this name.
         pub rule: Option<String>,
         pub task: Option<i64>,
     }
@@ -129,7 +129,7 @@ messages! {
         pub rows: Vec<TaskRow>,
         /// Value of `after` for the next page.
         pub next: Option<String>,
-        /// Number of tasks that fit; given for the first page alone.
+        /// Number of matching tasks; only on the first page.
         pub total: Option<i64>,
         pub sort: TaskSort,
     }
@@ -137,11 +137,11 @@ messages! {
     /// A task in the browser.
     pub struct TaskRow {
         pub id: i64,
-        /// Key: the same in every store and export of the dataset.
+        /// Key of the task, the same in every store and export of the dataset.
         pub key: String,
         pub kind: TaskKind,
         pub state: TaskState,
-        /// Id of its motion, or of the one before the edit.
+        /// Id of the motion; for a pair, of the motion before the edit.
         pub source_id: String,
         /// Id of the motion after the edit.
         pub target_id: Option<String>,
@@ -154,14 +154,14 @@ messages! {
         pub submitted: u32,
         /// Largest distance of its answers, 0 to 1; `null` below two answers.
         pub distance: Option<f64>,
-        /// When it last got an answer, a skip or a decision; 0 before.
+        /// Time of the last answer, skip or decision; 0 without one.
         pub touched: i64,
         /// Answers in short, in the order they were handed in. Drafts are left out.
         pub answers: Vec<AnswerBrief>,
-        /// Who holds it, and until when.
+        /// Leases and reservations of the task.
         pub holders: Vec<Holder>,
         pub skips: Vec<SkipBrief>,
-        /// How it was accepted: `review`, `own` (by its author), `rule:NAME` or `import`.
+        /// How the task was accepted: `review`, `own` (by its author), `rule:NAME` or `import`.
         pub accepted_by: Option<String>,
     }
 
@@ -170,7 +170,7 @@ messages! {
         pub author: i64,
         pub name: String,
         pub state: RevisionState,
-        /// Its texts, joined.
+        /// Texts of the answer, joined.
         pub text: String,
         pub parts: Vec<String>,
         pub verdict: Option<Verdict>,
@@ -203,7 +203,7 @@ messages! {
 
     /// A decision on a task.
     pub struct DecisionRow {
-        /// Its sequence number in the log.
+        /// Sequence number of the decision in the log.
         pub seq: i64,
         pub task: i64,
         pub key: String,
@@ -213,9 +213,9 @@ messages! {
         pub reviewer: i64,
         /// Name of the reviewer; empty for a rule.
         pub reviewer_name: String,
-        /// The author whose answer was accepted or sent back; `null` if it concerns all authors.
+        /// The author whose answer was accepted or sent back; `null` if the decision concerns all authors.
         pub author: Option<i64>,
-        /// Names of the authors it concerns.
+        /// Names of the authors that the decision concerns.
         pub authors: Vec<String>,
         /// The rule that accepted the task, or whose acceptance was taken back.
         pub rule: Option<String>,
@@ -236,7 +236,7 @@ messages! {
     pub struct TaskFile {
         pub task: Task,
         pub row: TaskRow,
-        /// All answers that were handed in, with their authors.
+        /// All submitted answers with their authors.
         pub answers: Vec<Candidate>,
         pub accepted: Option<Answer>,
         /// Decisions, oldest first.
@@ -255,7 +255,7 @@ messages! {
         pub comment: String,
         /// The person, for `assign`.
         pub person: Option<i64>,
-        /// Id of the last task that was looked at; without it, begins with the first task.
+        /// Id of the last task that was checked; without it, begins with the first task.
         pub after: Option<i64>,
     }
 
@@ -263,11 +263,11 @@ messages! {
     /// looks at up to 2,000.
     #[derive(Default)]
     pub struct BulkDone {
-        /// Tasks of the filter that were looked at.
+        /// Tasks of the filter that were checked.
         pub looked_at: i64,
         /// Tasks changed, or that would be changed.
         pub done: i64,
-        /// Tasks left alone, by reason: `wrong_state`, `own_work`, `held` (by another person), `answers_differ`,
+        /// Unchanged tasks, by reason: `wrong_state`, `own_work`, `held` (by another person), `answers_differ`,
         /// `answered` (by the person), `task_full`, `new_style` (a reviewer has to see it).
         pub left_alone: BTreeMap<String, i64>,
         /// Value of `after` for the next request; `null` once all are done.
@@ -286,8 +286,8 @@ messages! {
         /// Kinds of task; all if empty.
         #[serde(default)]
         pub kinds: Vec<TaskKind>,
-        /// Ids of the trusted people, for `trusted`. The answer of the first of them is accepted; for the other rules
-        /// it is the answer handed in first.
+        /// Ids of the trusted people, for `trusted`: the answer of the first of them is accepted. Other rules accept
+        /// the answer that was submitted first.
         #[serde(default)]
         pub people: Vec<i64>,
         #[serde(default = "one")]
@@ -296,22 +296,22 @@ messages! {
         /// verdicts have distance 1.
         #[serde(default)]
         pub max_distance: f64,
-        /// Share of the fitting tasks that is left to reviewers, 0 to 100. The draw depends on the task and the
-        /// project's seed alone.
+        /// Share of the matching tasks that is left to reviewers, 0 to 100. The choice depends only on the task and the
+        /// project's seed.
         #[serde(default)]
         pub review_percent: u32,
     }
 
     /// `GET rules`: a rule, and what it does. The rules are edited as a part of the settings.
     pub struct RuleState {
-        /// The rule. A rule that was removed is listed while acceptances of it stand.
+        /// The rule. A removed rule is listed while tasks are accepted by it.
         pub rule: Rule,
-        /// Whether the settings have it.
+        /// Whether the settings contain the rule.
         pub known: bool,
         pub accepted: i64,
-        /// Waiting tasks that it would accept now, whether or not it is enabled.
+        /// Waiting tasks that the rule would accept now, whether or not it is enabled.
         pub would_accept: i64,
-        /// Waiting tasks that fit it and are left to reviewers.
+        /// Waiting tasks that match the rule and are left to reviewers.
         pub left_to_review: i64,
     }
 
@@ -319,7 +319,7 @@ messages! {
     #[derive(Default)]
     #[serde(deny_unknown_fields, default)]
     pub struct ApplyRules {
-        /// Id of the last task that was looked at; without it, begins with the first task.
+        /// Id of the last task that was checked; without it, begins with the first task.
         pub after: Option<i64>,
     }
 
@@ -339,12 +339,12 @@ messages! {
     pub struct RuleUndone {
         /// Acceptances taken back by this request.
         pub reopened: i64,
-        /// Acceptances that still stand: repeat the request until it is 0.
+        /// Acceptances still to be taken back: repeat the request until this is 0.
         pub left: i64,
     }
 }
 
-/// Requests without seconds keep the hash they had before there was this field.
+/// Requests without seconds have the same hash as before this field existed.
 #[expect(
     clippy::trivially_copy_pass_by_ref,
     reason = "serde passes a reference"

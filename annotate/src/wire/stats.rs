@@ -1,4 +1,4 @@
-//! What the project has done: figures of the dashboard, the log, jobs, and the capture plan.
+//! Figures of the dashboard, the log, jobs, and the capture plan.
 
 #![expect(
     missing_docs,
@@ -36,16 +36,17 @@ messages! {
         pub accepted: i64,
         pub returned: i64,
         pub median_secs: Option<f64>,
-        /// Mean agreement on the tasks whose last answer came in this week: 1 for equal verdicts or joint sets.
+        /// Mean agreement on the tasks whose last answer was submitted in this week: 1 for equal verdicts or joint
+        /// sets.
         pub agreement: Option<f64>,
-        /// Number of those tasks.
+        /// Number of tasks behind `agreement`.
         pub shared_items: usize,
     }
 
     /// `GET stats/people`: one for each person.
     pub struct Person {
         pub user: User,
-        /// Answers handed in.
+        /// Submitted answers.
         pub done: i64,
         pub median_secs: Option<f64>,
         pub accepted: i64,
@@ -64,7 +65,7 @@ messages! {
 
     /// `GET stats/agreement`. Figures are `null` below 30 shared items.
     pub struct Agreement {
-        /// One for each of the release's parts, and `overall` of their decisions together.
+        /// One entry for each part of the release, and `overall` for all their decisions together.
         pub parts: Vec<PartAgreement>,
         /// Mean Jaccard index of the joints and frames of masks.
         pub jaccard: Option<Estimate>,
@@ -75,7 +76,7 @@ messages! {
         pub accepted_share: Option<Estimate>,
         /// Edit distance from the draft, with drafts shown and with drafts withheld.
         pub draft_distance: Option<f64>,
-        /// Seconds per answer with drafts and without.
+        /// Seconds per answer, with drafts and without.
         pub secs_with_and_without_draft: Option<[f64; 2]>,
     }
 
@@ -97,7 +98,7 @@ messages! {
         pub kept: i64,
         /// Pairs wanted; 0 for no bound.
         pub wanted: i64,
-        /// Pairs of the category that are given out at most, of all edit types together; 0 for no bound.
+        /// Maximum number of pairs of the category that are given out, of all edit types together; 0 for no bound.
         pub category_wanted: i64,
     }
 
@@ -135,7 +136,7 @@ messages! {
         pub reviews_per_day: f64,
         /// Mean seconds of an answer.
         pub secs_per_answer: Option<f64>,
-        /// Hours of work left: the median seconds of an answer for each.
+        /// Hours of work left, at the median seconds of an answer.
         pub hours_left: Option<f64>,
         pub days_left: Option<f64>,
         pub ends: Option<i64>,
@@ -203,7 +204,7 @@ messages! {
         pub files: Vec<String>,
         pub started: i64,
         pub finished: Option<i64>,
-        /// When its server last reported on it.
+        /// Time of the last report by the job's server.
         #[serde(default)]
         pub heartbeat: i64,
     }
@@ -211,17 +212,17 @@ messages! {
     /// `PUT captures`: the whole plan, in place of the one before.
     #[serde(deny_unknown_fields)]
     pub struct CapturePlan {
-        /// Its cells, each motion with each style once.
+        /// Cells of the plan, each motion with each style once.
         pub cells: Vec<PlannedCapture>,
     }
 
     /// A cell of the plan.
     #[serde(deny_unknown_fields)]
     pub struct PlannedCapture {
-        /// Id of the source motion; the project need not know it yet.
+        /// Id of the source motion; the project does not have to know it yet.
         pub motion: String,
         pub style: String,
-        /// Takes that are wanted, 1 to 1,000.
+        /// Number of takes wanted, 1 to 1,000.
         pub takes: u32,
     }
 

@@ -1,4 +1,4 @@
-//! What annotators see and send: tasks, answers, events, the home page, their own answers, and practice.
+//! Messages of annotators: tasks, answers, events, the home page, their own answers, and practice.
 
 #![expect(
     missing_docs,
@@ -24,10 +24,10 @@ messages! {
         /// Joints whose weight differs from the one that the parts and `soft` give them.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         pub joints: Vec<JointChoice>,
-        /// First frame that the mask holds for, and the one after the last; the whole clip if missing.
+        /// First frame of the mask, and the frame after the last; the whole clip if missing.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub range: Option<[i32; 2]>,
-        /// What the parts do.
+        /// Description of what the parts do.
         pub text: String,
         /// The suggestion the text started from, if any.
         pub suggestion: Option<i64>,
@@ -59,7 +59,7 @@ messages! {
         pub id: i64,
         pub source: SuggestionSource,
         pub parts: Vec<String>,
-        /// Text; empty for parts alone.
+        /// Text; empty if only parts are suggested.
         pub text: String,
         /// Name of the model or program.
         pub model: String,
@@ -69,9 +69,9 @@ messages! {
     pub struct SkeletonInfo {
         /// Names of the 28 keypoints, in the order of the binaries.
         pub joints: Vec<String>,
-        /// Parent of each; -1 for the root.
+        /// Parent of each keypoint; -1 for the root.
         pub parents: Vec<i32>,
-        /// `left`, `right` or `middle` of each.
+        /// `left`, `right` or `middle` of each keypoint.
         pub sides: Vec<String>,
         /// All parts; the five of the release come first, in the order of the rows of heat and diff.
         pub parts: Vec<PartInfo>,
@@ -111,7 +111,7 @@ messages! {
         pub id: i64,
         pub kind: TaskKind,
         pub state: TaskState,
-        /// One motion, or the one before and the one after the edit.
+        /// One motion; for a pair, the motions before and after the edit.
         pub motions: Vec<MotionInfo>,
         /// Action category, for the quota.
         pub category: Option<String>,
@@ -125,7 +125,7 @@ messages! {
         pub submitted: u32,
         /// The bundle, for pairs.
         pub bundle: Option<Bundle>,
-        /// Whether it is practice: the known answer is shown after mine.
+        /// Whether this is a practice task: after my answer, the known answer is shown.
         pub practice: bool,
     }
 
@@ -152,7 +152,7 @@ messages! {
         pub user: i64,
         /// Fencing number, sent with every event.
         pub epoch: i64,
-        /// When it ends unless renewed.
+        /// Time at which the lease ends unless it is renewed.
         pub expires: i64,
     }
 
@@ -176,7 +176,7 @@ messages! {
         pub suggestions: Vec<Suggestion>,
         /// Whether suggestions are withheld, to measure their effect.
         pub blind: bool,
-        /// Whether the clip was ingested anew, with other content, after I wrote my answer.
+        /// Whether the clip was ingested again, with other content, after I wrote my answer.
         pub clip_changed: bool,
     }
 
@@ -198,12 +198,12 @@ messages! {
     #[derive(Default)]
     pub struct Empty {
         pub total: i64,
-        /// With all wanted answers.
+        /// Tasks with all wanted answers.
         pub done: i64,
-        /// Answered by me, waiting for others.
+        /// Tasks that I answered and that wait for others.
         pub waiting_for_others: i64,
         pub leased_by_others: i64,
-        /// When the first of those leases expires.
+        /// Time at which the first lease of another user expires.
         pub soonest_expiry: Option<i64>,
         pub skipped_by_me: i64,
         pub dropped: i64,
@@ -214,7 +214,7 @@ messages! {
     /// `POST tasks/{id}/events`.
     #[serde(deny_unknown_fields)]
     pub struct EventBatch {
-        /// In the order they happened.
+        /// Events in the order in which they happened.
         pub events: Vec<NewEvent>,
     }
 
@@ -227,14 +227,14 @@ messages! {
         /// Fencing number of the lease; ignored for `undo`.
         #[serde(default)]
         pub lease_epoch: i64,
-        /// Revision this one is based on; 0 for none.
+        /// Revision on which this one is based; 0 for none.
         #[serde(default)]
         pub base_rev: i64,
         /// The answer, for `draft` and `submit`.
         pub answer: Option<Answer>,
         /// The reason, for `skip`.
         pub reason: Option<SkipReason>,
-        /// More about the reason.
+        /// Note on the reason.
         #[serde(default)]
         pub note: String,
         /// The suggestion, for `suggestion_used`.
@@ -257,11 +257,11 @@ messages! {
         pub idem_key: String,
         /// 200 once it is durable, or the status of the problem.
         pub status: u16,
-        /// Its sequence number in the log; `null` if nothing was logged.
+        /// Sequence number of the event in the log; `null` if nothing was logged.
         pub seq: Option<i64>,
-        /// My revision after it.
+        /// My revision after the event.
         pub rev: i64,
-        /// State of the task after it.
+        /// State of the task after the event.
         pub state: Option<TaskState>,
         pub lease: Option<Lease>,
         pub problem: Option<Problem>,
@@ -289,7 +289,7 @@ messages! {
         pub score: Option<f64>,
         /// Score to reach, 0 to 1.
         pub threshold: f64,
-        /// Whether real work is open. It always is to reviewers and admins.
+        /// Whether real work is open. This is always true for reviewers and admins.
         pub passed: bool,
     }
 
@@ -312,7 +312,7 @@ messages! {
     /// `POST tasks/{id}/suggest`.
     #[serde(deny_unknown_fields)]
     pub struct SuggestRequest {
-        /// Parts that the text shall describe.
+        /// Parts that the text must describe.
         pub parts: Vec<String>,
     }
 
@@ -320,9 +320,9 @@ messages! {
     pub struct Home {
         pub queues: Vec<QueueInfo>,
         pub returned: Vec<ReturnedTask>,
-        /// Tasks I hold leases on, the one last renewed first.
+        /// Tasks on which I hold leases, the one last renewed first.
         pub held: Vec<Lease>,
-        /// Answers I submitted today, which begins at midnight in the project's time zone. Practice is left out.
+        /// Answers I submitted today, without practice. Days begin at midnight in the project's time zone.
         pub today: i64,
         /// Seconds I worked today: on answers, skips and reviews.
         pub today_secs: f64,
@@ -340,14 +340,14 @@ messages! {
         pub total: i64,
         /// Tasks with all wanted answers.
         pub done: i64,
-        /// Tasks I answered, hold, or was sent back. Practice is left out.
+        /// Tasks that I answered or hold, or that were returned to me, without practice.
         pub mine: i64,
-        /// Tasks I hold now. Practice is left out.
+        /// Tasks I hold now, without practice.
         pub held: i64,
-        /// When the first of them goes to others unless I go on.
+        /// Time at which my first lease ends unless I continue.
         pub held_until: Option<i64>,
-        /// Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me. Before
-        /// practice is passed, the practice tasks that are left stand for the new ones.
+        /// Tasks that claims would give me now: new and postponed ones, those I hold, and those returned to me. Until
+        /// practice is passed, the remaining practice tasks count instead of new ones.
         pub open: i64,
     }
 
@@ -356,7 +356,7 @@ messages! {
         pub task: i64,
         pub kind: TaskKind,
         pub comment: String,
-        /// When others can claim it.
+        /// Time from which others can claim the task.
         pub until: i64,
     }
 
@@ -390,17 +390,17 @@ messages! {
         pub standing: Standing,
         /// Answers that the task still waits for.
         pub missing: u32,
-        /// The comment it was sent back with, or the task was dropped with.
+        /// Comment with which the answer was sent back, or the task was dropped.
         pub comment: Option<String>,
-        /// The answer that was accepted instead, if it is another one.
+        /// The accepted answer, if it is not mine.
         pub accepted: Option<Answer>,
-        /// How it was accepted: `review`, `own`, `rule:NAME` or `import`.
+        /// How the answer was accepted: `review`, `own`, `rule:NAME` or `import`.
         pub accepted_by: Option<String>,
-        /// Whether the event `undo` of `POST tasks/{id}/events` takes it back now.
+        /// Whether the event `undo` of `POST tasks/{id}/events` can take the answer back now.
         pub can_take_back: bool,
-        /// When a returned task is offered to others.
+        /// Time from which a returned task is offered to others.
         pub until: Option<i64>,
-        /// The known answer and my score, if it is practice that I handed in.
+        /// The known answer and my score, if this is a practice task that I submitted.
         pub feedback: Option<Feedback>,
     }
 }
@@ -414,7 +414,7 @@ fn yes() -> bool {
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Answer {
-    /// To a task `mask_text`.
+    /// Answer to a task `mask_text`.
     MaskText {
         /// The masks.
         masks: Vec<MaskAnswer>,
@@ -424,7 +424,7 @@ pub enum Answer {
         #[serde(default)]
         note: String,
     },
-    /// To a task `pair`.
+    /// Answer to a task `pair`.
     Pair {
         /// Verdict.
         verdict: Verdict,
@@ -442,7 +442,7 @@ pub enum Answer {
         #[serde(default)]
         note: String,
     },
-    /// To a task `style`.
+    /// Answer to a task `style`.
     Style {
         /// Verdict.
         verdict: Verdict,
@@ -451,7 +451,7 @@ pub enum Answer {
         parts: Vec<String>,
         /// The style.
         style: Option<String>,
-        /// How much of the body it shows in.
+        /// How much of the body shows the style.
         extent: Option<Extent>,
         /// The instruction.
         #[serde(default)]

@@ -1,7 +1,7 @@
 //! The types of the API in TypeScript: `annotate/web/src/wire.ts`, which this test writes and compares.
 //!
-//! Messages are declared by their macro, enums by their names here. A file that differs from the committed one fails the test.
-//! `STANCE_WRITE_WIRE=1 cargo test -p annotate --lib wire` writes the file.
+//! Messages are declared by their macro, enums by their names here. A file that differs from the committed one fails
+//! the test. `STANCE_WRITE_WIRE=1 cargo test -p annotate --lib wire` writes the file.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -67,7 +67,7 @@ fn plural(name: &str) -> String {
     text + "S"
 }
 
-/// A list of strings, as many to a line as fit.
+/// A list of strings, with as many per line as fit.
 fn list(items: &[&str]) -> String {
     let (mut text, mut line) = ("[\n".to_owned(), " ".to_owned());
     for item in items {

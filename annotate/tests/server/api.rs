@@ -30,7 +30,7 @@ fn every_route_asks_for_its_role() {
     let people = people.map(|name| name.map(|name| site.person(name)));
     let mut walked = 0;
     for route in ROUTES {
-        // Logout would end the session, and a stream never ends.
+        // Skip logout, which would end the session, and streams, which never end.
         let url = site.url(&filled(route.path));
         for client in &people {
             if route.path.ends_with("/stream") && client.is_some() {
@@ -261,7 +261,7 @@ fn motions_are_sent_as_they_are_documented() {
     assert_eq!(partners.len(), 4);
     let apart = |other: &MotionInfo| other.split == "train" && other.hash != *hash;
     assert!(partners.iter().all(apart));
-    // The left arm, with changes.
+    // Blends the left arm, with changes to the request.
     let blend = |change: Value| {
         let mut request =
             json!({ "src": hash, "tgt": partners[0].hash, "parts": ["LEFT_ARM"], "alpha": 0.5 });
@@ -286,7 +286,7 @@ fn motions_are_sent_as_they_are_documented() {
         moved.iter().all(|joint| allowed.contains(joint)),
         "only the masked arm moves: {moved:?}"
     );
-    // A joint of the ring can be chosen away.
+    // A joint of the ring can be excluded.
     let without = |joint: &str| json!({ "joints": [{ "joint": joint, "weight": "none" }] });
     let without_ring = blend(json!({ "soft": false })).floats();
     assert_eq!(blend(without("left_collar")).floats(), without_ring);
@@ -347,7 +347,7 @@ fn malformed_requests_are_refused_by_name() {
         let result = ann.tell(&view, submit(&view, answer));
         assert_eq!(result.problem.expect("a problem").code, expected);
     }
-    // A parameter without a value is left out.
+    // A parameter without a value is ignored.
     let _: Shelf = ann.get("shelf?kind=&q=&limit=").ok();
     let next = |body: Value| ann.post("queue/next", &body);
     let raw = |method: &str, path: &str, body: &[u8]| ann.call(method, path, Some(body));

@@ -18,7 +18,7 @@ fn cell(motion: &str, style: &str, takes: u32) -> PlannedCapture {
     }
 }
 
-/// Takes of each cell that arrived, were rejected, and are missing.
+/// Number of arrived, rejected and missing takes of each cell.
 fn counts(captures: &Captures) -> Vec<(u32, u32, u32)> {
     let cells = captures.cells.iter();
     cells

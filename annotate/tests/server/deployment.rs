@@ -47,7 +47,7 @@ fn a_right_token_is_never_locked_out_and_counts_for_nothing() {
     let site = Site::new();
     let ann = site.person("ann");
     let log_in = || site.log_in(&ann.token, &[]).status;
-    // Several people behind one address.
+    // Several people log in from one address.
     for _ in 0..30 {
         assert_eq!(log_in(), 200);
     }
@@ -134,14 +134,14 @@ fn figures_for_operators_have_an_address_of_their_own() {
     for path in ["/healthz", "/readyz"] {
         assert_eq!(get(path).status, 200, "{path}");
     }
-    // Nothing else is there.
+    // The address for operators serves nothing else.
     for path in ["/", "/api/v1/me", "/api/v1/session"] {
         assert_eq!(get(path).code(), Code::NotFound, "{path}");
     }
     assert!(Site::new().server.operators().is_none());
 }
 
-/// A connection to the server that gives up after a minute.
+/// A connection to the server with a timeout of one minute.
 pub(crate) fn connect(site: &Site) -> TcpStream {
     let stream = TcpStream::connect(site.server.address()).expect("a connection");
     let minute = Some(Duration::from_secs(60));
@@ -150,7 +150,7 @@ pub(crate) fn connect(site: &Site) -> TcpStream {
     stream
 }
 
-/// The head of a request with a body, on a connection of its own.
+/// Sends the head of a request with a body, on a new connection.
 fn begin(site: &Site, client: &Client, path: &str, length: usize) -> TcpStream {
     let mut stream = connect(site);
     let head = format!(
@@ -276,7 +276,7 @@ fn a_session_ends_with_the_token_it_was_begun_by() {
     assert_eq!(age, 2 * DAY / 1000);
     let (long, age) = session(&site, &issue(TokenUse::Token, 30));
     assert_eq!(age, 7 * DAY / 1000);
-    // A link is used up by the login, and its session lasts as long as any.
+    // A link can be used for one login, and its session lasts as long as any other.
     let (linked, age) = session(&site, &issue(TokenUse::Once, 1));
     assert_eq!(age, 7 * DAY / 1000);
     site.clock.advance(2 * DAY);
@@ -360,13 +360,13 @@ fn a_server_that_starts_leaves_the_jobs_of_others_running_and_lost_ones_fail() {
     let jobs: Vec<Job> = boss.get("jobs").ok();
     let lost = jobs.iter().find(|job| job.id == lost).expect("the job");
     assert!(lost.finished.is_some() && lost.messages[0].contains("start the job again"));
-    // A report that comes late does not bring it back.
+    // A late report does not make the job run again.
     let late = site.store.beat(lost.id, site.clock.now());
     late.expect("a report");
     assert_eq!(state(lost.id), "failed");
 }
 
-/// Two servers on one store on PostgreSQL, each with a folder of its own for files.
+/// Two servers on one store on PostgreSQL, each with a separate folder for files.
 #[cfg(feature = "postgres")]
 struct Pair {
     servers: [annotate::http::Server; 2],
@@ -407,7 +407,7 @@ impl Pair {
         })
     }
 
-    /// A user through each of the servers.
+    /// A user, with a client for each of the servers.
     fn person(&self, name: &str) -> [Client; 2] {
         let bases = [0, 1].map(|index| format!("http://{}", self.servers[index].address()));
         let [one, other] = bases;
@@ -466,7 +466,7 @@ fn an_export_is_reachable_through_both_servers() {
         }
     };
     check();
-    // Even when the server that wrote them has lost its disk.
+    // The files remain available if the server that wrote them loses its disk.
     std::fs::remove_dir_all(site.folder.path().join("data0")).expect("a folder");
     check();
 }

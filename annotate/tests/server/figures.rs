@@ -1,7 +1,7 @@
 //! Figures of the dashboard over days and weeks.
 //!
-//! The work of a team over two weeks is simulated on the test's small dataset, or on that of a folder, whose server then
-//! shows what the pictures of the README show:
+//! The work of a team over two weeks is simulated on the test's small dataset, or on the dataset in a folder. A server
+//! on this folder then shows the screens of the README's pictures:
 //!
 //! ```sh
 //! ANNOTATE_SEED=DATASET cargo test --release -p stance -p annotate --test server work_of_a_team
@@ -50,7 +50,7 @@ fn weeks_and_days_begin_in_the_time_zone_of_the_project() {
     let monday = TUESDAY + 5 * DAY + 11 * HOUR;
     assert_eq!(last, [(monday, 1), (monday - 7 * DAY, 1)]);
     assert_eq!(funnel.weeks.len(), 12);
-    // A period begins with a whole day, whatever its first moment.
+    // A period includes its whole first day, whatever time it starts at.
     let days = |query: String| -> Vec<(i64, i64)> {
         let days: Vec<DayWork> = eve.get(&format!("stats/days{query}")).ok();
         days.iter().map(|day| (day.start, day.answers)).collect()
@@ -74,7 +74,7 @@ fn agreement_is_told_for_the_week_of_the_last_answer() {
     }
     let clip = ann.answer(masks("waving"));
     site.clock.advance(7 * DAY);
-    // The same joints in the second week, of which one answer is a week old.
+    // Equal joints in the second week; one of the two answers is a week old.
     assert_eq!(bob.answer(masks("swinging")), clip);
     let single = ann.answer(masks("waving"));
     assert_ne!(single, clip);
@@ -173,7 +173,7 @@ fn describe(task: &TaskDetail, number: u64, own: bool) -> Answer {
     from_json(json!({ "kind": "mask_text", "masks": said }))
 }
 
-/// A team at work on a store.
+/// A team that works on a store.
 struct Team {
     store: Arc<Store>,
     /// Annotators with the seconds that they need for a mask task.
@@ -225,7 +225,7 @@ impl Team {
         }
     }
 
-    /// The answer of a person to a task: in nine of ten cases the answer that others give too.
+    /// The answer of a person to a task: in nine of ten cases the same answer as others give.
     fn answer(&mut self, task: &TaskDetail) -> Answer {
         let own = self.rng.random_range(0..100) < 10;
         let number = if own {
@@ -259,7 +259,7 @@ impl Team {
         }
     }
 
-    /// A person answers `count` tasks from a time on, as far as there are any.
+    /// A person answers up to `count` tasks, from the time `now` on.
     fn work(&mut self, person: i64, pace: f64, count: usize, mut now: i64) {
         for turn in 0..count {
             let first = [0, 1, 0, 1, 2][turn % 5];
@@ -315,7 +315,7 @@ impl Team {
         }
     }
 
-    /// Two weeks up to `end`, from 9 o'clock on each day but weekends.
+    /// Simulates two weeks up to `end`. Work begins at 9 o'clock on weekdays.
     fn two_weeks(&mut self, end: i64) {
         let counts = self.store.funnel().expect("a funnel");
         let tasks: i64 = counts.iter().map(|row| row.2).sum();
@@ -336,7 +336,7 @@ impl Team {
                 let begin = morning + index as i64 * 20 * MINUTE;
                 self.work(person, pace, count as usize, begin);
             }
-            // Answers of the last day wait for the reviewers.
+            // Answers of the last day are not reviewed yet.
             if day + 1 < mornings.len() {
                 self.review((daily * 2.2).round() as usize, morning + 2 * HOUR);
             }

@@ -127,7 +127,7 @@ fn requests_that_never_end_are_given_up() {
     let answer = answer_to(&site, body.as_bytes());
     assert!(answer.starts_with("HTTP/1.1 503"), "{answer}");
     assert!(answer.contains("\"timeout\""), "{answer}");
-    // Other requests are served during and after it.
+    // Other requests are served during and after an incomplete one.
     assert_eq!(ann.get("me").status, 200);
 }
 

@@ -1,4 +1,5 @@
-//! Load test: many concurrent annotators and many tasks. A short version runs with the other tests; the full one is
+//! Load test: many concurrent annotators and many tasks. A short version runs with the other tests; this command runs
+//! the full one:
 //!
 //! ```sh
 //! ANNOTATE_LOAD=50x200x100000 cargo test --release --workspace --test server load -- --nocapture
@@ -84,7 +85,7 @@ fn load_loses_nothing_and_gives_nothing_twice() {
     let (answered, _) = site.store.answered_since(0).expect("tasks");
     let labels = site.store.labels_to(answered).expect("labels");
     assert!(labels.iter().all(|label| done.contains_key(&label.task)));
-    // Every answer that was acknowledged is there once.
+    // Every acknowledged answer is stored exactly once.
     assert_eq!(labels.len(), people * each);
     site.whole();
 }

@@ -59,7 +59,7 @@ fn fake(response: String) -> Fake {
     Fake { url, asked, count }
 }
 
-/// A response in which the model says this.
+/// A response of the model with this text.
 fn said(content: &str) -> String {
     let body = json!({
         "choices": [{ "message": { "content": content } }], "usage": { "total_tokens": 42 },
@@ -95,7 +95,7 @@ fn a_draft_is_a_suggestion_kept_apart_and_asked_for_once() {
     assert!(asked.contains("take clip00") && asked.contains("left arm"));
     let again: Suggestion = suggest(&ann, &view, "LEFT_ARM").ok();
     assert_eq!(again.text, suggestion.text);
-    // An equal question is not asked twice.
+    // The same prompt is not sent twice.
     assert_eq!(fake.count.load(Ordering::SeqCst), 1);
     let seen: TaskView = ann.get(&format!("tasks/{}", view.task.id)).ok();
     assert!(seen.mine.is_none(), "a draft is no answer");

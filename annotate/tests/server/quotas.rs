@@ -74,9 +74,9 @@ fn of_a_type_with_enough_pairs_the_last_ones_are_given_out_last() {
         let (number, id) = claim(site, site.ann);
         assert_eq!(number, 0, "it is hers until it is done");
         site.submit(site.ann, id, 0, kept(Speed));
-        // More than enough is no refusal.
+        // A pair of a type that has enough is still given out.
         assert_eq!(claim(site, site.ann).0, 1);
-        // Accepted answers of elsewhere count as well.
+        // Imported accepted answers count as well.
         let mut imported = pair_tasks(10).split_off(9);
         imported[0].accepted = Some(kept(Force));
         site.import(imported);

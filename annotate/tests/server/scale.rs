@@ -68,7 +68,7 @@ impl Fixture {
         page.rows.iter().map(|row| row.id).collect()
     }
 
-    /// A bulk action of the reviewer.
+    /// Runs a bulk action of the reviewer.
     fn bulk(&self, request: BulkRequest) -> BulkDone {
         let done = self.store.bulk(&self.who(self.eve), request, START);
         done.expect("acts")
@@ -284,7 +284,7 @@ fn a_search_finds_texts_and_captions_but_no_names_of_fields() {
             ("mask", &[masked]),
             ("wavinG_50%", &[waving]),
             ("wavinGx50%", &[]),
-            // Names of a part and of a field.
+            // Names of a part and of a field are not found.
             ("left_arm", &[]),
             ("soft", &[]),
         ];
@@ -379,7 +379,7 @@ fn pages_in_every_order_hold_every_task_once() {
                 let seen = paged(site, sort, reverse);
                 let ids: BTreeSet<i64> = seen.iter().map(|row| row.id).collect();
                 assert_eq!((ids.len(), seen.len()), (25, 25), "{sort} {reverse}");
-                // Ids rise, distances and times fall.
+                // Ids ascend, distances and times descend.
                 let place = |row: &TaskRow| match sort {
                     TaskSort::Id => -(row.id as f64),
                     TaskSort::Distance => row.distance.unwrap_or(-1.0),
@@ -432,7 +432,7 @@ fn tasks_that_everybody_skipped_are_listed_with_the_reasons() {
         // The task keeps its answer.
         assert_eq!(site.answer(site.bob, "seen"), second);
         check(&[first, second], &[first]);
-        // Where nobody annotates, everybody counts: eve and the admin are left.
+        // Without annotators, all users count: eve and the admin are left.
         annotators_may_log_in(false);
         check(&[first, second], &[]);
         annotators_may_log_in(true);
@@ -510,7 +510,7 @@ fn a_bulk_action_does_what_its_preview_counted() {
     });
 }
 
-/// Gives all tasks to a person.
+/// Assigns all tasks to a person.
 fn assign(person: i64) -> BulkRequest {
     BulkRequest {
         person: Some(person),

@@ -1,5 +1,5 @@
-//! A whole project in simulated time: people answer, rules accept, a share is reviewed, and the export holds what the
-//! log says. A short version runs with the other tests; one of the size of the paper's project is
+//! A whole project in simulated time: people answer, rules accept, a share is reviewed, and the export agrees with the
+//! log. A short version runs with the other tests; this command runs one of the size of the paper's project:
 //!
 //! ```sh
 //! ANNOTATE_SIMULATION=40000x5000x13 cargo test --release --workspace --test server simulated -- --nocapture
@@ -26,7 +26,7 @@ use crate::support::{
     kept, masks, pair, peak_memory_mb, plain_settings, review, rule, say, set, sizes,
 };
 
-/// Share of the tasks that reviewers look at.
+/// Percentage of the tasks that reviewers see.
 const REVIEWED: u32 = 20;
 /// Categories of the bundles of pairs: there are three times as many walks and runs as jumps and waves.
 const CATEGORIES: [&str; 8] = ["walk", "run", "jump", "walk", "run", "wave", "walk", "run"];
@@ -207,7 +207,7 @@ impl Project {
             self.rng.random_range(40.0..90.0)
         };
         if self.draw(1) {
-            // The browser is closed: the lease runs out.
+            // The person closes the browser, and the lease expires.
             return Some(1200.0);
         }
         let send = |project: &mut Self, kind: EventKind, epoch, rev, answer: Option<Answer>| {
@@ -410,21 +410,21 @@ fn a_simulated_week_loses_nothing_and_its_export_equals_the_log() {
     }
 }
 
-/// No category has more pairs than its quota, and those that still have pairs to give were given evenly. Returns the
-/// pairs that were held back because of the quota.
+/// Checks that no category exceeds its quota, and that categories with pairs left were given out evenly. Returns the
+/// number of pairs held back because of the quota.
 fn check_quota(
     now: &BTreeMap<&'static str, [i64; 2]>,
     [pairs, _, people]: [usize; 3],
     is_end: bool,
 ) -> i64 {
     let quota = quota(pairs);
-    // A bundle of everybody.
+    // One bundle for each person.
     let at_work = 8 * people as i64;
     let mut held_back = 0;
     let mut given = Vec::new();
     for (category, &[kept, left]) in now {
         assert!(kept <= quota, "{category}: {kept} of {quota}");
-        // Pairs that wait for a reviewer use quota, so the last ones are only possible later.
+        // Pairs that wait for a reviewer use quota, so the last pairs can only be given out later.
         if 100 * kept >= 99 * quota {
             held_back += left;
         } else if is_end {
@@ -465,7 +465,7 @@ fn check_answers(project: &Project, size: [usize; 3]) {
     }
 }
 
-/// Measures what a dashboard and a task browser ask for.
+/// Measures the requests of a dashboard and a task browser.
 fn measure(project: &mut Project, now: i64) {
     let store = Arc::clone(&project.store);
     let times = &mut project.times;

@@ -64,7 +64,7 @@ pub(crate) struct Fixture {
     pub(crate) eve: i64,
 }
 
-/// Runs a test on a fresh store with these tasks, of each database, and checks the store afterwards.
+/// Runs a test on a fresh store of each database, with these tasks, and checks the store afterwards.
 pub(crate) fn each(test: &str, tasks: Vec<NewTask>, check: impl Fn(&Fixture)) {
     on_each(test, |store| {
         plain_settings(&store);
@@ -161,18 +161,18 @@ impl Fixture {
         self.claim_kind(user, TaskKind::Pair)
     }
 
-    /// Why there is no task for a user.
+    /// Why there is no task for a user. Panics if there is one.
     fn nothing(&self, user: i64, kind: TaskKind) -> Empty {
         let claimed = self.claimed(user, kind);
         claimed.expect_err("nothing is left")
     }
 
-    /// Claims a mask task that there must be.
+    /// Claims a mask task. Panics if there is none.
     pub(crate) fn take(&self, user: i64) -> i64 {
         self.claim(user).expect("a task")
     }
 
-    /// Claims a pair that there must be.
+    /// Claims a pair. Panics if there is none.
     pub(crate) fn take_pair(&self, user: i64) -> i64 {
         self.claim_pair(user).expect("a pair")
     }
@@ -186,7 +186,7 @@ impl Fixture {
         queues.find(|queue| queue.kind == kind).expect("a queue")
     }
 
-    /// Mask tasks that the user's home page promises.
+    /// Number of open mask tasks on the user's home page.
     fn open(&self, user: i64) -> i64 {
         self.queue(user, TaskKind::MaskText).open
     }
@@ -236,7 +236,7 @@ impl Fixture {
         self.append(user, task, vec![event]).remove(0)
     }
 
-    /// Sends an event with the lease that the user has.
+    /// Sends an event under the user's lease.
     pub(crate) fn tell(
         &self,
         user: i64,
@@ -369,7 +369,7 @@ fn an_expired_lease_is_given_away_by_the_claim_itself_and_its_late_answer_is_kep
         let draft = (RevisionState::Draft, masks("late"));
         assert_eq!((mine.state, mine.answer), draft);
         assert_eq!(site.record(task).submitted, 0);
-        // Asked again, the same answer.
+        // A repeated request gets the same reply.
         assert_eq!(site.send(site.ann, task, late), result);
         let again = site.store.claim_task(site.ann, task, site.now());
         assert_eq!(refusal(again), Code::TaskFull);
@@ -543,7 +543,7 @@ fn changed(mut answer: Answer, change: impl FnOnce(&mut MaskAnswer)) -> Answer {
     answer
 }
 
-/// An answer whose first mask holds for a range.
+/// An answer whose first mask has a range.
 fn in_range(range: [i32; 2]) -> Answer {
     changed(masks("waving"), |mask| mask.range = Some(range))
 }
@@ -832,7 +832,7 @@ fn home_promises_what_a_claim_gives() {
     });
 }
 
-/// Tasks of which the first ones are walks and the others waves.
+/// Puts the first tasks into the category of walks, and the others into that of waves.
 fn in_categories(walks: usize, tasks: Vec<NewTask>) -> Vec<NewTask> {
     let tasks = tasks.into_iter().enumerate();
     let named = tasks.map(|(number, task)| NewTask {
@@ -849,7 +849,7 @@ fn home_leaves_out_pairs_that_the_quota_of_their_category_holds_back() {
         assert_eq!(open(site.ann), 9);
         site.set(|settings| settings.category_quota = 2);
         assert_eq!(open(site.ann), 4, "two of each category");
-        // Ann takes as many tasks as the quota allows: two keeps of each category.
+        // Ann takes as many tasks as the quota allows: two kept pairs per category.
         for left in [4, 3, 2] {
             let task = site.take_pair(site.ann);
             assert_eq!(open(site.ann), left);
@@ -891,7 +891,7 @@ fn a_returned_answer_waits_for_its_author_through_lost_leases_and_then_goes_to_a
         assert_eq!((site.open(site.bob), site.claim(site.bob)), (0, None));
         let back = &site.home(site.ann).returned[0];
         assert_eq!((back.task, back.until), (task, START + 7 * DAY));
-        // The same with a draft, and when she gives the lease back.
+        // The same holds with a draft, and after she gives the lease back.
         assert_eq!(site.take(site.ann), task);
         let draft = site.tell(site.ann, task, EventKind::Draft, 1, masks("better"));
         assert_eq!(draft.status, 200);
@@ -1006,14 +1006,14 @@ fn importing_again_changes_nothing() {
     });
 }
 
-/// Ids of the tasks of a random walk.
+/// Ids of the tasks in a random walk.
 const WALKED: std::ops::RangeInclusive<i64> = 1..=16;
 
 /// A random walk of three people through a store.
 struct Walk<'a> {
     site: &'a Fixture,
     rng: datasets_spec::Rng,
-    /// Tasks that each person held once.
+    /// Tasks that each person has held.
     held: BTreeMap<i64, Vec<i64>>,
 }
 
@@ -1101,7 +1101,7 @@ impl Walk<'_> {
         let site = self.site;
         for task in WALKED {
             if site.state(task) == TaskState::Accepted && self.rng.random::<bool>() {
-                // The task may be gold already.
+                // This may be refused: the task may be gold already.
                 let _tried = site.store.make_gold(ROOT, task, site.now());
             }
         }
@@ -1110,7 +1110,7 @@ impl Walk<'_> {
         if counts.iter().any(dropped) {
             for task in WALKED {
                 if matches!(site.state(task), TaskState::Dropped | TaskState::Accepted) {
-                    // The author may not reopen the task.
+                    // This may be refused: the author may not reopen the task.
                     let _tried = site.decide(task, 0, Decision::Reopen);
                 }
             }
@@ -1241,7 +1241,7 @@ fn a_task_that_nobody_took_is_not_said_to_be_taken() {
         let task = site.take(site.ann);
         let epoch = site.epoch(site.ann, task);
         site.wait(16 * MINUTE);
-        // Any claim ends leases that ran out; this one is for another kind of task.
+        // Any claim ends expired leases, even a claim of another kind of task.
         assert_eq!(site.claim_kind(site.bob, TaskKind::Style), None);
         let say = |base: i64, text: &str| {
             let late = event(EventKind::Draft, epoch, base, masks(text));

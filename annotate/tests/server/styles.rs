@@ -1,4 +1,4 @@
-//! Styles of the dataset's own, and new ones.
+//! Styles of the dataset, and new styles.
 
 use annotate::transfer::from_dataset;
 use annotate::wire::{
@@ -23,7 +23,7 @@ fn names(person: &Client) -> Vec<String> {
     styles.map(|style| style.name).collect()
 }
 
-/// Adds style pairs of these labels to the dataset of a site, and imports them as the server does at its start.
+/// Adds style pairs with these labels to the dataset of a site, and imports them as the server does at its start.
 pub(crate) fn label(site: &Site, labels: &[&str]) {
     let mut pairs: Vec<PairRow> = read(&site.dataset);
     let one = pairs.iter().find(|pair| pair.kind == "style");
@@ -92,7 +92,7 @@ fn a_new_style_is_proposed_with_an_answer_and_taken_by_who_accepts_it() {
     let changes: Audit = boss.get("audit?kind=settings_changed").ok();
     assert_eq!(changes.entries[0].actor, Some(eve.user.id));
 
-    // The other spelling would be another style.
+    // The other spelling would become another style.
     let refused = accept(second, bob.user.id).problem();
     assert_eq!(refused.code, Code::Invalid);
     assert!(refused.detail.contains("\"limping\""), "{}", refused.detail);

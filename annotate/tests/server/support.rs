@@ -200,7 +200,7 @@ impl Site {
         send(&agent(), "GET", &self.url(path), headers, None)
     }
 
-    /// A login of the page with a token, with more headers.
+    /// Logs in with a token as the page does, with extra headers.
     pub(crate) fn log_in(&self, token: &str, more: &[(&str, &str)]) -> Answered {
         let origin = self.url("");
         let mut headers = vec![("origin", origin.as_str()), ("x-annotate", "1")];
@@ -493,7 +493,7 @@ impl Client {
         next.review
     }
 
-    /// Sends a decision about a task, with more fields.
+    /// Sends a decision about a task, with extra fields.
     pub(crate) fn decide(
         &self,
         task: i64,
@@ -566,7 +566,7 @@ pub(crate) fn decision(task: i64, lease_epoch: i64, decision: Decision) -> NewRe
     }
 }
 
-/// A value from JSON, in which fields with defaults are left out.
+/// Parses a value from JSON, in which fields with defaults may be missing.
 pub(crate) fn from_json<T: DeserializeOwned>(value: Value) -> T {
     serde_json::from_value(value).expect("all fields")
 }
@@ -604,7 +604,7 @@ pub(crate) fn style() -> Answer {
     )
 }
 
-/// The range that holds every task.
+/// The range of all task keys.
 pub(crate) fn all_keys() -> KeyRange {
     KeyRange {
         after: String::new(),
@@ -612,7 +612,7 @@ pub(crate) fn all_keys() -> KeyRange {
     }
 }
 
-/// A task without a dataset behind it.
+/// A task whose motion is in no dataset.
 pub(crate) fn bare_task(number: usize, kind: TaskKind) -> NewTask {
     from_json(json!({
         "key": format!("task{number:06}"), "kind": kind, "source": "hash", "split": "train",
@@ -668,7 +668,7 @@ pub(crate) fn say(line: &str) {
     let _said = writeln!(std::io::stderr().lock(), "{line}");
 }
 
-/// Sizes of a test, such as `50x200x100000`, that a variable sets.
+/// Sizes of a test from an environment variable, such as `50x200x100000`.
 pub(crate) fn sizes<const N: usize>(variable: &str, otherwise: &str) -> [usize; N] {
     let text = std::env::var(variable).unwrap_or_else(|_| otherwise.to_owned());
     let numbers: Option<Vec<usize>> = text.split('x').map(|number| number.parse().ok()).collect();

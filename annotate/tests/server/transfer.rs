@@ -106,7 +106,7 @@ fn release(folder: &Path) -> Value {
     json!({ "mask_all": read("mask_all.json"), "part_annotations": read("part_annotations.json") })
 }
 
-/// Takes the annotations of an export.
+/// Imports the annotations of an export.
 fn take(store: &Store, folder: &Path) -> Taken {
     let table = folder.join("annotations.parquet");
     from_annotations(store, &table, None, START).expect("takes")
@@ -203,7 +203,7 @@ fn parquet_comes_back_as_it_went() {
     whole(&store);
 }
 
-/// Masks that hold for ranges, with joints that a person chose, in the order of their ids in the dataset.
+/// Masks with ranges and with joints that a person chose, in the order of their ids in the dataset.
 fn ranged() -> Answer {
     let answer = json!({ "kind": "mask_text", "masks": [
         { "parts": ["BOTH_LEGS"], "joints": [{ "joint": "left_hip", "weight": "soft" }], "text": "walking" },
@@ -231,7 +231,7 @@ fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
     assert_eq!(rows[2].hard_joints, hard);
     assert!(rows[2].soft_joints.is_empty());
 
-    // The lists of a release only count these values; the table beside them holds them.
+    // The lists of a release only count these values; the table beside the lists contains them.
     let lists = site.folder.path().join("lists");
     let done = write_to(&site, &site.store, &lists, ExportFormat::Stance);
     assert_eq!(done.counts["masks_of_a_range"], 2);
@@ -428,7 +428,7 @@ fn an_import_never_touches_an_answer_of_a_person_and_reports_the_conflict() {
     assert_eq!(ours["mask:clip00"], masks("sitting"));
     assert!(!ours.contains_key("mask:clip02"));
     assert_eq!(record(draft).state, TaskState::Leased);
-    // A task that a reviewer opened again is not filled by the file.
+    // The file does not fill a task that a reviewer reopened.
     let kept = ours.keys().find(|key| key.starts_with("pair:"));
     let reopened = task_of(&store, kept.expect("a pair")).id;
     let reopen = decision(reopened, 0, Decision::Reopen);
@@ -452,8 +452,8 @@ fn pair_rows(site: &Site) -> BTreeMap<String, PairRow> {
 #[test]
 fn candidates_are_made_of_every_clip_and_beside_other_pairs() {
     let site = Site::new();
-    // Eighteen clips of one action and split make seventeen candidates, less ten that are pairs already; two clips of
-    // the other split make one.
+    // Eighteen clips of one action and split make seventeen candidates, minus ten existing pairs; two clips of the
+    // other split make one.
     let again = take_dataset(&site, &site.store);
     assert_eq!(again.counts["candidates"], 8);
     assert_eq!(again.counts["new_tasks"], 0);
@@ -501,16 +501,16 @@ fn a_candidate_keeps_its_key_and_leaves_the_pairs_when_it_is_judged_unusable() {
     let found =
         pipeline::verify::verify(&site.dataset, &datasets_spec::NoProgress).expect("a dataset");
     assert_eq!(found.findings, Vec::new());
-    // The store takes the dataset again, as a server does at its start.
+    // The store imports the dataset again, as a server does at its start.
     assert_eq!(take_dataset(&site, store).counts["new_tasks"], 0);
-    // A new store has the same key, with the whole answer.
+    // A new store creates the same key, with the whole answer.
     let other = fresh_store(&site, "other.sqlite");
     let whole_answer = BTreeMap::from([(id.to_owned(), pair(Verdict::Keep))]);
     assert_eq!(answers(&other), whole_answer);
     let before = pair_rows(&site);
     commit_answers(&site, &other);
     assert_eq!(pair_rows(&site), before);
-    // Judged again, as unusable, it leaves the dataset.
+    // If the pair is then judged unusable, it is removed from the dataset.
     let task = task_of(store, id).id;
     let why = json!({ "comment": "look again" });
     let reopened = eve.decide(task, 0, Decision::Reopen, why);
@@ -708,7 +708,7 @@ fn a_clip_that_was_ingested_anew_stops_nobody_and_its_tasks_ask() {
     };
     let three = ["mask:clip00", "mask:clip03", "pair:fine-grained0"];
     assert_eq!(asking(), three);
-    // A task without answers only gets the clip.
+    // A task without answers gets the new content, and needs no decision.
     assert_eq!(task_of(store, "mask:clip05").source, hash("clip05"));
     let who = Who {
         id: ann,
@@ -723,7 +723,7 @@ fn a_clip_that_was_ingested_anew_stops_nobody_and_its_tasks_ask() {
     let folder = site.folder.path().join("f");
     let done = write_to(&site, store, &folder, ExportFormat::Csv);
     assert_eq!(done.counts["accepted_before_clip_changed"], 2);
-    // An answer to the new content settles the question, and so does a decision.
+    // An answer to the new content, or a decision, ends the need for a decision.
     answer_in(store, ann, Some(masks("nodding")));
     assert_eq!(asking(), ["mask:clip00", "pair:fine-grained0"]);
     let settle = |key: &str, keeps: bool| {
@@ -741,7 +741,7 @@ fn a_clip_that_was_ingested_anew_stops_nobody_and_its_tasks_ask() {
         panic!("a task to review")
     };
     assert!(review.task.changed);
-    // Two clips change places: each task follows its clip.
+    // Two clips exchange their content: each task follows its clip.
     let (old6, old7) = (hash("clip06"), hash("clip07"));
     ingest_anew(&site, &[(6, 7), (7, 6)], "swapped");
     take_dataset(&site, store);
@@ -755,8 +755,8 @@ fn a_clip_that_was_ingested_anew_stops_nobody_and_its_tasks_ask() {
     whole(store);
 }
 
-/// Exports many tasks in every layout. A short version runs with the other tests; time and memory of a large export
-/// are printed by
+/// Exports many tasks in every layout. A short version runs with the other tests; this command prints time and memory
+/// of a large export:
 ///
 /// ```sh
 /// ANNOTATE_EXPORT=50000 cargo test --release --workspace --test server many_tasks -- --nocapture

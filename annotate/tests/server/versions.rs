@@ -1,4 +1,4 @@
-//! Stores of older versions, as `tests/stores` keeps them: the tables and rows that a release wrote.
+//! Stores of older versions from `tests/stores`: the tables and rows that a release wrote.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -96,7 +96,7 @@ fn a_store_of_each_older_version_is_upgraded_after_a_copy() {
         let store = open_sqlite(&path).expect("opens");
         check_upgraded(&store, version);
         let copy = PathBuf::from(&store.upgrade().expect("an upgrade").copy);
-        // The copy is the store from before.
+        // The copy is the store before the upgrade.
         assert_eq!(user_version(&copy), version);
         drop(store);
         assert_eq!(definitions(&path), definitions(&new), "version {version}");

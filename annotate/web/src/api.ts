@@ -12,7 +12,7 @@ export class ApiError extends Error {
   }
 }
 
-/** The server cannot be reached, or something else answered in its place. */
+/** The server cannot be reached, or something other than the server answered. */
 export class Unreachable extends Error {}
 
 /** Timeout of a request, slightly longer than the server's own. */
@@ -38,7 +38,7 @@ export class Api {
     return this.json<T>("POST", path, body);
   }
 
-  /** Numbers of the server as a typed array. They are little-endian, like every browser's machine. */
+  /** Numbers of the server as a typed array. They are little-endian, like all machines that browsers run on. */
   async floats(method: string, path: string, body?: unknown): Promise<Float32Array> {
     const response = await this.request(method, path, body);
     return new Float32Array(await response.arrayBuffer());
@@ -106,12 +106,12 @@ export function transient(error: ApiError | Problem): boolean {
   return status >= 500 || status === 429 || status === 408 || status === 401;
 }
 
-/** A random name of 32 digits. `crypto.randomUUID` is missing on pages opened over plain HTTP. */
+/** A random name of 32 hexadecimal digits. `crypto.randomUUID` is missing on pages opened over plain HTTP. */
 export function randomName(): string {
   return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
-/** An event with a new idempotency key; repetitions send the same key. */
+/** An event with a new idempotency key. Retries send the same key. */
 export function newEvent(kind: EventKind, fields: Partial<NewEvent> = {}): NewEvent {
   return {
     idem_key: randomName(),
@@ -132,7 +132,7 @@ export function newReview(task: number, decision: Decision): NewReview {
   return { idem_key: randomName(), task, lease_epoch: 0, decision, author: null, answer: null, comment: "" };
 }
 
-/** A query of parameters that have a value, with its question mark; empty without any. */
+/** The query string of the parameters that have a value, with its question mark; empty if there are none. */
 export function queryOf(parameters: Readonly<Record<string, string | number | null>>): string {
   const set = Object.entries(parameters).filter(([, value]) => value !== null && value !== "");
   return set.length === 0 ? "" : `?${new URLSearchParams(set.map(([name, value]) => [name, String(value)])).toString()}`;

@@ -55,11 +55,14 @@ interface Route {
   role: Role;
   open: Open;
   listed: boolean;
-  /** The listed route that it belongs to, if it is not listed itself. */
+  /** For an unlisted route: the listed route that it belongs to. */
   within?: string;
 }
 
-/** How the login dialog opens: on its own page, over the page unasked, or over the page because the user asked. */
+/**
+ * How the login dialog opens: as a page of its own, over the page by itself, or over the page because the user
+ * asked.
+ */
 export type Opening = "page" | "unasked" | "asked";
 
 /** Resolves with the user; or with null if the dialog over the page was cancelled. */
@@ -88,7 +91,7 @@ export class App {
   private readonly chip = h("output", { class: "chip tint", attrs: { "aria-live": "polite", "aria-label": "State of saving" } });
   private readonly stuck = h("button", { class: "stuck danger", attrs: HIDDEN, on: { click: () => void showUnsent(this.outbox, this.parts) } });
   private readonly banner = h("div", { class: "banner warn tint", attrs: { role: "alert", ...HIDDEN } });
-  /** Shows that the session has ended, without taking the focus from a text. */
+  /** Shows that the session has ended, without taking the focus from a text field. */
   private readonly ended = h("div", { class: "banner warn tint", attrs: { role: "alert", ...HIDDEN }, data: { region: "session" } });
   private readonly disk = new DiskWatch({
     ask: async () => (await this.api.attempt<Me>("GET", "me")).read_only,
@@ -97,7 +100,7 @@ export class App {
   });
   private readonly header = h("header", { class: "top", attrs: HIDDEN });
   private tab = "";
-  /** The guide beside the work, while it is open. */
+  /** The guide beside the task, while it is open. */
   private beside: GuideBeside | null = null;
   /** Number of navigations, so that a slow one does not replace a newer one. */
   private opening = 0;
@@ -187,7 +190,7 @@ export class App {
     return box;
   }
 
-  /** Opens the guide beside the work, or closes it. The focus stays where it is. False if no task is shown. */
+  /** Opens or closes the guide beside the task. The focus does not move. Returns false if no task is shown. */
   toggleGuide(): boolean {
     const kind = this.screen?.guide;
     if (!this.screen || !kind) return false;
@@ -202,7 +205,7 @@ export class App {
     return true;
   }
 
-  /** A button that opens the guide beside the work and leaves the focus in the text. */
+  /** A button that opens the guide beside the task and leaves the focus in the text field. */
   guideButton(): HTMLButtonElement {
     const button = keyButton("Guide", this.keys.hint("guide_beside"), () => void this.toggleGuide(), "guide-button small");
     button.addEventListener("mousedown", (event) => event.preventDefault());
@@ -224,7 +227,7 @@ export class App {
     void this.beside.show(screen.guide);
   }
 
-  /** The screen takes no input until `work` is done. `null` if another screen was opened meanwhile. */
+  /** Blocks input to the screen until `work` is done. Resolves with `null` if another screen was opened meanwhile. */
   async waitFor<T>(work: Promise<T>): Promise<T | null> {
     const turn = this.opening;
     const focused = document.activeElement;
@@ -272,7 +275,7 @@ export class App {
     return this.login;
   }
 
-  /** Shows the login dialog, and again when the user asks for it after a Cancel. */
+  /** Shows the login dialog; after a Cancel, shows it again when the user asks for it. */
   private async askLogin(opening: Opening): Promise<Me> {
     for (let how = opening; ; how = "asked") {
       const me = await this.showLogin(this, how);
@@ -292,7 +295,7 @@ export class App {
     this.ended.hidden = false;
   }
 
-  /** Resolves when nobody is typing a text of the page, or the user asks to log in. */
+  /** Resolves when nobody is typing in a text field, or the user asks to log in. */
   private idle(): Promise<Opening> {
     const typing = (): boolean => isTextField(document.activeElement);
     if (!typing()) return Promise.resolve("unasked");
@@ -302,7 +305,7 @@ export class App {
         this.ended.hidden = true;
         resolve(opening);
       };
-      // The next element has the focus only after the event.
+      // The next element gets the focus only after the event.
       const left = (): void => void window.setTimeout(() => (typing() || this.ended.contains(document.activeElement) ? undefined : done("unasked")));
       document.addEventListener("focusout", left);
       this.sayEnded(() => done("asked"));
@@ -366,7 +369,7 @@ export class App {
   private async sendEvents(task: number, events: NewEvent[]): Promise<EventResult[]> {
     try {
       const body = await this.api.attempt<{ results: EventResult[] }>("POST", `tasks/${task}/events`, { events });
-      // A stored event is the proof that the disk takes writes.
+      // A stored event proves that the server's disk takes writes.
       if (body.results.some((result) => result.seq !== null)) this.disk.set(null);
       return body.results;
     } catch (error) {
@@ -475,7 +478,7 @@ export class App {
       if (document.visibilityState !== "hidden") return;
       for (const session of this.sessions) void session.flushDraft();
     });
-    // A page that comes back does not know what the pages after it have sent.
+    // A page restored from the browser's back-forward cache does not know what later pages sent.
     window.addEventListener("pageshow", (event) => event.persisted && window.location.reload());
     window.addEventListener("pagehide", () => {
       leaveTab(sessionStorage);

@@ -3,7 +3,7 @@
 /** Copies a text; false if the browser does not let the page do it. */
 export async function copyText(text: string): Promise<boolean> {
   try {
-    // Absent on pages opened over plain HTTP from another host.
+    // `navigator.clipboard` is missing on pages opened over plain HTTP from another host.
     await navigator.clipboard.writeText(text);
     return true;
   } catch {

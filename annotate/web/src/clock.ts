@@ -1,4 +1,7 @@
-/** One frame counter for all views. They show its integer part and never count frames, so they cannot drift apart. */
+/**
+ * One frame counter for all views. Views show its integer part and never count frames themselves, so they cannot
+ * drift apart.
+ */
 
 export const SPEEDS = [0.1, 0.25, 0.5, 0.75, 1, 1.5, 2] as const;
 
@@ -141,8 +144,8 @@ export interface Length {
 }
 
 /**
- * The frame of a clip at the time of a frame of the clock; after the end of the clip, its last frame. With `stretch`
- * the clip is spread over the whole clock.
+ * The frame of a clip at the time of a frame of the clock; after the end of the clip, its last frame. With
+ * `stretch`, the clip is stretched to the length of the clock.
  */
 export function clipFrame(clockFrame: number, clock: Length, clip: Length, stretch: boolean): number {
   const last = Math.max(0, clip.frames - 1);

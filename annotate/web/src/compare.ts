@@ -22,7 +22,7 @@ export const MARK_WORDS: Readonly<Record<Mark, string>> = {
 
 const NOTHING = "—";
 
-/** The points of both answers, one a row. */
+/** Compares both answers point by point, one row for each. */
 export function compare(parts: Parts, mine: Answer, known: Answer): Compared[] {
   if (mine.kind === "mask_text" || known.kind === "mask_text") {
     return mine.kind === "mask_text" && known.kind === "mask_text" ? compareMasks(parts, mine, known) : [];
@@ -48,7 +48,7 @@ function sets(parts: Parts, what: string, mine: readonly string[], known: readon
   return { what, mine: parts.phrases(mine), known: parts.phrases(known), mark: same ? "same" : "differs" };
 }
 
-/** Left with right arm equals both arms: what counts are the joints. */
+/** Left arm plus right arm equals both arms, because joints are compared. */
 function jointsOf(parts: Parts, names: readonly string[]): number {
   return parts.joints(names, false).hard;
 }
@@ -60,7 +60,7 @@ function compareMasks(parts: Parts, mine: Masks, known: Masks): Compared[] {
   const words = (mask: MaskAnswer): string => `${maskWords(parts, mask)}: ${mask.text || NOTHING}`;
   const scored = ({ parts: names, soft, joints, range }: MaskAnswer): string =>
     JSON.stringify([parts.joints(names, soft, joints).hard, range ?? null]);
-  // Masks of equal joints and frames first, so that none of them is taken by a similar one.
+  // Match masks with equal joints and frames first, so that no similar mask takes their partner.
   const partners = known.masks.map((mask) => {
     const at = left.findIndex((own) => scored(own) === scored(mask));
     return at < 0 ? null : (left.splice(at, 1)[0] ?? null);
@@ -84,7 +84,7 @@ export function summary(rows: readonly Compared[]): string {
   return differing.length === 0 ? "All that is scored equals the known answer." : `Different: ${differing.join(", ")}.`;
 }
 
-/** Joints that one of the answers marks and the other does not. */
+/** Joints that only one of the answers marks. */
 export function differingJoints(parts: Parts, mine: Answer, known: Answer): number {
   return parts.jointsOf(mine).hard ^ parts.jointsOf(known).hard;
 }

@@ -1,7 +1,7 @@
-/** Whether the server can save: shows why not, and asks until it can again. */
+/** Whether the server can save: shows why not, and polls until it can. */
 
 export interface DiskHooks {
-  /** Why the server cannot save at present, or `null`. */
+  /** Requests why the server cannot save; `null` if it can. */
   ask(): Promise<string | null>;
   show(why: string | null): void;
   sleep(ms: number): Promise<void>;
@@ -15,7 +15,7 @@ export class DiskWatch {
 
   constructor(private readonly hooks: DiskHooks) {}
 
-  /** Shows why the server cannot save, `null` if it can, and asks again until it can. */
+  /** Shows why the server cannot save (`null` if it can), and polls until it can. */
   set(why: string | null): void {
     if (why === this.why) return;
     this.why = why;
@@ -27,7 +27,7 @@ export class DiskWatch {
     this.asking = true;
     while (this.why !== null) {
       await this.hooks.sleep(ASK_AFTER_MS);
-      // A failed request does not tell the state of the disk, so keep the last one.
+      // A failed request tells nothing about the disk, so keep the last state.
       this.set(await this.hooks.ask().catch(() => this.why));
     }
     this.asking = false;

@@ -1,4 +1,4 @@
-/** Elements from code: data reaches the page as text nodes and attributes of fixed names, never as markup. */
+/** Creates elements in code: data reaches the page as text nodes and attributes of fixed names, never as markup. */
 
 export type Child = Node | string | number | null | undefined | false;
 
@@ -31,7 +31,7 @@ export function h<K extends keyof HTMLElementTagNameMap>(tag: K, props: Props = 
   return element;
 }
 
-/** Replaces what is in an element. */
+/** Replaces the content of an element. */
 export function fill(parent: Element, ...children: Child[]): void {
   const shown = children.filter((child) => child !== null && child !== undefined && child !== false);
   parent.replaceChildren(...shown.map((child) => (child instanceof Node ? child : String(child))));

@@ -5,7 +5,7 @@ import { KIND_WORDS } from "./words";
 
 const DAY_MS = 24 * 60 * 60 * 1000;
 
-/** Days that the dashboard can show, and what they are called. */
+/** Periods of the dashboard in days, with their labels. */
 export const PERIODS: readonly (readonly [number, string])[] = [
   [7, "7 days"],
   [28, "4 weeks"],
@@ -48,7 +48,7 @@ export interface Work {
 export interface PersonWork {
   user: number;
   name: string;
-  /** One for each date of the period. */
+  /** One entry for each date of the period. */
   days: Work[];
   all: Work;
 }
@@ -60,7 +60,7 @@ export interface Period {
   all: PersonWork;
 }
 
-/** First moment to ask the server for, which counts its day whole. */
+/** Start time for a request to the server, which includes the whole day of this time. */
 export function periodStart(days: number, now: number): number {
   return now - (days - 1) * DAY_MS;
 }
@@ -92,7 +92,7 @@ export function hours(secs: number): string {
   return secs >= 60 ? `${Math.round(secs / 60)} min` : `${Math.ceil(secs)} s`;
 }
 
-/** The weeks from the first one with any work on, at least four. */
+/** The weeks since the first one with any work, at least four. */
 export function workedWeeks(weeks: readonly Week[]): readonly Week[] {
   const first = weeks.findIndex((week) => week.submitted + week.accepted + week.returned + week.shared_items > 0);
   const from = first < 0 ? weeks.length : first;
@@ -127,7 +127,7 @@ function duration(days: number): string {
   return whole < 60 ? count(whole, "day", "days") : `${Math.round(whole / 7)} weeks`;
 }
 
-/** Edit types whose quota is open, the furthest behind first, and those that have enough. Empty without quotas. */
+/** Edit types whose quota is open, the furthest behind first, and types that have enough. Empty without quotas. */
 export function quotaWords(counts: readonly EditTypeCount[]): string {
   const share = ({ kept, wanted }: EditTypeCount): number => kept / wanted;
   const words = ({ edit_type, kept, wanted }: EditTypeCount): string => `${edit_type} (${kept} of ${wanted})`;

@@ -33,7 +33,7 @@ const share: Read<number> = (text) => {
   return value >= 0 && value <= 1 ? value : null;
 };
 
-/** How each field is read. A field that the server knows and this table does not is an error of the compiler. */
+/** Parser of each field. The compiler reports a field of the server that is missing here. */
 const FIELDS: { readonly [K in keyof TaskFilter]-?: Read<NonNullable<TaskFilter[K]>> } = {
   q: words,
   kind: oneOf(TASK_KINDS),
@@ -59,7 +59,7 @@ export function everything(): Chosen {
   return { filter, sort: "id", reverse: false };
 }
 
-/** The filter with the values of some fields as texts. Fields with a text that is no value are named in `refused`. */
+/** The filter with some fields set from texts. Fields with an invalid text are named in `refused`. */
 export function filterOf(values: Iterable<readonly [string, string]>): { filter: TaskFilter; refused: string[] } {
   const { filter } = everything();
   const refused: string[] = [];
@@ -72,7 +72,7 @@ export function filterOf(values: Iterable<readonly [string, string]>): { filter:
   return { filter, refused };
 }
 
-/** Reads the query of an address. Unknown parameters are listed in `refused`. */
+/** Parses the query of an address. Unknown parameters are listed in `refused`. */
 export function readAddress(search: string): { chosen: Chosen; refused: string[] } {
   const query = new URLSearchParams(search);
   const sort = query.get("sort");
@@ -86,7 +86,7 @@ export function readAddress(search: string): { chosen: Chosen; refused: string[]
   return { chosen: { filter, sort: known ?? "id", reverse: reverse === "1" }, refused };
 }
 
-/** The query of an address or a request: fields in a fixed order, without those that are not set. */
+/** The query of an address or a request: fields in a fixed order, without unset fields. */
 export function writeAddress({ filter, sort, reverse }: Chosen): string {
   const query = new URLSearchParams();
   for (const name of NAMES) {

@@ -1,4 +1,4 @@
-/** The guide of a kind of task, as a page and as a column beside the work. */
+/** The guide of a kind of task, as a page and as a column beside the task. */
 
 import { html } from "lit";
 import { reason } from "./api";
@@ -30,7 +30,7 @@ export function formatGuide(text: string): HTMLElement[] {
       if (!list) blocks.push((list = h("ul", {})));
       list.append(h("li", {}, item[1] ?? ""));
     } else if (heading) {
-      // Below the headings of the page.
+      // Headings of the guide are one level below those of the page.
       blocks.push(h((heading[1]?.length ?? 1) === 1 ? "h3" : "h4", {}, heading[2] ?? ""));
     } else if (line.trim() !== "") {
       paragraph.push(line.trim());
@@ -40,7 +40,7 @@ export function formatGuide(text: string): HTMLElement[] {
   return blocks.length > 0 ? blocks : [h("p", { class: "note" }, "Nothing has been written yet.")];
 }
 
-/** The path of a picture below that of the API. */
+/** The path of a picture, relative to the API. */
 export function picturePath(name: string): string {
   return `guide/pictures/${encodeURIComponent(name)}`;
 }
@@ -64,7 +64,7 @@ export function pictureFigure(picture: GuidePicture): HTMLElement {
   return h("figure", { class: `example box edged ${picture.right ? "right" : "wrong"}` }, image, caption);
 }
 
-/** The part of the guide that is about one kind of task. */
+/** The part of the guide for one kind of task. */
 export function kindGuide(guide: Guide, kind: TaskKind, styles: readonly Style[]): HTMLElement[] {
   const own = guide.kinds[kind];
   const form = guide.forms[kind];
@@ -89,7 +89,7 @@ function styleList(styles: readonly Style[]): HTMLElement[] {
   ];
 }
 
-/** The guide in a column beside the work. It takes no focus when it opens. */
+/** The guide in a column beside the task. It takes no focus when it opens. */
 export class GuideBeside {
   readonly element: HTMLElement;
   private readonly title = h("h2", {}, "Guide");

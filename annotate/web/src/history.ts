@@ -33,7 +33,10 @@ export class History<T> {
     return { past: this.past, present: this.current, future: this.future };
   }
 
-  /** Adds a state. Edits of the same `kind` in a row, such as letters of a text, are one step; others are one each. */
+  /**
+   * Adds a state. Consecutive edits of the same `kind`, such as typed letters, are one step; other edits are one
+   * step each.
+   */
   push(state: T, kind: string | null = null): void {
     if (same(state, this.current)) return;
     if (kind === null || kind !== this.kind) {
@@ -46,7 +49,7 @@ export class History<T> {
     this.onChange(this.data);
   }
 
-  /** Starts a new step with the next edit, whatever its kind. */
+  /** Makes the next edit a new step, whatever its kind. */
   seal(): void {
     this.kind = null;
   }
@@ -95,7 +98,10 @@ interface Saved<T> {
   data: HistoryData<T>;
 }
 
-/** Stores a history for the next page; at once, because leaving the page aborts pending writes of IndexedDB. */
+/**
+ * Stores a history for the next page. The write is synchronous, because leaving the page aborts pending writes of
+ * IndexedDB.
+ */
 export function saveHistory<T>(chain: string, data: HistoryData<T>): void {
   const store = (past: T[]): void => {
     const saved: Saved<T> = { at: Date.now(), data: { ...data, past } };
@@ -137,7 +143,7 @@ function prune(olderMs: number, except: string): void {
   for (const key of Object.keys(localStorage)) {
     if (!key.startsWith("annotate:") || !key.includes(MARK) || key === keyOf(except)) continue;
     const saved = kept<Saved<unknown>>(key);
-    // Unreadable ones go, too.
+    // Remove unreadable histories, too.
     if (!saved || !(Date.now() - saved.at < olderMs)) localStorage.removeItem(key);
   }
 }

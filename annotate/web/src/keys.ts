@@ -123,7 +123,7 @@ void ALL_ACTIONS_HAVE_KEYS;
 
 export const DEFAULT_ACTIONS: readonly Action[] = ACTIONS.map(([id, label, scope, chords]) => ({ id, label, scope, chords }));
 
-/** Keys of the parts, in the order of `SkeletonInfo.parts`. */
+/** Actions that toggle parts, in the order of `SkeletonInfo.parts`. */
 export const PART_ACTIONS: readonly ActionId[] = DEFAULT_ACTIONS.filter(({ scope }) => scope === "parts").map(({ id }) => id);
 
 export function isAction(name: string): name is ActionId {
@@ -166,7 +166,7 @@ export function chordOf(press: Press): string | null {
 
 /** Whether the focused element handles the chord itself. */
 function inert(chord: string, focus: Focus): boolean {
-  // Tab moves the focus on, except from the text of a card to that of the next.
+  // Tab moves the focus to the next control, except from the text of a card to the text of the next card.
   if (chord === "Tab" || chord === "Shift+Tab") return focus !== "card";
   if (focus === "stage") return false;
   if (chord === "Escape" || /^(Shift\+)?F\d+$/.test(chord)) return false;
@@ -243,7 +243,7 @@ export class KeyMap {
     this.printed = labels;
   }
 
-  /** The action of a chord in these scopes, with this focus, and whether it is a step of ten. */
+  /** The action of a chord in these scopes, with this focus, and whether it is a step of ten frames. */
   find(chord: string, scopes: readonly Scope[], focus: Focus): { id: ActionId; ten: boolean } | null {
     if (inert(chord, focus)) return null;
     const exact = this.lookUp(chord, scopes);

@@ -1,4 +1,4 @@
-/** The key sheet, where every key can be changed. */
+/** The key sheet, in which every key can be changed. */
 
 import { fill, h, setAttr } from "./dom";
 import { DEFAULT_ACTIONS, chordOf, type ActionId, type KeyMap, type KeyOverrides, type Scope } from "./keys";

@@ -1,4 +1,4 @@
-/** Lanes along the timeline: the frames that masks hold for. The ends of the chosen mask's bar are handles. */
+/** Lanes along the timeline: the frame ranges of masks. The ends of the selected mask's bar are handles. */
 
 import { h, setAttr } from "./dom";
 import { movedEnd, rangeWords, type Span } from "./masks";
@@ -6,7 +6,7 @@ import type { MaskAnswer } from "./wire";
 
 /** Receives a range while one of its ends is moved. */
 export interface RangeEdit {
-  /** `frame` is the frame at the end that moves. */
+  /** `frame` is the frame at the end that is being moved. */
   move(range: [number, number], frame: number): void;
   done(): void;
 }
@@ -15,7 +15,7 @@ type Edge = 0 | 1;
 
 const EDGES = ["First frame", "Last frame"] as const;
 
-/** Frames by which a key moves an end; with Shift ten times as many. */
+/** Frames by which a key moves an end; ten times as many with Shift. */
 const STEPS: Readonly<Record<string, number>> = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, Home: -Infinity, End: Infinity };
 
 const TONES = ["#2f8f5b", "#8d5bc0", "#a98412", "#16899c", "#c2488b", "#71808f"];
@@ -33,7 +33,7 @@ export class RangeLanes {
     private readonly fps: number,
   ) {}
 
-  /** Shows the masks that hold for a range. With `edit` the ends of the chosen one can be moved. */
+  /** Shows the masks with a range. With `edit`, the ends of the selected one can be moved. */
   show(masks: readonly MaskAnswer[], chosen = -1, edit: RangeEdit | null = null): void {
     const ranges = masks.flatMap(({ range }, index) => (range ? [{ range, index }] : []));
     const { children } = this.element;
@@ -56,7 +56,7 @@ export class RangeLanes {
     const [label, plot] = row.children as unknown as [HTMLElement, HTMLElement];
     label.textContent = `mask ${index + 1}`;
     plot.firstElementChild?.setAttribute("aria-label", `mask ${index + 1}: ${rangeWords(range, this.fps)}`);
-    // A clip that was ingested anew may be shorter than the range.
+    // A clip that was ingested again may be shorter than the range.
     const share = (frame: number): string => String(Math.min(1, frame / this.frames));
     plot.style.setProperty("--from", share(range[0]));
     plot.style.setProperty("--to", share(range[1]));
@@ -70,7 +70,7 @@ export class RangeLanes {
       setAttr(handle, "aria-valuemax", most);
       setAttr(handle, "aria-valuenow", now);
       setAttr(handle, "aria-valuetext", `frame ${now} of ${this.frames}`);
-      // Moved in the page, an element would lose the focus and the pointer.
+      // Moving an element in the page would lose the focus and the pointer capture.
       if (handle.parentElement?.parentElement !== row) row.lastElementChild?.append(handle);
     });
   }
@@ -98,7 +98,7 @@ export class RangeLanes {
   private press(edge: Edge, event: KeyboardEvent): void {
     const by = STEPS[event.key];
     if (by === undefined || event.ctrlKey || event.metaKey || event.altKey || !this.open) return;
-    // The keys of the page would step the playback.
+    // Without this, the page's keys would step the playback.
     event.preventDefault();
     this.move(edge, this.open.range[edge] + by * (event.shiftKey ? 10 : 1));
   }

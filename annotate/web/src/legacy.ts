@@ -1,4 +1,4 @@
-/** Takes over events that an earlier version of the page left unsent. */
+/** Handles events that an earlier version of the page left unsent. */
 
 import { BrowserStore, type KeyValue } from "./db";
 import type { OutboxItem } from "./outbox";

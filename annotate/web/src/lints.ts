@@ -13,7 +13,7 @@ export interface Lint {
 type Side = "left" | "right";
 type Limb = "arm" | "leg";
 
-/** The side that a part is on, and the limb that it is or has, by its name: `LEFT_ARM`, `UPPER_BODY`, `TORSO`. */
+/** The side of a part, and the limb that it is or contains, by its name: `LEFT_ARM`, `UPPER_BODY`, `TORSO`. */
 const sideOf = (part: string): Side[] => (["left", "right"] as const).filter((side) => part.startsWith(`${side.toUpperCase()}_`));
 const limbsOf = (part: string): Limb[] => (/ARM|UPPER/.test(part) ? ["arm"] : /LEG|LOWER/.test(part) ? ["leg"] : []);
 
@@ -22,7 +22,10 @@ const LIMB_WORDS: Readonly<Record<Limb, RegExp>> = {
   leg: /\b(legs?|foot|feet|knees?|ankles?|thighs?|shins?|toes?|heels?)\b/i,
 };
 
-/** Without such a word after it, "turns left" or "to the right" states a direction, and "right away" no side at all. */
+/**
+ * Unless a word of the body follows, "turns left" or "to the right" is a direction, and "right away" is no side at
+ * all.
+ */
 const BODY_WORD = "(?:\\s+(?:upper\\s+|lower\\s+)?(?:arm|hand|elbow|wrist|shoulder|forearm|fist|leg|foot|knee|hip|ankle|thigh|shin|toe|heel|side)s?\\b)";
 const DIRECTIONS = new RegExp(
   `\\b(?:(?:to|toward|towards|from)\\s+(?:the|its|his|her|their)\\s+|(?:turn|step|lean|move|walk|look|veer|twist|sway)(?:s|ed|ing)?\\s+|all\\s+)(?:left|right)\\b(?!${BODY_WORD})|\\bright\\s+(?:away|after|before|now|then)\\b`,
@@ -56,7 +59,7 @@ export function lintText(text: string, parts: readonly string[]): Lint[] {
   return found;
 }
 
-/** The named items, if the mask has exactly one item and the text does not name that one; else none. */
+/** The named items, if the mask has exactly one item and the text does not name it; otherwise none. */
 function strangers<T>(mask: ReadonlySet<T>, named: readonly T[]): readonly T[] {
   return mask.size !== 1 || named.some((own) => mask.has(own)) ? [] : named;
 }

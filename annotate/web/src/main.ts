@@ -41,7 +41,7 @@ const app = new App(
   showLogin,
 );
 
-// The token leaves the address bar and the history before anything can fail.
+// Remove the token from the address bar and the history before anything can fail.
 const token = new URLSearchParams(window.location.hash.slice(1)).get("token");
 if (token !== null) window.history.replaceState(null, "", window.location.pathname + window.location.search);
 

@@ -3,7 +3,7 @@
 import type { Parts } from "./parts";
 import { SHORTEST_RANGE, type JointWeight, type MaskAnswer } from "./wire";
 
-/** The first frame, and the one after the last. */
+/** A half-open range of frames. */
 export type Span = readonly [number, number];
 
 /** Words for a joint's weight: "hard left collar", "no left wrist". */
@@ -12,15 +12,15 @@ const WEIGHT_WORDS: Readonly<Record<JointWeight, string>> = { hard: "hard", soft
 /** The name of a joint in words: "left collar". */
 export const jointPhrase = (joint: string): string => joint.replaceAll("_", " ");
 
-/** A range as people count frames, from 1: "frames 41 to 70", with its length in seconds where the rate is known. */
+/** A range in words, with frames counted from 1: "frames 41 to 70", and its length in seconds if the rate is known. */
 export function rangeWords([start, end]: Span, fps: number | null = null): string {
   const secs = fps === null ? "" : `, ${((end - start) / fps).toFixed(1)} s`;
   return `frames ${start + 1} to ${end}${secs}`;
 }
 
 /**
- * Problem of a range in a clip of `frames` frames, in the server's words after the mask's name; `null` if there is
- * none.
+ * Problem of a range in a clip of `frames` frames, in the server's words, to follow the mask's name; `null` if
+ * there is none.
  */
 export function rangeProblem([start, end]: Span, frames: number): string | null {
   const whole = "or let it hold for the whole clip";
@@ -31,7 +31,7 @@ export function rangeProblem([start, end]: Span, frames: number): string | null 
   return null;
 }
 
-/** A range with one end moved, as far as the other end and the clip allow. */
+/** A range with one end moved, limited by the other end and the clip. */
 export function movedEnd([start, end]: Span, edge: 0 | 1, to: number, frames: number): [number, number] {
   if (edge === 0) return [Math.min(Math.max(to, 0), end - 1), end];
   return [start, Math.min(Math.max(to, start + 1), frames)];
@@ -47,7 +47,7 @@ export function maskWords(parts: Parts, mask: MaskAnswer): string {
   return parts.phrases(mask.parts) + (more.length > 0 ? ` (${more.join(", ")})` : "");
 }
 
-/** Equal for masks of equal parts, choices and frames. */
+/** A key that is equal for masks of equal parts, choices and frames. */
 export function maskKey({ parts, joints = [], range = null }: Pick<MaskAnswer, "parts" | "joints" | "range">): string {
   return JSON.stringify([[...parts].sort(), joints, range]);
 }

@@ -13,7 +13,7 @@ export function shortName(id: string): string {
   return id.split("/").at(-1) ?? id;
 }
 
-/** The clip of the keypoints of all frames. */
+/** The clip with these keypoints of all frames. */
 export function trackOf(data: Float32Array, fps: number): Track {
   return { frames: Math.floor(data.length / (POINTS * 3)), points: POINTS, fps, data };
 }

@@ -15,8 +15,8 @@ const MAX_LINES = 1000;
 const MAX_NAME = 64;
 
 /**
- * Reads lines of a name, and a role after a comma, semicolon or tab. Empty lines and a heading do not count. `known`
- * are the names that are taken.
+ * Parses lines of a name, and a role after a comma, semicolon or tab. Empty lines and a heading are skipped.
+ * `known` are the names that are taken.
  */
 export function readNewcomers(text: string, known: ReadonlySet<string>): Newcomer[] {
   const found: Newcomer[] = [];
@@ -51,7 +51,7 @@ export function linkOf(user: NewUserLink, origin: string): string {
   return `${origin}${user.path}`;
 }
 
-/** One line for each user: name, role and link, parted by tabs, for a message or a spreadsheet. */
+/** One line for each user: name, role and link, separated by tabs, for a message or a spreadsheet. */
 export function linkLines(users: readonly NewUserLink[], origin: string): string {
   return users.map((user) => `${user.user.name}\t${user.user.role}\t${linkOf(user, origin)}\n`).join("");
 }

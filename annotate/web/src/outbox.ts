@@ -20,14 +20,20 @@ export interface OutboxItem {
   task: number;
   chain: string;
   event: NewEvent;
-  /** Whether it was sent before: the server may have applied it, so it is repeated unchanged, and not replaced. */
+  /**
+   * Whether the event was sent before. The server may have applied it, so it is repeated unchanged and not
+   * replaced.
+   */
   sent: boolean;
   problem: Problem | null;
 }
 
-/** Keeps events at once, until the database has them: a page that is left loses what its database has not finished. */
+/**
+ * Stores events synchronously until the database has stored them: leaving a page aborts unfinished writes of its
+ * database.
+ */
 export class Journal {
-  /** `prefix` names the project and the person. */
+  /** `prefix` identifies the project and the person. */
   constructor(
     private readonly prefix: string,
     private readonly storage: Pick<Storage, "length" | "key" | "getItem" | "setItem" | "removeItem">,
@@ -43,7 +49,7 @@ export class Journal {
     try {
       this.storage.setItem(this.prefix + item.key, JSON.stringify(item));
     } catch {
-      // Storage is full; the database has room of its own.
+      // Storage is full; the database has separate space.
     }
   }
 
@@ -68,7 +74,7 @@ export interface OutboxStatus {
 }
 
 export interface OutboxHooks {
-  /** Sends events; throws [`ApiError`] or [`Unreachable`]. */
+  /** Sends events; throws `ApiError` or `Unreachable`. */
   send(task: number, events: NewEvent[]): Promise<EventResult[]>;
   login(): Promise<void>;
   sleep(ms: number): Promise<void>;
@@ -105,7 +111,7 @@ export class Outbox {
     private readonly hooks: OutboxHooks,
   ) {}
 
-  /** Loads the events that an earlier page stored, and those that it only had time to write to the journal. */
+  /** Loads the events that an earlier page stored in the database, and those that it only wrote to the journal. */
   async open(): Promise<void> {
     await this.reload();
     const stored = new Set(this.items.map((item) => item.key));
@@ -151,7 +157,7 @@ export class Outbox {
         hasAnswer(item) &&
         (old.problem !== null ? hasAnswer(old) : old.event.kind === "draft" && !old.sent),
     );
-    // The working time of a replaced draft would be lost with it.
+    // Keep the working time of the replaced draft.
     const secs = replaced.reduce((sum, old) => sum + (old.event.secs ?? 0), event.secs);
     item.event = { ...event, secs: Math.round(secs * 10) / 10 };
     this.items = [...this.items.filter((old) => !replaced.includes(old)), item];
@@ -190,12 +196,12 @@ export class Outbox {
     return this.running;
   }
 
-  /** Resolves when no event of the task waits to be sent: each is acknowledged or refused. */
+  /** Resolves when every event of the task is acknowledged or refused. */
   settled(task: number): Promise<void> {
     return this.when(() => !this.items.some((item) => item.task === task && item.problem === null));
   }
 
-  /** Resolves when no event waits to be sent, or the server does not answer. */
+  /** Resolves when every event is acknowledged or refused, or the server does not answer. */
   drained(): Promise<void> {
     return this.when(() => this.phase === "offline" || this.items.every((item) => item.problem !== null));
   }
@@ -268,8 +274,8 @@ export class Outbox {
   private async settle(item: OutboxItem, result: EventResult): Promise<void> {
     const problem = result.problem;
     if (problem && transient(problem)) throw new ApiError(problem);
-    // After a lost lease the server keeps the text as a draft, which acknowledges it. A refused event without an
-    // answer, such as undo, has nothing to lose.
+    // After a lost lease the server keeps the text as a draft and acknowledges it. A refused event without an answer,
+    // such as undo, loses nothing.
     if (problem && problem.code !== "lease_lost" && hasAnswer(item)) {
       item.problem = problem;
       await this.store.put("outbox", item.key, item);

@@ -3,7 +3,7 @@
 import { PLAIN, bits, has, type JointBits, type Paint } from "./stage/body";
 import { JOINT_WEIGHTS, type Answer, type JointChoice, type JointWeight, type MaskAnswer, type PartInfo, type SkeletonInfo } from "./wire";
 
-/** Joints that can be in a mask: the body's, without eyes and knuckles. */
+/** Joints that masks can contain: those of the body, without eyes and knuckles. */
 const BODY_JOINTS = 22;
 
 interface Joints {
@@ -33,7 +33,7 @@ export class Parts {
     return names.length === 0 ? "no part yet" : names.map((name) => this.phrase(name)).join(" + ");
   }
 
-  /** Joints of several parts; a joint that is hard in one of them is hard. A choice for a joint comes before its parts. */
+  /** Joints of several parts. A joint that is hard in one of them is hard. A choice for a joint overrides its parts. */
   joints(names: readonly string[], soft: boolean, choices: readonly JointChoice[] = []): Joints {
     const parts = names.map((name) => this.byName.get(name)).filter((part) => part !== undefined);
     const chosen = (weight: JointWeight | null): JointBits => {
@@ -67,8 +67,8 @@ export class Parts {
   }
 
   /**
-   * A mask in the form that is sent: without choices that change nothing, in the order of the body, and without
-   * empty fields.
+   * A mask in the form to send: without choices that change nothing, in the order of the body, and without empty
+   * fields.
    */
   tidy(mask: MaskAnswer): MaskAnswer {
     const { joints, range, ...rest } = mask;

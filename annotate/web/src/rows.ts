@@ -1,16 +1,16 @@
-/** Long lists: rows that are fetched page by page, and the part of them that is drawn. */
+/** Long lists: rows that are fetched page by page, and the range of rows that is drawn. */
 
 /** Rows drawn above and below the visible ones. */
 const MARGIN = 8;
 
-/** The rows to draw, from `first` up to and without `end`. */
+/** The rows to draw, from `first` up to but not including `end`. */
 export function windowOf(scrollTop: number, height: number, rowHeight: number, total: number): { first: number; end: number } {
   const end = Math.min(total, Math.max(0, Math.ceil((scrollTop + height) / rowHeight) + MARGIN));
   const first = Math.min(end, Math.max(0, Math.floor(scrollTop / rowHeight) - MARGIN));
   return { first, end };
 }
 
-/** The scroll position nearest to the present one that shows the whole row. */
+/** The scroll position nearest to the current one that shows the whole row. */
 export function reveal(row: number, scrollTop: number, height: number, rowHeight: number): number {
   const top = row * rowHeight;
   return Math.min(top, Math.max(scrollTop, top + rowHeight - height));
@@ -24,7 +24,7 @@ export interface Page<T> {
   total: number | null;
 }
 
-/** Rows of a list, fetched in order: each page begins where the one before ended. */
+/** Rows of a list, fetched in order: each page begins where the previous one ended. */
 export class PagedRows<T extends { id: number }> {
   readonly rows: T[] = [];
   total = 0;
@@ -45,7 +45,7 @@ export class PagedRows<T extends { id: number }> {
     return this.begun && this.next === null;
   }
 
-  /** Fetches pages until there are `end` rows. A later call that wants fewer makes it stop earlier. */
+  /** Fetches pages until there are `end` rows. A later call with a smaller `end` makes it stop earlier. */
   want(end: number): Promise<void> {
     this.wanted = Math.max(1, end);
     this.loading ??= this.load().finally(() => {

@@ -27,9 +27,9 @@ export class TaskSession<A extends Answer> implements OpenSession {
   private refused = false;
   /** Whether the user has been idle for so long that the lease is not renewed. */
   private resting = false;
-  /** The latest revision known to this editor. */
+  /** The latest revision that this editor knows. */
   private rev: number;
-  /** A version from another window, until the user has chosen. */
+  /** A version from another window, until the user has chosen a version. */
   private conflict: { theirs: Revision; box: ConflictBox } | null = null;
   private claiming: Promise<boolean> | null = null;
   readonly chain: string;
@@ -50,8 +50,8 @@ export class TaskSession<A extends Answer> implements OpenSession {
   }
 
   /**
-   * Opens a task with this tab's last state. If somebody else wrote since, opens the server's state, with this
-   * tab's one undo step away.
+   * Opens a task with the last state of this tab. If the server has a newer version, opens that version; one undo
+   * step restores the state of this tab.
    */
   static async open<A extends Answer>(
     app: App,
@@ -205,7 +205,10 @@ export class TaskSession<A extends Answer> implements OpenSession {
     this.submitted = false;
   }
 
-  /** Sends the event that ends the task, and waits as long as the server takes, and for a lease to be taken again. */
+  /**
+   * Sends the event that ends the task, and waits for the server's answer, and for a new claim if the lease was
+   * lost.
+   */
   private async end(kind: "submit" | "skip" | "postpone", rest: Partial<NewEvent>): Promise<Ending> {
     if (kind === "postpone") await this.flushDraft();
     this.cancelDraft();
@@ -222,7 +225,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     return stuck || this.refused ? "refused" : "done";
   }
 
-  /** Lets the user choose between this page's answer and one from another window, without disturbing them. */
+  /** Lets the user choose between this page's answer and one from another window, without interrupting their typing. */
   private async meet(theirs: Revision): Promise<void> {
     this.cancelDraft();
     if (same(theirs.answer, this.history.present)) return this.resolve("theirs", theirs);
@@ -241,7 +244,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     this.app.refreshChip();
   }
 
-  /** Continues with the chosen version. `mine` is what this page shows now, not what was sent. */
+  /** Continues with the chosen version. `mine` is what this page shows now, not what it sent. */
   private async resolve(version: Version, theirs: Revision): Promise<void> {
     this.conflict?.box.remove();
     this.conflict = null;
@@ -252,7 +255,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     this.history.seal();
     this.history.push(chosen);
     if (!same(chosen, mine)) this.onReplaced(chosen);
-    // Refresh before an event waits, so that the page never shows this version as saved.
+    // Refresh the chip before an event waits, so that the page never shows this version as saved.
     if (same(chosen, other)) this.app.refreshChip();
     else this.schedule();
     await this.app.outbox.discard(this.chain);
@@ -305,7 +308,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
       } else if (error instanceof ApiError && error.problem.status === 401) {
         void this.app.requireLogin();
       }
-      // Other errors are transient, or appear when something is saved.
+      // Other errors are transient, or are shown when something is saved.
     }
   }
 

@@ -16,7 +16,7 @@ export const STANDING_WORDS: Readonly<Record<Standing, string>> = {
   practice: "Practice",
 };
 
-/** State of an answer, as a sentence without its end. */
+/** State of an answer, as a sentence without a full stop. */
 export function standingWords(answer: MyAnswer): string {
   const { standing, missing, task, feedback } = answer;
   switch (standing) {

@@ -24,7 +24,7 @@ const EVENTS: Readonly<Record<string, string>> = {
   retargeted: "wants another number of people",
 };
 
-/** Entries of the log in words; equal ones that follow each other are one line. */
+/** Entries of the log in words. Consecutive equal entries are one line. */
 export function storyOf(history: readonly AuditEntry[]): { at: number; who: string; what: string }[] {
   const lines: { at: number; who: string; what: string; count: number }[] = [];
   for (const entry of history) {

@@ -35,7 +35,7 @@ export function heatColour(value: number): string {
 /** Gaps in seconds that do not end a span. */
 const SAME_SPAN_SECS = 0.15;
 
-/** Where the values of a row reach `least`, in seconds: "0.4 to 1.2 s, 2.0 to 2.4 s"; empty if nowhere. */
+/** Time spans in which the values of a row reach `least`: "0.4 to 1.2 s, 2.0 to 2.4 s"; empty if there are none. */
 export function spans(values: ArrayLike<number>, least: number, fps: number): string {
   const found: [number, number][] = [];
   for (let column = 0; column < values.length; column += 1) {

@@ -3,7 +3,7 @@
 import { randomName } from "./api";
 
 const NAME = "tab";
-/** Set while no page of the tab is open. A name without it is in use, or its page was killed. */
+/** Key that is set while no page of the tab is open. Without it, the name is in use, or its page was killed. */
 const FREE = "tab-free";
 
 type TabStorage = Pick<Storage, "getItem" | "setItem" | "removeItem">;
@@ -13,13 +13,13 @@ export interface TabLocks {
   request(name: string, options: { ifAvailable?: boolean }, held: (lock: unknown) => Promise<void>): Promise<unknown>;
 }
 
-/** The name of this tab, the same over reloads. A duplicated tab, which has a copy of the name, gets a new name. */
+/** The name of this tab, which reloads keep. A duplicated tab, which has a copy of the name, gets a new name. */
 export async function nameOfTab(storage: TabStorage, locks: TabLocks | undefined): Promise<string> {
   const known = storage.getItem(NAME);
   const free = storage.getItem(FREE) !== null;
   storage.removeItem(FREE);
   if (known !== null && free) {
-    // The page before may not have given its lock back yet.
+    // The previous page may not have released its lock yet.
     void locks?.request(lockOf(known), {}, forever);
     return known;
   }

@@ -43,7 +43,7 @@ export class Toasts {
 /** Milliseconds without a key press before keys are accepted again. */
 const DEAF_MS = 1000;
 
-/** Ignores keys until none was pressed for a second, then calls `after`: a box has opened by itself. */
+/** Ignores keys until none was pressed for a second, then calls `after`. For boxes that open by themselves. */
 export function deaf(after: () => void): void {
   const hear = (): void => {
     window.removeEventListener("keydown", ignore, true);
@@ -68,7 +68,7 @@ export interface Choice<T> {
   hint?: string;
 }
 
-/** A modal dialog; `null` for Cancel and Escape. One whose first choice only closes it needs no Cancel. */
+/** A modal dialog; `null` for Cancel and Escape. A dialog whose first choice only closes it has no Cancel. */
 export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>[], focus?: HTMLElement): Promise<T | null> {
   return new Promise((resolve) => {
     const finish = (value: T | null): void => {
@@ -102,7 +102,7 @@ export function ask<T>(title: string, body: Child[], choices: readonly Choice<T>
   });
 }
 
-/** A modal dialog with a title. Escape calls `cancel`, which closes it or not. */
+/** A modal dialog with a title. Escape calls `cancel`, which decides whether the dialog closes. */
 export function openDialog(title: string, cancel: () => void, ...body: Child[]): HTMLDialogElement {
   const dialog = h("dialog", { class: "dialog", attrs: { "aria-label": title, tabindex: -1 } }, h("h2", {}, title), ...body);
   dialog.addEventListener("cancel", (event) => {
@@ -191,7 +191,7 @@ export function select<T extends string>(options: readonly (readonly [T, string]
 
 /**
  * Repeats a step, which returns its progress, until it returns false or the user stops it. Returns whether the user
- * did.
+ * stopped it.
  */
 export async function inSteps(title: string, total: number, step: (done: (count: number) => void) => Promise<boolean>): Promise<boolean> {
   let stopped = false;

@@ -17,7 +17,7 @@ export interface Clip {
   label: string;
 }
 
-/** How clips are shown; what is stored does not change. */
+/** How clips are shown. Stored data does not change. */
 interface View {
   layout: "single" | "side_by_side" | "ghost";
   swapped: boolean;
@@ -135,7 +135,7 @@ export class Viewer {
       this.clock.resize(this.length());
       if (playing) this.clock.play(true);
     }
-    // A change of the ghost's position moves no camera.
+    // A change of the ghost's position does not move the camera.
     if (change.together === undefined) this.arrange();
     else this.update(this.clock.now);
   }

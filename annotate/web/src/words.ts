@@ -1,4 +1,4 @@
-/** Words for the names of the API, and the answers of the single kinds of task. */
+/** Words for names of the API, and the type of an answer for each kind of task. */
 
 import {
   COUNT_REASONS,
@@ -111,7 +111,7 @@ const NOW: Readonly<Record<TaskState, string>> = {
   dropped: "dropped since",
 };
 
-/** Present state of a decision: it still stands, or the state that its task has now. */
+/** Current result of a decision: that it is still valid, or the current state of its task. */
 export function becameOf({ decision, state, authors }: Pick<DecisionRow, "decision" | "state" | "authors">): string {
   const accepts = decision === "accepted" || decision === "merged";
   if ((accepts && state === "accepted") || (decision === "dropped" && state === "dropped")) return "stands";
@@ -127,7 +127,7 @@ export function apartWords(distance: number): string {
   return `are ${share} apart; what differs glows`;
 }
 
-/** The paragraphs of a text, which empty lines part. */
+/** The paragraphs of a text, separated by empty lines. */
 export function paragraphs(text: string): string[] {
   return text
     .split(/\r?\n[ \t]*\r?\n/)

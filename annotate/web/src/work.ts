@@ -7,7 +7,7 @@ export class WorkClock {
   private ms = 0;
   private last = performance.now();
 
-  /** Something was done: the time since the last action was work, unless it was a pause. */
+  /** Records an action of the user: the time since the last one was work, unless it was a pause. */
   active(): void {
     const now = performance.now();
     const passed = now - this.last;
@@ -19,7 +19,7 @@ export class WorkClock {
     return performance.now() - this.last;
   }
 
-  /** The seconds worked since they were last taken. */
+  /** The seconds worked since the last call. */
   take(): number {
     this.active();
     const secs = Math.round(this.ms / 100) / 10;

@@ -29,7 +29,7 @@ test("no two actions that are active together share a key", () => {
 
 test("keys are bound by position, whatever is printed on them", () => {
   const keys = new KeyMap();
-  // On AZERTY the key at this place types "w"; it is still the key of undo.
+  // On AZERTY, the key in this position types "w"; it is still the key of undo.
   assert.equal(chordOf(press("KeyZ", { ctrlKey: true })), "Ctrl+KeyZ");
   assert.equal(keys.find("Ctrl+KeyZ", MASK, "stage")?.id, "undo");
   keys.setPrinted(new Map([["KeyZ", "w"]]));

@@ -42,7 +42,7 @@ test("choices come before the parts, on the body and in the order of its joints"
   assert.deepEqual(own.joints?.map(({ joint }) => joint), ["pelvis", "left_collar"]);
   assert.deepEqual(parts.joints(own.parts, own.soft, own.joints), { hard: bits([2, 3]), soft: bits([0]) });
   assert.deepEqual(parts.jointsOf(answer(own, mask({ parts: ["LEFT_LEG"] }))), { hard: bits([1, 2, 3]), soft: bits([0]) });
-  // Without the ring, a choice against a joint of it changes nothing.
+  // Without the ring, excluding one of its joints changes nothing.
   const without = parts.tidy(mask({ soft: false, joints: [{ joint: "left_collar", weight: "none" }] }));
   assert.equal(without.joints, undefined);
   assert.equal(maskWords(parts, own), "left arm (soft pelvis, hard left collar)");

@@ -9,14 +9,14 @@ import { TestStorage, answer, gate, problem, turn, written } from "./support";
 const event = (kind: NewEvent["kind"], text: string, base_rev = 0): NewEvent =>
   newEvent(kind, { lease_epoch: 1, base_rev, answer: answer(text) });
 
-/** A server that gives each event once a revision, and can be told to fail. */
+/** A server that gives each event a revision once, and fails on request. */
 class Server {
   readonly log: { task: number; event: NewEvent }[] = [];
   private readonly results = new Map<string, EventResult>();
   private readonly revs = new Map<number, number>();
-  /** What the next requests meet, before the server acts (`lost` after it). */
+  /** Faults of the next requests, before the server acts; `lost` is after it acts. */
   readonly faults: (Error | "lost" | Problem)[] = [];
-  /** Checks `base_rev` as the real one does. */
+  /** Whether to check `base_rev` like the real server. */
   strict = true;
 
   async send(task: number, events: NewEvent[]): Promise<EventResult[]> {
@@ -69,7 +69,7 @@ interface Setting {
   server?: Server;
   store?: MemoryStore;
   user?: number;
-  /** What is stored at once, whatever becomes of the page. */
+  /** Storage that is written at once and outlives the page. */
   storage?: TestStorage;
 }
 
@@ -124,7 +124,7 @@ test("drafts that wait are replaced by newer ones of the same editor alone", asy
   const { server, box } = await bench();
   const send = server.send.bind(server);
   server.send = (task, events) => passed.then(() => send(task, events));
-  // The first is on its way at once; the three after it wait.
+  // The first event is sent at once; the next three wait.
   await box.add(7, "a", event("draft", "one"));
   await turn();
   await box.add(7, "a", event("draft", "two"));
@@ -207,7 +207,7 @@ test("two editors of one task meet in a conflict that shows both texts", async (
   assert.deepEqual(last.item.event.answer, answer("second"));
   assert.deepEqual(theirsOf(last)?.answer, answer("theirs"));
   assert.equal(box.status.stuck, 1, "the text stays in the box");
-  // The person decided; the chain goes on from the revision it has seen now.
+  // The person has decided; the chain continues from the revision that it knows now.
   await box.discard("tab-two");
   await box.setRev("tab-two", 1);
   await box.add(7, "tab-two", event("draft", "merged"));
@@ -225,7 +225,7 @@ test("what cannot be taken stays, and does not hold up other tasks", async () =>
   assert.equal(box.status.stuck, 1);
   assert.equal(server.log.length, 1);
   assert.equal(outcomes[0]?.result.problem?.code, "invalid");
-  // The corrected answer takes the place of the stuck one.
+  // The corrected answer replaces the stuck one.
   await box.add(7, "a", event("submit", "better"));
   await box.flush();
   assert.equal(box.status.stuck, 0);

@@ -32,7 +32,7 @@ test("a row is revealed by the shortest way", () => {
   assert.equal(reveal(2, 500, HEIGHT, ROW), 100, "up to it");
 });
 
-/** A server with `count` rows in pages of `size`, and the cursors it was asked for. */
+/** A server with `count` rows in pages of `size`, and the requested cursors. */
 function server(count: number, size: number): { asked: (string | null)[]; fetch: (after: string | null) => Promise<Page<Row>> } {
   const asked: (string | null)[] = [];
   return {

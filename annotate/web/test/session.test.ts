@@ -11,13 +11,13 @@ import type { EventResult, Lease, NewEvent, TaskView } from "../src/wire";
 import type { MaskTextAnswer } from "../src/words";
 import { TestStorage, answer, gate, problem, turn, written } from "./support";
 
-/** The parts of a browser that a session uses, with timers that run when a test says so. */
+/** The browser functions that a session uses, with timers that run when a test says so. */
 class Desk {
   readonly sent: NewEvent[] = [];
   readonly toasts: string[] = [];
   readonly boxes: ((version: Version) => void)[] = [];
   readonly store = new MemoryStore();
-  /** Answers of the server, before the usual one. */
+  /** Replies of the server that precede the usual one. */
   readonly replies: ((event: NewEvent) => Partial<EventResult> | Error)[] = [];
   claim: () => Promise<TaskView> = () => Promise.resolve(view());
   rev = 0;

@@ -1,4 +1,4 @@
-/** What several tests need. */
+/** Helpers of several tests. */
 
 import type { Code, PartInfo, Problem, Revision } from "../src/wire";
 import type { MaskTextAnswer } from "../src/words";
@@ -49,10 +49,10 @@ export const part = (name: string, hard: number[], soft: number[] = [], release 
   soft,
 });
 
-/** Lets everything run that is ready. */
+/** Lets all pending callbacks run. */
 export const turn = (): Promise<void> => new Promise((resolve) => setImmediate(resolve));
 
-/** What is resolved by hand. */
+/** A promise that the test resolves. */
 export function gate(): { passed: Promise<void>; open: () => void } {
   let open = (): void => {};
   const passed = new Promise<void>((resolve) => {

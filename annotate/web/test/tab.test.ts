@@ -3,7 +3,7 @@ import { test } from "node:test";
 import { leaveTab, nameOfTab, type TabLocks } from "../src/tab";
 import { TestStorage } from "./support";
 
-/** Locks of a browser, held until the test gives them back. */
+/** Locks of a browser, held until the test releases them. */
 class Locks implements TabLocks {
   readonly held = new Set<string>();
 
@@ -21,13 +21,13 @@ test("a duplicated tab gets a name of its own, and the first one keeps its own",
   for (const locks of [new Locks(), undefined]) {
     const first = new TestStorage();
     const name = await nameOfTab(first, locks);
-    // A duplicated tab begins with a copy.
+    // A duplicated tab starts with a copy of the storage.
     const second = new TestStorage(new Map(first.values));
     const other = await nameOfTab(second, locks);
     assert.notEqual(other, name);
     assert.equal(second.getItem("tab"), other);
     assert.equal(first.getItem("tab"), name);
-    // Both are reloaded.
+    // Both tabs are reloaded.
     leaveTab(first);
     leaveTab(second);
     assert.equal(await nameOfTab(first, locks), name);
@@ -39,7 +39,7 @@ test("a page that was killed gives its name to the next page of the tab", async 
   const store = new TestStorage();
   const locks = new Locks();
   const name = await nameOfTab(store, locks);
-  // The browser gives the locks of a killed page back.
+  // The browser releases the locks of a killed page.
   locks.held.clear();
   assert.equal(await nameOfTab(store, locks), name);
 });

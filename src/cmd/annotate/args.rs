@@ -24,25 +24,25 @@ pub(crate) struct Args {
     /// Dataset folder with motions
     #[arg(value_parser = crate::local::path())]
     pub(super) dataset: PathBuf,
-    /// Make tasks of the clips alone that fulfil a condition in SQL, such as "NOT has_mask"; it is kept for later imports,
-    /// tasks that exist stay, and "TRUE" takes all clips again. `stance query --help` tells more
+    /// Create tasks only for clips that meet an SQL condition, such as "NOT has_mask". The condition is kept for later
+    /// imports; existing tasks stay, and "TRUE" selects all clips again. See `stance query --help`
     #[arg(long = "where", value_name = "CONDITION")]
     pub(super) condition: Option<Condition>,
-    /// Address to listen on; port 0 takes a free one
+    /// Address to listen on; port 0 selects a free port
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8765")]
     pub(super) listen: SocketAddr,
-    /// File of the annotations, or an address postgres://… [default: DATASET/annotate/store.sqlite]. An address
-    /// with a password belongs into the variable: others can read the command lines of processes
+    /// File of the annotations, or an address postgres://… [default: DATASET/annotate/store.sqlite]. Pass an address
+    /// with a password in the variable: other users can read the command lines of processes
     #[arg(long, value_name = "FILE", env = STORE, hide_env_values = true)]
     pub(super) store: Option<String>,
     /// Browsers reach the server through a proxy with TLS
     #[arg(long)]
     pub(super) secure: bool,
-    /// Names by which browsers reach the server, with commas between: that of the proxy. Requests to other names are refused;
-    /// localhost and addresses need none
+    /// Host names by which browsers reach the server, such as the proxy's, separated by commas. Requests to other names
+    /// are refused; localhost and IP addresses are always accepted
     #[arg(long, value_name = "NAME", value_delimiter = ',', env = "STANCE_HOST", value_parser = host_name)]
     pub(super) host: Vec<String>,
-    /// Addresses or networks of proxies that name the client in X-Forwarded-For or Forwarded, with commas between
+    /// Addresses or networks of proxies that name the client in X-Forwarded-For or Forwarded, separated by commas
     #[arg(long, value_name = "ADDR", value_delimiter = ',')]
     pub(super) trusted_proxy: Vec<TrustedProxy>,
     /// Second address to listen on, for /metrics, /healthz and /readyz without login
@@ -80,31 +80,31 @@ pub(super) enum Action {
         #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u16).range(1..=365))]
         days: u16,
     },
-    /// Take tasks of the dataset, or annotations of a file
+    /// Import tasks of the dataset, or annotations of a file
     ///
-    /// Annotations become accepted answers of tasks that nobody has worked on. Those of other tasks are left out; if
-    /// they differ, they are listed.
+    /// Annotations become accepted answers of tasks that nobody has worked on. Annotations of other tasks are left out;
+    /// if they differ, they are listed.
     Import {
         /// Folder of a STANCE release with mask_all.json and part_annotations.json, of an export of answers or of a
         /// dataset (`stance export --to stance`), or an annotations.parquet [default: the dataset]
         file: Option<PathBuf>,
     },
-    /// List tasks with answers about a clip that was ingested anew since, with other content, or decide about them
+    /// List tasks whose clip was ingested again with other content after it was answered, or decide about them
     Changed {
-        /// All these answers hold
+        /// Keep all these answers
         #[arg(long)]
         keep: bool,
-        /// All these accepted answers go back to review
+        /// Send all these accepted answers back to review
         #[arg(long, conflicts_with = "keep")]
         reopen: bool,
     },
     /// Write accepted annotations
     Export {
-        /// Where to: the dataset's own tables masks and pairs, Parquet tables, the STANCE release's JSON, or CSV
+        /// Layout: the dataset's own tables masks and pairs, Parquet tables, the STANCE release's JSON, or CSV
         ///
-        /// `parquet` and `stance` are imported again without a loss. `dataset` leaves out notes, reasons, extents and rejected pairs.
-        /// `csv` has the answers of each person for spreadsheets; it is not imported, and leaves out what reviewers merged. What is
-        /// left out is counted.
+        /// `parquet` and `stance` can be imported again without loss. `dataset` leaves out notes, reasons, extents and
+        /// rejected pairs. `csv` has the answers of each person for spreadsheets; it is not imported, and leaves out
+        /// what reviewers merged. What is left out is counted.
         #[arg(long, default_value = "dataset", value_parser = ["dataset", "parquet", "stance", "csv"])]
         format: String,
         /// Folder for the files; not for format dataset
@@ -122,22 +122,22 @@ pub(super) enum Action {
         #[command(subcommand)]
         action: Option<RulesAction>,
     },
-    /// Print the styles as TOML; or add those of such a file, and take over its texts, guidelines and colours
+    /// Print the styles as TOML, or add the styles of such a file and apply its texts, guidelines and colours
     ///
-    /// A table [[style]] for each, with `name`, and where they are known `text` (what it looks like), `guideline` (how
-    /// it is performed, in paragraphs) and `colour` (#rrggbb).
-    /// An import of style pairs adds their labels by itself. This command removes no style; the admin page can.
+    /// The file has a table [[style]] for each style, with `name`, and optionally `text` (what it looks like),
+    /// `guideline` (how it is performed, in paragraphs) and `colour` (#rrggbb). An import of style pairs adds their
+    /// labels by itself. This command removes no style; the admin page can.
     Styles {
-        /// File to read
+        /// File with styles
         file: Option<PathBuf>,
     },
-    /// Print the capture plan as CSV, source motions by styles; or take that of a file in its place
+    /// Print the capture plan as CSV, or replace the plan by that of a file
     ///
     /// Lines `motion,style,takes`: the id of a source motion, the name of a style, and how many takes are wanted (1 if
     /// left out). A take is a style pair of the dataset whose source is that motion and whose style is that style; a
     /// rejected one does not count.
     Captures {
-        /// File to read
+        /// File with a plan
         #[arg(conflicts_with_all = ["missing", "sheet"])]
         file: Option<PathBuf>,
         /// Print only what is still to capture
@@ -147,20 +147,20 @@ pub(super) enum Action {
         #[arg(long, value_name = "FILE", value_parser = crate::local::path())]
         sheet: Option<PathBuf>,
     },
-    /// Do one thing to all tasks of a filter; without --yes only count them
+    /// Apply one action to all tasks of a filter; without --yes, only count them
     Bulk(Box<BulkArgs>),
     /// Ask the language model for drafts of tasks that have none
     Drafts {
         /// Only tasks of this kind
         #[arg(long, value_parser = ["mask_text", "pair", "style"])]
         kind: Option<String>,
-        /// Most tasks to ask for
+        /// Maximum number of tasks
         #[arg(long, default_value_t = usize::MAX, hide_default_value = true, value_name = "TASKS")]
         limit: usize,
     },
     /// Copy the store to a new file; servers may keep running
     Backup {
-        /// New file, or a folder that gets a copy named by the time
+        /// New file, or a folder that gets a copy named after the time
         file: PathBuf,
         /// Copies to keep in the folder; older ones are removed [default: all]
         #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
@@ -173,12 +173,12 @@ pub(super) enum Action {
         /// New file
         file: PathBuf,
     },
-    /// Take a packed project as that of a dataset that has none, and its clips as they are here
+    /// Unpack a project for a dataset that has none
     ///
-    /// Tasks about clips that have other content here are flagged (`changed`); those about clips that are not here stay, and
-    /// are counted. Everybody needs a new token (`token`).
+    /// Tasks about clips that have other content in this dataset are flagged (`changed`). Tasks about clips that are
+    /// not in this dataset stay, and are counted. Everybody needs a new token (`token`).
     Unpack {
-        /// File of `pack`
+        /// File written by `pack`
         file: PathBuf,
     },
     /// Derive all tables from the log and repair those that differ; servers may keep running
@@ -211,7 +211,7 @@ pub(super) struct BulkArgs {
     /// Only tasks in this state
     #[arg(long, value_parser = ["open", "leased", "submitted", "in_review", "accepted", "returned", "dropped"])]
     pub(super) state: Option<String>,
-    /// Only tasks whose texts, captions or ids hold this text
+    /// Only tasks whose texts, captions or ids contain this text
     #[arg(long, value_name = "TEXT")]
     pub(super) search: Option<String>,
     /// Only tasks that this person answered, skipped or holds
@@ -220,13 +220,13 @@ pub(super) struct BulkArgs {
     /// Only tasks with an answer that names this part
     #[arg(long)]
     pub(super) part: Option<String>,
-    /// Only tasks with an answer of this verdict
+    /// Only tasks with an answer that has this verdict
     #[arg(long, value_parser = ["keep", "unnatural", "unclear", "identical"])]
     pub(super) verdict: Option<String>,
     /// Only tasks of this category
     #[arg(long)]
     pub(super) category: Option<String>,
-    /// Only tasks whose answers differ at most so much, 0 to 1
+    /// Only tasks whose answers differ by at most this distance, 0 to 1
     #[arg(long, value_name = "DISTANCE")]
     pub(super) max_distance: Option<f64>,
     /// Only tasks that this rule accepted
@@ -235,10 +235,10 @@ pub(super) struct BulkArgs {
     /// Comment for the authors and the log; return, drop and reopen need one
     #[arg(long, default_value = "")]
     pub(super) comment: String,
-    /// Who the tasks are reserved for, for assign
+    /// Person for whom the tasks are reserved, for assign
     #[arg(long, value_name = "NAME")]
     pub(super) to: Option<String>,
-    /// Act; otherwise the tasks are only counted
+    /// Apply the action; otherwise the tasks are only counted
     #[arg(long)]
     pub(super) yes: bool,
 }
@@ -249,28 +249,28 @@ pub(super) enum UserAction {
     Add {
         /// Name
         name: String,
-        /// What they may do
+        /// Role of the user
         #[arg(long, default_value = "annotator", value_parser = ["annotator", "reviewer", "admin"])]
         role: String,
     },
-    /// Add the users of a file with a line each, NAME or NAME,ROLE, and print a link to log in for each
+    /// Add the users of a file with lines NAME or NAME,ROLE, and print a login link for each
     Import {
-        /// File of lines
+        /// File with one user per line
         file: PathBuf,
-        /// Address of the server that the links begin with
+        /// Address of the server, with which the links begin
         #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8765")]
         url: String,
-        /// Days until the links end
+        /// Days until the links expire
         #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u16).range(1..=365))]
         days: u16,
     },
     /// List the users
     List,
-    /// Change what a user may do
+    /// Change the role of a user
     Role {
         /// Name
         name: String,
-        /// What they may do
+        /// New role of the user
         #[arg(value_parser = ["annotator", "reviewer", "admin"])]
         role: String,
     },
@@ -286,7 +286,7 @@ pub(super) enum UserAction {
     },
 }
 
-/// A host name alone, as the server compares it.
+/// Parses a host name without scheme and port.
 fn host_name(text: &str) -> Result<String, String> {
     match text.is_empty() || text.contains([':', '/']) {
         true => {

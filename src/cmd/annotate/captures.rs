@@ -1,5 +1,5 @@
 //! The capture plan of a project, as a CSV file, and its missing takes. A plan comes from a spreadsheet, which writes
-//! CSV and no TOML.
+//! CSV but not TOML.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
-/// Head of a plan; the last column may be left out.
+/// Header of a plan; the last column may be left out.
 const HEAD: [&str; 3] = ["motion", "style", "takes"];
 
 /// Stores the plan of a file, or prints the plan or its missing takes, or writes the performers' sheet.
@@ -63,7 +63,7 @@ fn take_plan(store: &Store, file: &Path, global: &Global) -> anyhow::Result<Exit
 /// The cells of a plan.
 ///
 /// # Errors
-/// A line is wrong; the error names it.
+/// A line is invalid; the error names it.
 fn parse(bytes: &[u8]) -> anyhow::Result<Vec<PlannedCapture>> {
     let mut cells = Vec::new();
     for (place, (number, record)) in csv_lines::records(bytes).enumerate() {

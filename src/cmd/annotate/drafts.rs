@@ -13,9 +13,10 @@ use super::shared::now;
 use crate::exit::Exit;
 use crate::global::Global;
 
-/// Address of a language model's interface, up to and with its version, such as http://localhost:8000/v1.
+/// Environment variable with the address of a language model's API, including its version, such as
+/// http://localhost:8000/v1.
 const MODEL_URL: &str = "STANCE_MODEL_URL";
-/// Name of the model.
+/// Environment variable with the name of the model.
 const MODEL_NAME: &str = "STANCE_MODEL_NAME";
 /// Environment variable with the model's API key.
 const MODEL_KEY: &str = "STANCE_MODEL_KEY";

@@ -154,7 +154,7 @@ fn copies(args: &Args) -> impl FnMut(&Store) {
     let folder = args.folder().join("backups");
     let every = args.backup_hours.map(|hours| i64::from(hours) * HOUR);
     let keep = args.backups.into();
-    // When to look for the newest copy again.
+    // Time of the next check for the newest copy.
     let mut next = 0;
     move |store| {
         let now = now();

@@ -37,7 +37,7 @@ pub(super) fn open(args: &Args) -> anyhow::Result<Arc<Store>> {
     Ok(store)
 }
 
-/// Where a store is.
+/// Location of a store.
 enum Place<'a> {
     /// A file of SQLite.
     File(PathBuf),
@@ -45,7 +45,7 @@ enum Place<'a> {
     Postgres(&'a str),
 }
 
-/// Where the store is that the arguments name.
+/// Location of the store that the arguments name.
 fn place(args: &Args) -> Place<'_> {
     match args.store.as_deref().filter(|store| !store.is_empty()) {
         Some(url) if url.starts_with("postgres://") || url.starts_with("postgresql://") => {
@@ -87,7 +87,7 @@ fn open_postgres(_: &str) -> anyhow::Result<Arc<Store>> {
     )
 }
 
-/// Copies the store to a new file, or to a file named by the time in a folder.
+/// Copies the store to a new file, or to a file in a folder, named after the time.
 pub(super) fn back_up(
     store: &Store,
     file: &Path,

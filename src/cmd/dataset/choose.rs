@@ -11,11 +11,11 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::report::listing;
 
-/// Write the clips for which a condition holds to a new dataset.
+/// Write the clips that meet a condition to a new dataset.
 ///
-/// They keep their ids and splits, and their masks, pairs, markers and features go with them. Pairs of which one clip is
-/// selected and the other is not are listed; the new dataset has none of them. Clips that are not selected are listed
-/// as skipped there, so that a later ingest does not bring them in. The dataset itself stays as it is.
+/// They keep their ids and splits, and their masks, pairs, markers and features are copied too. Pairs with only one
+/// selected clip are listed and left out. The new dataset records the other clips as skipped, so that a later ingest
+/// does not add them. The original dataset does not change.
 #[derive(clap::Args, Debug)]
 pub(super) struct Select {
     /// Dataset folder
@@ -30,27 +30,27 @@ pub(super) struct Select {
 
 /// Make a version of a dataset without some clips.
 ///
-/// The version before keeps them until `stance dataset prune`, and `stance dataset restore` brings them back. A later
-/// ingest leaves them out while their files are as they were. Nothing is changed if masks or pairs that people made
-/// would be lost, unless --drop-labels is given.
+/// The previous version keeps them until `stance dataset prune`, and `stance dataset restore` brings them back. A later
+/// ingest leaves them out while their files are unchanged. Nothing is changed if masks or pairs that people made would
+/// be lost, unless --drop-labels is given.
 #[derive(clap::Args, Debug)]
 pub(super) struct Remove {
     /// Dataset folder
     dataset: PathBuf,
-    /// Remove the clips for which a condition holds, such as "flags.poor_fit"
+    /// Remove the clips that meet a condition, such as "flags.poor_fit"
     #[arg(
         long = "where",
         value_name = "CONDITION",
         required_unless_present = "ids"
     )]
     condition: Option<Condition>,
-    /// Remove the clips that a file lists by their ids, one a line
+    /// Remove the clips whose ids a file lists, one per line
     #[arg(long, value_name = "FILE", conflicts_with = "condition")]
     ids: Option<PathBuf>,
-    /// Go on although labels that people made are lost
+    /// Continue even if labels made by people are lost
     #[arg(long)]
     drop_labels: bool,
-    /// Only say what would be removed
+    /// Only print what would be removed
     #[arg(long)]
     dry_run: bool,
 }

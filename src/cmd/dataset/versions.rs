@@ -18,9 +18,9 @@ pub(super) struct Versions {
 
 /// Go back to an older version of a dataset.
 ///
-/// The result is a new version with the clips, skeleton and settings of the old one; no version goes. Masks and pairs that
-/// people made since stay where their clips are there with the same motion, and are listed. Where they are not,
-/// nothing is changed unless --drop-labels is given; the version before keeps such labels.
+/// The result is a new version with the clips, skeleton and settings of the old one; no version is removed. Masks and
+/// pairs that people made since then are kept and listed if the old version has their clips with the same motion. If it
+/// does not, nothing is changed unless --drop-labels is given; the current version keeps such labels.
 #[derive(clap::Args, Debug)]
 pub(super) struct Restore {
     /// Dataset folder
@@ -28,15 +28,15 @@ pub(super) struct Restore {
     /// Number of the version; `stance dataset versions` lists them
     #[arg(long, value_name = "VERSION")]
     to: u64,
-    /// Go on although labels are left behind whose clips the old version has not, or has with another motion
+    /// Continue even if labels are lost because the old version lacks their clips, or has them with another motion
     #[arg(long)]
     drop_labels: bool,
 }
 
-/// Write the rows of a dataset into as few files as a new dataset has.
+/// Rewrite a dataset into as few files as a new dataset has.
 ///
-/// Every growth adds files. Rows, their order, labels and what stages recorded of them stay the same, so nothing has to be
-/// composed or trained again. The version before keeps its files until `stance dataset prune`.
+/// Every extension of a dataset adds files. Rows, their order, labels and records of later stages stay the same, so
+/// nothing has to be composed or trained again. The previous version keeps its files until `stance dataset prune`.
 #[derive(clap::Args, Debug)]
 pub(super) struct Compact {
     /// Dataset folder
@@ -146,7 +146,7 @@ fn compacted(done: &Compacted) -> String {
     text + &format!("root hash {}\n", done.root_hash)
 }
 
-/// Labels that are left behind, with why.
+/// Text that lists lost labels with the reason for each.
 pub(super) fn lost_labels(lost: &[LostLabel]) -> String {
     if lost.is_empty() {
         return String::new();

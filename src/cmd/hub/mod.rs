@@ -31,15 +31,15 @@ enum Action {
 
 /// Publish a dataset, a trained model or edits in a repo of the hub.
 ///
-/// A run becomes a model, everything else a dataset; each has a card. One commit shows all at once. What the repo has is
-/// not sent again, so the same command goes on after an interruption. Files that only the repo has stay, and are listed.
-/// The token is HF_TOKEN, or that of `hf auth login`; HF_ENDPOINT names another server.
+/// A run becomes a model repo, everything else a dataset repo; each has a card. All files appear in one commit. Files
+/// that the repo has are not sent again, so the same command continues after an interruption. Files that only the repo
+/// has stay, and are listed. The token is HF_TOKEN, or that of `hf auth login`; HF_ENDPOINT names another server.
 #[derive(clap::Args, Debug)]
 struct PushArgs {
     /// Dataset folder, folder of edits, or run folder
     #[arg(value_parser = crate::local::path())]
     folder: PathBuf,
-    /// Repo of the hub: OWNER/NAME; it is made if it is not there
+    /// Repo of the hub: OWNER/NAME; created if it does not exist
     repo: RepoName,
     /// Branch to commit to
     #[arg(long, default_value = "main")]
@@ -48,24 +48,25 @@ struct PushArgs {
     /// confirm by naming it
     #[arg(long, value_name = "SPDX", value_parser = parse_license)]
     license: Vec<String>,
-    /// Dataset that a run was trained on, whose licences its card states
+    /// Dataset that a run was trained on; the card states its licences
     #[arg(long)]
     dataset: Option<PathBuf>,
-    /// Make a new repo a private one
+    /// Create a new repo as private
     #[arg(long)]
     private: bool,
-    /// File or folder of the repo to delete, of what is not published
+    /// File or folder of the repo to delete; published files cannot be deleted
     #[arg(long, value_name = "PATH")]
     delete: Vec<String>,
-    /// Only say what would be published and deleted
+    /// Only print what would be published and deleted
     #[arg(long)]
     dry_run: bool,
 }
 
 /// Pull a dataset, a trained model or edits from a repo of the hub.
 ///
-/// Every file is checked against its checksum, and the folder appears whole or not at all; the same command goes on after
-/// an interruption. Private repos need a token: HF_TOKEN, or that of `hf auth login`. HF_ENDPOINT names another server.
+/// Every file is checked against its checksum, and the folder appears completely or not at all; the same command
+/// continues after an interruption. Private repos need a token: HF_TOKEN, or that of `hf auth login`. HF_ENDPOINT names
+/// another server.
 #[derive(clap::Args, Debug)]
 struct PullArgs {
     /// Repo of the hub: OWNER/NAME
@@ -73,7 +74,7 @@ struct PullArgs {
     /// Branch, tag or commit
     #[arg(long, default_value = "main")]
     revision: String,
-    /// What the repo holds [default: what the hub has by this name]
+    /// Type of the repo [default: what the hub has by this name]
     #[arg(long = "type", value_name = "TYPE", value_parser = one_of(KINDS))]
     kind: Option<RepoKind>,
     /// Folder to write
@@ -93,7 +94,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
 }
 
-/// The server and the token that the environment names.
+/// The hub, with the server and the token from the environment.
 fn connect() -> anyhow::Result<Hub> {
     let variable = |name: &str| std::env::var_os(name);
     Ok(Hub::from_variables(variable)?.with_token(token_from_variables(variable)))

@@ -83,8 +83,8 @@ impl Thing {
         }
     }
 
-    /// The files as a repo is to hold them, with a card that states the licences. Those `given` are for what states none,
-    /// and confirm those that restrict passing on. `trained_on` is the dataset of a run.
+    /// The files to publish, with a card that states the licences. Licences in `given` apply to motions that state
+    /// none, and confirm stated licences that restrict redistribution. `trained_on` is the dataset of a run.
     pub(super) fn files(
         &self,
         folder: &Path,
@@ -244,7 +244,7 @@ fn files_of_dataset(
     let mut files = files_below(root, &["data", "meta"])?;
     for entry in manifest.tables.values().flatten() {
         let place = root.join(&entry.path);
-        // A run that was killed after its commit may have left the file aside.
+        // A run that was killed after its commit may have left the file under its temporary name.
         let aside = aside(&place).filter(|_| !place.is_file());
         files.push(HubFile {
             path: entry.path.clone(),
@@ -270,7 +270,7 @@ fn files_of_dataset(
     Ok(files)
 }
 
-/// Publishes text under a name, in place of the file of that name.
+/// Publishes text under a name, replacing the file of that name.
 fn replace(files: &mut Vec<HubFile>, name: &str, text: String) {
     files.retain(|file| file.path != name);
     files.push(HubFile {

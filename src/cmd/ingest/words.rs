@@ -6,7 +6,7 @@ use pipeline::ingest::{AlikeClips, Forecast, Growth, IngestReport};
 
 use crate::report::append_list;
 
-/// Message about clips that stay although their files are missing or no longer give them.
+/// Message about clips that stay although their files are missing or no longer contain them.
 const MISSING: &str = "missing, kept; --prune removes them";
 const UNUSABLE: &str = "kept as they were, their files give them no more; --prune removes them";
 
@@ -148,7 +148,7 @@ fn problems(problems: &[LabelProblem]) -> String {
     text
 }
 
-/// Clips that are alike.
+/// Message about clips with nearly equal motion.
 fn alike_clips(alike: &[AlikeClips]) -> String {
     const SHOWN: usize = 5;
     let (together, apart): (Vec<&AlikeClips>, Vec<&AlikeClips>) =
@@ -222,7 +222,7 @@ fn counted(what: &str, count: usize) -> String {
     }
 }
 
-/// A number of clips with the first of them; an empty text for none.
+/// A number of clips, with the first ids; an empty text for none.
 fn listed(what: &str, clips: &[String]) -> String {
     const SHOWN: usize = 5;
     let mut text = counted(what, clips.len());

@@ -86,7 +86,7 @@ impl List {
     }
 }
 
-/// The rows of a query, as the fields of a type.
+/// The rows of a query, deserialized into a type.
 fn rows<T: DeserializeOwned>(dataset: &Dataset, query: &str) -> anyhow::Result<Vec<T>> {
     Ok(Tables::of(dataset)?.ask(query)?.rows()?)
 }

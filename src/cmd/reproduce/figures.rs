@@ -26,7 +26,7 @@ pub(super) struct FigureMade {
     /// Values of the figure.
     pub(super) grid: Grid,
     pub(super) points: Vec<PointMade>,
-    /// Items that are too short for some point.
+    /// Number of items that are too short for some point of the figure.
     pub(super) left_out: usize,
 }
 
@@ -35,7 +35,7 @@ pub(super) struct PointMade {
     pub(super) point: String,
     pub(super) values: Vec<Value>,
     pub(super) scores: Vec<Value>,
-    /// Scores of each training, where there are several.
+    /// Scores of each training, if there are several.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(super) trainings: Vec<Vec<Value>>,
 }
@@ -85,7 +85,7 @@ struct AtPoints {
     scores: Vec<Vec<ScoreRow>>,
     /// Scores of each training, if there are several.
     trainings: Vec<Vec<Vec<ScoreRow>>>,
-    /// Items that are too short for some point.
+    /// Number of items that are too short for some point of the figure.
     left_out: usize,
 }
 
@@ -159,7 +159,7 @@ fn charts(specs: &FigureSpecs<'_>, at_points: &AtPoints) -> Vec<(String, Chart)>
     charts
 }
 
-/// The points with their scores, as documents hold them.
+/// The points with their scores, as in the JSON document.
 fn points(
     specs: &FigureSpecs<'_>,
     at_points: AtPoints,

@@ -29,7 +29,7 @@ const SHOWN_ITEMS: usize = 12;
 /// Results of a plan so far.
 #[derive(Default)]
 pub(super) struct Done {
-    /// For each system its name, and a folder of edits for each of its trainings.
+    /// Name of each system, with a folder of edits for each of its trainings.
     pub(super) edits: Vec<(String, Vec<PathBuf>)>,
     pub(super) tables: Vec<TableMade>,
     pub(super) figures: Vec<FigureMade>,

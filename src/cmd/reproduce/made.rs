@@ -20,9 +20,9 @@ pub(super) struct TableMade {
     pub(super) name: String,
     pub(super) tables: Vec<Table>,
     pub(super) scores: Vec<ScoreRow>,
-    /// Scores of each training, where there are several.
+    /// Scores of each training, if there are several.
     pub(super) trainings: Vec<Vec<ScoreRow>>,
-    /// Table A4 in place of scores.
+    /// Grids of Table A4, which has no scores.
     pub(super) grids: Vec<format::grid::Grid>,
     /// Reason why the encoder cannot rank systems.
     pub(super) unranked: Option<String>,

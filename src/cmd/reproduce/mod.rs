@@ -30,22 +30,21 @@ use crate::trainings::TrainingsArgs;
 
 /// Reproduce tables and figures of a plan: train what is missing, edit, score, draw.
 ///
-/// The plan is a TOML file, or the name of one of the plans of the program (--list). It names a dataset,
-/// the systems that are rows of the tables, the tables, and the figures: settings of a system that change.
-/// Trainings, edits and scores that several of them need are made once. Interrupted and run again, it goes
-/// on where it stopped.
+/// The plan is a TOML file, or the name of a built-in plan (--list). It names a dataset, the systems that are rows of
+/// the tables, the tables, and the figures, which vary settings of a system. Trainings, edits and scores that several
+/// tables or figures need are made once. Run again after an interruption, it continues where it stopped.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// The plan: a file, or the name of a plan of the program
+    /// The plan: a file, or the name of a built-in plan
     #[arg(required_unless_present = "list")]
     plan: Option<PathBuf>,
-    /// List the plans of the program
+    /// List the built-in plans
     #[arg(long)]
     list: bool,
-    /// Dataset in place of the plan's
+    /// Dataset to use instead of the plan's
     #[arg(long)]
     dataset: Option<PathBuf>,
-    /// Folder for the results in place of the plan's
+    /// Folder for the results, instead of the plan's
     #[arg(long, value_parser = crate::local::path())]
     out: Option<PathBuf>,
     /// Print the published rows of the paper as well, marked as published
@@ -60,7 +59,7 @@ pub(crate) struct Args {
     trainings: TrainingsArgs,
 }
 
-/// The plans of the program: those of the paper's size, and those for two processor cores.
+/// The built-in plans: those of the paper's size, and those for two processor cores.
 macro_rules! plans {
     ($($name:literal),* $(,)?) => {
         &[$(($name, include_str!(concat!("../../../eval/plans/", $name, ".toml")))),*]

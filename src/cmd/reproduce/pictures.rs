@@ -1,5 +1,5 @@
-//! Pictures of a plan: answers of several systems to one item, below each other, as in Figures 2, 3, 5 and 7 of the paper
-//! and A3 to A14 of its appendix.
+//! Pictures of a plan: answers of several systems to one item, below each other, as in Figures 2, 3, 5 and 7 of the
+//! paper and A3 to A14 of its appendix.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -44,7 +44,7 @@ enum Order {
     Parts,
     /// Items whose edits by the first system reduce the distance to the target most, compared with the source.
     Best,
-    /// Items whose edits reduce it least.
+    /// Items whose edits reduce this distance least.
     Worst,
 }
 

@@ -1,4 +1,4 @@
-//! The plan of `stance reproduce`: its file, and what has to be trained and edited for it.
+//! The plan of `stance reproduce`: its file, and the trainings and edits that it needs.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -116,7 +116,7 @@ struct System {
     /// Whether a coordinator guides the system.
     #[serde(default)]
     coordinator: bool,
-    /// Whether a pose network finds its rotations.
+    /// Whether a pose network estimates the rotations of the system's edits.
     #[serde(default)]
     poses: bool,
     /// Training seeds that override the plan's.
@@ -163,14 +163,14 @@ fn editor() -> String {
     EDITOR.to_owned()
 }
 
-/// A training. Equal ones are made once.
+/// A training. Equal trainings are made once.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Training {
     #[serde(serialize_with = "name_of")]
     pub(super) model: &'static ModelKind,
     pub(super) preset: Preset,
     pub(super) own: Value,
-    /// All settings of the preset: another version of the program may have others under its name.
+    /// All settings of the preset, because another version of the program may have other settings under its name.
     pub(super) settings_of_preset: Value,
     /// Hash of the table of text vectors, or of BERT's files, if the model uses one as its text encoder.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -204,7 +204,7 @@ pub(super) struct Spec {
 }
 
 impl Spec {
-    /// The trainings that its edits need.
+    /// The trainings that the edits need.
     pub(super) fn trainings(&self) -> impl Iterator<Item = &Training> {
         [
             Some(&self.training),
@@ -270,7 +270,7 @@ pub(super) struct FigureSpecs<'a> {
 }
 
 impl Plan {
-    /// Reads a plan. Paths are relative to its file; `dataset` and `out` replace its own.
+    /// Reads a plan. Paths are relative to its file; `dataset` and `out` override those of the plan.
     pub(super) fn read(
         text: &str,
         path: &Path,
@@ -535,7 +535,7 @@ impl Plan {
         })
     }
 
-    /// Hash of the table of text vectors or of the folder of BERT, if settings ask for one and it is there.
+    /// Hash of the table of text vectors or of the folder of BERT, if the settings ask for one and it exists.
     fn text_table(&self, own: &Value) -> anyhow::Result<Option<String>> {
         let asked = own.pointer("/text/encoder").and_then(Value::as_str);
         match (asked, &self.text_encoder) {

@@ -1,5 +1,5 @@
-//! `record.jsonl`: the scores that tables and figures show, one a line. It is small enough to lie beside a document that
-//! quotes them, so that a test can compare the two (`eval/RESULTS.md`, `tests/it/evidence.rs`).
+//! `record.jsonl`: the scores that tables and figures show, one per line. It is small enough to be stored beside a
+//! document that quotes them, so that a test can compare the two (`eval/RESULTS.md`, `tests/it/evidence.rs`).
 
 use serde::Serialize;
 use serde_json::Value;
@@ -18,12 +18,12 @@ struct Line<'a> {
     mean: &'a Value,
     #[serde(skip_serializing_if = "Value::is_null")]
     ci95: &'a Value,
-    /// Means of the trainings, where there are several.
+    /// Scores of each training, if there are several.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     trainings: Vec<&'a Value>,
 }
 
-/// The lines under way.
+/// The lines so far.
 #[derive(Default)]
 pub(super) struct Record(Vec<u8>);
 

@@ -18,7 +18,7 @@ pub(super) struct Scored {
     pub(super) scores: Scores,
     /// Rows of each training.
     pub(super) trainings: Vec<Vec<ScoreRow>>,
-    /// Items that are too short to be scored.
+    /// Number of items that are too short to be scored.
     pub(super) left_out: usize,
 }
 
@@ -53,7 +53,7 @@ pub(super) fn scored(
     Ok(all)
 }
 
-/// Scores by training, where there are several.
+/// Scores by training, if there are several.
 pub(super) fn several(trainings: Vec<Vec<ScoreRow>>) -> Vec<Vec<ScoreRow>> {
     if trainings.len() > 1 {
         trainings

@@ -1,5 +1,5 @@
-//! Training, editing and scoring for a plan. Each result lies in a folder that is named by all it depends on,
-//! and is not made again.
+//! Training, editing and scoring for a plan. The name of a result's folder is a hash of everything that the result
+//! depends on, so no result is made twice.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -26,11 +26,11 @@ use crate::session::{text_encoder, with_session};
 use crate::stages;
 use crate::trainings::side_by_side;
 
-/// A plan under way.
+/// A plan in progress.
 pub(super) struct Work<'a> {
     plan: &'a Plan,
     global: &'a Global,
-    /// Hash of what the dataset gives to training.
+    /// Hash of the tables of the dataset that training reads.
     data: String,
     items: PathBuf,
     /// Root hash of the items.

@@ -37,8 +37,8 @@ pub(crate) use plan::{Plan, RunConfig};
 
 /// Run the whole chain on your own motions: build a dataset, train, edit, and score.
 ///
-/// The configuration is a TOML file; every key but `sources` and `out` may be left out. Relative
-/// paths are relative to the file. Interrupted and run again, it continues.
+/// The configuration is a TOML file; every key but `sources` and `out` may be left out. Relative paths are relative to
+/// the file. Run again after an interruption, it continues.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Configuration file
@@ -78,7 +78,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     finish(plan, &args.trainings, args.weak_judge, global)
 }
 
-/// Runs all stages; those already done are passed over.
+/// Runs all stages, and skips those that are done.
 pub(crate) fn finish(
     plan: Plan,
     trainings: &TrainingsArgs,
@@ -219,7 +219,7 @@ fn edit_all(
 /// Training results for the page.
 struct Trained {
     editor: TrainReport,
-    /// None where the built-in encoder evaluates.
+    /// None if the built-in encoder evaluates.
     encoder: Option<TrainReport>,
     /// Whether there is a coordinator.
     is_guided: bool,
@@ -258,7 +258,7 @@ fn train_all(
     if config.stages.captured_alone && !is_captured_alone {
         report::note("no editor of captured pairs alone: the training split has no pairs");
     }
-    // The longest come first, so that the last ones fill the time that is left.
+    // Start the longest trainings first, so that the others fill the remaining time.
     let wanted = [
         (Trains::Editor, true),
         (Trains::ComposedOnce, config.stages.composed_once),

@@ -44,7 +44,7 @@ struct Document<'a> {
     report: &'a Path,
     accounting: &'a Accounting,
     root_hash: &'a str,
-    /// None where the built-in encoder evaluates.
+    /// None if the built-in encoder evaluates.
     encoder: Option<&'a TrainReport>,
     editor: &'a TrainReport,
     scores: serde_json::Value,
@@ -112,7 +112,7 @@ pub(super) fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
     .to_html())
 }
 
-/// The few numbers to read first.
+/// The key figures at the top of the page.
 fn cards(done: &Done) -> Vec<Card> {
     let manifest = done.dataset.manifest();
     let accounting = &done.ingested.accounting;

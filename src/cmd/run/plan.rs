@@ -1,4 +1,4 @@
-//! The configuration of a run, what it resolves to, and where the pieces lie.
+//! The configuration of a run, the settings it resolves to, and the paths of its results.
 
 use std::path::{Path, PathBuf};
 
@@ -32,8 +32,8 @@ pub(crate) struct RunConfig {
     /// Named settings of the models.
     #[serde(default = "default_preset")]
     pub(super) preset: Preset,
-    /// Folder of CLIP or BERT, or a table of vectors, for settings with a frozen text encoder; without it CLIP is searched in the
-    /// hub's cache.
+    /// Folder of CLIP or BERT, or a table of vectors, for settings with a frozen text encoder; without it CLIP is
+    /// searched in the hub's cache.
     #[serde(alias = "clip")]
     pub(super) text_encoder: Option<PathBuf>,
     /// Triplets recorded for inspection; training composes its own.
@@ -49,16 +49,16 @@ pub(crate) struct RunConfig {
     /// Style pairs from labels.
     #[serde(default)]
     pub(super) pairs: PairConfig,
-    /// Values in place of the preset's for the composer.
+    /// Composer settings that override the preset's.
     #[serde(default)]
     pub(super) compose: Map<String, Value>,
-    /// Values in place of the preset's for the editor.
+    /// Editor settings that override the preset's.
     #[serde(default)]
     pub(super) train: Map<String, Value>,
-    /// Values in place of the preset's for the coordinator.
+    /// Coordinator settings that override the preset's.
     #[serde(default)]
     pub(super) coordinator: Map<String, Value>,
-    /// Values in place of the preset's for the pose network.
+    /// Pose network settings that override the preset's.
     #[serde(default)]
     pub(super) poses: Map<String, Value>,
     /// `"builtin"` for the encoder that ships with the program, or settings of an encoder to train.
@@ -80,11 +80,11 @@ pub(crate) struct RunConfig {
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Stages {
-    /// Style pairs, where motions have style labels.
+    /// Style pairs, if motions have style labels.
     pub(super) pairs: bool,
-    /// A coordinator, and a row of the table that it guides; where there are motions of two sources.
+    /// A coordinator, and a table row for the system that it guides; needs motions of two sources.
     pub(super) coordinator: bool,
-    /// A pose network, which every system edits with.
+    /// A pose network, which every system uses for its edits.
     pub(super) poses: bool,
     /// An editor trained on pairs that were composed once, and its row of the table.
     pub(crate) composed_once: bool,
@@ -177,7 +177,7 @@ impl Plan {
     }
 }
 
-/// Where the pieces of a run lie.
+/// Paths of the results of a run.
 pub(super) struct Places {
     pub(super) dataset: PathBuf,
     pub(super) triplets: PathBuf,

@@ -38,7 +38,7 @@ const FAINT: &str = "(() => { \
         if (ratio < (large ? 3 : 4.5)) faint.push(`${node.textContent.trim().slice(0, 30)}: ${ratio.toFixed(2)}`); } \
     return faint; })()";
 
-/// The task of the first mask, in a browser with more command-line arguments.
+/// Opens the first mask task, in a browser with extra command-line arguments.
 fn at_a_mask(arguments: &[&str]) -> Desk {
     let desk = Desk::admin(Dataset::fresh(), arguments);
     desk.go("app/mask");
@@ -55,7 +55,7 @@ fn every_page_has_names_contrast_and_one_main_part() {
 fn every_page_is_dark_where_the_system_is() {
     let desk = at_a_mask(&["--force-dark-mode"]);
     desk.is("matchMedia('(prefers-color-scheme: dark)').matches", true);
-    // The corner of the stage shows its ground, next to a dark panel.
+    // The corner of the stage shows its background, next to a dark panel.
     let corner = desk.js_async(
         "{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); \
          const canvas = document.querySelector('.stage canvas'); const copy = document.createElement('canvas'); \
@@ -167,7 +167,7 @@ fn the_focus_goes_round_and_nothing_holds_it() {
     desk.focus(".panel-foot button");
     desk.press(&[keys::TAB]);
     desk.is("document.activeElement.textContent.includes('Skip')", true);
-    // Escape moves the focus back to the stage, also from a text.
+    // Escape moves the focus back to the stage, also from a text field.
     desk.press(&[keys::ESCAPE]);
     desk.focuses(".stage");
     desk.press(&["t"]);

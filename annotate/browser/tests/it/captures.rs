@@ -16,7 +16,7 @@ fn a_guideline_goes_from_the_admin_to_the_annotator_and_the_dashboard_shows_the_
         settings["styles"][0]["guideline"] == "Bend the knees."
     });
 
-    // One pair of the dataset is planned, and a motion that it does not have.
+    // The plan has a pair of the dataset, and a motion that the dataset does not have.
     let view = desk.claim("ann", "style");
     let style = &view["task"]["style"];
     let motion = &view["task"]["motions"][0]["id"];
@@ -40,7 +40,7 @@ fn a_guideline_goes_from_the_admin_to_the_annotator_and_the_dashboard_shows_the_
 
     desk.enter("ann", "app/style");
     desk.task();
-    // The first style of the project.
+    // Choose the first style of the project.
     desk.press(&["c"]);
     desk.shows("[data-guideline]:not([open])");
     desk.click("[data-guideline] summary");

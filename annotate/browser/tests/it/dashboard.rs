@@ -1,4 +1,4 @@
-//! Figures and decisions: what owners and reviewers see of everybody's work.
+//! Dashboard figures and decisions, as owners and reviewers see them.
 
 use annotate_browser::{Browser, keys};
 use serde_json::{Value, json};
@@ -25,7 +25,7 @@ fn disagreement() -> Value {
     json!({ "queue": "disagreement" })
 }
 
-/// Logs the reviewer in. Her first page computes figures, which are then kept for a minute.
+/// Logs the reviewer in. Her first page computes the figures, which are cached for a minute.
 fn enter(desk: &Desk) {
     desk.enter("eve", "app/guide");
 }
@@ -69,7 +69,7 @@ fn the_dashboard_tells_hours_agreement_and_the_time_left() {
     let words = ["3.0", "answers are left", nobody];
     desk.reads("[data-figures=outlook]", &words);
 
-    // The period is chosen, kept, and an opened table stays open when figures change.
+    // The chosen period is kept, and an open table stays open when the figures change.
     desk.js("document.querySelector('[data-figures=days] details').open = true;");
     desk.press_button("[aria-label=Period]", "7 days");
     desk.says(PERIOD, "7 days");
@@ -107,7 +107,7 @@ fn a_reviewer_follows_what_was_sent_back() {
     let sent_back = ["sent back", "ann", "Which arm?", "waits for ann"];
     assert_eq!(all[1][2..], sent_back);
     assert!(all[1][1].starts_with(&first.to_string()), "{all:?}");
-    // She answers again.
+    // Ann answers again.
     let path = format!("tasks/{first}/claim");
     let view = desk.ask("ann", "POST", &path, Value::Null);
     desk.submit("ann", &view, kept("Raise the left arm."));
@@ -130,7 +130,7 @@ fn a_reviewer_sees_what_annotators_were_offered() {
     desk.page("app/review", ".offered");
     desk.task();
     assert_eq!(desk.count(".offered li"), offered as u64);
-    // Every box of this page can be left without a decision.
+    // Every dialog of this page can be cancelled without a decision.
     for key in ["r", keys::DELETE] {
         desk.press(&[key]);
         desk.press_button("dialog", "Cancel");

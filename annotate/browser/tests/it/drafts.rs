@@ -10,7 +10,7 @@ use crate::steps::Desk;
 
 const DRAFT: &str = "The person is waving <b>slowly</b> with their left arm.";
 
-/// The draft as it completes "The person is …".
+/// The draft, as the completion of "The person is …".
 const SHOWN: &str = "waving <b>slowly</b> with their left arm";
 
 /// Starts a mock server that answers every request with this text, and returns its address.
@@ -51,7 +51,7 @@ fn a_draft_is_asked_for_by_key_edited_and_told_apart() {
     // The pipeline has no suggestion for these two parts together.
     desk.press(&["4", "2", "v"]);
     desk.says(".draft", SHOWN);
-    // A draft is offered, not taken.
+    // A draft is offered; a key inserts it.
     desk.is(BOX, "");
     desk.press(&["v"]);
     desk.until("it is taken", &format!("{BOX} === {}", json!(SHOWN)));

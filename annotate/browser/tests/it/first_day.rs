@@ -1,4 +1,4 @@
-//! The first day of an annotator: practice, qualification, ten tasks, one that comes back, and "my answers".
+//! The first day of an annotator: practice, qualification, ten tasks, one of them returned, and "my answers".
 
 use annotate_browser::keys;
 use serde_json::{Value, json};
@@ -52,7 +52,7 @@ fn feedback(desk: &Desk, task: i64, words: &[&str]) {
     desk.reads(".panel-scroll", words);
 }
 
-/// Waits until the list of my answers shows one in a state.
+/// Waits until "my answers" shows this task with this state.
 fn standing(desk: &Desk, task: i64, words: &str) {
     let shown = format!(
         "document.querySelector('.shelf-item[data-task=\"{task}\"] .standing')?.textContent === '{words}'"
@@ -100,7 +100,7 @@ fn practises(desk: &Desk, rejected: i64) {
     desk.press(&["s"]);
     desk.shows("[data-shown=yours][aria-pressed=true]");
     desk.picture("feedback");
-    // The task is still there after a reload, and she tries again.
+    // The feedback survives a reload, and she tries again.
     desk.go(&format!("app/feedback/{first}"));
     feedback(desk, first, &[]);
     desk.press(&["a"]);
@@ -174,7 +174,7 @@ fn a_new_annotator_practises_works_fixes_what_came_back_and_finds_her_answers() 
     desk.picture("my-answers");
     let fields = desk.count(".work.mine textarea, .work.mine [data-part]");
     assert_eq!(fields, 0, "answers are read here, not edited");
-    // Only what came back.
+    // Show only returned answers.
     desk.focus(".work.mine select");
     desk.press(&["r"]);
     desk.until(
@@ -203,14 +203,14 @@ fn a_new_annotator_practises_works_fixes_what_came_back_and_finds_her_answers() 
     let view = desk.get(&format!("tasks/{returned}"));
     assert!(view["lease"].is_object(), "{view}");
 
-    // Practice is among the answers, with the known answer, and is no work.
+    // The list includes practice with its known answer. Practice does not count as work.
     my_answers(&desk);
     let practice = desk.value(
         "Number(document.querySelector('.shelf-item[data-standing=practice]').dataset.task)",
     );
     let practice = practice.as_i64().expect("a task");
     standing(&desk, practice, "practice, 100 % right");
-    // Nine answers are handed in; the tenth is in work again, with the rest of a bundle.
+    // Nine answers are submitted; the tenth is in progress again, with the rest of its bundle.
     let home = desk.get("home");
     assert_eq!(home["today"], 9, "{home}");
     let pairs = &home["queues"][1];

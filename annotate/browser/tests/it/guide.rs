@@ -1,4 +1,4 @@
-//! The guide: beside the work, and as a page that its owner writes.
+//! The guide: beside a task, and as a page that project owners edit.
 
 use std::io::Write;
 
@@ -9,7 +9,7 @@ use crate::steps::Desk;
 
 const HOSTILE: &str = "<img src=x onerror=\"window.canary=1\"><script>window.canary=1</script>";
 
-/// A picture of one grey point.
+/// A PNG image of one grey pixel.
 const POINT: &[u8] = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x01\0\0\0\x01\x08\0\0\0\0:~\x9bU\0\0\0\nIDATx\x9cc`\0\0\0\x02\0\x01H\xaf\xa4q\0\0\0\0IEND\xaeB`\x82";
 
 #[test]
@@ -37,7 +37,7 @@ fn the_guide_opens_beside_the_work_and_takes_no_focus() {
     desk.click_with_mouse(".guide-button");
     desk.lacks(".guide-beside");
     desk.focuses("textarea");
-    // The guide is a region of its own, and stays open on the next task.
+    // The guide is a separate region, and stays open on the next task.
     desk.press(&[keys::ESCAPE, keys::F4]);
     desk.shows(".guide-beside p");
     desk.press(&["p"]);

@@ -1,5 +1,5 @@
-//! The work of a small team, from the first mask to a fresh project: masks with ranges, a style of the dataset's own and one
-//! that is new, pairs; a second person reviews on a tablet; export and import; equal, row by row.
+//! The work of a small team: masks with ranges, an existing and a new style, pairs, and review by a second person on a
+//! tablet. The export is imported into a new project, and equals the original row by row.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::steps::Desk;
 
-/// Tasks of each kind that are done.
+/// Number of tasks of each kind.
 const TASKS: usize = 2;
 
 /// Two masks; the range of the second starts at the first frame and is a little longer than the minimum.
@@ -24,7 +24,7 @@ fn mask(desk: &Desk) {
     desk.control(&[keys::ENTER]);
 }
 
-/// A style pair is kept, in a style that is typed.
+/// Keeps a style pair, with a typed style name.
 fn style(desk: &Desk, name: &str) {
     desk.focus(".other-style");
     desk.type_text(name);
@@ -33,7 +33,7 @@ fn style(desk: &Desk, name: &str) {
     desk.control(&[keys::ENTER]);
 }
 
-/// Opens a page, and does as many of its tasks.
+/// Opens a page, and does `count` of its tasks.
 fn tasks(desk: &Desk, path: &str, count: usize, work: impl Fn(usize)) {
     desk.go(path);
     for number in 0..count {
@@ -43,7 +43,7 @@ fn tasks(desk: &Desk, path: &str, count: usize, work: impl Fn(usize)) {
     }
 }
 
-/// Accepted answers by task: its motions, style and answer.
+/// Motions, style and answer of each accepted task.
 fn accepted(browser: &Browser, token: &str) -> BTreeMap<String, Value> {
     let get = |path: &str| browser.request_as(token, "GET", path, None)["body"].take();
     let page = get("tasks?state=accepted&limit=100");
@@ -74,7 +74,7 @@ fn an_hour_of_work_comes_back_row_by_row_in_a_fresh_project() {
 
     desk.log_out();
     desk.enter("eve", "app/home");
-    // With a finger, on a tablet that is held upright.
+    // Review by touch, on a tablet in portrait orientation.
     desk.resize(820, 1180);
     let accept = |_| desk.tap(".panel-foot button.primary");
     tasks(&desk, "app/review", 3 * TASKS, accept);

@@ -83,7 +83,7 @@ fn left_and_right_are_guarded() {
     desk.shows("[data-lint=side]");
     desk.press(&[keys::ESCAPE, "5", "4"]);
     desk.lacks("[data-lint=side]");
-    // Left with right arm is stored as entered, and shown like both arms.
+    // Left arm plus right arm is stored as entered, and shown as equal to both arms.
     desk.press(&["5"]);
     desk.until(
         "it says what that equals",
@@ -170,7 +170,7 @@ fn a_mask_holds_for_a_range_and_a_joint_is_chosen() {
     let task = desk.task();
     desk.describe_two_masks();
 
-    // From In to Out: 11 frames are too few, and cannot be handed in.
+    // A range of 11 frames is too short and cannot be submitted.
     desk.press(&[keys::ESCAPE, keys::HOME, "["]);
     desk.shift(&["."]);
     desk.press(&["]", "a"]);
@@ -182,7 +182,7 @@ fn a_mask_holds_for_a_range_and_a_joint_is_chosen() {
     desk.says(".toast.error", "a range needs 31 at least");
     assert_eq!(desk.task(), task);
 
-    // The ends of the range move by keys and by the mouse.
+    // Keys and the mouse move the ends of the range.
     desk.tab_to("Last frame of mask 2");
     desk.shift(&[keys::RIGHT, keys::RIGHT]);
     desk.press(&[keys::RIGHT, keys::RIGHT]);
@@ -202,7 +202,7 @@ fn a_mask_holds_for_a_range_and_a_joint_is_chosen() {
     desk.until("it is dragged", &format!("{LAST} > 33"));
     let end = desk.value(LAST);
 
-    // A joint of the part is soft.
+    // Make a joint of the part soft.
     desk.click(".mask-card.selected .joints summary");
     desk.click(HIP);
     let soft = format!("{HIP}[data-weight=soft]");

@@ -7,7 +7,7 @@ use crate::steps::{Desk, two_masks};
 
 const TEXT: &str = "document.querySelector('.mask-card.selected textarea').value";
 
-/// Checks the text of the first mask that the server has of an answer.
+/// Checks the text of the first mask of the user's answer on the server.
 fn stored(desk: &Desk, task: i64, text: &str) {
     assert_eq!(desk.mine(task)["answer"]["masks"][0]["text"], text);
 }
@@ -21,7 +21,7 @@ fn a_session_that_ends_amid_a_text_loses_nothing() {
     desk.log_out();
     desk.type_text("the left ");
     desk.shows("[data-region=session]:not([hidden])");
-    // Typing goes on: nothing takes the focus from the text.
+    // Typing continues: the text field keeps the focus.
     desk.type_text("arm.");
     desk.is(TEXT, "Wave with the left arm.");
     assert_eq!(desk.count("dialog"), 0);
@@ -31,7 +31,7 @@ fn a_session_that_ends_amid_a_text_loses_nothing() {
     desk.type_text("15sb");
     desk.focuses("#token");
     desk.is("document.querySelector('#token').value", "");
-    // The box can be left; the page offers to log in again.
+    // The dialog can be cancelled; the page offers to log in again.
     desk.click("dialog.login [data-choice=Cancel]");
     desk.lacks("dialog.login");
     desk.shows("[data-region=session]:not([hidden]) button");
@@ -123,7 +123,7 @@ fn a_duplicated_tab_is_a_tab_of_its_own() {
     desk.write(&["4", "t"], "From the first tab.");
     desk.saved();
     let name = desk.value(NAME);
-    // A page that opens another one gives it a copy of its storage, as duplicating a tab does.
+    // A window opened by a page gets a copy of its session storage, like a duplicated tab.
     let first = desk.window();
     desk.js("window.open(location.href);");
     let second = desk.windows().into_iter().find(|window| *window != first);
@@ -145,7 +145,7 @@ fn a_duplicated_tab_is_a_tab_of_its_own() {
     desk.is(NAME, name);
 }
 
-/// Takes both versions in the box with two of them, once its keys are active.
+/// Keeps both versions in the conflict box, once its keys are active.
 fn merge(desk: &Desk) {
     desk.shows(".conflict [aria-disabled=false]");
     assert!(desk.reaches(".conflict"), "F6 does not reach the box");
@@ -162,13 +162,14 @@ fn typing_goes_on_while_two_versions_meet() {
     let task = desk.task();
     desk.write(&["4", "t"], "Wave");
     desk.saved();
-    // Submits the answer as another window of hers would.
+    // Saves the answer as a draft, as another window of the same user would.
     let view = desk.get(&format!("tasks/{task}"));
     let answer = two_masks("From another window.", "RIGHT_ARM");
     desk.send("ann", &view, "draft", json!({ "answer": answer }));
     desk.type_text(" with");
     desk.shows(".conflict");
-    // A space presses buttons, these letters and digits are commands of the stage, and 1, 2 and 3 of the box.
+    // Outside text fields, space presses buttons, and these letters and digits are shortcuts of the stage and of the
+    // box.
     let rest = " the left arm. 123 v h x u n";
     desk.type_text(rest);
     let text = format!("Wave with{rest}");
@@ -178,7 +179,7 @@ fn typing_goes_on_while_two_versions_meet() {
     assert_eq!(desk.js(STATE), expected);
     desk.reads(".conflict", &[&text]);
 
-    // The caret stands in the middle; the choice brings it back there.
+    // The caret is in the middle, and returns there after the choice.
     desk.press(&[keys::HOME, keys::RIGHT, keys::RIGHT]);
     merge(&desk);
     desk.focuses(".mask-card.selected textarea");
@@ -230,7 +231,7 @@ fn a_project_is_not_handed_the_texts_of_another_on_the_same_port() {
     desk.log_in(&desk.server, &token, "app/mask");
     let same = desk.task();
     assert_eq!(same, task, "tasks of both projects have the same numbers");
-    // The text belongs to the other project.
+    // The unsaved text belongs to the other project.
     desk.is(TEXT, "");
     desk.saved();
     assert_eq!(desk.mine(same), json!(null));
@@ -254,8 +255,8 @@ fn what_was_typed_in_the_last_moment_of_a_page_is_sent_by_the_next() {
              box.value = 'Typed and gone.'; \
              box.dispatchEvent(new Event('input', { bubbles: true }));",
     );
-    // Before the pause after which a draft is stored. Another process shows the blank page, and what the database of
-    // this one has not finished is undone.
+    // Leave before the pause that saves a draft has passed. Another process shows the blank page, and unfinished
+    // transactions of the first page's database are aborted.
     desk.open("about:blank");
     desk.server.up();
     desk.go("app/home");
@@ -264,7 +265,7 @@ fn what_was_typed_in_the_last_moment_of_a_page_is_sent_by_the_next() {
     stored(&desk, task, "Typed and gone.");
     let rev = desk.mine(task)["rev"].take();
 
-    // The page that was left comes back with all it had in memory.
+    // Going back restores the page with its state in memory.
     for _ in 0..2 {
         desk.back();
     }

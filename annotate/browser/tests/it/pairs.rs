@@ -81,7 +81,7 @@ fn views_of_a_pair_share_the_frame() {
     desk.until("both on one stage", "document.querySelector('.stage').dataset.bodies === '2' && document.querySelectorAll('.stage:not([hidden])').length === 1");
     // Changing the view does not move the clock.
     desk.is(FRAME, frame);
-    // The largest difference is of the poses, not of the positions: the ghost stays in its own place.
+    // The largest difference is of the poses, not of the positions: the ghost keeps its position.
     desk.is(TOGETHER, "false");
     desk.press(&["d"]);
     desk.until("the ghost is moved", &format!("{TOGETHER} === 'true'"));
@@ -94,7 +94,7 @@ fn phrases_fit_the_kind_of_pair() {
     const TEXT: &str = "document.querySelector('.pair-editor textarea')?.value";
     let desk = Desk::at("app/style");
     desk.task();
-    // The first style, then the first phrase.
+    // Choose the first style, then the first phrase.
     desk.press(&["c"]);
     let style = desk.text_of(".part[aria-pressed=true] .button-label");
     desk.press(&["y"]);

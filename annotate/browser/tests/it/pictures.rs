@@ -1,5 +1,5 @@
-//! Every screen in each size and theme. Pictures are taken if ANNOTATE_PICTURES names a folder; ANNOTATE_SEEDED names a
-//! dataset whose store has work in it, as `annotate/tests/server/figures.rs` writes it.
+//! Every screen in each size and theme. Screenshots are saved if ANNOTATE_PICTURES names a folder. ANNOTATE_SEEDED
+//! names a dataset with work in its store, as `annotate/tests/server/figures.rs` writes it.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use serde_json::json;
 
 use crate::steps::Desk;
 
-/// Screens, a selector that shows that each is drawn, and the role that opens it.
+/// Each screen, a selector that matches once it is drawn, and the role that opens it.
 const SCREENS: [(&str, &str, &str); 17] = [
     ("home", ".queue", "annotator"),
     ("mask", ".mask-card textarea", "annotator"),
@@ -29,7 +29,7 @@ const SCREENS: [(&str, &str, &str); 17] = [
     ("keys", ".key-sheet", "annotator"),
 ];
 
-/// Controls that reach out of what shows them, and parts that are wider than their frame.
+/// Controls outside the visible area, and parts wider than their frame.
 const CUT: &str = "[...document.querySelectorAll('button, a, input, select, textarea, .chip')] \
     .filter((own) => own.getClientRects().length > 0) \
     .filter((own) => { const box = own.getBoundingClientRect(); return box.left < -1 || box.right > innerWidth + 1 || \
@@ -92,7 +92,7 @@ fn open(desk: &Desk, name: &str, shown: &str) {
             desk.write(&["4", "t"], text);
             let text = "stepping slowly from one foot to the other";
             desk.write(&[keys::ESCAPE, "n", "2", "t"], text);
-            // The second one holds for a range of the clip.
+            // The second mask covers a range of the clip.
             desk.press(&[keys::ESCAPE, keys::HOME, "["]);
             desk.shift(&[".", ".", ".", "."]);
             desk.press(&["]", "a"]);
@@ -105,7 +105,7 @@ fn open(desk: &Desk, name: &str, shown: &str) {
     }
 }
 
-/// The page of the clip whose answers differ most; the queue, if none waits.
+/// The review page of the clip whose answers differ most, or the review queue if no clip is waiting.
 fn review(browser: &Browser) -> String {
     let wanted = "tasks?kind=mask_text&state=submitted&sort=distance&limit=1";
     match browser.get(wanted)["rows"][0]["id"].as_i64() {
@@ -114,7 +114,7 @@ fn review(browser: &Browser) -> String {
     }
 }
 
-/// A token of the first user of a role, or of a new one.
+/// A token of the first user with a role; adds such a user if there is none.
 fn token_of(browser: &Browser, role: &str) -> String {
     let users = browser.get("users");
     let mut users = users.as_array().expect("users").iter();

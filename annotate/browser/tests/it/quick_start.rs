@@ -1,5 +1,5 @@
-//! The quick start of `docs/annotators.md`: one task of each kind is annotated, reviewed and exported, from login to the
-//! tables, without a mouse.
+//! The quick start of `docs/annotators.md`: one task of each kind is annotated, reviewed and exported, from login to
+//! the tables, without a mouse.
 
 use annotate_browser::keys;
 
@@ -16,7 +16,7 @@ fn log_in(desk: &Desk, name: &str) {
 
 /// Opens a page by its link in the navigation. On task screens Tab moves between cards, and F6 between regions.
 fn follow(desk: &Desk, label: &str) {
-    // On a page without regions Tab alone gets there.
+    // On a page without regions, Tab alone reaches the link.
     desk.reaches("header");
     desk.tab_to(label);
     desk.mark();
@@ -31,7 +31,7 @@ fn visit(desk: &Desk, label: &str, shown: &str, picture: &str) {
     desk.picture(picture);
 }
 
-/// Submits answers to the tasks of a page, until one needs no second answer.
+/// Submits answers to the tasks of a page, until a task needs no second answer.
 fn answer(desk: &Desk, label: &str, picture: &str, write: impl Fn()) -> i64 {
     follow(desk, label);
     loop {

@@ -2,7 +2,7 @@
 
 use annotate_browser::{Browser, Graphics, keys, report_page};
 
-/// The viewer of the edit that the page opens with, and that of all items.
+/// The viewer at the top of the page, and the viewer of all items.
 const VIEWERS: [&str; 2] = ["opening-viewer", "viewer"];
 
 /// The frame that a viewer shows.
@@ -33,7 +33,7 @@ fn check(graphics: Graphics, renderer: &str, name: &str) {
     }
     let [opening, items] = VIEWERS;
     browser.until("the opening plays", &format!("{} > 1", frame(opening)));
-    // A viewer out of sight stands still.
+    // A viewer outside the window is paused.
     browser.is(&frame(items), 0);
     let labels = |viewer: &str| browser.count(&format!("#{viewer} .labels span"));
     assert_eq!(labels(opening), 3);
@@ -42,7 +42,7 @@ fn check(graphics: Graphics, renderer: &str, name: &str) {
         check_viewer(&browser, viewer);
         browser.picture(&format!("{name}-{viewer}"));
     }
-    // The page loads nothing.
+    // The page loads no other files.
     browser.is("performance.getEntriesByType('resource').length", 0);
     assert!(browser.count("table") > 0 && browser.count("svg") > 0);
     browser.is("document.documentElement.scrollWidth > innerWidth", false);

@@ -47,7 +47,7 @@ impl Bench {
         self.ask("ann", "GET", &path, Value::Null)
     }
 
-    /// Waits until the page says what the reviewer decided, and checks it.
+    /// Waits until the page shows the decision, and checks the state on the server.
     fn decided(&self, state: &str) {
         self.says(".toast", state);
         assert_eq!(self.view()["mine"]["state"], state);
@@ -86,8 +86,8 @@ fn an_answer_goes_back_with_a_comment_to_its_author() {
     assert_eq!(bench.view()["mine"]["state"], "submitted");
 }
 
-/// Gives a review page a size in pixels, and checks that `stage` pixels of the stage and all decisions are on the screen
-/// and nothing hangs over. Returns the height of the smallest button and the size of the smallest text.
+/// Resizes a review page to a size in pixels. Checks that `stage` pixels of the stage and all decisions are visible and
+/// that nothing overflows. Returns the height of the smallest button and the size of the smallest text.
 fn fits(bench: &Bench, [width, height]: [u32; 2], stage: f64) -> [f64; 2] {
     bench.task();
     bench.resize(width, height);

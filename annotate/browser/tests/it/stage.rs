@@ -10,7 +10,7 @@ use crate::steps::Desk;
 const FRAME: &str = "Number(document.querySelector('.stage').dataset.frame)";
 const RENDERER: &str = "document.querySelector('.stage').dataset.renderer";
 
-/// Colours in a copy of the canvas that the body is drawn on.
+/// Number of colours in a copy of the stage's canvas.
 const COLOURS: &str = "(() => { \
     const source = document.querySelector('.stage canvas'); \
     const copy = document.createElement('canvas'); \
@@ -22,7 +22,7 @@ const COLOURS: &str = "(() => { \
     for (let i = 0; i < data.length; i += 4) seen.add((data[i] << 16) | (data[i + 1] << 8) | data[i + 2]); \
     return seen.size; })()";
 
-/// The first task of a page.
+/// Opens a page, and waits for its first task.
 fn at(path: &str) -> Desk {
     let desk = Desk::at(path);
     desk.task();
@@ -34,7 +34,7 @@ fn frame(desk: &Desk, number: u32) {
     desk.until("a frame", &format!("{FRAME} === {number}"));
 }
 
-/// Waits until the picture is not flat.
+/// Waits until the stage shows more than `colours` colours.
 fn draws(desk: &Desk, colours: u32) {
     desk.until("it draws", &format!("{COLOURS} > {colours}"));
 }
@@ -97,7 +97,7 @@ fn stepping_scrubbing_and_looping_are_exact() {
                return [...seen].sort((a, b) => a - b); }",
     );
     assert_eq!(seen, json!([12, 13, 14, 15]));
-    // The slider is the same clock.
+    // The slider sets the same clock.
     desk.js("const range = document.querySelector('.scrub'); range.value = '7'; range.dispatchEvent(new Event('input'));");
     frame(&desk, 7);
     desk.press(&["\\", "-"]);
@@ -143,7 +143,8 @@ const SOAK_FRAMES: usize = 300;
 /// twice within an hour.
 const SOAK_SLACK_BYTES: u64 = 4 << 20;
 
-/// Plays two bodies at double speed. A short version runs with the other tests; half an hour (one hour of motion) is
+/// Plays two bodies at double speed. A short version runs with the other tests; this command runs half an hour (one
+/// hour of motion):
 ///
 /// ```sh
 /// ANNOTATE_SOAK=1800 bash annotate/browser/run playback

@@ -1,4 +1,4 @@
-//! The desk that a test works at, and steps shared by several tests.
+//! A server with users and a browser, and steps shared by several tests.
 
 use std::collections::BTreeMap;
 use std::ops::Deref;
@@ -6,9 +6,9 @@ use std::ops::Deref;
 use annotate_browser::{Browser, Dataset, Graphics, Server, keys};
 use serde_json::{Value, json};
 
-/// A server with people, and a browser. What is done without the page is done by their names.
+/// A server with users, and a browser. Requests outside the page are sent by user name.
 pub(crate) struct Desk {
-    // Ends first: a page does not outlive its server.
+    // Dropped first, so that the page does not outlive its server.
     browser: Browser,
     pub(crate) server: Server,
     pub(crate) dataset: Dataset,
@@ -24,12 +24,12 @@ impl Deref for Desk {
 }
 
 impl Desk {
-    /// A server with these people, of whom the boss must be one, and a browser on its login page.
+    /// A server with these users, who must include the boss, and a browser on its login page.
     pub(crate) fn of(people: &[&'static str]) -> Self {
         Self::with(Dataset::fresh(), Graphics::Software, None, people)
     }
 
-    /// The same with another dataset, without WebGL, or with a language model at an address.
+    /// Like `of`, with the given dataset, graphics and address of a language model.
     pub(crate) fn with(
         dataset: Dataset,
         graphics: Graphics,
@@ -59,7 +59,7 @@ impl Desk {
         desk
     }
 
-    /// The home page of the admin whose token the server prints, in a browser with more command-line arguments.
+    /// Opens the home page of the admin whose token the server prints, in a browser with extra command-line arguments.
     pub(crate) fn admin(dataset: Dataset, arguments: &[&str]) -> Self {
         let server = Server::start(&dataset);
         let browser = Browser::start_with(Graphics::Software, arguments);
@@ -117,7 +117,7 @@ impl Desk {
         self.ask(name, "POST", "queue/next", json!({ "kind": kind }))["task"].take()
     }
 
-    /// Sends an event of a claimed task for a person, with more fields, and returns the task.
+    /// Sends an event of a claimed task for a person, with extra fields, and returns the task.
     pub(crate) fn send(&self, name: &str, view: &Value, kind: &str, more: Value) -> i64 {
         let task = view["task"]["id"].as_i64().expect("a task");
         let epoch = &view["lease"]["epoch"];
@@ -133,13 +133,13 @@ impl Desk {
         task
     }
 
-    /// Hands in a person's answer to a claimed task after six minutes of work, and returns the task.
+    /// Submits a person's answer to a claimed task after six minutes of work, and returns the task.
     pub(crate) fn submit(&self, name: &str, view: &Value, answer: Value) -> i64 {
         let more = json!({ "answer": answer, "secs": 360 });
         self.send(name, view, "submit", more)
     }
 
-    /// Has the reviewer decide about the task that a request for a review gives her, and returns it.
+    /// Requests a review as the reviewer, decides about its task, and returns the task.
     pub(crate) fn decide(&self, request: Value, decision: &str, comment: &str) -> i64 {
         let next = self.ask("eve", "POST", "review/next", request);
         let review = &next["review"];
@@ -175,7 +175,7 @@ impl Desk {
         self.control(&[keys::ENTER]);
     }
 
-    /// Checks that no text has become an element of the page.
+    /// Checks that no text was parsed as HTML.
     pub(crate) fn check_canary(&self, page: &str, images: u64) {
         let found = self.value(
             "({ canary: window.canary ?? null, images: document.querySelectorAll('img').length, \
@@ -195,7 +195,7 @@ fn role(name: &str) -> &'static str {
     }
 }
 
-/// A document with more or other fields.
+/// A document with fields added or replaced.
 fn with(mut document: Value, more: Value) -> Value {
     for (name, value) in more.as_object().expect("fields") {
         document[name] = value.clone();

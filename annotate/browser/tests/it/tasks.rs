@@ -49,7 +49,7 @@ impl Desk {
         self.listed();
     }
 
-    /// Waits until the list has as many tasks.
+    /// Waits until the list shows this number of tasks.
     fn counts(&self, tasks: i64) {
         let words = match tasks {
             1 => "1 task".to_owned(),
@@ -60,7 +60,7 @@ impl Desk {
         self.until(&words, &shown);
     }
 
-    /// Tasks of the rows that are elements of the page.
+    /// Tasks of the rows that are in the DOM.
     fn rows(&self) -> Vec<i64> {
         let rows = self.value(
             "[...document.querySelectorAll('.list-row[data-task]')].map((row) => Number(row.dataset.task))",
@@ -125,7 +125,7 @@ fn a_filter_is_in_the_address_and_a_reload_or_a_link_shows_the_same() {
     office.choose("State", "submitted");
     office.counts(2);
     assert_eq!(office.rows(), [masked, other]);
-    // Every answer is stored with a field `masks`: a search finds texts alone.
+    // Every stored answer has a field `masks`; the search covers only texts.
     office.choose("Words", "mask");
     office.counts(1);
     assert_eq!(office.rows(), [masked]);
@@ -149,7 +149,7 @@ fn a_filter_is_in_the_address_and_a_reload_or_a_link_shows_the_same() {
     office.listed();
     assert_eq!(office.rows(), [masked]);
     office.is(query, address);
-    // Names come later than the list, and what was chosen stays.
+    // Names load after the list, and the chosen name stays chosen.
     office.list(&format!("?person={}", office.ann()));
     office.counts(2);
     office.until(
@@ -263,7 +263,7 @@ fn a_rule_is_added_applied_named_in_the_record_and_undone() {
     office.go("app/rules");
     office.push(&["Add a rule"]);
     office.dialog("A new rule", &[]);
-    // A name that the server does not take is asked for again, and the rest stays.
+    // If the server rejects the name, the form asks again and keeps its other fields.
     office.choose("Accepts", "sampled");
     office.choose("Name", "not a name");
     office.choose("Fewest answers", "1");
@@ -274,7 +274,7 @@ fn a_rule_is_added_applied_named_in_the_record_and_undone() {
     office.push(&["Add, off at first"]);
     let row = "document.querySelector('[data-rule=all-of-them]')?.closest('tr')?.textContent ?? ''";
     let is = |state: &str| office.until(state, &format!("/{state}/.test({row})"));
-    // off02 is off, accepted no task, and would accept two.
+    // The row reads: off, 0 tasks accepted, 2 would be accepted.
     is("off02");
     assert_eq!(office.state(task), "submitted");
     office.push(&["Turn on: all-of-them"]);
@@ -303,7 +303,7 @@ fn a_rule_is_added_applied_named_in_the_record_and_undone() {
     office.push(&["Undo…: all-of-them", "Take back 2 acceptances"]);
     is("off02");
     assert_eq!(office.state(task), "submitted");
-    // A removed rule stays listed while answers that it accepted stand: reviewers see it, and cannot change it.
+    // A removed rule stays listed while tasks that it accepted are accepted. Reviewers see it, but cannot change it.
     office.push(&["Remove: all-of-them", "Remove"]);
     office.says(".dashboard", "There are no rules");
     office.join("eve");
@@ -336,7 +336,7 @@ fn a_record_shows_the_story_of_a_task_and_acts_on_it() {
     office.push(&["Drop"]);
     office.comment("No.");
     office.record_says("dropped; 1 of 1");
-    // Another task is given to a person, who is named with the end of the reservation, and taken back.
+    // Assign another task to a person. The page shows the name and the end of the reservation. Then cancel it.
     let open = office.get("tasks?state=open&kind=mask_text&limit=1");
     let open = &open["rows"][0]["id"];
     office.go(&format!("app/task/{open}"));

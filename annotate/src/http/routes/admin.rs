@@ -22,13 +22,13 @@ pub(super) fn put_captures(cx: &Context) -> Result<Response, Error> {
     json(&cx.store().captures()?)
 }
 
-/// A new token of a user, shown this once.
+/// A new token for a user, which is shown only once.
 fn issued(cx: &Context, user: i64, days: u32) -> Result<Response, Error> {
     let (purpose, expires) = (TokenUse::Token, end(cx, days)?);
     json(&cx.store().issue(user, purpose, expires, cx.now)?)
 }
 
-/// When a token of today ends.
+/// Expiry of a token that is issued now.
 fn end(cx: &Context, days: u32) -> Result<i64, Error> {
     match days {
         1..=365 => Ok(cx.now + i64::from(days) * DAY),

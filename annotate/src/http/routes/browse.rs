@@ -10,9 +10,9 @@ use crate::http::app::{Context, json, page_size, parse_query};
 use crate::store::{DecisionQuery, MineQuery, PageQuery};
 use crate::wire::{Code, MyAnswers, TaskFile, TaskSort};
 
-/// Rows of a page.
+/// Rows per page.
 const ROWS: usize = 200;
-/// Answers or decisions of a page.
+/// Answers or decisions per page.
 const ITEMS: usize = 50;
 /// Decisions by their names in the log.
 const DECISIONS: [&str; 5] = ["accepted", "merged", "returned", "dropped", "reopened"];

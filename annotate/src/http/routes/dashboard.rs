@@ -91,7 +91,7 @@ pub(super) fn quota(cx: &Context) -> Result<Response, Error> {
 
 pub(super) fn edit_types(cx: &Context) -> Result<Response, Error> {
     let quotas = cx.store().settings()?.edit_type_quota;
-    // Annotators ask with every pair; most projects have no such quota.
+    // The page requests this with every pair. Most projects have no such quota and skip the query.
     let kept = match quotas.is_empty() {
         true => Vec::new(),
         false => cx.store().kept()?,
@@ -112,7 +112,7 @@ pub(super) fn edit_types(cx: &Context) -> Result<Response, Error> {
     json(&counts)
 }
 
-/// Days that `stats/days` shows if the query names none, today among them.
+/// Default number of days of `stats/days`, including today.
 const DAYS_SHOWN: i64 = 28;
 
 /// The query of `stats/days`.
@@ -126,7 +126,7 @@ struct Days {
 pub(super) fn days(cx: &Context) -> Result<Response, Error> {
     let Days { from, to } = cx.query()?;
     let from = from.unwrap_or(cx.now - (DAYS_SHOWN - 1) * DAY);
-    // The first day is shown whole.
+    // Include the whole first day.
     let zone = cx.store().settings()?.time_zone;
     let from = clock::midnight(&zone, from.max(0));
     json(&cx.store().work(from, to.unwrap_or(i64::MAX))?)

@@ -26,8 +26,8 @@ const ANNOTATOR: Option<Role> = Some(Role::Annotator);
 const REVIEWER: Option<Role> = Some(Role::Reviewer);
 const ADMIN: Option<Role> = Some(Role::Admin);
 
-/// A table of routes from lines of method, path, required role and handler, and the limit of the body where it is not
-/// [`MAX_BODY_BYTES`].
+/// Builds a table of routes. Each line has a method, a path, the required role, a handler, and a limit of the body if
+/// it is not [`MAX_BODY_BYTES`].
 macro_rules! routes {
     ($($method:ident $path:literal $role:ident $handler:expr $(, up to $max:ident)?;)*) => {
         &[$(Route {
@@ -35,7 +35,7 @@ macro_rules! routes {
             filter: MethodFilter::$method,
             path: $path,
             role: $role,
-            // The given limit stands before the usual one.
+            // The given limit, if any, precedes the default.
             max_body: [$($max,)? MAX_BODY_BYTES][0],
             handler: $handler,
         },)*]
@@ -124,7 +124,7 @@ pub static ROUTES: &[Route] = routes! {
     GET "/assets/{*name}" PUBLIC health::asset;
 };
 
-/// Routes of the address for operators, which needs no login.
+/// Routes of the operators' address, which need no login.
 pub(super) static OPERATOR_ROUTES: &[Route] = routes! {
     GET "/healthz" PUBLIC health::healthy;
     GET "/readyz" PUBLIC health::ready;

@@ -9,7 +9,7 @@ use crate::mask::{check_names, known_parts, mask_of};
 use crate::motions::row_bytes;
 use crate::wire::{BlendRequest, MotionInfo};
 
-/// A response with numbers of a motion, found by its hash. They never change, so caches may keep them.
+/// A response with data of a motion, found by its hash. The data never changes, so caches may keep it.
 fn lasting(bytes: Vec<u8>) -> Response {
     let cache = "private, max-age=31536000, immutable";
     content("application/octet-stream", cache, bytes)
@@ -39,7 +39,7 @@ pub(super) fn partners(cx: &Context) -> Result<Response, Error> {
     json(&found)
 }
 
-/// How two motions are compared.
+/// Alignment of two motions that are compared.
 #[derive(Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Align {

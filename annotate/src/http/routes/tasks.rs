@@ -16,7 +16,7 @@ use crate::wire::{
 /// Tasks whose motions the browser prefetches.
 const AHEAD: usize = 3;
 
-/// A suggestion in the form that texts of a kind of task have.
+/// Converts a suggestion to the text form of a kind of task.
 pub(super) fn shown(mut suggestion: Suggestion, kind: TaskKind) -> Suggestion {
     if kind.text_form() == TextForm::Completion {
         suggestion.text = answer::completion(&suggestion.text).to_owned();

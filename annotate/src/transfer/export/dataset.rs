@@ -19,7 +19,8 @@ use crate::wire::{Answer, Extent, TaskKind};
 const STORE_FACT: &str = "annotate_store";
 const SEQ_FACT: &str = "annotate_seq";
 
-/// Judgements of pairs, by the id of the pair: when each was accepted, and the row of a pair that is kept.
+/// Judgements of pairs by the id of the pair: the sequence number of the acceptance, and the row of a pair that is
+/// kept.
 type Judged = BTreeMap<String, (i64, Option<PairRow>)>;
 
 impl Exporter<'_> {
@@ -95,7 +96,7 @@ impl Exporter<'_> {
             let joints = mask.mask();
             let fits = |range| check_range(range, frames).is_ok();
             if !mask.range.is_none_or(fits) {
-                // The clip was ingested again after the answer, and is shorter than it was.
+                // The clip was ingested again after the answer, and is shorter now.
                 self.done.count("masks_past_the_clip", 1);
                 continue;
             }
@@ -130,7 +131,7 @@ impl Exporter<'_> {
         Ok(rows)
     }
 
-    /// The row of a pair that is kept.
+    /// The row of a judged pair; none if the pair is rejected.
     fn pair_row(&self, id: &str, accepted: &AcceptedAnswer) -> Result<Option<PairRow>, Error> {
         let (source, target) = self.ids(&accepted.task)?;
         let said = accepted.answer.fields();

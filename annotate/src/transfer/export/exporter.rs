@@ -18,7 +18,7 @@ pub(super) const BATCH: usize = 2000;
 pub struct Exported {
     /// Id of the store.
     pub store: String,
-    /// Last sequence number of the log that the export knows of.
+    /// Last sequence number of the log that the export includes.
     pub seq: i64,
     /// Counts of rows by table, and of omitted items.
     pub counts: BTreeMap<String, i64>,
@@ -55,7 +55,7 @@ pub(super) struct Exporter<'a> {
 }
 
 impl<'a> Exporter<'a> {
-    /// Takes a snapshot of a store.
+    /// An exporter of a snapshot of a store.
     pub(super) fn new(store: &'a Store, splits: &'a [String]) -> Result<Self, Error> {
         Ok(Self {
             store,
@@ -99,7 +99,7 @@ impl<'a> Exporter<'a> {
         Ok(())
     }
 
-    /// Pseudonym of a person: the same in every export of a store, and none of another store.
+    /// Pseudonym of a person: the same in every export of a store, and unique to the store.
     pub(super) fn pseudonym(&self, user: i64) -> String {
         if user == 0 {
             return "imported".to_owned();
@@ -108,7 +108,7 @@ impl<'a> Exporter<'a> {
         format!("a{user:03}-{store}")
     }
 
-    /// The author of an accepted answer: a person of this store, or whom an import named.
+    /// The author of an accepted answer: the pseudonym of a person of this store, or the author that an import named.
     pub(super) fn author(&self, accepted: &AcceptedAnswer) -> String {
         let credit = accepted.credit.clone();
         credit.unwrap_or_else(|| self.pseudonym(accepted.author))
@@ -162,7 +162,7 @@ impl<'a> Exporter<'a> {
         Ok(())
     }
 
-    /// The accepted answers of the splits in a range, by the key of their task.
+    /// Accepted answers of the chosen splits in a range, by the key of their task.
     pub(super) fn accepted(&mut self, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error> {
         let mut all = self.store.accepted(keys)?;
         all.retain(|answer| self.wanted(&answer.task.split));
@@ -196,7 +196,7 @@ impl<'a> Exporter<'a> {
         Ok(())
     }
 
-    /// Visits the accepted answers of the splits, by the key of their task.
+    /// Visits the accepted answers of the chosen splits, by the key of their task.
     pub(super) fn each_accepted(
         &mut self,
         mut each: impl FnMut(&mut Self, AcceptedAnswer) -> Result<(), Error>,

@@ -1,4 +1,4 @@
-//! Export of answers into files and into the dataset, a file for each layout.
+//! Export of answers into files and into the dataset, with a module for each layout.
 
 mod dataset;
 mod exporter;
@@ -21,12 +21,11 @@ use crate::Error;
 use crate::store::Store;
 use crate::wire::{ExportFormat, ExportRequest};
 
-/// Exports accepted answers as they are at one point in time, whatever is written meanwhile. `folder` takes the files;
-/// layout `dataset` writes the tables `masks` and `pairs` of the dataset instead, together, while it holds the
-/// dataset's lock.
+/// Exports accepted answers from a snapshot of the store. The files are written to `folder`. Layout `dataset` instead
+/// writes the tables `masks` and `pairs` of the dataset in one commit, under the dataset's lock.
 ///
-/// The place in the log is in [`Exported::seq`], in the file `export.json` beside the files, and in the facts of the
-/// dataset's manifest.
+/// The sequence number of the snapshot is in [`Exported::seq`], in the file `export.json` beside the files, and in the
+/// facts of the dataset's manifest.
 ///
 /// # Errors
 /// A file cannot be written, a pair crosses splits, the dataset is locked, or the store fails.
@@ -38,10 +37,10 @@ pub fn export(
     holder: &str,
 ) -> Result<Exported, Error> {
     if selection.format == ExportFormat::Dataset {
-        // Taking the lock creates the folder. A mistyped path must not.
+        // Taking the lock creates the folder, so check first that the path is a dataset.
         Dataset::open_unverified(dataset)?;
         let transaction = Transaction::begin(dataset, holder)?;
-        // Taken under the lock, so that a later version of the dataset holds a later point in time.
+        // Take the snapshot under the lock, so that a later version of the dataset has a later snapshot.
         let now = store.snapshot()?;
         let mut exporter = Exporter::new(&now, &selection.splits)?;
         exporter.dataset(transaction)?;
@@ -51,7 +50,7 @@ pub fn export(
     let now = store.snapshot()?;
     let mut exporter = Exporter::new(&now, &selection.splits)?;
     std::fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?;
-    // Files without a stamp are those of an export that did not end.
+    // Remove the stamp first: files without a stamp are from an unfinished export.
     let path = folder.join(STAMP);
     if let Err(error) = std::fs::remove_file(&path)
         && error.kind() != std::io::ErrorKind::NotFound
@@ -80,7 +79,7 @@ pub fn export(
     Ok(exporter.done)
 }
 
-/// BLAKE3 of files of a folder, by their names.
+/// BLAKE3 hashes of files in a folder, by their names.
 fn hashes(folder: &Path, names: &[String]) -> Result<BTreeMap<String, String>, Error> {
     let hash = |name: &String| {
         let path = folder.join(name);
@@ -90,8 +89,8 @@ fn hashes(folder: &Path, names: &[String]) -> Result<BTreeMap<String, String>, E
     names.iter().map(hash).collect()
 }
 
-/// Refuses the files of an export of which one was changed since: the table holds what the lists say, and nothing tells
-/// which of them counts. Folders without a stamp, or with one of an earlier version, are not checked.
+/// Refuses an export with a file that was changed afterwards: the table repeats the lists, and it is unknown which is
+/// right. Folders without a stamp, or with one of an earlier version, are not checked.
 ///
 /// # Errors
 /// A file has another content than it was written with, or cannot be read.

@@ -5,9 +5,9 @@ import { matching, matrixOf, noteOf, totals } from "../captures";
 import type { CaptureCell, Captures } from "../wire";
 import { Component, define, figureTable, type Column } from "./component";
 
-/** Missing cells that are listed; the filter finds the others. */
+/** Maximum number of missing cells in the list; the filter finds the others. */
 const LISTED = 100;
-/** Cells up to which the matrix is open from the start. */
+/** Maximum number of cells of a matrix that is open from the start. */
 const OPEN_UP_TO = 400;
 
 export class CapturesBoard extends Component {

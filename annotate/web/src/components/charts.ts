@@ -19,7 +19,7 @@ export function roundUp(most: number): number {
 
 const y = (share: number): number => HEIGHT - BOTTOM - share * (HEIGHT - BOTTOM - TOP);
 
-/** A chart of columns with labels below, and an axis up to `end`; the table beside it has the figures. */
+/** A chart of columns with labels below, and an axis from 0 to `end`. The table beside it has the figures. */
 function chart<T>(
   name: string,
   caption: unknown,
@@ -77,7 +77,7 @@ export function agreementChart(rows: readonly PartAgreement[]): TemplateResult |
   return chart("Agreement by decision", "Agreement (Gwet AC1) with 95 % intervals", { end: 1, digits: 1 }, known, label, draw);
 }
 
-/** Mean agreement of each week; weeks without tasks of several answers leave a gap. */
+/** Mean agreement of each week. Weeks without agreement leave a gap. */
 export function agreementByWeek(weeks: readonly Week[], zone: string): TemplateResult | typeof nothing {
   if (!weeks.some((week) => week.agreement !== null)) return nothing;
   const draw = ({ agreement }: Week, x: number, index: number): TemplateResult | typeof nothing => {
@@ -92,7 +92,7 @@ export function agreementByWeek(weeks: readonly Week[], zone: string): TemplateR
   return chart("Agreement by week", "Agreement by week of the last answer", { end: 1, digits: 1 }, weeks, (week) => shortDate(dateOf(week.start, zone)), draw);
 }
 
-/** Groups of states, as the bar of a kind shows them. */
+/** Groups of states in the bar of a kind. */
 const GROUPS: readonly (readonly [string, string, readonly TaskState[]])[] = [
   ["accepted", "accepted", ["accepted"]],
   ["waiting", "waiting for review", ["submitted", "in_review"]],

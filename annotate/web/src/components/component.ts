@@ -16,7 +16,7 @@ export abstract class Component extends LitElement {
     const field = active instanceof HTMLTextAreaElement && this.contains(active) ? active : null;
     const caret = field && ([field.selectionStart, field.selectionEnd] as const);
     super.update(changed);
-    // A text that is replaced by another version moves the caret to its end.
+    // Replacing the text by another version moves the caret to its end.
     if (field && caret && field.isConnected && field.selectionStart !== caret[0]) field.setSelectionRange(...caret);
   }
 
@@ -28,13 +28,13 @@ export abstract class Component extends LitElement {
     this.dataset.region = region;
   }
 
-  /** Calls `action` once the present state is drawn. */
+  /** Calls `action` once the current state is drawn. */
   protected drawn(action: () => void): void {
     this.requestUpdate();
     void this.updateComplete.then(action);
   }
 
-  /** Focuses the first matching element once the present state is drawn. */
+  /** Focuses the first matching element once the current state is drawn. */
   protected focusOn(selector: string): void {
     this.drawn(() => this.querySelector<HTMLElement>(selector)?.focus());
   }
@@ -44,7 +44,7 @@ export function define(name: string, component: CustomElementConstructor): void 
   if (!customElements.get(name)) customElements.define(name, component);
 }
 
-/** The element of a template that is not drawn again. */
+/** The element of a template that is drawn only once. */
 export function element<E extends HTMLElement>(template: TemplateResult): E {
   const drawn = document.createDocumentFragment();
   render(template, drawn);
@@ -59,7 +59,7 @@ export function action(label: string, hint: string, run: () => void, className =
   return html`<button type="button" class=${className} title=${title || nothing} @click=${run}>${keyHint(hint)}<span class="button-label">${label}</span></button>`;
 }
 
-/** A square of a colour. An attribute of SVG, since the policy of the page refuses inline styles. */
+/** A square of a colour. It is an SVG attribute, because the page's security policy refuses inline styles. */
 export function swatch(colour: string | null): TemplateResult | typeof nothing {
   if (!colour) return nothing;
   return html`<svg class="swatch" viewBox="0 0 1 1" aria-hidden="true"><rect width="1" height="1" fill=${colour}></rect></svg>`;
@@ -74,7 +74,7 @@ export function guidelinePanel({ name, guideline }: Style): TemplateResult | typ
   </details>`;
 }
 
-/** A button of a choice, such as a body part; `mark` stands before its label. */
+/** A button of a choice, such as a body part; `mark` precedes its label. */
 export function choice(
   id: string,
   label: string,
@@ -89,7 +89,7 @@ export function choice(
 }
 
 export function lintList(lints: readonly Lint[]): TemplateResult {
-  // An empty text is no fault before the answer is handed in.
+  // An empty text is no mistake before the answer is submitted.
   const shown = lints.filter((lint) => lint.code !== "empty");
   return html`<ul class="lints plain col tight" aria-live="polite">
     ${shown.map((lint) => html`<li class=${`tint ${lint.code === "side" ? "severe" : "warn"}`} data-lint=${lint.code}>${lint.message}</li>`)}
@@ -109,7 +109,7 @@ export function pageLink(app: { go(path: string): void }, path: string, label: s
 /** A column of a table: its head, and its cell in a row. */
 export type Column<T> = readonly [head: string, cell: (row: T, index: number) => unknown];
 
-/** A table; the first cell of a row heads it. Without rows, `none` is shown instead. */
+/** A table, with the first cell of a row as its heading. Without rows, `none` is shown instead. */
 export function figureTable<T>(caption: string, rows: readonly T[], columns: readonly Column<T>[], none = "None."): TemplateResult {
   const cells = (row: T, index: number): TemplateResult[] =>
     columns.map(([, cell], at) => (at === 0 ? html`<th scope="row">${cell(row, index)}</th>` : html`<td>${cell(row, index)}</td>`));

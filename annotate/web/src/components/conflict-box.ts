@@ -19,7 +19,7 @@ const DEAF_MS = 1000;
 
 export class ConflictBox extends Component {
   private ready = false;
-  /** The text in which the user was before. */
+  /** The text field in which the user was typing. */
   private text: HTMLTextAreaElement | null = null;
 
   constructor(
@@ -66,7 +66,7 @@ export class ConflictBox extends Component {
     } else if (event.code === "Tab" || event.code === "F6") {
       return;
     }
-    // Keys of the stage shall not act on what the box covers.
+    // Keys must not reach the stage behind the box.
     event.stopPropagation();
   };
 
@@ -75,12 +75,12 @@ export class ConflictBox extends Component {
     this.back();
   }
 
-  /** Restores the focus and the caret position in the text. */
+  /** Restores the focus and the caret position in the text field. */
   private back(): void {
     const field = this.text;
     if (!field?.isConnected) return;
     const caret = [field.selectionStart, field.selectionEnd] as const;
-    // The chosen version is drawn first.
+    // Wait until the chosen version is drawn.
     requestAnimationFrame(() => {
       field.focus();
       field.setSelectionRange(...caret);

@@ -1,4 +1,4 @@
-/** Decisions of reviewers, newest first, with what became of each. */
+/** Decisions of reviewers, newest first, with the current result of each. */
 
 import { html, nothing, type TemplateResult } from "lit";
 import { queryOf } from "../api";
@@ -42,7 +42,7 @@ export class DecisionList extends Component {
     if (!KINDS.some(([name]) => name === kind)) this.kind = "";
   }
 
-  /** Loads the first page, or the one after those shown. */
+  /** Loads the first page, or the page after the shown ones. */
   async load(more = false): Promise<void> {
     const turn = ++this.asked;
     const reviewer = this.whose === "mine" ? this.app.me.user.id : null;

@@ -12,7 +12,7 @@ export interface EditorHost<A> {
   change(answer: A, kind: string | null): void;
   seal(): void;
   suggestionUsed(id: number, used: SuggestionUse): void;
-  /** Asks the language model; absent where there is none or the task is blind. */
+  /** Requests a draft from the language model; absent if there is no model or the task is blind. */
   askDraft: ((parts: readonly string[]) => Promise<Suggestion>) | null;
 }
 
@@ -57,7 +57,7 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
     return this.suggestions.filter(({ id, text }) => text !== "" && !this.discarded.has(id));
   }
 
-  /** Takes a draft; if there is none, requests one for these parts, or shows why there is none. */
+  /** Takes a draft. If there is none, requests a draft for these parts, or shows why there is none. */
   protected async takeDraft(draft: Suggestion | null, take: (draft: Suggestion) => void, parts: readonly string[] | null, none: string): Promise<void> {
     const { askDraft } = this.host;
     if (draft) {
@@ -79,13 +79,13 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
     }
   }
 
-  /** Notes what became of the draft that a text was begun with. */
+  /** Records whether the draft of a text was used unchanged or edited. */
   protected noteDraft(id: number | null, text: string): void {
     const draft = this.suggestions.find((suggestion) => suggestion.id === id);
     if (draft) this.host.suggestionUsed(draft.id, draft.text.trim() === text ? "used" : "edited");
   }
 
-  /** A draft that may be used or discarded, or the button that asks for one. */
+  /** A draft that may be used or discarded, or the button that requests one. */
   protected draftBox(draft: Suggestion | null, mayAsk: boolean): TemplateResult | typeof nothing {
     const hint = this.app.keys.hint("draft_use");
     const use = (): void => void this.useDraft();
@@ -144,7 +144,7 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
     </div>`;
   }
 
-  /** Puts the caret into the text once it is drawn. */
+  /** Puts the caret into the text field once it is drawn. */
   protected caretTo(selector: string, place: (text: string) => number): void {
     this.drawn(() => {
       const field = this.querySelector<HTMLTextAreaElement>(selector);

@@ -145,7 +145,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     return { parts: [], soft: this.app.me.prefs.soft_ring ?? true, text: "", suggestion: null };
   }
 
-  /** The answer with one mask at least, to edit. */
+  /** The answer with at least one mask, to edit. */
   private filled(answer: MaskTextAnswer): MaskTextAnswer {
     return answer.masks.length > 0 ? answer : { ...answer, masks: [this.emptyMask()] };
   }
@@ -162,7 +162,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     this.refreshBlend();
   }
 
-  /** The card holds from the begin of the loop to its end. */
+  /** Sets the range of the selected mask to the loop. */
   private setRange(): void {
     const { loopIn, loopOut, frames } = this.stage.viewer.clock.now;
     if (loopIn === 0 && loopOut === frames - 1) {
@@ -173,7 +173,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     this.edit({ range: [loopIn, loopOut + 1] });
   }
 
-  /** An end of the card's range was moved: the frame there is shown, and the loop is the range. */
+  /** After an end of the selected mask's range was moved, shows the frame there and loops over the range. */
   private moveRange(range: [number, number], frame: number): void {
     this.edit({ range }, `range-${this.selected}`);
     const { clock } = this.stage.viewer;
@@ -181,7 +181,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     clock.seek(frame);
   }
 
-  /** Why the server would refuse a mask's parts or text, after the mask's name; `null` if it would not. */
+  /** Why the server would refuse a mask's parts or text, to follow the mask's name; `null` if it would accept them. */
   private problemOf(mask: MaskAnswer): string | null {
     const { hard } = this.app.parts.joints(mask.parts, mask.soft, mask.joints);
     if (mask.parts.length > 0 && hard === 0) return "has no hard joint; make one hard, or delete the mask";
@@ -227,7 +227,10 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     this.refreshBlend();
   }
 
-  /** Suggestions that are not yet masks: active parts, and imported masks. Those of the card `card` count as open. */
+  /**
+   * Suggestions that are not masks yet: active parts, and imported masks. Suggestions used by card `card` are
+   * included.
+   */
   private offers(card: number | null = null): Offer[] {
     const taken = new Set(this.answer.masks.filter((_, index) => index !== card).map((mask) => keyOf(mask.parts)));
     const seen = new Set<string>();
@@ -246,7 +249,10 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
       });
   }
 
-  /** The suggestion that the key takes: the next one on a card that is empty or that it filled; else the first. */
+  /**
+   * The suggestion that the key takes: the next one if the card has no text, and no parts or those of a suggestion;
+   * otherwise the first one.
+   */
   private get nextOffer(): Offer | null {
     const offers = this.offers(this.selected);
     const at = offers.findIndex((offer) => keyOf(offer.parts) === keyOf(this.card.parts));
@@ -459,7 +465,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
   private partPicker(mask: MaskAnswer): TemplateResult {
     const { app } = this;
     const button = ({ name, phrase }: PartInfo): TemplateResult => {
-      // Pointing at a part previews its joints on the stage.
+      // Pointing at a part shows its joints on the stage.
       const look = (): void => this.paint(app.parts.toggle(mask.parts, name));
       const back = (): void => this.paint();
       return html`<span class="look" @pointerenter=${look} @focusin=${look} @pointerleave=${back} @focusout=${back}

@@ -32,14 +32,14 @@ interface PairEditorHost extends EditorHost<TwoAnswer> {
   repaint(parts: readonly string[]): void;
 }
 
-/** Verdicts that reject a pair, which have keys of the same names. */
+/** Verdicts that reject a pair. Their keys have the same names. */
 const REJECTS = [
   ["unnatural", "Unnatural"],
   ["unclear", "Unclear"],
   ["identical", "Identical"],
 ] as const satisfies readonly (readonly [Verdict & ActionId, string])[];
 
-/** Styles that have a button; the others are chosen in the field beside, which proposes their names. */
+/** Maximum number of style buttons; other styles are chosen in a field that suggests their names. */
 const MAX_STYLE_BUTTONS = 12;
 
 const EXTENT_PARTS: Readonly<Record<Extent, readonly string[]>> = {

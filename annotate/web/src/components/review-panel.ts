@@ -22,7 +22,7 @@ export interface ReviewStage {
   paint(candidate: Candidate | undefined, glow: number): void;
   /** Highlights only these parts, for example while answers are merged. */
   paintParts(parts: readonly string[], glow?: number): void;
-  /** Highlights what an answer takes, and shows the frames of its masks. */
+  /** Highlights the joints of an answer, and shows the frames of its masks. */
   paintAnswer(answer: Answer): void;
   mask: MaskStage | null;
 }
@@ -31,15 +31,15 @@ export class ReviewPanel extends Component {
   private selected = 0;
   private merging: MaskEditor | PairEditor | null = null;
   private busy = false;
-  /** Keeps the comment until it is sent, also after a refusal. */
+  /** The comment is kept until it is sent, even after a refusal. */
   private readonly comment = commentField();
   private lease: Lease;
   private heartbeat: number | null = null;
   private readonly work = new WorkClock();
   private readonly glow: number;
-  /** Keys and seconds by decision: a repeated decision is the same request, so a lost response does no harm. */
+  /** Keys and seconds by decision: a repeated decision sends the same request, so a lost response does no harm. */
   private readonly sent = new Map<string, { idem_key: string; secs: number }>();
-  /** Where the unfinished merge is kept. */
+  /** Storage key of the unfinished merge. */
   private readonly kept: string;
 
   constructor(

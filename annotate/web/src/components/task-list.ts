@@ -1,4 +1,4 @@
-/** Rows of the task browser. Only those in sight are elements of the page, however long the list is. */
+/** Rows of the task browser. Only visible rows are in the DOM, however long the list is. */
 
 import { html, nothing, type TemplateResult } from "lit";
 import { reason } from "../api";
@@ -18,13 +18,13 @@ const COLUMNS = ["Task", "State", "Motions", "Answers", "Apart", "Last change"] 
 export class TaskList extends Component {
   private list: PagedRows<TaskRow> = new PagedRows<TaskRow>(async () => ({ rows: [], next: null, total: 0 }), () => {});
   private at = 0;
-  /** Scroll position to restore once the list is as long as that. */
+  /** Scroll position to restore once the list is long enough. */
   private restore: number | null = null;
 
   constructor(
     private readonly app: App,
     private readonly open: (row: TaskRow) => void,
-    /** Called when rows came or a request failed. */
+    /** Called when rows were loaded or a request failed. */
     private readonly changed: (list: PagedRows<TaskRow>) => void,
   ) {
     super();
@@ -41,7 +41,7 @@ export class TaskList extends Component {
     this.style.setProperty("--head", `${HEAD}px`);
   }
 
-  /** Shows another list, from a row and a scroll position on. */
+  /** Shows another list, starting at a row and a scroll position. */
   show(fetch: (after: string | null) => Promise<{ rows: TaskRow[]; next: string | null; total: number | null }>, at = 0, top = 0): Promise<void> {
     const list: PagedRows<TaskRow> = new PagedRows<TaskRow>(fetch, () => {
       if (list !== this.list) return;
@@ -56,7 +56,7 @@ export class TaskList extends Component {
     return list.want(1);
   }
 
-  /** Where the reader is, to come back to. */
+  /** The current position in the list, to return to. */
   get place(): { at: number; top: number; rows: readonly TaskRow[] } {
     return { at: this.at, top: this.restore ?? this.scrollTop, rows: this.list.rows };
   }

@@ -202,7 +202,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   };
   show();
   const save = async (): Promise<void> => {
-    // The guide, rules, guidelines and styles may have been changed elsewhere since this page was opened.
+    // Other pages may have changed the guide, rules, guidelines and styles since this page was opened.
     const now = await app.api.get<Settings>("settings");
     const quotas = types.map(([type, own]) => [type, Number(own.value)] as const).filter(([, wanted]) => wanted !== 0);
     const changed: Settings = {
@@ -229,7 +229,7 @@ async function settingsSection(app: App): Promise<HTMLElement> {
   </section>`);
 }
 
-/** The capture plan, which is a file. */
+/** Section on the capture plan, which is imported from a file. */
 function capturesSection(app: App): HTMLElement {
   return element(html`<section class="card">
     <h2>Captures</h2>

@@ -1,4 +1,4 @@
-/** The work on one task: where it comes from, its panel, and how it ends. */
+/** The work on one task: loading it, its panel, and its end. */
 
 import type { App, Screen } from "../app";
 import type { Editor, EditorHost } from "../components/editor";
@@ -16,7 +16,10 @@ import { practiceFirst } from "./practice";
 /** Milliseconds without an acknowledgement after which the page shows that it is waiting. */
 const SAY_AFTER_MS = 3000;
 
-/** Opens the task with a number, which is claimed unless it is held; else the next one of the queue. */
+/**
+ * Opens the task with a number, and claims it unless it is held. Without a number, opens the next task of the
+ * queue.
+ */
 export async function openAnswer(app: App, kind: TaskKind, argument: string, show: (app: App, view: TaskView) => Promise<Screen>): Promise<Screen> {
   if (argument !== "") {
     const view = await app.api.get<TaskView>(`tasks/${Number(argument)}`);
@@ -59,13 +62,13 @@ export function hostOf<A extends Answer>(app: App, view: TaskView, session: Task
   };
 }
 
-/** Prepares the end of a task, for example by asking for a reason; `null` if the user goes on working. */
+/** Prepares the end of a task, for example by asking for a reason; `null` if the user continues working. */
 type Prepare = () => Promise<(() => Promise<Ending>) | null>;
 
 /** Ends the work on a task, opens `to` (by default the next task), and then calls `after`. */
 export type Finish = (prepare: Prepare, after?: () => void, to?: string) => Promise<void>;
 
-/** Ends a task and opens the next of `route`. Calls during another are ignored, so that an answer is sent once. */
+/** Ends a task and opens the next of `route`. Further calls meanwhile are ignored, so that an answer is sent once. */
 export function finisher(app: App, route: string): Finish {
   let busy = false;
   return async (prepare, after, to = route) => {
@@ -109,7 +112,7 @@ export function answerScreen<A extends Answer, H extends EditorHost<A>>(
     submit: string;
     finish: Finish;
     scope: Scope;
-    /** Actions of the kind of task, before those of all kinds. */
+    /** Actions for the kind of task, which precede those for all kinds. */
     deeds: Deeds;
     perform(id: ActionId, ten: boolean): boolean;
   },

@@ -1,4 +1,4 @@
-/** One action on all tasks of a filter: what it would change, then the action, then what it did. */
+/** One action on all tasks of a filter: a preview of its changes, the action, and its result. */
 
 import { reason } from "../api";
 import type { App } from "../app";
@@ -9,7 +9,7 @@ import { BULK_ACTIONS, type BulkAction, type BulkDone, type BulkRequest, type Pe
 import { KIND_WORDS, STATE_WORDS, plural } from "../words";
 import { listOf } from "./frame";
 
-/** The name of each action, what a task is afterwards, and what that means. */
+/** The label of each action, the result for a task, and an explanation. */
 const WORDS: Readonly<Record<BulkAction, readonly [label: string, done: string, means: string]>> = {
   accept: ["Accept", "accepted", "The answer that was handed in first is accepted, and exports have it from then on."],
   return: ["Send back", "sent back", "All their answers go back to their authors, with your comment."],
@@ -40,7 +40,7 @@ function leftAloneList(counts: BulkDone["left_alone"]): Child[] {
 
 const NEEDS_COMMENT: ReadonlySet<BulkAction> = new Set<BulkAction>(["return", "drop", "reopen"]);
 
-/** The people a task can be given to, for a list of choices. */
+/** The people to whom a task can be assigned, as a list of choices. */
 export function personSelect(people: readonly Person[]): HTMLSelectElement {
   const active = people.filter(({ user }) => user.active);
   return select([["", "choose a person"] as readonly [string, string], ...active.map(({ user }) => [String(user.id), user.name] as const)]);
@@ -59,7 +59,7 @@ function wordsOf(app: App, filter: TaskFilter, people: readonly Person[]): strin
   return said.length === 0 ? "This concerns all tasks: there is no filter." : `This concerns the tasks of the filter: ${said.join("; ")}.`;
 }
 
-/** Asks what to do with all tasks of a filter, and does it. Returns whether anything was tried. */
+/** Asks for an action on all tasks of a filter, and performs it. Returns whether anything was tried. */
 export async function actOnAll(app: App, { filter }: Chosen, people: readonly Person[]): Promise<boolean> {
   const request = await askRequest(app, filter, people);
   if (!request) return false;
@@ -94,7 +94,7 @@ export async function actOnAll(app: App, { filter }: Chosen, people: readonly Pe
   return true;
 }
 
-/** Asks for the action with its comment or person; `null` if the user cancels. */
+/** Asks for the action and its comment or person; `null` if the user cancels. */
 async function askRequest(app: App, filter: TaskFilter, people: readonly Person[]): Promise<BulkRequest | null> {
   const action = select(BULK_ACTIONS.map((own) => [own, WORDS[own][0]] as const));
   const comment = commentField();

@@ -54,11 +54,11 @@ interface Figures {
   outlook: Outlook[];
   leases: HeldLease[];
   days: DayWork[];
-  /** Time of the request, which the days end with. */
+  /** Time of the request, on the last of the days. */
   at: number;
 }
 
-/** The figures. They are drawn again after changes, so that focus and opened tables stay. */
+/** The figures. They are redrawn after changes, so that focus and open tables stay. */
 class FiguresBoard extends Component {
   private figures: Figures | null = null;
   private days: number;
@@ -286,7 +286,7 @@ function agreementTable(rows: readonly PartAgreement[]): TemplateResult {
   ]);
 }
 
-/** How much of a quota there is; 0 is no quota. */
+/** Kept pairs of a quota; 0 wanted pairs means that there is no quota. */
 function quotaCell(kept: number, wanted: number): unknown {
   if (wanted === 0) return kept;
   return kept < wanted ? `${kept} / ${wanted}` : html`<span class="full">${kept} / ${wanted} ✓</span>`;

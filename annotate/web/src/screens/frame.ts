@@ -5,7 +5,7 @@ import { h, setAttr, type Child } from "../dom";
 import type { Viewer } from "../viewer";
 import type { Change } from "../wire";
 
-/** A page without keys of its own. */
+/** A page without its own keys. */
 export function pageScreen(title: string, element: HTMLElement, focusTarget: HTMLElement | null): Screen {
   return { element, title, scopes: [], perform: () => false, focusTarget };
 }
@@ -20,7 +20,7 @@ export function widePage(title: string, above: Child, ...body: Child[]): Screen 
 export function workScreen(viewer: Viewer, panel: HTMLElement, className: string, task: number | null, rest: Omit<Screen, "element" | "focusTarget" | "draw">): Screen {
   const { leave } = rest;
   const data: Record<string, string> = task === null ? {} : { task: String(task) };
-  // `rest` itself: a copy would hold what its getters return now.
+  // Extend `rest` itself: a copy would freeze the current values of its getters.
   return Object.assign(rest, {
     element: h("div", { class: `work ${className}`, data }, viewer.element, panel),
     focusTarget: viewer.focusTarget,
@@ -61,12 +61,15 @@ export function figuresOf(figures: readonly (readonly [string, string | number])
   return h("dl", { class: "figures row" }, ...figures.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))));
 }
 
-/** A note that a border sets off. */
+/** A note with a border. */
 export function noteBox(what: string, text: string, className = "returned-note warn"): HTMLElement {
   return h("div", { class: `${className} edged`, attrs: { role: "note" } }, h("strong", {}, what), text);
 }
 
-/** Reloads the page some time after a change on the server that `concerns` it. Returns a function that stops this. */
+/**
+ * Reloads the page some time after a change on the server for which `concerns` is true. Returns a function that
+ * stops this.
+ */
 export function onChange(afterMs: number, read: () => Promise<void>, concerns: (change: Change) => boolean = () => true): () => void {
   let timer: number | null = null;
   const stream = new EventSource("/api/v1/stream");

@@ -46,11 +46,11 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
   return pageScreen("Guide", page, page);
 }
 
-/** Text and pictures of a guide, with a preview. What is written is kept in the browser until it is saved. */
+/** Text and pictures of a guide, with a preview. Unsaved text is kept in the browser. */
 class GuideEditor extends Component {
   private guide: KindGuide;
   private readonly kept: string;
-  /** Pictures that were in the text or uploaded; those that no guide shows at the end are deleted. */
+  /** Pictures that were in the text or uploaded. Those that no guide shows after saving are deleted. */
   private readonly touched: Set<string>;
 
   constructor(

@@ -75,7 +75,7 @@ export async function openHome(app: App): Promise<Screen> {
   return pageScreen("Home", page, page.querySelector<HTMLElement>("a.button"));
 }
 
-/** Tasks in work, and until when their leases last. */
+/** Tasks in progress, and until when their leases last. */
 function inWork({ held, held_until }: QueueInfo): string {
   const what = held === 1 ? "1 task is in work with you" : `${held} tasks are in work with you`;
   if (held_until === null) return `${what}.`;

@@ -45,7 +45,7 @@ export function showLogin(app: App, opening: Opening): Promise<Me | null> {
     dialog.classList.add("login");
     dialog.addEventListener("keydown", (event) => event.stopPropagation());
     if (opening !== "unasked") return input.focus();
-    // Letters meant for the page shall not become a part of the token.
+    // Letters typed for the page must not become a part of the token.
     dialog.focus();
     deaf(() => input.focus());
   });

@@ -25,7 +25,7 @@ export async function openMine(app: App, argument: string): Promise<Screen> {
 class MyAnswersScreen implements Screen {
   readonly element: HTMLElement;
   readonly title = "My answers";
-  // The arrows go through the list as through the cards of a task.
+  // The arrow keys move through the list, as they do through the cards of a task.
   readonly scopes = ["transport", "pair", "mask"] as const;
   private readonly list = h("div", { class: "shelf-list col tight" });
   private readonly details = h("div", { class: "answer-details box selected" });
@@ -35,7 +35,7 @@ class MyAnswersScreen implements Screen {
   private next: string | null = null;
   private chosen: MyAnswer | null = null;
   private shown: Shown | null = null;
-  /** Number of answers chosen, so that a slow one does not replace a newer one. */
+  /** Number of selections, so that a slow one does not replace a newer one. */
   private turn = 0;
 
   constructor(private readonly app: App) {

@@ -11,10 +11,10 @@ import { KIND_WORDS } from "../words";
 import { figuresOf, noteBox, pageScreen } from "./frame";
 import { ROUTE_OF } from "./home";
 
-/** Kinds whose real work is known to be open to the person of this page. */
+/** Kinds whose real work is known to be open to the user. */
 const opened = new Set<TaskKind>();
 
-/** Where the page notes that a person has read what practice is. */
+/** Storage key that records that the user has read the explanation of practice. */
 const readMark = (app: App, kind: TaskKind): string => app.keep(`practice:${kind}`);
 
 export async function practiceOf(app: App, kind: TaskKind): Promise<Practice> {
@@ -33,7 +33,7 @@ export async function practiceFirst(app: App, kind: TaskKind): Promise<Screen | 
   return introduction(app, [own]);
 }
 
-/** Marks a practice task as practice. */
+/** A note that marks a task as practice. */
 export async function practiceNote(app: App, kind: TaskKind): Promise<HTMLElement> {
   const { needed, done } = await practiceOf(app, kind);
   const place = done < needed ? `task ${done + 1} of ${needed}. ` : "";

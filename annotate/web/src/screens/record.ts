@@ -61,7 +61,7 @@ class TaskRecord extends Component {
     private file: TaskFile,
     private history: readonly AuditEntry[],
     private readonly stage: ReviewStage,
-    /** The list that the reader came from, and the tasks beside this one in it. */
+    /** The list that the user came from, and the neighbours of this task in it. */
     private readonly near: ReturnType<typeof around>,
   ) {
     super();
@@ -75,7 +75,7 @@ class TaskRecord extends Component {
     this.requestUpdate();
   }
 
-  /** The answers, and the accepted answer if it is not among them: a reviewer merged it, or it was imported. */
+  /** The answers. The accepted answer is added if it is not among them: it was merged or imported. */
   private get candidates(): Candidate[] {
     const { answers, accepted, task, row } = this.file;
     if (accepted === null || answers.some(({ revision }) => revision.state === "accepted")) return answers;

@@ -21,7 +21,7 @@ export function reviewTabs(app: App, current: string): HTMLElement {
   return tabs(app, "Pages for reviewers", [...queues, ["decisions", "Decisions"]], current);
 }
 
-/** Decisions of reviewers, and the present state of their tasks. */
+/** Decisions of reviewers, and the current state of their tasks. */
 export async function openDecisions(app: App, argument: string): Promise<Screen> {
   const list = new DecisionList(app, argument);
   await list.load();
@@ -48,7 +48,7 @@ export async function openReview(app: App, argument: string): Promise<Screen> {
   return pageScreen("Review", element, own.querySelector("a"));
 }
 
-/** Reviews a task of a queue, or one that was opened from its record, where the reviewer returns to. */
+/** Reviews a task of a queue, or a task opened from its record, to which the reviewer then returns. */
 async function reviewScreen(app: App, queue: ReviewQueue | null, review: ReviewView): Promise<Screen> {
   const { task } = review;
   const next = queue === null ? `task/${task.id}` : `review/${queue}`;

@@ -1,6 +1,6 @@
 /**
- * Rules that accept answers without a reviewer, with the answers each accepted and would accept; admins change,
- * apply and undo them.
+ * Rules that accept answers without a reviewer, with the number of answers that each accepted and would accept.
+ * Admins change, apply and undo them.
  */
 
 import { html, nothing } from "lit";
@@ -59,7 +59,7 @@ export async function openRules(app: App): Promise<Screen> {
     fill(box, element(section));
   };
 
-  /** Applies a change to the rules that are stored now. */
+  /** Applies a change to the currently stored rules. */
   const save = async (change: (rules: readonly Rule[]) => Rule[]): Promise<void> => {
     const settings = await app.api.get<Settings>("settings");
     await app.api.json<Settings>("PUT", "settings", { ...settings, rules: change(settings.rules) });
@@ -101,7 +101,7 @@ export async function openRules(app: App): Promise<Screen> {
     return names.length > 0 ? `${RULE_WORDS[rule.accepts]}: ${names.join(", ")}` : RULE_WORDS[rule.accepts];
   };
 
-  /** Asks for a rule until the server accepts it. */
+  /** Shows the form of a rule until the server accepts the rule. */
   const edit = async (old: Rule | null): Promise<void> => {
     const form = ruleForm(old ?? NEW_RULE, old === null, people);
     for (let trouble = ""; ; ) {

@@ -16,10 +16,10 @@ import type { Answer, Task } from "../wire";
 /** Activity drawn in the darkest colour: the part's 95th percentile over the training split. */
 const HEAT_FULL = 1;
 
-/** Activity from which a part counts as moving. Equal to the server's `ACTIVE`, from which it suggests parts. */
+/** Activity above which a part counts as moving. Equal to the server's `ACTIVE`, which it uses for suggestions. */
 const MOVING = 0.4;
 
-/** Distance in metres drawn in the darkest colour, unless a pair differs more. */
+/** Distance in metres drawn in the darkest colour, unless a larger one occurs in the pair. */
 const DIFF_FULL = 0.15;
 
 /** The motions of a task as annotators see them, with the painted answers. */
@@ -142,7 +142,7 @@ export class PairView {
     return perform(deeds, action) || viewer.perform(action, ten);
   }
 
-  /** Adds buttons of the views to the playback, with their keys where these are active. */
+  /** Adds buttons for the views to the playback controls, with their keys if these are active. */
   addButtons(withKeys: boolean): void {
     const one = (label: string, action: ActionId): HTMLElement =>
       keyButton(label, withKeys ? this.app.keys.hint(action) : "", () => this.perform(action, false));

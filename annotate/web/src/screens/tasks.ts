@@ -1,4 +1,4 @@
-/** The task browser: a filter that the address holds, and its tasks. */
+/** The task browser: a filter that is part of the address, and its tasks. */
 
 import { html } from "lit";
 import { queryOf } from "../api";
@@ -35,7 +35,7 @@ const SORTS: readonly (readonly [TaskSort, string])[] = [
   ["touched", "Last changed first"],
 ];
 
-/** Filters that are often wanted. */
+/** Frequently used filters. */
 const OFTEN: readonly (readonly [string, string])[] = [
   ["", "All"],
   ["state=submitted", "Wait for review"],
@@ -47,14 +47,14 @@ const OFTEN: readonly (readonly [string, string])[] = [
 /** Position in the list, to return to from a task. */
 let left: { query: string; at: number; top: number; rows: readonly TaskRow[] } = { query: "", at: 0, top: 0, rows: [] };
 
-/** The list that the reader came from, and the tasks before and after this one in it. */
+/** The list that the user came from, and the tasks before and after this one in it. */
 export function around(task: number): { list: string; previous: number | null; next: number | null } {
   const at = left.rows.findIndex((row) => row.id === task);
   const near = (by: number): number | null => (at < 0 ? null : (left.rows[at + by]?.id ?? null));
   return { list: pathOf(left.query), previous: near(-1), next: near(1) };
 }
 
-/** Records that another task of the list is open now. */
+/** Records that another task of the list is now open. */
 export function moveTo(task: number): void {
   const at = left.rows.findIndex((row) => row.id === task);
   if (at >= 0) left.at = at;
@@ -149,7 +149,7 @@ export async function openTasks(app: App): Promise<Screen> {
     trouble.hidden = what.length === 0;
     trouble.textContent = `Not a filter of this page, so the list is longer than that: ${what.join(", ")}`;
   };
-  /** Applies the form. The address changes with it, in the same entry of the browser's history. */
+  /** Applies the form. The address changes without a new entry in the browser's history. */
   const apply = (): void => {
     const { wanted, refused } = readForm();
     const query = writeAddress(wanted);
@@ -176,7 +176,7 @@ export async function openTasks(app: App): Promise<Screen> {
     ...Object.values(fields).map(([label, own]) => field(label, own)),
     h("div", {}, plainButton("Clear", clear)),
   );
-  /** Reads the list anew, where the reader is. */
+  /** Reloads the list at the current position. */
   const again = (): Promise<void> => load(list.place.at, list.place.top);
   const page = element(html`<div class="tasks">
     <aside class="tasks-filter" aria-label="Filter" data-region="filter">${taskTabs(app, "tasks")}${form}</aside>

@@ -52,7 +52,7 @@ export const LIMBS: readonly Limb[] = PARENTS.flatMap((from, to) => {
 
 type Side = "left" | "right" | "middle";
 
-/** The side of a limb is that of its end, so that hips and collars have their side's colour. */
+/** A limb has the side of its end, so that hips and collars have the colour of their side. */
 function sideOf(point: number): Side {
   if (LEFT.has(point)) return "left";
   if (RIGHT.has(point)) return "right";
@@ -61,7 +61,7 @@ function sideOf(point: number): Side {
 
 export type Rgb = readonly [number, number, number];
 
-/** Character's own left is blue, right is orange, in every view. */
+/** The character's own left is blue, and its right is orange, in every view. */
 const SIDE_COLOURS: Readonly<Record<Side, Rgb>> = {
   left: [0.11, 0.42, 0.83],
   right: [0.88, 0.45, 0.07],
@@ -86,7 +86,7 @@ export function has(set: JointBits, joint: number): boolean {
 }
 
 export interface Paint {
-  /** Highlighted joints; without any, limbs have their side colours. */
+  /** Highlighted joints; if there are none, limbs have the colours of their sides. */
   hard: JointBits;
   soft: JointBits;
   /** Whether joints outside the mask are greyed. */
@@ -124,7 +124,7 @@ export function pointAt(track: Track, frame: number, point: number): Vec3 {
   return [track.data[at] ?? 0, track.data[at + 1] ?? 0, track.data[at + 2] ?? 0];
 }
 
-/** A point computed axis by axis. */
+/** A point, computed for each axis. */
 function byAxis(value: (axis: 0 | 1 | 2) => number): Vec3 {
   return [value(0), value(1), value(2)];
 }
@@ -138,7 +138,7 @@ function headCentre(track: Track, frame: number): Vec3 {
   });
 }
 
-/** The point of the head's sphere in the direction of an eye, which shows the face. */
+/** The point on the head's sphere in the direction of an eye. It shows where the face is. */
 function eyeOnHead(track: Track, frame: number, eye: number): Vec3 {
   const centre = headCentre(track, frame);
   const seen = pointAt(track, frame, eye);
@@ -147,17 +147,17 @@ function eyeOnHead(track: Track, frame: number, eye: number): Vec3 {
   return byAxis((axis) => centre[axis] + (offset[axis] / length) * HEAD_RADIUS * 0.97);
 }
 
-/** A limb, or a ball if it has no end of its own. */
+/** A limb, or a ball if `to` is `null`. */
 export interface Piece {
   from: Vec3;
   to: Vec3 | null;
   radius: number;
   colour: Rgb;
-  /** Colour between the hatching of a soft joint. */
+  /** Colour between the hatching lines of a soft joint; `null` if the joint is not soft. */
   hatch: Rgb | null;
 }
 
-/** Pieces that a body is drawn with; every body has the same number. */
+/** Pieces of a body to draw; every body has the same number of pieces. */
 export function piecesOf(track: Track, frame: number, paint: Paint): Piece[] {
   const look = (joint: number, side: Side): Pick<Piece, "colour" | "hatch"> => ({
     colour: colourOf(paint, joint, side),

@@ -8,7 +8,10 @@ const FIELD_OF_VIEW = (38 * Math.PI) / 180;
 const NEAR = 0.05;
 const STEEPEST = Math.PI / 2 - 0.02;
 
-/** Angles of the presets: from the heading of the body, and above the floor. The side is the character's own left. */
+/**
+ * Angles of the presets: relative to the heading of the body, and above the floor. `side` is the character's own
+ * left.
+ */
 const ANGLES: Readonly<Record<Preset, readonly [number, number]>> = {
   front: [0, 0.06],
   side: [Math.PI / 2, 0.06],

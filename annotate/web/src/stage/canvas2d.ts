@@ -51,7 +51,7 @@ function drawFloor(context: CanvasRenderingContext2D, project: Project): void {
     for (const alongX of [true, false]) {
       context.beginPath();
       let open = false;
-      // In short pieces, because a line that passes behind the camera has no projected end.
+      // Draw short pieces, because a line that passes behind the camera has no projected end.
       for (let t = -FLOOR; t <= FLOOR; t += 1) {
         const at = project(alongX ? [t, 0, k] : [k, 0, t]);
         if (!at) {

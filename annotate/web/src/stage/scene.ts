@@ -7,7 +7,7 @@ export interface Body {
   track: Track;
   paint: Paint;
   frame: number;
-  /** Transparent, for the other clip of an overlay. */
+  /** Whether the body is transparent, as the other clip of an overlay. */
   ghost: boolean;
 }
 
@@ -31,7 +31,7 @@ export function contextOf(canvas: HTMLCanvasElement, { width, height, pixelRatio
   return context;
 }
 
-/** Device pixels to a CSS pixel, at most 2: the eye sees no more. */
+/** Device pixels per CSS pixel, at most 2: more are not visible. */
 export const pixelRatio = (): number => Math.min(2, window.devicePixelRatio || 1);
 
 export interface Renderer {
@@ -41,5 +41,5 @@ export interface Renderer {
   dispose(): void;
 }
 
-/** Half the side of the floor in metres; the grid has one line a metre, faint ones each half. */
+/** Half the side of the floor in metres. The grid has a line every metre, and a faint one every half metre. */
 export const FLOOR = 6;

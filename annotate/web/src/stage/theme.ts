@@ -1,11 +1,11 @@
-/** Colours of the stage and the strips, which are drawn on canvases and do not see the style sheet. */
+/** Colours of the stage and the strips, which are drawn on canvases and cannot use the style sheet. */
 
-/** Each colour in light and in dark. */
+/** Each colour in the light and in the dark theme. */
 const COLOURS = {
-  /** Behind the bodies, and rows of a strip without values. */
+  /** Background of the bodies, and of rows of a strip without values. */
   ground: ["#eef1f4", "#171d24"],
   empty: ["#e7ebef", "#242c35"],
-  /** Lines of the floor: each half metre, each metre, and its axes. */
+  /** Lines of the floor: every half metre, every metre, and its axes. */
   faint: ["#dfe4e9", "#20272f"],
   line: ["#c9d1d9", "#2b343e"],
   axis: ["#a9b5c1", "#475361"],

@@ -48,7 +48,7 @@ class BodyMesh {
   private readonly shadowMaterial: Three.MeshBasicMaterial;
   private readonly sphereRest: Three.InstancedBufferAttribute;
   private readonly tubeRest: Three.InstancedBufferAttribute;
-  /** Values of one instance, which are used again for the next. */
+  /** Values of one instance, reused for each instance. */
   private readonly own: Instance;
 
   constructor(lib: Lib) {
@@ -138,7 +138,7 @@ class BodyMesh {
   }
 }
 
-/** Lines of the floor, with their name in the theme. */
+/** Lines of the floor, with the name of their colour in the theme. */
 type FloorLine = [Three.LineBasicMaterial, "faint" | "line" | "axis"];
 
 function floor(lib: Lib): { group: Three.Group; lines: FloorLine[] } {
