@@ -4,13 +4,13 @@
 macro_rules! names {
     ($(
         $(#[doc = $doc:literal])*
-        pub enum $name:ident { $( $(#[doc = $item_doc:literal])? $item:ident = $text:literal, )* }
+        pub enum $name:ident { $( $(#[doc = $item_doc:literal])* $item:ident = $text:literal, )* }
     )*) => { $(
         $(#[doc = $doc])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
         #[cfg_attr(test, derive(ts_rs::TS))]
         pub enum $name {
-            $( $(#[doc = $item_doc])? #[doc = concat!("Named `", $text, "`.")] #[serde(rename = $text)] $item, )*
+            $( $(#[doc = $item_doc])* #[doc = concat!("Named `", $text, "`.")] #[serde(rename = $text)] $item, )*
         }
 
         impl $name {
