@@ -193,7 +193,8 @@ export const VERDICTS: readonly Verdict[] = [
 /** `GET stats/agreement`. Figures are `null` below 30 shared items. */
 export type Agreement = {
   parts: Array<PartAgreement>,
-  jaccard: Estimate | null, verdicts: PartAgreement | null,
+  jaccard: Estimate | null,
+  verdicts: PartAgreement | null,
   shared_items: number,
   accepted_share: Estimate | null,
   draft_distance: number | null,
@@ -219,26 +220,42 @@ export type Answer = { "kind": "mask_text",
   note: string, };
 
 /** An answer in short. */
-export type AnswerBrief = { author: number, name: string, state: RevisionState,
-  text: string, parts: Array<string>, verdict: Verdict | null, edit_type: EditType | null, at: number, };
+export type AnswerBrief = {
+  author: number,
+  name: string,
+  state: RevisionState,
+  text: string,
+  parts: Array<string>,
+  verdict: Verdict | null,
+  edit_type: EditType | null,
+  at: number, };
 
 /** `POST rules/apply`: applies the enabled rules to the tasks that wait for review. */
 export type ApplyRules = {
   after: number | null, };
 
 /** `GET audit`: newest first. */
-export type Audit = { entries: Array<AuditEntry>,
+export type Audit = {
+  entries: Array<AuditEntry>,
   next: number | null, };
 
 /** An entry of the log, for `GET audit` and `GET tasks/{id}/history`. */
 export type AuditEntry = {
-  seq: number, at: number,
-  actor: number | null, actor_name: string | null, kind: string, task: number | null, body: unknown, };
+  seq: number,
+  at: number,
+  actor: number | null,
+  actor_name: string | null,
+  kind: string,
+  task: number | null,
+  body: unknown, };
 
 /** `POST blend`: `soft` and `joints` as in a mask of an answer. */
 export type BlendRequest = {
   src: string,
-  tgt: string, parts: Array<string>, soft: boolean, joints?: Array<JointChoice>,
+  tgt: string,
+  parts: Array<string>,
+  soft: boolean,
+  joints?: Array<JointChoice>,
   alpha: number, };
 
 /** Answer to `POST bulk` and `POST bulk/preview`. A preview looks at all tasks and changes nothing; `POST bulk` looks at up to 2,000. */
@@ -249,28 +266,40 @@ export type BulkDone = {
   next: number | null, };
 
 /** `POST bulk` and `POST bulk/preview`: one action on all tasks of a filter. */
-export type BulkRequest = { filter: TaskFilter, action: BulkAction,
+export type BulkRequest = {
+  filter: TaskFilter,
+  action: BulkAction,
   comment: string,
   person: number | null,
   after: number | null, };
 
 /** Pairs that are leased together and submitted one by one. */
-export type Bundle = { id: number, tasks: Array<BundleItem>, };
+export type Bundle = {
+  id: number,
+  tasks: Array<BundleItem>, };
 
 /** A task of a bundle. */
-export type BundleItem = { task: number,
+export type BundleItem = {
+  task: number,
   mine: RevisionState | null,
-  verdict: Verdict | null, leased: boolean, };
+  verdict: Verdict | null,
+  leased: boolean, };
 
 /** An answer to review. */
-export type Candidate = { revision: Revision, author_name: string,
+export type Candidate = {
+  revision: Revision,
+  author_name: string,
   joints: Array<number>,
   draft_distance: number | null, };
 
 /** A cell of the plan with what has arrived. */
-export type CaptureCell = { motion: string, style: string, takes: number,
+export type CaptureCell = {
+  motion: string,
+  style: string,
+  takes: number,
   arrived: number,
-  rejected: number, missing: number,
+  rejected: number,
+  missing: number,
   known: boolean, };
 
 /** `PUT captures`: the whole plan, in place of the one before. */
@@ -284,53 +313,79 @@ export type Captures = {
 
 /** An entry of `GET stream` (event `change`). */
 export type Change = {
-  seq: number, kind: string, task: number | null, mine: boolean, };
+  seq: number,
+  kind: string,
+  task: number | null,
+  mine: boolean, };
 
 /** `GET stats/days?from=&to=`: work of a person on a day, the last 28 days by default. The day of `from` is counted whole. */
 export type DayWork = {
-  start: number, user: number, name: string, kind: TaskKind, secs: number, answers: number,
+  start: number,
+  user: number,
+  name: string,
+  kind: TaskKind,
+  secs: number,
+  answers: number,
   skips: number,
   reviews: number, };
 
 /** A decision on a task. */
 export type DecisionRow = {
-  seq: number, task: number, key: string,
+  seq: number,
+  task: number,
+  key: string,
   decision: string,
   reviewer: number,
   reviewer_name: string,
   author: number | null,
   authors: Array<string>,
-  rule: string | null, comment: string, at: number,
+  rule: string | null,
+  comment: string,
+  at: number,
   state: TaskState, };
 
 /** `GET reviews`: decisions, newest first. */
-export type Decisions = { items: Array<DecisionRow>,
+export type Decisions = {
+  items: Array<DecisionRow>,
   next: number | null, };
 
 /** `GET stats/edit-types`: one for each edit type that the project has a quota of. */
-export type EditTypeCount = { edit_type: EditType, kept: number, wanted: number, };
+export type EditTypeCount = {
+  edit_type: EditType,
+  kept: number,
+  wanted: number, };
 
 /** Why a queue is empty. Counts are tasks of the kind. */
-export type Empty = { total: number,
+export type Empty = {
+  total: number,
   done: number,
-  waiting_for_others: number, leased_by_others: number,
-  soonest_expiry: number | null, skipped_by_me: number, dropped: number,
+  waiting_for_others: number,
+  leased_by_others: number,
+  soonest_expiry: number | null,
+  skipped_by_me: number,
+  dropped: number,
   quota_full: number, };
 
 /** A figure with its interval. */
-export type Estimate = { value: number,
-  low: number, high: number, items: number, };
+export type Estimate = {
+  value: number,
+  low: number,
+  high: number,
+  items: number, };
 
 /** `POST tasks/{id}/events`. */
 export type EventBatch = {
   events: Array<NewEvent>, };
 
 /** Result of an event. */
-export type EventResult = { idem_key: string,
+export type EventResult = {
+  idem_key: string,
   status: number,
   seq: number | null,
   rev: number,
-  state: TaskState | null, lease: Lease | null, problem: Problem | null,
+  state: TaskState | null,
+  lease: Lease | null,
+  problem: Problem | null,
   feedback?: Feedback | null, };
 
 /** Answer to `POST tasks/{id}/events`. The status is 200; each event has its own. */
@@ -338,13 +393,15 @@ export type EventResults = {
   results: Array<EventResult>, };
 
 /** `POST exports`. */
-export type ExportRequest = { format: ExportFormat,
+export type ExportRequest = {
+  format: ExportFormat,
   splits: Array<string>,
   events: boolean, };
 
 /** What a practice task teaches. */
 export type Feedback = {
-  score: number, known: Answer, };
+  score: number,
+  known: Answer, };
 
 /** `GET stats/funnel`. */
 export type Funnel = {
@@ -353,25 +410,35 @@ export type Funnel = {
 
 /** `GET guide`. */
 export type Guide = {
-  text: string, kinds: { [key in TaskKind]?: KindGuide },
+  text: string,
+  kinds: { [key in TaskKind]?: KindGuide },
   forms: { [key in TaskKind]?: TextForm }, };
 
 /** A picture of a right or a wrong answer. */
 export type GuidePicture = {
-  name: string, caption: string,
+  name: string,
+  caption: string,
   right: boolean, };
 
 /** A held lease, as the dashboard lists it. */
-export type HeldLease = { lease: Lease, user_name: string, kind: TaskKind,
+export type HeldLease = {
+  lease: Lease,
+  user_name: string,
+  kind: TaskKind,
   purpose: string, };
 
 /** Who holds a task. */
 export type Holder = {
-  lease: number, user: number, name: string,
-  purpose: string, until: number, };
+  lease: number,
+  user: number,
+  name: string,
+  purpose: string,
+  until: number, };
 
 /** `GET home`. */
-export type Home = { queues: Array<QueueInfo>, returned: Array<ReturnedTask>,
+export type Home = {
+  queues: Array<QueueInfo>,
+  returned: Array<ReturnedTask>,
   held: Array<Lease>,
   today: number,
   today_secs: number,
@@ -380,34 +447,46 @@ export type Home = { queues: Array<QueueInfo>, returned: Array<ReturnedTask>,
   today_all: number, };
 
 /** `GET jobs/{id}`. */
-export type Job = { id: number,
-  kind: string, format: string,
-  state: string, done: number,
+export type Job = {
+  id: number,
+  kind: string,
+  format: string,
+  state: string,
+  done: number,
   total: number | null,
   counts: { [key in string]: number },
   messages: Array<string>,
-  files: Array<string>, started: number, finished: number | null,
+  files: Array<string>,
+  started: number,
+  finished: number | null,
   heartbeat: number, };
 
 /** The weight that a person chose for a joint of a mask. */
 export type JointChoice = {
-  joint: string, weight: JointWeight, };
+  joint: string,
+  weight: JointWeight, };
 
 /** Guidelines of a kind of task. `GET`/`PUT guide/{kind}`. */
 export type KindGuide = {
-  text: string, pictures: Array<GuidePicture>, };
+  text: string,
+  pictures: Array<GuidePicture>, };
 
 /** A lease: the right to work on a task for a limited time. */
-export type Lease = { id: number, task: number, user: number,
+export type Lease = {
+  id: number,
+  task: number,
+  user: number,
   epoch: number,
   expires: number, };
 
 /** How long a lease lasts. */
-export type Limits = { lease_secs: number,
+export type Limits = {
+  lease_secs: number,
   heartbeat_secs: number, };
 
 /** `POST session`. */
-export type Login = { token: string, };
+export type Login = {
+  token: string, };
 
 /** One mask of an answer. */
 export type MaskAnswer = {
@@ -419,7 +498,11 @@ export type MaskAnswer = {
   suggestion: number | null, };
 
 /** `GET me`, and the answer to `POST session`. */
-export type Me = { user: User, limits: Limits, project: Project, prefs: Prefs,
+export type Me = {
+  user: User,
+  limits: Limits,
+  project: Project,
+  prefs: Prefs,
   model: string | null,
   read_only: string | null,
   version: string,
@@ -428,13 +511,18 @@ export type Me = { user: User, limits: Limits, project: Project, prefs: Prefs,
 /** A motion, without its frames. */
 export type MotionInfo = {
   hash: string,
-  id: string, frames: number, fps: number,
-  split: string, captions: Array<string>,
+  id: string,
+  frames: number,
+  fps: number,
+  split: string,
+  captions: Array<string>,
   style: string | null, };
 
 /** An answer of mine. */
-export type MyAnswer = { task: Task,
-  mine: Revision, standing: Standing,
+export type MyAnswer = {
+  task: Task,
+  mine: Revision,
+  standing: Standing,
   missing: number,
   comment: string | null,
   accepted: Answer | null,
@@ -444,24 +532,29 @@ export type MyAnswer = { task: Task,
   feedback: Feedback | null, };
 
 /** `GET answers?standing=&kind=&task=&before=&limit=`: my answers, newest first. */
-export type MyAnswers = { items: Array<MyAnswer>,
+export type MyAnswers = {
+  items: Array<MyAnswer>,
   next: string | null, };
 
 /** An event of a task in the browser. */
 export type NewEvent = {
-  idem_key: string, kind: EventKind,
+  idem_key: string,
+  kind: EventKind,
   lease_epoch: number,
   base_rev: number,
   answer: Answer | null,
   reason: SkipReason | null,
   note: string,
-  suggestion: number | null, used: SuggestionUse | null,
+  suggestion: number | null,
+  used: SuggestionUse | null,
   secs: number, };
 
 /** `POST reviews`. */
 export type NewReview = {
-  idem_key: string, task: number,
-  lease_epoch: number, decision: Decision,
+  idem_key: string,
+  task: number,
+  lease_epoch: number,
+  decision: Decision,
   author: number | null,
   answer: Answer | null,
   comment: string,
@@ -473,11 +566,14 @@ export type NewToken = {
 
 /** `POST users`. */
 export type NewUser = {
-  name: string, role: Role, };
+  name: string,
+  role: Role, };
 
 /** Answer to `POST users/bulk`: a new user with a link to log in. */
-export type NewUserLink = { user: User,
-  path: string, expires: number, };
+export type NewUserLink = {
+  user: User,
+  path: string,
+  expires: number, };
 
 /** `POST users/bulk`: many users at once, all or none. */
 export type NewUsers = {
@@ -485,21 +581,30 @@ export type NewUsers = {
   days: number, };
 
 /** Answer to `POST queue/next`: a task, or why there is none. */
-export type Next = { task: TaskView | null, empty: Empty | null,
+export type Next = {
+  task: TaskView | null,
+  empty: Empty | null,
   prefetch: Array<string>, };
 
 /** `POST queue/next`. */
-export type NextRequest = { kind: TaskKind, };
+export type NextRequest = {
+  kind: TaskKind, };
 
 /** `GET stats/outlook`: what is left of a kind, at the pace of the last seven days. */
-export type Outlook = { kind: TaskKind,
+export type Outlook = {
+  kind: TaskKind,
   answers_left: number,
-  reviews_left: number, answers_per_day: number, reviews_per_day: number,
+  reviews_left: number,
+  answers_per_day: number,
+  reviews_per_day: number,
   secs_per_answer: number | null,
-  hours_left: number | null, days_left: number | null, ends: number | null, };
+  hours_left: number | null,
+  days_left: number | null,
+  ends: number | null, };
 
 /** Agreement on one decision. */
-export type PartAgreement = { part: string,
+export type PartAgreement = {
+  part: string,
   items: number,
   gwet_ac1: Estimate | null, };
 
@@ -512,24 +617,34 @@ export type PartInfo = {
   soft: Array<number>, };
 
 /** `GET stats/people`: one for each person. */
-export type Person = { user: User,
-  done: number, median_secs: number | null, accepted: number, returned: number,
+export type Person = {
+  user: User,
+  done: number,
+  median_secs: number | null,
+  accepted: number,
+  returned: number,
   draft_unchanged: number | null,
-  draft_distance: number | null, gold_items: number, gold_score: number | null,
+  draft_distance: number | null,
+  gold_items: number,
+  gold_score: number | null,
   agreement: Estimate | null,
   last_seen: number | null, };
 
 /** `GET guide/pictures`: a stored picture. */
 export type PictureInfo = {
-  name: string, mime: string, bytes: number, };
+  name: string,
+  mime: string,
+  bytes: number, };
 
 /** A cell of the plan. */
 export type PlannedCapture = {
-  motion: string, style: string,
+  motion: string,
+  style: string,
   takes: number, };
 
 /** `GET practice`: my practice of a kind. Real work of a kind is open once it is passed; `POST queue/next` gives practice tasks before. */
-export type Practice = { kind: TaskKind,
+export type Practice = {
+  kind: TaskKind,
   needed: number,
   done: number,
   score: number | null,
@@ -539,7 +654,8 @@ export type Practice = { kind: TaskKind,
 /** `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before; [`super::KEY_CODES`] lists them. */
 export type Prefs = {
   keys: { [key in Action]?: Array<string> },
-  speed: number | null, follow_root: boolean | null,
+  speed: number | null,
+  follow_root: boolean | null,
   ghost: boolean | null,
   soft_ring: boolean | null, };
 
@@ -555,10 +671,20 @@ export type Problem = {
   theirs?: Revision | null, };
 
 /** The part of the settings that annotators see, as it is there. */
-export type Project = { name: string, min_masks: number, max_masks: number, styles: Array<Style>, templates: Array<string>, style_templates: Array<string>, mask_templates: Array<string>, time_zone: string, };
+export type Project = {
+  name: string,
+  min_masks: number,
+  max_masks: number,
+  styles: Array<Style>,
+  templates: Array<string>,
+  style_templates: Array<string>,
+  mask_templates: Array<string>,
+  time_zone: string, };
 
 /** A queue as I see it. */
-export type QueueInfo = { kind: TaskKind, total: number,
+export type QueueInfo = {
+  kind: TaskKind,
+  total: number,
   done: number,
   mine: number,
   held: number,
@@ -567,13 +693,17 @@ export type QueueInfo = { kind: TaskKind, total: number,
 
 /** `GET stats/quota`: one for each category and edit type. */
 export type QuotaRow = {
-  category: string, edit_type: EditType,
+  category: string,
+  edit_type: EditType,
   kept: number,
   wanted: number,
   category_wanted: number, };
 
 /** A returned task. */
-export type ReturnedTask = { task: number, kind: TaskKind, comment: string,
+export type ReturnedTask = {
+  task: number,
+  kind: TaskKind,
+  comment: string,
   until: number, };
 
 /** Answer to `POST reviews`. */
@@ -588,36 +718,52 @@ export type ReviewEmpty = {
   in_review: number, };
 
 /** Answer to `POST review/next`. */
-export type ReviewNext = { review: ReviewView | null, empty: ReviewEmpty | null, };
+export type ReviewNext = {
+  review: ReviewView | null,
+  empty: ReviewEmpty | null, };
 
 /** `POST review/next`. */
-export type ReviewRequest = { queue: ReviewQueue,
+export type ReviewRequest = {
+  queue: ReviewQueue,
   kind: TaskKind | null,
   task: number | null, };
 
 /** A task to review. */
-export type ReviewView = { task: Task, lease: Lease, candidates: Array<Candidate>,
+export type ReviewView = {
+  task: Task,
+  lease: Lease,
+  candidates: Array<Candidate>,
   distance: number | null,
   comments: Array<string>,
   suggestions: Array<Suggestion>,
   clip_changed: boolean, };
 
 /** The current answer of a user to a task. */
-export type Revision = { task: number, author: number,
-  rev: number, state: RevisionState, answer: Answer, at: number, secs: number, };
+export type Revision = {
+  task: number,
+  author: number,
+  rev: number,
+  state: RevisionState,
+  answer: Answer,
+  at: number,
+  secs: number, };
 
 /** A rule of acceptance. It looks at tasks that have all their answers and wait for review; the first enabled rule that fits accepts the task at once. A rule never touches a task that a reviewer returned or reopened, nor a gold task. */
 export type Rule = {
-  name: string, enabled: boolean, accepts: RuleKind,
+  name: string,
+  enabled: boolean,
+  accepts: RuleKind,
   kinds: Array<TaskKind>,
-  people: Array<number>, min_answers: number,
+  people: Array<number>,
+  min_answers: number,
   max_distance: number,
   review_percent: number, };
 
 /** `GET rules`: a rule, and what it does. The rules are edited as a part of the settings. */
 export type RuleState = {
   rule: Rule,
-  known: boolean, accepted: number,
+  known: boolean,
+  accepted: number,
   would_accept: number,
   left_to_review: number, };
 
@@ -627,17 +773,20 @@ export type RuleUndone = {
   left: number, };
 
 /** Answer to `POST rules/apply`. One request looks at up to 2,000 tasks. */
-export type RulesApplied = { looked_at: number,
+export type RulesApplied = {
+  looked_at: number,
   accepted: { [key in string]: number },
   next: number | null, };
 
 /** `GET`/`PUT settings`. */
-export type Settings = { name: string,
+export type Settings = {
+  name: string,
   answers_per_task: number,
   overlap_percent: number,
   gold_percent: number,
   blind_percent: number,
-  review_percent: number, lease_minutes: number,
+  review_percent: number,
+  lease_minutes: number,
   returned_days: number,
   min_masks: number,
   max_masks: number,
@@ -649,7 +798,8 @@ export type Settings = { name: string,
   category_quota: number,
   edit_type_quota: { [key in EditType]?: number },
   guide: string,
-  time_zone: string, guides: { [key in TaskKind]?: KindGuide },
+  time_zone: string,
+  guides: { [key in TaskKind]?: KindGuide },
   rules: Array<Rule>,
   take_back_minutes: number,
   seed: number,
@@ -663,7 +813,10 @@ export type Shelf = {
   next: number | null, };
 
 /** An accepted answer. */
-export type ShelfItem = { task: Task, answer: Answer, at: number, };
+export type ShelfItem = {
+  task: Task,
+  answer: Answer,
+  at: number, };
 
 /** `GET skeleton`. */
 export type SkeletonInfo = {
@@ -673,9 +826,13 @@ export type SkeletonInfo = {
   parts: Array<PartInfo>, };
 
 /** A skip. */
-export type SkipBrief = { user: number, name: string,
+export type SkipBrief = {
+  user: number,
+  name: string,
   postponed: boolean,
-  reason: SkipReason | null, note: string, at: number, };
+  reason: SkipReason | null,
+  note: string,
+  at: number, };
 
 /** A style of the project. */
 export type Style = {
@@ -689,12 +846,18 @@ export type SuggestRequest = {
   parts: Array<string>, };
 
 /** A proposal by a program or the source; never an answer. */
-export type Suggestion = { id: number, source: SuggestionSource, parts: Array<string>,
+export type Suggestion = {
+  id: number,
+  source: SuggestionSource,
+  parts: Array<string>,
   text: string,
   model: string, };
 
 /** A task. */
-export type Task = { id: number, kind: TaskKind, state: TaskState,
+export type Task = {
+  id: number,
+  kind: TaskKind,
+  state: TaskState,
   motions: Array<MotionInfo>,
   category: string | null,
   hint: string | null,
@@ -705,62 +868,103 @@ export type Task = { id: number, kind: TaskKind, state: TaskState,
   practice: boolean, };
 
 /** `GET tasks/{id}/record`: everything about a task, for reviewers. */
-export type TaskFile = { task: Task, row: TaskRow,
-  answers: Array<Candidate>, accepted: Answer | null,
+export type TaskFile = {
+  task: Task,
+  row: TaskRow,
+  answers: Array<Candidate>,
+  accepted: Answer | null,
   decisions: Array<DecisionRow>,
   suggestions: Array<Suggestion>, };
 
 /** Which tasks: those that fit every given field. Gold and practice tasks are left out. */
-export type TaskFilter = { kind: TaskKind | null, state: TaskState | null,
+export type TaskFilter = {
+  kind: TaskKind | null,
+  state: TaskState | null,
   q: string | null,
   person: number | null,
-  part: string | null, edit_type: EditType | null, verdict: Verdict | null, category: string | null,
+  part: string | null,
+  edit_type: EditType | null,
+  verdict: Verdict | null,
+  category: string | null,
   split: string | null,
   min_distance: number | null,
-  max_distance: number | null, skipped: SkipFilter | null,
-  rule: string | null, task: number | null, };
+  max_distance: number | null,
+  skipped: SkipFilter | null,
+  rule: string | null,
+  task: number | null, };
 
 /** `GET tasks`: a page of tasks. The query has the fields of [`TaskFilter`], `sort`, `reverse` (0 or 1), `after` and `limit` (up to 200). */
-export type TaskPage = { rows: Array<TaskRow>,
+export type TaskPage = {
+  rows: Array<TaskRow>,
   next: string | null,
-  total: number | null, sort: TaskSort, };
+  total: number | null,
+  sort: TaskSort, };
 
 /** A task in the browser. */
-export type TaskRow = { id: number,
-  key: string, kind: TaskKind, state: TaskState,
+export type TaskRow = {
+  id: number,
+  key: string,
+  kind: TaskKind,
+  state: TaskState,
   source_id: string,
   target_id: string | null,
-  split: string, category: string | null, hint: string | null, style: string | null, wanted: number, submitted: number,
+  split: string,
+  category: string | null,
+  hint: string | null,
+  style: string | null,
+  wanted: number,
+  submitted: number,
   distance: number | null,
   touched: number,
   answers: Array<AnswerBrief>,
-  holders: Array<Holder>, skips: Array<SkipBrief>,
+  holders: Array<Holder>,
+  skips: Array<SkipBrief>,
   accepted_by: string | null, };
 
 /** `GET tasks/{id}`. */
-export type TaskView = { task: Task, lease: Lease | null, mine: Revision | null,
+export type TaskView = {
+  task: Task,
+  lease: Lease | null,
+  mine: Revision | null,
   comment: string | null,
   suggestions: Array<Suggestion>,
   blind: boolean,
   clip_changed: boolean, };
 
 /** A token, without its secret. */
-export type TokenInfo = { id: number, user: number, created: number, expires: number, last_used: number | null, revoked: boolean, };
+export type TokenInfo = {
+  id: number,
+  user: number,
+  created: number,
+  expires: number,
+  last_used: number | null,
+  revoked: boolean, };
 
 /** Answer to `POST users` and `POST users/{id}/tokens`. The token is shown this once. */
-export type TokenShown = { user: User,
-  id: number, token: string, expires: number, };
+export type TokenShown = {
+  user: User,
+  id: number,
+  token: string,
+  expires: number, };
 
 /** A user. */
-export type User = { id: number,
-  name: string, role: Role,
+export type User = {
+  id: number,
+  name: string,
+  role: Role,
   active: boolean, };
 
 /** `PATCH users/{id}`. */
-export type UserChange = { role: Role | null, active: boolean | null, };
+export type UserChange = {
+  role: Role | null,
+  active: boolean | null, };
 
 /** A week of work. */
 export type Week = {
-  start: number, submitted: number, accepted: number, returned: number, median_secs: number | null,
+  start: number,
+  submitted: number,
+  accepted: number,
+  returned: number,
+  median_secs: number | null,
   agreement: number | null,
   shared_items: number, };
