@@ -43,7 +43,10 @@ impl<'de> Deserializer<'de> for &mut Columns<'de> {
     type Error = Error;
 
     fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
-        serde_json::Deserializer::from_str(self.text()?).deserialize_any(visitor)
+        let mut json = serde_json::Deserializer::from_str(self.text()?);
+        let value = json.deserialize_any(visitor)?;
+        json.end()?;
+        Ok(value)
     }
 
     fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value> {
@@ -150,5 +153,7 @@ mod tests {
             "{wrong}"
         );
         assert!(Row(Vec::new()).read::<i64>().is_err());
+        let damaged = Row(vec![Value::Text("[1] [2]".to_owned())]);
+        assert!(damaged.read::<Vec<u32>>().is_err());
     }
 }

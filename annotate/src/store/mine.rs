@@ -32,7 +32,7 @@ impl Store {
                     )
                 }
             };
-            let window = take_back_window(&project::settings(tx)?);
+            let since = now - take_back_window(&project::settings(tx)?);
             let sql = format!(
                 "SELECT {TASK}, {REVISION}, a.author, COALESCE(a.merged, 0), a.answer, a.at, a.basis FROM revision r
                  JOIN task t ON t.id = r.task LEFT JOIN accepted a ON a.task = r.task
@@ -42,17 +42,14 @@ impl Store {
             );
             let kind = query.kind.map_or("", |kind| kind.as_str());
             let (batch, only) = (query.limit as i64 + 1, query.task.unwrap_or(0));
-            let mut found = Vec::new();
+            let mut found: Vec<MyAnswer> = Vec::new();
             // The standing is not a column, so rows with another standing are read and skipped.
             loop {
                 let rows: Vec<Found> = tx.list(&sql, params![user, at, task, kind, batch, only])?;
                 let is_last = (rows.len() as i64) < batch;
                 for row in rows {
                     (at, task) = (row.mine.at, row.mine.task);
-                    let own = own_answer(tx, user, row, window, now)?;
-                    if query.standing.is_none_or(|wanted| wanted == own.standing) {
-                        found.push(own);
-                    }
+                    found.extend(own_answer(tx, user, row, query.standing, since)?);
                     if found.len() > query.limit {
                         found.truncate(query.limit);
                         let last = found.last().map(|last| &last.mine);
@@ -80,13 +77,15 @@ struct Found {
     basis: Option<String>,
 }
 
+/// A person's answer; none if it has another standing than the wanted one. The author may take back what a rule accepted
+/// at `since` or later.
 fn own_answer(
     tx: &mut dyn Tx,
     user: i64,
     found: Found,
-    window: Millis,
-    now: Millis,
-) -> Result<MyAnswer> {
+    wanted: Option<Standing>,
+    since: Millis,
+) -> Result<Option<MyAnswer>> {
     let mine = found.mine;
     let task = read::shown(tx, found.task, user)?;
     let feedback = if task.practice && mine.state != RevisionState::Draft {
@@ -98,12 +97,15 @@ fn own_answer(
         Some(_) => Standing::Practice,
         None => standing(task.state, mine.state),
     };
+    if wanted.is_some_and(|wanted| wanted != standing) {
+        return Ok(None);
+    }
     let basis = found.basis.as_deref();
     let by_rule = basis.is_some_and(|basis| basis.starts_with("rule:"));
     let can_take_back = match standing {
         Standing::WaitsForOthers | Standing::WaitsForReview | Standing::Practice => true,
         Standing::Accepted | Standing::Superseded => {
-            by_rule && found.at.is_some_and(|at| now - at <= window)
+            by_rule && found.at.is_some_and(|at| at >= since)
         }
         Standing::Draft | Standing::InReview | Standing::Returned | Standing::Dropped => false,
     };
@@ -122,7 +124,7 @@ fn own_answer(
         Standing::WaitsForOthers => task.wanted.saturating_sub(task.submitted),
         _ => 0,
     };
-    Ok(MyAnswer {
+    Ok(Some(MyAnswer {
         standing,
         missing,
         comment,
@@ -134,7 +136,7 @@ fn own_answer(
         feedback,
         task: read::view(tx, task, None)?,
         mine,
-    })
+    }))
 }
 
 /// Feedback on a practice task for a user who submitted it.

@@ -36,7 +36,8 @@ pub(crate) trait Backend: Send + Sync + 'static {
         false
     }
 
-    /// Writes a backup to a new file without blocking others. A backup for another machine has no tokens and sessions.
+    /// Writes a backup to a new file without blocking others. `with_tokens` includes tokens and sessions; a backup for
+    /// another machine has none.
     fn backup(&self, path: &Path, with_tokens: bool) -> Result<()>;
 
     /// Begins a transaction, on a new connection if the database closed this one.

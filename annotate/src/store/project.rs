@@ -151,13 +151,7 @@ impl Store {
 
     /// Motions by their hashes, in this order and without unknown ones.
     pub fn motions(&self, hashes: Vec<String>) -> Result<Vec<MotionRecord>> {
-        self.read(|tx| {
-            let mut motions = Vec::new();
-            for hash in hashes {
-                motions.extend(motions_where(tx, "hash = ?1", params![&hash])?);
-            }
-            Ok(motions)
-        })
+        self.read(|tx| motions(tx, &hashes))
     }
 
     /// All motions.
@@ -346,12 +340,20 @@ fn settle_changed(
     log::note(tx, now, actor, Some(task), body)
 }
 
-/// Motions that match an SQL condition.
-pub(super) fn motions_where(
+/// Motions by hash, in the order of the hashes. Unknown hashes are skipped.
+pub(super) fn motions<'a>(
     tx: &mut dyn Tx,
-    condition: &str,
-    params: Params,
+    hashes: impl IntoIterator<Item = &'a String>,
 ) -> Result<Vec<MotionRecord>> {
+    let mut motions = Vec::new();
+    for hash in hashes {
+        motions.extend(motions_where(tx, "hash = ?1", params![hash])?);
+    }
+    Ok(motions)
+}
+
+/// Motions that match an SQL condition.
+fn motions_where(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<MotionRecord>> {
     let columns = "hash, id, split, frames, fps, captions, style, action";
     let sql = format!("SELECT {columns} FROM motion WHERE {condition}");
     tx.list(&sql, params)

@@ -341,12 +341,7 @@ pub(super) fn shown(tx: &mut dyn Tx, mut task: TaskRecord, user: i64) -> Result<
 
 /// A task in the form that the page shows.
 pub(super) fn view(tx: &mut dyn Tx, task: TaskRecord, bundle: Option<Bundle>) -> Result<Task> {
-    let mut motions = project::motions_where(tx, "hash = ?1", params![task.source])?;
-    motions.extend(project::motions_where(
-        tx,
-        "hash = ?1",
-        params![task.target],
-    )?);
+    let motions = project::motions(tx, std::iter::once(&task.source).chain(&task.target))?;
     Ok(Task {
         id: task.id,
         kind: task.kind,

@@ -339,7 +339,8 @@ fn log_kind(decision: Decision) -> LogKind {
     }
 }
 
-/// Checks the comment of a decision. If it is needed, it must not be empty: the log and `readers` need it.
+/// Checks the comment of a decision: it is not too long, and not empty if it is needed. `readers` names the people who
+/// need it, for the error.
 pub(super) fn comment(text: &str, is_needed: bool, readers: &str) -> Result<String> {
     let comment = text.trim().to_owned();
     let is_short = has_up_to(&comment, MAX_TEXT_CHARS);

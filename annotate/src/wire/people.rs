@@ -52,7 +52,7 @@ messages! {
         pub heartbeat_secs: i64,
     }
 
-    /// The part of the settings that annotators see, as it is there.
+    /// The settings that annotators see.
     pub struct Project {
         pub name: String,
         pub min_masks: usize,

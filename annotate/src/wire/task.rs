@@ -161,7 +161,7 @@ messages! {
         pub lease: Lease,
         pub user_name: String,
         pub kind: TaskKind,
-        /// `annotate`, `review`, or `returned` (reserved for the author).
+        /// `annotate`, `review`, `returned` (reserved for the author) or `assigned`.
         pub purpose: String,
     }
 

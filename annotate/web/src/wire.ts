@@ -670,7 +670,7 @@ export type Problem = {
   retry_after_secs?: number | null,
   theirs?: Revision | null, };
 
-/** The part of the settings that annotators see, as it is there. */
+/** The settings that annotators see. */
 export type Project = {
   name: string,
   min_masks: number,

@@ -148,8 +148,7 @@ impl<'a> Exporter<'a> {
         Ok(self.motion(&task.source, &task.split)?.frames)
     }
 
-    /// Visits the tasks in the order of their keys, a batch at a time, so that memory does not grow with their
-    /// number.
+    /// Visits the tasks in the order of their keys, a batch at a time, so that not all of them are in memory.
     pub(super) fn each_range(
         &mut self,
         mut each: impl FnMut(&mut Self, &KeyRange) -> Result<(), Error>,
@@ -187,7 +186,7 @@ impl<'a> Exporter<'a> {
         Ok(())
     }
 
-    /// Writes a file of text.
+    /// Writes a text file whole or not at all, and lists it in the result.
     pub(super) fn write(&mut self, folder: &Path, name: &str, text: &str) -> Result<(), Error> {
         let path = folder.join(name);
         let written = replace_file(&path, text.as_bytes());
