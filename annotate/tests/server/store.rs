@@ -47,7 +47,6 @@ pub(crate) fn on_postgres(test: &str, _: &dyn Fn(Arc<Store>)) {
 }
 
 pub(crate) fn skipped(test: &str) {
-    // Prints that the database test was skipped.
     say(&format!(
         "SKIPPED {test} on PostgreSQL: needs the feature postgres and ANNOTATE_TEST_PG"
     ));
