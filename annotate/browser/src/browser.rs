@@ -60,7 +60,7 @@ pub struct Browser {
 }
 
 impl Drop for Browser {
-    /// Kills the browser: after a failed test it may not respond to commands and would keep running.
+    /// Closes the browser, or kills it after a failed test, when it may not respond to commands.
     fn drop(&mut self) {
         if !std::thread::panicking() {
             wait(self.client.clone().close()).expect("Chromium ends");

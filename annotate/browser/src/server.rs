@@ -147,7 +147,7 @@ impl Server {
         server
     }
 
-    /// Restarts the server on the same port.
+    /// Starts the server on its port, for the first time or again.
     pub fn up(&mut self) {
         let mut command = Command::new(stance());
         if let Some(model) = &self.model {

@@ -43,7 +43,9 @@ impl Program {
     ) -> (Self, T) {
         command.stdin(Stdio::null()).stdout(Stdio::piped());
         let started = command.spawn();
-        let mut child = started.unwrap_or_else(|error| panic!("{command:?}: {error}"));
+        let mut child = started.unwrap_or_else(|error| {
+            panic!("{command:?}: {error}; start these tests through annotate/browser/run")
+        });
         let lines = BufReader::new(child.stdout.take().expect("stdout is piped")).lines();
         let program = Self(child);
         let (sender, understood) = mpsc::channel();

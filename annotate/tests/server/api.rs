@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 use crate::deployment::stream;
 use crate::support::{
     CLIPS, Client, DAY, MINUTE, Site, agent, event, from_json, masks, pair, send, style, submit,
+    with,
 };
 
 /// A path with its parameters filled in.
@@ -263,12 +264,9 @@ fn motions_are_sent_as_they_are_documented() {
     assert!(partners.iter().all(apart));
     // Blends the left arm, with changes to the request.
     let blend = |change: Value| {
-        let mut request =
+        let request =
             json!({ "src": hash, "tgt": partners[0].hash, "parts": ["LEFT_ARM"], "alpha": 0.5 });
-        for (name, value) in change.as_object().expect("fields") {
-            request[name] = value.clone();
-        }
-        ann.post("blend", &request)
+        ann.post("blend", &with(request, change))
     };
     let blended = blend(json!({})).floats();
     assert_eq!(blended.len(), joints.len());

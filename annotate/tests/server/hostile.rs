@@ -100,7 +100,7 @@ fn tokens_are_not_taken_from_the_address_or_from_odd_headers() {
     }
 }
 
-/// The server's response to an incomplete request; no response fails the test.
+/// The server's response to an incomplete request. The server has to close the connection in time.
 fn answer_to(site: &Site, bytes: &[u8]) -> String {
     let mut stream = connect(site);
     stream.write_all(bytes).expect("the server reads");

@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 use crate::store::on_each;
 use crate::support::{
     DAY, HOUR, MINUTE, START, all_keys, bare_motion, bare_task, claim, decision, event, from_json,
-    kept, masks, pair, peak_memory_mb, plain_settings, review, rule, say, set, sizes,
+    join, kept, masks, pair, peak_memory_mb, plain_settings, review, rule, say, set, sizes,
 };
 
 /// Percentage of the tasks that reviewers see.
@@ -123,7 +123,7 @@ fn project(store: Arc<Store>, [pairs, clips, people]: [usize; 3]) -> Project {
             rule("sample", RuleKind::Sampled, 0.5),
         ];
     });
-    let user = |name: String, role| store.add_user(None, &name, role, START).expect("a user").id;
+    let user = |name: String, role| join(&store, &name, role);
     let reviewers = (0..people.div_ceil(6))
         .map(|number| user(format!("reviewer{number}"), Role::Reviewer))
         .collect();

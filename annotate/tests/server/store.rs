@@ -15,8 +15,8 @@ use datasets_spec::Seed;
 use rand::RngExt;
 
 use crate::support::{
-    DAY, HOUR, Hands, MINUTE, ROOT, START, all_keys, bare_motion, bare_task, decision, event,
-    masks, pair, plain_settings, refusal, say, set, whole,
+    DAY, HOUR, Hands, MINUTE, ROOT, START, all_keys, bare_motion, bare_task, decision, event, join,
+    masks, pair, plain_settings, refusal, role, say, set, whole,
 };
 
 /// Runs a test on a fresh store of each database.
@@ -47,7 +47,6 @@ pub(crate) fn on_postgres(test: &str, _: &dyn Fn(Arc<Store>)) {
 }
 
 pub(crate) fn skipped(test: &str) {
-    // Prints that the database test was skipped.
     say(&format!(
         "SKIPPED {test} on PostgreSQL: needs the feature postgres and ANNOTATE_TEST_PG"
     ));
@@ -68,11 +67,11 @@ pub(crate) struct Fixture {
 pub(crate) fn each(test: &str, tasks: Vec<NewTask>, check: impl Fn(&Fixture)) {
     on_each(test, |store| {
         plain_settings(&store);
-        let user = |name: &str, role| store.add_user(None, name, role, START).expect("a user").id;
+        let user = |name: &str| join(&store, name, role(name));
         let site = Fixture {
-            ann: user("ann", Role::Annotator),
-            bob: user("bob", Role::Annotator),
-            eve: user("eve", Role::Reviewer),
+            ann: user("ann"),
+            bob: user("bob"),
+            eve: user("eve"),
             clock: Hands::at(START),
             store,
         };
@@ -127,8 +126,7 @@ impl Fixture {
     }
 
     pub(crate) fn join(&self, name: &str, role: Role) -> i64 {
-        let user = self.store.add_user(None, name, role, START);
-        user.expect("a user").id
+        join(&self.store, name, role)
     }
 
     pub(crate) fn who(&self, id: i64) -> Who {

@@ -243,6 +243,12 @@ pub(crate) fn role(name: &str) -> Role {
     }
 }
 
+/// Adds a user and returns their id.
+pub(crate) fn join(store: &Store, name: &str, role: Role) -> i64 {
+    let user = store.add_user(None, name, role, START);
+    user.expect("a user").id
+}
+
 /// Adds a user and returns a client for them.
 pub(crate) fn person(store: &Store, base: &str, name: &str, now: i64) -> Client {
     let user = store.add_user(None, name, role(name), now).expect("a user");
@@ -501,13 +507,10 @@ impl Client {
         decision: Decision,
         more: Value,
     ) -> Answered {
-        let mut review = json!({
+        let review = json!({
             "idem_key": key(), "task": task, "lease_epoch": epoch, "decision": decision,
         });
-        for (name, value) in more.as_object().expect("fields") {
-            review[name] = value.clone();
-        }
-        self.post("reviews", &review)
+        self.post("reviews", &with(review, more))
     }
 
     /// Accepts the first answer to every task that waits for review. Returns the number of tasks.
@@ -564,6 +567,14 @@ pub(crate) fn decision(task: i64, lease_epoch: i64, decision: Decision) -> NewRe
         comment: "because".to_owned(),
         secs: 40.0,
     }
+}
+
+/// A document with fields added or replaced.
+pub(crate) fn with(mut document: Value, more: Value) -> Value {
+    for (name, value) in more.as_object().expect("fields") {
+        document[name] = value.clone();
+    }
+    document
 }
 
 /// Parses a value from JSON, in which fields with defaults may be missing.

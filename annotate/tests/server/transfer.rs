@@ -20,8 +20,8 @@ use serde_json::{Value, json};
 
 use crate::support::{
     CLIPS, Client, MINUTE, START, Site, all_keys, bare_motion, bare_task, claim, commit, decision,
-    from_json, masks, motion, motion_row, pair, peak_memory_mb, plain_settings, read, review, say,
-    style, tell, whole,
+    from_json, join, masks, motion, motion_row, pair, peak_memory_mb, plain_settings, read, review,
+    say, style, tell, whole,
 };
 
 /// Waits for a job to end.
@@ -141,11 +141,6 @@ fn task_of(store: &Store, key: &str) -> TaskRecord {
     let mut tasks = (1..500).filter_map(|id| store.task_record(id).ok());
     let found = tasks.find(|task| task.key == key);
     found.unwrap_or_else(|| panic!("there is no task {key}"))
-}
-
-/// Adds a person to a store without a server.
-fn join(store: &Store, name: &str, role: Role) -> i64 {
-    store.add_user(None, name, role, START).expect("a user").id
 }
 
 /// Has a person answer a mask task in a store without a server, or begin a draft, and returns the task.

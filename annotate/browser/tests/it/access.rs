@@ -3,7 +3,7 @@
 use annotate_browser::{Dataset, keys};
 use serde_json::json;
 
-use crate::steps::Desk;
+use crate::steps::{CUT, Desk};
 
 /// Controls without an accessible name.
 const NAMELESS: &str = "[...document.querySelectorAll('button, a, input, select, textarea, [tabindex], canvas, progress, dialog')] \
@@ -97,10 +97,6 @@ fn tab_leaves_the_stage_and_parts_and_screens_have_keys() {
 
 #[test]
 fn nothing_is_cut_and_messages_cover_no_strip() {
-    const CUT: &str = "[...document.querySelectorAll('.panel-foot button, .verdicts button, .transport button')] \
-        .filter((button) => { const box = button.getBoundingClientRect(); const within = button.closest('.panel, .viewer').getBoundingClientRect(); \
-            return box.left < within.left || box.right > within.right || box.bottom > innerHeight || button.scrollWidth > button.clientWidth; }) \
-        .map((button) => button.textContent)";
     const COVERED: &str = "[...document.querySelectorAll('.toast')].filter((toast) => { const box = toast.getBoundingClientRect(); \
         return [...document.querySelectorAll('.strips, .transport')].some((other) => { const under = other.getBoundingClientRect(); \
             return box.bottom > under.top && box.top < under.bottom && box.right > under.left && box.left < under.right; }); }).length";

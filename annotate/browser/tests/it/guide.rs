@@ -5,7 +5,7 @@ use std::io::Write;
 use annotate_browser::keys;
 use serde_json::json;
 
-use crate::steps::Desk;
+use crate::steps::{CUT, Desk};
 
 const HOSTILE: &str = "<img src=x onerror=\"window.canary=1\"><script>window.canary=1</script>";
 
@@ -14,10 +14,6 @@ const POINT: &[u8] = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x01\0\0\0\x01\x08\0\0
 
 #[test]
 fn the_guide_opens_beside_the_work_and_takes_no_focus() {
-    const CUT: &str = "[...document.querySelectorAll('.panel-foot button, .transport button')] \
-        .filter((button) => { const box = button.getBoundingClientRect(); const within = button.closest('.panel, .viewer').getBoundingClientRect(); \
-            return box.left < within.left || box.right > within.right || box.bottom > innerHeight || button.scrollWidth > button.clientWidth; }) \
-        .map((button) => button.textContent)";
     let desk = Desk::at("app/mask");
     let task = desk.task();
     desk.write(&["4", "t"], "waving");

@@ -203,6 +203,12 @@ fn with(mut document: Value, more: Value) -> Value {
     document
 }
 
+/// Texts of the buttons of a task that leave their frame or the window, or are too narrow for their text.
+pub(crate) const CUT: &str = "[...document.querySelectorAll('.panel-foot button, .verdicts button, .transport button')] \
+    .filter((button) => { const box = button.getBoundingClientRect(); const within = button.closest('.panel, .viewer').getBoundingClientRect(); \
+        return box.left < within.left || box.right > within.right || box.bottom > innerHeight || button.scrollWidth > button.clientWidth; }) \
+    .map((button) => button.textContent)";
+
 /// A complete answer to a mask task.
 pub(crate) fn two_masks(first: &str, part: &str) -> Value {
     json!({
