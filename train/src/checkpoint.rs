@@ -436,9 +436,11 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
     Ok(Some(files))
 }
 
+/// A checkpoint of a run with the run's record.
 pub(crate) struct Opened<C> {
     pub(crate) record: RunRecord<C>,
     pub(crate) files: Files,
+    /// Hash of the weights.
     pub(crate) hash: String,
 }
 
@@ -452,6 +454,7 @@ impl<C: Serialize> Opened<C> {
     }
 }
 
+/// Reads a checkpoint of a run of one kind, for a model that is used and not trained further.
 pub(crate) fn open_for_use<C: Serialize + DeserializeOwned>(
     run_dir: &Path,
     slot: Slot,

@@ -139,19 +139,27 @@ impl Texts<'_> {
             })
         });
         let vectors: Vec<&[f32]> = vectors.collect::<Result<_, _>>()?;
-        let longest = vectors.iter().map(|vector| vector.len()).max().unwrap_or(0);
-        let mut values = Vec::with_capacity(vectors.len() * longest);
-        for vector in &vectors {
-            let end = values.len() + longest;
-            values.extend_from_slice(vector);
-            values.resize(end, 0.0);
-        }
         let tokens = vectors.iter().map(|vector| vector.len() / table.width());
         Ok(TextBatch::Vectors {
             lengths: tokens.collect(),
-            values,
+            values: padded_rows(vectors.iter().copied(), 0.0).0,
         })
     }
+}
+
+/// Rows of different lengths as one row-major array, each padded to the longest, and the length of the longest.
+pub(crate) fn padded_rows<'a, T: Copy + 'a>(
+    rows: impl Iterator<Item = &'a [T]> + Clone,
+    padding: T,
+) -> (Vec<T>, usize) {
+    let longest = rows.clone().map(<[T]>::len).max().unwrap_or(0);
+    let mut values = Vec::with_capacity(rows.clone().count() * longest);
+    for row in rows {
+        let end = values.len() + longest;
+        values.extend_from_slice(row);
+        values.resize(end, padding);
+    }
+    (values, longest)
 }
 
 /// `B` windows of `W` frames, with all random draws of a training step.

@@ -228,6 +228,7 @@ impl Error {
         Self::Empty { what }
     }
 
+    /// Returns an error if there are no items.
     pub(crate) fn if_empty<T>(items: &[T], what: &'static str) -> Result<(), Self> {
         match items.is_empty() {
             true => Err(Self::empty(what)),

@@ -379,7 +379,7 @@ pub fn read_npy_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> {
 /// released network lacks, or a file cannot be written.
 pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Error> {
     let kind = checkpoint::read_kind(run_dir)?;
-    let (files, name, width, normalizer): (Files, &str, usize, Normalizer) =
+    let (mut files, name, width, normalizer): (Files, &str, usize, Normalizer) =
         if kind == coordinator::KIND {
             let opened = open_for_use::<CoordinatorRecord>(run_dir, slot, coordinator::KIND)?;
             let record = opened.record.config;
@@ -394,7 +394,6 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
             let width = record.train.model.width;
             (opened.files, Denoiser::FILE, width, record.normalizer)
         };
-    let mut files = files;
     let bytes = with_tables(&take(&mut files, name, run_dir)?, width, run_dir)?;
     std::fs::create_dir_all(out).map_err(datasets_spec::Error::io("create", out))?;
     let weights = out.join(name);

@@ -3,7 +3,6 @@
 use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use rand::RngExt;
-use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use crate::captioned::{CaptionedCorpus, CropSampler, Crops, captioned_rows, grouped_stats};
@@ -18,6 +17,7 @@ use crate::fit::TextRecord;
 use crate::model::conditioned::Conditioned;
 use crate::model::mdm::Mdm;
 use crate::model::pass::Pass;
+use crate::sample::noise::normal;
 use crate::schedule::Schedule;
 use crate::text::clip::ClipModel;
 use crate::trainer::{self, Task, TrainReport};
@@ -260,7 +260,7 @@ impl Noising<'_> {
             timesteps.push(rng.random_range(0..self.schedule.len()));
             let is_dropped = rng.random_bool(self.record.train.text_dropout);
             text_kept.push(if is_dropped { 0.0 } else { 1.0 });
-            noise.extend((0..row).map(|_| rng.sample::<f32, _>(StandardNormal)));
+            noise.extend(normal(&mut rng, row));
         }
         Ok(MdmBatch {
             texts: self.texts.batch(crops.captions.iter().copied())?,

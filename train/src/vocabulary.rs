@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::config::positive;
+use crate::data::padded_rows;
 
 /// Id of the padding token, which fills rows up to the length of the longest.
 pub const PADDING: i32 = 0;
@@ -35,15 +36,11 @@ pub struct TokenBatch {
 impl TokenBatch {
     /// Texts as rows, padded to the longest text.
     pub(crate) fn of<T: AsRef<[i32]>>(texts: &[T]) -> Self {
-        let texts = texts.iter().map(T::as_ref);
-        let width = texts.clone().map(<[i32]>::len).max().unwrap_or(1);
-        let mut ids = Vec::with_capacity(texts.len() * width);
-        for text in texts {
-            let end = ids.len() + width;
-            ids.extend_from_slice(text);
-            ids.resize(end, PADDING);
+        let (ids, longest) = padded_rows(texts.iter().map(T::as_ref), PADDING);
+        Self {
+            ids,
+            width: longest.max(1),
         }
-        Self { ids, width }
     }
 
     /// Number of tokens in each row that are not padding, `[B]`.

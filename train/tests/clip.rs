@@ -467,6 +467,7 @@ fn a_table_holds_what_the_encoder_gives() {
     for text in texts {
         let alone = encoder.encode(&[text], BertVectors::Pooled);
         let found = table.get(text).expect("there");
+        assert_eq!(found.len(), 6, "{text:?}");
         for (a, b) in found.iter().zip(&alone.expect("encoded")[0]) {
             // The tolerance covers sums of 16 f32 products in another order.
             assert!((a - b).abs() < 1e-5, "{text:?}: {a} {b}");

@@ -226,8 +226,8 @@ impl Kernel for SequenceGrad<'_> {
         let pairs = || Small::new(length, length);
         let (mut queries, mut keys, mut grad) = (tokens(), tokens(), tokens());
         let mut values = Small::new(head, length);
-        // The gradients of the weights, then of the scores; these gradients indexed by key first; and the weights after
-        // dropout, indexed by key first.
+        // `of_scores` holds first the gradients of the weights, then those of the scores. `by_key` is its transpose.
+        // `dropped` is the transpose of the weights after dropout.
         let (mut of_scores, mut by_key, mut dropped) = (pairs(), pairs(), pairs());
         let mut of_part = tokens();
         for at in 0..count {

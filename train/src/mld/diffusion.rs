@@ -3,7 +3,6 @@
 use burn::tensor::{Device, Tensor};
 use datasets_spec::Seed;
 use rand::RngExt;
-use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use super::KIND;
@@ -12,10 +11,12 @@ use super::config::MldConfig;
 use crate::captioned::{CaptionedCorpus, CropSampler, Crops, captioned_rows};
 use crate::checkpoint::{Run, RunRecord, Start};
 use crate::data::{TextBatch, Texts};
+use crate::features::Moments;
 use crate::fit::TextRecord;
 use crate::model::conditioned::Conditioned;
 use crate::model::mld::{LatentDenoiser, MAX_POSITIONS};
 use crate::model::pass::Pass;
+use crate::sample::noise::normal;
 use crate::schedule::Schedule;
 use crate::trainer::{self, Task, TrainReport};
 use crate::transfer::{read, send};
@@ -132,24 +133,16 @@ fn latent_std(
     session: &Session<'_>,
 ) -> f32 {
     let width = config.model.width;
-    let (mut count, mut sums, mut squares) = (0.0, vec![0.0f64; width], vec![0.0f64; width]);
+    let (mut first, mut moments) = (0, Moments::none(width));
     for crops in sampler.whole(config.run.micro_batch()) {
         let rows = crops.lengths.len();
-        let noise = latent_noise(sampler.seed, count as u64, rows, width);
-        let latents = autoencoder.latents(&crops, &noise, session);
-        for row in read(latents).chunks_exact(width) {
-            for ((sum, square), &value) in sums.iter_mut().zip(&mut squares).zip(row) {
-                *sum += f64::from(value);
-                *square += f64::from(value) * f64::from(value);
-            }
-        }
-        count += rows as f64;
+        let noise = latent_noise(sampler.seed, first, rows, width);
+        let latents = read(autoencoder.latents(&crops, &noise, session));
+        moments = moments.merge(&Moments::of(width, latents.chunks_exact(width)));
+        first += rows as u64;
     }
-    let variances = sums
-        .iter()
-        .zip(&squares)
-        .map(|(sum, square)| square / count - (sum / count).powi(2));
-    (variances.sum::<f64>() / width as f64).max(0.0).sqrt() as f32
+    let variances = moments.deviations().map(|std| std.powi(2));
+    (variances.sum::<f64>() / width as f64).sqrt() as f32
 }
 
 /// Latent vectors of motions with their captions, and all random draws of a training step.
@@ -194,7 +187,7 @@ impl Noising<'_> {
             timesteps.push(rng.random_range(0..self.schedule.len()));
             let is_dropped = rng.random_bool(text_dropout);
             captions.push(if is_dropped { "" } else { caption });
-            noise.extend((0..width).map(|_| rng.sample::<f32, _>(StandardNormal)));
+            noise.extend(normal(&mut rng, width));
         }
         Ok(LatentBatch {
             latents: read(latents),

@@ -77,6 +77,7 @@ fn unthinned(compose: &ComposeConfig) -> ComposeConfig {
     }
 }
 
+/// Composed windows or clips of the validation split.
 pub(crate) fn validation_stream(
     dataset: &Dataset,
     compose: &ComposeConfig,
@@ -88,7 +89,7 @@ pub(crate) fn validation_stream(
     stream.map_err(|source| Error::Validation { source })
 }
 
-/// Stores the vectors of a run's texts in its folder.
+/// Stores the vectors of a run's texts, if there are any, in its folder, and returns them.
 pub(crate) fn kept(
     table: Option<EmbeddingTable>,
     run: &Path,

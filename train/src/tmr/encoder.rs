@@ -13,6 +13,7 @@ use super::task::{KIND, TmrRecord};
 use crate::Error;
 use crate::checkpoint::{Files, MOTION_KIND, Opened, Slot, open_for_use, read_kind, record_of};
 use crate::config::{BertVectors, NetworkConfig};
+use crate::data::padded_rows;
 use crate::features::{FeatureRecipe, FeatureStats, Prepared};
 use crate::model::pass::{Arithmetic, Pass};
 use crate::model::tmr::{SequenceEncoder, Tmr};
@@ -288,13 +289,7 @@ fn load_texts(
 
 /// States of texts as one array `[B, T, d]`, zero after the end of each text, and the number of tokens in each.
 fn padded(states: &[Vec<f32>], width: usize, device: &Device) -> (Tensor<3>, Vec<usize>) {
-    let longest = states.iter().map(Vec::len).max().unwrap_or(0);
-    let mut values = Vec::with_capacity(states.len() * longest);
-    for row in states {
-        let filled = values.len() + longest;
-        values.extend_from_slice(row);
-        values.resize(filled, 0.0);
-    }
+    let (values, longest) = padded_rows(states.iter().map(Vec::as_slice), 0.0);
     let lengths = states.iter().map(|row| row.len() / width).collect();
     let shape = [states.len(), longest / width, width];
     (send(values, shape, device), lengths)

@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use crate::candidates::{Candidates, VariantCounts};
 use datasets_spec::dataset::{ShardName, Staging, table_facts};
 use datasets_spec::record::{MotionRow, PairRow};
 use datasets_spec::table::{Row, read_rows};
@@ -16,6 +15,7 @@ use work::{
 
 use super::{Surroundings, changed, in_turn, of_commit, write_plan};
 use crate::Error;
+use crate::candidates::{Candidates, VariantCounts};
 use crate::stage::variants::{Instructions, MakeVariants, Making, made_before};
 
 /// Name of the job.
