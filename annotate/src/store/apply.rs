@@ -40,10 +40,7 @@ pub(crate) fn apply(tx: &mut dyn Tx, seq: i64, entry: &Entry) -> Result<()> {
         task,
         actor: entry.actor.unwrap_or(0),
     };
-    change.apply_lease(tx)?;
-    change.apply_answer(tx)?;
-    change.apply_import(tx)?;
-    change.apply_decision(tx)?;
+    change.apply(tx)?;
     if matches!(
         kind,
         LogKind::Submitted
@@ -168,6 +165,38 @@ struct Change<'a> {
 }
 
 impl Change<'_> {
+    /// Names every kind of entry, so that a new one does not compile until somebody applies it.
+    fn apply(&self, tx: &mut dyn Tx) -> Result<()> {
+        match &self.entry.body {
+            Body::Claimed { .. }
+            | Body::Renewed { .. }
+            | Body::Released { .. }
+            | Body::Assigned { .. }
+            | Body::Retargeted { .. } => self.apply_lease(tx),
+            Body::DraftSaved { .. }
+            | Body::Submitted { .. }
+            | Body::Skipped { .. }
+            | Body::Undone { .. }
+            | Body::SuggestionUsed { .. }
+            | Body::GoldScored { .. } => self.apply_answer(tx),
+            Body::Filled { .. } | Body::ClipChanged { .. } | Body::ClipKept => {
+                self.apply_import(tx)
+            }
+            Body::Returned { .. }
+            | Body::Accepted { .. }
+            | Body::Merged { .. }
+            | Body::Dropped { .. }
+            | Body::Reopened { .. } => self.apply_decision(tx),
+            Body::Imported { .. }
+            | Body::RoleChanged { .. }
+            | Body::SettingsChanged { .. }
+            | Body::CapturesPlanned { .. }
+            | Body::GuidePicture { .. }
+            | Body::ParaphraseJudged { .. }
+            | Body::Exported { .. } => Ok(()),
+        }
+    }
+
     /// Applies entries that change the leases of the task or the number of answers it wants.
     fn apply_lease(&self, tx: &mut dyn Tx) -> Result<()> {
         let task = self.task;
