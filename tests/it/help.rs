@@ -179,7 +179,7 @@ fn anchor(heading: &str) -> String {
 #[test]
 fn links_between_documents_lead_to_files_and_headings() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut documents = ["README.md", "CHANGELOG.md"]
+    let mut documents = ["README.md", "CHANGELOG.md", ".github/CONTRIBUTING.md"]
         .map(|name| root.join(name))
         .to_vec();
     let crates = [

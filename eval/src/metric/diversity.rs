@@ -15,7 +15,7 @@ const METRIC: &str = "Diversity";
 /// Mean distance between latents paired at random. It is reported only if there are at least as many items as pairs.
 pub static DIVERSITY: Metric = Metric {
     name: METRIC,
-    about: "mean distance of 300 random pairs of raw latents",
+    about: "mean distance of 300 random pairs of raw latents, as the encoder gives them",
     part: Part::Paper,
     better: |_| Better::NearReal,
     decimals: 2,

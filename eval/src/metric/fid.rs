@@ -23,7 +23,7 @@ pub static FID: Metric = Metric {
 /// Fréchet distance of latents as the encoder returns them.
 pub static FID_RAW: Metric = Metric {
     name: "FID (raw)",
-    about: "the same with latents as the encoder gives them",
+    about: "FID of raw latents, as the encoder gives them",
     part: Part::Further,
     better: |_| Better::Lower,
     decimals: 2,

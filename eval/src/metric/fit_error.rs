@@ -18,7 +18,7 @@ pub static FIT_ERROR: Metric = Metric {
 /// Mean difference between the lengths of generated bones and of the body's bones, in centimetres.
 pub static BONE_DRIFT: Metric = Metric {
     name: "Bone drift (cm)",
-    about: "mean difference of generated bones from their lengths in the body",
+    about: "mean difference between the lengths of generated bones and of the fitted body's bones",
     part: Part::Further,
     better: |_| Better::Lower,
     decimals: 2,

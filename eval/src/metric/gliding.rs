@@ -11,7 +11,7 @@ pub static GLIDING: Metric = Metric {
     about: "share of the items with locomotion whose root moves while the legs do not: the pelvis gets more than 0.5 m \
             away from where it began, and the ankle that swings more stays within half of the target's swing (diagonal \
             of the box, along and across the hips, in which it stays relative to the pelvis). An item has locomotion \
-            if the pelvis of its target gets as far",
+            if the pelvis of its target gets as far. Real data has 0",
     part: Part::Quality,
     better: |_| Better::NearReal,
     decimals: 1,

@@ -15,7 +15,7 @@ const METRIC: &str = "Multimodality";
 /// Mean distance between latents of the same item, generated with different seeds.
 pub static MULTIMODALITY: Metric = Metric {
     name: METRIC,
-    about: "mean distance of ten pairs of different takes of an item, over up to 100 random items",
+    about: "mean distance of the raw latents of ten pairs of different takes of an item, over up to 100 random items",
     part: Part::Further,
     better: |_| Better::Higher,
     decimals: 2,

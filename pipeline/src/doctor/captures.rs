@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use clip::Rejected;
 use datasets_spec::store::{ByPath, Store};
-use formats::source::{ReadCapture, ReadOptions, Recognised};
+use formats::source::{Format, ReadCapture, ReadOptions, Recognised};
 use rayon::prelude::*;
 
 use super::Looked;
@@ -12,17 +12,20 @@ use super::findings::{CaptureFindings, EXAMPLES};
 
 /// Reads the captures among the files like ingestion, but without solving, and reports which give no motion.
 pub(super) fn captures(rest: &[&Looked], options: &ReadOptions) -> Vec<CaptureFindings> {
-    let captures: Vec<(&&Looked, ReadCapture)> = rest
+    let captures: Vec<(&Looked, Format, ReadCapture)> = rest
         .iter()
         .filter(|file| !file.is_pointer)
-        .filter_map(|file| Some((file, reader_of(&file.kind)?)))
+        .filter_map(|&file| match file.kind {
+            Recognised::Motion(format) => Some((file, format, format.capture_reader()?)),
+            Recognised::NotMotion { .. } => None,
+        })
         .collect();
     let refused: Vec<Vec<Rejected>> = captures
         .par_iter()
-        .map(|(file, read)| refused(file, *read, options))
+        .map(|&(file, format, read)| refused(file, format, read, options))
         .collect();
     let mut by_code: BTreeMap<&str, CaptureFindings> = BTreeMap::new();
-    for ((file, _), refused) in captures.iter().zip(refused) {
+    for ((file, ..), refused) in captures.iter().zip(refused) {
         for rejected in refused {
             let found = by_code
                 .entry(rejected.code)
@@ -43,20 +46,15 @@ pub(super) fn captures(rest: &[&Looked], options: &ReadOptions) -> Vec<CaptureFi
     by_code.into_values().collect()
 }
 
-fn reader_of(kind: &Recognised) -> Option<ReadCapture> {
-    match kind {
-        Recognised::Motion(format) => format.capture_reader(),
-        Recognised::NotMotion { .. } => None,
-    }
-}
-
 /// The reasons why a capture gives no motion, one for each person in it.
-fn refused(file: &Looked, read: ReadCapture, options: &ReadOptions) -> Vec<Rejected> {
+fn refused(
+    file: &Looked,
+    format: Format,
+    read: ReadCapture,
+    options: &ReadOptions,
+) -> Vec<Rejected> {
     // Ingestion reports unreadable files with the reason.
     let Ok(bytes) = ByPath.read(&file.path) else {
-        return Vec::new();
-    };
-    let Recognised::Motion(format) = file.kind else {
         return Vec::new();
     };
     let mut keys = format.keys(&bytes, options);

@@ -15,7 +15,7 @@ use super::{Files, Format, Release, SourceFormat};
 pub const FORMAT: Format = Format::of_releases(
     "dataset",
     "a dataset folder of this program (meta/manifest-*.json) on the same skeleton; a clip keeps id, split, labels \
-     and masks, and the first of its pairs",
+     and masks, and the first of its pairs; rotations as stored",
     (4 * 69 * 20) as f64,
     &DatasetFolder,
 );

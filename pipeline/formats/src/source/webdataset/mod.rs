@@ -14,7 +14,7 @@ use super::{Files, Format, Release, SourceFormat};
 // Bytes per second: the 69 parameters of the store in f32 at 20 fps.
 pub const FORMAT: Format = Format::of_releases(
     "webdataset",
-    "tar shards of `stance export --to webdataset`, or the files unpacked from them",
+    "tar shards of `stance export --to webdataset`, or the files unpacked from them; rotations as stored",
     (4 * 69 * 20) as f64,
     &WebDataset,
 );
