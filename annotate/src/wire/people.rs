@@ -52,7 +52,7 @@ messages! {
         pub heartbeat_secs: i64,
     }
 
-    /// The part of the settings that annotators see, as it is there.
+    /// The part of the settings that annotators see. Its fields are those of the settings.
     pub struct Project {
         pub name: String,
         pub min_masks: usize,
