@@ -226,8 +226,8 @@ messages! {
         pub takes: u32,
     }
 
-    /// `GET captures`, and the answer to `PUT captures`: the plan, with the number of takes that have arrived. A take is
-    /// a style pair of the motion in the style.
+    /// `GET captures`, and the answer to `PUT captures`: the plan, with the number of takes that have arrived. A take
+    /// is a style pair of the motion in the style.
     #[derive(Default)]
     pub struct Captures {
         /// The cells in the order of the plan.
