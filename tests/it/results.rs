@@ -93,7 +93,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
             .clone()
             .all(|row| row.items_digest == digest && row.targets > 0)
     );
-    // Novelty of the items is counted, and scored separately if it differs.
+    // The items are counted by novelty, and each novelty also has a table of its own.
     let shown = of_task.clone().next().expect("a row").novelty.clone();
     let counted: usize = shown
         .split(", ")

@@ -855,7 +855,7 @@ fn an_export_of_chosen_clips_in_pieces_is_that_of_one_process() {
     let [clean, into, plan] = ["clean", "into", "plan"].map(|name| place.at(name));
     stance(&[&job[..], &["--out", arg(&clean)]].concat()).expect_code(0);
     planned(&job, &into, &plan);
-    // A damaged file of the dataset only fails the pieces that read it.
+    // A damaged file of the dataset fails only the pieces that read it.
     let shard = files_with_extension(&dataset.join("data/motions"), "parquet");
     let shard = shard
         .iter()

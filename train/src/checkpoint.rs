@@ -6,7 +6,7 @@
 //! RUN/events.out.tfevents.*     the same numbers for TensorBoard
 //! RUN/checkpoint/last/          weights, optimiser and place in the run
 //! RUN/checkpoint/best/          weights at the lowest validation loss
-//! RUN/checkpoint/epoch-50/      weights after so many epochs, where the settings keep them
+//! RUN/checkpoint/epoch-50/      weights after 50 epochs, if the settings keep them
 //! RUN/checkpoint/*/manifest.json  length and BLAKE3 of every file
 //! ```
 //!

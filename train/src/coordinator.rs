@@ -263,6 +263,7 @@ pub fn train_coordinator<'a>(
     Ok(train(&task, network, &run, session)?.1)
 }
 
+/// Noisy windows, their diffusion steps, and whether they were composed.
 struct SegmentBatch {
     windows: Vec<f32>,
     timesteps: Vec<usize>,

@@ -138,8 +138,8 @@ fn system_name(editor: &Editor, slot: Slot, settings: &EditSettings) -> String {
     named_with(name, slot, &changes(editor, settings))
 }
 
-/// The edit's settings, paired with the usual ones: those of the preset with the editor's network sizes or, without
-/// such a preset, those of its training.
+/// The edit's settings, each with its usual value. Usual values are those of the preset with the editor's network, or
+/// those of the editor's training if no preset has this network.
 fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setting)> {
     let trained = &editor.record().config.train;
     let usual = Preset::ALL

@@ -251,7 +251,7 @@ fn fit<M: Networks>(
 ) -> Result<(M, TrainReport), Error> {
     let seed = Seed(config.run.seed).derive(&["poses"]);
     let mut settings = config.run;
-    // A run has at least twenty lines of metrics and ten validations, however short it is.
+    // A short run still writes a line of metrics after each twentieth of its steps, and validates after each tenth.
     let num_steps = settings.length.steps;
     settings.log_every = settings.log_every.min(num_steps.div_ceil(20));
     settings.val_every = settings.val_every.min(num_steps.div_ceil(10));

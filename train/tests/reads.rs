@@ -52,8 +52,8 @@ fn nothing_is_read_inside_a_step_of_training_or_sampling() {
         }
         assert_eq!(reads_of(network, &own), expected, "{network}");
     }
-    // The pose network logs at least twenty lines and validates at least ten times. Afterwards it is measured, with one
-    // read alone and one for each fit that starts with its poses.
+    // The pose network writes a line after each twentieth of its steps, and validates after each tenth. Afterwards it
+    // is measured: one read for the network itself, and one for each fit that starts with its poses.
     let reads = reads_of("j2s", &settings("j2s", STEPS, LOG_EVERY));
     assert!((STEPS + 10..STEPS + 20).contains(&reads), "{reads}");
     // The latent diffusion reads the latent vectors of each micro-batch in the loader, outside of the training step.

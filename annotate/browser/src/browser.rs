@@ -60,7 +60,8 @@ pub struct Browser {
 }
 
 impl Drop for Browser {
-    /// Closes the browser, or kills it after a failed test, when it may not respond to commands.
+    /// Closes the browser. After a failed test, it is killed instead: it may not respond to commands, and would keep
+    /// running.
     fn drop(&mut self) {
         if !std::thread::panicking() {
             wait(self.client.clone().close()).expect("Chromium ends");

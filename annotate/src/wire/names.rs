@@ -426,33 +426,45 @@ names! {
         Unauthenticated = "unauthenticated",
         /// 403: the role does not allow it.
         Forbidden = "forbidden",
+        /// 403: a request with a cookie lacks `X-Annotate: 1`.
         Csrf = "csrf",
         /// 403: a request with a cookie comes from another origin.
         WrongOrigin = "wrong_origin",
+        /// 421: the request is addressed to a name that is not this server's.
         WrongHost = "wrong_host",
         /// 403: reviewers do not review their own work.
         OwnWork = "own_work",
+        /// 404: does not exist, or you may not see it.
         NotFound = "not_found",
         /// 405: the route has no such method.
         MethodNotAllowed = "method_not_allowed",
+        /// 400: not the JSON that the route takes; `detail` says where.
         BadRequest = "bad_request",
         /// 413: the body is too large.
         TooLarge = "too_large",
+        /// 422: an invalid value; `field` names it.
         Invalid = "invalid",
+        /// 422: fewer or more masks than the project asks for, and no `count_reason`.
         MaskCount = "mask_count",
+        /// 409: `base_rev` is not the current revision; `theirs` holds it.
         StaleRevision = "stale_revision",
+        /// 409: the lease is no longer yours; the text is kept as your draft.
         LeaseLost = "lease_lost",
         /// 409: the task has enough annotators.
         TaskFull = "task_full",
         /// 409: the task's state does not allow it.
         WrongState = "wrong_state",
+        /// 409: the same `idem_key` was used for something else.
         KeyReused = "key_reused",
+        /// 429: too many requests; `retry_after_secs` says when to retry.
         RateLimited = "rate_limited",
         /// 503: no language model is configured.
         NoModel = "no_model",
         /// 502: the language model failed or took too long.
         ModelFailed = "model_failed",
+        /// 503: not finished within 15 seconds.
         Timeout = "timeout",
+        /// 507: the disk is full or read-only; the store accepts no writes.
         ReadOnly = "read_only",
         /// 500: internal error; the server log has the details.
         Internal = "internal",

@@ -95,7 +95,7 @@ messages! {
         pub state: TaskState,
     }
 
-    /// Which tasks: those that fit every given field. Gold and practice tasks are left out.
+    /// A filter of tasks: a task must match every given field. Gold and practice tasks are left out.
     #[derive(Default)]
     #[serde(deny_unknown_fields, default)]
     pub struct TaskFilter {

@@ -226,8 +226,8 @@ messages! {
         pub takes: u32,
     }
 
-    /// `GET captures`, and the answer to `PUT captures`: the plan with what has arrived of it. A take is a style pair
-    /// of the motion in the style.
+    /// `GET captures`, and the answer to `PUT captures`: the plan, with the number of takes that have arrived. A take
+    /// is a style pair of the motion in the style.
     #[derive(Default)]
     pub struct Captures {
         /// The cells in the order of the plan.
@@ -236,7 +236,7 @@ messages! {
         pub unplanned: u32,
     }
 
-    /// A cell of the plan with what has arrived.
+    /// A cell of the plan: a motion in a style, with its number of takes.
     pub struct CaptureCell {
         pub motion: String,
         pub style: String,

@@ -145,7 +145,7 @@ const MARGIN_START: DVec2 = DVec2::new(64.0, 34.0);
 const MARGIN_END: DVec2 = DVec2::new(16.0, 46.0);
 /// Target number of ticks on an axis; the actual number varies, so that ticks fall on round numbers.
 const NUM_TICKS: f64 = 5.0;
-/// On an axis of at least this many decades, only powers of ten have ticks.
+/// On an axis of more than this many decades, only powers of ten have ticks.
 const SPARSE_DECADES: f64 = 3.0;
 /// Longest curve that is drawn point by point. A longer curve is cut into half as many pieces and drawn by the minimum
 /// and maximum of each, which looks the same and keeps the file small.

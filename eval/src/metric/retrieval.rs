@@ -248,8 +248,8 @@ pub fn unit_rows(latents: &Matrix) -> Result<Matrix, Error> {
     Ok(unit)
 }
 
-/// Ranks gallery row i for query row i, among the rows at `indices`, by dot product in single precision. Ranks count
-/// from zero. Queries are processed in blocks to bound memory.
+/// For each i of `indices`, the rank of gallery row i among the gallery rows at `indices`, by their dot products with
+/// query row i in single precision. Ranks count from zero. Queries are processed in blocks to bound memory.
 ///
 /// Equal gallery rows are exact ties at any position.
 ///

@@ -17,7 +17,7 @@ pub(crate) struct Resamples {
 }
 
 impl Resamples {
-    /// Draws from the targets of the items; items with equal names share a target.
+    /// Draws from the targets of the items, given by name; items with equal names share a target.
     pub(crate) fn new<'a>(targets: impl Iterator<Item = &'a str>, protocol: &Protocol) -> Self {
         let mut groups: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
         for (item, target) in targets.enumerate() {

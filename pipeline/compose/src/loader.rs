@@ -15,7 +15,7 @@ use crate::Error;
 
 /// Blocks that are shuffled together: a batch of 1,024 windows.
 const MIXED_BLOCKS: usize = 16;
-/// Groups of blocks kept in memory: a batch may span two.
+/// Number of groups of blocks kept in memory: the windows of a batch may come from two groups.
 const HELD_GROUPS: usize = 2;
 
 datasets_spec::table! {

@@ -36,7 +36,7 @@ pub(super) struct ShardNotes {
     pub(super) label_problems: Vec<LabelProblem>,
 }
 
-/// Minimum size in bytes of a file whose headers are checked before it is read.
+/// Size in bytes above which the headers of a file are checked before it is read.
 const LARGE_LEN: usize = 64 << 20;
 
 /// Stage of a quarantined item whose piece failed as a whole.

@@ -140,7 +140,8 @@ pub fn remove_in(
     Ok(report)
 }
 
-/// Splits labels into those of other clips, those by people that are lost, and the number of other lost ones by table.
+/// Removes the labels of the `chosen` clips. Returns the remaining labels, the removed ones that people made, and the
+/// number of other removed ones by table.
 fn without(
     before: &Labels,
     chosen: &BTreeSet<MotionId>,

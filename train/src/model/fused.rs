@@ -546,7 +546,8 @@ fn all<T, const N: usize>(values: [Option<T>; N]) -> Option<[T; N]> {
     values.try_into().ok()
 }
 
-/// The values of a tensor on the processor; none if it is on another device or has automatic differentiation.
+/// The values of a single-precision tensor on the processor; none if it has another type, is on another device or has
+/// automatic differentiation.
 fn plain<const D: usize>(tensor: Tensor<D>) -> Option<Buffer> {
     if tensor.dtype() != DType::F32 {
         return None;

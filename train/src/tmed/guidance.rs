@@ -39,8 +39,8 @@ pub fn branches(text: f64, source: f64) -> Vec<Branch> {
 /// Estimates the clean motions of `x` at a diffusion step.
 ///
 /// # Shapes
-/// `x` and the result `[B, T, F]`; `lengths` `[B]`; the condition has `B` rows for each branch, and rows of a branch
-/// are consecutive.
+/// `x` and the result `[B, T, F]`; `lengths` `[B]`. The condition has `B` rows of the first branch, then `B` rows of
+/// the second, and so on.
 pub fn guided(
     denoiser: &Tmed,
     branches: &[Branch],

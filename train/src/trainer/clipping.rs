@@ -68,7 +68,7 @@ mod tests {
         let mut left = gradients();
         clip(&mut left, 100.0);
         assert!((clip(&mut left, 100.0) - expected).abs() < 1e-5);
-        // Gradients of zero, and gradients beyond the range of numbers.
+        // Gradients of zero have norm 0 and stay zero, rather than becoming NaN.
         let mut none = gradients();
         let zero = model.weight.val().inner().zeros_like();
         none.register(model.weight.id, zero.clone());

@@ -16,7 +16,7 @@ fn log_in(desk: &Desk, name: &str) {
 
 /// Opens a page by its link in the navigation. On task screens Tab moves between cards, and F6 between regions.
 fn follow(desk: &Desk, label: &str) {
-    // On a page without regions, Tab alone reaches the link.
+    // F6 does nothing on a page without regions. Tab then finds the link from anywhere.
     desk.reaches("header");
     desk.tab_to(label);
     desk.mark();

@@ -164,7 +164,7 @@ impl Exporter<'_> {
     }
 }
 
-/// Counts answers that the tables cannot hold.
+/// Counts the parts of an answer that the tables cannot hold.
 fn count_losses(answer: &Answer, done: &mut Exported) {
     let said = answer.fields();
     for (what, is_lost) in [

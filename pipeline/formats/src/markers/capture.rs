@@ -248,8 +248,8 @@ impl CaptureUnit {
         (Self { unit, said }, Some(note))
     }
 
-    /// Rejects a capture whose median extent suggests another unit; none otherwise. `frames` holds the seen points of
-    /// each frame.
+    /// The rejection of a capture whose median extent suggests another unit; none otherwise. `frames` holds the seen
+    /// points of each frame.
     pub(crate) fn doubt(
         self,
         frames: impl Iterator<Item = impl Iterator<Item = DVec3>>,

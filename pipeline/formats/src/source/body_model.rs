@@ -74,7 +74,7 @@ fn unusable(path: &Path) -> impl Fn(Rejected) -> Error {
     }
 }
 
-/// A body model with shapes, for the rest joints of each subject.
+/// A body model with its shape displacements, from which the rest joints of each subject are computed.
 #[derive(Clone)]
 pub struct BodyModel {
     /// Joints with all betas zero; 52 for SMPL-H, 55 for SMPL-X.

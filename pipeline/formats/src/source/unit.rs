@@ -41,7 +41,7 @@ const UNITS: [(&str, &[&str], f64); 6] = [
     ("ft", &["foot", "feet"], 0.3048),
 ];
 
-/// Number of the first [`UNITS`] that are suspected if the stated unit is implausible.
+/// If the stated unit is implausible, only the first `NUM_COMMON` of [`UNITS`] are suspected.
 const NUM_COMMON: usize = 4;
 
 /// Error of parsing a unit.

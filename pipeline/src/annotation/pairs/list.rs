@@ -255,7 +255,7 @@ impl Line {
     }
 }
 
-/// Parses the kind of a line; the default for an empty word.
+/// Parses the kind of a line; [`default_kind`] for an empty word.
 fn parse_kind(word: &str) -> Result<EditKind, String> {
     const ALLOWED: [EditKind; 2] = [EditKind::Style, EditKind::FineGrained];
     if word.is_empty() {

@@ -121,7 +121,7 @@ impl RigText {
             } else {
                 above.unwrap_or(DQuat::IDENTITY)
             };
-            // Joints that the body lacks are placed a little beyond the previous joint.
+            // Joints that the body lacks are placed a little beyond their parent.
             if let Some(parent) = rig.joints[index].parent.filter(|_| index > 1)
                 && rig.joints[parent].body == rig.joints[index].body
             {
@@ -374,7 +374,7 @@ fn the_joints_of_a_known_soma_pose_lie_where_they_should() {
             along(from, to)
         );
     }
-    // The arms of the body at rest lie along x, except for 18 degrees.
+    // The arms of the body at rest deviate from x by 18 degrees.
     assert!(along(16, 18).dot(DVec3::NEG_Y) > 0.9);
     assert!(along(19, 21).dot(DVec3::Y) > 0.9);
     let leg = (points[1][7] - points[1][1]).length();

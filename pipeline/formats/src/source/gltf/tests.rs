@@ -164,7 +164,7 @@ fn curves_follow_their_interpolation() {
     let (a, b) = ([0.0, 1.0, 2.0], [2.0, 1.0, -2.0]);
     let step = curve(Interpolation::Step, vec![a, b]);
     let linear = curve(Interpolation::Linear, vec![a, b]);
-    // With the slope of a straight line as tangents, the spline is that line.
+    // If all tangents equal the slope of the straight line, the spline is that line.
     let tangent = [1.0, 0.0, -2.0];
     let spline = curve(
         Interpolation::CubicSpline,

@@ -324,7 +324,8 @@ impl<'a> Planner<'a> {
         self.release.labels = Some(labels);
     }
 
-    /// Whether a list of an export is unchanged; the export's own files hold its content.
+    /// Whether a published list in an exported folder is unchanged; a changed list is rejected. The content of an
+    /// unchanged list is read from the export's own files instead.
     fn is_as_written(&mut self, file: &str) -> bool {
         let name = file.strip_prefix(self.root).unwrap_or(file);
         let labels = self.release.labels.as_ref();
