@@ -292,7 +292,7 @@ export type Candidate = {
   joints: Array<number>,
   draft_distance: number | null, };
 
-/** A cell of the plan with what has arrived. */
+/** A cell of the plan: a motion in a style, with its number of takes. */
 export type CaptureCell = {
   motion: string,
   style: string,
@@ -306,7 +306,7 @@ export type CaptureCell = {
 export type CapturePlan = {
   cells: Array<PlannedCapture>, };
 
-/** `GET captures`, and the answer to `PUT captures`: the plan with what has arrived of it. A take is a style pair of the motion in the style. */
+/** `GET captures`, and the answer to `PUT captures`: the plan, with the number of takes that have arrived. A take is a style pair of the motion in the style. */
 export type Captures = {
   cells: Array<CaptureCell>,
   unplanned: number, };
@@ -876,7 +876,7 @@ export type TaskFile = {
   decisions: Array<DecisionRow>,
   suggestions: Array<Suggestion>, };
 
-/** Which tasks: those that fit every given field. Gold and practice tasks are left out. */
+/** A filter of tasks: a task must match every given field. Gold and practice tasks are left out. */
 export type TaskFilter = {
   kind: TaskKind | null,
   state: TaskState | null,
