@@ -18,7 +18,7 @@ use crate::config::narrowed;
 pub use crate::model::text::TextBatch;
 use crate::noise_shape::NoiseShape;
 use crate::text::table::EmbeddingTable;
-use crate::vocabulary::Vocabulary;
+use crate::vocabulary::{Vocabulary, padded_rows};
 
 /// Number of batches prepared ahead of the trainer: one in transfer and one ready.
 const PREFETCHED_BATCHES: usize = 2;
@@ -145,21 +145,6 @@ impl Texts<'_> {
             values: padded_rows(vectors.iter().copied(), 0.0).0,
         })
     }
-}
-
-/// Rows of different lengths as one row-major array, each padded to the longest, and the length of the longest.
-pub(crate) fn padded_rows<'a, T: Copy + 'a>(
-    rows: impl Iterator<Item = &'a [T]> + Clone,
-    padding: T,
-) -> (Vec<T>, usize) {
-    let longest = rows.clone().map(<[T]>::len).max().unwrap_or(0);
-    let mut values = Vec::with_capacity(rows.clone().count() * longest);
-    for row in rows {
-        let end = values.len() + longest;
-        values.extend_from_slice(row);
-        values.resize(end, padding);
-    }
-    (values, longest)
 }
 
 /// `B` windows of `W` frames, with all random draws of a training step.

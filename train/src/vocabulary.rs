@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::config::positive;
-use crate::data::padded_rows;
 
 /// Id of the padding token, which fills rows up to the length of the longest.
 pub const PADDING: i32 = 0;
@@ -48,6 +47,21 @@ impl TokenBatch {
         let rows = self.ids.chunks_exact(self.width);
         rows.map(|row| row.iter().filter(|&&id| id != PADDING).count())
     }
+}
+
+/// Rows of different lengths as one row-major array, each padded to the longest, and the length of the longest.
+pub(crate) fn padded_rows<'a, T: Copy + 'a>(
+    rows: impl Iterator<Item = &'a [T]> + Clone,
+    padding: T,
+) -> (Vec<T>, usize) {
+    let longest = rows.clone().map(<[T]>::len).max().unwrap_or(0);
+    let mut values = Vec::with_capacity(rows.clone().count() * longest);
+    for row in rows {
+        let end = values.len() + longest;
+        values.extend_from_slice(row);
+        values.resize(end, padding);
+    }
+    (values, longest)
 }
 
 impl Vocabulary {

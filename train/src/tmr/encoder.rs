@@ -13,7 +13,6 @@ use super::task::{KIND, TmrRecord};
 use crate::Error;
 use crate::checkpoint::{Files, MOTION_KIND, Opened, Slot, open_for_use, read_kind, record_of};
 use crate::config::{BertVectors, NetworkConfig};
-use crate::data::padded_rows;
 use crate::features::{FeatureRecipe, FeatureStats, Prepared};
 use crate::model::pass::{Arithmetic, Pass};
 use crate::model::tmr::{SequenceEncoder, Tmr};
@@ -21,7 +20,7 @@ use crate::model::weights::{Networks, load_network};
 use crate::text::FrozenText;
 use crate::text::bert::{BertEncoder, BertFiles};
 use crate::transfer::{read, send};
-use crate::vocabulary::Vocabulary;
+use crate::vocabulary::{Vocabulary, padded_rows};
 
 pub(crate) const MOTION_WEIGHTS: &str = "motion_encoder.safetensors";
 
