@@ -163,8 +163,8 @@ fn make(out: &Path, hours: f64, fps: f64) -> Result<(), Failure> {
     let copies = (hours * 3600.0 * fps / frames as f64).ceil() as u64;
     let copy = |id: &str, number: u64| format!("{:06}/{id}", number);
     let new_id = |id: &MotionId, number: u64| MotionId::parse(&copy(id.as_str(), number));
-    let motions_of = |range: Range<u64>| -> Result<Vec<MotionRow>, datasets_spec::Error> {
-        let numbered = range.map(|row| (row / motions.len() as u64, row as usize % motions.len()));
+    let motions_of = |range: Range<usize>| -> Result<Vec<MotionRow>, datasets_spec::Error> {
+        let numbered = range.map(|row| ((row / motions.len()) as u64, row % motions.len()));
         let rows = numbered.map(|(number, row)| {
             let row = motions[row].clone();
             Ok(MotionRow {
@@ -174,8 +174,8 @@ fn make(out: &Path, hours: f64, fps: f64) -> Result<(), Failure> {
         });
         rows.collect()
     };
-    let masks_of = |range: Range<u64>| -> Result<Vec<MaskRow>, datasets_spec::Error> {
-        let numbered = range.map(|row| (row / masks.len() as u64, row as usize % masks.len()));
+    let masks_of = |range: Range<usize>| -> Result<Vec<MaskRow>, datasets_spec::Error> {
+        let numbered = range.map(|row| ((row / masks.len()) as u64, row % masks.len()));
         let rows = numbered.map(|(number, row)| {
             let row = masks[row].clone();
             Ok(MaskRow {
@@ -189,8 +189,8 @@ fn make(out: &Path, hours: f64, fps: f64) -> Result<(), Failure> {
     };
     let transaction = Transaction::begin(out, "bench")?;
     let (train, facts) = (Some(Split::Train), table_facts(&skeleton, ""));
-    let num_motions = copies * motions.len() as u64;
-    let num_masks = copies * masks.len() as u64;
+    let num_motions = copies as usize * motions.len();
+    let num_masks = copies as usize * masks.len();
     let tables = [
         (
             MotionRow::TABLE.to_owned(),

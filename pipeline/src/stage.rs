@@ -3,9 +3,11 @@
 //! Each function is one verb of the command. A stage does nothing if the same plan has already made its result.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use compose::{COMPOSED, ItemConfig, ItemCount, Shown, draw_items, library};
+use datasets_spec::dataset::{commit_table, table_facts};
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, ShardReader, read_column};
@@ -287,7 +289,7 @@ pub fn can_coordinate(root: &Path) -> Result<bool, Error> {
 }
 
 /// Result of [`items`].
-pub struct DrawnItems {
+pub struct ItemsFolder {
     /// The folder of items.
     pub dataset: Dataset,
     /// Number of items drawn, if it is less than requested.
@@ -305,28 +307,41 @@ pub fn items(
     config: &ItemConfig,
     seed: Seed,
     context: &Context<'_>,
-) -> Result<DrawnItems, Error> {
+) -> Result<ItemsFolder, Error> {
     let content = dataset.content_hash(&COMPOSED);
     let plan = plan_hash("items", &(content, split, config, seed));
     if let Ok(done) = Dataset::open_unverified(out)
         && done.manifest().plan(ItemRow::TABLE) == plan
     {
-        return Ok(DrawnItems {
+        return Ok(ItemsFolder {
             dataset: Dataset::open(out)?,
             fewer: None,
         });
     }
-    let rows = draw_items(
-        &library(dataset, split)?,
-        config,
-        &Shown::read(dataset)?,
-        seed,
-    )?;
+    let progress = context.progress;
+    progress.begin("draw", None);
+    let (library, shown) = (library(dataset, split)?, Shown::read(dataset)?);
+    let drawn = draw_items(&library, config, &shown, seed)?;
+    progress.finish(&format!("{} items", drawn.len()));
     let fewer = match config.count {
-        ItemCount::Exactly(count) if rows.len() < count => Some(rows.len()),
+        ItemCount::Exactly(count) if drawn.len() < count => Some(drawn.len()),
         _ => None,
     };
     let skeleton = dataset.skeleton()?;
-    let dataset = context.commit(out, &rows, Some(|row| row.split), &skeleton, &plan)?;
-    Ok(DrawnItems { dataset, fewer })
+    let facts = table_facts(&skeleton, &plan);
+    progress.begin("write", Some(drawn.len() as u64));
+    let dataset = commit_table::<ItemRow, Error>(out, &skeleton, &plan, context.holder, |files| {
+        let made = |range: Range<usize>| -> Result<Vec<ItemRow>, Error> {
+            progress.advance(range.len() as u64);
+            Ok(drawn.rows(range)?)
+        };
+        let files = Split::ALL.map(|other| match other == split {
+            true => files.write_made(Some(other), drawn.len(), made, &facts),
+            false => Ok(files.write_shards::<ItemRow>(Some(other), &[], &facts)?),
+        });
+        let files: Result<Vec<_>, Error> = files.into_iter().collect();
+        Ok(files?.concat())
+    })?;
+    progress.finish(&format!("{} items", drawn.len()));
+    Ok(ItemsFolder { dataset, fewer })
 }

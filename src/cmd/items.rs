@@ -7,6 +7,7 @@ use anyhow::Context;
 use compose::{ItemConfig, ItemCount, ItemTask, Novelty, digest_of_ids};
 use datasets_spec::record::ItemRow;
 use datasets_spec::{Dataset, Seed, Split};
+use eval::rows::{ItemFacts, Rows};
 use pipeline::export::export_items;
 
 use crate::chosen::ChosenArgs;
@@ -112,14 +113,15 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         })?,
         None => drawn.context("cannot draw items")?,
     };
-    let rows: Vec<ItemRow> = drawn.read(None)?;
-    let distinct = |of: fn(&ItemRow) -> &str| rows.iter().map(of).collect::<BTreeSet<_>>().len();
+    let rows: Rows<ItemRow> = Rows::read(&drawn)?;
+    let rows = rows.facts();
+    let distinct = |of: fn(&ItemFacts) -> &str| rows.iter().map(of).collect::<BTreeSet<_>>().len();
     let targets = distinct(|row| row.target_id.as_str());
     let sources = distinct(|row| row.source_id.as_str());
     let instructions = distinct(|row| &row.instruction);
     let digest = digest_of_ids(rows.iter().map(|row| row.id.as_str()));
     let mut novelty: BTreeMap<&str, usize> = BTreeMap::new();
-    for row in &rows {
+    for row in rows {
         *novelty
             .entry(row.novelty.as_deref().unwrap_or("not known"))
             .or_default() += 1;

@@ -129,3 +129,9 @@ impl ShardName {
         format!("{split}-{:05}-of-{:05}", self.index, self.of)
     }
 }
+
+/// Folder of the staged shards of a plan that starts from version `base`.
+pub(super) fn staged_folder(root: &Path, base: u64, plan_hash: &str) -> PathBuf {
+    let name = format!("{base}-{plan_hash}");
+    root.join(META).join(STAGED).join(name)
+}

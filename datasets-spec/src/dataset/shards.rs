@@ -1,5 +1,7 @@
 //! Shards that a run writes.
 
+use std::borrow::Cow;
+use std::io::{self, BufRead, BufReader, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -8,7 +10,7 @@ use sha2::{Digest, Sha256};
 use super::layout::{DATA, ShardName};
 use super::transaction::Transaction;
 use crate::manifest::FileEntry;
-use crate::store::{Store, aside, is_url, write_atomically, write_new};
+use crate::store::{Store, aside, is_url, write_new};
 use crate::table::{self, Row};
 use crate::{Error, Skeleton, Split};
 
@@ -31,44 +33,77 @@ pub(super) fn shard_path(name: &ShardName, replacing: Option<u64>) -> String {
 }
 
 /// Writes a shard to a path, complete or not at all. Its entry has the path `relative`.
-pub(super) fn write_shard_at<R: Row>(
+pub(super) fn write_shard_at<'a, R: Row + 'a, E: From<Error>>(
     store: &dyn Store,
     relative: String,
     path: &Path,
     name: &ShardName,
-    rows: &[R],
+    groups: impl Iterator<Item = Result<Cow<'a, [R]>, E>>,
     facts: &[(&str, String)],
-) -> Result<FileEntry, Error> {
+) -> Result<FileEntry, E> {
     if let Some(folder) = path.parent() {
         store
             .create_dir_all(folder)
             .map_err(Error::io("create folder", folder))?;
     }
+    let (mut rows, mut written) = (0, Hashes::default());
+    let groups = groups.inspect(|group| rows += group.as_ref().map_or(0, |rows| rows.len()));
     if is_url(path) {
         // An object store verifies what it receives, so the file is not read back.
-        let written = table::write_rows(Vec::new(), path, rows, facts)?;
-        write_atomically(store, path, |mut file| {
-            file.write_all(&written).map_err(Error::io("write", path))?;
-            Ok(file)
-        })?;
-        return Ok(entry(relative, name, rows.len(), &written));
+        let bytes = table::write_groups(Vec::new(), path, groups, facts)?;
+        written.add(&bytes);
+        let mut file = store.create(path).map_err(Error::io("create", path))?;
+        file.write_all(&bytes).map_err(Error::io("write", path))?;
+        file.publish().map_err(Error::io("write", path))?;
+    } else {
+        let file = store.create(path).map_err(Error::io("create", path))?;
+        let file = table::write_groups(file, path, groups, facts)?;
+        file.publish().map_err(Error::io("write", path))?;
+        // Read back, so that the hashes cover the bytes on the disk.
+        let read = store.open(path).and_then(|file| written.add_all(file));
+        read.map_err(Error::io("read", path))?;
     }
-    write_atomically(store, path, |file| {
-        table::write_rows(file, path, rows, facts)
-    })?;
-    // Read back, so that the hashes cover the bytes on the disk.
-    let written = store.read(path).map_err(Error::io("read", path))?;
-    Ok(entry(relative, name, rows.len(), &written))
+    Ok(entry(relative, name, rows, written))
 }
 
-fn entry(path: String, name: &ShardName, num_rows: usize, written: &[u8]) -> FileEntry {
-    let sha256 = Sha256::digest(written);
+/// Hashes of a file.
+#[derive(Default)]
+struct Hashes {
+    blake3: blake3::Hasher,
+    sha256: Sha256,
+    bytes: u64,
+}
+
+impl Hashes {
+    fn add(&mut self, bytes: &[u8]) {
+        self.blake3.update(bytes);
+        self.sha256.update(bytes);
+        self.bytes += bytes.len() as u64;
+    }
+
+    fn add_all(&mut self, file: impl Read) -> io::Result<()> {
+        const BUFFER: usize = 1 << 20;
+        let mut file = BufReader::with_capacity(BUFFER, file);
+        loop {
+            let bytes = file.fill_buf()?;
+            if bytes.is_empty() {
+                return Ok(());
+            }
+            self.add(bytes);
+            let length = bytes.len();
+            file.consume(length);
+        }
+    }
+}
+
+fn entry(path: String, name: &ShardName, num_rows: usize, written: Hashes) -> FileEntry {
+    let sha256 = written.sha256.finalize();
     FileEntry {
         path,
         split: name.split,
         rows: num_rows as u64,
-        bytes: written.len() as u64,
-        blake3: blake3::hash(written).to_hex().to_string(),
+        bytes: written.bytes,
+        blake3: written.blake3.finalize().to_hex().to_string(),
         sha256: sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
     }
 }
@@ -104,16 +139,29 @@ impl Transaction {
         rows: &[R],
         facts: &[(&str, String)],
     ) -> Result<FileEntry, Error> {
+        self.write_groups(name, table::borrowed_groups(rows), facts)
+    }
+
+    fn write_groups<'a, R: Row + 'a, E: From<Error>>(
+        &self,
+        name: &ShardName,
+        groups: impl Iterator<Item = Result<Cow<'a, [R]>, E>>,
+        facts: &[(&str, String)],
+    ) -> Result<FileEntry, E> {
         let replaces = self.taken.contains(name.table);
         let relative = shard_path(name, replaces.then(|| self.version()));
         let path = self.root.join(&relative);
         if self.is_alone() {
             let path = aside(&path).unwrap_or(path);
-            return write_shard_at(self.store.as_ref(), relative, &path, name, rows, facts);
+            return write_shard_at(self.store.as_ref(), relative, &path, name, groups, facts);
         }
-        let bytes = table::write_rows(Vec::new(), &path, rows, facts)?;
+        let mut rows = 0;
+        let groups = groups.inspect(|group| rows += group.as_ref().map_or(0, |rows| rows.len()));
+        let bytes = table::write_groups(Vec::new(), &path, groups, facts)?;
         let relative = self.add(&relative, &bytes)?;
-        Ok(entry(relative, name, rows.len(), &bytes))
+        let mut written = Hashes::default();
+        written.add(&bytes);
+        Ok(entry(relative, name, rows, written))
     }
 
     /// Writes a file that must not replace another one, and returns its path. If an interrupted or concurrent run has
@@ -170,36 +218,50 @@ impl Transaction {
         rows: &[R],
         facts: &[(&str, String)],
     ) -> Result<Vec<FileEntry>, Error> {
-        let made = |range: Range<u64>| -> Result<Vec<R>, Error> {
-            Ok(rows[range.start as usize..range.end as usize].to_vec())
-        };
-        self.write_made(split, rows.len() as u64, made, facts)
+        shards_of::<R>(split, rows.len())
+            .map(|(name, range)| self.write_shard(&name, &rows[range], facts))
+            .collect()
     }
 
-    /// Writes rows that `make` produces for one shard after another, so that only one shard's rows are in memory.
-    /// `make` gets the range of rows.
+    /// Writes rows that `make` produces for one row group after another, so that only one group is in memory. `make`
+    /// gets the range of rows.
     ///
     /// # Errors
     /// `make` fails, the rows cannot be encoded, or a file cannot be written.
     pub fn write_made<R: Row, E: From<Error>>(
         &self,
         split: Option<Split>,
-        num_rows: u64,
-        mut make: impl FnMut(Range<u64>) -> Result<Vec<R>, E>,
+        num_rows: usize,
+        mut make: impl FnMut(Range<usize>) -> Result<Vec<R>, E>,
         facts: &[(&str, String)],
     ) -> Result<Vec<FileEntry>, E> {
-        let of = num_rows.div_ceil(SHARD_ROWS).max(1);
-        (0..of)
-            .map(|index| {
-                let name = ShardName {
-                    table: R::TABLE,
-                    split,
-                    index: index as usize,
-                    of: of as usize,
-                };
-                let end = num_rows.min((index + 1) * SHARD_ROWS);
-                Ok(self.write_shard(&name, &make(index * SHARD_ROWS..end)?, facts)?)
+        shards_of::<R>(split, num_rows)
+            .map(|(name, range)| {
+                let starts = range.clone().step_by(table::group_rows::<R>());
+                let groups = starts.map(|start| {
+                    let end = range.end.min(start + table::group_rows::<R>());
+                    make(start..end).map(Cow::Owned)
+                });
+                self.write_groups(&name, groups, facts)
             })
             .collect()
     }
+}
+
+/// Names of the shards of a table with this number of rows, and the rows of each.
+fn shards_of<R: Row>(
+    split: Option<Split>,
+    num_rows: usize,
+) -> impl Iterator<Item = (ShardName, Range<usize>)> {
+    let each = SHARD_ROWS as usize;
+    let of = num_rows.div_ceil(each).max(1);
+    (0..of).map(move |index| {
+        let name = ShardName {
+            table: R::TABLE,
+            split,
+            index,
+            of,
+        };
+        (name, index * each..num_rows.min((index + 1) * each))
+    })
 }

@@ -9,14 +9,14 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::layout::{
-    DATA, META, STAGED, ShardName, manifest_versions, newest_manifest, tables_until,
+    DATA, ShardName, manifest_versions, newest_manifest, staged_folder, tables_until,
 };
 use super::shards::{holds, shard_path, write_shard_at};
 use super::transaction::{Transaction, write_json};
 use crate::Error;
 use crate::manifest::{FileEntry, Manifest};
 use crate::store::{Store, aside};
-use crate::table::Row;
+use crate::table::{Row, borrowed_groups};
 
 /// Folder in which the shards of a plan wait for its commit.
 ///
@@ -34,12 +34,6 @@ pub struct Staging {
     folder: PathBuf,
 }
 
-/// Folder of the staged shards of a plan that starts from version `base`.
-pub(super) fn folder_of(root: &Path, base: u64, plan_hash: &str) -> PathBuf {
-    let name = format!("{base}-{plan_hash}");
-    root.join(META).join(STAGED).join(name)
-}
-
 impl Staging {
     /// The staged shards of a plan for the dataset at `root` that starts from a version of [`Staging::base`].
     pub fn new(
@@ -53,7 +47,7 @@ impl Staging {
             store,
             version: base + 1,
             taken: tables,
-            folder: folder_of(root, base, plan_hash),
+            folder: staged_folder(root, base, plan_hash),
         }
     }
 
@@ -117,7 +111,8 @@ impl Staging {
         let replaces = self.taken.contains(name.table);
         let relative = shard_path(name, replaces.then_some(self.version));
         let path = self.staged_path(&relative);
-        write_shard_at(self.store.as_ref(), relative, &path, name, rows, facts)
+        let groups = borrowed_groups(rows);
+        write_shard_at(self.store.as_ref(), relative, &path, name, groups, facts)
     }
 
     /// Path of a file: the staged one, or the one to which a commit has moved it.

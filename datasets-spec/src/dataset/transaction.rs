@@ -6,9 +6,10 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::layout::{DATA, META, SKELETON_FACT, manifest_path, newest_manifest, tables_until};
+use super::layout::{
+    DATA, META, SKELETON_FACT, manifest_path, newest_manifest, staged_folder, tables_until,
+};
 use super::open::Dataset;
-use super::staging::folder_of;
 use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest};
 use crate::store::{ByPath, Lock, Locking, Store, write_atomically, write_new};
 use crate::table::SCHEMA_VERSION;
@@ -213,7 +214,7 @@ impl Transaction {
         if !write_new(self.store.as_ref(), &path, &json(&path, &manifest)?)? {
             // Files staged for this version are not used for any other. If they cannot be removed now, pruning removes
             // them.
-            let staged = folder_of(&self.root, manifest.version - 1, plan_hash);
+            let staged = staged_folder(&self.root, manifest.version - 1, plan_hash);
             let _removed = self.store.remove_dir_all(&staged);
             return Err(Error::Overtaken {
                 path: self.root,

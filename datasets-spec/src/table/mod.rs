@@ -15,9 +15,10 @@ use crate::{Error, MotionId};
 
 pub use cell::Cell;
 pub use shard::{
-    ColumnDescription, RowWriter, ShardDescription, ShardReader, describe, read_column, read_rows,
-    read_rows_on, write_rows,
+    ColumnDescription, RowWriter, ShardDescription, ShardReader, describe, group_rows, read_column,
+    read_rows, read_rows_on, write_rows,
 };
+pub(crate) use shard::{borrowed_groups, write_groups};
 pub use values::{Caption, PartCaption, Quality};
 
 /// Version of the table schemas. The major number changes when an old reader would misread a

@@ -1,5 +1,6 @@
 //! Parquet files of rows.
 
+use std::borrow::Cow;
 use std::io::Write;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -8,6 +9,7 @@ use arrow_schema::{DataType, Schema};
 use bytes::Bytes;
 use parquet::arrow::arrow_reader::{
     ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder, RowSelection,
+    RowSelectionPolicy,
 };
 use parquet::arrow::{ArrowWriter, ProjectionMask};
 use parquet::basic::{Compression, Encoding, ZstdLevel};
@@ -89,6 +91,11 @@ fn properties(
     Ok(builder.build())
 }
 
+/// Rows of a row group of a table: writing and reading hold at least one group in memory.
+pub const fn group_rows<R: Row>() -> usize {
+    ROW_GROUP_PAGES * R::PAGE_ROWS
+}
+
 /// Writes rows as one Parquet file. `facts` become footer entries under the prefix `motion.`. The bytes depend only on
 /// the rows and facts, not on the clock or the host name.
 ///
@@ -100,15 +107,35 @@ pub fn write_rows<R: Row, W: Write + Send>(
     rows: &[R],
     facts: &[(&str, String)],
 ) -> Result<W, Error> {
+    write_groups(sink, path, borrowed_groups(rows), facts)
+}
+
+/// Rows in memory as the groups that [`write_groups`] writes.
+pub(crate) fn borrowed_groups<'a, R: Row, E>(
+    rows: &'a [R],
+) -> impl Iterator<Item = Result<Cow<'a, [R]>, E>> {
+    rows.chunks(group_rows::<R>())
+        .map(|group| Ok(Cow::Borrowed(group)))
+}
+
+/// [`write_rows`], with one group of rows in memory at a time. All groups but the last have [`group_rows`] rows.
+///
+/// # Errors
+/// As [`write_rows`], or the next group cannot be made.
+pub(crate) fn write_groups<'a, R: Row + 'a, W: Write + Send, E: From<Error>>(
+    sink: W,
+    path: &Path,
+    groups: impl Iterator<Item = Result<Cow<'a, [R]>, E>>,
+    facts: &[(&str, String)],
+) -> Result<W, E> {
     let schema = R::schema();
     let wrap = || Error::parquet("write", path);
     let properties = properties(&schema, R::PAGE_ROWS, facts).map_err(wrap())?;
     let mut writer = ArrowWriter::try_new(sink, schema, Some(properties)).map_err(wrap())?;
-    let groups = rows.chunks(ROW_GROUP_PAGES * R::PAGE_ROWS);
-    for rows in groups {
-        writer.write(&R::encode(rows)?).map_err(wrap())?;
+    for group in groups {
+        writer.write(&R::encode(&group?)?).map_err(wrap())?;
     }
-    writer.into_inner().map_err(wrap())
+    Ok(writer.into_inner().map_err(wrap())?)
 }
 
 /// Writes rows incrementally, with the same bytes as [`write_rows`] and at most one row group in memory. Only for
@@ -284,10 +311,8 @@ impl ShardReader {
         wanted.dedup();
         let mask = self.columns_of::<R>();
         let file = self.ahead(&mask, Some(&wanted))?;
-        let ranges = wanted.into_iter().map(|row| row..row + 1);
-        let selection = RowSelection::from_consecutive_ranges(ranges, total);
-        let metadata = self.metadata.clone();
-        read_selected(&self.path, file, metadata, Some(selection), mask)
+        let rows = SelectedRows::of(self.metadata.metadata(), &wanted);
+        read_selected(&self.path, file, self.metadata.clone(), Some(rows), mask)
     }
 
     /// Reads one column of all rows. No other column is read from the disk.
@@ -356,6 +381,41 @@ impl ShardReader {
     }
 }
 
+/// Some rows of a file: the row groups that hold them, and their places in the rows of these groups.
+struct SelectedRows {
+    groups: Vec<usize>,
+    selection: RowSelection,
+}
+
+impl SelectedRows {
+    /// Sorted rows without duplicates.
+    fn of(metadata: &ParquetMetaData, wanted: &[usize]) -> Self {
+        let (mut groups, mut ranges) = (Vec::new(), Vec::new());
+        let (mut first_row, mut selectable) = (0, 0);
+        for (index, group) in metadata.row_groups().iter().enumerate() {
+            let num_rows = usize::try_from(group.num_rows()).unwrap_or(0);
+            let rows = within(wanted, first_row..first_row + num_rows);
+            if !rows.is_empty() {
+                groups.push(index);
+                let places = rows.iter().map(|row| row - first_row + selectable);
+                ranges.extend(places.map(|place| place..place + 1));
+                selectable += num_rows;
+            }
+            first_row += num_rows;
+        }
+        Self {
+            groups,
+            selection: RowSelection::from_consecutive_ranges(ranges.into_iter(), selectable),
+        }
+    }
+}
+
+/// Those of some sorted rows that lie in a range.
+fn within(rows: &[usize], range: Range<usize>) -> &[usize] {
+    &rows[rows.partition_point(|row| *row < range.start)
+        ..rows.partition_point(|row| *row < range.end)]
+}
+
 /// The ranges of a file that hold these columns, of all rows or of those named.
 fn ranges_of(
     metadata: &ParquetMetaData,
@@ -367,10 +427,8 @@ fn ranges_of(
     for (index, group) in metadata.row_groups().iter().enumerate() {
         let num_rows = usize::try_from(group.num_rows()).unwrap_or(0);
         let rows = rows.map(|rows| {
-            let from = rows.partition_point(|row| *row < first_row);
-            let to = rows.partition_point(|row| *row < first_row + num_rows);
-            let rows = rows[from..to].iter().map(|row| row - first_row);
-            rows.collect::<Vec<_>>()
+            let rows = within(rows, first_row..first_row + num_rows).iter();
+            rows.map(|row| row - first_row).collect::<Vec<_>>()
         });
         first_row += num_rows;
         if rows.as_ref().is_some_and(Vec::is_empty) {
@@ -431,14 +489,18 @@ fn read_selected<R: Row>(
     path: &Path,
     bytes: impl ChunkReader + 'static,
     metadata: ArrowReaderMetadata,
-    selection: Option<RowSelection>,
+    rows: Option<SelectedRows>,
     columns: ProjectionMask,
 ) -> Result<Vec<R>, Error> {
     let mut builder = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, metadata)
         .with_projection(columns)
         .with_batch_size(READ_BATCH_ROWS);
-    if let Some(selection) = selection {
-        builder = builder.with_row_selection(selection);
+    if let Some(SelectedRows { groups, selection }) = rows {
+        // By default the reader decodes all pages and drops rows afterwards, if the selected rows are close together.
+        builder = builder
+            .with_row_groups(groups)
+            .with_row_selection(selection)
+            .with_row_selection_policy(RowSelectionPolicy::Selectors);
     }
     let reader = builder.build().map_err(Error::parquet("read", path))?;
     let mut rows = Vec::new();
@@ -533,25 +595,28 @@ mod tests {
     use crate::record::PairRow;
     use crate::{MotionId, Split};
 
+    fn pairs(count: usize) -> Vec<PairRow> {
+        let id = |name: String| MotionId::parse(&name).expect("an id");
+        let row = |number: usize| PairRow {
+            id: format!("pair{number}"),
+            split: Split::Train,
+            source: "test".to_owned(),
+            kind: "style".to_owned(),
+            source_id: id(format!("a{number}")),
+            target_id: id(format!("b{number}")),
+            style: (number % 2 == 0).then(|| "proud".to_owned()),
+            parts: vec!["LEFT_ARM".to_owned(); number % 3],
+            instruction: format!("be proud {number}"),
+            edit_type: None,
+            accepted_by: None,
+        };
+        (0..count).map(row).collect()
+    }
+
     #[test]
     fn rows_one_by_one_make_the_same_file() {
-        let id = |name: String| MotionId::parse(&name).expect("an id");
         for count in [0, 1, ROW_GROUP_PAGES, 2 * ROW_GROUP_PAGES + 3] {
-            let rows: Vec<PairRow> = (0..count)
-                .map(|number| PairRow {
-                    id: format!("pair{number}"),
-                    split: Split::Train,
-                    source: "test".to_owned(),
-                    kind: "style".to_owned(),
-                    source_id: id(format!("a{number}")),
-                    target_id: id(format!("b{number}")),
-                    style: (number % 2 == 0).then(|| "proud".to_owned()),
-                    parts: vec!["LEFT_ARM".to_owned(); number % 3],
-                    instruction: format!("be proud {number}"),
-                    edit_type: None,
-                    accepted_by: None,
-                })
-                .collect();
+            let rows = pairs(count);
             let (path, facts) = (Path::new("pairs.parquet"), [("fact", "value".to_owned())]);
             let whole = write_rows(Vec::new(), path, &rows, &facts).expect("writes");
             let mut writer = RowWriter::new(Vec::new(), path, &facts).expect("begins");
@@ -559,6 +624,34 @@ mod tests {
                 writer.push(row).expect("writes");
             }
             assert!(writer.finish().expect("ends") == whole, "{count}");
+        }
+    }
+
+    #[test]
+    fn rows_are_found_at_their_places_in_any_group() {
+        let rows = pairs(3 * ROW_GROUP_PAGES + 9);
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("pairs.parquet");
+        let bytes = write_rows(Vec::new(), &path, &rows, &[]).expect("writes");
+        std::fs::write(&path, bytes).expect("written");
+        let shard = ShardReader::open(&path).expect("opens");
+        let (group, end) = (ROW_GROUP_PAGES, rows.len());
+        for places in [
+            vec![],
+            vec![group - 1, group],
+            vec![2 * group + 1, 5, 2 * group + 1, end, end + group],
+            (0..end).rev().step_by(3).collect(),
+            vec![end - 1],
+        ] {
+            let mut expected: Vec<usize> =
+                places.iter().copied().filter(|row| *row < end).collect();
+            expected.sort_unstable();
+            expected.dedup();
+            let read: Vec<PairRow> = shard.rows_at(&places).expect("reads");
+            let ids = |rows: &[PairRow]| rows.iter().map(|row| row.id.clone()).collect::<Vec<_>>();
+            let expected: Vec<PairRow> =
+                expected.into_iter().map(|row| rows[row].clone()).collect();
+            assert_eq!(ids(&read), ids(&expected), "{places:?}");
         }
     }
 }

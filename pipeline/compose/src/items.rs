@@ -2,12 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::ops::Range;
 use std::str::FromStr;
 use std::sync::Arc;
 
 use datasets_spec::record::ItemRow;
-use datasets_spec::{BlendMask, Motion, MotionId, Seed};
+use datasets_spec::{BlendMask, Motion, MotionId, Rng, Seed};
 use rand::RngExt;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::library::{Clip, Subject};
@@ -20,6 +22,8 @@ use super::{ComposeConfig, Error, ItemTask, Library, blend_motion};
 const PREFERRED_WINDOWS: usize = 3;
 /// Attempts at a new item of a mask or pair before it is skipped.
 const MAX_REPEATS: usize = 16;
+/// Items that are tried together, on all threads.
+const TRIED_AT_ONCE: usize = 256;
 /// Digits of the digest of a set.
 const DIGEST_DIGITS: usize = 32;
 
@@ -127,12 +131,12 @@ impl Default for ItemConfig {
 /// # Errors
 /// A setting is out of range, no mask or pair of the tasks can be used, one has no partner, or the motions
 /// cannot be read.
-pub fn draw_items(
+pub fn draw_items<'a>(
     library: &Arc<Library>,
     config: &ItemConfig,
-    shown: &Shown,
+    shown: &'a Shown,
     seed: Seed,
-) -> Result<Vec<ItemRow>, Error> {
+) -> Result<DrawnItems<'a>, Error> {
     let compose = ComposeConfig {
         mcm_ratio: 1.0,
         annotated_ratio: 1.0,
@@ -142,16 +146,6 @@ pub fn draw_items(
     let library = Arc::clone(library).aligned(compose.alignment)?;
     let stride = compose.stride(library.fps())?;
     let span = compose.span(stride);
-    let drawer = Drawer {
-        base: library.base(&compose, seed, span)?,
-        preferred: span + (PREFERRED_WINDOWS - 1) * compose.advance(stride),
-        recipe_hash: compose.recipe_hash(),
-        library: &library,
-        config: &compose,
-        shown,
-        span,
-        seed,
-    };
     let is_wanted = |task: ItemTask| config.tasks.is_empty() || config.tasks.contains(&task);
     let mut subjects: Vec<(u64, Subject)> = library
         .all_subjects()
@@ -173,12 +167,22 @@ pub fn draw_items(
             frames: span,
         });
     }
+    let drawer = Drawer {
+        base: library.base(&compose, seed, span)?,
+        library,
+        preferred: span + (PREFERRED_WINDOWS - 1) * compose.advance(stride),
+        recipe_hash: compose.recipe_hash(),
+        config: compose,
+        shown,
+        span,
+        seed,
+    };
     let count = match config.count {
         ItemCount::All => subjects.len(),
         ItemCount::Exactly(count) => count,
     };
-    let rows = drawer.draw(&subjects, &mut Quota::of(&config.novelty, count))?;
-    let found = digest_of_ids(rows.iter().map(|row| row.id.as_str()));
+    let questions = drawer.draw(&subjects, Quota::of(&config.novelty, count))?;
+    let found = digest_of_ids(questions.iter().map(|question| question.id.as_str()));
     if let Some(expected) = config
         .digest
         .as_ref()
@@ -187,13 +191,64 @@ pub fn draw_items(
         return Err(Error::OtherSet {
             expected: expected.clone(),
             found,
-            count: rows.len(),
+            count: questions.len(),
         });
     }
-    Ok(match config.part {
-        Some(part) => Quota::of(&config.novelty, part).first(rows),
-        None => rows,
-    })
+    let questions = match config.part {
+        Some(part) => Quota::of(&config.novelty, part).first(questions),
+        None => questions,
+    };
+    Ok(DrawnItems { drawer, questions })
+}
+
+/// Drawn items without their motions, which are made when rows are asked for.
+pub struct DrawnItems<'a> {
+    drawer: Drawer<'a>,
+    questions: Vec<Question>,
+}
+
+impl DrawnItems<'_> {
+    /// Number of items.
+    pub fn len(&self) -> usize {
+        self.questions.len()
+    }
+
+    /// Whether there is no item.
+    pub fn is_empty(&self) -> bool {
+        self.questions.is_empty()
+    }
+
+    /// Some of the items, with their motions. Equal ranges give equal rows.
+    ///
+    /// # Errors
+    /// The motions cannot be read.
+    ///
+    /// # Panics
+    /// If the range ends after the last item.
+    pub fn rows(&self, range: Range<usize>) -> Result<Vec<ItemRow>, Error> {
+        let questions = self.questions[range].par_iter();
+        questions
+            .map(|question| {
+                let draws = self.drawer.source(question.place)?;
+                self.drawer.row(question.place, question.novelty, draws)
+            })
+            .collect()
+    }
+}
+
+/// An item, named by what its motions can be made from.
+struct Question {
+    place: Asking,
+    novelty: Option<Novelty>,
+    id: String,
+}
+
+/// Names the draws of an item.
+#[derive(Clone, Copy)]
+struct Asking {
+    subject: Subject,
+    round: usize,
+    attempt: usize,
 }
 
 /// Identity of a set of items: BLAKE3 of their sorted ids, each with a line end, as 32 hexadecimal digits.
@@ -252,30 +307,38 @@ impl Quota {
     }
 
     /// Keeps the first items within the quota.
-    fn first(mut self, mut rows: Vec<ItemRow>) -> Vec<ItemRow> {
-        rows.retain(|row| {
-            let novelty = row.novelty.as_deref().and_then(|name| name.parse().ok());
-            let is_wanted = self.is_wanted(novelty);
+    fn first(mut self, mut questions: Vec<Question>) -> Vec<Question> {
+        questions.retain(|question| {
+            let is_wanted = self.is_wanted(question.novelty);
             if is_wanted {
-                self.take(novelty);
+                self.take(question.novelty);
             }
             is_wanted
         });
-        rows
+        questions
     }
 }
 
 enum Attempt {
-    Drawn(Box<ItemRow>),
+    Drawn(Question),
     /// A question whose novelty has no quota left.
     Unwanted,
     /// The subject has no further questions.
     Exhausted,
 }
 
+/// What was drawn of an item so far.
+struct Draws {
+    id: String,
+    /// Index of the clip that is edited.
+    source: usize,
+    /// Generator of the other draws.
+    rng: Rng,
+}
+
 struct Drawer<'a> {
-    library: &'a Library,
-    config: &'a ComposeConfig,
+    library: Arc<Library>,
+    config: ComposeConfig,
     /// Contents of the training split.
     shown: &'a Shown,
     /// Indices of the clips partners are drawn from.
@@ -290,38 +353,82 @@ struct Drawer<'a> {
 
 impl Drawer<'_> {
     /// Draws from the subjects in rounds until all items are drawn, or a round gives no new item.
-    fn draw(&self, subjects: &[(u64, Subject)], wanted: &mut Quota) -> Result<Vec<ItemRow>, Error> {
-        let mut rows: Vec<ItemRow> = Vec::with_capacity(wanted.left);
+    fn draw(&self, subjects: &[(u64, Subject)], mut wanted: Quota) -> Result<Vec<Question>, Error> {
+        let mut questions = Vec::new();
         let mut seen = BTreeSet::new();
         for round in 0.. {
-            let before = rows.len();
-            for &(_, subject) in subjects {
+            let before = questions.len();
+            let mut left = subjects;
+            while !left.is_empty() {
                 if wanted.left == 0 {
-                    return Ok(rows);
+                    return Ok(questions);
                 }
-                for attempt in 0..MAX_REPEATS {
-                    let row = match self.item(subject, round, attempt, wanted)? {
-                        Attempt::Drawn(row) => *row,
-                        Attempt::Unwanted => continue,
-                        Attempt::Exhausted => break,
+                let (now, after) = left.split_at(left.len().min(wanted.left).min(TRIED_AT_ONCE));
+                left = after;
+                // A question that is unwanted before this block stays so, because quotas only shrink.
+                let first = |&(_, subject): &(u64, Subject)| {
+                    let place = Asking {
+                        subject,
+                        round,
+                        attempt: 0,
                     };
-                    if seen.insert(row.id.clone()) {
-                        wanted.take(self.novelty(subject, &row.source_id));
-                        rows.push(row);
+                    (place, self.attempt(place, &wanted))
+                };
+                let firsts: Vec<_> = now.par_iter().map(first).collect();
+                for (mut place, mut found) in firsts {
+                    if wanted.left == 0 {
                         break;
+                    }
+                    loop {
+                        match found? {
+                            Attempt::Drawn(question)
+                                if wanted.is_wanted(question.novelty)
+                                    && seen.insert(question.id.clone()) =>
+                            {
+                                wanted.take(question.novelty);
+                                questions.push(question);
+                                break;
+                            }
+                            Attempt::Exhausted => break,
+                            Attempt::Drawn(_) | Attempt::Unwanted => {}
+                        }
+                        place.attempt += 1;
+                        if place.attempt == MAX_REPEATS {
+                            break;
+                        }
+                        found = self.attempt(place, &wanted);
                     }
                 }
             }
-            if rows.len() == before {
+            if questions.len() == before {
                 break;
             }
         }
-        Ok(rows)
+        Ok(questions)
+    }
+
+    fn attempt(&self, place: Asking, wanted: &Quota) -> Result<Attempt, Error> {
+        let library = &self.library;
+        let Asking {
+            subject,
+            round,
+            attempt,
+        } = place;
+        if library.is_asked_as_is(subject) && (round > 0 || attempt > 0) {
+            return Ok(Attempt::Exhausted);
+        }
+        let draws = self.source(place)?;
+        let novelty = self.novelty(subject, &library.clip(draws.source).id);
+        if !wanted.is_wanted(novelty) {
+            return Ok(Attempt::Unwanted);
+        }
+        let id = self.row(place, novelty, draws)?.id;
+        Ok(Attempt::Drawn(Question { place, novelty, id }))
     }
 
     /// Novelty of an item of this subject; `source` is the clip of a mask's source.
     fn novelty(&self, subject: Subject, source: &MotionId) -> Option<Novelty> {
-        let library = self.library;
+        let library = &self.library;
         let text = library.text_of(subject);
         let [before, after] = library
             .captured_of(subject)
@@ -341,54 +448,57 @@ impl Drawer<'_> {
         })
     }
 
-    fn item(
-        &self,
-        subject: Subject,
-        round: usize,
-        attempt: usize,
-        wanted: &Quota,
-    ) -> Result<Attempt, Error> {
-        let library = self.library;
-        if library.is_asked_as_is(subject) {
-            if round > 0 || attempt > 0 {
-                return Ok(Attempt::Exhausted);
+    /// Draws the source of an item.
+    fn source(&self, place: Asking) -> Result<Draws, Error> {
+        let library = &self.library;
+        let Asking {
+            subject,
+            round,
+            attempt,
+        } = place;
+        let round = round.to_string();
+        let attempt = (attempt > 0).then(|| attempt.to_string());
+        let mut parts = vec!["evaluation item", library.subject_id(subject), &round];
+        parts.extend(attempt.as_deref());
+        let mut rng = self.seed.rng(&parts);
+        let source = match library.is_asked_as_is(subject) {
+            true => library.captured_of(subject)[0],
+            false => {
+                let partners = library.partners(&self.base, subject, self.preferred)?;
+                partners[rng.random_range(0..partners.len())]
             }
-            let row = self.as_is(subject)?;
-            return Ok(
-                match wanted.is_wanted(self.novelty(subject, &row.source_id)) {
-                    true => Attempt::Drawn(Box::new(row)),
-                    false => Attempt::Unwanted,
-                },
-            );
-        }
-        let id = library.subject_id(subject);
-        let mut place = vec![
-            "evaluation item".to_owned(),
-            id.to_owned(),
-            round.to_string(),
-        ];
-        if attempt > 0 {
-            place.push(attempt.to_string());
-        }
-        let place: Vec<&str> = place.iter().map(String::as_str).collect();
-        let mut rng = self.seed.rng(&place);
-        let partners = library.partners(&self.base, subject, self.preferred)?;
-        let partner = partners[rng.random_range(0..partners.len())];
-        let novelty = self.novelty(subject, &library.clip(partner).id);
-        if !wanted.is_wanted(novelty) {
-            return Ok(Attempt::Unwanted);
-        }
-        let pairing = library.paired(partner, subject, self.config, &mut rng);
+        };
+        Ok(Draws {
+            id: parts.join("/"),
+            source,
+            rng,
+        })
+    }
+
+    /// Makes the motions of an item.
+    fn row(&self, place: Asking, novelty: Option<Novelty>, draws: Draws) -> Result<ItemRow, Error> {
+        let mut row = match self.library.is_asked_as_is(place.subject) {
+            true => self.as_is(place.subject)?,
+            false => self.composed(place.subject, draws)?,
+        };
+        row.novelty = novelty.map(|novelty| novelty.as_str().to_owned());
+        row.id = row.content_id();
+        Ok(row)
+    }
+
+    fn composed(&self, subject: Subject, mut draws: Draws) -> Result<ItemRow, Error> {
+        let (library, config) = (&self.library, &self.config);
+        let pairing = library.paired(draws.source, subject, config, &mut draws.rng);
         let triplet = library.compose(
             Place {
-                id: place.join("/"),
+                id: draws.id,
                 seed: self.seed,
                 epoch: 0,
                 recipe_hash: self.recipe_hash.clone(),
-                instruction: library.first_wording(&pairing, self.config),
+                instruction: library.first_wording(&pairing, config),
             },
             &pairing,
-            self.config,
+            config,
         )?;
         let other = self.other_take(&triplet)?;
         let parts = match pairing.half {
@@ -408,31 +518,25 @@ impl Drawer<'_> {
         row.alpha = triplet.alpha as f32;
         row.recipe_hash.clone_from(&self.recipe_hash);
         row.set_motions(&triplet.original, Some(&triplet.edited), other.as_ref());
-        row.novelty = novelty.map(|novelty| novelty.as_str().to_owned());
-        row.id = row.content_id();
-        Ok(Attempt::Drawn(Box::new(row)))
+        Ok(row)
     }
 
     /// The item of a pair without a donor.
     fn as_is(&self, subject: Subject) -> Result<ItemRow, Error> {
-        let library = self.library;
+        let library = &self.library;
         let [source, target] = library.captured_of(subject).map(|clip| library.clip(clip));
         let mut row = ItemRow {
             parts: library.parts_of(subject).to_vec(),
             ..self.blank(subject, library.text_of(subject))
         };
-        row.novelty = self
-            .novelty(subject, &source.id)
-            .map(|novelty| novelty.as_str().to_owned());
         row.source_id = source.id.clone();
         row.target_id = target.id.clone();
         row.set_motions(&source.motion()?, Some(&target.motion()?), None);
-        row.id = row.content_id();
         Ok(row)
     }
 
     fn blank(&self, subject: Subject, instruction: &str) -> ItemRow {
-        let library = self.library;
+        let library = &self.library;
         let target = &library.clip(library.target_of(subject)).id;
         let made_of = match subject {
             Subject::Annotation(_) => "mask",
@@ -450,7 +554,7 @@ impl Drawer<'_> {
     /// The edited motion of an item, made with another capture of the same action in the same style: an upper bound for
     /// editors. None without such a capture at least as long as a window.
     fn other_take(&self, item: &Triplet) -> Result<Option<Motion>, Error> {
-        let library = self.library;
+        let library = &self.library;
         let target = library.captured(&item.target_id);
         let takes: Vec<&Clip> = library
             .other_takes(target)
@@ -508,7 +612,9 @@ mod tests {
             count,
             ..ItemConfig::default()
         };
-        draw_items(library, &config, &Shown::default(), Seed(3)).expect("enough clips")
+        let shown = Shown::default();
+        let drawn = draw_items(library, &config, &shown, Seed(3)).expect("enough clips");
+        drawn.rows(0..drawn.len()).expect("read")
     }
 
     #[test]

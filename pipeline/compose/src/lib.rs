@@ -41,7 +41,7 @@ pub use coordinator::CoordinatorBatch;
 pub use during::{keep_outside, leaves_frames};
 pub use error::Error;
 pub use instruction::{Phrases, instruction, style_instruction};
-pub use items::{ItemConfig, ItemCount, digest_of_ids, draw_items};
+pub use items::{DrawnItems, ItemConfig, ItemCount, digest_of_ids, draw_items};
 pub use library::Library;
 pub use library::{check_mask, check_pair, motion_on};
 pub use loader::{ReadOrder, WindowLoader};

@@ -122,6 +122,8 @@ fn composed(library: &Arc<Library>, config: &ComposeConfig, seed: u64) -> Compos
         let (text, motions) = library.pair(pair).expect("read");
         (text.to_owned(), motions)
     });
+    let shown = Shown::default();
+    let drawn = draw_items(library, &items, &shown, Seed(seed)).expect("items");
     Composed {
         normalizer,
         windows: windows.to_vec(),
@@ -133,7 +135,7 @@ fn composed(library: &Arc<Library>, config: &ComposeConfig, seed: u64) -> Compos
             .collect(),
         sheet: stream.sample_for_sheet(4).expect("read"),
         pairs: pairs.collect(),
-        items: draw_items(library, &items, &Shown::default(), Seed(seed)).expect("items"),
+        items: drawn.rows(0..drawn.len()).expect("read"),
     }
 }
 
