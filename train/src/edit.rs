@@ -167,6 +167,7 @@ fn changes(editor: &Editor, settings: &EditSettings) -> Vec<(&'static str, Setti
     }
     changes.extend([
         ("paper's fit", Flag(settings.fit == FitMethod::Paper)),
+        ("twists of the source", Flag(!editor.has_poses())),
         ("prior", Number(settings.prior, usual_prior(editor))),
     ]);
     changes
