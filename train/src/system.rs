@@ -2,7 +2,7 @@
 //! [`EditSystem`].
 
 use std::borrow::Cow;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -304,6 +304,37 @@ impl Default for EditConfig {
             release: None,
         }
     }
+}
+
+/// Generates the results of requests in batches of requests with equal keys, so that no result depends on padding.
+/// `generate` gets the places of a batch's requests, and returns their results. The batches are counted in `times`.
+pub(crate) fn in_groups<K: Ord, T>(
+    keys: Vec<K>,
+    max_batch: usize,
+    times: &mut EditTimes,
+    session: &Session<'_>,
+    mut generate: impl FnMut(&[usize]) -> Result<Vec<T>, Error>,
+) -> Result<Vec<T>, Error> {
+    let (begun, count) = (session.secs(), keys.len());
+    session.progress.begin("edit", Some(count as u64));
+    let mut groups: BTreeMap<K, Vec<usize>> = BTreeMap::new();
+    for (place, key) in keys.into_iter().enumerate() {
+        groups.entry(key).or_default().push(place);
+    }
+    let mut made = Vec::with_capacity(count);
+    for places in groups.values() {
+        for batch in places.chunks(max_batch.max(1)) {
+            session.go_on("editing")?;
+            made.extend(batch.iter().copied().zip(generate(batch)?));
+            times.num_windows += batch.len();
+            times.num_batches += 1;
+            session.progress.advance(batch.len() as u64);
+        }
+    }
+    made.sort_by_key(|(place, _)| *place);
+    times.diffusion_secs = session.secs() - begun;
+    session.progress.finish(&format!("{count} motions edited"));
+    Ok(made.into_iter().map(|(_, result)| result).collect())
 }
 
 /// A list entry with one instruction for all frames of a motion.
