@@ -9,7 +9,7 @@ use crate::Error;
 use crate::checkpoint::read_kind;
 use crate::fit;
 use crate::kind::ModelKind;
-use crate::stage::{coordinator, editor, encoder, mdm, mld, poses};
+use crate::stage::{captioned, coordinator, editor, encoder, poses};
 use crate::system::{EditConfig, EditSystem, SystemSource};
 use crate::tmed;
 
@@ -19,8 +19,8 @@ pub const MODELS: &[ModelKind] = &[
     coordinator::MODEL,
     encoder::MODEL,
     poses::MODEL,
-    mdm::MODEL,
-    mld::MODEL,
+    captioned::MDM,
+    captioned::MLD,
     nearest::MODEL,
     tmed::MODEL,
 ];
