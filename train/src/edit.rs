@@ -329,9 +329,6 @@ pub struct Fit<'a> {
 
 impl<'a> Fit<'a> {
     /// The fit of an editor.
-    ///
-    /// # Errors
-    /// The fit needs a pose network, but the editor has none.
     fn of(editor: &'a Editor, settings: &EditSettings) -> Result<Self, Error> {
         if settings.fit == FitMethod::Paper && editor.poses().is_none() {
             return Err(Error::misfit(

@@ -58,9 +58,6 @@ pub(crate) const MLD: ModelKind = ModelKind {
 ///
 /// # Source
 /// `Text2MotionDatasetV2` of HumanML3D.
-///
-/// # Errors
-/// The dataset cannot be read, or a row does not hold a motion.
 fn timed_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedClip>, Error> {
     let rows: Vec<MotionRow> = dataset.read(Some(split))?;
     let mut clips = Vec::new();
@@ -100,9 +97,6 @@ fn push_clips(row: &MotionRow, clips: &mut Vec<CaptionedClip>) -> Result<(), dat
 
 /// Trains a model on the captioned clips of a dataset, with captions encoded by `encoder`. If the encoder is frozen,
 /// the vectors of all captions and of the empty text are stored in the run folder.
-///
-/// # Errors
-/// The dataset cannot be read, the text encoder is missing or cannot encode a caption, or training fails.
 fn train_on_captions(
     request: &TrainRequest<'_>,
     encoder: (TextEncoder, ClipModel),

@@ -62,9 +62,6 @@ impl BertFiles {
 
     /// Names of all files of the encoder, relative to its folder, with `/` as separator. `has` tells whether a file
     /// exists, and `read` reads one.
-    ///
-    /// # Errors
-    /// `modules.json` cannot be read.
     pub(super) fn names(
         has: impl Fn(&str) -> bool,
         read: impl FnOnce(&str) -> Result<Vec<u8>, Error>,

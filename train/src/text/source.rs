@@ -62,10 +62,6 @@ impl TextEncoderSource {
     /// One vector for each text, from the encoder that the settings select; none if that encoder is trained with the
     /// model. `clip` is the CLIP model in use. Vectors of CLIP and BERT are read from the run folder or computed; those
     /// of another encoder are in the user's table or the run folder.
-    ///
-    /// # Errors
-    /// As [`Self::load`] and [`Self::load_bert`], a text cannot be encoded, or the table lacks a text, or differs from
-    /// that of the run folder.
     pub(crate) fn embeddings(
         &self,
         run: &Path,
@@ -140,9 +136,6 @@ impl TextEncoderSource {
     /// The vectors of texts for a model that reads tokens; none if they are trained with the model. They are the last
     /// hidden states of CLIP ViT-L/14, or for BERT its states or, as a single token, its pooled vector. The run
     /// folder's table is used if it holds all texts; otherwise the vectors are computed.
-    ///
-    /// # Errors
-    /// As [`Self::load`] and [`Self::load_bert`], or a text cannot be encoded.
     pub(crate) fn token_embeddings(
         &self,
         run: &Path,

@@ -135,9 +135,6 @@ impl ClipTokenizer {
 
     /// Hashes everything that determines tokenisation. The same vocabulary has the same hash as JSON and as a list of
     /// merges.
-    ///
-    /// # Errors
-    /// As [`ClipTokenizer::encode`].
     pub(crate) fn hash_into(&self, hasher: &mut blake3::Hasher) -> Result<(), Error> {
         // Special tokens are hashed by id, because their names differ between files.
         let special = [self.start, self.end].map(i64::from);
