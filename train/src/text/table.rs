@@ -50,7 +50,7 @@ impl EmbeddingTable {
     /// # Errors
     /// A text cannot be encoded.
     pub fn compute<'a>(
-        encoder: &impl FrozenText,
+        encoder: &dyn FrozenText,
         vectors: BertVectors,
         texts: impl IntoIterator<Item = &'a str>,
         progress: &mut dyn FnMut(usize, usize),
