@@ -55,25 +55,6 @@ pub enum Error {
         /// The cause.
         source: Box<Error>,
     },
-    /// A file describes a text encoder that this program does not run.
-    #[error(
-        "{} is of a text encoder that this program does not run ({detail}); it runs BERT, MiniLM and DistilBERT",
-        path.display()
-    )]
-    TextModel {
-        /// The file.
-        path: PathBuf,
-        /// The unsupported part.
-        detail: String,
-    },
-    /// A package does not contain a text encoder, or cannot be read.
-    #[error("{} gives no text encoder ({detail})", path.display())]
-    TextPackage {
-        /// The package.
-        path: PathBuf,
-        /// What is wrong with it.
-        detail: String,
-    },
     /// No folder for downloads is known.
     #[error("neither HF_HOME nor HOME is set; set one to say where downloads are kept")]
     NoHubCache,
@@ -170,26 +151,6 @@ pub enum Error {
         /// The cause.
         source: datasets_spec::Error,
     },
-    /// A file is not a tokenizer of a text encoder.
-    #[error(
-        "{} is no tokenizer of the text encoder ({detail}); give its tokenizer.json, or of CLIP \
-         bpe_simple_vocab_16e6.txt.gz, or of BERT vocab.txt",
-        path.display()
-    )]
-    Tokenizer {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        detail: String,
-    },
-    /// A file is not a table of embeddings.
-    #[error("{} is no table of text embeddings ({detail}); make it again", path.display())]
-    EmbeddingTable {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        detail: String,
-    },
     /// A table of embeddings lacks texts.
     #[error(
         "the table of text embeddings lacks {count} texts, such as {}; make it again from all \
@@ -268,17 +229,18 @@ impl Error {
     }
 
     pub(crate) fn tokenizer(path: &Path, detail: impl std::fmt::Display) -> Self {
-        Self::Tokenizer {
-            path: path.to_owned(),
-            detail: detail.to_string(),
-        }
+        Self::Refused(format!(
+            "{} is no tokenizer of the text encoder ({detail}); give its tokenizer.json, or of CLIP \
+             bpe_simple_vocab_16e6.txt.gz, or of BERT vocab.txt",
+            path.display()
+        ))
     }
 
-    pub(crate) fn text_model(path: &Path, detail: impl Into<String>) -> Self {
-        Self::TextModel {
-            path: path.to_owned(),
-            detail: detail.into(),
-        }
+    pub(crate) fn text_model(path: &Path, detail: impl std::fmt::Display) -> Self {
+        Self::Refused(format!(
+            "{} is of a text encoder that this program does not run ({detail}); it runs BERT, MiniLM and DistilBERT",
+            path.display()
+        ))
     }
 
     pub(crate) fn weights(path: &Path, detail: impl std::fmt::Display) -> Self {

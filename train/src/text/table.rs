@@ -325,10 +325,10 @@ fn ends_of(lengths: impl IntoIterator<Item = usize>) -> Vec<usize> {
 }
 
 fn malformed(path: &Path, detail: impl std::fmt::Display) -> Error {
-    Error::EmbeddingTable {
-        path: path.to_owned(),
-        detail: detail.to_string(),
-    }
+    Error::Refused(format!(
+        "{} is no table of text embeddings ({detail}); make it again",
+        path.display()
+    ))
 }
 
 #[cfg(test)]
