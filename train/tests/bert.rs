@@ -525,5 +525,5 @@ fn the_text_side_of_tmr_reads_the_states_of_its_network() {
     words.expect("words").1[0] = 3.0;
     write_weights(&copy, &other);
     let error = TmrEncoder::load(&run, Slot::Best, &device).expect_err("another network");
-    assert!(matches!(error, Error::Corrupt { .. }), "{error}");
+    assert!(error.to_string().contains("is corrupt"), "{error}");
 }

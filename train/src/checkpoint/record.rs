@@ -166,7 +166,7 @@ pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
 pub fn read_any(run_dir: &Path) -> Result<RunRecord<Value>, Error> {
     let path = run_dir.join(CONFIG);
     let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    let refused = |reason: String| not_a_run(run_dir, "stance", reason);
+    let refused = |reason: String| Error::not_a_run(run_dir, "stance", reason);
     let record: RunRecord<Value> = serde_json::from_str(&text)
         .map_err(|error| refused(format!("its {CONFIG} is of another program ({error})")))?;
     match record.format {
@@ -182,8 +182,8 @@ pub(crate) fn read_record<C: DeserializeOwned>(
     kind: &'static str,
 ) -> Result<RunRecord<C>, Error> {
     let path = run_dir.join(CONFIG);
-    let text =
-        text_of(&path)?.ok_or_else(|| not_a_run(run_dir, kind, format!("it holds no {CONFIG}")))?;
+    let text = text_of(&path)?
+        .ok_or_else(|| Error::not_a_run(run_dir, kind, format!("it holds no {CONFIG}")))?;
     record_of(&text, run_dir, kind)
 }
 
@@ -212,14 +212,14 @@ pub(crate) fn record_of<C: DeserializeOwned>(
     let header: Header = serde_json::from_str(text).map_err(json)?;
     if header.kind != kind {
         let reason = format!("it is a run of {:?}", header.kind);
-        return Err(not_a_run(run_dir, kind, reason));
+        return Err(Error::not_a_run(run_dir, kind, reason));
     }
     if header.format != FORMAT {
         let reason = format!(
             "it has format {}, this program reads {FORMAT}",
             header.format
         );
-        return Err(not_a_run(run_dir, kind, reason));
+        return Err(Error::not_a_run(run_dir, kind, reason));
     }
     parse_record(text).map_err(json)
 }
@@ -233,14 +233,6 @@ pub(super) fn parse_record<C: DeserializeOwned>(
         rename_former(settings);
     }
     serde_json::from_value(record)
-}
-
-pub(super) fn not_a_run(path: &Path, kind: &str, reason: impl Into<String>) -> Error {
-    Error::NotARun {
-        path: path.to_owned(),
-        kind: kind.to_owned(),
-        reason: reason.into(),
-    }
 }
 
 pub(super) fn to_value<T: Serialize>(document: &T) -> Result<Value, serde_json::Error> {

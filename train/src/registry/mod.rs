@@ -43,11 +43,10 @@ pub fn open_system(
     let kind = read_kind(&source.run)?;
     match model(&kind).and_then(|kind| kind.open) {
         Some(open) => open(source, config, skeleton, device),
-        None => Err(Error::NotARun {
-            path: source.run.clone(),
-            kind: fit::KIND.to_owned(),
-            reason: format!("it is a run of {kind:?}, which edits no motions"),
-        }),
+        None => {
+            let reason = format!("it is a run of {kind:?}, which edits no motions");
+            Err(Error::not_a_run(&source.run, fit::KIND, reason))
+        }
     }
 }
 
