@@ -563,15 +563,7 @@ fn begin_with<C: Serialize + DeserializeOwned>(
     record: &RunRecord<C>,
     asked: &Value,
 ) -> Result<(Vec<Ancestor>, Files), Error> {
-    let kind = read_kind(from)?;
-    if kind != record.kind {
-        let reason = format!("it is a run of {kind:?}");
-        return Err(Error::not_a_run(from, &record.kind, reason));
-    }
-    let path = from.join(CONFIG);
-    let json = json_error(&path);
-    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    let before: RunRecord<C> = parse_record(&text).map_err(json)?;
+    let before: RunRecord<C> = read_record(from, &record.kind)?;
     let files = read(from, Slot::Best)?
         .ok_or_else(|| Error::not_a_run(from, &record.kind, "it holds no checkpoint \"best\""))?;
     let last = read(from, Slot::Last)?.unwrap_or_default();
@@ -580,7 +572,7 @@ fn begin_with<C: Serialize + DeserializeOwned>(
         by: Inheritance::Init,
         weights: weights_hash(&before.config, &files),
         step: step_of(&last, "best_step"),
-        changed: differences(&to_value(&before).map_err(json)?, asked),
+        changed: differences(&to_value(&before).map_err(json_error(from))?, asked),
     });
     Ok((lineage, files))
 }
