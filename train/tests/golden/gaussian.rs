@@ -4,6 +4,7 @@ use burn::tensor::{Tensor, TensorData};
 use train::gaussian::{Respacing, SampleSteps};
 use train::schedule::Schedule;
 
+use super::mdm::{recorded, reverse_steps, sequence};
 use super::{Golden, check};
 
 /// Compares all recorded arrays of a schedule, whose names begin with `prefix`.
@@ -91,12 +92,6 @@ fn golden_mdm_schedule_arrays() {
     check_arrays(&golden, "out.", &schedule);
 }
 
-/// Reads the recorded `[B, D, 1, T]` as `[B, T, D]`.
-fn sequence(golden: &Golden, name: &str) -> Tensor<3> {
-    let x: Tensor<4> = golden.tensor(name);
-    x.squeeze_dim::<3>(2).swap_dims(1, 2)
-}
-
 #[test]
 fn golden_mdm_reverse_step_and_noising() {
     let Some(golden) = Golden::find("mdm_diffusion") else {
@@ -104,7 +99,6 @@ fn golden_mdm_reverse_step_and_noising() {
     };
     let schedule = Schedule::cosine(golden.values("out.betas").1[0]).expect("steps");
     let timesteps = golden.indices("in.t");
-    let recorded = |x: Tensor<3>| x.swap_dims(1, 2).unsqueeze_dim::<4>(2);
     let noise = sequence(&golden, "in.noise");
     let noisy = schedule.q_sample(sequence(&golden, "in.source"), &timesteps, noise.clone());
     check(recorded(noisy), &golden, "out.q_sample", 5e-5);
@@ -121,14 +115,6 @@ fn golden_mdm_reverse_step_and_noising() {
     let rows = timesteps.len();
     let variance = Tensor::<1>::from_data(TensorData::new(variance, [rows]), &x0.device());
     check(variance, &golden, "out.inpaint.variance", 1e-7);
-    let stepped: Vec<Tensor<3>> = timesteps
-        .iter()
-        .enumerate()
-        .map(|(row, &timestep)| {
-            let of = |x: &Tensor<3>| x.clone().narrow(0, row, 1);
-            schedule.reverse_step(of(&x_t), of(&x0), timestep, of(&noise))
-        })
-        .collect();
-    let stepped = recorded(Tensor::cat(stepped, 0));
+    let stepped = reverse_steps(&schedule, [&x_t, &x0, &noise], &timesteps);
     check(stepped, &golden, "out.inpaint.sample", 5e-5);
 }
