@@ -15,14 +15,6 @@ pub struct Tables {
     names: Names,
 }
 
-impl std::fmt::Debug for Tables {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_tuple("Tables")
-            .field(&self.context.get_tables())
-            .finish()
-    }
-}
-
 impl Tables {
     /// The tables of a dataset. No rows are read before a query needs them.
     ///
