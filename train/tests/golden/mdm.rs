@@ -4,7 +4,6 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::JointSet;
-use safetensors::SafeTensors;
 use train::diffusion::guide;
 use train::humanml3d::feature_mask;
 use train::mdm::masked_l2;
@@ -153,13 +152,7 @@ fn golden_mdm_is_imported_as_an_editor() {
     let Some(golden) = Golden::find("mdm_denoiser") else {
         return;
     };
-    let recorded = golden.bytes();
-    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
-    let tensors = reference
-        .tensors()
-        .into_iter()
-        .filter_map(|(name, tensor)| Some((name.strip_prefix("weights.")?.to_owned(), tensor)));
-    let bytes = safetensors::serialize(tensors, None).expect("serialises");
+    let bytes = golden.weights("weights.");
     let device = Device::flex();
     let imported = |args: &str, run: &Path| {
         let args: MdmArgs = serde_json::from_str(args).expect("arguments");

@@ -263,13 +263,9 @@ fn golden_tmed_is_imported_as_an_editor() {
     let Some(golden) = Golden::find("tmed_denoiser") else {
         return;
     };
-    let recorded = golden.bytes();
-    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
-    let mut tensors: Vec<_> = reference
-        .tensors()
-        .into_iter()
-        .filter_map(|(name, tensor)| Some((name.strip_prefix("weights.")?.to_owned(), tensor)))
-        .collect();
+    let released = golden.weights("weights.");
+    let released = SafeTensors::deserialize(&released).expect("a safetensors file");
+    let mut tensors = released.tensors();
     for unused in ["feat_comb_coeff", "first_pose_proj.weight"] {
         assert!(tensors.iter().any(|(name, _)| name == unused), "{unused}");
     }
