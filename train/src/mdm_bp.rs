@@ -23,8 +23,8 @@ use crate::sample::{EditTimes, covering};
 use crate::schedule::Schedule;
 use crate::system::Setting::{Count, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
-    SystemSource, in_groups, named_with,
+    EditConfig, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource, in_groups,
+    named_with,
 };
 use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
@@ -371,7 +371,7 @@ impl EditSystem for MdmBpSystem {
         requests: &[EditRequest<'_>],
         seed: Seed,
         session: &Session<'_>,
-    ) -> Result<EditedMotions, Error> {
+    ) -> Result<(Vec<(Motion, Misfit)>, EditTimes), Error> {
         let items: Vec<Item<'_>> = requests
             .par_iter()
             .map(|request| Item::new(request, &self.record.train, &self.skeleton))
@@ -400,7 +400,7 @@ impl EditSystem for MdmBpSystem {
             .collect::<Result<_, Error>>()?;
         times.fit_secs = session.secs() - begun;
         progress.finish(&format!("{} edited motions fitted", items.len()));
-        Ok(EditedMotions { motions, times })
+        Ok((motions, times))
     }
 }
 

@@ -22,8 +22,8 @@ use crate::sample::EditTimes;
 use crate::sample::noise::Noise;
 use crate::system::Setting::{Count, Flag, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
-    SystemSource, in_groups, named_with,
+    EditConfig, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource, in_groups,
+    named_with,
 };
 use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
@@ -346,7 +346,7 @@ impl EditSystem for TmedSystem {
         requests: &[EditRequest<'_>],
         seed: Seed,
         session: &Session<'_>,
-    ) -> Result<EditedMotions, Error> {
+    ) -> Result<(Vec<(Motion, Misfit)>, EditTimes), Error> {
         let questions = requests
             .par_iter()
             .map(|request| self.question(request))
@@ -374,6 +374,6 @@ impl EditSystem for TmedSystem {
             })
             .collect()
         })?;
-        Ok(EditedMotions { motions, times })
+        Ok((motions, times))
     }
 }

@@ -210,8 +210,9 @@ fn mdm_bp_changes_only_the_joints_it_is_told_to() {
                 frames: None,
             })
             .collect();
-        let made = quietly(|session| system.edit(&requests, Seed(1), session)).expect("edits");
-        made.motions.into_iter().map(|(motion, _)| motion).collect()
+        let made = quietly(|session| system.edit(&requests, Seed(1), session));
+        let (made, _) = made.expect("edits");
+        made.into_iter().map(|(motion, _)| motion).collect()
     };
     let moved = |motion: &Motion, joint: usize| -> f64 {
         let source = joints_of_motion(&walk(motion.len(), 1.0, 0.3), &SKELETON);
