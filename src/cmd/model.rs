@@ -19,7 +19,7 @@ use train::model::torch::{StateDictOptions, state_dict_from_torch};
 use train::text::clip::{ClipFiles, ClipModel};
 use train::text::package;
 use train::text::table::EmbeddingTable;
-use train::tmed::{TmedImport, import_tmed, read_released_statistics};
+use train::tmed::{import_tmed, read_released_statistics};
 
 use crate::cmd::triplets::ComposeArgs;
 use crate::device::{DeviceArgs, device};
@@ -388,12 +388,12 @@ fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
     };
     let weights = weights(&args.file, &options)?;
     let clip = text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitL14, &device())?;
-    let import = TmedImport {
-        num_heads: args.heads,
-        statistics: read_released_statistics(&local::read(stats)?, stats)?,
-        text: TextRecord::frozen(&clip, BertVectors::States),
-    };
-    import_tmed(&args.out, import, weights, &args.file, &device())?;
+    let fitted = (
+        read_released_statistics(&local::read(stats)?, stats)?,
+        TextRecord::frozen(&clip, BertVectors::States),
+    );
+    let (out, heads) = (&args.out, args.heads);
+    import_tmed(out, heads, fitted, weights, &args.file, &device())?;
     Ok(())
 }
 

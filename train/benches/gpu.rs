@@ -56,8 +56,8 @@ fn main() {
         let start = Instant::now();
         let clock = || start.elapsed();
         let measured = of_training(Preset::Paper, batch, least, &device, arithmetic, &clock);
-        let measured = measured.unwrap_or_else(|problem| panic!("the device {problem}"));
-        let secs = measured.secs / measured.steps as f64;
+        let (steps, secs) = measured.unwrap_or_else(|problem| panic!("the device {problem}"));
+        let secs = secs / steps as f64;
         let mut line = json!({
             "what": "training step", "batch": batch, "secs": secs, "samples_per_sec": batch as f64 / secs,
         });

@@ -261,26 +261,18 @@ fn broken_bound<'a>(
         &joints_of_motion(&a, skeleton),
         &joints_of_motion(&b, skeleton),
     );
-    let quality = pair.map(|row| row.quality);
-    Ok(if distance < config.min_distance_m {
-        Some(&mut counts.identical)
-    } else if distance > config.max_distance_m {
-        Some(&mut counts.different)
-    } else if quality
-        .iter()
-        .any(|quality| quality.foot_skate > config.max_foot_skate)
-    {
-        Some(&mut counts.sliding)
-    } else if bone_drift_m > config.max_bone_drift_m {
-        Some(&mut counts.drifting)
-    } else if quality
-        .iter()
-        .any(|quality| quality.flags & (FLAG_FLOOR_PENETRATION | FLAG_NO_CONTACT) != 0)
-    {
-        Some(&mut counts.floating)
-    } else {
-        None
-    })
+    let [source, target] = [source.quality, target.quality];
+    let skate = source.foot_skate.max(target.foot_skate);
+    let floats = (source.flags | target.flags) & (FLAG_FLOOR_PENETRATION | FLAG_NO_CONTACT) != 0;
+    let bounds = [
+        (distance < config.min_distance_m, &mut counts.identical),
+        (distance > config.max_distance_m, &mut counts.different),
+        (skate > config.max_foot_skate, &mut counts.sliding),
+        (bone_drift_m > config.max_bone_drift_m, &mut counts.drifting),
+        (floats, &mut counts.floating),
+    ];
+    let broken = bounds.into_iter().find(|(is_broken, _)| *is_broken);
+    Ok(broken.map(|(_, count)| count))
 }
 
 /// Root mean square distance in metres between the joints of two motions of equal length.

@@ -57,9 +57,6 @@ pub(crate) struct CaptionedRows {
 
 /// The features of all clips with at least `min_frames` feature rows, on HumanML3D's body with the bone lengths of
 /// `skeleton`.
-///
-/// # Errors
-/// No clip is long enough, a clip has no caption, or its features cannot be computed.
 pub(crate) fn captioned_rows(
     clips: &[CaptionedClip],
     skeleton: &Skeleton,

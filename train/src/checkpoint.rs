@@ -33,7 +33,7 @@ pub use self::record::{
     Ancestor, CONFIG, FORMAT, Inheritance, RunRecord, check_skeleton, check_skeleton_of, read_any,
 };
 pub(crate) use self::record::{MOTION_KIND, read_kind, read_record, record_of};
-use self::record::{differences, not_a_run, parse_record, text_of, to_value};
+use self::record::{differences, parse_record, text_of, to_value};
 
 pub(crate) const METRICS: &str = "metrics.jsonl";
 const MANIFEST: &str = "manifest.json";
@@ -218,7 +218,11 @@ impl Run {
     ) -> Result<Self, Error> {
         let dir = start.run;
         if start.extend {
-            return Err(not_a_run(dir, &record.kind, "there is nothing to extend"));
+            return Err(Error::not_a_run(
+                dir,
+                &record.kind,
+                "there is nothing to extend",
+            ));
         }
         let mut lineage = Vec::new();
         let mut init = None;
@@ -248,7 +252,7 @@ impl Run {
         let kind: Value = serde_json::from_str(recorded).map_err(json)?;
         if kind["kind"] != asked["kind"] {
             let reason = format!("it is a run of {}", kind["kind"]);
-            return Err(not_a_run(dir, &record.kind, reason));
+            return Err(Error::not_a_run(dir, &record.kind, reason));
         }
         // Settings missing in a record of an earlier version get the value that that version used.
         let recorded: RunRecord<C> = parse_record(recorded).map_err(json)?;
@@ -412,10 +416,7 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
     let mut files = Files::new();
     for (name, entry) in manifest.files {
         let path = place.join(&name);
-        let corrupt = |detail: String| Error::Corrupt {
-            path: path.clone(),
-            detail,
-        };
+        let corrupt = |detail: String| Error::corrupt(&path, detail);
         let bytes = match fs::read(&path) {
             Ok(bytes) => bytes,
             Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
@@ -463,16 +464,16 @@ pub(crate) fn open_for_use<C: Serialize + DeserializeOwned>(
     let record = read_record(run_dir, kind)?;
     let files = read(run_dir, slot)?.ok_or_else(|| {
         let reason = format!("it holds no checkpoint {:?}", slot.name());
-        not_a_run(run_dir, kind, reason)
+        Error::not_a_run(run_dir, kind, reason)
     })?;
     Ok(Opened::new(record, files))
 }
 
 /// Takes a file out of the files of a checkpoint.
 pub(crate) fn take(files: &mut Files, name: &str, run_dir: &Path) -> Result<Vec<u8>, Error> {
-    files.remove(name).ok_or_else(|| Error::Corrupt {
-        path: run_dir.join("checkpoint"),
-        detail: format!("its manifest does not list {name:?}"),
+    files.remove(name).ok_or_else(|| {
+        let detail = format!("its manifest does not list {name:?}");
+        Error::corrupt(&run_dir.join("checkpoint"), detail)
     })
 }
 
@@ -551,7 +552,7 @@ fn check_needs_no_init<C>(dir: &Path, recorded: &RunRecord<C>) -> Result<(), Err
              with --init",
             begun.weights
         );
-        return Err(not_a_run(dir, &recorded.kind, reason));
+        return Err(Error::not_a_run(dir, &recorded.kind, reason));
     }
     Ok(())
 }
@@ -562,24 +563,16 @@ fn begin_with<C: Serialize + DeserializeOwned>(
     record: &RunRecord<C>,
     asked: &Value,
 ) -> Result<(Vec<Ancestor>, Files), Error> {
-    let kind = read_kind(from)?;
-    if kind != record.kind {
-        let reason = format!("it is a run of {kind:?}");
-        return Err(not_a_run(from, &record.kind, reason));
-    }
-    let path = from.join(CONFIG);
-    let json = json_error(&path);
-    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    let before: RunRecord<C> = parse_record(&text).map_err(json)?;
+    let before: RunRecord<C> = read_record(from, &record.kind)?;
     let files = read(from, Slot::Best)?
-        .ok_or_else(|| not_a_run(from, &record.kind, "it holds no checkpoint \"best\""))?;
+        .ok_or_else(|| Error::not_a_run(from, &record.kind, "it holds no checkpoint \"best\""))?;
     let last = read(from, Slot::Last)?.unwrap_or_default();
     let mut lineage = before.lineage.clone();
     lineage.push(Ancestor {
         by: Inheritance::Init,
         weights: weights_hash(&before.config, &files),
         step: step_of(&last, "best_step"),
-        changed: differences(&to_value(&before).map_err(json)?, asked),
+        changed: differences(&to_value(&before).map_err(json_error(from))?, asked),
     });
     Ok((lineage, files))
 }
@@ -663,10 +656,8 @@ mod tests {
         }
         let read: RunRecord<Settings> = read_record(dir.path(), "test").expect("read");
         assert_eq!(read.config.width, 4);
-        assert!(matches!(
-            read_record::<Settings>(dir.path(), "tmr"),
-            Err(Error::NotARun { .. })
-        ));
+        let error = read_record::<Settings>(dir.path(), "tmr").expect_err("another kind");
+        assert!(error.to_string().contains("is not a tmr run"), "{error}");
     }
 
     #[test]
@@ -700,7 +691,7 @@ mod tests {
                 None => fs::remove_file(&path).expect("removed"),
             }
             match read(dir.path(), Slot::Last) {
-                Err(Error::Corrupt { detail, .. }) => assert!(detail.contains(reason), "{detail}"),
+                Err(error) => assert!(error.to_string().contains(reason), "{error}"),
                 other => panic!("expected a refusal, got {other:?}"),
             }
         }

@@ -47,9 +47,6 @@ impl TryFrom<Written> for ComposeRecord {
 
 impl ComposeRecord {
     /// Checks the settings, and that their windows have the length that the network expects.
-    ///
-    /// # Errors
-    /// A setting is out of range, or the windows have another length.
     pub(crate) fn check(&self, window: usize) -> Result<(), Error> {
         let problem = match self.config.check() {
             Err(error) => error.to_string(),

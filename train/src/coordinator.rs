@@ -185,9 +185,6 @@ pub struct CoordinatorRecord {
 
 impl CoordinatorRecord {
     /// Checks a record after reading.
-    ///
-    /// # Errors
-    /// A setting of the coordinator or of the composer is out of range, or the two do not match.
     pub(crate) fn check(&self) -> Result<(), Error> {
         self.train.check()?;
         self.compose.check(self.train.window)

@@ -132,13 +132,8 @@ impl Texts<'_> {
             }
             Self::Vectors(table) => table,
         };
-        let vectors = texts.map(|text| {
-            table.get(text).ok_or_else(|| Error::NotEmbedded {
-                count: 1,
-                examples: vec![text.to_owned()],
-            })
-        });
-        let vectors: Vec<&[f32]> = vectors.collect::<Result<_, _>>()?;
+        let vector = |text| table.get(text).ok_or_else(|| Error::not_embedded(&[text]));
+        let vectors: Vec<&[f32]> = texts.map(vector).collect::<Result<_, _>>()?;
         let tokens = vectors.iter().map(|vector| vector.len() / table.width());
         Ok(TextBatch::Vectors {
             lengths: tokens.collect(),

@@ -21,8 +21,7 @@ use crate::sample::{
 };
 use crate::system::Setting::{self, Count, Flag, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
-    SystemSource, named_with,
+    EditConfig, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource, named_with,
 };
 use crate::text::clip::ClipModel;
 use crate::{Error, Session};
@@ -242,7 +241,7 @@ impl EditSystem for MotionRefitSystem {
         requests: &[EditRequest<'_>],
         seed: Seed,
         session: &Session<'_>,
-    ) -> Result<EditedMotions, Error> {
+    ) -> Result<(Vec<(Motion, Misfit)>, EditTimes), Error> {
         let (editor, skeleton) = (&self.editor, &self.skeleton);
         let settings = EditSettings {
             seed,
@@ -286,7 +285,7 @@ impl EditSystem for MotionRefitSystem {
         session
             .progress
             .finish(&format!("{} edited motions fitted", items.len()));
-        Ok(EditedMotions { motions, times })
+        Ok((motions, times))
     }
 }
 
@@ -330,9 +329,6 @@ pub struct Fit<'a> {
 
 impl<'a> Fit<'a> {
     /// The fit of an editor.
-    ///
-    /// # Errors
-    /// The fit needs a pose network, but the editor has none.
     fn of(editor: &'a Editor, settings: &EditSettings) -> Result<Self, Error> {
         if settings.fit == FitMethod::Paper && editor.poses().is_none() {
             return Err(Error::misfit(

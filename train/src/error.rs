@@ -1,5 +1,6 @@
 //! Errors of training and editing.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use datasets_spec::Code;
@@ -55,25 +56,6 @@ pub enum Error {
         /// The cause.
         source: Box<Error>,
     },
-    /// A file describes a text encoder that this program does not run.
-    #[error(
-        "{} is of a text encoder that this program does not run ({detail}); it runs BERT, MiniLM and DistilBERT",
-        path.display()
-    )]
-    TextModel {
-        /// The file.
-        path: PathBuf,
-        /// The unsupported part.
-        detail: String,
-    },
-    /// A package does not contain a text encoder, or cannot be read.
-    #[error("{} gives no text encoder ({detail})", path.display())]
-    TextPackage {
-        /// The package.
-        path: PathBuf,
-        /// What is wrong with it.
-        detail: String,
-    },
     /// No folder for downloads is known.
     #[error("neither HF_HOME nor HOME is set; set one to say where downloads are kept")]
     NoHubCache,
@@ -87,24 +69,6 @@ pub enum Error {
         /// What to do next.
         remedy: &'static str,
     },
-    /// A folder is not a run of the expected kind.
-    #[error("{} is not a {kind} run: {reason}", path.display())]
-    NotARun {
-        /// The folder.
-        path: PathBuf,
-        /// Expected kind of run.
-        kind: String,
-        /// What is missing or wrong in the folder.
-        reason: String,
-    },
-    /// A checkpoint file differs from what its manifest records.
-    #[error("checkpoint {} is corrupt ({detail}); restore it or train again", path.display())]
-    Corrupt {
-        /// The file or folder.
-        path: PathBuf,
-        /// The expected and the found value.
-        detail: String,
-    },
     /// Weights do not fit the network.
     #[error("weights {} do not fit the network: {detail}", path.display())]
     Weights {
@@ -112,20 +76,6 @@ pub enum Error {
         path: PathBuf,
         /// Error of the loader.
         detail: String,
-    },
-    /// There are no items to train on.
-    #[error("the {what} is empty; give at least one item")]
-    Empty {
-        /// Name of the empty input.
-        what: &'static str,
-    },
-    /// Two models cannot be used together.
-    #[error("{what} does not fit the editor: {problem}")]
-    Misfit {
-        /// Name of the model that does not fit.
-        what: &'static str,
-        /// The difference.
-        problem: String,
     },
     /// The work was stopped from outside before it was done.
     #[error("{what} was stopped before it was done")]
@@ -154,14 +104,6 @@ pub enum Error {
         /// Step of the newest checkpoint; 0 if there is none.
         kept: u64,
     },
-    /// An item to edit is malformed.
-    #[error("item {id:?} {problem}")]
-    Item {
-        /// Id of the item.
-        id: String,
-        /// What is wrong with it.
-        problem: String,
-    },
     /// A motion violates a rule of the data format.
     #[error("motion {id:?} cannot be used")]
     Motion {
@@ -169,38 +111,6 @@ pub enum Error {
         id: String,
         /// The cause.
         source: datasets_spec::Error,
-    },
-    /// A file is not a tokenizer of a text encoder.
-    #[error(
-        "{} is no tokenizer of the text encoder ({detail}); give its tokenizer.json, or of CLIP \
-         bpe_simple_vocab_16e6.txt.gz, or of BERT vocab.txt",
-        path.display()
-    )]
-    Tokenizer {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        detail: String,
-    },
-    /// A file is not a table of embeddings.
-    #[error("{} is no table of text embeddings ({detail}); make it again", path.display())]
-    EmbeddingTable {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        detail: String,
-    },
-    /// A table of embeddings lacks texts.
-    #[error(
-        "the table of text embeddings lacks {count} texts, such as {}; make it again from all \
-         instructions (`stance model texts` lists those of a dataset)",
-        quoted(examples)
-    )]
-    NotEmbedded {
-        /// Number of missing texts.
-        count: usize,
-        /// The first missing texts.
-        examples: Vec<String>,
     },
     /// A JSON document of a run folder is malformed.
     #[error("cannot read {} as JSON", path.display())]
@@ -224,12 +134,25 @@ impl Error {
         }
     }
 
-    pub(crate) fn empty(what: &'static str) -> Self {
-        Self::Empty { what }
+    /// A folder is not a run of the expected kind.
+    pub(crate) fn not_a_run(path: &Path, kind: &str, reason: impl Display) -> Self {
+        Self::Refused(format!("{} is not a {kind} run: {reason}", path.display()))
+    }
+
+    /// A checkpoint's file or folder differs from what its manifest records.
+    pub(crate) fn corrupt(path: &Path, detail: impl Display) -> Self {
+        Self::Refused(format!(
+            "checkpoint {} is corrupt ({detail}); restore it or train again",
+            path.display()
+        ))
+    }
+
+    pub(crate) fn empty(what: &str) -> Self {
+        Self::Refused(format!("the {what} is empty; give at least one item"))
     }
 
     /// Returns an error if there are no items.
-    pub(crate) fn if_empty<T>(items: &[T], what: &'static str) -> Result<(), Self> {
+    pub(crate) fn if_empty<T>(items: &[T], what: &str) -> Result<(), Self> {
         match items.is_empty() {
             true => Err(Self::empty(what)),
             false => Ok(()),
@@ -243,45 +166,58 @@ impl Error {
         }
     }
 
-    pub(crate) fn item(id: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self::Item {
-            id: id.into(),
-            problem: problem.into(),
-        }
+    pub(crate) fn item(id: impl Into<String>, problem: impl Display) -> Self {
+        Self::Refused(format!("item {:?} {problem}", id.into()))
     }
 
-    pub(crate) fn misfit(what: &'static str, problem: impl Into<String>) -> Self {
-        Self::Misfit {
-            what,
-            problem: problem.into(),
-        }
+    /// Two models cannot be used together.
+    pub(crate) fn misfit(what: &str, problem: impl Display) -> Self {
+        Self::Refused(format!("{what} does not fit the editor: {problem}"))
     }
 
-    pub(crate) fn encoder(problem: impl std::fmt::Display) -> Self {
+    /// A table of embeddings lacks texts.
+    pub(crate) fn not_embedded(texts: &[&str]) -> Self {
+        /// Number of texts that the message names.
+        const NAMED: usize = 3;
+        let named: Vec<String> = texts
+            .iter()
+            .take(NAMED)
+            .map(|text| format!("{text:?}"))
+            .collect();
+        Self::Refused(format!(
+            "the table of text embeddings lacks {} texts, such as {}; make it again from all instructions \
+             (`stance model texts` lists those of a dataset)",
+            texts.len(),
+            named.join(", ")
+        ))
+    }
+
+    pub(crate) fn encoder(problem: impl Display) -> Self {
         Self::Refused(format!("the encoder {problem}"))
     }
 
-    pub(crate) fn tokens(text: &str, detail: impl std::fmt::Display) -> Self {
+    pub(crate) fn tokens(text: &str, detail: impl Display) -> Self {
         Self::Refused(format!(
             "text {text:?} cannot be cut into tokens ({detail})"
         ))
     }
 
-    pub(crate) fn tokenizer(path: &Path, detail: impl std::fmt::Display) -> Self {
-        Self::Tokenizer {
-            path: path.to_owned(),
-            detail: detail.to_string(),
-        }
+    pub(crate) fn tokenizer(path: &Path, detail: impl Display) -> Self {
+        Self::Refused(format!(
+            "{} is no tokenizer of the text encoder ({detail}); give its tokenizer.json, or of CLIP \
+             bpe_simple_vocab_16e6.txt.gz, or of BERT vocab.txt",
+            path.display()
+        ))
     }
 
-    pub(crate) fn text_model(path: &Path, detail: impl Into<String>) -> Self {
-        Self::TextModel {
-            path: path.to_owned(),
-            detail: detail.into(),
-        }
+    pub(crate) fn text_model(path: &Path, detail: impl Display) -> Self {
+        Self::Refused(format!(
+            "{} is of a text encoder that this program does not run ({detail}); it runs BERT, MiniLM and DistilBERT",
+            path.display()
+        ))
     }
 
-    pub(crate) fn weights(path: &Path, detail: impl std::fmt::Display) -> Self {
+    pub(crate) fn weights(path: &Path, detail: impl Display) -> Self {
         Self::Weights {
             path: path.to_owned(),
             detail: detail.to_string(),
@@ -303,9 +239,4 @@ pub(crate) fn json_error(path: &Path) -> impl Fn(serde_json::Error) -> Error + C
         path: path.to_owned(),
         source,
     }
-}
-
-fn quoted(texts: &[String]) -> String {
-    let quoted: Vec<String> = texts.iter().map(|text| format!("{text:?}")).collect();
-    quoted.join(", ")
 }

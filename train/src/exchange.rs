@@ -92,12 +92,8 @@ pub fn import_coordinator(
     let config: &CoordinatorConfig = &record.train;
     let mut network = Coordinator::new(&config.model, 3 * config.keypoints, device);
     from_safetensors(&mut network, weights, "", path)?;
-    write_imported(
-        run_dir,
-        skeleton,
-        (coordinator::KIND, record.clone()),
-        &network,
-    )
+    let record = (coordinator::KIND, record.clone());
+    write_imported(run_dir, skeleton, record, &network)
 }
 
 /// Makes a run folder from a kind with its record, and a network as its best checkpoint.
@@ -273,26 +269,14 @@ fn matrix_shape(file: &SafeTensors<'_>, name: &str, path: &Path) -> Result<[usiz
 }
 
 /// Settings in the `args.json` beside a released checkpoint of MDM. Missing keys get the released defaults.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 pub struct MdmArgs {
-    arch: String,
-    text_encoder_type: String,
-    noise_schedule: String,
-    diffusion_steps: usize,
+    arch: Option<String>,
+    text_encoder_type: Option<String>,
+    noise_schedule: Option<String>,
+    diffusion_steps: Option<usize>,
     mask_frames: bool,
-}
-
-impl Default for MdmArgs {
-    fn default() -> Self {
-        Self {
-            arch: "trans_enc".to_owned(),
-            text_encoder_type: "clip".to_owned(),
-            noise_schedule: "cosine".to_owned(),
-            diffusion_steps: 1_000,
-            mask_frames: false,
-        }
-    }
 }
 
 /// Makes a run folder of an MDM trained elsewhere: the encoder variant, with any size and number of diffusion steps.
@@ -314,11 +298,9 @@ pub fn import_mdm(
         ("text_encoder_type", &args.text_encoder_type, "clip"),
         ("noise_schedule", &args.noise_schedule, "cosine"),
     ] {
-        if value != known {
-            return Err(Error::weights(
-                path,
-                format!("its args.json says {field} {value}; only {known} is known here"),
-            ));
+        if let Some(value) = value.as_deref().filter(|value| *value != known) {
+            let problem = format!("its args.json says {field} {value}; only {known} is known here");
+            return Err(Error::weights(path, problem));
         }
     }
     check_stats(&features)?;
@@ -331,7 +313,7 @@ pub fn import_mdm(
     let record = MdmRecord {
         train: MdmConfig {
             model,
-            diffusion_steps: args.diffusion_steps,
+            diffusion_steps: args.diffusion_steps.unwrap_or(1_000),
             mask_frames: args.mask_frames,
             ..MdmConfig::preset(Preset::Official)
         },
@@ -379,22 +361,23 @@ pub fn read_npy_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> {
 /// released network lacks, or a file cannot be written.
 pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Error> {
     let kind = checkpoint::read_kind(run_dir)?;
-    let (mut files, name, width, normalizer): (Files, &str, usize, Normalizer) =
-        if kind == coordinator::KIND {
-            let opened = open_for_use::<CoordinatorRecord>(run_dir, slot, coordinator::KIND)?;
-            let record = opened.record.config;
-            let width = record.train.model.width;
-            (opened.files, Coordinator::FILE, width, record.normalizer)
-        } else {
-            let opened = open_for_use::<EditorRecord>(run_dir, slot, fit::KIND)?;
-            let record = opened.record.config;
-            if record.train.diffusion.tell_frames {
-                return Err(foreign("tell_frames is set", "tell_frames = false"));
-            }
-            let width = record.train.model.width;
-            (opened.files, Denoiser::FILE, width, record.normalizer)
-        };
-    let bytes = with_tables(&take(&mut files, name, run_dir)?, width, run_dir)?;
+    let (mut files, name, model, normalizer) = if kind == coordinator::KIND {
+        let opened = open_for_use::<CoordinatorRecord>(run_dir, slot, coordinator::KIND)?;
+        let CoordinatorRecord {
+            train, normalizer, ..
+        } = opened.record.config;
+        (opened.files, Coordinator::FILE, train.model, normalizer)
+    } else {
+        let opened = open_for_use::<EditorRecord>(run_dir, slot, fit::KIND)?;
+        let EditorRecord {
+            train, normalizer, ..
+        } = opened.record.config;
+        if train.diffusion.tell_frames {
+            return Err(foreign("tell_frames is set", "tell_frames = false"));
+        }
+        (opened.files, Denoiser::FILE, train.model, normalizer)
+    };
+    let bytes = with_tables(&take(&mut files, name, run_dir)?, model.width, run_dir)?;
     std::fs::create_dir_all(out).map_err(datasets_spec::Error::io("create", out))?;
     let weights = out.join(name);
     write_atomically(&weights, &bytes)?;

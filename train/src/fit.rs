@@ -69,9 +69,6 @@ pub struct EditorRecord {
 
 impl EditorRecord {
     /// Checks a record after reading.
-    ///
-    /// # Errors
-    /// A setting of the editor or of the composer is out of range, or the two do not match.
     pub(crate) fn check(&self) -> Result<(), Error> {
         self.train.check()?;
         self.compose.check(self.train.window)?;
@@ -123,10 +120,6 @@ pub enum TextRecord {
 impl TextRecord {
     /// The text encoder that the settings select: that of the run whose weights are taken over, otherwise one with the
     /// words of `texts`, or the encoder of `vectors`.
-    ///
-    /// # Errors
-    /// Known and wanted encoders differ, the settings of the words are out of range, or the frozen encoder
-    /// is missing.
     pub(crate) fn chosen<'a>(
         config: &TextConfig,
         known: Option<Self>,
@@ -192,9 +185,6 @@ impl TextRecord {
     }
 
     /// Selects how instructions are encoded for the network.
-    ///
-    /// # Errors
-    /// The model uses a frozen encoder, but no vectors or those of another encoder are given.
     pub(crate) fn texts<'a>(
         &'a self,
         vectors: Option<&'a EmbeddingTable>,

@@ -17,7 +17,7 @@
 //! use datasets_spec::{Dataset, NoProgress, Seed};
 //! use train::config::{Preset, TrainConfig};
 //! use train::registry::open_system;
-//! use train::stage::editor::{EditorInputs, train_editor};
+//! use train::stage::editor::train_editor;
 //! use train::system::{EditConfig, SystemSource, answer_items};
 //! use train::text::source::TextEncoderSource;
 //!
@@ -35,12 +35,8 @@
 //! let (dataset, run) = (Dataset::open(Path::new("DATASET"))?, Path::new("RUN"));
 //! let config = TrainConfig::preset(Preset::Tiny);
 //! let text_encoder = TextEncoderSource::default();
-//! let inputs = EditorInputs {
-//!     compose: &TrainConfig::compose_preset(Preset::Tiny),
-//!     windows: None,
-//!     text_encoder: &text_encoder,
-//! };
-//! let report = train_editor(&dataset, run, &config, &inputs, &session)?;
+//! let compose = TrainConfig::compose_preset(Preset::Tiny);
+//! let report = train_editor(&dataset, run, &config, &compose, None, &text_encoder, &session)?;
 //! assert!(report.is_complete);
 //! // `stance edit RUN --items ITEMS --out EDITS`
 //! let items = Dataset::open(Path::new("ITEMS"))?;

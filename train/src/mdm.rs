@@ -203,18 +203,18 @@ pub fn train_mdm<'a>(
     let size = config.run.micro_batch();
     let val_batches = held_out.validation(size, config.diffusion_steps);
     let val_batches = val_batches.map(|(first, timesteps, crops)| {
-        let mut batch = noising.noisy(crops, held_out.seed, first)?;
-        batch.text_kept.fill(1.0);
+        let batch = noising.noisy(crops, held_out.seed, first, 0.0)?;
         Ok((timesteps.len(), MdmBatch { timesteps, ..batch }))
     });
-    let task = Task::<Conditioned<Mdm>, MdmBatch> {
+    let task = Task::<Conditioned<Mdm>, MdmBatch<'_>> {
         kind: KIND,
         samples: "motions",
         run: config.run,
         epoch_len: train.len() as u64,
         draw: &|step| {
             config.run.batches(step, |first, count| {
-                noising.noisy(sampler.draw(first, count), sampler.seed, first)
+                let crops = sampler.draw(first, count);
+                noising.noisy(crops, sampler.seed, first, config.text_dropout)
             })
         },
         loss: &|model, batch, device, pass| noising.loss(model, batch, device, pass),
@@ -224,16 +224,11 @@ pub fn train_mdm<'a>(
     Ok(trainer::train(&task, network, &run, session)?.1)
 }
 
-/// Noisy motions with their captions, and all random draws of a training step.
-struct MdmBatch {
-    /// Normalised features, `[B, T, 263]`.
-    features: Vec<f32>,
+/// Motions with their captions, and all random draws of a training step.
+struct MdmBatch<'a> {
+    crops: Crops<'a>,
     /// Standard normal noise, `[B, T, 263]`.
     noise: Vec<f32>,
-    /// Number of frames in each motion, `[B]`.
-    lengths: Vec<usize>,
-    /// `T`
-    frames: usize,
     /// Diffusion steps, `[B]`.
     timesteps: Vec<usize>,
     texts: TextBatch,
@@ -251,23 +246,27 @@ struct Noising<'a> {
 impl Noising<'_> {
     /// Draws the noise, the diffusion steps and the dropped captions of crops. The first crop is sample `first` of the
     /// run.
-    fn noisy(&self, crops: Crops<'_>, seed: Seed, first: u64) -> Result<MdmBatch, Error> {
+    fn noisy<'c>(
+        &self,
+        crops: Crops<'c>,
+        seed: Seed,
+        first: u64,
+        text_dropout: f64,
+    ) -> Result<MdmBatch<'c>, Error> {
         let row = crops.frames * self.record.features.recipe.width();
         let mut noise = Vec::with_capacity(crops.features.len());
         let (mut timesteps, mut text_kept) = (Vec::new(), Vec::new());
         for index in 0..crops.lengths.len() as u64 {
             let mut rng = seed.rng(&["noise", &(first + index).to_string()]);
             timesteps.push(rng.random_range(0..self.schedule.len()));
-            let is_dropped = rng.random_bool(self.record.train.text_dropout);
+            let is_dropped = rng.random_bool(text_dropout);
             text_kept.push(if is_dropped { 0.0 } else { 1.0 });
             noise.extend(normal(&mut rng, row));
         }
         Ok(MdmBatch {
             texts: self.texts.batch(crops.captions.iter().copied())?,
-            features: crops.features,
+            crops,
             noise,
-            lengths: crops.lengths,
-            frames: crops.frames,
             timesteps,
             text_kept,
         })
@@ -280,25 +279,21 @@ impl Noising<'_> {
     fn loss(
         &self,
         model: &Conditioned<Mdm>,
-        batch: &MdmBatch,
+        batch: &MdmBatch<'_>,
         device: &Device,
         pass: &Pass,
     ) -> Tensor<1> {
-        let rows = batch.lengths.len();
-        let motions = |values: &[f32]| -> Tensor<3> {
-            let width = self.record.features.recipe.width();
-            let shape = [rows, batch.frames, width];
-            send(values.to_vec(), shape, device)
-        };
-        let (x0, noise) = (motions(&batch.features), motions(&batch.noise));
+        let (rows, crops) = (batch.timesteps.len(), &batch.crops);
+        let x0 = crops.tensor(device);
+        let noise = send(batch.noise.clone(), x0.dims(), device);
         let text = model.text_vectors(&batch.texts, rows, device)
             * send(batch.text_kept.clone(), [rows, 1], device);
         let x_t = self.schedule.q_sample(x0.clone(), &batch.timesteps, noise);
-        let lengths = self.record.train.mask_frames.then_some(&*batch.lengths);
+        let lengths = self.record.train.mask_frames.then_some(&*crops.lengths);
         let predicted = model
             .network
             .forward(x_t, &batch.timesteps, text, lengths, pass);
-        masked_l2(predicted, x0, &batch.lengths).mean()
+        masked_l2(predicted, x0, &crops.lengths).mean()
     }
 }
 

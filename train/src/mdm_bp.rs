@@ -23,8 +23,8 @@ use crate::sample::{EditTimes, covering};
 use crate::schedule::Schedule;
 use crate::system::Setting::{Count, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
-    SystemSource, named_with,
+    EditConfig, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource, in_groups,
+    named_with,
 };
 use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
@@ -80,7 +80,7 @@ pub(crate) fn open(
         inpainting,
         guidance,
         temperature,
-        max_batch: config.max_batch.max(1),
+        max_batch: config.max_batch,
         identity: SystemIdentity {
             name: config.name.clone().unwrap_or(name),
             checkpoint_hash: opened.hash,
@@ -206,7 +206,6 @@ struct Item<'a> {
     source: SourceFeatures,
     /// Number of frames that the network sees, including padding.
     seen_frames: usize,
-    rng: Rng,
 }
 
 impl<'a> Item<'a> {
@@ -214,7 +213,6 @@ impl<'a> Item<'a> {
         request: &'a EditRequest<'a>,
         config: &MdmConfig,
         skeleton: &Skeleton,
-        seed: Seed,
     ) -> Result<Self, Error> {
         let [instruction] = request.instructions else {
             return Err(refused(request, "MDM-BP follows one instruction at a time"));
@@ -232,7 +230,6 @@ impl<'a> Item<'a> {
             } else {
                 own_frames.max(config.max_frames)
             },
-            rng: seed.rng(&["mdm-bp", request.id]),
         })
     }
 
@@ -269,8 +266,9 @@ impl MdmBpSystem {
     /// Edits items for which the network sees the same number of frames. Returns the features of each item.
     fn generate(
         &self,
-        items: &mut [&mut Item<'_>],
+        items: &[&Item<'_>],
         weights: &PreparedWeights,
+        seed: Seed,
         session: &Session<'_>,
     ) -> Result<Vec<Vec<Features>>, Error> {
         let (rows, frames) = (items.len(), items[0].seen_frames);
@@ -314,8 +312,10 @@ impl MdmBpSystem {
             let half = |index: usize| both.clone().narrow(0, index * rows, rows);
             Ok(guide(half(0), half(1), self.guidance))
         };
+        let rng = |item: &&Item<'_>| seed.rng(&["mdm-bp", item.request.id]);
+        let mut rngs: Vec<Rng> = items.iter().map(rng).collect();
         let mut noise = Noise::new(
-            items.iter_mut().map(|item| &mut item.rng),
+            &mut rngs,
             [frames, HUMANML3D_WIDTH],
             // One noise for the start, and one for each step from `start` down to 0.
             2 + self.inpainting.start,
@@ -371,42 +371,23 @@ impl EditSystem for MdmBpSystem {
         requests: &[EditRequest<'_>],
         seed: Seed,
         session: &Session<'_>,
-    ) -> Result<EditedMotions, Error> {
-        let mut items: Vec<Item<'_>> = requests
+    ) -> Result<(Vec<(Motion, Misfit)>, EditTimes), Error> {
+        let items: Vec<Item<'_>> = requests
             .par_iter()
-            .map(|request| Item::new(request, &self.record.train, &self.skeleton, seed))
+            .map(|request| Item::new(request, &self.record.train, &self.skeleton))
             .collect::<Result<_, Error>>()?;
         let mut times = EditTimes {
             window: self.record.train.max_frames,
             ..EditTimes::default()
         };
-        let begun = session.secs();
         let weights = self.model.network.prepare(session.arithmetic);
-        let progress = session.progress;
-        progress.begin("edit", Some(items.len() as u64));
-        // Group items by length, so that padding does not depend on other rows.
-        let mut by_length: Vec<(usize, &mut Item<'_>)> = items.iter_mut().enumerate().collect();
-        by_length.sort_by_key(|(index, item)| (item.seen_frames, *index));
-        let mut generated: Vec<Vec<Features>> = vec![Vec::new(); by_length.len()];
-        for alike in by_length.chunk_by_mut(|(_, a), (_, b)| a.seen_frames == b.seen_frames) {
-            for batch in alike.chunks_mut(self.max_batch) {
-                let (indices, mut items): (Vec<usize>, Vec<&mut Item<'_>>) = batch
-                    .iter_mut()
-                    .map(|(index, item)| (*index, &mut **item))
-                    .unzip();
-                let made = self.generate(&mut items, &weights, session)?;
-                for (index, features) in indices.iter().zip(made) {
-                    generated[*index] = features;
-                }
-                times.num_windows += indices.len();
-                times.num_batches += 1;
-                progress.advance(indices.len() as u64);
-            }
-        }
-        times.diffusion_secs = session.secs() - begun;
-        progress.finish(&format!("{} motions", items.len()));
+        let lengths = items.iter().map(|item| item.seen_frames).collect();
+        let generated = in_groups(lengths, self.max_batch, &mut times, session, |places| {
+            let batch: Vec<&Item<'_>> = places.iter().map(|&place| &items[place]).collect();
+            self.generate(&batch, &weights, seed, session)
+        })?;
 
-        let begun = session.secs();
+        let (begun, progress) = (session.secs(), session.progress);
         progress.begin("fit", Some(items.len() as u64));
         let motions = items
             .par_iter()
@@ -419,7 +400,7 @@ impl EditSystem for MdmBpSystem {
             .collect::<Result<_, Error>>()?;
         times.fit_secs = session.secs() - begun;
         progress.finish(&format!("{} edited motions fitted", items.len()));
-        Ok(EditedMotions { motions, times })
+        Ok((motions, times))
     }
 }
 

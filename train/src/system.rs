@@ -2,7 +2,7 @@
 //! [`EditSystem`].
 
 use std::borrow::Cow;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -43,7 +43,8 @@ pub trait EditSystem: Send {
     fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error>;
 
     /// Edits motions. The result of a request depends on the seed and the request, not on the other
-    /// requests.
+    /// requests. Gives one motion per request, with the length of its original or the requested one, its deviation from
+    /// generated points, and the times of the stages.
     ///
     /// # Errors
     /// A request is malformed, a generated motion is not finite, or the session is stopped.
@@ -52,7 +53,7 @@ pub trait EditSystem: Send {
         requests: &[EditRequest<'_>],
         seed: Seed,
         session: &Session<'_>,
-    ) -> Result<EditedMotions, Error>;
+    ) -> Result<(Vec<(Motion, Misfit)>, EditTimes), Error>;
 }
 
 /// A motion to edit.
@@ -81,16 +82,6 @@ pub struct Misfit {
     pub fit_error_m: f32,
     /// Mean difference in metres between the points' bone lengths and the body's.
     pub bone_drift_m: f32,
-}
-
-/// Result of [`EditSystem::edit`].
-#[derive(Clone, Debug)]
-pub struct EditedMotions {
-    /// One motion per request, with the length of its original or the requested one, and its deviation from generated
-    /// points.
-    pub motions: Vec<(Motion, Misfit)>,
-    /// Times of the stages.
-    pub times: EditTimes,
 }
 
 /// Identity of a system in rows of edits: name, weights and settings.
@@ -306,6 +297,37 @@ impl Default for EditConfig {
     }
 }
 
+/// Generates the results of requests in batches of requests with equal keys, so that no result depends on padding.
+/// `generate` gets the places of a batch's requests, and returns their results. The batches are counted in `times`.
+pub(crate) fn in_groups<K: Ord, T>(
+    keys: Vec<K>,
+    max_batch: usize,
+    times: &mut EditTimes,
+    session: &Session<'_>,
+    mut generate: impl FnMut(&[usize]) -> Result<Vec<T>, Error>,
+) -> Result<Vec<T>, Error> {
+    let (begun, count) = (session.secs(), keys.len());
+    session.progress.begin("edit", Some(count as u64));
+    let mut groups: BTreeMap<K, Vec<usize>> = BTreeMap::new();
+    for (place, key) in keys.into_iter().enumerate() {
+        groups.entry(key).or_default().push(place);
+    }
+    let mut made = Vec::with_capacity(count);
+    for places in groups.values() {
+        for batch in places.chunks(max_batch.max(1)) {
+            session.go_on("editing")?;
+            made.extend(batch.iter().copied().zip(generate(batch)?));
+            times.num_windows += batch.len();
+            times.num_batches += 1;
+            session.progress.advance(batch.len() as u64);
+        }
+    }
+    made.sort_by_key(|(place, _)| *place);
+    times.diffusion_secs = session.secs() - begun;
+    session.progress.finish(&format!("{count} motions edited"));
+    Ok(made.into_iter().map(|(_, result)| result).collect())
+}
+
 /// A list entry with one instruction for all frames of a motion.
 pub fn whole(text: &str, motion: &Motion) -> TimedInstruction {
     TimedInstruction {
@@ -352,17 +374,17 @@ pub fn edit_items(
             })
         })
         .collect::<Result<_, Error>>()?;
-    let edited = system.edit(&requests, seed, session)?;
+    let (edited, times) = system.edit(&requests, seed, session)?;
     let rows = items
         .iter()
         .zip(&requests)
-        .zip(&edited.motions)
+        .zip(&edited)
         .map(|((item, request), (motion, misfit))| {
             let motion = kept_outside(request, motion)?;
             Ok(system.identity().row(item, &motion, *misfit, seed))
         })
         .collect::<Result<_, Error>>()?;
-    Ok((rows, edited.times))
+    Ok((rows, times))
 }
 
 fn ranges_of(instructions: &[TimedInstruction]) -> Vec<Range<usize>> {
@@ -423,15 +445,14 @@ pub fn edit_motion(
         joints: JointSet::EMPTY,
         frames: None,
     };
-    let mut edited = system.edit(std::slice::from_ref(&request), seed, session)?;
+    let (mut edited, times) = system.edit(std::slice::from_ref(&request), seed, session)?;
     let (made, misfit) = edited
-        .motions
         .pop()
         .expect("a system returns a motion for each request");
     Ok(Edited {
         motion: kept_outside(&request, &made)?.into_owned(),
         misfit,
-        times: edited.times,
+        times,
     })
 }
 

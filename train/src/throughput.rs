@@ -22,24 +22,6 @@ use crate::transfer::read;
 const WARM_UP: usize = 3;
 const DIFFUSION_STEPS: usize = 100;
 
-/// Result of a measurement.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Throughput {
-    /// Number of timed steps.
-    pub steps: usize,
-    /// Number of windows in a step.
-    pub rows: usize,
-    /// Duration of the timed steps in seconds.
-    pub secs: f64,
-}
-
-impl Throughput {
-    /// Training speed in windows of 16 frames per second.
-    pub fn windows_per_sec(&self) -> f64 {
-        (self.steps * self.rows) as f64 / self.secs
-    }
-}
-
 /// The editor's network of a preset, with random initial weights.
 pub fn network(preset: Preset, device: &Device) -> Denoiser {
     let config = TrainConfig::preset(preset);
@@ -50,7 +32,7 @@ pub fn network(preset: Preset, device: &Device) -> Denoiser {
 
 /// Trains the network of preset `paper` or `official` (those without additions) for at least this long, in steps of
 /// `rows` windows. A step is: batch to the device, forward pass, loss, backward pass, AdamW. A value is read from the
-/// device after 1, 2, 4, ... further steps.
+/// device after 1, 2, 4, ... further steps. Returns the number of timed steps and their duration in seconds.
 ///
 /// # Errors
 /// The loss is not finite, or the device fails.
@@ -61,7 +43,7 @@ pub fn of_training(
     device: &Device,
     arithmetic: Arithmetic,
     clock: &dyn Fn() -> Duration,
-) -> Result<Throughput, String> {
+) -> Result<(usize, f64), String> {
     let config = TrainConfig::preset(preset);
     let device = device.clone().autodiff();
     let schedule = Schedule::new(ScheduleName::Official, DIFFUSION_STEPS)
@@ -113,11 +95,7 @@ pub fn of_training(
             break;
         }
     }
-    Ok(Throughput {
-        steps,
-        rows,
-        secs: (clock() - begun).as_secs_f64(),
-    })
+    Ok((steps, (clock() - begun).as_secs_f64()))
 }
 
 fn batch(rows: usize) -> NoisyBatch {

@@ -324,7 +324,6 @@ fn other_networks_are_refused_by_name() {
         config[key] = Value::from(value);
         write(dir.path(), "config.json", &config);
         let error = load(dir.path()).expect_err("not known");
-        assert!(matches!(error, Error::TextModel { .. }), "{error}");
         error.to_string()
     };
     // MPNet adds a bias of relative positions to its attention, which is not supported.
@@ -381,7 +380,8 @@ fn long_texts_are_cut_where_the_files_say() {
         "sentence_bert_config.json",
         &json!({"max_seq_length": 2}),
     );
-    assert!(matches!(load(dir.path()), Err(Error::TextModel { .. })));
+    let error = load(dir.path()).expect_err("too short").to_string();
+    assert!(error.contains("hold no word"), "{error}");
 }
 
 #[test]
@@ -436,7 +436,10 @@ fn a_package_gives_its_encoder_or_nothing() {
     assert!(!at("never").exists());
     fs::remove_file(at("site/deep/model/vocab.txt")).expect("removed");
     let error = unpack(&at("site"), &at("never"), &device).expect_err("incomplete");
-    assert!(matches!(error, Error::TextPackage { .. }), "{error}");
+    assert!(
+        error.to_string().contains("gives no text encoder"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -522,5 +525,5 @@ fn the_text_side_of_tmr_reads_the_states_of_its_network() {
     words.expect("words").1[0] = 3.0;
     write_weights(&copy, &other);
     let error = TmrEncoder::load(&run, Slot::Best, &device).expect_err("another network");
-    assert!(matches!(error, Error::Corrupt { .. }), "{error}");
+    assert!(error.to_string().contains("is corrupt"), "{error}");
 }

@@ -511,7 +511,7 @@ fn a_table_comes_back_bit_for_bit_or_not_at_all() {
         damaged[at] ^= 1;
         fs::write(&path, damaged).expect("written");
         let error = EmbeddingTable::load(&path).expect_err("damaged");
-        assert!(matches!(error, Error::EmbeddingTable { .. }), "{error}");
+        assert!(error.to_string().contains("is no table of text"), "{error}");
     }
     fs::write(&path, as_safetensors(&tiny_weights(1))).expect("written");
     let error = EmbeddingTable::load(&path).expect_err("another file");

@@ -45,6 +45,7 @@ use train::sample::{Condition, Guide, Sampler};
 use train::schedule::Schedule;
 use train::vocabulary::TokenBatch;
 
+use gaussian::{Derived, check_arrays};
 use recorded::Recorded;
 
 struct Golden(Recorded);
@@ -73,6 +74,17 @@ impl Golden {
     /// The content of the file, for readers of weights and sizes.
     fn bytes(&self) -> Vec<u8> {
         std::fs::read(&self.0.path).expect("the file was read before")
+    }
+
+    /// The tensors whose names begin with `prefix`, without it, as a file.
+    fn weights(&self, prefix: &str) -> Vec<u8> {
+        let recorded = self.bytes();
+        let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
+        let tensors = reference
+            .tensors()
+            .into_iter()
+            .filter_map(|(name, tensor)| Some((name.strip_prefix(prefix)?.to_owned(), tensor)));
+        safetensors::serialize(tensors, None).expect("serialises")
     }
 
     fn metadata(&self) -> HashMap<String, String> {
@@ -156,8 +168,7 @@ fn max_difference(values: &[f32], expected: &[f32]) -> f32 {
 
 fn check<const D: usize>(tensor: Tensor<D>, golden: &Golden, name: &str, tolerance: f32) {
     assert_eq!(tensor.dims().to_vec(), golden.values(name).1, "{name}");
-    let values: Vec<f32> = tensor.into_data().try_into_vec_as().expect("floats");
-    let difference = max_difference(&values, &golden.f32s(name));
+    let difference = max_difference(&floats(&tensor), &golden.f32s(name));
     assert!(difference <= tolerance, "{name}: {difference}");
 }
 
@@ -228,19 +239,14 @@ fn golden_networks_are_saved_under_the_reference_names() {
 fn check_saved(network: &impl Module, case: &str) {
     let bytes = to_safetensors(network, Path::new("memory")).expect("saved");
     let saved = SafeTensors::deserialize(&bytes).expect("a safetensors file");
-    let recorded = Golden::read(case).bytes();
+    let recorded = Golden::read(case).weights("weights.");
     let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
-    let mut expected: Vec<&str> = reference
-        .names()
-        .into_iter()
-        .filter_map(|name| name.strip_prefix("weights."))
-        .collect();
-    let mut names: Vec<&str> = saved.names().into_iter().collect();
+    let [mut names, mut expected] = [&saved, &reference].map(SafeTensors::names);
     expected.sort_unstable();
     names.sort_unstable();
     assert_eq!(names, expected, "{case}");
     for name in names {
-        let original = reference.tensor(&format!("weights.{name}")).expect("known");
+        let original = reference.tensor(name).expect("known");
         let written = saved.tensor(name).expect("written");
         assert_eq!(written.shape(), original.shape(), "{name}");
         assert_eq!(written.data(), original.data(), "{name}");
@@ -273,15 +279,9 @@ fn golden_denoiser_is_imported_as_an_editor_and_exported_again() {
         },
         extrapolation: None,
     };
-    let recorded = golden.bytes();
-    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
-    let released = |name: &str| name.strip_prefix("weights.").map(str::to_owned);
-    let tensors: Vec<_> = reference
-        .tensors()
-        .into_iter()
-        .filter_map(|(name, tensor)| Some((released(&name)?, tensor)))
-        .collect();
-    let bytes = safetensors::serialize(tensors.iter().cloned(), None).expect("serialises");
+    let bytes = golden.weights("weights.");
+    let released = SafeTensors::deserialize(&bytes).expect("a safetensors file");
+    let tensors = released.tensors();
 
     let dir = tempfile::tempdir().expect("a folder");
     let run = dir.path().join("run");
@@ -304,7 +304,7 @@ fn golden_denoiser_is_imported_as_an_editor_and_exported_again() {
         let named = format!("{absent} is missing");
         assert!(problem.ends_with(&named), "{problem}");
     }
-    import(bytes).expect("imported");
+    import(bytes.clone()).expect("imported");
     Editor::load(&run, Slot::Best, &device).expect("an editor");
 
     let out = dir.path().join("out");
@@ -326,50 +326,27 @@ fn golden_denoiser_is_imported_as_an_editor_and_exported_again() {
     assert!((value - 1.0f32.cos()).abs() < 1e-6);
 }
 
-#[test]
-fn golden_schedule_arrays() {
+/// The recorded case of the schedule, and the schedule of its steps.
+fn recorded_schedule() -> (Golden, Schedule) {
     let golden = Golden::read("motionrefit_schedule");
     let steps = golden.values("out.betas").1[0];
     let schedule = Schedule::new(ScheduleName::Official, steps).expect("enough steps");
-    let derived = |f: &dyn Fn(f64) -> f64| -> Vec<f64> {
-        schedule.alphas_cumprod.iter().map(|&a| f(a)).collect()
-    };
-    for (name, values) in [
-        ("betas", schedule.betas.clone()),
-        ("alphas_cumprod", schedule.alphas_cumprod.clone()),
-        ("alphas_cumprod_prev", schedule.alphas_cumprod_prev.clone()),
-        ("posterior_variance", schedule.posterior_variance.clone()),
-        (
-            "posterior_mean_coef1",
-            schedule.posterior_mean_coef1.clone(),
-        ),
-        (
-            "posterior_mean_coef2",
-            schedule.posterior_mean_coef2.clone(),
-        ),
-        ("sqrt_alphas_cumprod", derived(&f64::sqrt)),
-        ("sqrt_recip_alphas_cumprod", derived(&|a| a.recip().sqrt())),
-        (
-            "sqrt_recipm1_alphas_cumprod",
-            derived(&|a| (a.recip() - 1.0).sqrt()),
-        ),
-    ] {
-        let (expected, _) = golden.values(&format!("out.{name}"));
-        assert_eq!(values.len(), expected.len(), "{name}");
-        for (value, expected) in values.iter().zip(&expected) {
-            assert!(
-                (value - expected).abs() <= 1e-12 * expected.abs(),
-                "{name}: {value} {expected}"
-            );
-        }
-    }
+    (golden, schedule)
+}
+
+#[test]
+fn golden_schedule_arrays() {
+    let (golden, schedule) = recorded_schedule();
+    let others: [Derived; 2] = [
+        ("sqrt_recip_alphas_cumprod", |a| a.recip().sqrt()),
+        ("sqrt_recipm1_alphas_cumprod", |a| (a.recip() - 1.0).sqrt()),
+    ];
+    check_arrays(&golden, "out.", &schedule, &others, 1e-12);
 }
 
 #[test]
 fn golden_schedule_steps() {
-    let golden = Golden::read("motionrefit_schedule");
-    let steps = golden.values("out.betas").1[0];
-    let schedule = Schedule::new(ScheduleName::Official, steps).expect("enough steps");
+    let (golden, schedule) = recorded_schedule();
     let t = golden.indices("in.step.t");
     let x_t = golden.tensor::<3>("in.step.x_t");
     let eps = guide(
@@ -394,9 +371,7 @@ fn golden_schedule_steps() {
 
 #[test]
 fn golden_training_loss() {
-    let golden = Golden::read("motionrefit_schedule");
-    let steps = golden.values("out.betas").1[0];
-    let schedule = Schedule::new(ScheduleName::Official, steps).expect("enough steps");
+    let (golden, schedule) = recorded_schedule();
     let mut noise = golden.f32s("in.loss.noise");
     for (noise, fixed) in noise.iter_mut().zip(golden.f32s("in.loss.mask")) {
         *noise *= 1.0 - fixed;
@@ -467,11 +442,7 @@ fn golden_coordinator() {
         "out.prob",
         2e-6,
     );
-    let gradient: Vec<f32> = network
-        .gradient(x, &t, &Pass::default())
-        .into_data()
-        .try_into_vec_as()
-        .expect("floats");
+    let gradient = floats(&network.gradient(x, &t, &Pass::default()));
     for (found, expected) in gradient.iter().zip(golden.f32s("out.grad")) {
         assert!(
             (found - expected).abs() <= 1e-6 + 1e-4 * expected.abs(),
@@ -487,12 +458,8 @@ fn the_gradient_of_the_coordinator_is_that_of_finite_differences() {
     let x = golden.tensor::<3>("in.x").narrow(0, 0, 1);
     let t = &golden.indices("in.t")[..1];
     let shape = x.dims();
-    let values: Vec<f32> = x.to_data().try_into_vec_as().expect("floats");
-    let gradient: Vec<f32> = network
-        .gradient(x, t, &Pass::default())
-        .into_data()
-        .try_into_vec_as()
-        .expect("floats");
+    let values = floats(&x);
+    let gradient = floats(&network.gradient(x, t, &Pass::default()));
     let probability = |values: Vec<f32>| -> f64 {
         let x = Tensor::from_data(TensorData::new(values, shape), &Device::flex());
         let p: f32 = network.probability(x, t, &Pass::default()).into_scalar();
@@ -543,7 +510,7 @@ impl Draws {
     }
 }
 
-fn floats(tensor: &Tensor<3>) -> Vec<f32> {
+fn floats<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
     tensor.to_data().try_into_vec_as().expect("floats")
 }
 
@@ -811,8 +778,6 @@ fn golden_tmr_is_imported_as_an_encoder_of_motions() {
     use train::tmr::TmrEncoder;
 
     let golden = Golden::read("tmr_encoder_decoder");
-    let recorded = golden.bytes();
-    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
     let width = golden.size("nfeats_motion");
     let stats = |recipe: FeatureRecipe| FeatureStats {
         recipe,
@@ -821,11 +786,7 @@ fn golden_tmr_is_imported_as_an_encoder_of_motions() {
     };
     // All three networks in one file, as Lightning stores them; then only the motion encoder.
     for taken in ["weights.", "weights.motion_encoder."] {
-        let tensors = reference
-            .tensors()
-            .into_iter()
-            .filter_map(|(name, tensor)| Some((name.strip_prefix(taken)?.to_owned(), tensor)));
-        let bytes = safetensors::serialize(tensors, None).expect("serialises");
+        let bytes = golden.weights(taken);
         let dir = tempfile::tempdir().expect("a folder");
         let run = dir.path().join("run");
         let device = Device::flex();
@@ -952,14 +913,8 @@ fn golden_j2s_mlp() {
     ] {
         let net = pose_net(&golden, preset);
         let found = net.raw(golden.f32s(input), 16, &Device::flex());
-        let expected = golden.f32s(output);
-        assert_eq!(found.len(), expected.len());
-        for (found, expected) in found.iter().zip(&expected) {
-            assert!(
-                (found - expected).abs() < 2e-5,
-                "{preset:?}: {found}, recorded {expected}"
-            );
-        }
+        let difference = max_difference(&found, &golden.f32s(output));
+        assert!(difference < 2e-5, "{preset:?}: {difference}");
     }
 }
 

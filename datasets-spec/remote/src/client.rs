@@ -91,14 +91,8 @@ pub(crate) struct Got {
     pub(crate) tag: Option<String>,
 }
 
-pub(crate) struct Listed {
-    pub(crate) key: Key,
-    pub(crate) size: u64,
-    pub(crate) tag: Option<String>,
-}
-
 /// Version tag of an object: its strong ETag, if it has one.
-fn tag_of(meta: ObjectMeta) -> Option<String> {
+pub(crate) fn tag_of(meta: ObjectMeta) -> Option<String> {
     meta.e_tag.filter(|tag| !tag.starts_with("W/"))
 }
 
@@ -176,33 +170,42 @@ impl Client {
             .map_err(io_error)
     }
 
+    /// Sends a request to the store, and repeats it if it may succeed later.
+    fn request<T, F>(
+        &self,
+        attempts: usize,
+        key: &Key,
+        send: impl Fn(Arc<dyn ObjectStore>, Key) -> F + Send + Sync + 'static,
+    ) -> io::Result<T>
+    where
+        T: Send + 'static,
+        F: Future<Output = io::Result<T>> + Send + 'static,
+    {
+        let (store, key) = (Arc::clone(&self.store), key.clone());
+        wait(async move { repeated(attempts, || send(Arc::clone(&store), key.clone())).await })
+    }
+
     /// Reads an object that is no larger than one request; of a larger object, only its size.
     pub(crate) fn get(&self, key: &Key) -> io::Result<Got> {
-        let (store, key, attempts) = (Arc::clone(&self.store), key.clone(), self.attempts);
-        wait(async move {
-            repeated(attempts, || async {
-                let result = store.get_opts(&key, GetOptions::default()).await;
-                let result = result.map_err(io_error)?;
-                let (size, tag) = (result.meta.size, tag_of(result.meta.clone()));
-                let bytes = if size > MAX_REQUEST {
-                    Bytes::new()
-                } else {
-                    whole(result.bytes().await, size)?
-                };
-                Ok(Got { bytes, size, tag })
-            })
-            .await
+        self.request(self.attempts, key, |store, key| async move {
+            let result = store.get_opts(&key, GetOptions::default()).await;
+            let result = result.map_err(io_error)?;
+            let (size, tag) = (result.meta.size, tag_of(result.meta.clone()));
+            let bytes = if size > MAX_REQUEST {
+                Bytes::new()
+            } else {
+                whole(result.bytes().await, size)?
+            };
+            Ok(Got { bytes, size, tag })
         })
     }
 
     /// Size and version of an object.
     pub(crate) fn head(&self, key: &Key) -> io::Result<(u64, Option<String>)> {
-        let (store, key) = (Arc::clone(&self.store), key.clone());
-        wait(async move {
-            let read = || async { store.head(&key).await.map_err(io_error) };
-            let meta = repeated(ATTEMPTS, read).await?;
-            Ok((meta.size, tag_of(meta)))
-        })
+        let meta: ObjectMeta = self.request(ATTEMPTS, key, |store, key| async move {
+            store.head(&key).await.map_err(io_error)
+        })?;
+        Ok((meta.size, tag_of(meta)))
     }
 
     /// Ranges of an object, a few at the same time. If `tag` is stated, another version is an error.
@@ -232,13 +235,9 @@ impl Client {
 
     /// Writes an object, and replaces any object of that name.
     pub(crate) fn put(&self, key: &Key, bytes: Bytes) -> io::Result<()> {
-        let (store, key) = (Arc::clone(&self.store), key.clone());
-        wait(async move {
-            repeated(ATTEMPTS, || async {
-                let done = store.put(&key, PutPayload::from_bytes(bytes.clone())).await;
-                done.map(|_| ()).map_err(io_error)
-            })
-            .await
+        self.request(ATTEMPTS, key, move |store, key| {
+            let payload = PutPayload::from_bytes(bytes.clone());
+            async move { store.put(&key, payload).await.map(|_| ()).map_err(io_error) }
         })
     }
 
@@ -298,49 +297,31 @@ impl Client {
 
     /// Removes objects; a missing one is not an error.
     pub(crate) fn delete(&self, keys: Vec<Key>) -> io::Result<()> {
-        let store = Arc::clone(&self.store);
-        wait(async move {
-            for key in keys {
-                repeated(ATTEMPTS, || async {
-                    match store.delete(&key).await {
-                        Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
-                        Err(error) => Err(io_error(error)),
-                    }
-                })
-                .await?;
-            }
-            Ok(())
+        keys.iter().try_for_each(|key| {
+            self.request(ATTEMPTS, key, |store, key| async move {
+                match store.delete(&key).await {
+                    Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
+                    Err(error) => Err(io_error(error)),
+                }
+            })
         })
     }
 
-    pub(crate) fn list_all(&self, key: &Key) -> io::Result<Vec<Listed>> {
-        let (store, key) = (Arc::clone(&self.store), key.clone());
-        wait(async move {
-            repeated(ATTEMPTS, || async {
-                let prefix = (!key.as_ref().is_empty()).then_some(&key);
-                let listed = store.list(prefix).map_ok(|meta| Listed {
-                    key: meta.location.clone(),
-                    size: meta.size,
-                    tag: tag_of(meta),
-                });
-                listed.try_collect().await.map_err(io_error)
-            })
-            .await
+    pub(crate) fn list_all(&self, key: &Key) -> io::Result<Vec<ObjectMeta>> {
+        self.request(ATTEMPTS, key, |store, key| async move {
+            let prefix = (!key.as_ref().is_empty()).then_some(&key);
+            store.list(prefix).try_collect().await.map_err(io_error)
         })
     }
 
     /// The objects and folders right below a key.
     pub(crate) fn list(&self, key: &Key) -> io::Result<(Vec<Key>, Vec<Key>)> {
-        let (store, key) = (Arc::clone(&self.store), key.clone());
-        wait(async move {
-            repeated(ATTEMPTS, || async {
-                let prefix = (!key.as_ref().is_empty()).then_some(&key);
-                let listed = store.list_with_delimiter(prefix).await;
-                let listed = listed.map_err(io_error)?;
-                let objects = listed.objects.into_iter().map(|meta| meta.location);
-                Ok((objects.collect(), listed.common_prefixes))
-            })
-            .await
+        self.request(ATTEMPTS, key, |store, key| async move {
+            let prefix = (!key.as_ref().is_empty()).then_some(&key);
+            let listed = store.list_with_delimiter(prefix).await;
+            let listed = listed.map_err(io_error)?;
+            let objects = listed.objects.into_iter().map(|meta| meta.location);
+            Ok((objects.collect(), listed.common_prefixes))
         })
     }
 }

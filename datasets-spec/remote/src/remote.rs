@@ -10,7 +10,7 @@ use datasets_spec::store::{Disk, Locking, NewFile, ReadAt, Reader, Store, aside}
 use object_store::ObjectStore;
 
 use crate::cache::Cache;
-use crate::client::{Client, Got, MAX_REQUEST};
+use crate::client::{Client, Got, MAX_REQUEST, tag_of};
 use crate::file::RemoteFile;
 use crate::hub::{HubCache, beside, dataset_path};
 use crate::place::{Place, Scheme};
@@ -315,7 +315,7 @@ impl Store for Remote {
     fn remove_dir_all(&self, path: &Path) -> io::Result<()> {
         let (place, client) = self.find_to_write(path)?;
         let listed = client.list_all(&place.key)?;
-        client.delete(listed.into_iter().map(|listed| listed.key).collect())
+        client.delete(listed.into_iter().map(|meta| meta.location).collect())
     }
 
     fn lock(&self, folder: &Path, _holder: &str) -> io::Result<Locking> {
@@ -351,16 +351,16 @@ impl Store for Remote {
         };
         let mut files = Vec::new();
         let mut known = lock(&self.known);
-        for listed in client.list_all(&place.key)? {
-            let path = place.url(&listed.key);
+        for meta in client.list_all(&place.key)? {
+            let path = place.url(&meta.location);
             // Skip folder markers, which some tools create.
-            if listed.size == 0 && listed.key.as_ref().is_empty() {
+            if meta.size == 0 && meta.location.as_ref().is_empty() {
                 continue;
             }
             known.entry(path.clone()).or_insert(Known {
-                size: listed.size,
+                size: meta.size,
                 hash: None,
-                tag: listed.tag,
+                tag: tag_of(meta),
             });
             files.push(path);
         }

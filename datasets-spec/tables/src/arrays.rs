@@ -8,7 +8,7 @@ use arrow_array::types::{
 };
 use arrow_array::{
     Array, ArrayRef, BooleanArray, FixedSizeListArray, Float32Array, Float64Array, Int32Array,
-    Int64Array, ListArray, StringArray, StructArray, UInt32Array, UInt64Array,
+    Int64Array, ListArray, StringArray, StructArray, UInt32Array, UInt64Array, new_empty_array,
 };
 use arrow_buffer::{NullBuffer, OffsetBuffer};
 use arrow_schema::{DataType, Field, Fields};
@@ -20,29 +20,10 @@ use polars_arrow::types::NativeType;
 
 use pl::ArrayFromIter as _;
 
+/// The type of a column of polars with the values of such an array.
 pub(crate) fn polars_type(data_type: &DataType) -> Result<pl::DataType, String> {
-    Ok(match data_type {
-        DataType::Utf8 => pl::DataType::String,
-        DataType::Boolean => pl::DataType::Boolean,
-        DataType::Float32 => pl::DataType::Float32,
-        DataType::Float64 => pl::DataType::Float64,
-        DataType::Int32 => pl::DataType::Int32,
-        DataType::UInt32 => pl::DataType::UInt32,
-        DataType::UInt64 => pl::DataType::UInt64,
-        DataType::List(item) => pl::DataType::List(Box::new(polars_type(item.data_type())?)),
-        DataType::FixedSizeList(item, width) => pl::DataType::Array(
-            Box::new(polars_type(item.data_type())?),
-            usize::try_from(*width).unwrap_or(0),
-        ),
-        DataType::Struct(fields) => {
-            let field = |field: &Arc<Field>| -> Result<pl::Field, String> {
-                let data_type = polars_type(field.data_type())?;
-                Ok(pl::Field::new(field.name().as_str().into(), data_type))
-            };
-            pl::DataType::Struct(fields.iter().map(field).collect::<Result<_, _>>()?)
-        }
-        other => return Err(format!("columns of type {other} cannot be asked for")),
-    })
+    let empty = new_empty_array(data_type);
+    Ok(series("", empty.as_ref())?.dtype().clone())
 }
 
 /// A column of polars with the values of an array.

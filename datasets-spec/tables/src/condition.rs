@@ -72,7 +72,7 @@ impl Condition {
     /// # Errors
     /// A table cannot be read, or values cannot be compared as the condition does.
     pub fn rows(&self, dataset: &Dataset) -> Result<Vec<Vec<usize>>, Error> {
-        let mut tables = Tables::with_places(dataset)?;
+        let mut tables = Tables::new([(None, dataset)], true)?;
         let motions = MotionRow::TABLE;
         let query = format!("SELECT {PLACE} FROM {motions} WHERE {}", self.sql);
         let answer = tables.ask(&query).map_err(|error| match error {

@@ -15,26 +15,13 @@ pub struct Tables {
     names: Names,
 }
 
-impl std::fmt::Debug for Tables {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_tuple("Tables")
-            .field(&self.context.get_tables())
-            .finish()
-    }
-}
-
 impl Tables {
     /// The tables of a dataset. No rows are read before a query needs them.
     ///
     /// # Errors
     /// A table of this version cannot be registered, which means a bug.
     pub fn of(dataset: &Dataset) -> Result<Self, Error> {
-        let mut tables = Self {
-            context: SQLContext::new(),
-            names: Names::default(),
-        };
-        tables.add(None, dataset, false)?;
-        Ok(tables)
+        Self::new([(None, dataset)], false)
     }
 
     /// The tables of several datasets, each with a name.
@@ -42,48 +29,41 @@ impl Tables {
     /// # Errors
     /// As [`Tables::of`].
     pub fn of_several(datasets: &[(String, Dataset)]) -> Result<Self, Error> {
+        let named = datasets.iter();
+        Self::new(
+            named.map(|(name, dataset)| (Some(name.as_str()), dataset)),
+            false,
+        )
+    }
+
+    /// The tables of datasets, each with a name if there are several. `with_places` adds a column of row numbers to the
+    /// motions.
+    pub(crate) fn new<'a>(
+        datasets: impl IntoIterator<Item = (Option<&'a str>, &'a Dataset)>,
+        with_places: bool,
+    ) -> Result<Self, Error> {
         let mut tables = Self {
             context: SQLContext::new(),
             names: Names::default(),
         };
         for (name, dataset) in datasets {
-            tables.add(Some(name), dataset, false)?;
+            for (table, columns) in all_tables() {
+                let fails = |problem: String| Error::Sql {
+                    text: table.to_owned(),
+                    problem,
+                };
+                let full = match name {
+                    Some(name) => format!("{name}.{table}"),
+                    None => table.to_owned(),
+                };
+                let with_places = with_places && table == MotionRow::TABLE;
+                tables.names.add(name, &full, table, &columns);
+                let scan = Scan::new(dataset, table, columns, with_places).map_err(fails)?;
+                let frame = scan.frame().map_err(|error| fails(error.to_string()))?;
+                tables.context.register(&full, frame);
+            }
         }
         Ok(tables)
-    }
-
-    /// The tables of a dataset; the motions also have a column of row numbers.
-    pub(crate) fn with_places(dataset: &Dataset) -> Result<Self, Error> {
-        let mut tables = Self {
-            context: SQLContext::new(),
-            names: Names::default(),
-        };
-        tables.add(None, dataset, true)?;
-        Ok(tables)
-    }
-
-    fn add(
-        &mut self,
-        name: Option<&str>,
-        dataset: &Dataset,
-        with_places: bool,
-    ) -> Result<(), Error> {
-        for (table, columns) in all_tables() {
-            let fails = |problem: String| Error::Sql {
-                text: table.to_owned(),
-                problem,
-            };
-            let full = match name {
-                Some(name) => format!("{name}.{table}"),
-                None => table.to_owned(),
-            };
-            let with_places = with_places && table == MotionRow::TABLE;
-            self.names.add(name, &full, table, &columns);
-            let scan = Scan::new(dataset, table, columns, with_places).map_err(fails)?;
-            let frame = scan.frame().map_err(|error| fails(error.to_string()))?;
-            self.context.register(&full, frame);
-        }
-        Ok(())
     }
 
     /// Answers a `SELECT`. Only the columns that it names are read.

@@ -19,7 +19,7 @@ use pipeline::stage::{self, Judged};
 use plan::Places;
 use train::fit::TrainReport;
 use train::stage::coordinator::train_coordinator;
-use train::stage::editor::{EditorInputs, train_editor};
+use train::stage::editor::train_editor;
 use train::stage::encoder::train_encoder;
 use train::stage::poses::train_j2s;
 use train::system::SystemSource;
@@ -321,12 +321,8 @@ fn train_one(
     };
     with_session(&global.bars().of(run), |session| match model {
         Trains::Editor | Trains::ComposedOnce | Trains::CapturedAlone => {
-            let inputs = EditorInputs {
-                compose,
-                windows: None,
-                text_encoder,
-            };
-            train_editor(dataset, run, &plan.train, &inputs, session).map(Some)
+            let config = &plan.train;
+            train_editor(dataset, run, config, compose, None, text_encoder, session).map(Some)
         }
         Trains::Coordinator => {
             train_coordinator(dataset, run, &plan.coordinator, compose, session).map(Some)

@@ -103,9 +103,30 @@ pub fn check_skeleton(
     what: &'static str,
     skeleton: &Skeleton,
 ) -> Result<(), Error> {
+    check_skeleton_of(&config_of(run_dir)?, run_dir, what, skeleton)
+}
+
+/// The text of a run's `config.json`.
+fn config_of(run_dir: &Path) -> Result<String, Error> {
     let path = run_dir.join(CONFIG);
-    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    check_skeleton_of(&text, run_dir, what, skeleton)
+    Ok(fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?)
+}
+
+/// The fields of `config.json` that are read without its configuration.
+#[derive(Deserialize)]
+struct Header {
+    #[serde(default)]
+    format: u32,
+    kind: String,
+    #[serde(default)]
+    skeleton: String,
+    skeleton_hash: Option<String>,
+}
+
+impl Header {
+    fn of(text: &str, run_dir: &Path) -> Result<Self, Error> {
+        serde_json::from_str(text).map_err(json_error(&run_dir.join(CONFIG)))
+    }
 }
 
 /// Checks the skeleton like [`check_skeleton`], but from the text of a run's `config.json`. Errors name the run by
@@ -119,13 +140,7 @@ pub fn check_skeleton_of(
     what: &'static str,
     skeleton: &Skeleton,
 ) -> Result<(), Error> {
-    #[derive(Deserialize)]
-    struct Trained {
-        kind: String,
-        skeleton: String,
-        skeleton_hash: Option<String>,
-    }
-    let trained: Trained = serde_json::from_str(text).map_err(json_error(&run_dir.join(CONFIG)))?;
+    let trained = Header::of(text, run_dir)?;
     if trained.kind == MOTION_KIND {
         return Ok(());
     }
@@ -149,14 +164,7 @@ pub fn check_skeleton_of(
 }
 
 pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
-    #[derive(Deserialize)]
-    struct Kind {
-        kind: String,
-    }
-    let path = run_dir.join(CONFIG);
-    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    let found: Kind = serde_json::from_str(&text).map_err(json_error(&path))?;
-    Ok(found.kind)
+    Ok(Header::of(&config_of(run_dir)?, run_dir)?.kind)
 }
 
 /// Reads the record of a run of any kind, without interpreting its configuration.
@@ -164,9 +172,8 @@ pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
 /// # Errors
 /// The folder is not a run, or has another format.
 pub fn read_any(run_dir: &Path) -> Result<RunRecord<Value>, Error> {
-    let path = run_dir.join(CONFIG);
-    let text = fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
-    let refused = |reason: String| not_a_run(run_dir, "stance", reason);
+    let text = config_of(run_dir)?;
+    let refused = |reason: String| Error::not_a_run(run_dir, "stance", reason);
     let record: RunRecord<Value> = serde_json::from_str(&text)
         .map_err(|error| refused(format!("its {CONFIG} is of another program ({error})")))?;
     match record.format {
@@ -179,11 +186,11 @@ pub fn read_any(run_dir: &Path) -> Result<RunRecord<Value>, Error> {
 
 pub(crate) fn read_record<C: DeserializeOwned>(
     run_dir: &Path,
-    kind: &'static str,
+    kind: &str,
 ) -> Result<RunRecord<C>, Error> {
     let path = run_dir.join(CONFIG);
-    let text =
-        text_of(&path)?.ok_or_else(|| not_a_run(run_dir, kind, format!("it holds no {CONFIG}")))?;
+    let text = text_of(&path)?
+        .ok_or_else(|| Error::not_a_run(run_dir, kind, format!("it holds no {CONFIG}")))?;
     record_of(&text, run_dir, kind)
 }
 
@@ -200,28 +207,21 @@ pub(super) fn text_of(path: &Path) -> Result<Option<String>, Error> {
 pub(crate) fn record_of<C: DeserializeOwned>(
     text: &str,
     run_dir: &Path,
-    kind: &'static str,
+    kind: &str,
 ) -> Result<RunRecord<C>, Error> {
-    #[derive(Deserialize)]
-    struct Header {
-        format: u32,
-        kind: String,
-    }
-    let path = run_dir.join(CONFIG);
-    let json = json_error(&path);
-    let header: Header = serde_json::from_str(text).map_err(json)?;
+    let header = Header::of(text, run_dir)?;
     if header.kind != kind {
         let reason = format!("it is a run of {:?}", header.kind);
-        return Err(not_a_run(run_dir, kind, reason));
+        return Err(Error::not_a_run(run_dir, kind, reason));
     }
     if header.format != FORMAT {
         let reason = format!(
             "it has format {}, this program reads {FORMAT}",
             header.format
         );
-        return Err(not_a_run(run_dir, kind, reason));
+        return Err(Error::not_a_run(run_dir, kind, reason));
     }
-    parse_record(text).map_err(json)
+    parse_record(text).map_err(json_error(&run_dir.join(CONFIG)))
 }
 
 pub(super) fn parse_record<C: DeserializeOwned>(
@@ -233,14 +233,6 @@ pub(super) fn parse_record<C: DeserializeOwned>(
         rename_former(settings);
     }
     serde_json::from_value(record)
-}
-
-pub(super) fn not_a_run(path: &Path, kind: &str, reason: impl Into<String>) -> Error {
-    Error::NotARun {
-        path: path.to_owned(),
-        kind: kind.to_owned(),
-        reason: reason.into(),
-    }
 }
 
 pub(super) fn to_value<T: Serialize>(document: &T) -> Result<Value, serde_json::Error> {

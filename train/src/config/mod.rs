@@ -152,9 +152,6 @@ impl TextConfig {
     }
 
     /// Checks the settings of a model that reads tokens or one vector.
-    ///
-    /// # Errors
-    /// `vectors` is set for another encoder than `bert`.
     pub(crate) fn check(&self) -> Result<(), Error> {
         ensure(
             self.vectors.is_none() || self.encoder == TextEncoder::Bert,
@@ -169,9 +166,6 @@ impl TextConfig {
     }
 
     /// Checks the settings of a model that reads one vector for each text.
-    ///
-    /// # Errors
-    /// As [`Self::check`], or the settings select the vectors of tokens.
     pub(crate) fn check_pooled(&self) -> Result<(), Error> {
         ensure(
             self.vectors != Some(BertVectors::States),

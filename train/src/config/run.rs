@@ -85,9 +85,6 @@ impl RunSettings {
     }
 
     /// Checks that the settings allow a run.
-    ///
-    /// # Errors
-    /// A setting is out of range.
     pub(crate) fn check(&self) -> Result<(), Error> {
         self.optimizer.check()?;
         self.length.check()?;

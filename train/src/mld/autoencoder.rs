@@ -34,9 +34,6 @@ fn folder(run: &Path) -> PathBuf {
 }
 
 /// Trains the autoencoder, or continues the training of its folder.
-///
-/// # Errors
-/// As [`super::train_mld`].
 pub(super) fn train(
     run: &Path,
     config: &AutoencoderConfig,
@@ -155,9 +152,6 @@ pub(super) struct Autoencoder {
 
 impl Autoencoder {
     /// Loads the autoencoder of a generator. `run` is the run folder of `stance train mld`.
-    ///
-    /// # Errors
-    /// The autoencoder's run or checkpoint is missing or damaged.
     pub(super) fn load(run: &Path, device: &Device) -> Result<Self, Error> {
         let dir = folder(run);
         let mut opened = open_for_use::<AutoencoderRecord>(&dir, Slot::Best, KIND)?;

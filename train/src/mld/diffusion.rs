@@ -62,11 +62,8 @@ pub fn train_mld<'a>(
     config.check()?;
     let start = start.into();
     if start.extend || start.init.is_some() {
-        return Err(Error::NotARun {
-            path: start.run.to_owned(),
-            kind: KIND.to_owned(),
-            reason: "it consists of two runs; --extend and --init are for one".to_owned(),
-        });
+        let reason = "it consists of two runs; --extend and --init are for one";
+        return Err(Error::not_a_run(start.run, KIND, reason));
     }
     let min_frames = config.autoencoder.min_frames;
     let rows = |clips, what| captioned_rows(clips, corpus.skeleton, min_frames, what);

@@ -9,7 +9,7 @@ use crate::Error;
 use crate::checkpoint::read_kind;
 use crate::fit;
 use crate::kind::ModelKind;
-use crate::stage::{coordinator, editor, encoder, mdm, mld, poses};
+use crate::stage::{captioned, coordinator, editor, encoder, poses};
 use crate::system::{EditConfig, EditSystem, SystemSource};
 use crate::tmed;
 
@@ -19,8 +19,8 @@ pub const MODELS: &[ModelKind] = &[
     coordinator::MODEL,
     encoder::MODEL,
     poses::MODEL,
-    mdm::MODEL,
-    mld::MODEL,
+    captioned::MDM,
+    captioned::MLD,
     nearest::MODEL,
     tmed::MODEL,
 ];
@@ -43,11 +43,10 @@ pub fn open_system(
     let kind = read_kind(&source.run)?;
     match model(&kind).and_then(|kind| kind.open) {
         Some(open) => open(source, config, skeleton, device),
-        None => Err(Error::NotARun {
-            path: source.run.clone(),
-            kind: fit::KIND.to_owned(),
-            reason: format!("it is a run of {kind:?}, which edits no motions"),
-        }),
+        None => {
+            let reason = format!("it is a run of {kind:?}, which edits no motions");
+            Err(Error::not_a_run(&source.run, fit::KIND, reason))
+        }
     }
 }
 

@@ -20,8 +20,7 @@ use crate::error::motion_error;
 use crate::kind::{ModelKind, TrainRequest, Trained};
 use crate::sample::EditTimes;
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
-    SystemSource,
+    EditConfig, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource,
 };
 use crate::vocabulary::words_of;
 use crate::{Error, Session};
@@ -167,15 +166,13 @@ impl EditSystem for Nearest {
         requests: &[EditRequest<'_>],
         seed: Seed,
         session: &Session<'_>,
-    ) -> Result<EditedMotions, Error> {
+    ) -> Result<(Vec<(Motion, Misfit)>, EditTimes), Error> {
         let motions = requests.iter().map(|request| {
             session.go_on("editing")?;
             Ok((self.answer(request, seed)?, Misfit::default()))
         });
-        Ok(EditedMotions {
-            motions: motions.collect::<Result<_, Error>>()?,
-            times: EditTimes::default(),
-        })
+        let motions = motions.collect::<Result<_, Error>>()?;
+        Ok((motions, EditTimes::default()))
     }
 }
 

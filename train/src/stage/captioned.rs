@@ -1,4 +1,4 @@
-//! Captioned motions of a dataset, and the vectors of their captions.
+//! Training of MDM and of MLD on the captioned motions of a dataset.
 
 use datasets_spec::record::MotionRow;
 use datasets_spec::{Dataset, Split};
@@ -7,19 +7,57 @@ use super::{MOTIONS, kept};
 use crate::captioned::{CaptionedClip, CaptionedCorpus};
 use crate::config::TextEncoder;
 use crate::error::motion_error;
-use crate::kind::{TrainRequest, Trained};
+use crate::kind::{ModelKind, TrainRequest, Trained, document};
+use crate::mdm::{self, MdmConfig, train_mdm};
+use crate::mdm_bp;
+use crate::mld::{self, MldConfig, train_mld};
 use crate::text::clip::ClipModel;
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
+
+pub(crate) const MDM: ModelKind = ModelKind {
+    name: mdm::KIND,
+    about: "MDM, on motions and their captions; it edits body parts as MDM-BP",
+    preset: |preset| document(&MdmConfig::preset(preset)),
+    train: |request, session| {
+        let mut config = request.settings(&MdmConfig::preset(request.preset))?;
+        request.change(&mut config.run);
+        request.split(&mut config.run, &config.model, 1 + config.max_frames);
+        let encoder = (config.text.encoder, mdm::CLIP);
+        train_on_captions(request, encoder, session, |corpus| {
+            train_mdm(request.start, &config, corpus, session)
+        })
+    },
+    open: Some(mdm_bp::open),
+};
+
+/// MLD. A request's seed and length apply to both of its runs.
+pub(crate) const MLD: ModelKind = ModelKind {
+    name: mld::KIND,
+    about: "MLD, an autoencoder of motions and a diffusion of its latents, for `stance variants`",
+    preset: |preset| document(&MldConfig::preset(preset)),
+    train: |request, session| {
+        let mut config = request.settings(&MldConfig::preset(request.preset))?;
+        request.change(&mut config.autoencoder.run);
+        request.change(&mut config.run);
+        // The encoder and the decoder of motions have twice the layers, so a sample counts twice the tokens.
+        let autoencoder = &mut config.autoencoder;
+        let tokens = 2 * (2 + autoencoder.max_frames);
+        request.split(&mut autoencoder.run, &autoencoder.model, tokens);
+        request.split(&mut config.run, &config.model, 3);
+        let encoder = (config.text.encoder, mld::CLIP);
+        train_on_captions(request, encoder, session, |corpus| {
+            train_mld(request.start, &config, corpus, session)
+        })
+    },
+    open: None,
+};
 
 /// The clips of a split, each with captions of the whole clip. A part of a clip with its own caption becomes a separate
 /// clip.
 ///
 /// # Source
 /// `Text2MotionDatasetV2` of HumanML3D.
-///
-/// # Errors
-/// The dataset cannot be read, or a row does not hold a motion.
 fn timed_clips(dataset: &Dataset, split: Split) -> Result<Vec<CaptionedClip>, Error> {
     let rows: Vec<MotionRow> = dataset.read(Some(split))?;
     let mut clips = Vec::new();
@@ -59,10 +97,7 @@ fn push_clips(row: &MotionRow, clips: &mut Vec<CaptionedClip>) -> Result<(), dat
 
 /// Trains a model on the captioned clips of a dataset, with captions encoded by `encoder`. If the encoder is frozen,
 /// the vectors of all captions and of the empty text are stored in the run folder.
-///
-/// # Errors
-/// The dataset cannot be read, the text encoder is missing or cannot encode a caption, or training fails.
-pub(super) fn train_on_captions(
+fn train_on_captions(
     request: &TrainRequest<'_>,
     encoder: (TextEncoder, ClipModel),
     session: &Session<'_>,

@@ -27,18 +27,8 @@ pub(crate) const MODEL: ModelKind = ModelKind {
     open: Some(edit::open),
 };
 
-/// Inputs of the editor's training besides a dataset.
-#[derive(Clone, Copy, Debug)]
-pub struct EditorInputs<'a> {
-    /// Composition settings of edits.
-    pub compose: &'a ComposeConfig,
-    /// Recorded windows, used instead of composing windows.
-    pub windows: Option<&'a Path>,
-    /// Source of a frozen text encoder, for settings that use one.
-    pub text_encoder: &'a TextEncoderSource,
-}
-
-/// Trains the editor on composed or recorded windows, or continues its run.
+/// Trains the editor on composed windows, or on those recorded in the folder `windows`, or continues its run.
+/// `text_encoder` is the source of a frozen text encoder, for settings that use one.
 ///
 /// # Errors
 /// As [`train_motionrefit`], or the dataset, recorded windows or the text encoder cannot be read.
@@ -46,21 +36,23 @@ pub fn train_editor<'a>(
     dataset: &Dataset,
     start: impl Into<Start<'a>>,
     config: &TrainConfig,
-    inputs: &EditorInputs<'_>,
+    compose: &ComposeConfig,
+    windows: Option<&Path>,
+    text_encoder: &TextEncoderSource,
     session: &Session<'_>,
 ) -> Result<TrainReport, Error> {
     // Check the settings before the slow encoding of texts.
     config.check()?;
     let start = start.into();
     let seed = config.run.seed;
-    let streams = Streams::open(dataset, inputs.compose, config.window, seed, start.range()?)?;
+    let streams = Streams::open(dataset, compose, config.window, seed, start.range()?)?;
     let Streams {
         compose,
         train,
         val,
         normalizer,
     } = &streams;
-    let recorded = match inputs.windows {
+    let recorded = match windows {
         Some(folder) => {
             let fitted = library(dataset, Split::Train)?.fit_normalizer(&compose.config)?;
             Some(recorded_windows(folder, [&fitted, normalizer], Seed(seed))?)
@@ -73,11 +65,8 @@ pub fn train_editor<'a>(
     };
     let all = [instructions.clone(), val.instructions()].concat();
     let encoder = (config.text.encoder, ClipModel::VitB32);
-    let source = inputs.text_encoder;
-    let vectors = kept(
-        source.embeddings(start.run, &all, encoder, session)?,
-        start.run,
-    )?;
+    let vectors = text_encoder.embeddings(start.run, &all, encoder, session)?;
+    let vectors = kept(vectors, start.run)?;
     let corpus = Corpus {
         train: match &recorded {
             Some(loader) => loader,
@@ -88,7 +77,7 @@ pub fn train_editor<'a>(
         vectors: vectors.as_ref(),
         normalizer: *normalizer,
         skeleton: &dataset.skeleton()?,
-        dataset_hash: &data_hash(dataset, inputs.windows)?,
+        dataset_hash: &data_hash(dataset, windows)?,
         compose,
     };
     train_motionrefit(start, config, corpus, session)
@@ -98,12 +87,15 @@ fn train(request: &TrainRequest<'_>, session: &Session<'_>) -> Result<Trained, E
     let mut config = request.settings(&TrainConfig::preset(request.preset))?;
     request.change(&mut config.run);
     request.split(&mut config.run, &config.model, 1 + config.window);
-    let inputs = EditorInputs {
-        compose: request.compose,
-        windows: request.windows,
-        text_encoder: request.text_encoder,
-    };
-    let report = train_editor(request.dataset, request.start, &config, &inputs, session)?;
+    let report = train_editor(
+        request.dataset,
+        request.start,
+        &config,
+        request.compose,
+        request.windows,
+        request.text_encoder,
+        session,
+    )?;
     Ok(Trained::from_report(report, request.start.run))
 }
 

@@ -1,11 +1,9 @@
 //! Stages of training, from a dataset folder to a run folder: open the dataset, assemble the training data, train.
 
-mod captioned;
+pub(crate) mod captioned;
 pub mod coordinator;
 pub mod editor;
 pub mod encoder;
-pub(crate) mod mdm;
-pub(crate) mod mld;
 pub mod poses;
 pub mod texts;
 pub mod variants;

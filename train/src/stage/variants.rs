@@ -101,46 +101,39 @@ pub fn make_variants(
 ) -> Result<VariantReport, Error> {
     let mut making = Making::open([root, run], instructions, config, seed, session.device)?;
     let latent_std = Some(making.generator.latent_std());
+    let report = |dataset, counts| VariantReport {
+        dataset,
+        counts,
+        latent_std,
+    };
     if let Some(dataset) = made_before(out, &making.plan_hash)? {
-        return Ok(VariantReport {
-            dataset,
-            counts: None,
-            latent_std,
-        });
+        return Ok(report(dataset, None));
     }
     making.prepare(text_encoder, session)?;
     let progress = session.progress;
     progress.begin("variants", Some(making.bases.len() as u64));
     let mut made = Candidates::default();
     for batch in 0..making.num_batches() {
-        let Candidates {
-            motions,
-            pairs,
-            counts,
-        } = making.batch(batch, usize::MAX, session)?;
-        made.motions.extend(motions);
-        made.pairs.extend(pairs);
-        made.counts += counts;
+        let more = making.batch(batch, usize::MAX, session)?;
+        made.motions.extend(more.motions);
+        made.pairs.extend(more.pairs);
+        made.counts += more.counts;
         progress.advance(making.batch_len(batch) as u64);
     }
     progress.finish(&format!("{} candidate pairs", made.pairs.len()));
     let transaction = Transaction::begin(out, holder)?;
     let dataset = making.commit(transaction, &made, &Quarantine::default())?;
-    Ok(VariantReport {
-        dataset,
-        counts: Some(made.counts),
-        latent_std,
-    })
+    Ok(report(dataset, Some(made.counts)))
 }
 
 pub(crate) struct Making {
     generator: Generator,
     run: PathBuf,
-    skeleton: Skeleton,
+    pub(crate) skeleton: Skeleton,
     bases: Vec<(Base, Split)>,
     config: MakeVariants,
     seed: Seed,
-    plan_hash: String,
+    pub(crate) plan_hash: String,
 }
 
 impl Making {
@@ -169,14 +162,6 @@ impl Making {
             config: *config,
             seed,
         })
-    }
-
-    pub(crate) fn plan_hash(&self) -> &str {
-        &self.plan_hash
-    }
-
-    pub(crate) fn skeleton(&self) -> &Skeleton {
-        &self.skeleton
     }
 
     pub(crate) fn num_batches(&self) -> usize {
@@ -256,12 +241,13 @@ pub fn pair_variants(
         None => plan_hash("variants-1", &(motions, config)),
         Some(condition) => plan_hash("variants-1", &(motions, config, condition)),
     };
+    let report = |dataset, counts| VariantReport {
+        dataset,
+        counts,
+        latent_std: None,
+    };
     if let Some(dataset) = made_before(out, &plan)? {
-        return Ok(VariantReport {
-            dataset,
-            counts: None,
-            latent_std: None,
-        });
+        return Ok(report(dataset, None));
     }
     let groups = groups_of_motions(dataset.read(None)?);
     Error::if_empty(&groups, "dataset of variants (motions named base/variant)")?;
@@ -270,11 +256,7 @@ pub fn pair_variants(
     let transaction = Transaction::begin(out, holder)?;
     let none = Quarantine::default();
     let dataset = commit_candidates(transaction, &made, facts, &skeleton, &plan, &none)?;
-    Ok(VariantReport {
-        dataset,
-        counts: Some(made.counts),
-        latent_std: None,
-    })
+    Ok(report(dataset, Some(made.counts)))
 }
 
 /// The manifest's entry that states that the motions are variants, and how they were made or paired.
@@ -296,11 +278,8 @@ pub(crate) fn made_before(out: &Path, plan: &str) -> Result<Option<Dataset>, Err
     }
 }
 
-struct Instruction {
-    text: String,
-    /// Number of frames at 20 fps, and split, of the clip that the caption describes; none for other texts.
-    clip: Option<(usize, Split)>,
-}
+/// A text; and the number of frames at 20 fps and the split of the clip that it describes, if it is a caption.
+type Instruction = (String, Option<(usize, Split)>);
 
 fn bases(
     dataset: &Dataset,
@@ -318,12 +297,7 @@ fn bases(
         Instructions::Texts(texts) => {
             let mut known = BTreeSet::new();
             let texts = texts.iter().filter(|text| known.insert(text.as_str()));
-            texts
-                .map(|text| Instruction {
-                    text: text.clone(),
-                    clip: None,
-                })
-                .collect()
+            texts.map(|text| (text.clone(), None)).collect()
         }
     };
     if let Some(count) = config.count {
@@ -331,10 +305,11 @@ fn bases(
         texts.truncate(count);
     }
     Error::if_empty(&texts, "list of instructions")?;
-    let bases = texts.into_iter().enumerate().map(|(place, instruction)| {
+    let bases = texts.into_iter().enumerate();
+    let bases = bases.map(|(place, (text, clip))| {
         let (batch, place) = (place / BATCH, place % BATCH);
         let id = format!("seed{}/batch{batch:04}/{place:02}", seed.0);
-        let (frames, split) = instruction.clip.unwrap_or_else(|| {
+        let (frames, split) = clip.unwrap_or_else(|| {
             let frames = seed
                 .rng(&["length", &id])
                 .random_range(min_frames..=max_frames);
@@ -342,7 +317,6 @@ fn bases(
         });
         let frames = frames.clamp(min_frames, max_frames) / LENGTH_UNIT * LENGTH_UNIT;
         let frames = frames.max(LENGTH_UNIT);
-        let text = instruction.text;
         (Base { id, text, frames }, split)
     });
     Ok(bases.collect())
@@ -358,10 +332,7 @@ fn captions(dataset: &Dataset) -> Result<Vec<Instruction>, Error> {
         for caption in &row.captions {
             let is_whole = caption.from_s == 0.0 && caption.to_s == 0.0;
             if is_whole && known.insert(caption.text.clone()) {
-                texts.push(Instruction {
-                    text: caption.text.clone(),
-                    clip: Some((frames as usize, row.split)),
-                });
+                texts.push((caption.text.clone(), Some((frames as usize, row.split))));
             }
         }
     }

@@ -62,9 +62,6 @@ impl BertFiles {
 
     /// Names of all files of the encoder, relative to its folder, with `/` as separator. `has` tells whether a file
     /// exists, and `read` reads one.
-    ///
-    /// # Errors
-    /// `modules.json` cannot be read.
     pub(super) fn names(
         has: impl Fn(&str) -> bool,
         read: impl FnOnce(&str) -> Result<Vec<u8>, Error>,
@@ -132,25 +129,15 @@ impl SentenceModule {
     }
 }
 
-#[derive(Deserialize)]
-#[serde(default)]
+#[derive(Default, Deserialize)]
 struct TokenizerConfig {
-    do_lower_case: bool,
+    /// True by default.
+    do_lower_case: Option<bool>,
     strip_accents: Option<bool>,
-    tokenize_chinese_chars: bool,
+    /// True by default.
+    tokenize_chinese_chars: Option<bool>,
     /// Some tokenizers record 10^30 for no limit.
     model_max_length: Option<f64>,
-}
-
-impl Default for TokenizerConfig {
-    fn default() -> Self {
-        Self {
-            do_lower_case: true,
-            strip_accents: None,
-            tokenize_chinese_chars: true,
-            model_max_length: None,
-        }
-    }
 }
 
 #[derive(Default, Deserialize)]
@@ -436,8 +423,9 @@ fn document_of_vocabulary(text: &str, settings: &TokenizerConfig) -> Result<Vec<
         "added_tokens": special,
         "normalizer": {
             "type": "BertNormalizer", "clean_text": true,
-            "handle_chinese_chars": settings.tokenize_chinese_chars,
-            "strip_accents": settings.strip_accents, "lowercase": settings.do_lower_case,
+            "handle_chinese_chars": settings.tokenize_chinese_chars.unwrap_or(true),
+            "strip_accents": settings.strip_accents,
+            "lowercase": settings.do_lower_case.unwrap_or(true),
         },
         "pre_tokenizer": {"type": "BertPreTokenizer"},
         "post_processor": {

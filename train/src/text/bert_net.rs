@@ -104,9 +104,6 @@ fn tiny_epsilon() -> f64 {
 
 impl BertConfig {
     /// Reads a `config.json`; `path` names the file in errors.
-    ///
-    /// # Errors
-    /// The file describes another network than BERT and DistilBERT, or lacks a size.
     pub(super) fn parse(document: &[u8], path: &Path) -> Result<Self, Error> {
         #[derive(Deserialize)]
         struct Named {
@@ -234,9 +231,6 @@ impl BertText {
     /// Builds the network and loads its weights from a safetensors file. Tensors have Hugging Face's names, with or
     /// without a prefix such as `bert.`; others, such as those of a head, are ignored. Weights of half and double
     /// precision are converted to single precision. `path` names the file in errors.
-    ///
-    /// # Errors
-    /// The file is malformed, or a tensor is missing or of another shape.
     pub(super) fn from_safetensors(
         config: &BertConfig,
         bytes: &[u8],

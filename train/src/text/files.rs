@@ -17,9 +17,6 @@ pub(super) fn file_in(folder: &Path) -> impl Fn(&str) -> Option<PathBuf> {
 }
 
 /// The first existing file of several names; errors name `folder`.
-///
-/// # Errors
-/// No such file exists.
 pub(super) fn first(
     what: &str,
     names: &[&str],
@@ -36,9 +33,6 @@ pub(super) fn first(
 
 /// Reads weights as the bytes of a safetensors file. From a file of `torch.save`, only tensors whose names begin with
 /// one of `keep` are taken, or all if `keep` is empty.
-///
-/// # Errors
-/// The file cannot be read, differs from its checksum, or is not a state dict.
 pub(super) fn read_weights(path: &Path, keep: &[&str]) -> Result<Vec<u8>, Error> {
     let bytes = read_checked(path)?;
     if !TORCH_MAGIC.iter().any(|magic| bytes.starts_with(magic)) {

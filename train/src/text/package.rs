@@ -162,8 +162,8 @@ fn list(folder: &Path, prefix: &str, depth: usize, names: &mut Vec<String>) -> R
 }
 
 fn failed(path: &Path, detail: impl std::fmt::Display) -> Error {
-    Error::TextPackage {
-        path: path.to_owned(),
-        detail: detail.to_string(),
-    }
+    Error::Refused(format!(
+        "{} gives no text encoder ({detail})",
+        path.display()
+    ))
 }

@@ -61,11 +61,8 @@ impl TextEncoderSource {
 
     /// One vector for each text, from the encoder that the settings select; none if that encoder is trained with the
     /// model. `clip` is the CLIP model in use. Vectors of CLIP and BERT are read from the run folder or computed; those
-    /// of another encoder are in the user's table or the run folder.
-    ///
-    /// # Errors
-    /// As [`Self::load`] and [`Self::load_bert`], a text cannot be encoded, or the table lacks a text, or differs from
-    /// that of the run folder.
+    /// of another encoder are in the user's table or the run folder. Vectors of BERT are scaled, because without it they
+    /// are about a hundred times smaller than learned word vectors.
     pub(crate) fn embeddings(
         &self,
         run: &Path,
@@ -73,38 +70,16 @@ impl TextEncoderSource {
         (encoder, clip): (TextEncoder, ClipModel),
         session: &Session<'_>,
     ) -> Result<Option<EmbeddingTable>, Error> {
-        let table = match encoder {
-            TextEncoder::Learned => return Ok(None),
-            TextEncoder::Clip => {
-                let load = || self.load(clip, session.device);
-                self.computed(
-                    run,
-                    texts,
-                    "CLIP",
-                    load,
-                    (BertVectors::Pooled, None),
-                    session,
-                )
+        let rms = (encoder == TextEncoder::Bert).then_some(TEXT_DIVISOR);
+        let vectors = (BertVectors::Pooled, rms);
+        match encoder {
+            TextEncoder::Learned => Ok(None),
+            TextEncoder::Clip | TextEncoder::Bert => {
+                let table = self.computed(run, texts, (encoder, clip), vectors, session);
+                table.map(Some)
             }
-            TextEncoder::Bert => self.bert(run, texts, Some(TEXT_DIVISOR), session),
-            TextEncoder::Table => self.given_table(run, texts),
-        };
-        table.map(Some)
-    }
-
-    /// Vectors of BERT. With `rms`, these are the pooled vectors, scaled so that the elements of each have this root
-    /// mean square; without scaling they are about a hundred times smaller than learned word vectors. Without `rms`,
-    /// these are the token states.
-    fn bert(
-        &self,
-        run: &Path,
-        texts: &[String],
-        rms: Option<f64>,
-        session: &Session<'_>,
-    ) -> Result<EmbeddingTable, Error> {
-        let load = || self.load_bert(session.device);
-        let vectors = rms.map_or(BertVectors::States, |_| BertVectors::Pooled);
-        self.computed(run, texts, "BERT", load, (vectors, rms), session)
+            TextEncoder::Table => self.given_table(run, texts).map(Some),
+        }
     }
 
     fn given_table(&self, run: &Path, texts: &[String]) -> Result<EmbeddingTable, Error> {
@@ -140,9 +115,6 @@ impl TextEncoderSource {
     /// The vectors of texts for a model that reads tokens; none if they are trained with the model. They are the last
     /// hidden states of CLIP ViT-L/14, or for BERT its states or, as a single token, its pooled vector. The run
     /// folder's table is used if it holds all texts; otherwise the vectors are computed.
-    ///
-    /// # Errors
-    /// As [`Self::load`] and [`Self::load_bert`], or a text cannot be encoded.
     pub(crate) fn token_embeddings(
         &self,
         run: &Path,
@@ -150,76 +122,76 @@ impl TextEncoderSource {
         config: &TextConfig,
         session: &Session<'_>,
     ) -> Result<Option<EmbeddingTable>, Error> {
-        let table = match config.encoder {
-            TextEncoder::Learned => return Ok(None),
-            TextEncoder::Bert => {
-                let rms = (config.vectors == Some(BertVectors::Pooled)).then_some(1.0);
-                self.bert(run, texts, rms, session)
-            }
-            TextEncoder::Clip | TextEncoder::Table => {
-                let load = || self.load(ClipModel::VitL14, session.device);
-                self.computed(
-                    run,
-                    texts,
-                    "CLIP",
-                    load,
-                    (BertVectors::States, None),
-                    session,
-                )
-            }
+        if config.encoder == TextEncoder::Learned {
+            return Ok(None);
+        }
+        let vectors = match config.vectors {
+            Some(BertVectors::Pooled) => (BertVectors::Pooled, Some(1.0)),
+            _ => (BertVectors::States, None),
         };
+        let encoder = (config.encoder, ClipModel::VitL14);
+        let table = self.computed(run, texts, encoder, vectors, session);
         table.map(Some)
     }
 
-    /// The run folder's table if it holds all texts; otherwise a table that a loaded encoder computes. If the user gave
-    /// an encoder, a table from another one, left by a failed training, is ignored. Vectors are scaled to `rms`, if it
-    /// is given.
-    fn computed<E: FrozenText>(
+    /// The run folder's table if it holds all texts; otherwise a table that a loaded encoder, BERT or CLIP, computes. If
+    /// the user gave an encoder, a table from another one, left by a failed training, is ignored. Vectors are scaled so
+    /// that the elements of each have the root mean square `rms`, if it is given.
+    fn computed(
         &self,
         run: &Path,
         texts: &[String],
-        name: &str,
-        load: impl FnOnce() -> Result<E, Error>,
+        (encoder, clip): (TextEncoder, ClipModel),
         (vectors, rms): (BertVectors, Option<f64>),
         session: &Session<'_>,
     ) -> Result<EmbeddingTable, Error> {
-        let compute = |encoder: &E, texts: &[&str], progress: &mut dyn FnMut(usize, usize)| {
-            let texts = texts.iter().copied();
-            let table = EmbeddingTable::compute(encoder, vectors, texts, progress);
-            table.map(|table| match rms {
-                Some(rms) => table.scaled_to(rms),
-                None => table,
+        let device = session.device;
+        let load = || -> Result<Box<dyn FrozenText>, Error> {
+            Ok(match encoder {
+                TextEncoder::Bert => Box::new(self.load_bert(device)?),
+                _ => Box::new(self.load(clip, device)?),
             })
         };
+        let compute =
+            |encoder: &dyn FrozenText, texts: &[&str], progress: &mut dyn FnMut(usize, usize)| {
+                let texts = texts.iter().copied();
+                let table = EmbeddingTable::compute(encoder, vectors, texts, progress);
+                table.map(|table| match rms {
+                    Some(rms) => table.scaled_to(rms),
+                    None => table,
+                })
+            };
         let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
         let path = run.join(EMBEDDINGS);
         let stored = path.exists().then(|| EmbeddingTable::load(&path));
         let stored = stored
             .transpose()?
             .filter(|table| table.check_texts(texts.iter().copied()).is_ok());
-        let encoder = match (stored, &self.given) {
+        let loaded = match (stored, &self.given) {
             (Some(table), None) => return Ok(table),
             (Some(table), Some(_)) => {
                 // The given encoder may be for another model of the same command.
-                let Ok(encoder) = load() else {
+                let Ok(loaded) = load() else {
                     return Ok(table);
                 };
-                let none = compute(&encoder, &[], &mut |_, _| {})?;
+                let none = compute(&*loaded, &[], &mut |_, _| {})?;
                 if none.encoder() == table.encoder() {
                     return Ok(table);
                 }
-                encoder
+                loaded
             }
             (None, _) => load()?,
         };
         let progress = session.progress;
         progress.begin("texts", Some(texts.len() as u64));
         let mut reported = 0;
-        let table = compute(&encoder, &texts, &mut |done, _| {
+        let table = compute(&*loaded, &texts, &mut |done, _| {
             progress.advance((done - reported) as u64);
             reported = done;
         })?;
-        progress.finish(&format!("{} texts encoded by {name}", table.texts().len()));
+        let (count, is_bert) = (table.texts().len(), encoder == TextEncoder::Bert);
+        let name = if is_bert { "BERT" } else { "CLIP" };
+        progress.finish(&format!("{count} texts encoded by {name}"));
         Ok(table)
     }
 }

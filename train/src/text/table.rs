@@ -13,7 +13,6 @@ use crate::config::BertVectors;
 use crate::model::torch::StoredTensor;
 
 const BATCH_LEN: usize = 64;
-const NAMED_TEXTS: usize = 3;
 const FORMAT: u32 = 1;
 /// The only key of the file's metadata, because the order of several keys would vary.
 const METADATA_KEY: &str = "stance";
@@ -50,7 +49,7 @@ impl EmbeddingTable {
     /// # Errors
     /// A text cannot be encoded.
     pub fn compute<'a>(
-        encoder: &impl FrozenText,
+        encoder: &dyn FrozenText,
         vectors: BertVectors,
         texts: impl IntoIterator<Item = &'a str>,
         progress: &mut dyn FnMut(usize, usize),
@@ -184,14 +183,8 @@ impl EmbeddingTable {
         if missing.is_empty() {
             return Ok(());
         }
-        Err(Error::NotEmbedded {
-            count: missing.len(),
-            examples: missing
-                .into_iter()
-                .take(NAMED_TEXTS)
-                .map(str::to_owned)
-                .collect(),
-        })
+        let missing: Vec<&str> = missing.into_iter().collect();
+        Err(Error::not_embedded(&missing))
     }
 
     /// BLAKE3 of the texts and vectors; a run records it as the identity of its training texts.
@@ -325,10 +318,10 @@ fn ends_of(lengths: impl IntoIterator<Item = usize>) -> Vec<usize> {
 }
 
 fn malformed(path: &Path, detail: impl std::fmt::Display) -> Error {
-    Error::EmbeddingTable {
-        path: path.to_owned(),
-        detail: detail.to_string(),
-    }
+    Error::Refused(format!(
+        "{} is no table of text embeddings ({detail}); make it again",
+        path.display()
+    ))
 }
 
 #[cfg(test)]

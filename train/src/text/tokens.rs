@@ -135,9 +135,6 @@ impl ClipTokenizer {
 
     /// Hashes everything that determines tokenisation. The same vocabulary has the same hash as JSON and as a list of
     /// merges.
-    ///
-    /// # Errors
-    /// As [`ClipTokenizer::encode`].
     pub(crate) fn hash_into(&self, hasher: &mut blake3::Hasher) -> Result<(), Error> {
         // Special tokens are hashed by id, because their names differ between files.
         let special = [self.start, self.end].map(i64::from);
@@ -360,10 +357,8 @@ pub(crate) mod tests {
             b"#version\nab\n",
             &[0xff; 9],
         ] {
-            assert!(matches!(
-                ClipTokenizer::parse(broken, path),
-                Err(Error::Tokenizer { .. })
-            ));
+            let error = ClipTokenizer::parse(broken, path).expect_err("broken");
+            assert!(error.to_string().contains("is no tokenizer"), "{error}");
         }
     }
 

@@ -77,9 +77,6 @@ impl ClipSource for CapturedPairs {
 }
 
 /// Mean and standard deviation of the features of all motions of clips.
-///
-/// # Errors
-/// There is no clip, or a motion cannot be resampled.
 pub(crate) fn statistics(
     sources: &[&dyn ClipSource],
     fps: Fps,

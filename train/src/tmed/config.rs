@@ -263,9 +263,6 @@ impl TmedDiffusion {
     }
 
     /// The sampling steps of an edit; without `edit_steps`, as many as in training.
-    ///
-    /// # Errors
-    /// The number of steps is 0, or greater than in training.
     pub(crate) fn steps(&self, edit_steps: Option<usize>) -> Result<SampleSteps, Error> {
         let steps = edit_steps.unwrap_or(self.num_steps);
         SampleSteps::new(self.num_steps, steps, self.respacing)

@@ -1,7 +1,5 @@
 //! TMED as an editing system, which generates a whole motion at once.
 
-use std::collections::BTreeMap;
-
 use burn::tensor::Device;
 use datasets_spec::{Fps, Motion, Pose, Rng, Seed, Skeleton};
 use kinematics::resample::{grid, interpolate_all};
@@ -24,8 +22,8 @@ use crate::sample::EditTimes;
 use crate::sample::noise::Noise;
 use crate::system::Setting::{Count, Flag, Number};
 use crate::system::{
-    EditConfig, EditRequest, EditSystem, EditedMotions, Misfit, Remarks, SystemIdentity,
-    SystemSource, named_with,
+    EditConfig, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource, in_groups,
+    named_with,
 };
 use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
@@ -348,47 +346,34 @@ impl EditSystem for TmedSystem {
         requests: &[EditRequest<'_>],
         seed: Seed,
         session: &Session<'_>,
-    ) -> Result<EditedMotions, Error> {
+    ) -> Result<(Vec<(Motion, Misfit)>, EditTimes), Error> {
         let questions = requests
             .par_iter()
             .map(|request| self.question(request))
             .collect::<Result<Vec<_>, Error>>()?;
-        // Questions are grouped by length, so that results do not depend on padding.
-        let mut groups: BTreeMap<[usize; 3], Vec<usize>> = BTreeMap::new();
-        for (index, question) in questions.iter().enumerate() {
+        let key = |question: &Question<'_>| -> Result<[usize; 3], Error> {
             let tokens = self.tokens(&[question.text])?.lengths()[0];
-            let key = [question.source.len(), question.frames, tokens];
-            groups.entry(key).or_default().push(index);
-        }
-        let begun = session.secs();
-        let mut times = EditTimes::default();
-        let mut motions = vec![None; questions.len()];
-        let progress = session.progress;
-        progress.begin("edit", Some(questions.len() as u64));
-        for (key, members) in &groups {
-            for chunk in members.chunks(self.settings.max_batch.max(1)) {
-                session.go_on("editing")?;
-                let asked: Vec<&Question<'_>> =
-                    chunk.iter().map(|&index| &questions[index]).collect();
-                let features = self.generate(&asked, seed, session)?;
-                for (&index, frames) in chunk.iter().zip(features.chunks_exact(key[1])) {
-                    let motion = questions[index].motion(&self.record, frames.to_vec())?;
-                    motions[index] = Some((motion, Misfit::default()));
-                }
-                times.num_windows += chunk.len();
-                times.num_batches += 1;
-                times.window = times.window.max(key[1]);
-                progress.advance(chunk.len() as u64);
-            }
-        }
-        times.diffusion_secs = session.secs() - begun;
-        progress.finish(&format!("{} motions edited", questions.len()));
-        let motions = motions
-            .into_iter()
-            .map(|made| made.expect("every request is in a group"));
-        Ok(EditedMotions {
-            motions: motions.collect(),
-            times,
-        })
+            Ok([question.source.len(), question.frames, tokens])
+        };
+        let keys = questions
+            .iter()
+            .map(key)
+            .collect::<Result<Vec<_>, Error>>()?;
+        let mut times = EditTimes {
+            window: keys.iter().map(|key| key[1]).max().unwrap_or(0),
+            ..EditTimes::default()
+        };
+        let max_batch = self.settings.max_batch;
+        let motions = in_groups(keys, max_batch, &mut times, session, |places| {
+            let asked: Vec<&Question<'_>> = places.iter().map(|&place| &questions[place]).collect();
+            let features = self.generate(&asked, seed, session)?;
+            let rows = asked.iter().zip(features.chunks_exact(asked[0].frames));
+            rows.map(|(question, frames)| {
+                let motion = question.motion(&self.record, frames.to_vec())?;
+                Ok((motion, Misfit::default()))
+            })
+            .collect()
+        })?;
+        Ok((motions, times))
     }
 }

@@ -18,18 +18,9 @@ use crate::model::weights::{from_safetensors, to_safetensors};
 /// Parameters of released checkpoints that the released network never uses.
 const UNUSED: [&str; 2] = ["feat_comb_coeff", "first_pose_proj."];
 
-/// Properties of a released checkpoint that its file does not state.
-#[derive(Clone, Debug)]
-pub struct TmedImport {
-    /// Number of attention heads.
-    pub num_heads: usize,
-    /// Statistics that the features were normalised with.
-    pub statistics: FeatureStatistics,
-    /// The frozen text encoder: CLIP ViT-L/14.
-    pub text: TextRecord,
-}
-
-/// Makes a run folder of a TMED trained elsewhere, with the released settings. Sizes are read from the tensors.
+/// Makes a run folder of a TMED trained elsewhere, with the released settings. Sizes are read from the tensors, except
+/// for the number of attention heads. `statistics` normalised the features, and `text` is the frozen text encoder, CLIP
+/// ViT-L/14.
 ///
 /// `weights` is a safetensors file under the released names.
 ///
@@ -38,18 +29,19 @@ pub struct TmedImport {
 /// of another width, or a file cannot be written.
 pub fn import_tmed(
     run_dir: &Path,
-    import: TmedImport,
+    num_heads: usize,
+    (statistics, text): (FeatureStatistics, TextRecord),
     weights: Vec<u8>,
     path: &Path,
     device: &Device,
 ) -> Result<(), Error> {
     let record = TmedRecord {
         train: TmedConfig {
-            model: sizes(&weights, import.num_heads, path)?,
+            model: sizes(&weights, num_heads, path)?,
             ..TmedConfig::preset(Preset::Official)
         },
-        statistics: import.statistics,
-        text: import.text,
+        statistics,
+        text,
         compose: None,
     };
     record.check()?;

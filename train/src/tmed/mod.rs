@@ -17,7 +17,7 @@ pub use self::clips::{CapturedPairs, ClipBatch, ClipEdit, ClipSource};
 pub use self::config::{
     ClipData, EditStart, NoSource, StatisticsSplits, TargetPlaces, TmedConfig, TmedDiffusion,
 };
-pub use self::exchange::{TmedImport, import_tmed, read_released_statistics};
+pub use self::exchange::{import_tmed, read_released_statistics};
 pub use self::guidance::{Branch, branches, guided};
 pub use self::objective::{group_loss, loss};
 pub(crate) use self::stage::MODEL;

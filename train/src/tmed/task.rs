@@ -54,9 +54,6 @@ pub(crate) struct TmedRecord {
 
 impl TmedRecord {
     /// Checks a record after reading.
-    ///
-    /// # Errors
-    /// A setting is out of range, or the statistics are unusable.
     pub(crate) fn check(&self) -> Result<(), Error> {
         self.train.check()?;
         self.statistics.check()

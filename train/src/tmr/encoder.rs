@@ -276,10 +276,8 @@ fn load_texts(
     let folder = run_dir.join(TEXT_FOLDER);
     let encoder = BertEncoder::load(&BertFiles::in_folder(&folder)?, device)?;
     if encoder.identity(BertVectors::States) != record.encoder_hash {
-        return Err(Error::Corrupt {
-            path: folder,
-            detail: "it holds another text encoder than the one that was imported".to_owned(),
-        });
+        let detail = "it holds another text encoder than the one that was imported";
+        return Err(Error::corrupt(&folder, detail));
     }
     let mut network = SequenceEncoder::new(record.width, &record.model, device);
     load_network(&mut network, files, TEXT_WEIGHTS, run_dir)?;

@@ -37,14 +37,8 @@ struct Stored {
 impl Stored {
     fn open(&self, surroundings: &Surroundings) -> Result<Making, Error> {
         let folders = [self.dataset.as_path(), self.generator.as_path()];
-        let (instructions, config) = (&self.instructions, &self.config);
-        Making::open(
-            folders,
-            instructions,
-            config,
-            self.seed,
-            &surroundings.device,
-        )
+        let (asked, config) = (&self.instructions, &self.config);
+        Making::open(folders, asked, config, self.seed, &surroundings.device)
     }
 }
 
@@ -82,14 +76,14 @@ pub fn plan_variants(
         device,
     };
     let making = stored.open(surroundings)?;
-    made_before(destination, making.plan_hash())?;
+    made_before(destination, &making.plan_hash)?;
     let pieces = (0..making.num_batches()).map(|batch| {
         let name = format!("variants/batch-{batch}-of-{}", making.num_batches());
         let items = making.batch_len(batch) as u64;
         let none = std::iter::empty();
-        Piece::new(making.plan_hash(), batch, name, items, none).with(0, &Detail { batch })
+        Piece::new(&making.plan_hash, batch, name, items, none).with(0, &Detail { batch })
     });
-    let (pieces, plan_hash) = (pieces.collect(), making.plan_hash().to_owned());
+    let (pieces, plan_hash) = (pieces.collect(), making.plan_hash.clone());
     write_plan(JOB, &stored, destination, pieces, plan_hash, out)
 }
 
@@ -100,7 +94,7 @@ pub fn plan_variants(
 pub fn open_job(plan: &Plan, surroundings: Surroundings) -> Result<Box<dyn Job>, Failed> {
     let stored: Stored = plan.settings()?;
     let mut making = stored.open(&surroundings)?;
-    if making.plan_hash() != plan.hash() {
+    if making.plan_hash != plan.hash() {
         let (dataset, generator) = (stored.dataset.display(), stored.generator.display());
         let what = format!("the dataset {dataset} or the generator {generator}");
         return Err(changed(&what));
@@ -120,7 +114,7 @@ impl Job for Variants {
         let made = self
             .surroundings
             .with_session(|session| making.batch(batch, usize::MAX, session))?;
-        let facts = table_facts(making.skeleton(), making.plan_hash());
+        let facts = table_facts(&making.skeleton, &making.plan_hash);
         let name = |table| ShardName {
             table,
             split: None,

@@ -4,45 +4,56 @@ use burn::tensor::{Tensor, TensorData};
 use train::gaussian::{Respacing, SampleSteps};
 use train::schedule::Schedule;
 
+use super::mdm::{recorded, reverse_steps, sequence};
 use super::{Golden, check};
 
-/// Compares all recorded arrays of a schedule, whose names begin with `prefix`.
-fn check_arrays(golden: &Golden, prefix: &str, schedule: &Schedule) {
-    let derived = |f: &dyn Fn(f64) -> f64| -> Vec<f64> {
-        schedule.alphas_cumprod.iter().map(|&a| f(a)).collect()
-    };
-    // The variance of the last step is zero, so the reference uses that of the previous step.
-    let log_variance = (0..schedule.len()).map(|t| schedule.posterior_variance[t.max(1)].ln());
+/// A recorded array that follows from the cumulative products: name and function.
+pub(super) type Derived = (&'static str, fn(f64) -> f64);
+
+/// Compares the recorded arrays of a schedule, whose names begin with `prefix`, and those in `derived`.
+pub(super) fn check_arrays(
+    golden: &Golden,
+    prefix: &str,
+    schedule: &Schedule,
+    derived: &[Derived],
+    tolerance: f64,
+) {
     for (name, values) in [
-        ("betas", schedule.betas.clone()),
-        ("alphas_cumprod", schedule.alphas_cumprod.clone()),
-        ("alphas_cumprod_prev", schedule.alphas_cumprod_prev.clone()),
-        ("posterior_variance", schedule.posterior_variance.clone()),
-        ("posterior_log_variance_clipped", log_variance.collect()),
-        (
-            "posterior_mean_coef1",
-            schedule.posterior_mean_coef1.clone(),
-        ),
-        (
-            "posterior_mean_coef2",
-            schedule.posterior_mean_coef2.clone(),
-        ),
-        ("sqrt_alphas_cumprod", derived(&f64::sqrt)),
-        (
-            "sqrt_one_minus_alphas_cumprod",
-            derived(&|a| (1.0 - a).sqrt()),
-        ),
+        ("betas", &schedule.betas),
+        ("alphas_cumprod", &schedule.alphas_cumprod),
+        ("alphas_cumprod_prev", &schedule.alphas_cumprod_prev),
+        ("posterior_variance", &schedule.posterior_variance),
+        ("posterior_mean_coef1", &schedule.posterior_mean_coef1),
+        ("posterior_mean_coef2", &schedule.posterior_mean_coef2),
     ] {
-        check_array(golden, &format!("{prefix}{name}"), &values);
+        check_array(golden, &format!("{prefix}{name}"), values, tolerance);
+    }
+    let root: Derived = ("sqrt_alphas_cumprod", f64::sqrt);
+    for &(name, f) in std::iter::once(&root).chain(derived) {
+        let values: Vec<f64> = schedule.alphas_cumprod.iter().map(|&a| f(a)).collect();
+        check_array(golden, &format!("{prefix}{name}"), &values, tolerance);
     }
 }
 
-fn check_array(golden: &Golden, name: &str, values: &[f64]) {
+/// Compares the recorded arrays of a schedule of TMED or MDM.
+fn check_gaussian(golden: &Golden, prefix: &str, schedule: &Schedule) {
+    let derived: [Derived; 1] = [("sqrt_one_minus_alphas_cumprod", |a| (1.0 - a).sqrt())];
+    check_arrays(golden, prefix, schedule, &derived, 1e-10);
+    // The variance of the last step is zero, so the reference uses that of the previous step.
+    let log_variance: Vec<f64> = (0..schedule.len())
+        .map(|t| schedule.posterior_variance[t.max(1)].ln())
+        .collect();
+    let name = format!("{prefix}posterior_log_variance_clipped");
+    check_array(golden, &name, &log_variance, 1e-10);
+}
+
+/// Compares numbers with a recorded array, by a relative tolerance.
+pub(super) fn check_array(golden: &Golden, name: &str, values: &[f64], tolerance: f64) {
     let (expected, _) = golden.values(name);
     assert_eq!(values.len(), expected.len(), "{name}");
     for (value, expected) in values.iter().zip(&expected) {
         assert!(
-            (value - expected).abs() <= 1e-10 * expected.abs(),
+            (value - expected).abs() <= tolerance * expected.abs(),
             "{name}: {value} {expected}"
         );
     }
@@ -72,7 +83,7 @@ fn golden_tmed_schedule_arrays() {
         let prefix = format!("out.T{steps}.");
         // The case has the defect of the original: fewer steps use a separate, shorter schedule.
         let steps = SampleSteps::new(trained, steps, Respacing::Official).expect("steps");
-        check_arrays(&golden, &prefix, steps.schedule());
+        check_gaussian(&golden, &prefix, steps.schedule());
         let map = golden.indices(&format!("{prefix}timestep_map"));
         assert_eq!(steps.timesteps(), map, "{prefix}");
     }
@@ -88,13 +99,7 @@ fn golden_mdm_schedule_arrays() {
     };
     let steps = golden.values("out.betas").1[0];
     let schedule = Schedule::cosine(steps).expect("steps");
-    check_arrays(&golden, "out.", &schedule);
-}
-
-/// Reads the recorded `[B, D, 1, T]` as `[B, T, D]`.
-fn sequence(golden: &Golden, name: &str) -> Tensor<3> {
-    let x: Tensor<4> = golden.tensor(name);
-    x.squeeze_dim::<3>(2).swap_dims(1, 2)
+    check_gaussian(&golden, "out.", &schedule);
 }
 
 #[test]
@@ -104,7 +109,6 @@ fn golden_mdm_reverse_step_and_noising() {
     };
     let schedule = Schedule::cosine(golden.values("out.betas").1[0]).expect("steps");
     let timesteps = golden.indices("in.t");
-    let recorded = |x: Tensor<3>| x.swap_dims(1, 2).unsqueeze_dim::<4>(2);
     let noise = sequence(&golden, "in.noise");
     let noisy = schedule.q_sample(sequence(&golden, "in.source"), &timesteps, noise.clone());
     check(recorded(noisy), &golden, "out.q_sample", 5e-5);
@@ -121,14 +125,6 @@ fn golden_mdm_reverse_step_and_noising() {
     let rows = timesteps.len();
     let variance = Tensor::<1>::from_data(TensorData::new(variance, [rows]), &x0.device());
     check(variance, &golden, "out.inpaint.variance", 1e-7);
-    let stepped: Vec<Tensor<3>> = timesteps
-        .iter()
-        .enumerate()
-        .map(|(row, &timestep)| {
-            let of = |x: &Tensor<3>| x.clone().narrow(0, row, 1);
-            schedule.reverse_step(of(&x_t), of(&x0), timestep, of(&noise))
-        })
-        .collect();
-    let stepped = recorded(Tensor::cat(stepped, 0));
+    let stepped = reverse_steps(&schedule, [&x_t, &x0, &noise], &timesteps);
     check(stepped, &golden, "out.inpaint.sample", 5e-5);
 }

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use datasets_spec::JointSet;
-use safetensors::SafeTensors;
 use train::diffusion::guide;
 use train::humanml3d::feature_mask;
 use train::mdm::masked_l2;
@@ -25,13 +24,26 @@ fn network(golden: &Golden) -> Mdm {
 }
 
 /// Reads the recorded `[B, F, 1, T]` as `[B, T, F]`.
-fn sequence(golden: &Golden, name: &str) -> Tensor<3> {
+pub(super) fn sequence(golden: &Golden, name: &str) -> Tensor<3> {
     let x: Tensor<4> = golden.tensor(name);
     x.squeeze_dim::<3>(2).swap_dims(1, 2)
 }
 
-fn recorded(x: Tensor<3>) -> Tensor<4> {
+pub(super) fn recorded(x: Tensor<3>) -> Tensor<4> {
     x.swap_dims(1, 2).unsqueeze_dim(2)
+}
+
+/// One step of sampling for each row of `x_t`, `x0` and the noise, in the form of the recording.
+pub(super) fn reverse_steps(
+    schedule: &Schedule,
+    [x_t, x0, noise]: [&Tensor<3>; 3],
+    timesteps: &[usize],
+) -> Tensor<4> {
+    let steps = timesteps.iter().enumerate().map(|(row, &timestep)| {
+        let of = |x: &Tensor<3>| x.clone().narrow(0, row, 1);
+        schedule.reverse_step(of(x_t), of(x0), timestep, of(noise))
+    });
+    recorded(Tensor::cat(steps.collect(), 0))
 }
 
 fn text(golden: &Golden) -> Tensor<2> {
@@ -98,15 +110,7 @@ fn golden_mdm_inpainting() {
 
     let schedule = Schedule::cosine(golden.values("out.betas").1[0]).expect("steps");
     let noise = sequence(&golden, "in.noise");
-    let stepped: Vec<Tensor<3>> = timesteps
-        .iter()
-        .enumerate()
-        .map(|(row, &timestep)| {
-            let of = |x: &Tensor<3>| x.clone().narrow(0, row, 1);
-            schedule.reverse_step(of(&x_t), of(&x0), timestep, of(&noise))
-        })
-        .collect();
-    let stepped = recorded(Tensor::cat(stepped, 0));
+    let stepped = reverse_steps(&schedule, [&x_t, &x0, &noise], &timesteps);
     check(stepped, &golden, "out.plain.sample", 5e-5);
 
     let lengths = denoiser.indices("in.lengths");
@@ -148,13 +152,7 @@ fn golden_mdm_is_imported_as_an_editor() {
     let Some(golden) = Golden::find("mdm_denoiser") else {
         return;
     };
-    let recorded = golden.bytes();
-    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
-    let tensors = reference
-        .tensors()
-        .into_iter()
-        .filter_map(|(name, tensor)| Some((name.strip_prefix("weights.")?.to_owned(), tensor)));
-    let bytes = safetensors::serialize(tensors, None).expect("serialises");
+    let bytes = golden.weights("weights.");
     let device = Device::flex();
     let imported = |args: &str, run: &Path| {
         let args: MdmArgs = serde_json::from_str(args).expect("arguments");

@@ -19,7 +19,7 @@ use train::text::source::TextEncoderSource;
 use train::tmed::features::{
     FeatureFrame, FeatureStatistics, GROUPS, NUM_FEATURES, features_of_poses, poses_of_features,
 };
-use train::tmed::{TmedConfig, TmedImport, branches, group_loss, guided, import_tmed};
+use train::tmed::{TmedConfig, branches, group_loss, guided, import_tmed};
 
 use super::gaussian::step_counts;
 use super::{Golden, check, floats, max_difference};
@@ -263,13 +263,9 @@ fn golden_tmed_is_imported_as_an_editor() {
     let Some(golden) = Golden::find("tmed_denoiser") else {
         return;
     };
-    let recorded = golden.bytes();
-    let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");
-    let mut tensors: Vec<_> = reference
-        .tensors()
-        .into_iter()
-        .filter_map(|(name, tensor)| Some((name.strip_prefix("weights.")?.to_owned(), tensor)))
-        .collect();
+    let released = golden.weights("weights.");
+    let released = SafeTensors::deserialize(&released).expect("a safetensors file");
+    let mut tensors = released.tensors();
     for unused in ["feat_comb_coeff", "first_pose_proj.weight"] {
         assert!(tensors.iter().any(|(name, _)| name == unused), "{unused}");
     }
@@ -278,18 +274,16 @@ fn golden_tmed_is_imported_as_an_editor() {
     let device = Device::flex();
     let import = |tensors: &[(String, safetensors::tensor::TensorView<'_>)]| {
         let bytes = safetensors::serialize(tensors.iter().cloned(), None).expect("serialises");
-        let import = TmedImport {
-            num_heads: golden.size("num_heads"),
-            statistics: FeatureStatistics {
-                mean: vec![0.0; NUM_FEATURES],
-                std: vec![1.0; NUM_FEATURES],
-            },
-            text: TextRecord::Frozen {
-                encoder_hash: "clip".to_owned(),
-                width: golden.size("text_encoded_dim"),
-            },
+        let statistics = FeatureStatistics {
+            mean: vec![0.0; NUM_FEATURES],
+            std: vec![1.0; NUM_FEATURES],
         };
-        import_tmed(&run, import, bytes, Path::new("last.ckpt"), &device)
+        let text = TextRecord::Frozen {
+            encoder_hash: "clip".to_owned(),
+            width: golden.size("text_encoded_dim"),
+        };
+        let (heads, path) = (golden.size("num_heads"), Path::new("last.ckpt"));
+        import_tmed(&run, heads, (statistics, text), bytes, path, &device)
     };
     let fewer: Vec<_> = tensors
         .iter()

@@ -100,24 +100,6 @@ fn the_first_losses_of_mld_are_those_of_untrained_networks() {
     assert!((found / 2.0 - 1.0).abs() < 0.15, "{found}");
 }
 
-/// The losses of the first and the last of `steps` training steps.
-fn overfitted<M: burn::module::Module>(
-    mut model: M,
-    steps: u32,
-    loss: impl Fn(&M) -> Tensor<1>,
-) -> [f32; 2] {
-    let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
-    let mut losses = Vec::new();
-    for step in 0..steps {
-        let loss = loss(&model);
-        losses.push(loss.clone().into_scalar::<f32>());
-        let gradients = GradientsParams::from_grads(loss.backward(), &model);
-        let rate = 2e-3 * (1.0 - f64::from(step) / f64::from(steps));
-        model = optimizer.step(rate, model, gradients);
-    }
-    [losses[0], losses[steps as usize - 1]]
-}
-
 #[test]
 fn one_batch_of_mld_is_overfitted() {
     let device = Device::flex().autodiff();
@@ -132,23 +114,21 @@ fn one_batch_of_mld_is_overfitted() {
     let motions = normal([2, 6, 12]);
     let vae = draw(MotionVae::new(&network, 12, 16, &device), Seed(5)).expect("known layers");
     let pass = Pass::default();
-    let [first, last] = overfitted(vae, 200, |vae| {
+    check_overfits(vae, 200, 2e-3, |vae| {
         let latent = vae.encode(motions.clone(), &[6, 6], &pass).mu;
         let decoded = vae.decode(latent, &[6, 6], 6, &pass);
         (decoded - motions.clone()).square().mean()
     });
-    assert!(last < 0.01 * first, "autoencoder: {first} fell to {last}");
 
     let flat = |x: Tensor<3>| x.squeeze_dim::<2>(1);
     let (z, noise) = (flat(normal([3, 1, 128])), flat(normal([3, 1, 128])));
     let text = flat(normal([3, 1, 16]));
     let denoiser = LatentDenoiser::new(&network, 16, 8, &device);
     let denoiser = draw(denoiser, Seed(6)).expect("known layers");
-    let [first, last] = overfitted(denoiser, 200, |denoiser| {
+    check_overfits(denoiser, 200, 2e-3, |denoiser| {
         let predicted = denoiser.forward(z.clone(), &[1, 20, 30], text.clone(), &pass);
         (predicted - noise.clone()).square().mean()
     });
-    assert!(last < 0.01 * first, "denoiser: {first} fell to {last}");
 }
 
 #[test]
@@ -175,15 +155,10 @@ fn an_interrupted_run_of_mld_ends_as_an_uninterrupted_one() {
         let [whole, parts] = [&whole, &parts].map(|dir| dir.path().join(part));
         assert_eq!(logged_losses(&parts), logged_losses(&whole));
         let files = match part {
-            "" => &["denoiser.safetensors", "ema-text.safetensors"][..],
-            _ => &["autoencoder.safetensors"],
+            "" => &["last/denoiser.safetensors", "last/ema-text.safetensors"][..],
+            _ => &["last/autoencoder.safetensors"],
         };
-        for name in files {
-            let bytes = |run: &Path| {
-                std::fs::read(run.join("checkpoint/last").join(name)).expect("a checkpoint")
-            };
-            assert!(bytes(&parts) == bytes(&whole), "{name}");
-        }
+        check_same(&parts, &whole, files);
     }
 }
 

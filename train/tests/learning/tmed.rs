@@ -1,33 +1,16 @@
 //! TMED learns, continues exactly after an interruption, and edits.
 
-use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::time::Instant;
-
-use burn::optim::{AdamWConfig, GradientsParams};
-use burn::tensor::Device;
-use datasets_spec::{Fps, JointSet, Motion, NoProgress, Pose, Progress, Seed, Skeleton};
-use glam::{DQuat, DVec3};
-use rand::RngExt;
-use rand_distr::StandardNormal;
-use train::Session;
-use train::config::{NetworkConfig, Preset, RunLength};
-use train::data::TextBatch;
-use train::model::motionrefit::TextSource;
-use train::model::pass::{Arithmetic, Pass};
+use datasets_spec::JointSet;
 use train::model::tmed::TmedModel;
-use train::model::weights::draw;
 use train::registry::open_system;
-use train::schedule::Schedule;
 use train::system::{EditConfig, EditRequest, EditSystem, SystemSource, whole};
 use train::text::source::TextEncoderSource;
 use train::tmed::features::NUM_FEATURES;
 use train::tmed::{
     ClipBatch, ClipData, ClipEdit, ClipSource, TmedConfig, TmedCorpus, loss, train_tmed,
 };
-use train::vocabulary::Vocabulary;
 
-use super::{StopAfter, logged_losses, quietly, steps_done};
+use super::*;
 
 const INSTRUCTIONS: [&str; 2] = ["raise the arm", "lower the arm"];
 
@@ -89,7 +72,6 @@ fn config(num_steps: u64) -> TmedConfig {
 }
 
 fn train(run: &Path, config: &TmedConfig, progress: &dyn Progress, stop: &AtomicBool) {
-    let begun = Instant::now();
     let corpus = TmedCorpus {
         train: &Arms,
         val: &Arms,
@@ -99,15 +81,10 @@ fn train(run: &Path, config: &TmedConfig, progress: &dyn Progress, stop: &Atomic
         dataset_hash: "0",
         compose: None,
     };
-    let session = Session {
-        device: &Device::flex(),
-        more_devices: &[],
-        arithmetic: Arithmetic::default(),
-        progress,
-        stop,
-        clock: &|| begun.elapsed(),
-    };
-    train_tmed(run, config, corpus, &session).expect("trains");
+    watched(progress, stop, |session| {
+        train_tmed(run, config, corpus, session)
+    })
+    .expect("trains");
 }
 
 /// A batch of random clips with different lengths.
@@ -181,23 +158,14 @@ fn one_batch_is_overfitted_by_tmed() {
         let (frame, feature) = (index / NUM_FEATURES, index % NUM_FEATURES);
         0.5 * (0.9 * frame as f32 + feature as f32).sin()
     });
-    let mut model = network(64, vocabulary.num_tokens());
+    let model = network(64, vocabulary.num_tokens());
     let schedule = Schedule::cosine(300).expect("steps");
     let config = TmedConfig::preset(Preset::Paper);
     let device = Device::flex().autodiff();
-    const STEPS: u32 = 400;
-    let mut optimizer = AdamWConfig::new().with_epsilon(1e-8).init();
     let pass = Pass::default();
-    let mut losses = Vec::new();
-    for step in 0..STEPS {
-        let loss = loss(&model, &batch, &config, &schedule, &device, &pass);
-        losses.push(loss.clone().into_scalar::<f32>());
-        let gradients = GradientsParams::from_grads(loss.backward(), &model);
-        let rate = 3e-3 * (1.0 - f64::from(step) / f64::from(STEPS));
-        model = optimizer.step(rate, model, gradients);
-    }
-    let (first, last) = (losses[0], losses[STEPS as usize - 1]);
-    assert!(last < 0.01 * first, "{first} fell to {last}");
+    check_overfits(model, 400, 3e-3, |model| {
+        loss(model, &batch, &config, &schedule, &device, &pass)
+    });
 }
 
 #[test]
@@ -216,15 +184,13 @@ fn tmed_is_continued_exactly() {
         train(parts.path(), &config, &progress, &stop);
     }
     assert_eq!(logged_losses(parts.path()), logged_losses(whole.path()));
-    for name in [
+    let files = [
         "last/denoiser.safetensors",
         "last/words.safetensors",
         "last/ema-denoiser.safetensors",
         "best/denoiser.safetensors",
-    ] {
-        let read = |run: &Path| std::fs::read(run.join("checkpoint").join(name)).expect("a file");
-        assert!(read(whole.path()) == read(parts.path()), "{name} differs");
-    }
+    ];
+    check_same(whole.path(), parts.path(), &files);
 }
 
 fn edited(system: &dyn EditSystem, asked: &[(&Motion, &str, Option<usize>)]) -> Vec<Motion> {

@@ -72,10 +72,7 @@ impl HubCache {
     ) -> Result<Option<PathBuf>, Error> {
         let folder = self.folder(repo);
         let address = hub.address(repo, BRANCH, file);
-        let failed = |problem: String| Error::Download {
-            address: address.clone(),
-            problem,
-        };
+        let failed = |problem: String| Error::download(&address, &problem);
         let Some(remote) = describe(hub, repo, file).map_err(failed)? else {
             return Ok(None);
         };

@@ -69,9 +69,9 @@ impl Hub {
             .into_iter()
             .find_map(text)
             .map(|address| {
-                Proxy::new(&address).map_err(|error| Error::Proxy {
-                    variable: "HTTPS_PROXY",
-                    problem: error.to_string(),
+                Proxy::new(&address).map_err(|error| {
+                    let variable = "HTTPS_PROXY";
+                    Error::hub(variable, format!("{variable} names no proxy ({error})"))
                 })
             })
             .transpose()?;
@@ -113,10 +113,15 @@ impl Hub {
     /// # Errors
     /// There is no token.
     pub fn check_token(&self) -> Result<(), Error> {
-        match self.token {
-            Some(_) => Ok(()),
-            None => Err(Error::NoToken(self.endpoint.clone())),
+        if self.has_token() {
+            return Ok(());
         }
+        let endpoint = &self.endpoint;
+        let problem = format!(
+            "no token of the hub is known; make one with the right to write at {endpoint}/settings/tokens, and set \
+             HF_TOKEN or run `hf auth login`"
+        );
+        Err(Error::hub(endpoint, problem))
     }
 
     pub(super) fn has_token(&self) -> bool {
@@ -195,9 +200,7 @@ impl Hub {
             .timeout_recv_response(Some(COMMIT_TIMEOUT))
             .timeout_per_read(Some(COMMIT_TIMEOUT))
             .build();
-        let response = request
-            .send(body)
-            .map_err(|error| failed(address, error.to_string()))?;
+        let response = request.send(body).map_err(|error| failed(address, error))?;
         self.answer(address, response)
     }
 
@@ -207,7 +210,7 @@ impl Hub {
             .with_config()
             .limit(MAX_ANSWER_LEN)
             .read_to_vec()
-            .map_err(|error| failed(address, error.to_string()))?;
+            .map_err(|error| failed(address, error))?;
         Ok(Answer {
             address: without_query(address),
             is_authorized: self.has_token() && self.is_own(address),
@@ -274,19 +277,17 @@ impl Answer {
             None => self.status.to_string(),
         };
         let address = self.address;
+        let remedy = match self.is_authorized {
+            true => "the token (HF_TOKEN, or that of `hf auth login`) is wrong or may not do this",
+            false => "set HF_TOKEN or run `hf auth login`",
+        };
         Err(match self.status {
-            StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => Error::Refused {
-                address,
-                problem,
-                remedy: match self.is_authorized {
-                    true => {
-                        "the token (HF_TOKEN, or that of `hf auth login`) is wrong or may not do this"
-                    }
-                    false => "set HF_TOKEN or run `hf auth login`",
-                },
-            },
-            StatusCode::NOT_FOUND => Error::NotFound(address),
-            _ => Error::Call { address, problem },
+            StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => {
+                let problem = format!("the hub refuses {address} ({problem}); {remedy}");
+                Error::hub(address, problem)
+            }
+            StatusCode::NOT_FOUND => Error::not_found(address),
+            _ => failed(&address, problem),
         })
     }
 
@@ -355,11 +356,11 @@ fn without_query(address: &str) -> String {
     address.split('?').next().unwrap_or(address).to_owned()
 }
 
-fn failed(address: &str, problem: String) -> Error {
-    Error::Call {
-        address: without_query(address),
-        problem,
-    }
+fn failed(address: &str, problem: impl fmt::Display) -> Error {
+    let address = without_query(address);
+    let next = "run the same command again to go on where it stopped";
+    let problem = format!("{address} failed ({problem}); {next}");
+    Error::hub(address, problem)
 }
 
 /// Percent-encodes all bytes except letters, digits, `-._~` and the bytes in `kept`.

@@ -82,10 +82,7 @@ pub(super) fn download(
     part: &Path,
     progress: &mut dyn FnMut(u64, Option<u64>),
 ) -> Result<(), Error> {
-    let failed = |problem: String| Error::Download {
-        address: address.to_owned(),
-        problem,
-    };
+    let failed = |problem: &str| Error::download(address, problem);
     let mut file = OpenOptions::new()
         .create(true)
         .read(true)
@@ -96,7 +93,7 @@ pub(super) fn download(
     match file.try_lock() {
         Ok(()) => {}
         Err(TryLockError::WouldBlock) => {
-            return Err(failed("another process is downloading it".to_owned()));
+            return Err(failed("another process is downloading it"));
         }
         Err(TryLockError::Error(error)) => {
             return Err(datasets_spec::Error::io("lock", part)(error).into());
@@ -126,7 +123,7 @@ pub(super) fn download(
         };
         // Give up when a connection made no progress.
         if done <= before || attempt == MAX_ATTEMPTS {
-            return Err(failed(lost));
+            return Err(failed(&lost));
         }
     }
     file.sync_all()

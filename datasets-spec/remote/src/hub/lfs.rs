@@ -132,8 +132,5 @@ fn parts_of<'a>(
 }
 
 fn failed(object: &Object<'_>, problem: &str) -> Error {
-    Error::Upload {
-        path: object.file.path.clone(),
-        problem: problem.to_owned(),
-    }
+    Error::upload(&object.file.path, problem)
 }

@@ -80,13 +80,15 @@ pub fn pull(
     out: &Path,
     progress: &dyn Progress,
 ) -> Result<Staged, Error> {
-    let exists = || Error::Exists(out.to_owned());
+    let exists = || {
+        let problem = format!("{} is there already; choose another folder", out.display());
+        Error::hub(out.display(), problem)
+    };
     let name = out.file_name().ok_or_else(exists)?.to_string_lossy();
     if fs::symlink_metadata(out).is_ok() {
         return Err(exists());
     }
-    let commit =
-        commit_of(hub, repo, revision)?.ok_or_else(|| Error::NotFound(repo.to_string()))?;
+    let commit = commit_of(hub, repo, revision)?.ok_or_else(|| Error::not_found(repo))?;
     let mut files = tree(hub, repo, &commit)?;
     // The folder name contains the commit, so that files of two commits are never mixed.
     let folder = out.with_file_name(format!(".{name}.{commit:.12}.part"));
@@ -136,12 +138,10 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    fn foreign(&self, kind: &'static str, missing: &'static str) -> Error {
-        Error::Foreign {
-            repo: self.repo.to_string(),
-            kind,
-            missing,
-        }
+    fn foreign(&self, kind: &str, missing: &str) -> Error {
+        let repo = self.repo;
+        let problem = format!("{repo} holds no {kind} of this program: it has no {missing}");
+        Error::hub(repo, problem)
     }
 
     /// Keeps the files of the newest version of a dataset, and the files beside its tables. Returns the other files.
@@ -181,10 +181,11 @@ impl Source<'_> {
         let mut parts = Path::new(path).components();
         let is_below = parts.all(|part| matches!(part, Component::Normal(_)));
         if path.is_empty() || path.contains('\\') || !is_below {
-            return Err(Error::Path {
-                repo: self.repo.to_string(),
-                path: path.to_owned(),
-            });
+            let problem = format!(
+                "{} has a file {path:?}, which cannot be written here",
+                self.repo
+            );
+            return Err(Error::hub(path, problem));
         }
         Ok(())
     }

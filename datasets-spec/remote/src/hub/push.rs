@@ -171,10 +171,7 @@ fn deleted(files: &[HubFile], there: &Tree, named: &[String]) -> Result<Vec<Stri
     let published = paths(files);
     let mut deleted = BTreeSet::new();
     for name in named {
-        let refused = |problem| Error::Delete {
-            path: name.clone(),
-            problem,
-        };
+        let refused = |problem: &str| Error::hub(name, format!("cannot delete {name}: {problem}"));
         let folder = format!("{}/", name.trim_end_matches('/'));
         let found: Vec<&String> = there
             .keys()
@@ -228,10 +225,8 @@ fn by_mode<'a>(
             let mode = found.get(file.path.as_str());
             let mode = mode.ok_or_else(|| answer.malformed("lacks a file"))?;
             if mode["shouldIgnore"] == true {
-                return Err(Error::Upload {
-                    path: file.path.clone(),
-                    problem: "the .gitignore of the repo excludes it".to_owned(),
-                });
+                let problem = "the .gitignore of the repo excludes it";
+                return Err(Error::upload(&file.path, problem));
             }
             let size = file.content.size()?;
             // The storage keeps no empty objects.

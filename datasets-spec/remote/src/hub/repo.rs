@@ -56,11 +56,9 @@ impl FromStr for RepoName {
 
     /// Parses a name by the rules of the hub, so that a wrong one is refused before any request.
     fn from_str(name: &str) -> Result<Self, Error> {
-        let refused = |problem| {
-            Err(Error::Name {
-                name: name.to_owned(),
-                problem,
-            })
+        let refused = |problem: &str| {
+            let problem = format!("{name:?} is no name of a repo: {problem}; expected OWNER/NAME");
+            Err(Error::hub(name, problem))
         };
         let Some((owner, own)) = name.split_once('/') else {
             return refused("it has no owner");
@@ -164,8 +162,12 @@ pub fn kind_of(hub: &Hub, name: &RepoName, revision: &str) -> Result<RepoKind, E
     }
     match found[..] {
         [kind] => Ok(kind),
-        [] => Err(Error::NotFound(format!("dataset or model {name}"))),
-        _ => Err(Error::Ambiguous(name.to_string())),
+        [] => Err(Error::not_found(format!("dataset or model {name}"))),
+        _ => {
+            let next = "say which: --type dataset or --type model";
+            let problem = format!("{name} is a dataset and a model; {next}");
+            Err(Error::hub(name, problem))
+        }
     }
 }
 

@@ -258,7 +258,7 @@ fn a_server_that_brings_nothing_more_is_an_error_and_the_part_is_kept() {
     fs::write(&part, &content(1000)[..10]).expect("written");
     let (hub, _) = serve_model(served);
     let error = fetch(&cache, &hub, "model.safetensors").expect_err("cut off");
-    assert!(matches!(error, Error::Download { .. }), "{error}");
+    assert!(error.to_string().starts_with("cannot download"), "{error}");
     assert_eq!(fs::read(&part).expect("kept").len(), 10);
     assert_eq!(cache.find(REPO, "model.safetensors"), None);
 }
@@ -294,7 +294,7 @@ fn wrong_content_is_refused_wherever_it_comes_from() {
     };
     let (hub, _) = serve_model(nameless);
     let error = fetch(&cache, &hub, "model.safetensors").expect_err("no checksum");
-    assert!(matches!(error, Error::Download { .. }), "{error}");
+    assert!(error.to_string().starts_with("cannot download"), "{error}");
 }
 
 #[test]
