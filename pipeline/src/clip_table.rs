@@ -1,10 +1,67 @@
 //! Tables with one row for each clip: a shard of motions has shards of markers and features beside it.
 
+use std::collections::BTreeSet;
+
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
 use datasets_spec::table::{Row, ShardReader};
-use datasets_spec::{MotionId, Split};
+use datasets_spec::{Dataset, MotionId, Split};
+
+datasets_spec::table! {
+    /// Columns of a clip besides its frames and labels. Markers without a motion lack the columns of motions.
+    pub struct ClipFacts = "motions" {
+        /// Id
+        pub id: MotionId [""],
+        /// Kind of source
+        pub source: String ["", newer],
+        /// Name of the source
+        pub source_name: String ["", newer],
+        /// Path of the source file
+        pub source_path: String [""],
+        /// BLAKE3 of the source file
+        pub source_hash: String [""],
+        /// BLAKE3 of all files that the clip was read from
+        pub inputs_hash: String ["", newer],
+        /// Id of the clip this one mirrors
+        pub mirrored_of: Option<String> ["", newer],
+        /// Stored frame rate
+        pub fps: f32 ["1/s"],
+        /// Stored frames
+        pub n_frames: i32 ["frame"],
+        /// BLAKE3 of the motion; empty for markers without one
+        pub content_hash: String ["", newer],
+        /// Columns of [`ClipFacts::centre`]
+        pub centre_x: Option<f32> ["m", newer],
+        /// The same for y
+        pub centre_y: Option<f32> ["m", newer],
+        /// The same for z
+        pub centre_z: Option<f32> ["m", newer],
+    }
+}
+
+impl ClipFacts {
+    pub(crate) fn centre(&self) -> Option<[f32; 3]> {
+        Some([self.centre_x?, self.centre_y?, self.centre_z?])
+    }
+}
+
+/// The clips of a dataset with their splits: all motions, then the markers without one.
+pub(crate) fn clip_facts(
+    dataset: &Dataset,
+) -> Result<Vec<(Split, ClipFacts)>, datasets_spec::Error> {
+    let mut clips = Vec::new();
+    let mut met = BTreeSet::new();
+    for table in [MotionRow::TABLE, MarkerRow::TABLE] {
+        for (path, file) in dataset.files(table, None) {
+            let split = file.split.unwrap_or(Split::Train);
+            let mut rows: Vec<ClipFacts> = ShardReader::open(&path)?.rows()?;
+            rows.retain(|row| met.insert(row.id.clone()));
+            clips.extend(rows.into_iter().map(|row| (split, row)));
+        }
+    }
+    Ok(clips)
+}
 
 pub(crate) const CLIP_TABLES: [&str; 3] = [MotionRow::TABLE, MarkerRow::TABLE, HumanMl3dRow::TABLE];
 

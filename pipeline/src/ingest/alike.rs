@@ -17,6 +17,7 @@ use serde::Serialize;
 use super::fates::Fates;
 use super::recorded::Recorded;
 use crate::Error;
+use crate::clip_table::ClipFacts;
 use crate::likeness::{Sketch, TOLERANCE_M};
 use crate::recordings::Groups;
 
@@ -159,30 +160,18 @@ impl Alike {
 
 /// The numbers of the motions of a file, and hashes of their contents.
 fn numbers_of(path: &Path, file: usize) -> Result<(Vec<Numbers>, Vec<String>), Error> {
-    let shard = ShardReader::open(path)?;
-    let ids = shard.column::<MotionRow, MotionId>("id")?;
-    let contents = shard.column::<MotionRow, String>("content_hash")?;
-    let num_frames = shard.column::<MotionRow, i32>("n_frames")?;
-    let number = |name| shard.column::<MotionRow, Option<f32>>(name);
-    let centres = [
-        number("centre_x")?,
-        number("centre_y")?,
-        number("centre_z")?,
-    ];
-    let rows = ids.into_iter().zip(num_frames).enumerate();
-    let numbers = rows.map(|(row, (id, num_frames))| {
-        let [x, y, z] = centres
-            .each_ref()
-            .map(|column| column.get(row).copied().flatten());
-        Numbers {
-            id: id.to_string(),
+    let rows: Vec<ClipFacts> = ShardReader::open(path)?.rows()?;
+    let numbers = rows.into_iter().map(|row| {
+        let numbers = Numbers {
+            id: row.id.to_string(),
             split: None,
-            num_frames,
-            centre: x.zip(y).zip(z).map(|((x, y), z)| [x, y, z]),
+            num_frames: row.n_frames,
+            centre: row.centre(),
             file,
-        }
+        };
+        (numbers, row.content_hash)
     });
-    Ok((numbers.collect(), contents))
+    Ok(numbers.unzip())
 }
 
 /// Whether one coordinate of two centres is close enough for nearly equal motions.
