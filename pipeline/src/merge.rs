@@ -17,6 +17,7 @@ use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipRow};
 use crate::ingest::{MergedSources, recorded_settings, with_label};
 use crate::recordings::{Clip, Origin, Prefixes, Recording, clips, grouped, sketches, unite_alike};
+use crate::versions::Labels;
 
 /// Result of [`merge`].
 #[derive(Clone, Debug, Serialize)]
@@ -165,8 +166,8 @@ pub fn merge(
     let text = serde_json::to_string(&licenses).expect("texts and counts serialise");
     facts.insert(LICENSES_FACT.to_owned(), text);
     let splits = splits(&parts, &clips);
-    let labels = labels(&parts, &splits)?;
-    tables.extend(labels.tables(&transaction, &skeleton, &plan)?);
+    let (labels, dropped_labels) = labels(&parts, &splits)?;
+    tables.extend(labels.write(&Labels::default(), &transaction, &skeleton, &plan)?);
     let (quarantine, skipped) = passed_over(&parts)?;
     tables.insert(
         QuarantineRow::TABLE.to_owned(),
@@ -204,7 +205,7 @@ pub fn merge(
             .map(|(id, split)| (added.id(id).to_string(), *split))
             .collect(),
         license_warning: license::warning(&licenses),
-        dropped_labels: labels.dropped,
+        dropped_labels,
         root_hash: dataset.manifest().root_hash.clone(),
     })
 }
@@ -389,43 +390,17 @@ fn passed_over(parts: &[&Part<'_>]) -> Result<(Vec<QuarantineRow>, Vec<SkippedRo
 }
 
 /// The labels of both datasets, and the ids of labels whose motions are now in two splits.
-struct Labels {
-    masks: Vec<MaskRow>,
-    pairs: Vec<PairRow>,
-    dropped: Vec<String>,
-}
-
-impl Labels {
-    fn tables(
-        &self,
-        transaction: &Transaction,
-        skeleton: &Skeleton,
-        plan: &str,
-    ) -> Result<Vec<(String, Vec<FileEntry>)>, Error> {
-        let mask_split: fn(&MaskRow) -> Split = |row| row.split;
-        let pair_split: fn(&PairRow) -> Split = |row| row.split;
-        let masks = transaction.write_rows(&self.masks, Some(mask_split), skeleton, plan)?;
-        let pairs = transaction.write_rows(&self.pairs, Some(pair_split), skeleton, plan)?;
-        let tables = [
-            (MaskRow::TABLE, masks, self.masks.len()),
-            (PairRow::TABLE, pairs, self.pairs.len()),
-        ];
-        let tables = tables.into_iter().filter(|(_, _, rows)| *rows > 0);
-        Ok(tables
-            .map(|(table, files, _)| (table.to_owned(), files))
-            .collect())
-    }
-}
-
-fn labels(parts: &[&Part<'_>], splits: &BTreeMap<MotionId, Split>) -> Result<Labels, Error> {
-    let mut masks: BTreeMap<String, MaskRow> = BTreeMap::new();
-    let mut pairs: BTreeMap<String, PairRow> = BTreeMap::new();
+fn labels(
+    parts: &[&Part<'_>],
+    splits: &BTreeMap<MotionId, Split>,
+) -> Result<(Labels, Vec<String>), Error> {
+    let mut labels = Labels::default();
     let mut dropped = Vec::new();
     for part in parts {
         for mut mask in part.dataset.read::<MaskRow>(None)? {
             mask.motion_id = part.id(&mask.motion_id);
             mask.split = *splits.get(&mask.motion_id).unwrap_or(&mask.split);
-            insert(&mut masks, mask, &part.label, |mask| &mut mask.id);
+            insert(&mut labels.masks, mask, &part.label, |mask| &mut mask.id);
         }
         for mut pair in part.dataset.read::<PairRow>(None)? {
             pair.source_id = part.id(&pair.source_id);
@@ -436,14 +411,10 @@ fn labels(parts: &[&Part<'_>], splits: &BTreeMap<MotionId, Split>) -> Result<Lab
                 continue;
             }
             pair.split = split.unwrap_or(pair.split);
-            insert(&mut pairs, pair, &part.label, |pair| &mut pair.id);
+            insert(&mut labels.pairs, pair, &part.label, |pair| &mut pair.id);
         }
     }
-    Ok(Labels {
-        masks: masks.into_values().collect(),
-        pairs: pairs.into_values().collect(),
-        dropped,
-    })
+    Ok((labels, dropped))
 }
 
 /// Adds a row under its id. If another row has that id, the row gets an id with the label of its dataset.

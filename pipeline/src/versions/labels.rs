@@ -27,9 +27,9 @@ pub struct KeptLabel {
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Labels {
-    pub(super) masks: BTreeMap<String, MaskRow>,
-    pub(super) pairs: BTreeMap<String, PairRow>,
+pub(crate) struct Labels {
+    pub(crate) masks: BTreeMap<String, MaskRow>,
+    pub(crate) pairs: BTreeMap<String, PairRow>,
 }
 
 impl Labels {
@@ -43,7 +43,7 @@ impl Labels {
     }
 
     /// Writes the tables that differ from `before`. A table without rows has no files.
-    pub(super) fn write(
+    pub(crate) fn write(
         &self,
         before: &Self,
         transaction: &Transaction,

@@ -25,9 +25,9 @@ use crate::Error;
 pub use self::choose::{Choice, taken_out};
 pub use self::compact::{Compacted, Layout, compact, compact_in};
 pub use self::labels::KeptLabel;
-pub(crate) use self::labels::json;
 pub(crate) use self::labels::{
-    check_lost, is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source,
+    Labels, check_lost, is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source,
+    json,
 };
 pub use self::remove::{RemoveOptions, Removed, remove, remove_in};
 pub use self::restore::{Restored, restore, restore_in};
