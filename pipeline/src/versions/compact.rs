@@ -1,7 +1,6 @@
 //! Rewrites a dataset into as few files as a new one has.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use datasets_spec::dataset::{Commit, SHARD_ROWS};
 use datasets_spec::manifest::{FileEntry, LAID_OUT_FACT, Manifest, plan_hash};
@@ -58,18 +57,8 @@ pub struct Compacted {
 /// hashes that stages recorded. Memory holds one shard.
 ///
 /// # Errors
-/// A file is damaged, or the folder is locked or cannot be written.
-pub fn compact(root: &Path, holder: &str, progress: &dyn Progress) -> Result<Compacted, Error> {
-    // Open the dataset first: locking would create a missing folder.
-    Dataset::open_unverified(root)?;
-    compact_in(Transaction::begin(root, holder)?, progress)
-}
-
-/// [`compact`] within a transaction that has begun.
-///
-/// # Errors
-/// As [`compact`].
-pub fn compact_in(transaction: Transaction, progress: &dyn Progress) -> Result<Compacted, Error> {
+/// A file is damaged, or the folder cannot be written.
+pub fn compact(transaction: Transaction, progress: &dyn Progress) -> Result<Compacted, Error> {
     let dataset = Dataset::open(transaction.root())?;
     let manifest = dataset.manifest();
     let before = Layout::of(manifest);

@@ -1,7 +1,6 @@
 //! Makes a version without some clips.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 
 use datasets_spec::dataset::{Commit, ShardName, table_facts};
 use datasets_spec::license::{self, LICENSES_FACT};
@@ -52,24 +51,8 @@ pub struct RemoveOptions {
 /// their files are unchanged.
 ///
 /// # Errors
-/// No clip is chosen, or all are; labels would be lost and the options do not allow it; or the folder is locked or cannot
-/// be written.
+/// No clip is chosen, or all are; labels would be lost and the options do not allow it; or the folder cannot be written.
 pub fn remove(
-    root: &Path,
-    choice: &Choice,
-    options: RemoveOptions,
-    holder: &str,
-) -> Result<Removed, Error> {
-    // Open the dataset first: locking would create a missing folder.
-    Dataset::open_unverified(root)?;
-    remove_in(Transaction::begin(root, holder)?, choice, options)
-}
-
-/// [`remove`] within a transaction that has begun.
-///
-/// # Errors
-/// As [`remove`].
-pub fn remove_in(
     transaction: Transaction,
     choice: &Choice,
     options: RemoveOptions,

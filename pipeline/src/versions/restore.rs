@@ -1,7 +1,6 @@
 //! Going back to an older version.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use datasets_spec::manifest::{Manifest, plan_hash};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
@@ -58,23 +57,8 @@ fn clips(dataset: &Dataset) -> Result<Clips, Error> {
 ///
 /// # Errors
 /// There is no such version, one of its files is damaged, labels would be lost and `drop_labels` does not allow it,
-/// or the folder is locked or cannot be written.
+/// or the folder cannot be written.
 pub fn restore(
-    root: &Path,
-    version: u64,
-    drop_labels: bool,
-    holder: &str,
-) -> Result<Restored, Error> {
-    // Open the dataset first: locking would create a missing folder.
-    Dataset::open_unverified(root)?;
-    restore_in(Transaction::begin(root, holder)?, version, drop_labels)
-}
-
-/// [`restore`] within a transaction that has begun.
-///
-/// # Errors
-/// As [`restore`].
-pub fn restore_in(
     transaction: Transaction,
     version: u64,
     drop_labels: bool,
