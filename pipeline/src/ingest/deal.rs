@@ -34,8 +34,6 @@ pub(super) struct Dealt {
     pub(super) items: Vec<Placed>,
 }
 
-pub(super) type Shards<'a> = Vec<(ShardName, Vec<Item<'a>>)>;
-
 impl Plan {
     /// Distributes the motions that are read over shards, by split. `before` is the number of shards of each split that
     /// precede them.
@@ -99,16 +97,5 @@ impl Plan {
             split: planned.split,
             id,
         }
-    }
-
-    /// The shards of a run with their motions; see [`Plan::deal`].
-    pub(super) fn shards(&self, before: &BTreeMap<Split, usize>) -> Shards<'_> {
-        let dealt = self.deal(before).into_iter();
-        dealt
-            .map(|shard| {
-                let items = self.items_of(&shard);
-                (shard.name, items)
-            })
-            .collect()
     }
 }

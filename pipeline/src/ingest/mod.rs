@@ -7,7 +7,6 @@
 mod added;
 mod alike;
 mod deal;
-mod equal;
 mod fates;
 mod forecast;
 mod growth;

@@ -31,7 +31,7 @@ pub(super) struct Prepared {
     /// The settings that differ from those the dataset was made with, in words.
     pub(super) differing: Option<String>,
     /// The differing settings that must be the same for all clips of a dataset.
-    must_agree: Option<String>,
+    pub(super) must_agree: Option<String>,
     /// Remarks on splits that the dataset keeps although they were drawn in another way than requested.
     pub(super) kept: Vec<String>,
 }
@@ -98,11 +98,6 @@ impl Prepared {
             }),
             _ => Ok(()),
         }
-    }
-
-    /// The differing settings that must be the same for all clips of a dataset, in words.
-    pub(super) fn must_agree(&self) -> Option<&str> {
-        self.must_agree.as_deref()
     }
 
     pub(super) fn plan(
