@@ -13,6 +13,7 @@ use super::recorded::{Recorded, RecordedClip};
 use super::shard::PIECE_STAGE;
 use super::split_by::SplitBy;
 use super::taken_out::NOT_CHOSEN;
+use crate::recordings::Groups;
 use crate::versions::taken_out;
 
 impl Plan {
@@ -226,7 +227,6 @@ impl Plan {
 
     /// The splits of all motions. `alike` are those that are equal or nearly so, as far as that is known.
     fn splits(&self, recorded: &Recorded, seed: Seed, alike: &Alike) -> Vec<Split> {
-        let mut groups = Groups::default();
         let mut of_content: BTreeMap<(&str, &str), Option<Split>> = BTreeMap::new();
         for clip in &recorded.clips {
             let split = of_content
@@ -236,27 +236,31 @@ impl Plan {
         }
         let mut first_key: BTreeMap<(&str, &str), usize> = BTreeMap::new();
         let mut first_alike: BTreeMap<usize, usize> = BTreeMap::new();
-        let keys: Vec<usize> = self
-            .items
-            .iter()
-            .map(|item| {
-                let key = groups.key(&self.split_key(item));
-                let hash = self.hash_of(item);
-                let motion = match item.release {
-                    Some(_) => item.entry.id.as_str(),
-                    None => item.entry.key.as_str(),
-                };
-                if !hash.is_empty() {
-                    let first = *first_key.entry((hash, motion)).or_insert(key);
-                    groups.unite(first, key);
-                }
-                if let Some(class) = alike.class(&item.id) {
-                    let first = *first_alike.entry(class).or_insert(key);
-                    groups.unite(first, key);
-                }
-                key
-            })
-            .collect();
+        let texts: Vec<String> = self.items.iter().map(|item| self.split_key(item)).collect();
+        // In this order the smallest number of a group is that of the text its split is drawn from.
+        let mut names: Vec<(&str, &str)> =
+            texts.iter().map(|key| (drawn_by(key), &**key)).collect();
+        names.sort_unstable();
+        names.dedup();
+        let keys = texts.iter().map(|key| (drawn_by(key), &**key));
+        let keys = keys.map(|key| names.partition_point(|name| *name < key));
+        let keys: Vec<usize> = keys.collect();
+        let mut groups = Groups::new(names.len());
+        for (item, &key) in self.items.iter().zip(&keys) {
+            let hash = self.hash_of(item);
+            let motion = match item.release {
+                Some(_) => item.entry.id.as_str(),
+                None => item.entry.key.as_str(),
+            };
+            if !hash.is_empty() {
+                let first = *first_key.entry((hash, motion)).or_insert(key);
+                groups.unite(first, key);
+            }
+            if let Some(class) = alike.class(&item.id) {
+                let first = *first_alike.entry(class).or_insert(key);
+                groups.unite(first, key);
+            }
+        }
         // Sources of the split of each motion, the strongest first.
         let reasons: Vec<[Option<Split>; 4]> = self
             .items
@@ -275,7 +279,7 @@ impl Plan {
         for strength in 0..4 {
             for (reasons, key) in reasons.iter().zip(&keys) {
                 if let Some(split) = reasons[strength] {
-                    given.entry(groups.root(*key)).or_insert(split);
+                    given.entry(groups.of(*key)).or_insert(split);
                 }
             }
         }
@@ -283,11 +287,11 @@ impl Plan {
             .iter()
             .zip(&keys)
             .map(|([own, recorded, published, _], key)| {
-                let group = groups.root(*key);
+                let group = groups.of(*key);
                 own.or(*recorded)
                     .or(*published)
                     .or(given.get(&group).copied())
-                    .unwrap_or_else(|| Split::assign(drawn_by(&groups.names[group]), seed))
+                    .unwrap_or_else(|| Split::assign(names[group].0, seed))
             })
             .collect()
     }
@@ -439,42 +443,6 @@ fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
             key => format!("{name}#{key}"),
         };
         item.entry.id.clone_from(&item.id);
-    }
-}
-
-/// Keys in disjoint groups (union-find).
-#[derive(Default)]
-struct Groups {
-    names: Vec<String>,
-    index: BTreeMap<String, usize>,
-    /// A key of the same group with a smaller name, or itself.
-    parents: Vec<usize>,
-}
-
-impl Groups {
-    fn key(&mut self, name: &str) -> usize {
-        if let Some(&key) = self.index.get(name) {
-            return key;
-        }
-        let key = self.names.len();
-        self.names.push(name.to_owned());
-        self.parents.push(key);
-        self.index.insert(name.to_owned(), key);
-        key
-    }
-
-    fn root(&self, mut key: usize) -> usize {
-        while self.parents[key] != key {
-            key = self.parents[key];
-        }
-        key
-    }
-
-    fn unite(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        let name = |key: usize| (drawn_by(&self.names[key]), &self.names[key]);
-        let (smaller, larger) = if name(a) <= name(b) { (a, b) } else { (b, a) };
-        self.parents[larger] = smaller;
     }
 }
 
