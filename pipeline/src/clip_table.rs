@@ -2,11 +2,13 @@
 
 use std::collections::BTreeSet;
 
+use datasets_spec::dataset::ShardName;
+use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
-use datasets_spec::table::{Row, ShardReader};
-use datasets_spec::{Dataset, MotionId, Split};
+use datasets_spec::table::{Row, ShardReader, read_rows};
+use datasets_spec::{Dataset, MotionId, Split, Transaction};
 
 datasets_spec::table! {
     /// Columns of a clip besides its frames and labels. Markers without a motion lack the columns of motions.
@@ -93,6 +95,46 @@ pub(crate) fn borrowed(facts: &[(String, String)]) -> Vec<(&str, String)> {
     facts
         .map(|(key, value)| (key.as_str(), value.clone()))
         .collect()
+}
+
+/// Writes the rows of a file of clips again, under another name; none if no row stays. `stays` gives the name of the
+/// source of a clip that stays.
+pub(crate) fn rewrite<'a>(
+    transaction: &Transaction,
+    name: &ShardName,
+    file: &FileEntry,
+    facts: &[(&str, String)],
+    stays: &dyn Fn(&MotionId) -> Option<&'a str>,
+) -> Result<Option<FileEntry>, datasets_spec::Error> {
+    match name.table {
+        MotionRow::TABLE => rewrite_rows::<MotionRow>(transaction, name, file, facts, stays),
+        MarkerRow::TABLE => rewrite_rows::<MarkerRow>(transaction, name, file, facts, stays),
+        _ => rewrite_rows::<HumanMl3dRow>(transaction, name, file, facts, stays),
+    }
+}
+
+fn rewrite_rows<'a, R: ClipRow>(
+    transaction: &Transaction,
+    name: &ShardName,
+    file: &FileEntry,
+    facts: &[(&str, String)],
+    stays: &dyn Fn(&MotionId) -> Option<&'a str>,
+) -> Result<Option<FileEntry>, datasets_spec::Error> {
+    let mut rows: Vec<R> = read_rows(&transaction.root().join(&file.path))?;
+    rows.retain_mut(|row| {
+        let source = stays(row.id());
+        // Files of older formats lack the column.
+        if let (Some(source), Some(name)) = (source, row.source_name())
+            && name.is_empty()
+        {
+            name.push_str(source);
+        }
+        source.is_some()
+    });
+    match rows.is_empty() {
+        true => Ok(None),
+        false => transaction.write_shard(name, &rows, facts).map(Some),
+    }
 }
 
 /// A row that belongs to one clip.

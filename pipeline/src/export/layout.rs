@@ -1,8 +1,6 @@
 //! The layouts to export to, and warnings before an export.
 
-use datasets_spec::record::CAPTION_BY_RULE;
-use datasets_spec::table::Caption;
-
+use super::left_out::said;
 use super::paths::is_shortened;
 use crate::Error;
 use crate::clips::Clips;
@@ -85,7 +83,12 @@ impl Layout {
 /// The dataset cannot be read.
 pub fn before(layout: Layout, clips: &Clips) -> Result<Vec<String>, Error> {
     let mut remarks = Vec::new();
-    if layout == Layout::HumanMl3d && !has_captions(clips) {
+    if layout == Layout::HumanMl3d
+        && !clips
+            .shards(None)
+            .flat_map(said)
+            .any(|(_, is_made)| !is_made)
+    {
         remarks.push(format!(
             "none of the {} clips has a caption of its source, so texts/ stays empty and the loaders of this layout \
              find no clip; add captions first (captions.csv beside the sources and `stance ingest` again, or `stance \
@@ -116,19 +119,4 @@ fn names_are_ids(layout: Layout) -> bool {
         layout,
         Layout::Amass | Layout::Bvh | Layout::Gltf | Layout::MotionMillion
     )
-}
-
-/// Whether any clip has a caption that was not made from its name.
-fn has_captions(clips: &Clips) -> bool {
-    clips.shards(None).any(|shard| {
-        let captions: Vec<Vec<Caption>> = shard.column("captions").unwrap_or_default();
-        // Tables older than 1.5.0 have no such column.
-        let origins: Vec<Vec<String>> = shard.column("caption_origins").unwrap_or_default();
-        captions.iter().enumerate().any(|(clip, captions)| {
-            (0..captions.len()).any(|number| {
-                let origin = origins.get(clip).and_then(|origins| origins.get(number));
-                origin.is_none_or(|origin| origin != CAPTION_BY_RULE)
-            })
-        })
-    })
 }

@@ -196,7 +196,7 @@ fn left_out(layout: Layout, clips: &Clips) -> Result<Counts, Error> {
 }
 
 /// The captions of the clips of a file, each with whether it was made from a file name.
-fn said(shard: &Shard) -> impl Iterator<Item = (Caption, bool)> {
+pub(super) fn said(shard: &Shard) -> impl Iterator<Item = (Caption, bool)> {
     let captions = newer::<Vec<Caption>>(shard, "captions").into_iter();
     let mut origins = newer::<Vec<String>>(shard, "caption_origins").into_iter();
     captions.flat_map(move |captions| {

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use datasets_spec::dataset::{Commit, ShardName, table_facts};
 use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::{FileEntry, plan_hash};
-use datasets_spec::record::{HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, SkippedRow};
+use datasets_spec::record::{MaskRow, MotionRow, PairRow, SkippedRow};
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
 use serde::Serialize;
@@ -14,7 +14,7 @@ use super::choose::{Choice, REMOVED, accounting, left_out};
 use super::labels::{Labels, check_lost, is_mask_of_people, is_pair_of_people, json, lost};
 use super::select::composed;
 use crate::Error;
-use crate::clip_table::{CLIP_TABLES, ClipRow, borrowed, clip_ids};
+use crate::clip_table::{CLIP_TABLES, borrowed, clip_ids, rewrite};
 use crate::ingest::LostLabel;
 
 /// Result of [`remove`], or of its dry run.
@@ -216,34 +216,18 @@ impl Shards {
                     index,
                     of: of.get(split).copied().unwrap_or(1),
                 };
-                entries.extend(match *table {
-                    MotionRow::TABLE => rewrite::<MotionRow>(transaction, &name, file, chosen),
-                    MarkerRow::TABLE => rewrite::<MarkerRow>(transaction, &name, file, chosen),
-                    _ => rewrite::<HumanMl3dRow>(transaction, &name, file, chosen),
-                }?);
+                let stays = |id: &MotionId| (!chosen.contains(id)).then_some("");
+                let facts = ShardReader::open(&transaction.root().join(&file.path))?.facts();
+                entries.extend(rewrite(
+                    transaction,
+                    &name,
+                    file,
+                    &borrowed(&facts),
+                    &stays,
+                )?);
             }
             *next.entry(*split).or_default() += usize::from(broken);
         }
         Ok(tables)
     }
-}
-
-/// Writes the rows of a file without those of some clips, if any are left.
-fn rewrite<R: ClipRow>(
-    transaction: &Transaction,
-    name: &ShardName,
-    file: &FileEntry,
-    chosen: &BTreeSet<MotionId>,
-) -> Result<Option<FileEntry>, Error> {
-    let shard = ShardReader::open(&transaction.root().join(&file.path))?;
-    let mut rows: Vec<R> = shard.rows()?;
-    rows.retain(|row| !chosen.contains(row.id()));
-    if rows.is_empty() {
-        return Ok(None);
-    }
-    Ok(Some(transaction.write_shard(
-        name,
-        &rows,
-        &borrowed(&shard.facts()),
-    )?))
 }
