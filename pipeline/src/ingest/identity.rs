@@ -11,6 +11,7 @@ use super::list::{path_of, without_extension};
 use super::plan::{Plan, Planned};
 use super::recorded::{Recorded, RecordedClip};
 use super::shard::PIECE_STAGE;
+use super::sources::free;
 use super::split_by::SplitBy;
 use super::taken_out::NOT_CHOSEN;
 use crate::recordings::Groups;
@@ -94,7 +95,7 @@ impl Plan {
                 .chain(candidates.into_iter().flatten().copied());
             let found = candidates.find(|&index| {
                 let clip = &recorded.clips[index];
-                is_same_motion(item, clip) && claimed.insert(index)
+                item.is_of(clip.id.as_str()) && claimed.insert(index)
             });
             let Some(index) = found else { return };
             let clip = &recorded.clips[index];
@@ -230,7 +231,7 @@ impl Plan {
         let mut of_content: BTreeMap<(&str, &str), Option<Split>> = BTreeMap::new();
         for clip in &recorded.clips {
             let split = of_content
-                .entry((&clip.hash, key_of(&clip.id)))
+                .entry((&clip.hash, key_of(clip.id.as_str())))
                 .or_default();
             split.get_or_insert(clip.split);
         }
@@ -373,20 +374,26 @@ fn drawn_by(key: &str) -> &str {
     key.rsplit(AMONG_RELEASES).next().unwrap_or(key)
 }
 
-/// Whether a motion is the one that a clip was read from, given that the file is the same.
-fn is_same_motion(item: &Planned, clip: &RecordedClip) -> bool {
-    let id = clip.id.as_str();
-    match item.release {
-        Some(_) => id
-            .strip_suffix(&item.entry.id)
-            .is_some_and(|prefix| prefix.is_empty() || prefix.ends_with('/')),
-        None => key_of(&clip.id) == item.entry.key,
+impl Planned {
+    /// Whether the motion is the one that the clip with this id was read from, given that the file is the same.
+    pub(super) fn is_of(&self, id: &str) -> bool {
+        match self.release {
+            Some(_) => id
+                .strip_suffix(&self.entry.id)
+                .is_some_and(|prefix| prefix.is_empty() || prefix.ends_with('/')),
+            None => key_of(id) == self.entry.key,
+        }
     }
 }
 
 /// The key of one of several motions of a file; empty if it holds one.
-fn key_of(id: &MotionId) -> &str {
-    id.as_str().split_once('#').map_or("", |(_, key)| key)
+fn key_of(id: &str) -> &str {
+    id.split_once('#').map_or("", |(_, key)| key)
+}
+
+/// An id without the key of the motion.
+fn name_of(id: &str) -> &str {
+    id.split_once('#').map_or(id, |(name, _)| name)
 }
 
 /// Gives the new motions of single files their ids: their path without its extension. Files that differ
@@ -406,20 +413,13 @@ fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
         .map(|(stem, _)| stem)
         .collect();
     // A clip of another file may have the id.
-    let owners: BTreeSet<&str> = taken
-        .iter()
-        .map(|id| id.split_once('#').map_or(id.as_str(), |(name, _)| name))
-        .collect();
+    let owners: BTreeSet<&str> = taken.iter().map(|id| name_of(id)).collect();
     let mut own: BTreeMap<String, String> = BTreeMap::new();
     for item in items
         .iter()
         .filter(|item| item.release.is_none() && item.known.is_some())
     {
-        let name = item
-            .id
-            .split_once('#')
-            .map_or(item.id.as_str(), |(name, _)| name);
-        own.insert(item.entry.file.clone(), name.to_owned());
+        own.insert(item.entry.file.clone(), name_of(&item.id).to_owned());
     }
     let new = items
         .iter_mut()
@@ -432,11 +432,7 @@ fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
             if is_free(&stem) {
                 return stem.clone();
             }
-            let whole = escaped(file);
-            let numbered = (2..).map(|number| format!("{whole}-{number}"));
-            let mut candidates = std::iter::once(whole.clone()).chain(numbered);
-            let free = candidates.find(|name| !owners.contains(name.as_str()));
-            free.expect("numbers do not end")
+            free(&escaped(file), |name| !owners.contains(name))
         });
         item.id = match item.entry.key.as_str() {
             "" => name,

@@ -121,37 +121,30 @@ impl Plan {
             let here = |path| self.sources.contains_key(path) || self.is_of_run(name, path);
             !here(path) && !here(file)
         };
-        let quarantine = recorded.quarantine.iter();
-        let skipped = recorded.skipped.iter();
-        Outside {
-            quarantine: quarantine
-                .filter(|row| is_outside(&row.source_name, &row.path))
-                .cloned()
-                .collect(),
-            skipped: skipped
-                .filter(|row| is_outside(&row.source_name, &row.path))
-                .cloned()
-                .collect(),
-        }
+        let mut outside = Outside {
+            quarantine: recorded.quarantine.clone(),
+            skipped: recorded.skipped.clone(),
+        };
+        let Outside {
+            quarantine,
+            skipped,
+        } = &mut outside;
+        quarantine.retain(|row| is_outside(&row.source_name, &row.path));
+        skipped.retain(|row| is_outside(&row.source_name, &row.path));
+        outside
     }
 
     /// Whether this run rejects the same items as recorded.
     pub(super) fn has_rejected(&self, recorded: &Recorded, outside: &Outside) -> bool {
-        let codes = |rows: &[QuarantineRow]| -> BTreeSet<(String, String, String)> {
-            let rows = rows.iter();
-            rows.map(|row| (row.path.clone(), row.source_hash.clone(), row.code.clone()))
+        let codes = |rows: &[QuarantineRow]| -> BTreeSet<[String; 3]> {
+            let rows = rows.iter().cloned();
+            rows.map(|row| [row.path, row.source_hash, row.code])
                 .collect()
         };
-        let reasons = |rows: &[SkippedRow]| -> BTreeSet<(String, String, String)> {
-            let rows = rows.iter();
-            rows.map(|row| {
-                (
-                    row.path.clone(),
-                    row.source_hash.clone(),
-                    row.reason.clone(),
-                )
-            })
-            .collect()
+        let reasons = |rows: &[SkippedRow]| -> BTreeSet<[String; 3]> {
+            let rows = rows.iter().cloned();
+            rows.map(|row| [row.path, row.source_hash, row.reason])
+                .collect()
         };
         let (mut now, mut skipped) = (codes(&self.rejected), reasons(&self.skipped));
         now.extend(codes(&outside.quarantine));
@@ -211,8 +204,9 @@ impl Labels {
     }
 
     fn lose(&mut self, table: &str, id: String, (clip, reason): (String, String)) {
+        let table = table.to_owned();
         self.lost.push(LostLabel {
-            table: table.to_owned(),
+            table,
             id,
             clip,
             reason,

@@ -332,15 +332,22 @@ pub(super) fn list_given<S: Clone + Into<SourceArg>>(
     list_sources(&sources, Some(out), progress)
 }
 
-/// All files of the sources by their relative path, prefixed with the label of their source, and the files of each
-/// source.
-pub(crate) fn list_files(sources: &[PathBuf], progress: &dyn Progress) -> Result<Listing, Error> {
+/// All files of the sources by their relative path, prefixed with the label of their source. Members of archives can be
+/// read as long as the archives are kept.
+pub(crate) fn list_files(
+    sources: &[PathBuf],
+    progress: &dyn Progress,
+) -> Result<(BTreeMap<String, PathBuf>, Archives), Error> {
     let sources: Vec<SourceArg> = sources.iter().cloned().map(SourceArg::from).collect();
     let listed = list_sources(&sources, None, progress)?;
     let labels = numbered_labels(&listed);
-    Ok(merged(
-        listed.into_iter().map(|source| source.listing).zip(labels),
-    ))
+    let (mut all, mut archives) = (BTreeMap::new(), Archives::default());
+    for (source, label) in listed.into_iter().zip(labels) {
+        let files = source.listing.files.into_iter();
+        all.extend(files.map(|(name, path)| (labelled(&label, &name), path)));
+        archives.add(source.listing.archives);
+    }
+    Ok((all, archives))
 }
 
 /// Lists every source separately, with a label that keeps its files apart from those of the others.
@@ -380,32 +387,6 @@ fn numbered_labels(listed: &[Listed]) -> Vec<String> {
     labels
         .map(|label| label.cloned().unwrap_or_default())
         .collect()
-}
-
-/// The files of all sources. Each path begins with the label of its source.
-fn merged(sources: impl IntoIterator<Item = (Listing, String)>) -> Listing {
-    let mut merged = Listing::default();
-    for (listing, label) in sources {
-        let behind = |name: &str| labelled(&label, name);
-        let refused = listing.refused.into_iter();
-        merged
-            .refused
-            .extend(refused.map(|(name, hash, why)| (behind(&name), hash, why)));
-        merged.archives.add(listing.archives);
-        let files = listing.files.into_iter();
-        merged
-            .files
-            .extend(files.map(|(name, path)| (behind(&name), path)));
-        let special = listing.special.into_iter();
-        merged
-            .special
-            .extend(special.map(|(name, reason)| (behind(&name), reason)));
-        let unlisted = listing.unlisted.into_iter();
-        merged
-            .unlisted
-            .extend(unlisted.map(|(name, reason)| (behind(&name), reason)));
-    }
-    merged
 }
 
 /// A path relative to a source, prefixed with the label of the source.
@@ -538,7 +519,7 @@ pub(super) fn hash_files(
 }
 
 /// The row of a file that was rejected; `key` names one of several motions of it.
-pub(super) fn quarantine_row(
+pub(crate) fn quarantine_row(
     file: &str,
     key: &str,
     source_name: &str,

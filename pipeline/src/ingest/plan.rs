@@ -147,18 +147,14 @@ impl Plan {
         for (source, listing) in sources {
             let (name, of) = (source.label.name.as_str(), given.len());
             let behind = |path: &str| list::labelled(&source.label.label, path);
-            skipped.extend(
-                listing
-                    .special
-                    .into_iter()
-                    .map(|(path, reason)| SkippedRow {
-                        path: behind(&path),
-                        source_name: name.to_owned(),
-                        source_hash: String::new(),
-                        inputs_hash: String::new(),
-                        reason,
-                    }),
-            );
+            let special = listing.special.into_iter();
+            skipped.extend(special.map(|(path, reason)| SkippedRow {
+                path: behind(&path),
+                source_name: name.to_owned(),
+                source_hash: String::new(),
+                inputs_hash: String::new(),
+                reason,
+            }));
             for (path, hash, why) in unread(listing.unlisted, listing.refused) {
                 let path = behind(&path);
                 rejected.push(quarantine_row(&path, "", name, hash, why));
@@ -211,15 +207,21 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Notes a file without a motion.
-    fn skip(&mut self, path: &str, reason: String) {
-        self.skipped.push(SkippedRow {
-            path: path.to_owned(),
-            source_name: self.source_name(path).to_owned(),
-            source_hash: source_hash(&self.sources, path),
-            inputs_hash: String::new(),
+    /// The row of a motion that is not read, or of a file without one, whose key and inputs are empty.
+    pub(super) fn skipped_row(
+        &self,
+        file: &str,
+        key: &str,
+        inputs: &str,
+        reason: String,
+    ) -> SkippedRow {
+        SkippedRow {
+            path: list::path_of(file, key),
+            source_name: self.source_name(file).to_owned(),
+            source_hash: source_hash(&self.sources, file),
+            inputs_hash: inputs.to_owned(),
             reason,
-        });
+        }
     }
 
     pub(super) fn source_of(&self, file: &str) -> Option<&Given> {
@@ -263,19 +265,15 @@ impl Plan {
     /// Plans the motions of the releases, and returns the files that are theirs.
     fn take_releases(&mut self, options: &IngestOptions) -> BTreeSet<String> {
         let mut claimed = BTreeSet::new();
-        let mut passed_over = Vec::new();
         for (index, (format, release)) in self.releases.iter().enumerate() {
             let (format, release) = (*format, release.contents());
             claimed.extend(release.entries.iter().map(|entry| entry.file.clone()));
             if options.format.is_some_and(|only| only != format) {
-                let files: BTreeSet<&str> =
-                    release.entries.iter().map(|e| e.file.as_str()).collect();
-                let reason = format!("{} file, not asked for", format.as_str());
-                passed_over.extend(
-                    files
-                        .into_iter()
-                        .map(|file| (file.to_owned(), reason.clone())),
-                );
+                let files = release.entries.iter().map(|entry| entry.file.as_str());
+                for file in BTreeSet::from_iter(files) {
+                    self.skipped
+                        .push(self.skipped_row(file, "", "", not_asked_for(format)));
+                }
             } else {
                 let entries = release.entries.iter().cloned();
                 self.items
@@ -288,7 +286,9 @@ impl Plan {
                 }
                 match self.unreadable(file) {
                     Some(row) => self.rejected.push(row),
-                    None => passed_over.push((file.clone(), reason.clone())),
+                    None => self
+                        .skipped
+                        .push(self.skipped_row(file, "", "", reason.clone())),
                 }
             }
             for (file, rejected) in &release.rejected {
@@ -298,63 +298,58 @@ impl Plan {
                 }
             }
         }
-        for (file, reason) in passed_over {
-            self.skip(&file, reason);
-        }
         claimed
     }
 
     /// Plans every file that no release claims.
     fn take_single_files(&mut self, options: &IngestOptions) {
-        let mut skipped = Vec::new();
         for (relative, source) in &self.sources {
             if self.claimed.contains(relative) {
                 continue;
             }
-            // Do not guess the format of an unreadable file from its name.
-            if let Some(row) = self.unreadable(relative) {
-                self.rejected.push(row);
-                continue;
-            }
-            if let Err(rejected) = refuse_pointer(&source.head) {
-                self.rejected
-                    .push(self.rejected_row(relative, "", rejected));
-                continue;
-            }
-            let format = match recognise(Path::new(relative), &source.head) {
-                Recognised::Motion(format) => format,
-                Recognised::NotMotion { reason } => {
-                    skipped.push((relative.clone(), reason));
-                    continue;
+            match self.keys_of_single(relative, source, options) {
+                Ok((format, keys)) => self.items.extend(keys.into_iter().map(|key| {
+                    let entry = Entry {
+                        file: relative.clone(),
+                        id: String::new(),
+                        key,
+                        split: None,
+                        group: None,
+                        mirrored_of: None,
+                    };
+                    Planned::new(entry, format, None)
+                })),
+                Err(NoMotion::Skipped(reason)) => {
+                    self.skipped
+                        .push(self.skipped_row(relative, "", "", reason));
                 }
-            };
-            if options.format.is_some_and(|only| only != format) {
-                let reason = format!("{} file, not asked for", format.as_str());
-                skipped.push((relative.clone(), reason));
-                continue;
-            }
-            let keys = match keys_of(format, &self.files, relative, &options.read) {
-                Ok(keys) => keys,
-                Err(rejected) => {
-                    self.rejected
-                        .push(self.rejected_row(relative, "", rejected));
-                    continue;
-                }
-            };
-            for key in keys {
-                let entry = Entry {
-                    file: relative.clone(),
-                    id: String::new(),
-                    key,
-                    split: None,
-                    group: None,
-                    mirrored_of: None,
-                };
-                self.items.push(Planned::new(entry, format, None));
+                Err(NoMotion::Rejected(row)) => self.rejected.push(row),
             }
         }
-        for (file, reason) in skipped {
-            self.skip(&file, reason);
+    }
+
+    /// The format of a file that no release claims, and the keys of its motions.
+    fn keys_of_single(
+        &self,
+        relative: &str,
+        source: &Source,
+        options: &IngestOptions,
+    ) -> Result<(Format, Vec<String>), NoMotion> {
+        let refused = |why| NoMotion::Rejected(self.rejected_row(relative, "", why));
+        // Do not guess the format of an unreadable file from its name.
+        if let Some(row) = self.unreadable(relative) {
+            return Err(NoMotion::Rejected(row));
+        }
+        refuse_pointer(&source.head).map_err(refused)?;
+        match recognise(Path::new(relative), &source.head) {
+            Recognised::NotMotion { reason } => Err(NoMotion::Skipped(reason)),
+            Recognised::Motion(format) if options.format.is_some_and(|only| only != format) => {
+                Err(NoMotion::Skipped(not_asked_for(format)))
+            }
+            Recognised::Motion(format) => {
+                let keys = keys_of(format, &self.files, relative, &options.read);
+                Ok((format, keys.map_err(refused)?))
+            }
         }
     }
 
@@ -405,24 +400,15 @@ impl Plan {
                     item.state(stated);
                     return around.failed;
                 }
-                let folder = files.path(file).and_then(Path::parent);
-                let folder = folder.unwrap_or(Path::new("."));
                 let failed = Cell::new(None);
-                let companions =
-                    |name: &str| match files.read_beside(&folder.join(name_of_text(name))) {
-                        Ok(bytes) => bytes,
-                        Err(rejected) => {
-                            failed.set(Some(rejected));
-                            None
-                        }
-                    };
+                let companions = companions(files, file, &failed);
                 let own = item.format.subject_of(&item.entry.key);
                 let stated = labels::stated(Path::new(file), Some(&companions), &around, own);
                 let styled = stated.action.as_ref().zip(stated.style.as_ref());
                 item.group =
                     styled.map(|(action, style)| style_group(self.unlabelled(file), action, style));
                 item.state(stated);
-                failed.into_inner().or(around.failed)
+                failed.take().or(around.failed)
             })
             .collect();
         let mut unreadable = unreadable.into_iter();
@@ -558,6 +544,16 @@ impl Plan {
     }
 }
 
+/// Why a file gives no motion.
+enum NoMotion {
+    Skipped(String),
+    Rejected(QuarantineRow),
+}
+
+fn not_asked_for(format: Format) -> String {
+    format!("{} file, not asked for", format.as_str())
+}
+
 /// Folders and archives that cannot be read, with the hash of the archive and the reason: clips below them stay as they
 /// are.
 fn unread(
@@ -569,6 +565,23 @@ fn unread(
         (folder, String::new(), Rejected::read("E-IO", reason))
     });
     folders.chain(archives)
+}
+
+/// Reads files beside a motion. An unreadable one must not be treated as a missing one, so it is noted in `failed`.
+pub(super) fn companions<'a>(
+    files: &'a Files,
+    motion: &str,
+    failed: &'a Cell<Option<Rejected>>,
+) -> impl Fn(&str) -> Option<Vec<u8>> + use<'a> {
+    let folder = files.path(motion).and_then(Path::parent);
+    let folder = folder.unwrap_or(Path::new("."));
+    move |name| {
+        let read = files.read_beside(&folder.join(name_of_text(name)));
+        read.unwrap_or_else(|rejected| {
+            failed.set(Some(rejected));
+            None
+        })
+    }
 }
 
 /// Keys of the motions of a single file. The key is empty if the file holds one motion or is damaged; the
