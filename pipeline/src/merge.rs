@@ -144,7 +144,7 @@ pub fn merge(
     check_settings(&datasets, &clips)?;
     let transaction = Transaction::begin(out, holder)?;
     if transaction.base().is_some() {
-        return Err(Error::DatasetExists(out.to_owned()));
+        return Err(Error::dataset_exists(out));
     }
     let sources = MergedSources::of(a, b);
     let mut facts = sources.facts.clone();
@@ -213,10 +213,12 @@ pub fn merge(
 fn common_skeleton(first: &Dataset, second: &Dataset) -> Result<Skeleton, Error> {
     let skeleton = first.skeleton()?;
     if skeleton.hash() != second.skeleton()?.hash() {
-        return Err(Error::OtherSkeleton {
-            first: first.manifest().skeleton.clone(),
-            second: second.manifest().skeleton.clone(),
-        });
+        return Err(Error::refused(format!(
+            "the datasets are posed on different bodies: {} and {}; ingest one of them again with the --body-model of \
+             the other",
+            first.manifest().skeleton,
+            second.manifest().skeleton
+        )));
     }
     Ok(skeleton)
 }
@@ -253,7 +255,10 @@ fn check_settings(datasets: &[Dataset; 2], clips: &[Vec<Clip>; 2]) -> Result<(),
     }
     match differing.is_empty() {
         true => Ok(()),
-        false => Err(Error::CannotMerge(differing.join("; "))),
+        false => Err(Error::refused(format!(
+            "the datasets cannot be one: {}; ingest one of them again with the setting of the other",
+            differing.join("; ")
+        ))),
     }
 }
 

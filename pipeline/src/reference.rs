@@ -201,19 +201,16 @@ struct Met {
 impl Reference {
     fn find(folder: &Path) -> Result<Self, Error> {
         if !folder.is_dir() {
-            return Err(Error::MissingSource(folder.to_owned()));
+            return Err(Error::missing_source(folder));
         }
         let reference = Self {
             vectors: arrays(&folder.join(VECTORS))?,
             joints: arrays(&folder.join(JOINTS))?,
         };
         if reference.vectors.is_empty() && reference.joints.is_empty() {
-            return Err(Error::NoFiles {
-                paths: [VECTORS, JOINTS]
-                    .map(|name| folder.join(name).join("*.npy").display().to_string())
-                    .join(" or "),
-                hint: "name the folder that holds them".to_owned(),
-            });
+            let paths = [VECTORS, JOINTS].map(|name| folder.join(name).join("*.npy"));
+            let paths = paths.map(|path| path.display().to_string()).join(" or ");
+            return Err(Error::no_files(&paths, "name the folder that holds them"));
         }
         Ok(reference)
     }
@@ -689,8 +686,9 @@ mod tests {
         let dir = tempfile::tempdir().expect("temporary folder");
         let dataset = dataset(&dir.path().join("d"), &IDS[..1]);
         let none = compare(&dataset, dir.path(), &NoProgress);
-        assert!(matches!(none, Err(Error::NoFiles { .. })));
+        let code = |refused: Result<Comparison, Error>| refused.err()?.code().map(|code| code.0);
+        assert_eq!(code(none), Some("E-NO-FILES"));
         let nowhere = compare(&dataset, &dir.path().join("nowhere"), &NoProgress);
-        assert!(matches!(nowhere, Err(Error::MissingSource(_))));
+        assert_eq!(code(nowhere), Some("E-MISSING"));
     }
 }

@@ -337,10 +337,7 @@ impl Bundle {
 }
 
 fn refused(path: &Path, problem: String) -> Error {
-    Error::Bundle {
-        path: path.to_owned(),
-        problem,
-    }
+    Error::refused(format!("{}: {problem}", path.display()))
 }
 
 fn hash(bytes: &[u8]) -> String {

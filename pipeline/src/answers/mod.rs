@@ -106,7 +106,10 @@ impl Names {
         for (index, item) in items.iter().enumerate() {
             item.check()?;
             if names.insert(item.id.clone(), index).is_some() {
-                return Err(Error::ItemTwice(item.id.clone()));
+                return Err(Error::refused(format!(
+                    "item {} is in the table twice; draw the items again with `stance items`",
+                    item.id
+                )));
             }
         }
         // A name that is not an id must not shadow an id or be ambiguous.

@@ -66,7 +66,9 @@ pub fn export_edits(
         Layout::Bvh => "bvh",
         Layout::Gltf => "glb",
         other => {
-            return Err(Error::LayoutOfEdits(other.as_str()));
+            return Err(Error::refused(format!(
+                "{other} is a layout of whole datasets; edits are exported as bvh, amass or gltf"
+            )));
         }
     };
     let skeleton = dataset.skeleton()?;

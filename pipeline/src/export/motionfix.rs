@@ -101,7 +101,11 @@ pub fn export_triplets(
 }
 
 fn none(dataset: &Dataset) -> Error {
-    Error::NoTriplets(dataset.root().to_owned())
+    Error::refused(format!(
+        "{} holds neither recorded triplets, nor items with targets, nor pairs with instructions; `stance triplets \
+         DATASET --out TRIPLETS` records triplets",
+        dataset.root().display()
+    ))
 }
 
 /// Writes the pairs whose motions are both among the clips. A style pair without an instruction gets one made from its
@@ -512,7 +516,8 @@ mod tests {
             &at("out"),
             &NoProgress,
         );
-        assert!(matches!(refused, Err(Error::NoTriplets(_))));
+        let refused = refused.expect_err("no pairs").to_string();
+        assert!(refused.contains("neither recorded triplets"), "{refused}");
         assert!(!at("out").exists());
     }
 }

@@ -53,7 +53,12 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
     prepared.refuse_other_settings(destination)?;
     let plan = prepared.plan(store, destination, listed, progress)?;
     if let Some(path) = plan.files.archives().unpacked() {
-        return Err(Error::PackedTar(path.to_owned()));
+        let path = path.display();
+        let reason = format!(
+            "{path}: the members of a packed tar cannot be read by many processes; unpack it and name its folder, or \
+             pack it as zip"
+        );
+        return Err(Error::coded("E-PACKED-TAR", path, reason));
     }
     let fates = Fates::of(&plan, &prepared.base.recorded, options.prune);
     // Nothing is planned for clips that cannot stay, or for labels that may not be lost.

@@ -80,7 +80,7 @@ impl<'a> Located<'a> {
     fn find(arg: &'a SourceArg) -> Result<Self, Error> {
         use std::io::ErrorKind::NotFound;
 
-        let missing = || Error::MissingSource(arg.path.clone());
+        let missing = || Error::missing_source(&arg.path);
         let (path, is_file) = if is_url(&arg.path) {
             let text = arg.path.to_string_lossy();
             let path = PathBuf::from(text.trim_end_matches('/'));
@@ -209,7 +209,7 @@ impl Listed {
             Some(names.join("/"))
         });
         if own.as_deref() == Some("") {
-            return Err(Error::AskedSource(format!(
+            return Err(Error::asked(format!(
                 "{} is the dataset and its source at the same time; write the dataset to another folder",
                 self.given.display()
             )));
@@ -312,12 +312,11 @@ pub(crate) fn list_sources(
             .iter()
             .map(|source| source.path.display().to_string())
             .collect();
-        return Err(Error::NoFiles {
-            paths: paths.join(", "),
-            hint: listed
-                .first()
-                .map_or_else(String::new, |source| source.listing.why_empty()),
-        });
+        let hint = listed.first().map(|source| source.listing.why_empty());
+        return Err(Error::no_files(
+            &paths.join(", "),
+            &hint.unwrap_or_default(),
+        ));
     }
     Ok(listed)
 }
@@ -406,7 +405,7 @@ impl Listing {
             self.files.insert(names.join("/"), file);
         }
         match self.files.is_empty() {
-            true => Err(Error::MissingSource(given.to_owned())),
+            true => Err(Error::missing_source(given)),
             false => Ok(()),
         }
     }

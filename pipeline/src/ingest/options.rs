@@ -187,15 +187,14 @@ impl IngestOptions {
     ///
     /// # Errors
     /// The rate is implausibly low or high.
-    pub fn check_fps(fps: Fps) -> Result<(), crate::Error> {
+    pub fn check_fps(fps: Fps) -> Result<(), Error> {
         let [lowest, highest] = FPS_LIMITS;
         match (lowest..=highest).contains(&fps.get()) {
             true => Ok(()),
-            false => Err(crate::Error::StoredRate {
-                got: fps.get(),
-                lowest,
-                highest,
-            }),
+            false => Err(Error::refused(format!(
+                "cannot store motions at {} frames per second; choose {lowest} to {highest}, or native",
+                fps.get()
+            ))),
         }
     }
 }

@@ -92,10 +92,11 @@ impl Prepared {
     /// Refuses settings that differ from those of the dataset, unless a new version was requested.
     pub(super) fn refuse_other_settings(&self, root: &Path) -> Result<(), Error> {
         match &self.differing {
-            Some(differing) if !self.options.new_version => Err(Error::OtherSettings {
-                path: root.to_owned(),
-                differing: differing.clone(),
-            }),
+            Some(differing) if !self.options.new_version => Err(Error::refused(format!(
+                "{} was made with other settings: {differing}; choose another folder, or pass --new-version to read \
+                 everything again with the new ones",
+                root.display()
+            ))),
             _ => Ok(()),
         }
     }

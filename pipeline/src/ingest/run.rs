@@ -567,12 +567,14 @@ impl Prepared {
             return Ok(());
         };
         let shown: Vec<&str> = staying.iter().take(SHOWN).map(|id| id.as_str()).collect();
-        Err(Error::Mixture {
-            path: root.to_owned(),
-            count: staying.len(),
-            shown: shown.join(", "),
-            differing: differing.clone(),
-        })
+        let reason = format!(
+            "{} clips of {} cannot be read again with the new settings ({differing}): {}; nothing was changed. Put \
+             their files back, keep the settings, or pass --prune to leave these clips out",
+            staying.len(),
+            root.display(),
+            shown.join(", ")
+        );
+        Err(Error::coded("E-MIXTURE", root.display(), reason))
     }
 }
 

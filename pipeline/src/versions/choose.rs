@@ -71,12 +71,14 @@ impl Choice {
                 if !unknown.is_empty() || chosen.is_empty() {
                     let shown: Vec<&str> =
                         unknown.iter().take(SHOWN).map(|id| id.as_str()).collect();
-                    return Err(Error::UnknownIds {
-                        path: path.clone(),
-                        dataset: dataset.root().to_owned(),
-                        count: unknown.len(),
-                        shown: shown.join(", "),
-                    });
+                    let root = dataset.root().display();
+                    return Err(Error::refused(format!(
+                        "{} ids of {} name no clip of {root}: {}; nothing was changed. `stance inspect {root} --list` \
+                         shows the ids",
+                        unknown.len(),
+                        path.display(),
+                        shown.join(", ")
+                    )));
                 }
                 known.retain(|id| ids.contains(id.as_str()));
                 Ok(known)

@@ -119,11 +119,13 @@ pub(crate) fn check_lost(root: &Path, lost: &[LostLabel], drop_labels: bool) -> 
     if lost.len() > SHOWN {
         shown.push("others".to_owned());
     }
-    Err(Error::LabelsLost {
-        path: root.to_owned(),
-        count: lost.len(),
-        shown: shown.join(", "),
-    })
+    Err(Error::refused(format!(
+        "{} labels in {} belong to clips that changed or went: {}; nothing was changed. Pass --drop-labels to go on \
+         without them (the version before keeps them)",
+        lost.len(),
+        root.display(),
+        shown.join(", ")
+    )))
 }
 
 pub(crate) fn json(value: &impl Serialize) -> String {

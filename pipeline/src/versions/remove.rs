@@ -66,7 +66,10 @@ pub fn remove(
     let left = left_out(&dataset, |id| chosen.contains(id), REMOVED)?;
     let mut shards = Shards::read(&dataset)?;
     if shards.num_clips() <= left.len() {
-        return Err(Error::AllRemoved(root.to_owned()));
+        return Err(Error::refused(format!(
+            "every clip of {} would be removed; nothing was changed. Remove the folder if that is meant",
+            root.display()
+        )));
     }
     let mut report = Removed {
         removed: chosen.iter().map(ToString::to_string).collect(),

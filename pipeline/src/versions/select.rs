@@ -69,7 +69,7 @@ pub fn select(
     let chosen = Choice::Where(filter.clone()).of(&dataset)?;
     let transaction = Transaction::begin(out, holder)?;
     if transaction.base().is_some() {
-        return Err(Error::DatasetExists(out.to_owned()));
+        return Err(Error::dataset_exists(out));
     }
     let manifest = dataset.manifest();
     let skeleton = dataset.skeleton()?;
