@@ -265,19 +265,19 @@ impl Plan {
     /// Whether a recorded path belongs to a source of this run, and can be read if it exists. `name` is the name of its
     /// source.
     pub(super) fn is_of_run(&self, name: &str, path: &str) -> bool {
-        let mut given = self.given.iter();
+        let mut given = self.notes.given.iter();
         let Some(given) = given.find(|given| given.label.name == name) else {
             return false;
         };
         match self.sources.get(path) {
-            Some(source) => source.hash.is_ok() && !self.staying.contains(path),
+            Some(source) => source.hash.is_ok() && !self.notes.staying.contains(path),
             None => given.is_whole && !self.is_unlisted(path),
         }
     }
 
     /// Whether a path lies in a folder that could not be listed.
     fn is_unlisted(&self, path: &str) -> bool {
-        self.unlisted.iter().any(|folder| {
+        self.notes.unlisted.iter().any(|folder| {
             let folder = folder.strip_suffix('.').unwrap_or(folder);
             folder.is_empty() || path.starts_with(&format!("{}/", folder.trim_end_matches('/')))
         })

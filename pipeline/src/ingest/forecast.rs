@@ -100,7 +100,7 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
         sources: plan.forecast(recorded, &fates),
         settings: prepared.differing,
         lost: lost.lost,
-        refused_splits: plan.refused_splits.clone(),
+        refused_splits: plan.notes.refused_splits.clone(),
         remarks: plan
             .all_remarks()
             .into_iter()
@@ -113,7 +113,7 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
 impl Plan {
     fn forecast(&self, recorded: &Recorded, fates: &Fates<'_>) -> Vec<SourceForecast> {
         let mut sources: BTreeMap<&str, SourceForecast> = BTreeMap::new();
-        for given in &self.given {
+        for given in &self.notes.given {
             let name = given.label.name.as_str();
             let source = SourceForecast {
                 name: name.to_owned(),

@@ -25,7 +25,7 @@ impl Plan {
     /// long as none of their inputs has changed.
     pub(super) fn identify(&mut self, recorded: &Recorded, same_settings: bool) {
         // A clip whose file cannot be read now stays unchanged.
-        let (sources, remarks) = (&self.sources, &mut self.remarks);
+        let (sources, remarks) = (&self.sources, &mut self.notes.remarks);
         self.rejected.retain(|row| {
             let unreadable = sources
                 .get(&row.path)
@@ -307,7 +307,7 @@ impl Plan {
     /// The label of a clip that its split is drawn from; none if the clip has no such label, or splits are drawn by
     /// clip.
     fn split_label(&self, item: &Planned) -> Option<String> {
-        match self.split_by {
+        match self.notes.split_by {
             SplitBy::Clip => None,
             SplitBy::Subject => {
                 let source = self.source_name(&item.entry.file);
@@ -324,7 +324,7 @@ impl Plan {
 
     /// Says how many clips lack the label that splits are drawn by.
     pub(super) fn note_split_labels(&mut self) {
-        if self.split_by == SplitBy::Clip {
+        if self.notes.split_by == SplitBy::Clip {
             return;
         }
         let lacking = self
@@ -333,11 +333,11 @@ impl Plan {
             .filter(|item| self.split_label(item).is_none());
         let count = lacking.count();
         if count > 0 {
-            self.remarks.push(format!(
+            self.notes.remarks.push(format!(
                 "{count} of {} clips state no {by}, and their splits were drawn by clip; a label file, a sidecar or a table of \
                  the source states it",
                 self.items.len(),
-                by = self.split_by
+                by = self.notes.split_by
             ));
         }
     }

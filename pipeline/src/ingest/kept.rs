@@ -155,7 +155,7 @@ impl Plan {
     /// The sources of the dataset with those of this run.
     pub(super) fn all_labels(&self, recorded: &Recorded) -> Vec<SourceLabel> {
         let mut sources = recorded.sources.clone();
-        for given in &self.given {
+        for given in &self.notes.given {
             if !sources.contains(&given.label) {
                 sources.push(given.label.clone());
             }
@@ -170,7 +170,7 @@ impl Plan {
     }
 
     pub(super) fn has_known_sources(&self, recorded: &Recorded) -> bool {
-        let mut given = self.given.iter();
+        let mut given = self.notes.given.iter();
         given.all(|given| recorded.sources.contains(&given.label))
     }
 }

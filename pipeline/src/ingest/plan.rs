@@ -18,6 +18,7 @@ use formats::source::{
     recognise, refuse_pointer,
 };
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::inputs;
 use super::known::Identified;
@@ -36,25 +37,32 @@ pub(super) struct Plan {
     pub(super) sources: BTreeMap<String, Source>,
     pub(super) releases: Vec<FoundRelease>,
     pub(super) items: Vec<Planned>,
-    pub(super) given: Vec<Given>,
     /// Files without a motion.
     pub(super) skipped: Vec<SkippedRow>,
     /// Files found broken while planning, and folders that cannot be listed.
     pub(super) rejected: Vec<QuarantineRow>,
+    /// Labels of motions from files of their folders.
+    pub(super) folder_labels: FolderLabels,
+    pub(super) claimed: BTreeSet<String>,
+    pub(super) notes: PlanNotes,
+}
+
+/// Parts of a plan besides its tables.
+#[derive(Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PlanNotes {
+    pub(super) given: Vec<Given>,
     pub(super) unlisted: Vec<String>,
     /// Files whose clips stay unchanged, because their labels cannot be read now.
     pub(super) staying: BTreeSet<String>,
     /// Remarks on the splits of the dataset.
     pub(super) remarks: Vec<String>,
-    /// Remarks on the clips that the user's choice left out, and on its lines that name no clip.
-    pub(super) choice: Vec<String>,
     /// Remarks on how the sources were recognised, and what was left out of them.
     pub(super) said: Vec<String>,
-    /// Labels of motions from files of their folders.
-    pub(super) folder_labels: FolderLabels,
+    /// Remarks on the clips that the user's choice left out, and on its lines that name no clip.
+    pub(super) choice: Vec<String>,
     /// Lines of the list of splits that gave no clip a split.
     pub(super) refused_splits: Vec<RefusedLine>,
-    pub(super) claimed: BTreeSet<String>,
     /// Grouping whose clips share one drawn split.
     pub(super) split_by: SplitBy,
 }
@@ -141,11 +149,15 @@ impl Plan {
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
         let (mut skipped, mut rejected) = (Vec::new(), Vec::new());
-        let (mut given, mut unlisted) = (Vec::new(), Vec::new());
+        let mut notes = PlanNotes {
+            said,
+            split_by: options.split_by.unwrap_or_default(),
+            ..PlanNotes::default()
+        };
         let mut files: BTreeMap<String, (PathBuf, usize)> = BTreeMap::new();
         let mut archives = Archives::default();
         for (source, listing) in sources {
-            let (name, of) = (source.label.name.as_str(), given.len());
+            let (name, of) = (source.label.name.as_str(), notes.given.len());
             let behind = |path: &str| list::labelled(&source.label.label, path);
             let special = listing.special.into_iter();
             skipped.extend(special.map(|(path, reason)| SkippedRow {
@@ -158,33 +170,26 @@ impl Plan {
             for (path, hash, why) in unread(listing.unlisted, listing.refused) {
                 let path = behind(&path);
                 rejected.push(quarantine_row(&path, "", name, hash, why));
-                unlisted.push(path);
+                notes.unlisted.push(path);
             }
             archives.add(listing.archives);
             let own = listing.files.into_iter();
             files.extend(own.map(|(path, place)| (behind(&path), (place, of))));
-            given.push(source);
+            notes.given.push(source);
         }
         let sources = hash_files(store.as_ref(), &files, progress);
         let files = files.into_iter().map(|(path, (place, _))| (path, place));
         let files = Files::on(store, files.collect()).with_archives(archives);
         let mut plan = Self {
             folder_labels: FolderLabels::read(&files),
-            refused_splits: Vec::new(),
             releases: find_releases(&files, options.humanml3d_index.as_deref())?,
             files,
             sources,
-            given,
             items: Vec::new(),
             skipped,
             rejected,
-            unlisted,
-            staying: BTreeSet::new(),
-            remarks: Vec::new(),
-            said,
-            choice: Vec::new(),
             claimed: BTreeSet::new(),
-            split_by: options.split_by.unwrap_or_default(),
+            notes,
         };
         plan.claimed = plan.take_releases(options);
         plan.take_single_files(options);
@@ -226,7 +231,7 @@ impl Plan {
 
     pub(super) fn source_of(&self, file: &str) -> Option<&Given> {
         let source = self.sources.get(file);
-        source.and_then(|source| self.given.get(source.of))
+        source.and_then(|source| self.notes.given.get(source.of))
     }
 
     pub(super) fn source_name(&self, file: &str) -> &str {
@@ -278,7 +283,7 @@ impl Plan {
                 let entries = release.entries.iter().cloned();
                 self.items
                     .extend(entries.map(|entry| Planned::new(entry, format, Some(index))));
-                self.remarks.extend(release.remarks.iter().cloned());
+                self.notes.remarks.extend(release.remarks.iter().cloned());
             }
             for (file, reason) in &release.passed_over {
                 if !claimed.insert(file.clone()) {
@@ -417,8 +422,8 @@ impl Plan {
             // A clip of the dataset stays unchanged.
             Some(reason) if item.known.is_some() => {
                 let remark = format!("{} stays as it was: {}", item.id, reason.reason);
-                self.remarks.push(remark);
-                self.staying.insert(item.entry.file.clone());
+                self.notes.remarks.push(remark);
+                self.notes.staying.insert(item.entry.file.clone());
                 false
             }
             Some(reason) => {
@@ -452,7 +457,7 @@ impl Plan {
             }
         }
         if let Some(list) = list {
-            self.refused_splits = list.refused(&known);
+            self.notes.refused_splits = list.refused(&known);
             stated.extend(
                 lines
                     .into_iter()
@@ -499,7 +504,7 @@ impl Plan {
     }
 
     pub(super) fn all_remarks(&self) -> Vec<String> {
-        [&self.remarks[..], &self.said].concat()
+        [&self.notes.remarks[..], &self.notes.said].concat()
     }
 
     /// Source items: motions, and files without one.
@@ -517,7 +522,7 @@ impl Plan {
         take(&settings.text());
         take(&base.to_string());
         take(if options.prune { "prune" } else { "" });
-        for source in &self.given {
+        for source in &self.notes.given {
             take(&source.label.name);
             take(&source.label.label);
             take(if source.is_whole { "whole" } else { "" });

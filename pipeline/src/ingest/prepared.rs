@@ -135,7 +135,7 @@ impl Prepared {
     /// The places of the sources, with those of a plan.
     pub(super) fn places_with(&self, plan: &Plan) -> Places {
         let mut places = self.places.clone();
-        places.record(&plan.given);
+        places.record(&plan.notes.given);
         places
     }
 }

@@ -66,7 +66,7 @@ pub(super) fn already_complete(out: &Path, plan: &Plan) -> Result<IngestReport, 
             .and_then(|lines| serde_json::from_str(lines).ok())
             .unwrap_or_default(),
         remarks: plan.all_remarks(),
-        refused_splits: plan.refused_splits.clone(),
+        refused_splits: plan.notes.refused_splits.clone(),
         label_problems: facts
             .get(LABEL_PROBLEMS_FACT)
             .and_then(|problems| serde_json::from_str(problems).ok())

@@ -157,7 +157,7 @@ impl Prepared {
             }
         };
         let warning = license::warning(&report.licenses);
-        report.remarks.extend(plan.choice.iter().cloned());
+        report.remarks.extend(plan.notes.choice.iter().cloned());
         report
             .remarks
             .extend(self.kept.iter().cloned().chain(warning));
@@ -467,7 +467,7 @@ impl Run<'_> {
             (LICENSES_FACT.to_owned(), json(&licenses)),
             (LABEL_PROBLEMS_FACT.to_owned(), json(&label_problems)),
             (SEED_FACT.to_owned(), options.seed.0.to_string()),
-            (SPLIT_BY_FACT.to_owned(), plan.split_by.to_string()),
+            (SPLIT_BY_FACT.to_owned(), plan.notes.split_by.to_string()),
             ("fps".to_owned(), rate_name(options)),
             ("files".to_owned(), plan.files.len().to_string()),
             ("dropped_pairs".to_owned(), pairs.dropped.to_string()),
@@ -480,8 +480,8 @@ impl Run<'_> {
         if let Some(list) = &options.pairs {
             facts.insert(PAIRS_FACT.to_owned(), list.hash().to_owned());
         }
-        if !plan.remarks.is_empty() {
-            facts.insert(REMARKS_FACT.to_owned(), plan.remarks.join("; "));
+        if !plan.notes.remarks.is_empty() {
+            facts.insert(REMARKS_FACT.to_owned(), plan.notes.remarks.join("; "));
         }
         if !pairs.refused.is_empty() {
             facts.insert(REFUSED_PAIRS_FACT.to_owned(), json(&pairs.refused));
@@ -506,7 +506,7 @@ impl Run<'_> {
             dropped_pairs: pairs.dropped,
             refused_pairs: pairs.refused,
             remarks: plan.all_remarks(),
-            refused_splits: plan.refused_splits.clone(),
+            refused_splits: plan.notes.refused_splits.clone(),
             label_problems,
             licenses,
             skipped: counted(&tally.skipped),

@@ -54,7 +54,7 @@ impl Plan {
         const SHOWN: usize = 10;
         let mut known = BTreeSet::new();
         let (mut skipped, mut stay) = (Vec::new(), 0u64);
-        let staying = &mut self.staying;
+        let staying = &mut self.notes.staying;
         self.items.retain(|item| {
             let names = item.names();
             let is_chosen = list.chooses(&names);
@@ -76,19 +76,20 @@ impl Plan {
             self.skipped.push(row);
         }
         if stay > 0 {
-            self.choice.push(format!(
+            self.notes.choice.push(format!(
                 "{stay} clips of the dataset are not among those of --ids; they were not read and stay as they are"
             ));
         }
         let unmatched = list.unmatched(&known);
         for (number, name) in unmatched.iter().take(SHOWN) {
-            self.choice.push(format!(
+            self.notes.choice.push(format!(
                 "line {number} of --ids: no clip is called {name:?}"
             ));
         }
         if unmatched.len() > SHOWN {
             let more = unmatched.len() - SHOWN;
-            self.choice
+            self.notes
+                .choice
                 .push(format!("{more} more lines of --ids name no clip"));
         }
     }
