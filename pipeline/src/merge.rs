@@ -52,19 +52,7 @@ struct Part<'a> {
     splits: BTreeMap<MotionId, Split>,
 }
 
-impl<'a> Part<'a> {
-    fn new(dataset: &'a Dataset, number: usize, sources: &'a MergedSources, label: String) -> Self {
-        Self {
-            dataset,
-            number,
-            sources,
-            label,
-            shared: BTreeSet::new(),
-            ids: BTreeMap::new(),
-            splits: BTreeMap::new(),
-        }
-    }
-
+impl Part<'_> {
     fn id(&self, id: &MotionId) -> MotionId {
         self.ids.get(id).unwrap_or(id).clone()
     }
@@ -148,7 +136,15 @@ pub fn merge(
     }
     let sources = MergedSources::of(a, b);
     let mut facts = sources.facts.clone();
-    let base = Part::new(a, 0, &sources, String::new());
+    let base = Part {
+        dataset: a,
+        number: 0,
+        sources: &sources,
+        label: String::new(),
+        shared: BTreeSet::new(),
+        ids: BTreeMap::new(),
+        splits: BTreeMap::new(),
+    };
     let added = added(&datasets, &clips, &sources)?;
     let plan = plan_hash(
         "merge",
@@ -272,7 +268,15 @@ fn added<'a>(
         .iter()
         .map(|clip| (&clip.origin.id, clip.content.as_str()))
         .collect();
-    let mut part = Part::new(second, 1, sources, sources.label.clone());
+    let mut part = Part {
+        dataset: second,
+        number: 1,
+        sources,
+        label: sources.label.clone(),
+        shared: BTreeSet::new(),
+        ids: BTreeMap::new(),
+        splits: moved([first, second], [known, own])?,
+    };
     let all = known.iter().chain(own);
     let mut taken: BTreeSet<MotionId> = all.map(|clip| clip.origin.id.clone()).collect();
     for Clip {
@@ -297,7 +301,6 @@ fn added<'a>(
             None => {}
         }
     }
-    part.splits = moved([first, second], [known, own])?;
     for id in &part.shared {
         part.splits.remove(id);
     }
@@ -358,17 +361,17 @@ fn clip_tables(
     progress: &dyn Progress,
 ) -> Result<BTreeMap<String, Vec<FileEntry>>, Error> {
     progress.begin("merge", Some(CLIP_TABLES.len() as u64));
-    let motions = shards::<MotionRow>(transaction, parts, facts)?;
-    progress.advance(1);
-    let markers = shards::<MarkerRow>(transaction, parts, facts)?;
-    progress.advance(1);
-    let features = shards::<HumanMl3dRow>(transaction, parts, facts)?;
-    progress.advance(1);
-    let mut tables = BTreeMap::from([(MotionRow::TABLE.to_owned(), motions)]);
-    for (table, files) in [(MarkerRow::TABLE, markers), (HumanMl3dRow::TABLE, features)] {
-        if !files.is_empty() {
+    let mut tables = BTreeMap::new();
+    for table in CLIP_TABLES {
+        let files = match table {
+            MotionRow::TABLE => shards::<MotionRow>(transaction, parts, facts)?,
+            MarkerRow::TABLE => shards::<MarkerRow>(transaction, parts, facts)?,
+            _ => shards::<HumanMl3dRow>(transaction, parts, facts)?,
+        };
+        if table == MotionRow::TABLE || !files.is_empty() {
             tables.insert(table.to_owned(), files);
         }
+        progress.advance(1);
     }
     Ok(tables)
 }

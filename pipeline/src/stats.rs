@@ -292,19 +292,16 @@ impl Statistics {
             "\n{:<24} {:>8} {:>8} {:>8} {:>8}",
             "", "p5", "p50", "p95", "max"
         )?;
-        let mut spreads: Vec<(String, Spread)> = Vec::new();
-        spreads.extend(
-            self.max_speed
-                .map(|spread| ("max speed, m/s".to_owned(), spread)),
-        );
-        spreads.extend(
-            self.foot_skate
-                .map(|spread| ("foot skate, m/s".to_owned(), spread)),
-        );
-        for (source, spread) in &self.fit_error_m {
-            spreads.push((format!("fit error of {source}, m"), *spread));
-        }
-        for (label, Spread { p5, p50, p95, max }) in spreads {
+        let of_clips = [
+            ("max speed", self.max_speed),
+            ("foot skate", self.foot_skate),
+        ];
+        let of_clips = of_clips
+            .into_iter()
+            .filter_map(|(name, spread)| Some((format!("{name}, m/s"), spread?)));
+        let errors = self.fit_error_m.iter();
+        let errors = errors.map(|(source, spread)| (format!("fit error of {source}, m"), *spread));
+        for (label, Spread { p5, p50, p95, max }) in of_clips.chain(errors) {
             writeln!(f, "{label:<24} {p5:>8.3} {p50:>8.3} {p95:>8.3} {max:>8.3}")?;
         }
         Ok(())

@@ -58,12 +58,12 @@ impl Alike {
         (root, recorded, fates): (&Path, &Recorded, &Fates<'_>),
         skeleton: &Skeleton,
     ) -> Result<Self, Error> {
-        let mut files = Files::default();
+        let mut paths = Vec::new();
         let (mut all, mut contents) = (Vec::new(), Vec::new());
         for (_, file) in made.1 {
             let path = made.0.path(file);
-            let file = files.add(path);
-            let (numbers, of_file) = numbers_of(&files.paths[file], file)?;
+            let (numbers, of_file) = numbers_of(&path, paths.len())?;
+            paths.push(path);
             all.extend(numbers);
             contents.extend(of_file);
         }
@@ -81,9 +81,10 @@ impl Alike {
             let Some((_, file)) = motions.next() else {
                 continue;
             };
-            let file = *of_shard
-                .entry(clip.shard)
-                .or_insert_with(|| files.add(root.join(&file.path)));
+            let file = *of_shard.entry(clip.shard).or_insert_with(|| {
+                paths.push(root.join(&file.path));
+                paths.len() - 1
+            });
             all.push(Numbers {
                 id: clip.id.to_string(),
                 split: Some(clip.split),
@@ -100,6 +101,7 @@ impl Alike {
             groups.unite(first, index);
         }
         drop(first);
+        let files = Files(paths);
         files.fill_centres(&mut all, num_made, skeleton)?;
         let near = files.unite_near(&all, num_made, skeleton, &mut groups)?;
         Ok(Self::of(&all, &groups, &near))
@@ -188,17 +190,10 @@ fn may_be_near(a: &Numbers, b: &Numbers) -> bool {
 
 const CLIPS_AT_ONCE: usize = 32;
 
-#[derive(Default)]
-struct Files {
-    paths: Vec<PathBuf>,
-}
+/// Files of motions, by the numbers in [`Numbers::file`].
+struct Files(Vec<PathBuf>);
 
 impl Files {
-    fn add(&mut self, path: PathBuf) -> usize {
-        self.paths.push(path);
-        self.paths.len() - 1
-    }
-
     /// Runs a function on the sketches of some motions, given by their index in `all`. A thread has one file open at a
     /// time.
     fn sketches<T: Send>(
@@ -215,7 +210,7 @@ impl Files {
             of_file.insert(&numbers.id, index);
         }
         let of_file = |(file, wanted): (usize, BTreeMap<&str, usize>)| {
-            let shard = ShardReader::open(&self.paths[file])?;
+            let shard = ShardReader::open(&self.0[file])?;
             let ids = shard.column::<MotionRow, MotionId>("id")?.into_iter();
             let rows = ids
                 .enumerate()

@@ -103,21 +103,12 @@ impl<'a> Fates<'a> {
             .map(|(_, clip)| clip)
     }
 
-    /// Number of clips that stay without being among the items of this run.
-    pub(super) fn num_beside(&self) -> u64 {
-        let beside = self
-            .fates
-            .iter()
-            .filter(|fate| matches!(fate, Fate::Elsewhere | Fate::Missing | Fate::Unusable));
-        beside.count() as u64
-    }
-
-    /// Clips that stay unchanged although the files of the others are read again.
-    pub(super) fn not_read_again(&self) -> Vec<&'a MotionId> {
+    /// Clips that stay without being among the items of this run, even if the files of the others are read again.
+    pub(super) fn beside(&self) -> impl Iterator<Item = &'a MotionId> + '_ {
         let clips = self.recorded.clips.iter().zip(&self.fates);
         let stay = clips
             .filter(|(_, fate)| matches!(fate, Fate::Elsewhere | Fate::Missing | Fate::Unusable));
-        stay.map(|(clip, _)| &clip.id).collect()
+        stay.map(|(clip, _)| &clip.id)
     }
 
     pub(super) fn nothing_changed(&self) -> bool {

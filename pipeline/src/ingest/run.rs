@@ -186,7 +186,7 @@ impl Run<'_> {
         )?;
         let shards = plan.deal(&self.fates.rewritten());
         let mut tally = self.read(&shards, pieces, progress)?;
-        let num_beside = self.fates.num_beside();
+        let num_beside = self.fates.beside().count() as u64;
         let accounting = tally.accounting(plan.num_items(), outside, num_beside);
         progress.finish(&format!(
             "{} sources: {} ingested, {} quarantined, {} skipped",
@@ -562,7 +562,7 @@ impl Prepared {
     /// Refuses the run if clips would keep old settings that all clips of a dataset must share.
     pub(super) fn refuse_mixture(&self, root: &Path, fates: &Fates<'_>) -> Result<(), Error> {
         const SHOWN: usize = 5;
-        let staying = fates.not_read_again();
+        let staying: Vec<_> = fates.beside().collect();
         let Some(differing) = self.must_agree.as_ref().filter(|_| !staying.is_empty()) else {
             return Ok(());
         };
