@@ -84,32 +84,35 @@ impl Part<'_> {
         Some((split, row))
     }
 
-    fn quarantine(&self) -> Result<Vec<QuarantineRow>, Error> {
-        let rows = self.dataset.read::<QuarantineRow>(None)?.into_iter();
-        let rows = rows.map(|row| QuarantineRow {
-            source_name: self.sources.name(self.number, &row.source_name, &row.path),
-            path: self.path(&row.path),
-            ..row
-        });
-        Ok(rows.collect())
-    }
-
-    /// Rows for the items that the dataset skipped, and for its clips that the other dataset already has.
-    fn skipped(&self) -> Result<Vec<SkippedRow>, Error> {
-        let rows = self.dataset.read::<SkippedRow>(None)?.into_iter();
-        let rows = rows.map(|row| SkippedRow {
-            source_name: self.sources.name(self.number, &row.source_name, &row.path),
-            path: self.path(&row.path),
-            ..row
-        });
-        let shared = self.shared.iter().map(|id| SkippedRow {
+    /// Adds the items that the dataset rejected or skipped, and its clips that the other dataset already has.
+    fn passed_over(
+        &self,
+        quarantine: &mut Vec<QuarantineRow>,
+        skipped: &mut Vec<SkippedRow>,
+    ) -> Result<(), Error> {
+        let name = |name: &str, path: &str| self.sources.name(self.number, name, path);
+        for row in self.dataset.read::<QuarantineRow>(None)? {
+            quarantine.push(QuarantineRow {
+                source_name: name(&row.source_name, &row.path),
+                path: self.path(&row.path),
+                ..row
+            });
+        }
+        for row in self.dataset.read::<SkippedRow>(None)? {
+            skipped.push(SkippedRow {
+                source_name: name(&row.source_name, &row.path),
+                path: self.path(&row.path),
+                ..row
+            });
+        }
+        skipped.extend(self.shared.iter().map(|id| SkippedRow {
             path: self.path(id.as_str()),
             source_name: String::new(),
             source_hash: String::new(),
             inputs_hash: String::new(),
             reason: "clip of both merged datasets".to_owned(),
-        });
-        Ok(rows.chain(shared).collect())
+        }));
+        Ok(())
     }
 }
 
@@ -164,7 +167,10 @@ pub fn merge(
     let splits = splits(&parts, &clips);
     let (labels, dropped_labels) = labels(&parts, &splits)?;
     tables.extend(labels.write(&Labels::default(), &transaction, &skeleton, &plan)?);
-    let (quarantine, skipped) = passed_over(&parts)?;
+    let (mut quarantine, mut skipped) = (Vec::new(), Vec::new());
+    for part in parts {
+        part.passed_over(&mut quarantine, &mut skipped)?;
+    }
     tables.insert(
         QuarantineRow::TABLE.to_owned(),
         transaction.write_shards(None, &quarantine, &shard_facts)?,
@@ -385,16 +391,6 @@ fn splits(parts: &[&Part<'_>], clips: &[Vec<Clip>]) -> BTreeMap<MotionId, Split>
         }
     }
     splits
-}
-
-/// The rejected and the skipped rows of both datasets.
-fn passed_over(parts: &[&Part<'_>]) -> Result<(Vec<QuarantineRow>, Vec<SkippedRow>), Error> {
-    let (mut quarantine, mut skipped) = (Vec::new(), Vec::new());
-    for part in parts {
-        quarantine.extend(part.quarantine()?);
-        skipped.extend(part.skipped()?);
-    }
-    Ok((quarantine, skipped))
 }
 
 /// The labels of both datasets, and the ids of labels whose motions are now in two splits.

@@ -44,17 +44,18 @@ impl Fates<'_> {
         let mut labels = Labels::default();
         for mask in masks {
             // Masks of the source come back when it is read, and a stage derives its own masks again.
-            match self.place(&mask.motion_id) {
-                Ok(Place::ReadAgain) if is_mask_of_source(&mask) => {}
+            match self.is_read_again(&mask.motion_id) {
+                Ok(true) if is_mask_of_source(&mask) => {}
                 Ok(_) => labels.masks.push(mask),
                 Err(_) if !is_mask_of_people(&mask) => {}
                 Err(lost) => labels.lose(MaskRow::TABLE, mask.id, lost),
             }
         }
         for pair in pairs {
-            let [source, target] = [&pair.source_id, &pair.target_id].map(|id| self.place(id));
-            match source.and(target) {
-                Ok(Place::ReadAgain) if is_pair_of_source(&pair) => {}
+            let [source, target] = [&pair.source_id, &pair.target_id];
+            let source = self.is_read_again(source);
+            match source.and_then(|_| self.is_read_again(target)) {
+                Ok(true) if is_pair_of_source(&pair) => {}
                 Ok(_) => labels.pairs.push(pair),
                 Err(_) if !is_pair_of_people(&pair) => {}
                 Err(lost) => labels.lose(PairRow::TABLE, pair.id, lost),
@@ -63,14 +64,14 @@ impl Fates<'_> {
         labels
     }
 
-    /// Where the clip of a label is now. If its labels do not apply any more, the error is the clip and what happened
-    /// to it.
-    fn place(&self, id: &MotionId) -> Result<Place, (String, String)> {
+    /// Whether the clip of a label is read again; otherwise it stays. If its labels do not apply any more, the error is the
+    /// clip and what happened to it.
+    fn is_read_again(&self, id: &MotionId) -> Result<bool, (String, String)> {
         let reason = match self.of_clip(id) {
             Some(Fate::Kept | Fate::Elsewhere | Fate::Missing | Fate::Unusable) => {
-                return Ok(Place::Stays);
+                return Ok(false);
             }
-            Some(Fate::ReadAgain { is_same_file: true }) => return Ok(Place::ReadAgain),
+            Some(Fate::ReadAgain { is_same_file: true }) => return Ok(true),
             Some(Fate::ReadAgain { .. }) => format!("the file of {id} changed"),
             Some(Fate::Pruned { is_there: false }) => format!("the file of {id} is gone"),
             Some(Fate::Pruned { is_there: true }) => format!("{id} cannot be used any more"),
@@ -173,13 +174,6 @@ impl Plan {
         let mut given = self.notes.given.iter();
         given.all(|given| recorded.sources.contains(&given.label))
     }
-}
-
-/// State of a clip whose labels are kept.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Place {
-    Stays,
-    ReadAgain,
 }
 
 impl Labels {
