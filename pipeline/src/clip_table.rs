@@ -155,7 +155,6 @@ pub(crate) trait ClipRow: Row {
         None
     }
 
-    /// Id of the clip that this one mirrors.
     fn mirrored_of(&mut self) -> Option<&mut String> {
         None
     }

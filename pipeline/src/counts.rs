@@ -9,7 +9,6 @@ use tables::{Condition, Tables};
 
 use crate::Error;
 
-/// Totals of a group of clips.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(crate) struct Share {
     pub(crate) clips: u64,

@@ -359,7 +359,6 @@ fn moved(
     Ok(moved)
 }
 
-/// Writes the tables of the clips of both datasets.
 fn clip_tables(
     transaction: &Transaction,
     parts: &[&Part<'_>],

@@ -20,10 +20,8 @@ use serde::Serialize;
 use crate::Error;
 use pickle::npy;
 
-/// Folders of the vectors and joints in a published folder.
 const VECTORS: &str = "new_joint_vecs";
 const JOINTS: &str = "new_joints";
-/// Name of the group of joint positions, from [`JOINTS`].
 const JOINT_GROUP: &str = "recovered joints";
 
 /// Tolerance of a feature, and of a joint in metres, for other implementations of the recipe; and the
@@ -358,7 +356,6 @@ fn compare_joints(own: &[Joints], published: &[Joints]) -> Difference {
     difference
 }
 
-/// How much a group of features differs.
 #[derive(Clone, Copy, Debug, Default)]
 struct Difference {
     frames: u64,
@@ -394,7 +391,6 @@ impl Difference {
     }
 }
 
-/// Results so far.
 struct Tally {
     clips: u64,
     frames: u64,

@@ -162,7 +162,6 @@ pub fn statistics(dataset: &Dataset, condition: Option<&Condition>) -> Result<St
     })
 }
 
-/// Facts that are collected clip by clip.
 #[derive(Deserialize)]
 struct Facts {
     source: String,

@@ -219,7 +219,6 @@ impl Bundle {
         )?)
     }
 
-    /// Text of the bundle's card.
     fn card(&self) -> String {
         let BundleFacts {
             system,

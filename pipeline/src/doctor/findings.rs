@@ -26,21 +26,17 @@ pub struct Diagnosis {
     pub(super) sources: Vec<Findings>,
     /// Coverage of HumanML3D's crop list, if one was given or found.
     pub(super) index: Option<IndexFindings>,
-    /// All sources together.
     pub(super) estimate: Estimate,
     /// Advice before ingesting, most important first.
     pub(super) advice: Vec<String>,
 }
 
-/// Findings in one source.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Findings {
     pub(super) path: PathBuf,
-    /// Number of files of any kind.
     pub(super) files: u64,
     pub(super) bytes: u64,
     pub(super) kinds: Vec<Kind>,
-    /// Git LFS pointers in place of files.
     pub(super) lfs_pointers: u64,
     pub(super) humanml3d: Vec<HumanMl3dFindings>,
     pub(super) amass: Vec<SubsetFindings>,
@@ -49,7 +45,6 @@ pub(super) struct Findings {
     /// Captures of markers that give no motion, by code of the rejection.
     pub(super) captures: Vec<CaptureFindings>,
     pub(super) licenses: Vec<LicenseFindings>,
-    /// Files of labels, and lines of them, that cannot be used.
     pub(super) label_problems: Vec<LabelProblem>,
     /// Description of the source if it is a dataset of this program.
     pub(super) dataset: Option<String>,
@@ -59,9 +54,7 @@ pub(super) struct Findings {
 /// Captures of markers that ingestion would refuse for one reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct CaptureFindings {
-    /// Code of the rejection.
     pub(super) code: String,
-    /// Motions that are refused.
     pub(super) motions: u64,
     /// Number of all captures of the source.
     pub(super) captures: u64,
@@ -76,7 +69,6 @@ pub(super) struct LicenseFindings {
     pub(super) folder: String,
     /// SPDX identifier or another tag of the licence; none if no file could be recognised.
     pub(super) license: Option<String>,
-    /// Whether the licence forbids commercial use.
     pub(super) non_commercial: bool,
     /// Licence files and readmes that state the licence.
     pub(super) files: Vec<String>,
@@ -84,7 +76,6 @@ pub(super) struct LicenseFindings {
     pub(super) unknown: Vec<String>,
 }
 
-/// Files of one kind.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Kind {
     /// The format, or why such files are skipped.
@@ -108,7 +99,6 @@ pub(super) struct HumanMl3dFindings {
     pub(super) motions_without_split: u64,
 }
 
-/// Coverage of a list of ids.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct ListFindings {
     /// The list, relative to the source.
@@ -117,11 +107,9 @@ pub(super) struct ListFindings {
     /// Ids without joints and vector.
     pub(super) without_motion: u64,
     pub(super) without_text: u64,
-    /// Some of the ids without a motion.
     pub(super) examples: Vec<String>,
 }
 
-/// A subset of AMASS among the files.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct SubsetFindings {
     /// Present name of the subset; empty for files outside any known subset.
@@ -147,7 +135,6 @@ pub(super) struct IndexFindings {
     pub(super) subsets: Vec<IndexSubset>,
 }
 
-/// Coverage of a subset in the crop list.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct IndexSubset {
     /// The subset's folder in the list.
@@ -177,10 +164,8 @@ pub(super) struct Part {
     pub(super) published: u64,
 }
 
-/// Estimate of an ingest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(super) struct Estimate {
-    /// Number of motions.
     pub(super) clips: u64,
     /// Frames of the dataset at 20 fps.
     pub(super) frames: u64,

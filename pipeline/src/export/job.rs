@@ -179,7 +179,6 @@ impl Export {
         files
     }
 
-    /// Bytes of the motions of a piece.
     fn bytes(&self, part: Option<&Part>) -> u64 {
         let files = self.motions(part).into_iter();
         let bytes = files.map(|(_, file)| match part {

@@ -13,7 +13,6 @@ use super::plan::Plan;
 /// Source items per shard: few enough that every thread can hold a shard in memory.
 pub(crate) const SHARD_SOURCES: usize = 256;
 
-/// A motion assigned to a shard.
 pub(super) struct Item<'a> {
     pub(super) entry: &'a Entry,
     pub(super) source_name: &'a str,

@@ -266,7 +266,6 @@ impl Plan {
         }
     }
 
-    /// Whether a path lies in a folder that could not be listed.
     fn is_unlisted(&self, path: &str) -> bool {
         self.notes.unlisted.iter().any(|folder| {
             let folder = folder.strip_suffix('.').unwrap_or(folder);

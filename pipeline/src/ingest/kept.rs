@@ -23,7 +23,6 @@ pub(super) struct Labels {
 }
 
 impl Growth {
-    /// Counts the kept and the lost labels.
     pub(super) fn count(&mut self, labels: &Labels) {
         let counts = [
             (MaskRow::TABLE, labels.masks.len()),
@@ -165,7 +164,6 @@ impl Plan {
         sources
     }
 
-    /// The sources of the dataset, as JSON.
     pub(super) fn all_sources(&self, recorded: &Recorded) -> String {
         serde_json::to_string(&self.all_labels(recorded)).expect("texts serialise")
     }

@@ -140,7 +140,6 @@ impl Known<'_> {
         }
     }
 
-    /// Recorded paths of a source.
     fn paths_of(&self, name: &str) -> impl Iterator<Item = &str> {
         let clips = self.recorded.clips.iter();
         let clips = clips.filter(move |clip| self.recorded.sources[clip.source].name == name);
@@ -255,7 +254,6 @@ impl Known<'_> {
         }
     }
 
-    /// The sources with their clips, in words.
     fn counted(&self) -> String {
         let sources = self.recorded.sources.iter().enumerate();
         let counted = sources.map(|(index, source)| {

@@ -45,7 +45,6 @@ pub(crate) struct Listing {
     pub(crate) archives: Archives,
 }
 
-/// Why a link to a folder is skipped.
 const FOLDER_LINK: &str =
     "link to a folder, not followed; name the folder it leads to as a source of its own";
 
@@ -67,12 +66,10 @@ pub(crate) struct Listed {
     pub(super) listing: Listing,
 }
 
-/// A source that was found.
 struct Located<'a> {
     arg: &'a SourceArg,
     /// The folder, or that of the file, resolved.
     folder: PathBuf,
-    /// The file, resolved.
     file: Option<PathBuf>,
 }
 
@@ -178,7 +175,6 @@ impl Listed {
         self.places = vec![(self.place.clone(), Kind::Files)];
     }
 
-    /// Adds a file that was given.
     fn add(&mut self, located: &Located<'_>) {
         let Some(file) = &located.file else { return };
         if self.is_whole {
@@ -546,7 +542,6 @@ pub(super) fn path_of(file: &str, key: &str) -> String {
     }
 }
 
-/// A path without the extension of its file.
 pub(super) fn without_extension(relative: &str) -> &str {
     let name_start = relative.rfind('/').map_or(0, |slash| slash + 1);
     match relative[name_start..].rfind('.') {

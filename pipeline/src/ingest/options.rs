@@ -208,7 +208,6 @@ pub(super) const PAIRS_FACT: &str = "pairs";
 /// Fact of a manifest: the settings its clips were read with, as JSON.
 pub(super) const SETTINGS_FACT: &str = "ingest_settings";
 
-/// Settings that are recorded as the hash of a file.
 const KEPT_BY_HASH: [&str; 4] = ["splits", "ids", "joint-map", "subject-models"];
 pub(super) const SHARED_SETTINGS: [&str; 4] = ["fps", "resample", "skeleton", "features"];
 
@@ -265,7 +264,6 @@ impl Settings {
         Self(values.map(|(name, value)| (name.to_owned(), value)).into())
     }
 
-    /// JSON text of the settings.
     pub(super) fn text(&self) -> String {
         serde_json::to_string(self).expect("texts serialise")
     }

@@ -41,7 +41,6 @@ pub(super) struct Plan {
     pub(super) skipped: Vec<SkippedRow>,
     /// Files found broken while planning, and folders that cannot be listed.
     pub(super) rejected: Vec<QuarantineRow>,
-    /// Labels of motions from files of their folders.
     pub(super) folder_labels: FolderLabels,
     pub(super) claimed: BTreeSet<String>,
     pub(super) notes: PlanNotes,
@@ -79,11 +78,8 @@ pub(super) struct Planned {
     pub(super) group: Option<String>,
     /// Split that the user's list or its labels state.
     pub(super) own_split: Option<Split>,
-    /// Split that its labels state.
     pub(super) labelled_split: Option<Split>,
-    /// Subject that its labels state.
     pub(super) subject: Option<String>,
-    /// Action that its labels state.
     pub(super) action: Option<String>,
     pub(super) id: String,
     pub(super) inputs: String,
@@ -358,7 +354,6 @@ impl Plan {
         }
     }
 
-    /// Records the inputs of every motion.
     fn note_inputs(&mut self) {
         let (motions, others) = self.single_files();
         let of_file = inputs::of_single_files(&motions, &others, &self.sources);

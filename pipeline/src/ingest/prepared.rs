@@ -20,7 +20,6 @@ use super::split_by::SplitBy;
 use super::split_list::SplitList;
 use crate::Error;
 
-/// Options of a run and contents of its dataset, known before the sources are identified.
 pub(super) struct Prepared {
     pub(super) options: IngestOptions,
     pub(super) settings: Settings,
@@ -132,7 +131,6 @@ impl Prepared {
         )
     }
 
-    /// The places of the sources, with those of a plan.
     pub(super) fn places_with(&self, plan: &Plan) -> Places {
         let mut places = self.places.clone();
         places.record(&plan.notes.given);

@@ -220,7 +220,6 @@ impl Tally {
         masks
     }
 
-    /// The splits of all clips.
     pub(super) fn splits<'a>(&'a self, plan: &'a Plan) -> BTreeMap<&'a str, Split> {
         let staying = self.staying.iter();
         // Of several motions with one id, the first is ingested.

@@ -50,7 +50,6 @@ pub(super) enum Pieces {
     Taken(Vec<Result<(FileEntry, ShardNotes), Failed>>),
 }
 
-/// The piece that reads a shard.
 pub(super) fn piece(plan_hash: &str, number: usize, name: &ShardName, items: &[Item]) -> Piece {
     let reads = items
         .iter()
@@ -282,7 +281,6 @@ impl Run<'_> {
         Ok(tally)
     }
 
-    /// The empty shard of a piece that failed as a whole.
     fn failed_shard(
         &self,
         name: &ShardName,

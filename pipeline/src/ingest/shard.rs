@@ -61,7 +61,6 @@ impl ShardNotes {
         }
     }
 
-    /// All files of a shard.
     pub(super) fn files<'a>(&'a self, shard: &'a FileEntry) -> impl Iterator<Item = &'a FileEntry> {
         std::iter::once(shard).chain(self.beside.iter().map(|(_, file)| file))
     }

@@ -13,7 +13,6 @@ use crate::Error;
 use crate::clip_table::{clip_facts, clip_ids};
 use crate::clips::Clips;
 
-/// Ids named in an error.
 const SHOWN: usize = 5;
 
 /// Text after the id in the reason of a clip that its owner removed.

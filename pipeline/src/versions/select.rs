@@ -22,7 +22,6 @@ use crate::ingest::Places;
 /// Fact of a manifest: the datasets and conditions that its clips were selected from and by, as JSON.
 pub const SELECTED_FACT: &str = "selected";
 
-/// Origin of selected clips.
 #[derive(Debug, Serialize, Deserialize)]
 struct Origin {
     root_hash: String,
