@@ -278,27 +278,21 @@ pub(crate) fn list_sources(
     out: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Vec<Listed>, Error> {
-    let located: Vec<Located> = sources
-        .iter()
-        .map(Located::find)
-        .collect::<Result<_, _>>()?;
+    let located = sources.iter().map(Located::find);
+    let mut located: Vec<Located> = located.collect::<Result<_, _>>()?;
+    // Folders before files, and names before places without one.
+    located.sort_by_key(|located| (located.file.is_some(), located.arg.name.is_none()));
     let mut listed: Vec<Listed> = Vec::new();
-    let order = [(false, true), (false, false), (true, true), (true, false)];
-    for (is_file, is_named) in order {
-        let of_kind = located.iter().filter(|located| {
-            (located.file.is_some(), located.arg.name.is_some()) == (is_file, is_named)
-        });
-        for source in of_kind {
-            let known = listed.iter().position(|listed| source.is_in(listed));
-            let place = match known {
-                Some(place) => place,
-                None => {
-                    listed.push(source.list(out)?);
-                    listed.len() - 1
-                }
-            };
-            listed[place].add(source);
-        }
+    for source in &located {
+        let known = listed.iter().position(|listed| source.is_in(listed));
+        let place = match known {
+            Some(place) => place,
+            None => {
+                listed.push(source.list(out)?);
+                listed.len() - 1
+            }
+        };
+        listed[place].add(source);
     }
     for source in &mut listed {
         source.listing.open_archives(progress)?;

@@ -240,19 +240,18 @@ impl Plan {
         quarantine_row(file, key, self.source_name(file), hash, rejected)
     }
 
-    /// The row of a file that could not be read while planning.
-    fn unreadable(&self, file: &str) -> Option<QuarantineRow> {
+    /// Why a file could not be read while planning.
+    fn unreadable(&self, file: &str) -> Option<Rejected> {
         let source = self.sources.get(file)?;
         let reason = source.hash.as_ref().err()?;
         let code = match archive::is_in_archive(file) {
             true => archive::DAMAGED,
             false => "E-IO",
         };
-        let rejected = Rejected {
+        Some(Rejected {
             byte_offset: source.damaged_at,
             ..rejected!(code, "cannot read the file: {reason}")
-        };
-        Some(self.rejected_row(file, "", rejected))
+        })
     }
 
     /// The path of a file without the label of its source.
@@ -286,7 +285,7 @@ impl Plan {
                     continue;
                 }
                 match self.unreadable(file) {
-                    Some(row) => self.rejected.push(row),
+                    Some(why) => self.rejected.push(self.rejected_row(file, "", why)),
                     None => self
                         .skipped
                         .push(self.skipped_row(file, "", "", reason.clone())),
@@ -324,7 +323,9 @@ impl Plan {
                     self.skipped
                         .push(self.skipped_row(relative, "", "", reason));
                 }
-                Err(NoMotion::Rejected(row)) => self.rejected.push(row),
+                Err(NoMotion::Rejected(why)) => {
+                    self.rejected.push(self.rejected_row(relative, "", why));
+                }
             }
         }
     }
@@ -336,12 +337,10 @@ impl Plan {
         source: &Source,
         options: &IngestOptions,
     ) -> Result<(Format, Vec<String>), NoMotion> {
-        let refused = |why| NoMotion::Rejected(self.rejected_row(relative, "", why));
         // Do not guess the format of an unreadable file from its name.
-        if let Some(row) = self.unreadable(relative) {
-            return Err(NoMotion::Rejected(row));
-        }
-        refuse_pointer(&source.head).map_err(refused)?;
+        let readable = self.unreadable(relative).map_or(Ok(()), Err);
+        readable.map_err(NoMotion::Rejected)?;
+        refuse_pointer(&source.head).map_err(NoMotion::Rejected)?;
         match recognise(Path::new(relative), &source.head) {
             Recognised::NotMotion { reason } => Err(NoMotion::Skipped(reason)),
             Recognised::Motion(format) if options.format.is_some_and(|only| only != format) => {
@@ -349,7 +348,7 @@ impl Plan {
             }
             Recognised::Motion(format) => {
                 let keys = keys_of(format, &self.files, relative, &options.read);
-                Ok((format, keys.map_err(refused)?))
+                Ok((format, keys.map_err(NoMotion::Rejected)?))
             }
         }
     }
@@ -547,7 +546,7 @@ impl Plan {
 /// Why a file gives no motion.
 enum NoMotion {
     Skipped(String),
-    Rejected(QuarantineRow),
+    Rejected(Rejected),
 }
 
 fn not_asked_for(format: Format) -> String {
