@@ -122,9 +122,10 @@ fn rewrite_rows<'a, R: ClipRow>(
 ) -> Result<Option<FileEntry>, datasets_spec::Error> {
     let mut rows: Vec<R> = read_rows(&transaction.root().join(&file.path))?;
     rows.retain_mut(|row| {
-        let source = stays(row.id());
+        let clip = row.of_clip();
+        let source = stays(clip.id);
         // Files of older formats lack the column.
-        if let (Some(source), Some(name)) = (source, row.source_name())
+        if let (Some(source), Some([name, _])) = (source, clip.source)
             && name.is_empty()
         {
             name.push_str(source);
@@ -137,72 +138,49 @@ fn rewrite_rows<'a, R: ClipRow>(
     }
 }
 
+/// What a row says of its clip.
+pub(crate) struct OfClip<'a> {
+    pub(crate) id: &'a mut MotionId,
+    pub(crate) split: &'a mut Split,
+    /// Name of the source and path of the file that the clip came from, where the table has them.
+    pub(crate) source: Option<[&'a mut String; 2]>,
+    pub(crate) mirrored_of: Option<&'a mut String>,
+}
+
 /// A row that belongs to one clip.
 pub(crate) trait ClipRow: Row {
-    fn id(&self) -> &MotionId;
+    fn of_clip(&mut self) -> OfClip<'_>;
+}
 
-    fn split(&self) -> Split;
-
-    fn place(&mut self, id: MotionId, split: Split);
-
-    /// Name of the source that the clip came from, where the table has it.
-    fn source_name(&mut self) -> Option<&mut String> {
-        None
-    }
-
-    /// The path of the file that the clip was read from, where the table has it.
-    fn source_path(&mut self) -> Option<&mut String> {
-        None
-    }
-
-    fn mirrored_of(&mut self) -> Option<&mut String> {
-        None
+impl ClipRow for MotionRow {
+    fn of_clip(&mut self) -> OfClip<'_> {
+        OfClip {
+            id: &mut self.id,
+            split: &mut self.split,
+            source: Some([&mut self.source_name, &mut self.source_path]),
+            mirrored_of: self.mirrored_of.as_mut(),
+        }
     }
 }
 
-/// Implements [`ClipRow`] for rows with the fields `id` and `split`; further methods are listed in braces after a name.
-macro_rules! clip_rows {
-    ($($row:ident { $($further:item)* })*) => {
-        $(impl ClipRow for $row {
-            fn id(&self) -> &MotionId {
-                &self.id
-            }
-
-            fn split(&self) -> Split {
-                self.split
-            }
-
-            fn place(&mut self, id: MotionId, split: Split) {
-                (self.id, self.split) = (id, split);
-            }
-
-            $($further)*
-        })*
-    };
+impl ClipRow for MarkerRow {
+    fn of_clip(&mut self) -> OfClip<'_> {
+        OfClip {
+            id: &mut self.id,
+            split: &mut self.split,
+            source: Some([&mut self.source_name, &mut self.source_path]),
+            mirrored_of: None,
+        }
+    }
 }
 
-clip_rows! {
-    MotionRow {
-        fn source_name(&mut self) -> Option<&mut String> {
-            Some(&mut self.source_name)
-        }
-
-        fn source_path(&mut self) -> Option<&mut String> {
-            Some(&mut self.source_path)
-        }
-
-        fn mirrored_of(&mut self) -> Option<&mut String> {
-            self.mirrored_of.as_mut()
+impl ClipRow for HumanMl3dRow {
+    fn of_clip(&mut self) -> OfClip<'_> {
+        OfClip {
+            id: &mut self.id,
+            split: &mut self.split,
+            source: None,
+            mirrored_of: None,
         }
     }
-    MarkerRow {
-        fn source_name(&mut self) -> Option<&mut String> {
-            Some(&mut self.source_name)
-        }
-
-        fn source_path(&mut self) -> Option<&mut String> {
-            Some(&mut self.source_path)
-        }
-    }
-    HumanMl3dRow {}
 }

@@ -63,24 +63,22 @@ impl Part<'_> {
 
     /// The row and its split in the result; none if the other dataset has the clip.
     fn take<R: ClipRow>(&self, mut row: R) -> Option<(Split, R)> {
-        if self.shared.contains(row.id()) {
+        let clip = row.of_clip();
+        if self.shared.contains(&*clip.id) {
             return None;
         }
-        let name = row.source_name().cloned().unwrap_or_default();
-        if let Some(path) = row.source_path() {
-            let name = self.sources.name(self.number, &name, path);
+        if let Some([name, path]) = clip.source {
+            *name = self.sources.name(self.number, name, path);
             *path = self.path(path);
-            if let Some(own) = row.source_name() {
-                *own = name;
-            }
         }
-        if let Some(mirrored) = row.mirrored_of()
+        if let Some(mirrored) = clip.mirrored_of
             && let Ok(id) = MotionId::parse(mirrored)
         {
             *mirrored = self.id(&id).to_string();
         }
-        let split = *self.splits.get(row.id()).unwrap_or(&row.split());
-        row.place(self.id(row.id()), split);
+        let split = *self.splits.get(&*clip.id).unwrap_or(&*clip.split);
+        *clip.split = split;
+        *clip.id = self.id(clip.id);
         Some((split, row))
     }
 

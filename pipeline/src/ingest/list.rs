@@ -20,7 +20,7 @@ use crate::Error;
 
 #[derive(Clone, Debug)]
 pub(super) struct Source {
-    /// Index of its source in [`Plan::given`](super::plan::Plan).
+    /// Index of its source in [`PlanNotes::given`](super::plan::PlanNotes).
     pub(super) of: usize,
     pub(super) hash: Result<String, String>,
     /// Offset in its archive, if it is a damaged member.

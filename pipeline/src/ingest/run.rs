@@ -359,9 +359,10 @@ impl Run<'_> {
             let before = rows.len();
             let mut stay = Vec::new();
             for mut row in rows {
-                match moves.get(row.id().as_str()) {
+                let clip = row.of_clip();
+                match moves.get(clip.id.as_str()) {
                     Some(split) => {
-                        row.place(row.id().clone(), *split);
+                        *clip.split = *split;
                         moved.entry(*split).or_default().push(row);
                     }
                     None => stay.push(row),
