@@ -177,7 +177,8 @@ fn of_value(value: &Value) -> Result<Recorded, Rejected> {
         let rotations: Vec<[f32; VECTORS_WIDTH]> = column(value, "rots")?;
         let transl: Vec<[f32; 3]> = column(value, "trans")?;
         let root: Vec<[f64; 3]> = rotations.iter().map(|frame| wide(&frame[..3])).collect();
-        let body: Vec<_> = rotations.iter().map(|frame| wide(&frame[3..])).collect();
+        let body: Vec<[f64; BODY_POSE_WIDTH]> =
+            rotations.iter().map(|frame| wide(&frame[3..])).collect();
         let transl: Vec<[f64; 3]> = transl.iter().map(|frame| wide(frame)).collect();
         Recorded::of_columns(&transl, &root, &body)?
     } else if STORE_KEYS.iter().all(|key| has(key)) {
