@@ -17,7 +17,7 @@ use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipRow};
 use crate::ingest::{MergedSources, recorded_settings, with_label};
 use crate::recordings::{Clip, Origin, Prefixes, Recording, clips, grouped, sketches, unite_alike};
-use crate::versions::Labels;
+use crate::versions::{Labels, json};
 
 /// Result of [`merge`].
 #[derive(Clone, Debug, Serialize)]
@@ -52,7 +52,19 @@ struct Part<'a> {
     splits: BTreeMap<MotionId, Split>,
 }
 
-impl Part<'_> {
+impl<'a> Part<'a> {
+    fn new(dataset: &'a Dataset, number: usize, sources: &'a MergedSources, label: &str) -> Self {
+        Self {
+            dataset,
+            number,
+            sources,
+            label: label.to_owned(),
+            shared: BTreeSet::new(),
+            ids: BTreeMap::new(),
+            splits: BTreeMap::new(),
+        }
+    }
+
     fn id(&self, id: &MotionId) -> MotionId {
         self.ids.get(id).unwrap_or(id).clone()
     }
@@ -137,31 +149,16 @@ pub fn merge(
     }
     let sources = MergedSources::of(a, b);
     let mut facts = sources.facts.clone();
-    let base = Part {
-        dataset: a,
-        number: 0,
-        sources: &sources,
-        label: String::new(),
-        shared: BTreeSet::new(),
-        ids: BTreeMap::new(),
-        splits: BTreeMap::new(),
-    };
+    let base = Part::new(a, 0, &sources, "");
     let added = added(&datasets, &clips, &sources)?;
-    let plan = plan_hash(
-        "merge",
-        &(
-            &a.manifest().root_hash,
-            &b.manifest().root_hash,
-            &added.label,
-        ),
-    );
+    let hashes = [a, b].map(|dataset| &dataset.manifest().root_hash);
+    let plan = plan_hash("merge", &(hashes[0], hashes[1], &added.label));
     let shard_facts = table_facts(&skeleton, &plan);
     let parts = [&base, &added];
     let mut tables = clip_tables(&transaction, &parts, &shard_facts, progress)?;
     let motions = tables.get(MotionRow::TABLE).into_iter().flatten();
     let licenses = license::count(transaction.root(), motions)?;
-    let text = serde_json::to_string(&licenses).expect("texts and counts serialise");
-    facts.insert(LICENSES_FACT.to_owned(), text);
+    facts.insert(LICENSES_FACT.to_owned(), json(&licenses));
     let splits = splits(&parts, &clips);
     let (labels, dropped_labels) = labels(&parts, &splits)?;
     tables.extend(labels.write(&Labels::default(), &transaction, &skeleton, &plan)?);
@@ -272,15 +269,8 @@ fn added<'a>(
         .iter()
         .map(|clip| (&clip.origin.id, clip.content.as_str()))
         .collect();
-    let mut part = Part {
-        dataset: second,
-        number: 1,
-        sources,
-        label: sources.label.clone(),
-        shared: BTreeSet::new(),
-        ids: BTreeMap::new(),
-        splits: moved([first, second], [known, own])?,
-    };
+    let mut part = Part::new(second, 1, sources, &sources.label);
+    part.splits = moved([first, second], [known, own])?;
     let all = known.iter().chain(own);
     let mut taken: BTreeSet<MotionId> = all.map(|clip| clip.origin.id.clone()).collect();
     for Clip {
