@@ -1,10 +1,69 @@
 //! Tables with one row for each clip: a shard of motions has shards of markers and features beside it.
 
+use std::collections::BTreeSet;
+
+use datasets_spec::dataset::ShardName;
+use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{
     HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
 };
-use datasets_spec::table::{Row, ShardReader};
-use datasets_spec::{MotionId, Split};
+use datasets_spec::table::{Row, ShardReader, read_rows};
+use datasets_spec::{Dataset, MotionId, Split, Transaction};
+
+datasets_spec::table! {
+    /// Columns of a clip besides its frames and labels. Markers without a motion lack the columns of motions.
+    pub struct ClipFacts = "motions" {
+        /// Id
+        pub id: MotionId [""],
+        /// Kind of source
+        pub source: String ["", newer],
+        /// Name of the source
+        pub source_name: String ["", newer],
+        /// Path of the source file
+        pub source_path: String [""],
+        /// BLAKE3 of the source file
+        pub source_hash: String [""],
+        /// BLAKE3 of all files that the clip was read from
+        pub inputs_hash: String ["", newer],
+        /// Id of the clip this one mirrors
+        pub mirrored_of: Option<String> ["", newer],
+        /// Stored frame rate
+        pub fps: f32 ["1/s"],
+        /// Stored frames
+        pub n_frames: i32 ["frame"],
+        /// BLAKE3 of the motion; empty for markers without one
+        pub content_hash: String ["", newer],
+        /// Columns of [`ClipFacts::centre`]
+        pub centre_x: Option<f32> ["m", newer],
+        /// The same for y
+        pub centre_y: Option<f32> ["m", newer],
+        /// The same for z
+        pub centre_z: Option<f32> ["m", newer],
+    }
+}
+
+impl ClipFacts {
+    pub(crate) fn centre(&self) -> Option<[f32; 3]> {
+        Some([self.centre_x?, self.centre_y?, self.centre_z?])
+    }
+}
+
+/// The clips of a dataset with their splits: all motions, then the markers without one.
+pub(crate) fn clip_facts(
+    dataset: &Dataset,
+) -> Result<Vec<(Split, ClipFacts)>, datasets_spec::Error> {
+    let mut clips = Vec::new();
+    let mut met = BTreeSet::new();
+    for table in [MotionRow::TABLE, MarkerRow::TABLE] {
+        for (path, file) in dataset.files(table, None) {
+            let split = file.split.unwrap_or(Split::Train);
+            let mut rows: Vec<ClipFacts> = ShardReader::open(&path)?.rows()?;
+            rows.retain(|row| met.insert(row.id.clone()));
+            clips.extend(rows.into_iter().map(|row| (split, row)));
+        }
+    }
+    Ok(clips)
+}
 
 pub(crate) const CLIP_TABLES: [&str; 3] = [MotionRow::TABLE, MarkerRow::TABLE, HumanMl3dRow::TABLE];
 
@@ -38,73 +97,90 @@ pub(crate) fn borrowed(facts: &[(String, String)]) -> Vec<(&str, String)> {
         .collect()
 }
 
+/// Writes the rows of a file of clips again, under another name; none if no row stays. `stays` gives the name of the
+/// source of a clip that stays.
+pub(crate) fn rewrite<'a>(
+    transaction: &Transaction,
+    name: &ShardName,
+    file: &FileEntry,
+    facts: &[(&str, String)],
+    stays: &dyn Fn(&MotionId) -> Option<&'a str>,
+) -> Result<Option<FileEntry>, datasets_spec::Error> {
+    match name.table {
+        MotionRow::TABLE => rewrite_rows::<MotionRow>(transaction, name, file, facts, stays),
+        MarkerRow::TABLE => rewrite_rows::<MarkerRow>(transaction, name, file, facts, stays),
+        _ => rewrite_rows::<HumanMl3dRow>(transaction, name, file, facts, stays),
+    }
+}
+
+fn rewrite_rows<'a, R: ClipRow>(
+    transaction: &Transaction,
+    name: &ShardName,
+    file: &FileEntry,
+    facts: &[(&str, String)],
+    stays: &dyn Fn(&MotionId) -> Option<&'a str>,
+) -> Result<Option<FileEntry>, datasets_spec::Error> {
+    let mut rows: Vec<R> = read_rows(&transaction.root().join(&file.path))?;
+    rows.retain_mut(|row| {
+        let clip = row.of_clip();
+        let source = stays(clip.id);
+        // Files of older formats lack the column.
+        if let (Some(source), Some([name, _])) = (source, clip.source)
+            && name.is_empty()
+        {
+            name.push_str(source);
+        }
+        source.is_some()
+    });
+    match rows.is_empty() {
+        true => Ok(None),
+        false => transaction.write_shard(name, &rows, facts).map(Some),
+    }
+}
+
+/// What a row says of its clip.
+pub(crate) struct OfClip<'a> {
+    pub(crate) id: &'a mut MotionId,
+    pub(crate) split: &'a mut Split,
+    /// Name of the source and path of the file that the clip came from, where the table has them.
+    pub(crate) source: Option<[&'a mut String; 2]>,
+    pub(crate) mirrored_of: Option<&'a mut String>,
+}
+
 /// A row that belongs to one clip.
 pub(crate) trait ClipRow: Row {
-    fn id(&self) -> &MotionId;
+    fn of_clip(&mut self) -> OfClip<'_>;
+}
 
-    fn split(&self) -> Split;
-
-    fn place(&mut self, id: MotionId, split: Split);
-
-    /// Name of the source that the clip came from, where the table has it.
-    fn source_name(&mut self) -> Option<&mut String> {
-        None
-    }
-
-    /// The path of the file that the clip was read from, where the table has it.
-    fn source_path(&mut self) -> Option<&mut String> {
-        None
-    }
-
-    /// Id of the clip that this one mirrors.
-    fn mirrored_of(&mut self) -> Option<&mut String> {
-        None
+impl ClipRow for MotionRow {
+    fn of_clip(&mut self) -> OfClip<'_> {
+        OfClip {
+            id: &mut self.id,
+            split: &mut self.split,
+            source: Some([&mut self.source_name, &mut self.source_path]),
+            mirrored_of: self.mirrored_of.as_mut(),
+        }
     }
 }
 
-/// Implements [`ClipRow`] for rows with the fields `id` and `split`; further methods are listed in braces after a name.
-macro_rules! clip_rows {
-    ($($row:ident { $($further:item)* })*) => {
-        $(impl ClipRow for $row {
-            fn id(&self) -> &MotionId {
-                &self.id
-            }
-
-            fn split(&self) -> Split {
-                self.split
-            }
-
-            fn place(&mut self, id: MotionId, split: Split) {
-                (self.id, self.split) = (id, split);
-            }
-
-            $($further)*
-        })*
-    };
+impl ClipRow for MarkerRow {
+    fn of_clip(&mut self) -> OfClip<'_> {
+        OfClip {
+            id: &mut self.id,
+            split: &mut self.split,
+            source: Some([&mut self.source_name, &mut self.source_path]),
+            mirrored_of: None,
+        }
+    }
 }
 
-clip_rows! {
-    MotionRow {
-        fn source_name(&mut self) -> Option<&mut String> {
-            Some(&mut self.source_name)
-        }
-
-        fn source_path(&mut self) -> Option<&mut String> {
-            Some(&mut self.source_path)
-        }
-
-        fn mirrored_of(&mut self) -> Option<&mut String> {
-            self.mirrored_of.as_mut()
+impl ClipRow for HumanMl3dRow {
+    fn of_clip(&mut self) -> OfClip<'_> {
+        OfClip {
+            id: &mut self.id,
+            split: &mut self.split,
+            source: None,
+            mirrored_of: None,
         }
     }
-    MarkerRow {
-        fn source_name(&mut self) -> Option<&mut String> {
-            Some(&mut self.source_name)
-        }
-
-        fn source_path(&mut self) -> Option<&mut String> {
-            Some(&mut self.source_path)
-        }
-    }
-    HumanMl3dRow {}
 }

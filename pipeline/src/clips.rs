@@ -117,17 +117,10 @@ impl<'a> Clips<'a> {
         let Some(shard) = self.shards.get(part.shard) else {
             return Ok(Vec::new());
         };
-        let places: Vec<usize> = match &shard.rows {
-            None => part.clips.clone().collect(),
+        shard.read_at(&match &shard.rows {
+            None => part.clips.clone().collect::<Vec<_>>(),
             Some(rows) => rows.get(part.clips.clone()).unwrap_or_default().to_vec(),
-        };
-        let rows: Vec<MotionRow> = ShardReader::open(&shard.path)?.rows_at(&places)?;
-        if shard.rows.is_some() {
-            for row in &rows {
-                check_content(row, &shard.path)?;
-            }
-        }
-        Ok(rows)
+        })
     }
 
     /// The dataset.
@@ -164,12 +157,18 @@ impl Shard {
     /// # Errors
     /// The file cannot be read, or a motion is damaged.
     pub fn read(&self) -> Result<Vec<MotionRow>, Error> {
-        let Some(rows) = &self.rows else {
-            return Ok(read_rows(&self.path)?);
-        };
-        let rows: Vec<MotionRow> = ShardReader::open(&self.path)?.rows_at(rows)?;
-        for row in &rows {
-            check_content(row, &self.path)?;
+        match &self.rows {
+            None => Ok(read_rows(&self.path)?),
+            Some(rows) => self.read_at(rows),
+        }
+    }
+
+    fn read_at(&self, places: &[usize]) -> Result<Vec<MotionRow>, Error> {
+        let rows: Vec<MotionRow> = ShardReader::open(&self.path)?.rows_at(places)?;
+        if self.rows.is_some() {
+            for row in &rows {
+                check_content(row, &self.path)?;
+            }
         }
         Ok(rows)
     }

@@ -9,15 +9,11 @@ use tables::{Condition, Tables};
 
 use crate::Error;
 
-/// Totals of a group of clips.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Share {
-    /// Number of clips.
-    pub clips: u64,
-    /// Number of stored frames.
-    pub frames: u64,
-    /// Length in hours.
-    pub hours: f64,
+pub(crate) struct Share {
+    pub(crate) clips: u64,
+    pub(crate) frames: u64,
+    pub(crate) hours: f64,
 }
 
 /// Number of clips and frames of one label and one frame rate. Frames are integers, so that the sum does not depend on the

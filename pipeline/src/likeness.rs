@@ -18,8 +18,6 @@ pub struct Sketch {
     num_frames: usize,
     /// `[8, 22]`, in metres.
     points: Vec<[f32; 3]>,
-    /// Mean of all coordinates. Those of nearly equal motions differ by no more than their points.
-    mean: f32,
 }
 
 impl Sketch {
@@ -40,14 +38,8 @@ impl Sketch {
             .flatten()
             .map(|point| (turn * (*point - ground)).as_vec3().to_array())
             .collect();
-        let sum: f64 = points
-            .iter()
-            .flatten()
-            .map(|&number| f64::from(number))
-            .sum();
         Self {
             num_frames: motion.len(),
-            mean: (sum / (3 * points.len()).max(1) as f64) as f32,
             points,
         }
     }
@@ -79,13 +71,16 @@ impl Sketch {
 
 /// Pairs of nearly equal motions of different groups, by place, with their distance in metres.
 pub fn near_pairs<G: PartialEq>(sketches: &[(G, Sketch)]) -> Vec<(usize, usize, f64)> {
-    let mut order: Vec<usize> = (0..sketches.len()).collect();
-    order.sort_by(|&a, &b| sketches[a].1.mean.total_cmp(&sketches[b].1.mean));
+    // The mean of all coordinates differs by no more than the mean distance of points.
+    let means = sketches
+        .iter()
+        .map(|(_, sketch)| sketch.centre().iter().sum::<f32>() / 3.0);
+    let mut order: Vec<(usize, f32)> = means.enumerate().collect();
+    order.sort_by(|a, b| a.1.total_cmp(&b.1));
     let mut found = Vec::new();
-    for (place, &a) in order.iter().enumerate() {
-        for &b in &order[place + 1..] {
-            // The mean of coordinates differs by no more than the mean distance of points.
-            if f64::from(sketches[b].1.mean - sketches[a].1.mean) > TOLERANCE_M {
+    for (place, &(a, first)) in order.iter().enumerate() {
+        for &(b, second) in &order[place + 1..] {
+            if f64::from(second - first) > TOLERANCE_M {
                 break;
             }
             if sketches[a].0 == sketches[b].0 {

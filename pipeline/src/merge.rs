@@ -17,6 +17,7 @@ use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipRow};
 use crate::ingest::{MergedSources, recorded_settings, with_label};
 use crate::recordings::{Clip, Origin, Prefixes, Recording, clips, grouped, sketches, unite_alike};
+use crate::versions::{Labels, json};
 
 /// Result of [`merge`].
 #[derive(Clone, Debug, Serialize)]
@@ -52,12 +53,12 @@ struct Part<'a> {
 }
 
 impl<'a> Part<'a> {
-    fn new(dataset: &'a Dataset, number: usize, sources: &'a MergedSources, label: String) -> Self {
+    fn new(dataset: &'a Dataset, number: usize, sources: &'a MergedSources, label: &str) -> Self {
         Self {
             dataset,
             number,
             sources,
-            label,
+            label: label.to_owned(),
             shared: BTreeSet::new(),
             ids: BTreeMap::new(),
             splits: BTreeMap::new(),
@@ -74,53 +75,54 @@ impl<'a> Part<'a> {
 
     /// The row and its split in the result; none if the other dataset has the clip.
     fn take<R: ClipRow>(&self, mut row: R) -> Option<(Split, R)> {
-        if self.shared.contains(row.id()) {
+        let clip = row.of_clip();
+        if self.shared.contains(&*clip.id) {
             return None;
         }
-        let name = row.source_name().cloned().unwrap_or_default();
-        if let Some(path) = row.source_path() {
-            let name = self.sources.name(self.number, &name, path);
+        if let Some([name, path]) = clip.source {
+            *name = self.sources.name(self.number, name, path);
             *path = self.path(path);
-            if let Some(own) = row.source_name() {
-                *own = name;
-            }
         }
-        if let Some(mirrored) = row.mirrored_of()
+        if let Some(mirrored) = clip.mirrored_of
             && let Ok(id) = MotionId::parse(mirrored)
         {
             *mirrored = self.id(&id).to_string();
         }
-        let split = *self.splits.get(row.id()).unwrap_or(&row.split());
-        row.place(self.id(row.id()), split);
+        let split = *self.splits.get(&*clip.id).unwrap_or(&*clip.split);
+        *clip.split = split;
+        *clip.id = self.id(clip.id);
         Some((split, row))
     }
 
-    fn quarantine(&self) -> Result<Vec<QuarantineRow>, Error> {
-        let rows = self.dataset.read::<QuarantineRow>(None)?.into_iter();
-        let rows = rows.map(|row| QuarantineRow {
-            source_name: self.sources.name(self.number, &row.source_name, &row.path),
-            path: self.path(&row.path),
-            ..row
-        });
-        Ok(rows.collect())
-    }
-
-    /// Rows for the items that the dataset skipped, and for its clips that the other dataset already has.
-    fn skipped(&self) -> Result<Vec<SkippedRow>, Error> {
-        let rows = self.dataset.read::<SkippedRow>(None)?.into_iter();
-        let rows = rows.map(|row| SkippedRow {
-            source_name: self.sources.name(self.number, &row.source_name, &row.path),
-            path: self.path(&row.path),
-            ..row
-        });
-        let shared = self.shared.iter().map(|id| SkippedRow {
+    /// Adds the items that the dataset rejected or skipped, and its clips that the other dataset already has.
+    fn passed_over(
+        &self,
+        quarantine: &mut Vec<QuarantineRow>,
+        skipped: &mut Vec<SkippedRow>,
+    ) -> Result<(), Error> {
+        let name = |name: &str, path: &str| self.sources.name(self.number, name, path);
+        for row in self.dataset.read::<QuarantineRow>(None)? {
+            quarantine.push(QuarantineRow {
+                source_name: name(&row.source_name, &row.path),
+                path: self.path(&row.path),
+                ..row
+            });
+        }
+        for row in self.dataset.read::<SkippedRow>(None)? {
+            skipped.push(SkippedRow {
+                source_name: name(&row.source_name, &row.path),
+                path: self.path(&row.path),
+                ..row
+            });
+        }
+        skipped.extend(self.shared.iter().map(|id| SkippedRow {
             path: self.path(id.as_str()),
             source_name: String::new(),
             source_hash: String::new(),
             inputs_hash: String::new(),
             reason: "clip of both merged datasets".to_owned(),
-        });
-        Ok(rows.chain(shared).collect())
+        }));
+        Ok(())
     }
 }
 
@@ -143,31 +145,27 @@ pub fn merge(
     check_settings(&datasets, &clips)?;
     let transaction = Transaction::begin(out, holder)?;
     if transaction.base().is_some() {
-        return Err(Error::DatasetExists(out.to_owned()));
+        return Err(Error::dataset_exists(out));
     }
     let sources = MergedSources::of(a, b);
     let mut facts = sources.facts.clone();
-    let base = Part::new(a, 0, &sources, String::new());
+    let base = Part::new(a, 0, &sources, "");
     let added = added(&datasets, &clips, &sources)?;
-    let plan = plan_hash(
-        "merge",
-        &(
-            &a.manifest().root_hash,
-            &b.manifest().root_hash,
-            &added.label,
-        ),
-    );
+    let hashes = [a, b].map(|dataset| &dataset.manifest().root_hash);
+    let plan = plan_hash("merge", &(hashes[0], hashes[1], &added.label));
     let shard_facts = table_facts(&skeleton, &plan);
     let parts = [&base, &added];
     let mut tables = clip_tables(&transaction, &parts, &shard_facts, progress)?;
     let motions = tables.get(MotionRow::TABLE).into_iter().flatten();
     let licenses = license::count(transaction.root(), motions)?;
-    let text = serde_json::to_string(&licenses).expect("texts and counts serialise");
-    facts.insert(LICENSES_FACT.to_owned(), text);
+    facts.insert(LICENSES_FACT.to_owned(), json(&licenses));
     let splits = splits(&parts, &clips);
-    let labels = labels(&parts, &splits)?;
-    tables.extend(labels.tables(&transaction, &skeleton, &plan)?);
-    let (quarantine, skipped) = passed_over(&parts)?;
+    let (labels, dropped_labels) = labels(&parts, &splits)?;
+    tables.extend(labels.write(&Labels::default(), &transaction, &skeleton, &plan)?);
+    let (mut quarantine, mut skipped) = (Vec::new(), Vec::new());
+    for part in parts {
+        part.passed_over(&mut quarantine, &mut skipped)?;
+    }
     tables.insert(
         QuarantineRow::TABLE.to_owned(),
         transaction.write_shards(None, &quarantine, &shard_facts)?,
@@ -204,7 +202,7 @@ pub fn merge(
             .map(|(id, split)| (added.id(id).to_string(), *split))
             .collect(),
         license_warning: license::warning(&licenses),
-        dropped_labels: labels.dropped,
+        dropped_labels,
         root_hash: dataset.manifest().root_hash.clone(),
     })
 }
@@ -212,10 +210,12 @@ pub fn merge(
 fn common_skeleton(first: &Dataset, second: &Dataset) -> Result<Skeleton, Error> {
     let skeleton = first.skeleton()?;
     if skeleton.hash() != second.skeleton()?.hash() {
-        return Err(Error::OtherSkeleton {
-            first: first.manifest().skeleton.clone(),
-            second: second.manifest().skeleton.clone(),
-        });
+        return Err(Error::refused(format!(
+            "the datasets are posed on different bodies: {} and {}; ingest one of them again with the --body-model of \
+             the other",
+            first.manifest().skeleton,
+            second.manifest().skeleton
+        )));
     }
     Ok(skeleton)
 }
@@ -252,7 +252,10 @@ fn check_settings(datasets: &[Dataset; 2], clips: &[Vec<Clip>; 2]) -> Result<(),
     }
     match differing.is_empty() {
         true => Ok(()),
-        false => Err(Error::CannotMerge(differing.join("; "))),
+        false => Err(Error::refused(format!(
+            "the datasets cannot be one: {}; ingest one of them again with the setting of the other",
+            differing.join("; ")
+        ))),
     }
 }
 
@@ -266,7 +269,8 @@ fn added<'a>(
         .iter()
         .map(|clip| (&clip.origin.id, clip.content.as_str()))
         .collect();
-    let mut part = Part::new(second, 1, sources, sources.label.clone());
+    let mut part = Part::new(second, 1, sources, &sources.label);
+    part.splits = moved([first, second], [known, own])?;
     let all = known.iter().chain(own);
     let mut taken: BTreeSet<MotionId> = all.map(|clip| clip.origin.id.clone()).collect();
     for Clip {
@@ -291,7 +295,6 @@ fn added<'a>(
             None => {}
         }
     }
-    part.splits = moved([first, second], [known, own])?;
     for id in &part.shared {
         part.splits.remove(id);
     }
@@ -344,7 +347,6 @@ fn moved(
     Ok(moved)
 }
 
-/// Writes the tables of the clips of both datasets.
 fn clip_tables(
     transaction: &Transaction,
     parts: &[&Part<'_>],
@@ -352,17 +354,17 @@ fn clip_tables(
     progress: &dyn Progress,
 ) -> Result<BTreeMap<String, Vec<FileEntry>>, Error> {
     progress.begin("merge", Some(CLIP_TABLES.len() as u64));
-    let motions = shards::<MotionRow>(transaction, parts, facts)?;
-    progress.advance(1);
-    let markers = shards::<MarkerRow>(transaction, parts, facts)?;
-    progress.advance(1);
-    let features = shards::<HumanMl3dRow>(transaction, parts, facts)?;
-    progress.advance(1);
-    let mut tables = BTreeMap::from([(MotionRow::TABLE.to_owned(), motions)]);
-    for (table, files) in [(MarkerRow::TABLE, markers), (HumanMl3dRow::TABLE, features)] {
-        if !files.is_empty() {
+    let mut tables = BTreeMap::new();
+    for table in CLIP_TABLES {
+        let files = match table {
+            MotionRow::TABLE => shards::<MotionRow>(transaction, parts, facts)?,
+            MarkerRow::TABLE => shards::<MarkerRow>(transaction, parts, facts)?,
+            _ => shards::<HumanMl3dRow>(transaction, parts, facts)?,
+        };
+        if table == MotionRow::TABLE || !files.is_empty() {
             tables.insert(table.to_owned(), files);
         }
+        progress.advance(1);
     }
     Ok(tables)
 }
@@ -378,54 +380,18 @@ fn splits(parts: &[&Part<'_>], clips: &[Vec<Clip>]) -> BTreeMap<MotionId, Split>
     splits
 }
 
-/// The rejected and the skipped rows of both datasets.
-fn passed_over(parts: &[&Part<'_>]) -> Result<(Vec<QuarantineRow>, Vec<SkippedRow>), Error> {
-    let (mut quarantine, mut skipped) = (Vec::new(), Vec::new());
-    for part in parts {
-        quarantine.extend(part.quarantine()?);
-        skipped.extend(part.skipped()?);
-    }
-    Ok((quarantine, skipped))
-}
-
 /// The labels of both datasets, and the ids of labels whose motions are now in two splits.
-struct Labels {
-    masks: Vec<MaskRow>,
-    pairs: Vec<PairRow>,
-    dropped: Vec<String>,
-}
-
-impl Labels {
-    fn tables(
-        &self,
-        transaction: &Transaction,
-        skeleton: &Skeleton,
-        plan: &str,
-    ) -> Result<Vec<(String, Vec<FileEntry>)>, Error> {
-        let mask_split: fn(&MaskRow) -> Split = |row| row.split;
-        let pair_split: fn(&PairRow) -> Split = |row| row.split;
-        let masks = transaction.write_rows(&self.masks, Some(mask_split), skeleton, plan)?;
-        let pairs = transaction.write_rows(&self.pairs, Some(pair_split), skeleton, plan)?;
-        let tables = [
-            (MaskRow::TABLE, masks, self.masks.len()),
-            (PairRow::TABLE, pairs, self.pairs.len()),
-        ];
-        let tables = tables.into_iter().filter(|(_, _, rows)| *rows > 0);
-        Ok(tables
-            .map(|(table, files, _)| (table.to_owned(), files))
-            .collect())
-    }
-}
-
-fn labels(parts: &[&Part<'_>], splits: &BTreeMap<MotionId, Split>) -> Result<Labels, Error> {
-    let mut masks: BTreeMap<String, MaskRow> = BTreeMap::new();
-    let mut pairs: BTreeMap<String, PairRow> = BTreeMap::new();
+fn labels(
+    parts: &[&Part<'_>],
+    splits: &BTreeMap<MotionId, Split>,
+) -> Result<(Labels, Vec<String>), Error> {
+    let mut labels = Labels::default();
     let mut dropped = Vec::new();
     for part in parts {
         for mut mask in part.dataset.read::<MaskRow>(None)? {
             mask.motion_id = part.id(&mask.motion_id);
             mask.split = *splits.get(&mask.motion_id).unwrap_or(&mask.split);
-            insert(&mut masks, mask, &part.label, |mask| &mut mask.id);
+            insert(&mut labels.masks, mask, &part.label, |mask| &mut mask.id);
         }
         for mut pair in part.dataset.read::<PairRow>(None)? {
             pair.source_id = part.id(&pair.source_id);
@@ -436,14 +402,10 @@ fn labels(parts: &[&Part<'_>], splits: &BTreeMap<MotionId, Split>) -> Result<Lab
                 continue;
             }
             pair.split = split.unwrap_or(pair.split);
-            insert(&mut pairs, pair, &part.label, |pair| &mut pair.id);
+            insert(&mut labels.pairs, pair, &part.label, |pair| &mut pair.id);
         }
     }
-    Ok(Labels {
-        masks: masks.into_values().collect(),
-        pairs: pairs.into_values().collect(),
-        dropped,
-    })
+    Ok((labels, dropped))
 }
 
 /// Adds a row under its id. If another row has that id, the row gets an id with the label of its dataset.

@@ -33,10 +33,8 @@ pub fn stored_clip(dataset: &Dataset, id: &str) -> Result<MotionRow, Error> {
             return Ok(row);
         }
     }
-    Err(Error::NoClip {
-        path: dataset.root().to_owned(),
-        id: id.to_owned(),
-    })
+    let reason = format!("no clip {id:?} in {}", dataset.root().display());
+    Err(Error::coded("E-CLIP-UNKNOWN", id, reason))
 }
 
 /// The item with an id, or with a prefix of one.
@@ -48,11 +46,13 @@ pub fn stored_item(dataset: &Dataset, id: &str) -> Result<ItemRow, Error> {
     let mut found = rows.into_iter().filter(|row| row.id.starts_with(id));
     match (found.next(), found.next()) {
         (Some(item), None) => Ok(item),
-        (Some(_), Some(_)) => Err(Error::SeveralItems(id.to_owned())),
-        (None, _) => Err(Error::NoItem {
-            path: dataset.root().to_owned(),
-            id: id.to_owned(),
-        }),
+        (Some(_), Some(_)) => Err(Error::refused(format!(
+            "several items begin with {id:?}; write more of the id"
+        ))),
+        (None, _) => {
+            let reason = format!("no item {id:?} in {}", dataset.root().display());
+            Err(Error::coded("E-ITEM-UNKNOWN", id, reason))
+        }
     }
 }
 

@@ -7,16 +7,17 @@
 //!   Two names of a release are two recordings even if their files are equal, because its published splits are kept.
 //! * Then equal and nearly equal motions ([`crate::likeness`]).
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use datasets_spec::record::{MarkerRow, MotionRow};
+use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Split};
 use formats::source::{Format, format_named};
 use rayon::prelude::*;
 
 use crate::Error;
+use crate::clip_table::clip_facts;
 use crate::likeness::{Sketch, near_pairs};
 
 #[derive(Clone, Debug, PartialEq)]
@@ -143,55 +144,23 @@ pub(crate) struct Clip {
 }
 
 pub(crate) fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
-    let mut clips = Vec::new();
-    for (path, file) in dataset.files(MotionRow::TABLE, None) {
-        let shard = ShardReader::open(&path)?;
-        let text = |name| shard.column::<MotionRow, String>(name);
-        let ids = shard.column::<MotionRow, MotionId>("id")?;
-        let mirrored = shard.column::<MotionRow, Option<String>>("mirrored_of")?;
-        let rates = shard.column::<MotionRow, f32>("fps")?;
-        let split = file.split.unwrap_or(Split::Train);
-        let columns = ids.into_iter().zip(mirrored).zip(rates);
-        let texts = text("source")?.into_iter().zip(text("source_hash")?);
-        let texts = texts.zip(text("content_hash")?);
-        clips.extend(columns.zip(texts).map(
-            |(((id, mirrored_of), fps), ((source, source_hash), content))| Clip {
-                origin: Origin {
-                    id,
-                    split,
-                    source,
-                    source_hash,
-                    mirrored_of,
-                },
-                content,
-                fps: Some(fps),
-            },
-        ));
-    }
-    let known: BTreeSet<MotionId> = clips.iter().map(|clip| clip.origin.id.clone()).collect();
-    for (path, file) in dataset.files(MarkerRow::TABLE, None) {
-        let shard = ShardReader::open(&path)?;
-        let ids = shard.column::<MarkerRow, MotionId>("id")?;
-        let hashes = shard.column::<MarkerRow, String>("source_hash")?;
-        let split = file.split.unwrap_or(Split::Train);
-        let alone = ids
-            .into_iter()
-            .zip(hashes)
-            .filter(|(id, _)| !known.contains(id));
-        clips.extend(alone.map(|(id, source_hash)| Clip {
-            origin: Origin {
-                id,
-                split,
+    let clips = clip_facts(dataset)?.into_iter();
+    let clips = clips.map(|(split, clip)| Clip {
+        fps: (!clip.content_hash.is_empty()).then_some(clip.fps),
+        content: clip.content_hash,
+        origin: Origin {
+            id: clip.id,
+            split,
+            source: match clip.source.as_str() {
                 // Markers come from C3D files.
-                source: "c3d".to_owned(),
-                source_hash,
-                mirrored_of: None,
+                "" => "c3d".to_owned(),
+                _ => clip.source,
             },
-            content: String::new(),
-            fps: None,
-        }));
-    }
-    Ok(clips)
+            source_hash: clip.source_hash,
+            mirrored_of: clip.mirrored_of,
+        },
+    });
+    Ok(clips.collect())
 }
 
 /// Sketches of the motions of a dataset, in the order of its files.

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use clip::Rejected;
@@ -19,10 +20,8 @@ use serde::Serialize;
 use crate::Error;
 use pickle::npy;
 
-/// Folders of the vectors and joints in a published folder.
 const VECTORS: &str = "new_joint_vecs";
 const JOINTS: &str = "new_joints";
-/// Name of the group of joint positions, from [`JOINTS`].
 const JOINT_GROUP: &str = "recovered joints";
 
 /// Tolerance of a feature, and of a joint in metres, for other implementations of the recipe; and the
@@ -157,7 +156,7 @@ fn compare_table<R: Row + Sync + Send>(
     let total = shards.iter().map(|(_, file)| file.rows).sum();
     progress.begin("compare", Some(total));
     for (path, _) in shards {
-        let clips: Vec<(String, Met)> = read_rows::<R>(&path)?
+        let clips: Vec<(String, Option<Met>)> = read_rows::<R>(&path)?
             .par_iter()
             .map(|row| {
                 let (id, features) = own(row);
@@ -189,33 +188,27 @@ struct Reference {
     joints: BTreeMap<String, PathBuf>,
 }
 
-/// Result for a clip of the dataset.
-enum Met {
-    Unknown,
-    Compared {
-        frames: usize,
-        /// By group; none for a group whose file is missing or unreadable.
-        differences: Vec<Option<Difference>>,
-        problems: Vec<String>,
-    },
+/// Result for a clip of both sides.
+struct Met {
+    frames: usize,
+    /// By group; none for a group whose file is missing or unreadable.
+    differences: Vec<Option<Difference>>,
+    problems: Vec<String>,
 }
 
 impl Reference {
     fn find(folder: &Path) -> Result<Self, Error> {
         if !folder.is_dir() {
-            return Err(Error::MissingSource(folder.to_owned()));
+            return Err(Error::missing_source(folder));
         }
         let reference = Self {
             vectors: arrays(&folder.join(VECTORS))?,
             joints: arrays(&folder.join(JOINTS))?,
         };
         if reference.vectors.is_empty() && reference.joints.is_empty() {
-            return Err(Error::NoFiles {
-                paths: [VECTORS, JOINTS]
-                    .map(|name| folder.join(name).join("*.npy").display().to_string())
-                    .join(" or "),
-                hint: "name the folder that holds them".to_owned(),
-            });
+            let paths = [VECTORS, JOINTS].map(|name| folder.join(name).join("*.npy"));
+            let paths = paths.map(|path| path.display().to_string()).join(" or ");
+            return Err(Error::no_files(&paths, "name the folder that holds them"));
         }
         Ok(reference)
     }
@@ -224,10 +217,11 @@ impl Reference {
         self.vectors.keys().chain(self.joints.keys()).collect()
     }
 
-    fn meet(&self, id: &str, features: Result<Vec<Features>, String>) -> Met {
+    /// Compares a clip; none if the folder lacks it.
+    fn meet(&self, id: &str, features: Result<Vec<Features>, String>) -> Option<Met> {
         let (vector, joints) = (self.vectors.get(id), self.joints.get(id));
         if vector.is_none() && joints.is_none() {
-            return Met::Unknown;
+            return None;
         }
         let mut problems = Vec::new();
         let mut differences = vec![None; GROUPS.len() + 1];
@@ -240,7 +234,7 @@ impl Reference {
                 vector.and_then(|path| read(path, source::humanml3d::features, &mut problems));
             if let Some(published) = published {
                 note_lengths(VECTORS, own.len(), published.len(), &mut problems);
-                for (difference, rule) in differences.iter_mut().zip(RULES) {
+                for (difference, rule) in differences.iter_mut().zip(rules()).take(GROUPS.len()) {
                     *difference = Some(rule.compare(&own, &published));
                 }
             }
@@ -251,11 +245,11 @@ impl Reference {
                 differences[GROUPS.len()] = Some(compare_joints(&recover_joints(&own), &published));
             }
         }
-        Met::Compared {
+        Some(Met {
             frames: own.len(),
             differences,
             problems,
-        }
+        })
     }
 }
 
@@ -310,48 +304,41 @@ fn note_lengths(folder: &str, own: usize, published: usize, problems: &mut Vec<S
     }
 }
 
-#[derive(Clone, Copy)]
+/// How a group of features, or of joints, is judged.
 struct Rule {
     name: &'static str,
     tolerance: f64,
     least_agreeing: f64,
-    first: usize,
-    end: usize,
+    columns: Range<usize>,
 }
 
-const RULES: [Rule; GROUPS.len()] = {
-    let mut rules = [JOINT_RULE; GROUPS.len()];
-    let mut group = 0;
-    while group < GROUPS.len() {
-        let (name, range) = (GROUPS[group].0, &GROUPS[group].1);
+/// The rules of the groups of features, then that of the joints.
+fn rules() -> impl Iterator<Item = Rule> {
+    let features = GROUPS.into_iter().enumerate();
+    let features = features.map(|(group, (name, columns))| {
         // The contacts come last.
         let is_contact = group + 1 == GROUPS.len();
-        rules[group] = Rule {
+        Rule {
             name,
             tolerance: if is_contact { 0.0 } else { FEATURE_TOLERANCE },
             least_agreeing: if is_contact { CONTACT_SHARE } else { 1.0 },
-            first: range.start,
-            end: range.end,
-        };
-        group += 1;
-    }
-    rules
-};
-
-const JOINT_RULE: Rule = Rule {
-    name: JOINT_GROUP,
-    tolerance: JOINT_TOLERANCE_M,
-    least_agreeing: 1.0,
-    first: 0,
-    end: 0,
-};
+            columns,
+        }
+    });
+    features.chain([Rule {
+        name: JOINT_GROUP,
+        tolerance: JOINT_TOLERANCE_M,
+        least_agreeing: 1.0,
+        columns: 0..0,
+    }])
+}
 
 impl Rule {
     fn compare(&self, own: &[Features], published: &[Features]) -> Difference {
         let mut difference = Difference::default();
         for (own, published) in own.iter().zip(published) {
-            let columns = self.first..self.end;
-            let pairs = own[columns.clone()].iter().zip(&published[columns]);
+            let columns = || self.columns.clone();
+            let pairs = own[columns()].iter().zip(&published[columns()]);
             let apart = pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs());
             difference.take_frame(apart, self.tolerance);
         }
@@ -369,7 +356,6 @@ fn compare_joints(own: &[Joints], published: &[Joints]) -> Difference {
     difference
 }
 
-/// How much a group of features differs.
 #[derive(Clone, Copy, Debug, Default)]
 struct Difference {
     frames: u64,
@@ -405,7 +391,6 @@ impl Difference {
     }
 }
 
-/// Results so far.
 struct Tally {
     clips: u64,
     frames: u64,
@@ -427,12 +412,12 @@ impl Tally {
         }
     }
 
-    fn take(&mut self, id: String, met: Met) {
-        let Met::Compared {
+    fn take(&mut self, id: String, met: Option<Met>) {
+        let Some(Met {
             frames,
             differences,
             problems,
-        } = met
+        }) = met
         else {
             self.only_in_dataset.take(&id);
             return;
@@ -463,8 +448,7 @@ impl Tally {
                 only_in_reference.take(id);
             }
         }
-        let rules = RULES.into_iter().chain([JOINT_RULE]);
-        let groups = rules
+        let groups = rules()
             .zip(self.groups)
             .map(|(rule, (total, worst))| rule.judge(&total, worst))
             .collect();
@@ -648,7 +632,7 @@ mod tests {
     #[test]
     fn contacts_may_differ_in_one_frame_of_a_hundred() {
         let own = vec![[0.0f32; 263]; 100];
-        let rule = RULES[GROUPS.len() - 1];
+        let rule = rules().nth(GROUPS.len() - 1).expect("the contacts");
         assert_eq!(rule.name, CONTACTS);
         for (different, passes) in [(1, true), (2, false)] {
             let mut published = own.clone();
@@ -698,8 +682,9 @@ mod tests {
         let dir = tempfile::tempdir().expect("temporary folder");
         let dataset = dataset(&dir.path().join("d"), &IDS[..1]);
         let none = compare(&dataset, dir.path(), &NoProgress);
-        assert!(matches!(none, Err(Error::NoFiles { .. })));
+        let code = |refused: Result<Comparison, Error>| refused.err()?.code().map(|code| code.0);
+        assert_eq!(code(none), Some("E-NO-FILES"));
         let nowhere = compare(&dataset, &dir.path().join("nowhere"), &NoProgress);
-        assert!(matches!(nowhere, Err(Error::MissingSource(_))));
+        assert_eq!(code(nowhere), Some("E-MISSING"));
     }
 }

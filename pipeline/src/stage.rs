@@ -98,10 +98,10 @@ pub fn open_metadata(root: &Path) -> Result<Dataset, Error> {
 fn with_motions(dataset: Dataset) -> Result<Dataset, Error> {
     match other_than_motions(&dataset) {
         None => Ok(dataset),
-        Some(other) => Err(Error::OtherThanMotions {
-            path: dataset.root().to_owned(),
-            other,
-        }),
+        Some(other) => {
+            let path = dataset.root().display();
+            Err(Error::refused(format!("{path} is {other}")))
+        }
     }
 }
 
@@ -149,10 +149,11 @@ pub fn masks(
     match judged {
         Judged::Keep if by_people > 0 => return Ok(dataset),
         Judged::Refuse if by_people > 0 => {
-            return Err(Error::JudgedMasks {
-                path: root.to_owned(),
-                count: by_people,
-            });
+            return Err(Error::refused(format!(
+                "{} holds {by_people} masks judged by people, which automatic masks would replace; pass --add to keep \
+                 them and derive those of other clips, or --replace to discard them",
+                root.display()
+            )));
         }
         Judged::Keep | Judged::Refuse | Judged::Replace | Judged::Add => {}
     }

@@ -11,24 +11,19 @@ use serde::{Deserialize, Serialize};
 use tables::Condition;
 
 use crate::Error;
-pub use crate::counts::Share;
-use crate::counts::{Counts, Group};
+use crate::counts::{Counts, Group, Share};
 use crate::ingest::REMARKS_FACT;
 
 /// Upper bounds of the duration classes in seconds; the last class has none.
 const DURATIONS: [f64; 6] = [1.0, 2.0, 5.0, 10.0, 20.0, 60.0];
 
-/// Distribution of a number.
+/// Percentiles of a number, and the largest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Spread {
-    /// 5th percentile.
-    pub p5: f64,
-    /// The median.
-    pub p50: f64,
-    /// 95th percentile.
-    pub p95: f64,
-    /// The largest.
-    pub max: f64,
+struct Spread {
+    p5: f64,
+    p50: f64,
+    p95: f64,
+    max: f64,
 }
 
 impl Spread {
@@ -44,59 +39,51 @@ impl Spread {
     }
 }
 
-/// Statistics of a dataset.
+/// Statistics of a dataset, as text and as JSON.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Statistics {
-    /// All clips.
-    pub total: Share,
-    /// By split.
-    pub splits: BTreeMap<String, Share>,
+    total: Share,
+    splits: BTreeMap<String, Share>,
     /// By kind of source.
-    pub sources: BTreeMap<String, Share>,
+    sources: BTreeMap<String, Share>,
     /// By origin of the rotations.
-    pub rotations: BTreeMap<String, Share>,
+    rotations: BTreeMap<String, Share>,
     /// By stored frame rate.
-    pub rates: BTreeMap<String, Share>,
+    rates: BTreeMap<String, Share>,
     /// By licence tag.
-    pub licenses: BTreeMap<String, Share>,
-    /// By action, where one is stated.
-    pub actions: BTreeMap<String, Share>,
-    /// By style, where one is stated.
-    pub styles: BTreeMap<String, Share>,
+    licenses: BTreeMap<String, Share>,
+    actions: BTreeMap<String, Share>,
+    styles: BTreeMap<String, Share>,
     /// Clips that mirror another.
-    pub mirrored: u64,
-    /// Number of captions.
-    pub captions: u64,
+    mirrored: u64,
+    captions: u64,
     /// Captions that were made from file names.
-    pub made_captions: u64,
+    made_captions: u64,
     /// Words of all captions.
-    pub words: u64,
+    words: u64,
     /// Clips without captions.
-    pub silent: u64,
+    silent: u64,
     /// Clips by duration, in classes.
-    pub durations: Vec<(String, u64)>,
+    durations: Vec<(String, u64)>,
     /// Clips by finding of the quality checks.
-    pub flags: BTreeMap<String, u64>,
+    flags: BTreeMap<String, u64>,
     /// Highest joint speed of a clip in m/s.
-    pub max_speed: Option<Spread>,
+    max_speed: Option<Spread>,
     /// Speed of planted feet in m/s.
-    pub foot_skate: Option<Spread>,
+    foot_skate: Option<Spread>,
     /// Distance between source and stored joints in metres, by kind of source.
-    pub fit_error_m: BTreeMap<String, Spread>,
-    /// Masks by parts.
-    pub masks: BTreeMap<String, u64>,
-    /// Clips with masks.
-    pub masked_clips: u64,
+    fit_error_m: BTreeMap<String, Spread>,
+    /// By parts.
+    masks: BTreeMap<String, u64>,
+    masked_clips: u64,
     /// Masks of a clip with masks, on average; the paper has 2.1 (Sec. 4.1).
-    pub masks_per_clip: Option<f64>,
-    /// Pairs by kind.
-    pub pairs: BTreeMap<String, u64>,
-    /// Pairs by style, where one is stated.
-    pub pair_styles: BTreeMap<String, u64>,
-    /// Pairs by split.
-    pub pair_splits: BTreeMap<String, u64>,
+    masks_per_clip: Option<f64>,
+    /// By kind.
+    pairs: BTreeMap<String, u64>,
+    pair_styles: BTreeMap<String, u64>,
+    pair_splits: BTreeMap<String, u64>,
     /// Remarks of the ingestion on the splits.
-    pub remarks: Option<String>,
+    remarks: Option<String>,
 }
 
 /// Counts the clips of a dataset, or those for which a condition is true, and their masks and pairs. No frames are read.
@@ -175,7 +162,6 @@ pub fn statistics(dataset: &Dataset, condition: Option<&Condition>) -> Result<St
     })
 }
 
-/// Facts that are collected clip by clip.
 #[derive(Deserialize)]
 struct Facts {
     source: String,
@@ -305,19 +291,16 @@ impl Statistics {
             "\n{:<24} {:>8} {:>8} {:>8} {:>8}",
             "", "p5", "p50", "p95", "max"
         )?;
-        let mut spreads: Vec<(String, Spread)> = Vec::new();
-        spreads.extend(
-            self.max_speed
-                .map(|spread| ("max speed, m/s".to_owned(), spread)),
-        );
-        spreads.extend(
-            self.foot_skate
-                .map(|spread| ("foot skate, m/s".to_owned(), spread)),
-        );
-        for (source, spread) in &self.fit_error_m {
-            spreads.push((format!("fit error of {source}, m"), *spread));
-        }
-        for (label, Spread { p5, p50, p95, max }) in spreads {
+        let of_clips = [
+            ("max speed", self.max_speed),
+            ("foot skate", self.foot_skate),
+        ];
+        let of_clips = of_clips
+            .into_iter()
+            .filter_map(|(name, spread)| Some((format!("{name}, m/s"), spread?)));
+        let errors = self.fit_error_m.iter();
+        let errors = errors.map(|(source, spread)| (format!("fit error of {source}, m"), *spread));
+        for (label, Spread { p5, p50, p95, max }) in of_clips.chain(errors) {
             writeln!(f, "{label:<24} {p5:>8.3} {p50:>8.3} {p95:>8.3} {max:>8.3}")?;
         }
         Ok(())

@@ -99,7 +99,6 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
     })
 }
 
-/// Facts collected from all files.
 #[derive(Default)]
 struct Contents {
     met: Vec<Met>,

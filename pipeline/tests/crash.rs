@@ -16,7 +16,7 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, NoProgress, Seed, Transaction};
 use pipeline::Error;
 use pipeline::ingest::{IngestOptions, IngestReport, ingest_in};
-use pipeline::versions::{Choice, RemoveOptions, compact_in, remove_in, restore_in};
+use pipeline::versions::{Choice, RemoveOptions, compact, remove, restore};
 
 const NUM_CLIPS: usize = 18;
 /// Seed of the splits with which the three takes of the corpus are not all in one split.
@@ -450,11 +450,11 @@ fn a_dataset_whose_growth_fails_is_the_version_before() {
 fn change(verb: &str, store: Arc<dyn Store>, dataset: &Path) -> Result<(), Error> {
     let transaction = Transaction::begin_on(store, dataset, HOLDER)?;
     match verb {
-        "compact" => compact_in(transaction, &NoProgress).map(|_| ()),
-        "restore" => restore_in(transaction, 1, true).map(|_| ()),
+        "compact" => compact(transaction, &NoProgress).map(|_| ()),
+        "restore" => restore(transaction, 1, true).map(|_| ()),
         "remove" => {
             let choice = Choice::Where("id like '%sit%'".parse()?);
-            match remove_in(transaction, &choice, RemoveOptions::default()) {
+            match remove(transaction, &choice, RemoveOptions::default()) {
                 // The clips are already removed.
                 Err(Error::Tables(tables::Error::NoneChosen { .. })) => Ok(()),
                 done => done.map(|_| ()),

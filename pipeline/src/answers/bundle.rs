@@ -92,12 +92,12 @@ impl Bundle {
     ) -> Result<Self, Error> {
         let refused = |problem: String| refused(path, problem);
         let systems: BTreeSet<&str> = rows.iter().map(|row| row.system.as_str()).collect();
-        let [system] = Vec::from_iter(systems)[..] else {
-            let systems: BTreeSet<&str> = rows.iter().map(|row| row.system.as_str()).collect();
+        let systems = Vec::from_iter(systems);
+        let [system] = systems[..] else {
             return Err(refused(format!(
                 "it holds answers of {} systems ({}), and a bundle is of one",
                 systems.len(),
-                Vec::from_iter(systems).join(", ")
+                systems.join(", ")
             )));
         };
         let first = rows.first().expect("there is a system");
@@ -219,7 +219,6 @@ impl Bundle {
         )?)
     }
 
-    /// Text of the bundle's card.
     fn card(&self) -> String {
         let BundleFacts {
             system,
@@ -337,10 +336,7 @@ impl Bundle {
 }
 
 fn refused(path: &Path, problem: String) -> Error {
-    Error::Bundle {
-        path: path.to_owned(),
-        problem,
-    }
+    Error::refused(format!("{}: {problem}", path.display()))
 }
 
 fn hash(bytes: &[u8]) -> String {

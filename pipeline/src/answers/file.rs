@@ -106,7 +106,7 @@ fn npz(bytes: &[u8], options: &AnswerOptions) -> Result<Recorded, Rejected> {
     let (transl, root) = (frames(STORE_KEYS[0], 3)?, frames(STORE_KEYS[1], 3)?);
     let body = frames(STORE_KEYS[2], BODY_POSE_WIDTH)?;
     let recorded = Recorded::of_columns(
-        transl.as_chunks::<3>().0.to_vec(),
+        transl.as_chunks::<3>().0,
         root.as_chunks::<3>().0,
         body.as_chunks::<BODY_POSE_WIDTH>().0,
     )?;
@@ -171,31 +171,21 @@ fn of_value(value: &Value) -> Result<Recorded, Rejected> {
         Recorded {
             transl: transl.collect(),
             vectors: frames.iter().map(|frame| from_rows(&frame[3..])).collect(),
-            ..Recorded::of_columns(Vec::new(), &[], &[])?
+            ..Recorded::of_columns::<f32>(&[], &[], &[])?
         }
     } else if has("rots") && has("trans") {
         let rotations: Vec<[f32; VECTORS_WIDTH]> = column(value, "rots")?;
         let transl: Vec<[f32; 3]> = column(value, "trans")?;
-        Recorded::of_columns(
-            transl.iter().map(|frame| wide(frame)).collect(),
-            &rotations
-                .iter()
-                .map(|frame| wide(&frame[..3]))
-                .collect::<Vec<_>>(),
-            &rotations
-                .iter()
-                .map(|frame| wide(&frame[3..]))
-                .collect::<Vec<_>>(),
-        )?
+        let root: Vec<[f64; 3]> = rotations.iter().map(|frame| wide(&frame[..3])).collect();
+        let body: Vec<[f64; BODY_POSE_WIDTH]> =
+            rotations.iter().map(|frame| wide(&frame[3..])).collect();
+        let transl: Vec<[f64; 3]> = transl.iter().map(|frame| wide(frame)).collect();
+        Recorded::of_columns(&transl, &root, &body)?
     } else if STORE_KEYS.iter().all(|key| has(key)) {
         let transl: Vec<[f32; 3]> = column(value, STORE_KEYS[0])?;
         let root: Vec<[f32; 3]> = column(value, STORE_KEYS[1])?;
         let body: Vec<[f32; BODY_POSE_WIDTH]> = column(value, STORE_KEYS[2])?;
-        let recorded = Recorded::of_columns(
-            transl.iter().map(|frame| wide(frame)).collect(),
-            &root.iter().map(|frame| wide(frame)).collect::<Vec<_>>(),
-            &body.iter().map(|frame| wide(frame)).collect::<Vec<_>>(),
-        )?;
+        let recorded = Recorded::of_columns(&transl, &root, &body)?;
         return Ok(Recorded {
             fps: fps.or(Some(RELEASE_FPS)),
             ..recorded

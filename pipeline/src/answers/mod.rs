@@ -25,7 +25,7 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::export::item_stem;
-use crate::ingest::list_files;
+use crate::ingest::{list_files, quarantine_row};
 use file::Kind;
 use recorded::Recorded;
 
@@ -106,7 +106,10 @@ impl Names {
         for (index, item) in items.iter().enumerate() {
             item.check()?;
             if names.insert(item.id.clone(), index).is_some() {
-                return Err(Error::ItemTwice(item.id.clone()));
+                return Err(Error::refused(format!(
+                    "item {} is in the table twice; draw the items again with `stance items`",
+                    item.id
+                )));
             }
         }
         // A name that is not an id must not shadow an id or be ambiguous.
@@ -176,10 +179,10 @@ pub fn read_answers(
     progress: &dyn Progress,
 ) -> Result<Answers, Error> {
     let names = Names::of(items)?;
-    let listing = list_files(files, progress)?;
+    let (files, _archives) = list_files(files, progress)?;
     let mut passed_over: Vec<PassedOver> = Vec::new();
     let mut sources: Vec<(String, PathBuf, Kind)> = Vec::new();
-    for (relative, path) in listing.files {
+    for (relative, path) in files {
         match Kind::of(&path) {
             Ok(kind) => sources.push((relative, path, kind)),
             Err(reason) => passed_over.push(PassedOver {
@@ -304,7 +307,9 @@ impl Answers {
                     rows.push((index, seed, motion, fit_error_m));
                 }
                 (Err(rejected), _) => {
-                    quarantine.push(quarantined(&found.file, found.file_hash, &rejected));
+                    let row =
+                        quarantine_row(&found.file, "", "", found.file_hash, rejected.clone());
+                    quarantine.push(row);
                     refused.push(Refusal {
                         file: found.file,
                         name: found.name,
@@ -477,19 +482,6 @@ fn refuse_repeated(found: &mut [Found]) {
         for at in answers {
             found[at].read = Err(Rejected::check("E-ITEM-DUPLICATE", reason.clone()));
         }
-    }
-}
-
-fn quarantined(file: &str, source_hash: String, rejected: &Rejected) -> QuarantineRow {
-    QuarantineRow {
-        path: file.to_owned(),
-        source_name: String::new(),
-        source_hash,
-        inputs_hash: String::new(),
-        code: rejected.code.to_owned(),
-        reason: rejected.reason.clone(),
-        byte_offset: rejected.byte_offset,
-        stage: rejected.stage.to_owned(),
     }
 }
 

@@ -39,10 +39,10 @@ impl Recorded {
     ///
     /// # Errors
     /// `E-SMPL-SHAPE` if they differ in length.
-    pub(super) fn of_columns(
-        transl: Vec<[f64; 3]>,
-        root: &[[f64; 3]],
-        body: &[[f64; BODY_POSE_WIDTH]],
+    pub(super) fn of_columns<T: Copy + Into<f64>>(
+        transl: &[[T; 3]],
+        root: &[[T; 3]],
+        body: &[[T; BODY_POSE_WIDTH]],
     ) -> Result<Self, Rejected> {
         if transl.len() != root.len() || root.len() != body.len() {
             return Err(rejected!(
@@ -55,33 +55,24 @@ impl Recorded {
             ));
         }
         let vectors = root.iter().zip(body).map(|(root, body)| {
-            let mut vectors = [0.0; VECTORS_WIDTH];
-            vectors[..3].copy_from_slice(root);
-            vectors[3..].copy_from_slice(body);
-            vectors
+            let mut numbers = root.iter().chain(body);
+            std::array::from_fn(|_| numbers.next().map_or(0.0, |&number| number.into()))
         });
         Ok(Self {
             fps: None,
             up: Up::Y,
             place: Place::File,
             vectors: vectors.collect(),
-            transl,
+            transl: transl.iter().map(|frame| frame.map(T::into)).collect(),
             fit_error_m: None,
         })
     }
 
     /// The parameters of a motion of the store.
     pub(super) fn of_motion(motion: &Motion) -> Self {
-        let wide = |frame: &[f32; 3]| frame.map(f64::from);
-        let body: Vec<[f64; BODY_POSE_WIDTH]> = motion
-            .body_pose()
-            .iter()
-            .map(|frame| frame.map(f64::from))
-            .collect();
-        let root: Vec<[f64; 3]> = motion.global_orient().iter().map(wide).collect();
-        let transl = motion.transl().iter().map(wide).collect();
-        let mut recorded =
-            Self::of_columns(transl, &root, &body).expect("columns of a motion are of one length");
+        let (root, body) = (motion.global_orient(), motion.body_pose());
+        let mut recorded = Self::of_columns(motion.transl(), root, body)
+            .expect("columns of a motion are of one length");
         recorded.fps = Some(motion.fps().get());
         recorded
     }

@@ -86,7 +86,7 @@ fn answer(batch: &RecordBatch, row: usize, id_column: &str) -> Result<TableAnswe
     };
     let recorded = || -> Result<Recorded, Rejected> {
         let recorded = Recorded::of_columns(
-            frames::<3>(batch, MOTION_COLUMNS[0], row)?,
+            &frames::<3>(batch, MOTION_COLUMNS[0], row)?,
             &frames::<3>(batch, MOTION_COLUMNS[1], row)?,
             &frames::<BODY_POSE_WIDTH>(batch, MOTION_COLUMNS[2], row)?,
         )?;

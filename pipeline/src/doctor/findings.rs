@@ -19,205 +19,160 @@ const PACKED_SHARE: f64 = 0.92;
 /// 34,000, HumanML3D vectors 16,000 and AMASS archives 57,000.
 const FRAMES_PER_CORE_SECOND: f64 = 20_000.0;
 
-/// Findings in all sources.
+/// Findings in all sources, as text and as JSON.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Diagnosis {
-    /// Findings by source, in the order given.
-    pub sources: Vec<Findings>,
+    /// In the order given.
+    pub(super) sources: Vec<Findings>,
     /// Coverage of HumanML3D's crop list, if one was given or found.
-    pub index: Option<IndexFindings>,
-    /// All sources together.
-    pub estimate: Estimate,
+    pub(super) index: Option<IndexFindings>,
+    pub(super) estimate: Estimate,
     /// Advice before ingesting, most important first.
-    pub advice: Vec<String>,
+    pub(super) advice: Vec<String>,
 }
 
-/// Findings in one source.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Findings {
-    /// The source.
-    pub path: PathBuf,
-    /// Number of files of any kind.
-    pub files: u64,
-    /// Total size of the files in bytes.
-    pub bytes: u64,
-    /// Files by motion format, or by the reason why they are skipped.
-    pub kinds: Vec<Kind>,
-    /// Git LFS pointers in place of files.
-    pub lfs_pointers: u64,
-    /// HumanML3D folders.
-    pub humanml3d: Vec<HumanMl3dFindings>,
-    /// Subsets of AMASS.
-    pub amass: Vec<SubsetFindings>,
-    /// Folders of the STANCE release.
-    pub stance: Vec<ReleaseFindings>,
-    /// Folders of the MotionFix release.
-    pub motionfix: Vec<ReleaseFindings>,
+pub(super) struct Findings {
+    pub(super) path: PathBuf,
+    pub(super) files: u64,
+    pub(super) bytes: u64,
+    pub(super) kinds: Vec<Kind>,
+    pub(super) lfs_pointers: u64,
+    pub(super) humanml3d: Vec<HumanMl3dFindings>,
+    pub(super) amass: Vec<SubsetFindings>,
+    pub(super) stance: Vec<ReleaseFindings>,
+    pub(super) motionfix: Vec<ReleaseFindings>,
     /// Captures of markers that give no motion, by code of the rejection.
-    pub captures: Vec<CaptureFindings>,
-    /// Licences that its folders state.
-    pub licenses: Vec<LicenseFindings>,
-    /// Files of labels, and lines of them, that cannot be used.
-    pub label_problems: Vec<LabelProblem>,
+    pub(super) captures: Vec<CaptureFindings>,
+    pub(super) licenses: Vec<LicenseFindings>,
+    pub(super) label_problems: Vec<LabelProblem>,
     /// Description of the source if it is a dataset of this program.
-    pub dataset: Option<String>,
-    /// Estimate of the ingest.
-    pub estimate: Estimate,
+    pub(super) dataset: Option<String>,
+    pub(super) estimate: Estimate,
 }
 
 /// Captures of markers that ingestion would refuse for one reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct CaptureFindings {
-    /// Code of the rejection.
-    pub code: String,
-    /// Motions that are refused.
-    pub motions: u64,
+pub(super) struct CaptureFindings {
+    pub(super) code: String,
+    pub(super) motions: u64,
     /// Number of all captures of the source.
-    pub captures: u64,
+    pub(super) captures: u64,
     /// Some of the files, and why each is refused.
-    pub examples: Vec<(String, String)>,
+    pub(super) examples: Vec<(String, String)>,
 }
 
 /// The licence that a folder states for the motions in it and below.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct LicenseFindings {
-    /// The folder, relative to its source; empty for the source itself.
-    pub folder: String,
+pub(super) struct LicenseFindings {
+    /// Relative to its source; empty for the source itself.
+    pub(super) folder: String,
     /// SPDX identifier or another tag of the licence; none if no file could be recognised.
-    pub license: Option<String>,
-    /// Whether the licence forbids commercial use.
-    pub non_commercial: bool,
+    pub(super) license: Option<String>,
+    pub(super) non_commercial: bool,
     /// Licence files and readmes that state the licence.
-    pub files: Vec<String>,
+    pub(super) files: Vec<String>,
     /// Licence files that were not recognised.
-    pub unknown: Vec<String>,
+    pub(super) unknown: Vec<String>,
 }
 
-/// Files of one kind.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Kind {
+pub(super) struct Kind {
     /// The format, or why such files are skipped.
-    pub name: String,
-    /// Whether they are read as motions.
-    pub is_motion: bool,
-    /// Number of files.
-    pub files: u64,
-    /// Total size of the files in bytes.
-    pub bytes: u64,
+    pub(super) name: String,
+    pub(super) is_motion: bool,
+    pub(super) files: u64,
+    pub(super) bytes: u64,
 }
 
-/// Findings in a HumanML3D folder.
+/// A HumanML3D folder. Counts are of ids.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct HumanMl3dFindings {
+pub(super) struct HumanMl3dFindings {
     /// The folder, relative to its source.
-    pub root: String,
-    /// Ids with joints.
-    pub joints: u64,
-    /// Ids with a 263-d vector.
-    pub vectors: u64,
-    /// Ids with captions.
-    pub texts: u64,
-    /// Lists of ids in the folder.
-    pub lists: Vec<ListFindings>,
-    /// Ids with captions and no motion.
-    pub texts_without_motion: u64,
-    /// Ids with a motion and no captions.
-    pub motions_without_text: u64,
-    /// Ids with a motion that no split list names.
-    pub motions_without_split: u64,
+    pub(super) root: String,
+    pub(super) joints: u64,
+    pub(super) vectors: u64,
+    pub(super) texts: u64,
+    pub(super) lists: Vec<ListFindings>,
+    pub(super) texts_without_motion: u64,
+    pub(super) motions_without_text: u64,
+    pub(super) motions_without_split: u64,
 }
 
-/// Coverage of a list of ids.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct ListFindings {
+pub(super) struct ListFindings {
     /// The list, relative to the source.
-    pub file: String,
-    /// Ids in the list.
-    pub ids: u64,
-    /// Ids in the list without joints and vector.
-    pub without_motion: u64,
-    /// Ids in the list without captions.
-    pub without_text: u64,
-    /// Some of the ids without a motion.
-    pub examples: Vec<String>,
+    pub(super) file: String,
+    pub(super) ids: u64,
+    /// Ids without joints and vector.
+    pub(super) without_motion: u64,
+    pub(super) without_text: u64,
+    pub(super) examples: Vec<String>,
 }
 
-/// A subset of AMASS among the files.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct SubsetFindings {
+pub(super) struct SubsetFindings {
     /// Present name of the subset; empty for files outside any known subset.
-    pub name: String,
+    pub(super) name: String,
     /// Number of recordings, without files of body shapes.
-    pub files: u64,
-    /// Total size of the files in bytes.
-    pub bytes: u64,
+    pub(super) files: u64,
+    pub(super) bytes: u64,
     /// Variants of the sampled files.
-    pub variants: Vec<String>,
+    pub(super) variants: Vec<String>,
     /// Sampled files that are not AMASS.
-    pub unreadable: Vec<String>,
+    pub(super) unreadable: Vec<String>,
 }
 
 /// Coverage of HumanML3D's crop list.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct IndexFindings {
-    /// The list.
-    pub path: PathBuf,
-    /// Number of rows.
-    pub rows: u64,
+pub(super) struct IndexFindings {
+    pub(super) path: PathBuf,
+    pub(super) rows: u64,
     /// Rows made of HumanAct12's joints, which need no AMASS.
-    pub humanact12: u64,
+    pub(super) humanact12: u64,
     /// Rows whose recording was found.
-    pub found: u64,
-    /// Rows by subset.
-    pub subsets: Vec<IndexSubset>,
+    pub(super) found: u64,
+    pub(super) subsets: Vec<IndexSubset>,
 }
 
-/// Coverage of a subset in the crop list.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct IndexSubset {
+pub(super) struct IndexSubset {
     /// The subset's folder in the list.
-    pub name: String,
-    /// Number of rows.
-    pub rows: u64,
+    pub(super) name: String,
+    pub(super) rows: u64,
     /// Rows whose recording was found.
-    pub found: u64,
+    pub(super) found: u64,
     /// Some of the recordings that were not found.
-    pub examples: Vec<String>,
+    pub(super) examples: Vec<String>,
     /// The archive to fetch, if anything is missing.
-    pub archive: Option<String>,
+    pub(super) archive: Option<String>,
 }
 
 /// Coverage of a release made of several parts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct ReleaseFindings {
+pub(super) struct ReleaseFindings {
     /// The folder, relative to its source.
-    pub root: String,
-    /// The parts.
-    pub parts: Vec<Part>,
+    pub(super) root: String,
+    pub(super) parts: Vec<Part>,
 }
 
-/// A part of a release.
+/// A folder or file of a release, with the numbers of its files that were found and that were published.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Part {
-    /// Folder or file.
-    pub name: String,
-    /// Number of its files that were found.
-    pub files: u64,
-    /// Number of its files that were published.
-    pub published: u64,
+pub(super) struct Part {
+    pub(super) name: String,
+    pub(super) files: u64,
+    pub(super) published: u64,
 }
 
-/// Estimate of an ingest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Estimate {
-    /// Number of motions.
-    pub clips: u64,
+pub(super) struct Estimate {
+    pub(super) clips: u64,
     /// Frames of the dataset at 20 fps.
-    pub frames: u64,
+    pub(super) frames: u64,
     /// Size of the dataset in bytes: 69 numbers of 4 bytes a frame, packed to 92 %.
-    pub bytes: u64,
+    pub(super) bytes: u64,
     /// Time on one core in seconds, at 20,000 frames a second.
-    pub core_seconds: f64,
+    pub(super) core_seconds: f64,
 }
 
 impl Estimate {

@@ -37,10 +37,8 @@ use crate::Error;
 use crate::catalogue::other_than_motions;
 use crate::ingest::{list_each, with_label};
 
-pub use findings::{
-    CaptureFindings, Diagnosis, Estimate, Findings, HumanMl3dFindings, IndexFindings, IndexSubset,
-    Kind, LicenseFindings, ListFindings, Part, ReleaseFindings, SubsetFindings,
-};
+pub use findings::Diagnosis;
+use findings::{Estimate, Findings, HumanMl3dFindings, Kind, LicenseFindings};
 
 /// Examines the sources. `index` is HumanML3D's crop list; without it, the first one among the
 /// sources is used. `options` are those that the sources will be read with.

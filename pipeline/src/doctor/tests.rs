@@ -3,6 +3,7 @@ use testkit::clip_members;
 use testkit::npy_f8;
 use testkit::npz;
 
+use super::findings::ReleaseFindings;
 use super::*;
 
 fn write(folder: &Path, name: &str, bytes: &[u8]) {

@@ -57,7 +57,6 @@ pub(super) fn labels(clips: &Clips) -> Result<Vec<(String, Split, String)>, Erro
     Ok(labels)
 }
 
-/// Names in order, one per line.
 pub(super) fn sorted_lines(mut names: Vec<&str>) -> String {
     names.sort_unstable();
     names.iter().flat_map(|name| [*name, "\n"]).collect()

@@ -1,11 +1,13 @@
 //! Exports with one file per clip.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io;
 use std::path::Path;
 
-use datasets_spec::Skeleton;
 use datasets_spec::record::MotionRow;
+use datasets_spec::{Motion, Skeleton};
 use formats::sidecar::{LabelCaption, Sidecar};
+use formats::write;
 
 use super::by_clip::{ByClip, Note};
 use super::document::file;
@@ -14,54 +16,73 @@ use super::paths::{safe_stem, unique};
 use crate::Error;
 use crate::clips::Clips;
 
-type Encode = fn(&MotionRow, &Skeleton) -> Result<std::io::Result<Vec<u8>>, Error>;
+/// A format with a file for each motion.
+pub(super) struct FileKind {
+    extension: &'static str,
+    /// Ending of an id that the name of the file does not repeat.
+    ending: &'static str,
+    /// Whether files are those of AMASS: at the rate of recordings, with its suffix.
+    is_amass: bool,
+    pub(super) encode: fn(&Motion, &Skeleton) -> io::Result<Vec<u8>>,
+}
+
+impl FileKind {
+    pub(super) const AMASS: Self = Self {
+        extension: "npz",
+        ending: STEM_END,
+        is_amass: true,
+        encode: write::amass::encode_smplx,
+    };
+    pub(super) const BVH: Self = Self {
+        extension: "bvh",
+        ending: ".bvh",
+        is_amass: false,
+        encode: |motion, skeleton| Ok(write::bvh::encode(motion, skeleton).into_bytes()),
+    };
+    pub(super) const GLTF: Self = Self {
+        extension: "glb",
+        ending: ".glb",
+        is_amass: false,
+        encode: write::gltf::encode,
+    };
+
+    /// A relative path for an id, without extension.
+    pub(super) fn stem(&self, id: &str, taken: &mut BTreeSet<String>) -> String {
+        let stem = unique(safe_stem(id, self.ending), taken);
+        match self.is_amass {
+            true => stem + STEM_END,
+            false => stem,
+        }
+    }
+
+    pub(super) fn name(&self, stem: &str) -> String {
+        format!("{stem}.{}", self.extension)
+    }
+
+    /// The motion as it is encoded.
+    pub(super) fn motion(&self, motion: Motion) -> Result<Motion, Error> {
+        Ok(match self.is_amass {
+            true => write::amass::at_rate_of_recordings(&motion)?,
+            false => motion,
+        })
+    }
+}
 
 /// A file for each clip under a path made from its id, with its metadata in a sidecar, so that ingesting it again
 /// loses nothing.
 pub(super) struct Files {
-    extension: &'static str,
-    encode: Encode,
+    kind: FileKind,
     skeleton: Skeleton,
     /// Paths without extensions, by id.
     stems: BTreeMap<String, String>,
 }
 
 impl Files {
-    fn new(
-        clips: &Clips,
-        extension: &'static str,
-        stem_of: impl Fn(&str, &mut BTreeSet<String>) -> String,
-        encode: Encode,
-    ) -> Result<Self, Error> {
+    pub(super) fn new(clips: &Clips, kind: FileKind) -> Result<Self, Error> {
         Ok(Self {
-            extension,
-            encode,
             skeleton: clips.dataset().skeleton()?,
-            stems: stems(clips, stem_of)?,
-        })
-    }
-
-    pub(super) fn bvh(clips: &Clips) -> Result<Self, Error> {
-        let stem = |id: &str, taken: &mut _| unique(safe_stem(id, ".bvh"), taken);
-        Self::new(clips, "bvh", stem, |row, skeleton| {
-            Ok(Ok(
-                formats::write::bvh::encode(&row.motion()?, skeleton).into_bytes()
-            ))
-        })
-    }
-
-    pub(super) fn gltf(clips: &Clips) -> Result<Self, Error> {
-        let stem = |id: &str, taken: &mut _| unique(safe_stem(id, ".glb"), taken);
-        Self::new(clips, "glb", stem, |row, skeleton| {
-            Ok(formats::write::gltf::encode(&row.motion()?, skeleton))
-        })
-    }
-
-    /// AMASS archives at the rate of recordings, named like those of the release.
-    pub(super) fn amass(clips: &Clips) -> Result<Self, Error> {
-        Self::new(clips, "npz", amass_stem, |row, skeleton| {
-            let motion = formats::write::amass::at_rate_of_recordings(&row.motion()?)?;
-            Ok(formats::write::amass::encode_smplx(&motion, skeleton))
+            stems: stems(clips, |id, taken| kind.stem(id, taken))?,
+            kind,
         })
     }
 }
@@ -69,8 +90,9 @@ impl Files {
 impl ByClip for Files {
     fn write_clip(&self, row: MotionRow, folder: &Path) -> Result<Note, Error> {
         let stem = self.stems.get(row.id.as_str()).cloned().unwrap_or_default();
-        let name = format!("{stem}.{}", self.extension);
-        let bytes = (self.encode)(&row, &self.skeleton)?
+        let name = self.kind.name(&stem);
+        let motion = self.kind.motion(row.motion()?)?;
+        let bytes = (self.kind.encode)(&motion, &self.skeleton)
             .map_err(datasets_spec::Error::io("encode", folder.join(&name)))?;
         file(folder, &name, &bytes)?;
         write_sidecar(folder, &stem, row)?;
@@ -98,11 +120,6 @@ pub(super) fn stems(
 
 /// Suffix of the names of AMASS files, before the extension.
 const STEM_END: &str = "_stageii";
-
-/// A relative path for an id without extension, named as files of AMASS are.
-pub(super) fn amass_stem(id: &str, taken: &mut BTreeSet<String>) -> String {
-    format!("{}{STEM_END}", unique(safe_stem(id, STEM_END), taken))
-}
 
 fn write_sidecar(folder: &Path, stem: &str, row: MotionRow) -> Result<(), Error> {
     let captions = row.captions_by_origin();

@@ -4,13 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::{Dataset, Motion, Progress, Skeleton};
+use datasets_spec::{Dataset, Motion, Progress};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::clips::amass_stem;
+use super::clips::FileKind;
 use super::document::{file, write_json};
-use super::paths::{safe_path, unique};
+use super::paths::safe_path;
 use super::{Layout, item_stem};
 use crate::Error;
 use work::NewFolder;
@@ -61,20 +61,17 @@ pub fn export_edits(
     out: &Path,
     progress: &dyn Progress,
 ) -> Result<u64, Error> {
-    let extension = match layout {
-        Layout::Amass => "npz",
-        Layout::Bvh => "bvh",
-        Layout::Gltf => "glb",
+    let kind = match layout {
+        Layout::Amass => FileKind::AMASS,
+        Layout::Bvh => FileKind::BVH,
+        Layout::Gltf => FileKind::GLTF,
         other => {
-            return Err(Error::LayoutOfEdits(other.as_str()));
+            return Err(Error::refused(format!(
+                "{other} is a layout of whole datasets; edits are exported as bvh, amass or gltf"
+            )));
         }
     };
     let skeleton = dataset.skeleton()?;
-    let encode = |motion: &Motion, skeleton: &Skeleton| match layout {
-        Layout::Amass => formats::write::amass::encode_smplx(motion, skeleton),
-        Layout::Bvh => Ok(formats::write::bvh::encode(motion, skeleton).into_bytes()),
-        _ => formats::write::gltf::encode(motion, skeleton),
-    };
     let edits = dataset.read::<EditRow>(None)?;
     let items = dataset.read::<ItemRow>(None)?;
     let folder = NewFolder::beside(out)?;
@@ -83,13 +80,8 @@ pub fn export_edits(
     let named: Vec<(String, Clip<'_>)> = clips
         .into_iter()
         .map(|clip| {
-            // AMASS files have the suffix of AMASS's release.
-            let name = match layout {
-                Layout::Amass => {
-                    format!("{}.{extension}", amass_stem(&clip.stem, &mut taken))
-                }
-                _ => format!("{}.{extension}", unique(clip.stem.clone(), &mut taken)),
-            };
+            let stem = kind.stem(&clip.stem, &mut taken);
+            let name = kind.name(&stem);
             (name, clip)
         })
         .collect();
@@ -97,15 +89,12 @@ pub fn export_edits(
     let said: Vec<Said<'_>> = named
         .into_par_iter()
         .map(|(name, mut clip)| {
-            if layout == Layout::Amass {
-                clip.motion = formats::write::amass::at_rate_of_recordings(&clip.motion)?;
-                clip.said.fps = clip.motion.fps().get() as f32;
-                clip.said.frames = clip.motion.len();
-            }
-            let bytes = encode(&clip.motion, &skeleton).map_err(datasets_spec::Error::io(
-                "encode",
-                folder.path().join(&name),
-            ))?;
+            clip.motion = kind.motion(clip.motion)?;
+            clip.said.fps = clip.motion.fps().get() as f32;
+            clip.said.frames = clip.motion.len();
+            let encoded = (kind.encode)(&clip.motion, &skeleton);
+            let path = folder.path().join(&name);
+            let bytes = encoded.map_err(datasets_spec::Error::io("encode", path))?;
             file(folder.path(), &name, &bytes)?;
             progress.advance(1);
             Ok(Said {

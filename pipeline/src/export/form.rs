@@ -5,7 +5,7 @@ use std::path::Path;
 use datasets_spec::Progress;
 
 use super::by_clip::ByClip;
-use super::clips::Files;
+use super::clips::{FileKind, Files};
 use super::features::{self, FeatureFolder};
 use super::humanml3d::HumanMl3dFolder;
 use super::{Exported, Layout, lerobot, motionfix, stance, webdataset};
@@ -23,9 +23,9 @@ impl Form {
         let dim_272 =
             |form: &'static features::Form| FeatureFolder::new(clips, form, &features::DIM_272);
         let by_clip: Box<dyn ByClip> = match layout {
-            Layout::Amass => Box::new(Files::amass(clips)?),
-            Layout::Bvh => Box::new(Files::bvh(clips)?),
-            Layout::Gltf => Box::new(Files::gltf(clips)?),
+            Layout::Amass => Box::new(Files::new(clips, FileKind::AMASS)?),
+            Layout::Bvh => Box::new(Files::new(clips, FileKind::BVH)?),
+            Layout::Gltf => Box::new(Files::new(clips, FileKind::GLTF)?),
             Layout::HumanMl3d => Box::new(HumanMl3dFolder::new(clips)?),
             Layout::HumanMl3d272 => Box::new(dim_272(&features::HUMANML3D_272)?),
             Layout::Babel272 => Box::new(dim_272(&features::BABEL_272)?),

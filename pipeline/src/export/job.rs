@@ -70,7 +70,7 @@ pub fn plan_export(
 ) -> Result<Plan, Error> {
     let dataset = Dataset::open_unverified(root)?;
     if !dataset.manifest().tables.contains_key(MotionRow::TABLE) {
-        return Err(Error::NoMotions(root.to_owned()));
+        return Err(Error::no_motions(root));
     }
     if is_occupied(destination) {
         return Err(work::Error::Occupied {
@@ -179,7 +179,6 @@ impl Export {
         files
     }
 
-    /// Bytes of the motions of a piece.
     fn bytes(&self, part: Option<&Part>) -> u64 {
         let files = self.motions(part).into_iter();
         let bytes = files.map(|(_, file)| match part {

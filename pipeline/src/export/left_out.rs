@@ -10,6 +10,7 @@ use features::released_fps;
 use serde::{Deserialize, Serialize};
 
 use super::Layout;
+use super::paths::is_shortened;
 use crate::Error;
 use crate::clips::{Clips, Shard};
 
@@ -242,6 +243,51 @@ pub fn untagged_captions(layout: Layout, clips: &Clips) -> u64 {
     let captions = clips.shards(None).flat_map(said);
     let untagged = captions.filter(|(caption, is_made)| caption.tokens.is_empty() && !is_made);
     untagged.count() as u64
+}
+
+/// Warnings before the clips are written in a layout: its loaders would find no texts, or names are shortened. Only
+/// columns of labels are read.
+///
+/// # Errors
+/// The dataset cannot be read.
+pub fn before(layout: Layout, clips: &Clips) -> Result<Vec<String>, Error> {
+    let mut remarks = Vec::new();
+    if layout == Layout::HumanMl3d
+        && !clips
+            .shards(None)
+            .flat_map(said)
+            .any(|(_, is_made)| !is_made)
+    {
+        remarks.push(format!(
+            "none of the {} clips has a caption of its source, so texts/ stays empty and the loaders of this layout \
+             find no clip; add captions first (captions.csv beside the sources and `stance ingest` again, or `stance \
+             annotate`)",
+            clips.len()
+        ));
+    }
+    if names_are_ids(layout) {
+        let mut shortened = Vec::new();
+        for shard in clips.shards(None) {
+            let ids = shard.column::<String>("id")?.into_iter();
+            shortened.extend(ids.filter(|id| is_shortened(id)));
+        }
+        if let Some(first) = shortened.first() {
+            remarks.push(format!(
+                "{} names are too long for file systems and are shortened, with a hash behind them (such as that of \
+                 {first})",
+                shortened.len()
+            ));
+        }
+    }
+    Ok(remarks)
+}
+
+/// Whether files are named by the ids of clips. Other layouts number their files, or pack clips together.
+fn names_are_ids(layout: Layout) -> bool {
+    matches!(
+        layout,
+        Layout::Amass | Layout::Bvh | Layout::Gltf | Layout::MotionMillion
+    )
 }
 
 /// A column of the clips that older tables lack.

@@ -116,11 +116,10 @@ impl<'a> Writer<'a> {
     fn episode(&mut self, mut row: MotionRow) -> Result<(), Error> {
         let fps = *self.fps.get_or_insert(row.fps);
         if fps != row.fps {
-            return Err(Error::MixedRates {
-                first: fps,
-                other: row.fps,
-                motion: row.id.clone(),
-            });
+            return Err(Error::refused(format!(
+                "clip {} is at {} fps and others at {fps}; ingest with one --fps",
+                row.id, row.fps
+            )));
         }
         let said = row.stated_captions().next();
         let text = said.map(|caption| caption.text.as_str());

@@ -39,8 +39,8 @@ pub use items::export_items;
 pub(crate) use items::item_stem;
 pub use job::plan_export;
 pub(crate) use job::{JOB, open_job};
-pub use layout::{Layout, before};
-pub use left_out::{Counts, Exported, untagged_captions};
+pub use layout::Layout;
+pub use left_out::{Counts, Exported, before, untagged_captions};
 pub use motionfix::export_triplets;
 
 /// Writes clips to a new folder in another layout.
@@ -56,7 +56,7 @@ pub fn export(
 ) -> Result<Exported, Error> {
     let dataset = clips.dataset();
     if !dataset.manifest().tables.contains_key(MotionRow::TABLE) {
-        return Err(Error::NoMotions(dataset.root().to_owned()));
+        return Err(Error::no_motions(dataset.root()));
     }
     let folder = NewFolder::beside(out)?;
     let mut done = match Form::of(layout, clips)? {

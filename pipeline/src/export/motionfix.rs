@@ -19,7 +19,7 @@ use formats::write::motionfix::Parameters;
 use pickle::{DictWriter, Value};
 use rayon::prelude::*;
 
-use super::document::{file, write_json};
+use super::document::{Lines, file, write_json};
 use super::left_out::{Exported, PAIRS, put};
 use crate::Error;
 use crate::clips::Clips;
@@ -34,6 +34,8 @@ struct Triplet {
     kind: String,
     instruction: String,
     sides: [Side; 2],
+    /// The key it was published under.
+    key: Option<String>,
 }
 
 struct Side {
@@ -99,7 +101,11 @@ pub fn export_triplets(
 }
 
 fn none(dataset: &Dataset) -> Error {
-    Error::NoTriplets(dataset.root().to_owned())
+    Error::refused(format!(
+        "{} holds neither recorded triplets, nor items with targets, nor pairs with instructions; `stance triplets \
+         DATASET --out TRIPLETS` records triplets",
+        dataset.root().display()
+    ))
 }
 
 /// Writes the pairs whose motions are both among the clips. A style pair without an instruction gets one made from its
@@ -165,52 +171,51 @@ pub(super) fn write(
     Ok(done)
 }
 
+impl Side {
+    fn new(id: &MotionId, motion: Motion, start: i32) -> Self {
+        Self {
+            id: id.to_string(),
+            from_s: f64::from(start) / motion.fps().get(),
+            motion,
+            license: None,
+        }
+    }
+}
+
 fn of_triplet(row: &TripletRow) -> Result<Triplet, Error> {
-    let side = |id: &str, motion: Motion, start: i32| Side {
-        id: id.to_owned(),
-        from_s: f64::from(start) / motion.fps().get(),
-        motion,
-        license: None,
-    };
     Ok(Triplet {
         id: row.id.clone(),
         split: row.split,
         kind: row.kind.clone(),
         instruction: row.instruction.clone(),
         sides: [
-            side(row.source_id.as_str(), row.original()?, row.source_start),
-            side(row.target_id.as_str(), row.edited()?, row.target_start),
+            Side::new(&row.source_id, row.original()?, row.source_start),
+            Side::new(&row.target_id, row.edited()?, row.target_start),
         ],
+        key: None,
     })
 }
 
 fn of_item(row: &ItemRow) -> Result<Triplet, Error> {
-    let side = |id: &str, motion: Motion| Side {
-        id: id.to_owned(),
-        from_s: 0.0,
-        motion,
-        license: None,
-    };
     Ok(Triplet {
         id: row.id.clone(),
         split: row.split,
         kind: row.task.clone(),
         instruction: row.instruction.clone(),
         sides: [
-            side(row.source_id.as_str(), row.source()?),
-            side(row.target_id.as_str(), row.target()?),
+            Side::new(&row.source_id, row.source()?, 0),
+            Side::new(&row.target_id, row.target()?, 0),
         ],
+        key: None,
     })
 }
 
 fn of_pair(pair: &&PairRow, motions: &BTreeMap<String, MotionRow>) -> Result<Triplet, Error> {
-    let side = |id: &str| -> Result<Side, Error> {
-        let row = &motions[id];
+    let side = |id: &MotionId| -> Result<Side, Error> {
+        let row = &motions[id.as_str()];
         Ok(Side {
-            id: id.to_owned(),
-            motion: row.motion()?,
-            from_s: 0.0,
             license: row.license.clone(),
+            ..Side::new(id, row.motion()?, 0)
         })
     };
     let instruction = match (&pair.style, pair.instruction.trim()) {
@@ -222,10 +227,8 @@ fn of_pair(pair: &&PairRow, motions: &BTreeMap<String, MotionRow>) -> Result<Tri
         split: pair.split,
         kind: pair.kind.clone(),
         instruction,
-        sides: [
-            side(pair.source_id.as_str())?,
-            side(pair.target_id.as_str())?,
-        ],
+        sides: [side(&pair.source_id)?, side(&pair.target_id)?],
+        key: published_key(pair).map(str::to_owned),
     })
 }
 
@@ -255,7 +258,7 @@ struct Writer<'a> {
     all: Dump,
     of_split: BTreeMap<Split, Dump>,
     splits: BTreeMap<&'static str, Vec<String>>,
-    ids: csv::Writer<Vec<u8>>,
+    ids: Lines,
     /// Keys that new triplets must not get.
     taken: BTreeSet<String>,
     /// Published keys that are already used for a pair.
@@ -281,28 +284,26 @@ impl<'a> Writer<'a> {
         for split in [Split::Val, Split::Test] {
             of_split.insert(split, open(&format!("motionfix_{split}.pth.tar"))?);
         }
-        let mut writer = Self {
+        Ok(Self {
             all: open(ALL)?,
             of_split,
             splits: Split::ALL
                 .iter()
                 .map(|split| (split.as_str(), Vec::new()))
                 .collect(),
-            ids: csv::Writer::from_writer(Vec::new()),
+            ids: Lines::new([
+                "key", "id", "split", "kind", "source", "target", "license", "left_out",
+            ]),
             taken: reserved,
             used: BTreeSet::new(),
             wordless: 0,
             folder: folder.to_owned(),
             skeleton,
-        };
-        writer.note(&[
-            "key", "id", "split", "kind", "source", "target", "license", "left_out",
-        ])?;
-        Ok(writer)
+        })
     }
 
     /// Adds rows. Their arrays are made in parallel.
-    fn take<R: Sync + Keyed>(
+    fn take<R: Sync>(
         &mut self,
         rows: &[R],
         triplet: &(dyn Fn(&R) -> Result<Triplet, Error> + Sync),
@@ -325,10 +326,10 @@ impl<'a> Writer<'a> {
                 Ok((triplet, Some(value)))
             })
             .collect::<Result<_, Error>>()?;
-        for (row, (triplet, value)) in rows.iter().zip(made) {
-            let key = match (row.key(), &value) {
+        for (triplet, value) in made {
+            let key = match (&triplet.key, &value) {
                 (_, None) => String::new(),
-                (Some(key), _) if self.used.insert(key.to_owned()) => key.to_owned(),
+                (Some(key), _) if self.used.insert(key.clone()) => key.clone(),
                 _ => self.new_key(&triplet),
             };
             let [source, target] = &triplet.sides;
@@ -338,12 +339,8 @@ impl<'a> Writer<'a> {
                 .collect();
             licenses.dedup();
             self.wordless += u64::from(value.is_none());
-            let left_out = if value.is_none() {
-                "no instruction"
-            } else {
-                ""
-            };
-            self.note(&[
+            let left_out = value.as_ref().map_or("no instruction", |_| "");
+            self.ids.take([
                 &key,
                 &triplet.id,
                 triplet.split.as_str(),
@@ -352,7 +349,7 @@ impl<'a> Writer<'a> {
                 &target.id,
                 &licenses.join(" AND "),
                 left_out,
-            ])?;
+            ]);
             let Some(value) = value else { continue };
             let written = Value::text(&key);
             let dumps = [Some(&mut self.all), self.of_split.get_mut(&triplet.split)];
@@ -392,11 +389,6 @@ impl<'a> Writer<'a> {
         }
     }
 
-    fn note(&mut self, fields: &[&str; 8]) -> Result<(), Error> {
-        let written = self.ids.write_record(fields).map_err(std::io::Error::from);
-        Ok(written.map_err(datasets_spec::Error::io("write", &self.folder))?)
-    }
-
     /// Ends the dumps, and returns the number of triplets.
     fn finish(self) -> Result<u64, Error> {
         for dump in std::iter::once(self.all).chain(self.of_split.into_values()) {
@@ -405,25 +397,8 @@ impl<'a> Writer<'a> {
         }
         let count = self.splits.values().map(Vec::len).sum::<usize>();
         write_json(&self.folder, "splits.json", &self.splits)?;
-        let lines = self.ids.into_inner().unwrap_or_default();
-        file(&self.folder, "ids.csv", &lines)?;
+        file(&self.folder, "ids.csv", &self.ids.into_bytes())?;
         Ok(count as u64)
-    }
-}
-
-/// Rows that may have a published key.
-trait Keyed {
-    fn key(&self) -> Option<&str> {
-        None
-    }
-}
-
-impl Keyed for TripletRow {}
-impl Keyed for ItemRow {}
-
-impl Keyed for &PairRow {
-    fn key(&self) -> Option<&str> {
-        published_key(self)
     }
 }
 
@@ -541,7 +516,8 @@ mod tests {
             &at("out"),
             &NoProgress,
         );
-        assert!(matches!(refused, Err(Error::NoTriplets(_))));
+        let refused = refused.expect_err("no pairs").to_string();
+        assert!(refused.contains("neither recorded triplets"), "{refused}");
         assert!(!at("out").exists());
     }
 }

@@ -18,6 +18,7 @@ use formats::source::stance::{
 };
 use serde::Serialize;
 
+use super::document::file;
 use super::left_out::{Exported, put};
 use crate::Error;
 use crate::clips::Clips;
@@ -49,10 +50,9 @@ pub(super) fn write(
         waiting: BTreeMap::new(),
     };
     for section in [BASE_MOTION, STYLE_TRANSFER, ADJUSTMENT] {
-        create(&folder.join(section))?;
-        create(&folder.join(SPLIT).join(section))?;
+        let path = folder.join(section);
+        fs::create_dir_all(&path).map_err(datasets_spec::Error::io("create folder", &path))?;
     }
-    create(&folder.join(REGEN))?;
     progress.begin("export", Some(plan.places.len() as u64));
     for shard in clips.shards(None) {
         for row in shard.read()? {
@@ -61,8 +61,8 @@ pub(super) fn write(
         }
     }
     writer.finish()?;
-    save_rows(&folder.join(origin::MASKS), &labels.masks)?;
-    save_rows(&folder.join(origin::PAIRS), &labels.pairs)?;
+    save_rows(folder, origin::MASKS, &labels.masks)?;
+    save_rows(folder, origin::PAIRS, &labels.pairs)?;
     let mut done = Exported::of(plan.places.len() as u64);
     let placed = labels.masks.iter().filter(|mask| plan.has_place(mask));
     let masks = labels.masks.len() - placed.count();
@@ -304,9 +304,9 @@ impl Writer<'_> {
         let value = motion_value(&motion);
         let origin = origin_of(row, &motion);
         if let Some(Some((section, stem))) = self.plan.places.get(&id) {
-            let path = self.folder.join(section).join(format!("{stem}.pkl"));
-            save(&path, &pickle::encode(&value))?;
             let name = format!("{section}/{stem}");
+            let bytes = pickle::encode(&value);
+            file(self.folder, &format!("{name}.pkl"), &bytes)?;
             self.record.motions.insert(name, origin.clone());
         }
         if let Some(uses) = self.plan.uses.get(&id) {
@@ -341,8 +341,8 @@ impl Writer<'_> {
                 let origin = waiting.origin.clone();
                 self.record.motions.insert(name, origin);
             }
-            let path = self.folder.join(ADJUSTMENT).join(format!("{stem}.pkl"));
-            save(&path, &pickle::encode(&content))?;
+            let name = format!("{ADJUSTMENT}/{stem}.pkl");
+            file(self.folder, &name, &pickle::encode(&content))?;
             for id in ids {
                 let done = self.waiting.get_mut(id).is_some_and(|waiting| {
                     waiting.left = waiting.left.saturating_sub(1);
@@ -374,14 +374,11 @@ impl Writer<'_> {
             ("part_annotations.json", json_text(&texts)),
         ] {
             let name = format!("{REGEN}/{name}");
-            save(&self.folder.join(&name), &content)?;
+            file(self.folder, &name, &content)?;
             let hash = blake3::hash(&content).to_hex().to_string();
             self.record.lists.insert(name, hash);
         }
-        save(
-            &self.folder.join(origin::FILE_NAME),
-            &json_text(&self.record),
-        )?;
+        file(self.folder, origin::FILE_NAME, &json_text(&self.record))?;
         for split in [Split::Val, Split::Test] {
             let names = |section: &str| -> BTreeSet<&str> {
                 let names = self.record.motions.iter();
@@ -393,14 +390,13 @@ impl Writer<'_> {
                     })
                     .collect()
             };
-            let folder = self.folder.join(SPLIT);
             let mut lines: Vec<&str> = names(BASE_MOTION).into_iter().collect();
             lines.push("");
-            let base = folder.join(BASE_MOTION).join(format!("{split}.txt"));
-            save(&base, lines.join("\n").as_bytes())?;
+            let base = format!("{SPLIT}/{BASE_MOTION}/{split}.txt");
+            file(self.folder, &base, lines.join("\n").as_bytes())?;
             for section in [STYLE_TRANSFER, ADJUSTMENT] {
-                let list = folder.join(section).join(format!("{split}.json"));
-                save(&list, &json_text(&names(section)))?;
+                let list = format!("{SPLIT}/{section}/{split}.json");
+                file(self.folder, &list, &json_text(&names(section)))?;
             }
         }
         Ok(())
@@ -442,25 +438,17 @@ fn origin_of(row: MotionRow, written: &Motion) -> Origin {
     }
 }
 
-fn create(folder: &Path) -> Result<(), Error> {
-    Ok(fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create folder", folder))?)
-}
-
-fn save(path: &Path, content: &[u8]) -> Result<(), Error> {
-    Ok(fs::write(path, content).map_err(datasets_spec::Error::io("write", path))?)
-}
-
 fn json_text(content: &impl Serialize) -> Vec<u8> {
     serde_json::to_vec_pretty(content).expect("texts and numbers serialise")
 }
 
-fn save_rows(path: &Path, rows: &[impl Serialize]) -> Result<(), Error> {
+fn save_rows(folder: &Path, name: &str, rows: &[impl Serialize]) -> Result<(), Error> {
     let mut lines = Vec::new();
     for row in rows {
         serde_json::to_writer(&mut lines, row).expect("texts and numbers serialise");
         lines.push(b'\n');
     }
-    save(path, &lines)
+    file(folder, name, &lines)
 }
 
 #[cfg(test)]

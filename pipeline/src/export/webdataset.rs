@@ -29,29 +29,27 @@ pub(super) fn write(
 ) -> Result<Exported, Error> {
     progress.begin("export webdataset", Some(clips.len()));
     for split in Split::ALL {
-        let mut shards = Shards {
-            folder,
-            split,
-            index: 0,
-            open: None,
-        };
+        let mut index = 0;
+        let mut open: Option<Shard> = None;
         for shard in clips.shards(Some(split)) {
             for row in shard.read()? {
-                shards.append(&row)?;
+                open.take_if(|shard| shard.is_full())
+                    .map_or(Ok(()), Shard::close)?;
+                if open.is_none() {
+                    let path = folder.join(format!("{split}-{index:06}.tar"));
+                    open = Some(Shard::create(path)?);
+                    index += 1;
+                }
+                if let Some(shard) = &mut open {
+                    shard.append_clip(&row)?;
+                }
                 progress.advance(1);
             }
         }
-        shards.close()?;
+        open.map_or(Ok(()), Shard::close)?;
     }
     progress.finish(&format!("{} clips", clips.len()));
     Ok(Exported::of(clips.len()))
-}
-
-struct Shards<'a> {
-    folder: &'a Path,
-    split: Split,
-    index: usize,
-    open: Option<Shard>,
 }
 
 struct Shard {
@@ -61,20 +59,22 @@ struct Shard {
     bytes: u64,
 }
 
-impl Shards<'_> {
-    fn append(&mut self, row: &MotionRow) -> Result<(), Error> {
-        let is_full = |shard: &Shard| shard.clips >= SHARD_CLIPS || shard.bytes >= SHARD_BYTES;
-        if self.open.as_ref().is_some_and(is_full) {
-            self.close()?;
-        }
-        if self.open.is_none() {
-            let name = format!("{}-{:06}.tar", self.split, self.index);
-            self.open = Some(Shard::create(self.folder.join(name))?);
-            self.index += 1;
-        }
-        let Some(shard) = &mut self.open else {
-            return Ok(());
-        };
+impl Shard {
+    fn create(path: PathBuf) -> Result<Self, Error> {
+        let file = File::create(&path).map_err(datasets_spec::Error::io("create", &path))?;
+        Ok(Self {
+            path,
+            tar: tar::Builder::new(BufWriter::new(file)),
+            clips: 0,
+            bytes: 0,
+        })
+    }
+
+    fn is_full(&self) -> bool {
+        self.clips >= SHARD_CLIPS || self.bytes >= SHARD_BYTES
+    }
+
+    fn append_clip(&mut self, row: &MotionRow) -> Result<(), Error> {
         let array =
             |frames: &[f32], width: usize| npy::encode(&[frames.len() / width, width], frames);
         let key = key(row.id.as_str());
@@ -87,26 +87,10 @@ impl Shards<'_> {
             ("body_pose.npy", array(row.body_pose.as_flattened(), 63)),
             ("json", facts(row).to_string().into_bytes()),
         ] {
-            shard.append(&format!("{key}.{name}"), &bytes)?;
+            self.append(&format!("{key}.{name}"), &bytes)?;
         }
-        shard.clips += 1;
+        self.clips += 1;
         Ok(())
-    }
-
-    fn close(&mut self) -> Result<(), Error> {
-        self.open.take().map_or(Ok(()), Shard::close)
-    }
-}
-
-impl Shard {
-    fn create(path: PathBuf) -> Result<Self, Error> {
-        let file = File::create(&path).map_err(datasets_spec::Error::io("create", &path))?;
-        Ok(Self {
-            path,
-            tar: tar::Builder::new(BufWriter::new(file)),
-            clips: 0,
-            bytes: 0,
-        })
     }
 
     /// Appends a member with a reproducible header.

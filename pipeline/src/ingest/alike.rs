@@ -17,6 +17,7 @@ use serde::Serialize;
 use super::fates::Fates;
 use super::recorded::Recorded;
 use crate::Error;
+use crate::clip_table::ClipFacts;
 use crate::likeness::{Sketch, TOLERANCE_M};
 use crate::recordings::Groups;
 
@@ -57,12 +58,12 @@ impl Alike {
         (root, recorded, fates): (&Path, &Recorded, &Fates<'_>),
         skeleton: &Skeleton,
     ) -> Result<Self, Error> {
-        let mut files = Files::default();
+        let mut paths = Vec::new();
         let (mut all, mut contents) = (Vec::new(), Vec::new());
         for (_, file) in made.1 {
             let path = made.0.path(file);
-            let file = files.add(path);
-            let (numbers, of_file) = numbers_of(&files.paths[file], file)?;
+            let (numbers, of_file) = numbers_of(&path, paths.len())?;
+            paths.push(path);
             all.extend(numbers);
             contents.extend(of_file);
         }
@@ -80,9 +81,10 @@ impl Alike {
             let Some((_, file)) = motions.next() else {
                 continue;
             };
-            let file = *of_shard
-                .entry(clip.shard)
-                .or_insert_with(|| files.add(root.join(&file.path)));
+            let file = *of_shard.entry(clip.shard).or_insert_with(|| {
+                paths.push(root.join(&file.path));
+                paths.len() - 1
+            });
             all.push(Numbers {
                 id: clip.id.to_string(),
                 split: Some(clip.split),
@@ -99,6 +101,7 @@ impl Alike {
             groups.unite(first, index);
         }
         drop(first);
+        let files = Files(paths);
         files.fill_centres(&mut all, num_made, skeleton)?;
         let near = files.unite_near(&all, num_made, skeleton, &mut groups)?;
         Ok(Self::of(&all, &groups, &near))
@@ -159,30 +162,18 @@ impl Alike {
 
 /// The numbers of the motions of a file, and hashes of their contents.
 fn numbers_of(path: &Path, file: usize) -> Result<(Vec<Numbers>, Vec<String>), Error> {
-    let shard = ShardReader::open(path)?;
-    let ids = shard.column::<MotionRow, MotionId>("id")?;
-    let contents = shard.column::<MotionRow, String>("content_hash")?;
-    let num_frames = shard.column::<MotionRow, i32>("n_frames")?;
-    let number = |name| shard.column::<MotionRow, Option<f32>>(name);
-    let centres = [
-        number("centre_x")?,
-        number("centre_y")?,
-        number("centre_z")?,
-    ];
-    let rows = ids.into_iter().zip(num_frames).enumerate();
-    let numbers = rows.map(|(row, (id, num_frames))| {
-        let [x, y, z] = centres
-            .each_ref()
-            .map(|column| column.get(row).copied().flatten());
-        Numbers {
-            id: id.to_string(),
+    let rows: Vec<ClipFacts> = ShardReader::open(path)?.rows()?;
+    let numbers = rows.into_iter().map(|row| {
+        let numbers = Numbers {
+            id: row.id.to_string(),
             split: None,
-            num_frames,
-            centre: x.zip(y).zip(z).map(|((x, y), z)| [x, y, z]),
+            num_frames: row.n_frames,
+            centre: row.centre(),
             file,
-        }
+        };
+        (numbers, row.content_hash)
     });
-    Ok((numbers.collect(), contents))
+    Ok(numbers.unzip())
 }
 
 /// Whether one coordinate of two centres is close enough for nearly equal motions.
@@ -199,17 +190,10 @@ fn may_be_near(a: &Numbers, b: &Numbers) -> bool {
 
 const CLIPS_AT_ONCE: usize = 32;
 
-#[derive(Default)]
-struct Files {
-    paths: Vec<PathBuf>,
-}
+/// Files of motions, by the numbers in [`Numbers::file`].
+struct Files(Vec<PathBuf>);
 
 impl Files {
-    fn add(&mut self, path: PathBuf) -> usize {
-        self.paths.push(path);
-        self.paths.len() - 1
-    }
-
     /// Runs a function on the sketches of some motions, given by their index in `all`. A thread has one file open at a
     /// time.
     fn sketches<T: Send>(
@@ -226,7 +210,7 @@ impl Files {
             of_file.insert(&numbers.id, index);
         }
         let of_file = |(file, wanted): (usize, BTreeMap<&str, usize>)| {
-            let shard = ShardReader::open(&self.paths[file])?;
+            let shard = ShardReader::open(&self.0[file])?;
             let ids = shard.column::<MotionRow, MotionId>("id")?.into_iter();
             let rows = ids
                 .enumerate()

@@ -13,7 +13,6 @@ use super::plan::Plan;
 /// Source items per shard: few enough that every thread can hold a shard in memory.
 pub(crate) const SHARD_SOURCES: usize = 256;
 
-/// A motion assigned to a shard.
 pub(super) struct Item<'a> {
     pub(super) entry: &'a Entry,
     pub(super) source_name: &'a str,
@@ -33,8 +32,6 @@ pub(super) struct Dealt {
     pub(super) name: ShardName,
     pub(super) items: Vec<Placed>,
 }
-
-pub(super) type Shards<'a> = Vec<(ShardName, Vec<Item<'a>>)>;
 
 impl Plan {
     /// Distributes the motions that are read over shards, by split. `before` is the number of shards of each split that
@@ -99,16 +96,5 @@ impl Plan {
             split: planned.split,
             id,
         }
-    }
-
-    /// The shards of a run with their motions; see [`Plan::deal`].
-    pub(super) fn shards(&self, before: &BTreeMap<Split, usize>) -> Shards<'_> {
-        let dealt = self.deal(before).into_iter();
-        dealt
-            .map(|shard| {
-                let items = self.items_of(&shard);
-                (shard.name, items)
-            })
-            .collect()
     }
 }

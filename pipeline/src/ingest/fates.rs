@@ -4,15 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::dataset::ShardName;
 use datasets_spec::manifest::FileEntry;
-use datasets_spec::record::{HumanMl3dRow, MarkerRow, MotionRow};
-use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{MotionId, Split, Transaction};
 
 use super::growth::Growth;
 use super::plan::Plan;
 use super::recorded::{Recorded, RecordedClip};
 use crate::Error;
-use crate::clip_table::ClipRow;
+use crate::clip_table::rewrite;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fate {
@@ -105,21 +103,12 @@ impl<'a> Fates<'a> {
             .map(|(_, clip)| clip)
     }
 
-    /// Number of clips that stay without being among the items of this run.
-    pub(super) fn num_beside(&self) -> u64 {
-        let beside = self
-            .fates
-            .iter()
-            .filter(|fate| matches!(fate, Fate::Elsewhere | Fate::Missing | Fate::Unusable));
-        beside.count() as u64
-    }
-
-    /// Clips that stay unchanged although the files of the others are read again.
-    pub(super) fn not_read_again(&self) -> Vec<&'a MotionId> {
+    /// Clips that stay without being among the items of this run, even if the files of the others are read again.
+    pub(super) fn beside(&self) -> impl Iterator<Item = &'a MotionId> + '_ {
         let clips = self.recorded.clips.iter().zip(&self.fates);
         let stay = clips
             .filter(|(_, fate)| matches!(fate, Fate::Elsewhere | Fate::Missing | Fate::Unusable));
-        stay.map(|(clip, _)| &clip.id).collect()
+        stay.map(|(clip, _)| &clip.id)
     }
 
     pub(super) fn nothing_changed(&self) -> bool {
@@ -180,10 +169,22 @@ impl<'a> Fates<'a> {
                 files.push(file.clone());
             }
         }
-        let writer = Rewriter {
-            recorded: self.recorded,
-            transaction,
-            facts,
+        let mut write = |shard: usize, (index, of): (usize, usize), ids: &Staying<'_>| {
+            let shard = &self.recorded.shards[shard];
+            let name_of = |source: usize| self.recorded.sources[source].name.as_str();
+            let stays = |id: &MotionId| ids.get(id.as_str()).copied().map(name_of);
+            for (table, file) in &shard.files {
+                let name = ShardName {
+                    table,
+                    split: Some(shard.split),
+                    index,
+                    of,
+                };
+                let written = rewrite(transaction, &name, file, facts, &stays)?;
+                let files = files.entry((*table).to_owned()).or_default();
+                files.extend(written);
+            }
+            Ok::<(), Error>(())
         };
         let mut next: BTreeMap<Split, usize> = BTreeMap::new();
         for shard in &self.rewritten {
@@ -191,14 +192,14 @@ impl<'a> Fates<'a> {
             let index = next.entry(split).or_default();
             let ids = rest.get(shard).cloned().unwrap_or_default();
             let number = (*index, of.get(&split).copied().unwrap_or(0));
-            writer.write(*shard, number, &ids, &mut files)?;
+            write(*shard, number, &ids)?;
             *index += 1;
         }
         for (shard, ids) in rest {
             if broken.contains(&shard) && !planned.contains(&shard) {
                 let split = self.recorded.shards[shard].split;
                 let next = of.entry(split).or_default();
-                writer.write(shard, (*next, *next + 1), &ids, &mut files)?;
+                write(shard, (*next, *next + 1), &ids)?;
                 *next += 1;
             }
         }
@@ -255,19 +256,18 @@ impl Plan {
     /// Whether a recorded path belongs to a source of this run, and can be read if it exists. `name` is the name of its
     /// source.
     pub(super) fn is_of_run(&self, name: &str, path: &str) -> bool {
-        let mut given = self.given.iter();
+        let mut given = self.notes.given.iter();
         let Some(given) = given.find(|given| given.label.name == name) else {
             return false;
         };
         match self.sources.get(path) {
-            Some(source) => source.hash.is_ok() && !self.staying.contains(path),
+            Some(source) => source.hash.is_ok() && !self.notes.staying.contains(path),
             None => given.is_whole && !self.is_unlisted(path),
         }
     }
 
-    /// Whether a path lies in a folder that could not be listed.
     fn is_unlisted(&self, path: &str) -> bool {
-        self.unlisted.iter().any(|folder| {
+        self.notes.unlisted.iter().any(|folder| {
             let folder = folder.strip_suffix('.').unwrap_or(folder);
             folder.is_empty() || path.starts_with(&format!("{}/", folder.trim_end_matches('/')))
         })
@@ -276,62 +276,3 @@ impl Plan {
 
 /// Clips that stay, with the numbers of their sources.
 type Staying<'a> = BTreeMap<&'a str, usize>;
-
-/// Writes rows of recorded shards again.
-struct Rewriter<'a> {
-    recorded: &'a Recorded,
-    transaction: &'a Transaction,
-    facts: &'a [(&'a str, String)],
-}
-
-impl Rewriter<'_> {
-    /// Writes the rows of the clips `staying` of a shard.
-    fn write(
-        &self,
-        shard: usize,
-        (index, of): (usize, usize),
-        staying: &Staying<'_>,
-        files: &mut Files,
-    ) -> Result<(), Error> {
-        let shard = &self.recorded.shards[shard];
-        for (table, file) in &shard.files {
-            let name = ShardName {
-                table,
-                split: Some(shard.split),
-                index,
-                of,
-            };
-            let written = match *table {
-                MotionRow::TABLE => self.rows::<MotionRow>(&name, file, staying),
-                MarkerRow::TABLE => self.rows::<MarkerRow>(&name, file, staying),
-                _ => self.rows::<HumanMl3dRow>(&name, file, staying),
-            };
-            files
-                .entry((*table).to_owned())
-                .or_default()
-                .extend(written?);
-        }
-        Ok(())
-    }
-
-    fn rows<R: ClipRow>(
-        &self,
-        name: &ShardName,
-        file: &FileEntry,
-        staying: &Staying<'_>,
-    ) -> Result<Option<FileEntry>, Error> {
-        let mut rows: Vec<R> = read_rows(&self.transaction.root().join(&file.path))?;
-        rows.retain(|row| staying.contains_key(row.id().as_str()));
-        for row in &mut rows {
-            let source = staying[row.id().as_str()];
-            // Files of older formats lack the column.
-            if let Some(name) = row.source_name().filter(|name| name.is_empty()) {
-                name.clone_from(&self.recorded.sources[source].name);
-            }
-        }
-        if rows.is_empty() {
-            return Ok(None);
-        }
-        Ok(Some(self.transaction.write_shard(name, &rows, self.facts)?))
-    }
-}

@@ -15,11 +15,9 @@ use super::options::IngestOptions;
 use super::plan::Plan;
 use super::prepared::Prepared;
 use super::recorded::Recorded;
-use super::run::{foreseen, labels, refuse_mixture};
 use super::sources::SourceArg;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
-use crate::versions::check_lost;
 
 /// Forecast of a run.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -87,22 +85,22 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
     let plan = prepared.plan(store, out, listed, progress)?;
     let recorded = &prepared.base.recorded;
     let fates = Fates::of(&plan, recorded, options.prune);
-    let fates = foreseen(&plan, &prepared.base, &fates, &prepared.options);
-    let lost = labels(&prepared.base, &fates);
+    let fates = prepared.foreseen(&plan, &fates);
+    let lost = prepared.labels(&fates);
     let mut refusals = Vec::new();
     let mut refuse = |checked: Result<(), Error>| {
         refusals.extend(checked.err().map(|error| error.to_string()));
     };
     refuse(prepared.refuse_other_settings(out));
-    if let Some(differing) = prepared.must_agree().filter(|_| options.new_version) {
-        refuse(refuse_mixture(out, &fates, differing));
+    if options.new_version {
+        refuse(prepared.refuse_mixture(out, &fates));
     }
-    refuse(check_lost(out, &lost.lost, options.drop_labels));
+    refuse(prepared.refuse_loss(out, &lost));
     Ok(Forecast {
         sources: plan.forecast(recorded, &fates),
         settings: prepared.differing,
         lost: lost.lost,
-        refused_splits: plan.refused_splits.clone(),
+        refused_splits: plan.notes.refused_splits.clone(),
         remarks: plan
             .all_remarks()
             .into_iter()
@@ -115,7 +113,7 @@ pub fn forecast<S: Clone + Into<SourceArg>>(
 impl Plan {
     fn forecast(&self, recorded: &Recorded, fates: &Fates<'_>) -> Vec<SourceForecast> {
         let mut sources: BTreeMap<&str, SourceForecast> = BTreeMap::new();
-        for given in &self.given {
+        for given in &self.notes.given {
             let name = given.label.name.as_str();
             let source = SourceForecast {
                 name: name.to_owned(),

@@ -23,9 +23,9 @@ impl IdList {
     /// The file cannot be read, is no text, or names nothing.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let bytes = std::fs::read(path).map_err(datasets_spec::Error::io("read", path))?;
-        let refused = |reason: &str| Error::IdList {
-            path: path.to_owned(),
-            reason: reason.to_owned(),
+        let refused = |reason: &str| {
+            let reason = format!("cannot choose clips by {}: {reason}", path.display());
+            Error::coded("E-ID-LIST", path.display(), reason)
         };
         let text = std::str::from_utf8(&bytes);
         let list =

@@ -11,8 +11,10 @@ use super::list::{path_of, without_extension};
 use super::plan::{Plan, Planned};
 use super::recorded::{Recorded, RecordedClip};
 use super::shard::PIECE_STAGE;
+use super::sources::free;
 use super::split_by::SplitBy;
 use super::taken_out::NOT_CHOSEN;
+use crate::recordings::Groups;
 use crate::versions::taken_out;
 
 impl Plan {
@@ -23,7 +25,7 @@ impl Plan {
     /// long as none of their inputs has changed.
     pub(super) fn identify(&mut self, recorded: &Recorded, same_settings: bool) {
         // A clip whose file cannot be read now stays unchanged.
-        let (sources, remarks) = (&self.sources, &mut self.remarks);
+        let (sources, remarks) = (&self.sources, &mut self.notes.remarks);
         self.rejected.retain(|row| {
             let unreadable = sources
                 .get(&row.path)
@@ -93,7 +95,7 @@ impl Plan {
                 .chain(candidates.into_iter().flatten().copied());
             let found = candidates.find(|&index| {
                 let clip = &recorded.clips[index];
-                is_same_motion(item, clip) && claimed.insert(index)
+                item.is_of(clip.id.as_str()) && claimed.insert(index)
             });
             let Some(index) = found else { return };
             let clip = &recorded.clips[index];
@@ -226,37 +228,40 @@ impl Plan {
 
     /// The splits of all motions. `alike` are those that are equal or nearly so, as far as that is known.
     fn splits(&self, recorded: &Recorded, seed: Seed, alike: &Alike) -> Vec<Split> {
-        let mut groups = Groups::default();
         let mut of_content: BTreeMap<(&str, &str), Option<Split>> = BTreeMap::new();
         for clip in &recorded.clips {
             let split = of_content
-                .entry((&clip.hash, key_of(&clip.id)))
+                .entry((&clip.hash, key_of(clip.id.as_str())))
                 .or_default();
             split.get_or_insert(clip.split);
         }
         let mut first_key: BTreeMap<(&str, &str), usize> = BTreeMap::new();
         let mut first_alike: BTreeMap<usize, usize> = BTreeMap::new();
-        let keys: Vec<usize> = self
-            .items
-            .iter()
-            .map(|item| {
-                let key = groups.key(&self.split_key(item));
-                let hash = self.hash_of(item);
-                let motion = match item.release {
-                    Some(_) => item.entry.id.as_str(),
-                    None => item.entry.key.as_str(),
-                };
-                if !hash.is_empty() {
-                    let first = *first_key.entry((hash, motion)).or_insert(key);
-                    groups.unite(first, key);
-                }
-                if let Some(class) = alike.class(&item.id) {
-                    let first = *first_alike.entry(class).or_insert(key);
-                    groups.unite(first, key);
-                }
-                key
-            })
-            .collect();
+        let texts: Vec<String> = self.items.iter().map(|item| self.split_key(item)).collect();
+        // In this order the smallest number of a group is that of the text its split is drawn from.
+        let mut names: Vec<(&str, &str)> =
+            texts.iter().map(|key| (drawn_by(key), &**key)).collect();
+        names.sort_unstable();
+        names.dedup();
+        let keys = texts.iter().map(|key| (drawn_by(key), &**key));
+        let keys = keys.map(|key| names.partition_point(|name| *name < key));
+        let keys: Vec<usize> = keys.collect();
+        let mut groups = Groups::new(names.len());
+        for (item, &key) in self.items.iter().zip(&keys) {
+            let hash = self.hash_of(item);
+            let motion = match item.release {
+                Some(_) => item.entry.id.as_str(),
+                None => item.entry.key.as_str(),
+            };
+            if !hash.is_empty() {
+                let first = *first_key.entry((hash, motion)).or_insert(key);
+                groups.unite(first, key);
+            }
+            if let Some(class) = alike.class(&item.id) {
+                let first = *first_alike.entry(class).or_insert(key);
+                groups.unite(first, key);
+            }
+        }
         // Sources of the split of each motion, the strongest first.
         let reasons: Vec<[Option<Split>; 4]> = self
             .items
@@ -275,7 +280,7 @@ impl Plan {
         for strength in 0..4 {
             for (reasons, key) in reasons.iter().zip(&keys) {
                 if let Some(split) = reasons[strength] {
-                    given.entry(groups.root(*key)).or_insert(split);
+                    given.entry(groups.of(*key)).or_insert(split);
                 }
             }
         }
@@ -283,11 +288,11 @@ impl Plan {
             .iter()
             .zip(&keys)
             .map(|([own, recorded, published, _], key)| {
-                let group = groups.root(*key);
+                let group = groups.of(*key);
                 own.or(*recorded)
                     .or(*published)
                     .or(given.get(&group).copied())
-                    .unwrap_or_else(|| Split::assign(drawn_by(&groups.names[group]), seed))
+                    .unwrap_or_else(|| Split::assign(names[group].0, seed))
             })
             .collect()
     }
@@ -302,7 +307,7 @@ impl Plan {
     /// The label of a clip that its split is drawn from; none if the clip has no such label, or splits are drawn by
     /// clip.
     fn split_label(&self, item: &Planned) -> Option<String> {
-        match self.split_by {
+        match self.notes.split_by {
             SplitBy::Clip => None,
             SplitBy::Subject => {
                 let source = self.source_name(&item.entry.file);
@@ -319,7 +324,7 @@ impl Plan {
 
     /// Says how many clips lack the label that splits are drawn by.
     pub(super) fn note_split_labels(&mut self) {
-        if self.split_by == SplitBy::Clip {
+        if self.notes.split_by == SplitBy::Clip {
             return;
         }
         let lacking = self
@@ -328,11 +333,11 @@ impl Plan {
             .filter(|item| self.split_label(item).is_none());
         let count = lacking.count();
         if count > 0 {
-            self.remarks.push(format!(
+            self.notes.remarks.push(format!(
                 "{count} of {} clips state no {by}, and their splits were drawn by clip; a label file, a sidecar or a table of \
                  the source states it",
                 self.items.len(),
-                by = self.split_by
+                by = self.notes.split_by
             ));
         }
     }
@@ -369,20 +374,26 @@ fn drawn_by(key: &str) -> &str {
     key.rsplit(AMONG_RELEASES).next().unwrap_or(key)
 }
 
-/// Whether a motion is the one that a clip was read from, given that the file is the same.
-fn is_same_motion(item: &Planned, clip: &RecordedClip) -> bool {
-    let id = clip.id.as_str();
-    match item.release {
-        Some(_) => id
-            .strip_suffix(&item.entry.id)
-            .is_some_and(|prefix| prefix.is_empty() || prefix.ends_with('/')),
-        None => key_of(&clip.id) == item.entry.key,
+impl Planned {
+    /// Whether the motion is the one that the clip with this id was read from, given that the file is the same.
+    pub(super) fn is_of(&self, id: &str) -> bool {
+        match self.release {
+            Some(_) => id
+                .strip_suffix(&self.entry.id)
+                .is_some_and(|prefix| prefix.is_empty() || prefix.ends_with('/')),
+            None => key_of(id) == self.entry.key,
+        }
     }
 }
 
 /// The key of one of several motions of a file; empty if it holds one.
-fn key_of(id: &MotionId) -> &str {
-    id.as_str().split_once('#').map_or("", |(_, key)| key)
+fn key_of(id: &str) -> &str {
+    id.split_once('#').map_or("", |(_, key)| key)
+}
+
+/// An id without the key of the motion.
+fn name_of(id: &str) -> &str {
+    id.split_once('#').map_or(id, |(name, _)| name)
 }
 
 /// Gives the new motions of single files their ids: their path without its extension. Files that differ
@@ -402,20 +413,13 @@ fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
         .map(|(stem, _)| stem)
         .collect();
     // A clip of another file may have the id.
-    let owners: BTreeSet<&str> = taken
-        .iter()
-        .map(|id| id.split_once('#').map_or(id.as_str(), |(name, _)| name))
-        .collect();
+    let owners: BTreeSet<&str> = taken.iter().map(|id| name_of(id)).collect();
     let mut own: BTreeMap<String, String> = BTreeMap::new();
     for item in items
         .iter()
         .filter(|item| item.release.is_none() && item.known.is_some())
     {
-        let name = item
-            .id
-            .split_once('#')
-            .map_or(item.id.as_str(), |(name, _)| name);
-        own.insert(item.entry.file.clone(), name.to_owned());
+        own.insert(item.entry.file.clone(), name_of(&item.id).to_owned());
     }
     let new = items
         .iter_mut()
@@ -428,53 +432,13 @@ fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
             if is_free(&stem) {
                 return stem.clone();
             }
-            let whole = escaped(file);
-            let numbered = (2..).map(|number| format!("{whole}-{number}"));
-            let mut candidates = std::iter::once(whole.clone()).chain(numbered);
-            let free = candidates.find(|name| !owners.contains(name.as_str()));
-            free.expect("numbers do not end")
+            free(&escaped(file), |name| !owners.contains(name))
         });
         item.id = match item.entry.key.as_str() {
             "" => name,
             key => format!("{name}#{key}"),
         };
         item.entry.id.clone_from(&item.id);
-    }
-}
-
-/// Keys in disjoint groups (union-find).
-#[derive(Default)]
-struct Groups {
-    names: Vec<String>,
-    index: BTreeMap<String, usize>,
-    /// A key of the same group with a smaller name, or itself.
-    parents: Vec<usize>,
-}
-
-impl Groups {
-    fn key(&mut self, name: &str) -> usize {
-        if let Some(&key) = self.index.get(name) {
-            return key;
-        }
-        let key = self.names.len();
-        self.names.push(name.to_owned());
-        self.parents.push(key);
-        self.index.insert(name.to_owned(), key);
-        key
-    }
-
-    fn root(&self, mut key: usize) -> usize {
-        while self.parents[key] != key {
-            key = self.parents[key];
-        }
-        key
-    }
-
-    fn unite(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        let name = |key: usize| (drawn_by(&self.names[key]), &self.names[key]);
-        let (smaller, larger) = if name(a) <= name(b) { (a, b) } else { (b, a) };
-        self.parents[larger] = smaller;
     }
 }
 

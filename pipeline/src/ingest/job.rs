@@ -15,11 +15,10 @@ use super::list::list_given;
 use super::options::{IngestOptions, StoredOptions};
 use super::plan::{Plan, Planned};
 use super::prepared::{Prepared, effective};
-use super::run::{Pieces, foreseen, labels, piece, refuse_mixture, shard_facts};
+use super::run::{Pieces, piece, shard_facts};
 use super::shard::ShardNotes;
 use super::sources::SourceArg;
 use crate::Error;
-use crate::versions::check_lost;
 use work::{self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, Piece};
 
 pub(crate) const JOB: &str = "ingest";
@@ -54,16 +53,18 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
     prepared.refuse_other_settings(destination)?;
     let plan = prepared.plan(store, destination, listed, progress)?;
     if let Some(path) = plan.files.archives().unpacked() {
-        return Err(Error::PackedTar(path.to_owned()));
+        let path = path.display();
+        let reason = format!(
+            "{path}: the members of a packed tar cannot be read by many processes; unpack it and name its folder, or \
+             pack it as zip"
+        );
+        return Err(Error::coded("E-PACKED-TAR", path, reason));
     }
     let fates = Fates::of(&plan, &prepared.base.recorded, options.prune);
     // Nothing is planned for clips that cannot stay, or for labels that may not be lost.
-    if let Some(differing) = prepared.must_agree() {
-        refuse_mixture(destination, &fates, differing)?;
-    }
-    let foreseen = foreseen(&plan, &prepared.base, &fates, &prepared.options);
-    let labels = labels(&prepared.base, &foreseen);
-    check_lost(destination, &labels.lost, options.drop_labels)?;
+    prepared.refuse_mixture(destination, &fates)?;
+    let labels = prepared.labels(&prepared.foreseen(&plan, &fates));
+    prepared.refuse_loss(destination, &labels)?;
     let version = newest.as_ref().map_or(0, |base| base.version);
     let plan_hash = plan.hash(&prepared.settings, &prepared.options, version);
     let draft = Draft {

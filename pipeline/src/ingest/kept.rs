@@ -23,7 +23,6 @@ pub(super) struct Labels {
 }
 
 impl Growth {
-    /// Counts the kept and the lost labels.
     pub(super) fn count(&mut self, labels: &Labels) {
         let counts = [
             (MaskRow::TABLE, labels.masks.len()),
@@ -44,17 +43,18 @@ impl Fates<'_> {
         let mut labels = Labels::default();
         for mask in masks {
             // Masks of the source come back when it is read, and a stage derives its own masks again.
-            match self.place(&mask.motion_id) {
-                Ok(Place::ReadAgain) if is_mask_of_source(&mask) => {}
+            match self.is_read_again(&mask.motion_id) {
+                Ok(true) if is_mask_of_source(&mask) => {}
                 Ok(_) => labels.masks.push(mask),
                 Err(_) if !is_mask_of_people(&mask) => {}
                 Err(lost) => labels.lose(MaskRow::TABLE, mask.id, lost),
             }
         }
         for pair in pairs {
-            let [source, target] = [&pair.source_id, &pair.target_id].map(|id| self.place(id));
-            match source.and(target) {
-                Ok(Place::ReadAgain) if is_pair_of_source(&pair) => {}
+            let [source, target] = [&pair.source_id, &pair.target_id];
+            let source = self.is_read_again(source);
+            match source.and_then(|_| self.is_read_again(target)) {
+                Ok(true) if is_pair_of_source(&pair) => {}
                 Ok(_) => labels.pairs.push(pair),
                 Err(_) if !is_pair_of_people(&pair) => {}
                 Err(lost) => labels.lose(PairRow::TABLE, pair.id, lost),
@@ -63,14 +63,14 @@ impl Fates<'_> {
         labels
     }
 
-    /// Where the clip of a label is now. If its labels do not apply any more, the error is the clip and what happened
-    /// to it.
-    fn place(&self, id: &MotionId) -> Result<Place, (String, String)> {
+    /// Whether the clip of a label is read again; otherwise it stays. If its labels do not apply any more, the error is the
+    /// clip and what happened to it.
+    fn is_read_again(&self, id: &MotionId) -> Result<bool, (String, String)> {
         let reason = match self.of_clip(id) {
             Some(Fate::Kept | Fate::Elsewhere | Fate::Missing | Fate::Unusable) => {
-                return Ok(Place::Stays);
+                return Ok(false);
             }
-            Some(Fate::ReadAgain { is_same_file: true }) => return Ok(Place::ReadAgain),
+            Some(Fate::ReadAgain { is_same_file: true }) => return Ok(true),
             Some(Fate::ReadAgain { .. }) => format!("the file of {id} changed"),
             Some(Fate::Pruned { is_there: false }) => format!("the file of {id} is gone"),
             Some(Fate::Pruned { is_there: true }) => format!("{id} cannot be used any more"),
@@ -121,37 +121,30 @@ impl Plan {
             let here = |path| self.sources.contains_key(path) || self.is_of_run(name, path);
             !here(path) && !here(file)
         };
-        let quarantine = recorded.quarantine.iter();
-        let skipped = recorded.skipped.iter();
-        Outside {
-            quarantine: quarantine
-                .filter(|row| is_outside(&row.source_name, &row.path))
-                .cloned()
-                .collect(),
-            skipped: skipped
-                .filter(|row| is_outside(&row.source_name, &row.path))
-                .cloned()
-                .collect(),
-        }
+        let mut outside = Outside {
+            quarantine: recorded.quarantine.clone(),
+            skipped: recorded.skipped.clone(),
+        };
+        let Outside {
+            quarantine,
+            skipped,
+        } = &mut outside;
+        quarantine.retain(|row| is_outside(&row.source_name, &row.path));
+        skipped.retain(|row| is_outside(&row.source_name, &row.path));
+        outside
     }
 
     /// Whether this run rejects the same items as recorded.
     pub(super) fn has_rejected(&self, recorded: &Recorded, outside: &Outside) -> bool {
-        let codes = |rows: &[QuarantineRow]| -> BTreeSet<(String, String, String)> {
-            let rows = rows.iter();
-            rows.map(|row| (row.path.clone(), row.source_hash.clone(), row.code.clone()))
+        let codes = |rows: &[QuarantineRow]| -> BTreeSet<[String; 3]> {
+            let rows = rows.iter().cloned();
+            rows.map(|row| [row.path, row.source_hash, row.code])
                 .collect()
         };
-        let reasons = |rows: &[SkippedRow]| -> BTreeSet<(String, String, String)> {
-            let rows = rows.iter();
-            rows.map(|row| {
-                (
-                    row.path.clone(),
-                    row.source_hash.clone(),
-                    row.reason.clone(),
-                )
-            })
-            .collect()
+        let reasons = |rows: &[SkippedRow]| -> BTreeSet<[String; 3]> {
+            let rows = rows.iter().cloned();
+            rows.map(|row| [row.path, row.source_hash, row.reason])
+                .collect()
         };
         let (mut now, mut skipped) = (codes(&self.rejected), reasons(&self.skipped));
         now.extend(codes(&outside.quarantine));
@@ -162,7 +155,7 @@ impl Plan {
     /// The sources of the dataset with those of this run.
     pub(super) fn all_labels(&self, recorded: &Recorded) -> Vec<SourceLabel> {
         let mut sources = recorded.sources.clone();
-        for given in &self.given {
+        for given in &self.notes.given {
             if !sources.contains(&given.label) {
                 sources.push(given.label.clone());
             }
@@ -171,22 +164,14 @@ impl Plan {
         sources
     }
 
-    /// The sources of the dataset, as JSON.
     pub(super) fn all_sources(&self, recorded: &Recorded) -> String {
         serde_json::to_string(&self.all_labels(recorded)).expect("texts serialise")
     }
 
     pub(super) fn has_known_sources(&self, recorded: &Recorded) -> bool {
-        let mut given = self.given.iter();
+        let mut given = self.notes.given.iter();
         given.all(|given| recorded.sources.contains(&given.label))
     }
-}
-
-/// State of a clip whose labels are kept.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Place {
-    Stays,
-    ReadAgain,
 }
 
 impl Labels {
@@ -211,8 +196,9 @@ impl Labels {
     }
 
     fn lose(&mut self, table: &str, id: String, (clip, reason): (String, String)) {
+        let table = table.to_owned();
         self.lost.push(LostLabel {
-            table: table.to_owned(),
+            table,
             id,
             clip,
             reason,

@@ -43,7 +43,7 @@ impl Known<'_> {
                 }),
             };
             if let ("", Some(other)) = (label.as_str(), self.folder_like_a_label(source)) {
-                return Err(asked(format!(
+                return Err(Error::asked(format!(
                     "source {name:?} has a folder {other:?}, and paths of the dataset that begin with {other}/ are \
                      those of another source; give the folder another name"
                 )));
@@ -128,11 +128,11 @@ impl Known<'_> {
             .collect();
         let folders = found.iter().filter(|(_, kind)| *kind != Kind::File).count();
         match found.len() {
-            0 => Err(asked(format!(
+            0 => Err(Error::asked(format!(
                 "with new settings all sources are read again, and source {name:?} is not where it was or was never \
                  found on this machine; name its place: {name}=PATH"
             ))),
-            _ if folders > 1 => Err(asked(format!(
+            _ if folders > 1 => Err(Error::asked(format!(
                 "with new settings all sources are read again, and source {name:?} is in several places; name the one \
                  to read: {name}=PATH"
             ))),
@@ -140,7 +140,6 @@ impl Known<'_> {
         }
     }
 
-    /// Recorded paths of a source.
     fn paths_of(&self, name: &str) -> impl Iterator<Item = &str> {
         let clips = self.recorded.clips.iter();
         let clips = clips.filter(move |clip| self.recorded.sources[clip.source].name == name);
@@ -216,19 +215,19 @@ impl Known<'_> {
         }
         if !at.is_empty() {
             let ways: Vec<String> = at.iter().map(|name| format!("{name}={given}")).collect();
-            return Err(asked(format!(
+            return Err(Error::asked(format!(
                 "{given} was given under several names; say which source it is: {}",
                 ways.join(" or ")
             )));
         }
         if check_name(own).is_err() {
-            return Err(asked(format!(
+            return Err(Error::asked(format!(
                 "{given} has no name; give it one: NAME={given}"
             )));
         }
         let other = self.other_name(source);
         if self.places.is_empty() && !self.recorded.sources.is_empty() {
-            return Err(asked(format!(
+            return Err(Error::asked(format!(
                 "{} does not record where its sources lie, so whether {given} is one of them must be said. Its \
                  sources: {}. If it is one of them: {}; if it is new: {other}={given}",
                 self.out.display(),
@@ -237,7 +236,7 @@ impl Known<'_> {
             )));
         }
         if self.source(own).is_some() {
-            return Err(asked(format!(
+            return Err(Error::asked(format!(
                 "{} has a source {own:?} from another place. If it moved to {given}: {own}={given}; if {given} is a \
                  new source, give it another name, such as {other}={given}",
                 self.out.display()
@@ -255,7 +254,6 @@ impl Known<'_> {
         }
     }
 
-    /// The sources with their clips, in words.
     fn counted(&self) -> String {
         let sources = self.recorded.sources.iter().enumerate();
         let counted = sources.map(|(index, source)| {
@@ -277,10 +275,6 @@ impl Known<'_> {
             .collect();
         ways.join(" or ")
     }
-}
-
-fn asked(reason: String) -> Error {
-    Error::AskedSource(reason)
 }
 
 /// Refuses two sources of one name, and one place under two names.
@@ -306,14 +300,14 @@ fn refuse_equal_names(names: &[String], listed: &[Listed]) -> Result<(), Error> 
             });
             format!("{other}={given}")
         });
-        return Err(asked(format!(
+        return Err(Error::asked(format!(
             "several sources are called {name:?}: {}. Give them names of their own, such as {}",
             given.join(", "),
             ways.collect::<Vec<_>>().join(" ")
         )));
     }
     if let Some((place, names)) = by_place.iter().find(|(_, names)| names.len() > 1) {
-        return Err(asked(format!(
+        return Err(Error::asked(format!(
             "{place} is given under several names: {}; give it once",
             names.join(", ")
         )));

@@ -20,7 +20,7 @@ use crate::Error;
 
 #[derive(Clone, Debug)]
 pub(super) struct Source {
-    /// Index of its source in [`Plan::given`](super::plan::Plan).
+    /// Index of its source in [`PlanNotes::given`](super::plan::PlanNotes).
     pub(super) of: usize,
     pub(super) hash: Result<String, String>,
     /// Offset in its archive, if it is a damaged member.
@@ -45,7 +45,6 @@ pub(crate) struct Listing {
     pub(crate) archives: Archives,
 }
 
-/// Why a link to a folder is skipped.
 const FOLDER_LINK: &str =
     "link to a folder, not followed; name the folder it leads to as a source of its own";
 
@@ -67,12 +66,10 @@ pub(crate) struct Listed {
     pub(super) listing: Listing,
 }
 
-/// A source that was found.
 struct Located<'a> {
     arg: &'a SourceArg,
     /// The folder, or that of the file, resolved.
     folder: PathBuf,
-    /// The file, resolved.
     file: Option<PathBuf>,
 }
 
@@ -80,7 +77,7 @@ impl<'a> Located<'a> {
     fn find(arg: &'a SourceArg) -> Result<Self, Error> {
         use std::io::ErrorKind::NotFound;
 
-        let missing = || Error::MissingSource(arg.path.clone());
+        let missing = || Error::missing_source(&arg.path);
         let (path, is_file) = if is_url(&arg.path) {
             let text = arg.path.to_string_lossy();
             let path = PathBuf::from(text.trim_end_matches('/'));
@@ -178,7 +175,6 @@ impl Listed {
         self.places = vec![(self.place.clone(), Kind::Files)];
     }
 
-    /// Adds a file that was given.
     fn add(&mut self, located: &Located<'_>) {
         let Some(file) = &located.file else { return };
         if self.is_whole {
@@ -209,7 +205,7 @@ impl Listed {
             Some(names.join("/"))
         });
         if own.as_deref() == Some("") {
-            return Err(Error::AskedSource(format!(
+            return Err(Error::asked(format!(
                 "{} is the dataset and its source at the same time; write the dataset to another folder",
                 self.given.display()
             )));
@@ -282,27 +278,21 @@ pub(crate) fn list_sources(
     out: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Vec<Listed>, Error> {
-    let located: Vec<Located> = sources
-        .iter()
-        .map(Located::find)
-        .collect::<Result<_, _>>()?;
+    let located = sources.iter().map(Located::find);
+    let mut located: Vec<Located> = located.collect::<Result<_, _>>()?;
+    // Folders before files, and names before places without one.
+    located.sort_by_key(|located| (located.file.is_some(), located.arg.name.is_none()));
     let mut listed: Vec<Listed> = Vec::new();
-    let order = [(false, true), (false, false), (true, true), (true, false)];
-    for (is_file, is_named) in order {
-        let of_kind = located.iter().filter(|located| {
-            (located.file.is_some(), located.arg.name.is_some()) == (is_file, is_named)
-        });
-        for source in of_kind {
-            let known = listed.iter().position(|listed| source.is_in(listed));
-            let place = match known {
-                Some(place) => place,
-                None => {
-                    listed.push(source.list(out)?);
-                    listed.len() - 1
-                }
-            };
-            listed[place].add(source);
-        }
+    for source in &located {
+        let known = listed.iter().position(|listed| source.is_in(listed));
+        let place = match known {
+            Some(place) => place,
+            None => {
+                listed.push(source.list(out)?);
+                listed.len() - 1
+            }
+        };
+        listed[place].add(source);
     }
     for source in &mut listed {
         source.listing.open_archives(progress)?;
@@ -312,12 +302,11 @@ pub(crate) fn list_sources(
             .iter()
             .map(|source| source.path.display().to_string())
             .collect();
-        return Err(Error::NoFiles {
-            paths: paths.join(", "),
-            hint: listed
-                .first()
-                .map_or_else(String::new, |source| source.listing.why_empty()),
-        });
+        let hint = listed.first().map(|source| source.listing.why_empty());
+        return Err(Error::no_files(
+            &paths.join(", "),
+            &hint.unwrap_or_default(),
+        ));
     }
     Ok(listed)
 }
@@ -332,15 +321,22 @@ pub(super) fn list_given<S: Clone + Into<SourceArg>>(
     list_sources(&sources, Some(out), progress)
 }
 
-/// All files of the sources by their relative path, prefixed with the label of their source, and the files of each
-/// source.
-pub(crate) fn list_files(sources: &[PathBuf], progress: &dyn Progress) -> Result<Listing, Error> {
+/// All files of the sources by their relative path, prefixed with the label of their source. Members of archives can be
+/// read as long as the archives are kept.
+pub(crate) fn list_files(
+    sources: &[PathBuf],
+    progress: &dyn Progress,
+) -> Result<(BTreeMap<String, PathBuf>, Archives), Error> {
     let sources: Vec<SourceArg> = sources.iter().cloned().map(SourceArg::from).collect();
     let listed = list_sources(&sources, None, progress)?;
     let labels = numbered_labels(&listed);
-    Ok(merged(
-        listed.into_iter().map(|source| source.listing).zip(labels),
-    ))
+    let (mut all, mut archives) = (BTreeMap::new(), Archives::default());
+    for (source, label) in listed.into_iter().zip(labels) {
+        let files = source.listing.files.into_iter();
+        all.extend(files.map(|(name, path)| (labelled(&label, &name), path)));
+        archives.add(source.listing.archives);
+    }
+    Ok((all, archives))
 }
 
 /// Lists every source separately, with a label that keeps its files apart from those of the others.
@@ -382,32 +378,6 @@ fn numbered_labels(listed: &[Listed]) -> Vec<String> {
         .collect()
 }
 
-/// The files of all sources. Each path begins with the label of its source.
-fn merged(sources: impl IntoIterator<Item = (Listing, String)>) -> Listing {
-    let mut merged = Listing::default();
-    for (listing, label) in sources {
-        let behind = |name: &str| labelled(&label, name);
-        let refused = listing.refused.into_iter();
-        merged
-            .refused
-            .extend(refused.map(|(name, hash, why)| (behind(&name), hash, why)));
-        merged.archives.add(listing.archives);
-        let files = listing.files.into_iter();
-        merged
-            .files
-            .extend(files.map(|(name, path)| (behind(&name), path)));
-        let special = listing.special.into_iter();
-        merged
-            .special
-            .extend(special.map(|(name, reason)| (behind(&name), reason)));
-        let unlisted = listing.unlisted.into_iter();
-        merged
-            .unlisted
-            .extend(unlisted.map(|(name, reason)| (behind(&name), reason)));
-    }
-    merged
-}
-
 /// A path relative to a source, prefixed with the label of the source.
 pub(crate) fn labelled(label: &str, name: &str) -> String {
     match label {
@@ -425,7 +395,7 @@ impl Listing {
             self.files.insert(names.join("/"), file);
         }
         match self.files.is_empty() {
-            true => Err(Error::MissingSource(given.to_owned())),
+            true => Err(Error::missing_source(given)),
             false => Ok(()),
         }
     }
@@ -538,7 +508,7 @@ pub(super) fn hash_files(
 }
 
 /// The row of a file that was rejected; `key` names one of several motions of it.
-pub(super) fn quarantine_row(
+pub(crate) fn quarantine_row(
     file: &str,
     key: &str,
     source_name: &str,
@@ -566,7 +536,6 @@ pub(super) fn path_of(file: &str, key: &str) -> String {
     }
 }
 
-/// A path without the extension of its file.
 pub(super) fn without_extension(relative: &str) -> &str {
     let name_start = relative.rfind('/').map_or(0, |slash| slash + 1);
     match relative[name_start..].rfind('.') {

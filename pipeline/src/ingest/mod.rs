@@ -7,7 +7,6 @@
 mod added;
 mod alike;
 mod deal;
-mod equal;
 mod fates;
 mod forecast;
 mod growth;
@@ -54,14 +53,13 @@ pub use self::growth::{Growth, LostLabel};
 pub use self::id_list::IdList;
 pub use self::job::plan_ingest;
 pub(crate) use self::job::{JOB, open_job};
-pub(crate) use self::list::{labelled as with_label, list_each, list_files};
+pub(crate) use self::list::{labelled as with_label, list_each, list_files, quarantine_row};
 pub use self::options::{IngestOptions, REMARKS_FACT};
 pub(crate) use self::recorded::{MergedSources, recorded_settings};
 pub use self::report::IngestReport;
 pub use self::sources::SourceArg;
 pub use self::split_by::SplitBy;
 pub use self::split_list::SplitList;
-pub use self::stored::{PlannedMotion, PlannedSource};
 
 /// Reads every motion under `sources` and commits them as a dataset at `out`.
 ///

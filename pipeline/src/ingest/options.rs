@@ -33,13 +33,15 @@ pub(super) const REFUSED_PAIRS_FACT: &str = "refused_pairs";
 pub(super) const LABEL_PROBLEMS_FACT: &str = "label_problems";
 
 /// Options of an ingestion.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct IngestOptions {
     /// Rate to store at; none keeps the rate of each clip.
     pub fps: Option<Fps>,
     /// How clips are brought to that rate.
     pub resample: Resample,
     /// Accept this format only; files of other formats are skipped.
+    #[serde(skip)]
     pub format: Option<Format>,
     /// Seed of the splits of a new dataset; an existing dataset keeps its seed.
     pub seed: Seed,
@@ -56,8 +58,10 @@ pub struct IngestOptions {
     /// Keep captions that are made by rule from file names.
     pub made_captions: bool,
     /// How files are read: the skeleton the motions are posed on, and joint maps of the user.
+    #[serde(skip)]
     pub read: ReadOptions,
     /// HumanML3D's `index.csv`, to cut its clips from the AMASS files among the sources.
+    #[serde(skip)]
     pub humanml3d_index: Option<PathBuf>,
     /// Compute the features of the HumanML3D recipe and store them beside the motions.
     pub humanml3d_features: bool,
@@ -99,18 +103,8 @@ impl Default for IngestOptions {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct StoredOptions {
-    fps: Option<Fps>,
-    resample: Resample,
+    options: IngestOptions,
     format: Option<String>,
-    seed: Seed,
-    #[serde(default)]
-    split_by: Option<SplitBy>,
-    pairs: Option<PairList>,
-    splits: Option<SplitList>,
-    #[serde(default)]
-    ids: Option<IdList>,
-    license: Option<String>,
-    made_captions: bool,
     skeleton: Skeleton,
     user_map: Option<UserMap>,
     markers: Option<MarkerSet>,
@@ -120,11 +114,6 @@ pub(super) struct StoredOptions {
     subjects: Option<(PathBuf, String)>,
     /// File and hash.
     humanml3d_index: Option<(PathBuf, String)>,
-    humanml3d_features: bool,
-    teleports: Teleports,
-    new_version: bool,
-    prune: bool,
-    drop_labels: bool,
 }
 
 impl StoredOptions {
@@ -137,29 +126,17 @@ impl StoredOptions {
             .humanml3d_index
             .as_ref()
             .map(|index| Ok::<_, Error>((absolute(index)?, hash_file(index)?)));
+        let read = options.read.clone();
         Ok(Self {
-            fps: options.fps,
-            resample: options.resample,
+            options: options.clone(),
             format: options.format.map(|format| format.as_str().to_owned()),
-            seed: options.seed,
-            split_by: options.split_by,
-            pairs: options.pairs.clone(),
-            splits: options.splits.clone(),
-            ids: options.ids.clone(),
-            license: options.license.clone(),
-            made_captions: options.made_captions,
-            skeleton: options.read.skeleton.clone(),
-            user_map: options.read.user_map.clone(),
-            markers: options.read.markers.clone(),
-            unit: options.read.unit,
-            lenient: options.read.lenient,
+            skeleton: read.skeleton,
+            user_map: read.user_map,
+            markers: read.markers,
+            unit: read.unit,
+            lenient: read.lenient,
             subjects: subjects.transpose()?,
             humanml3d_index: index.transpose()?,
-            humanml3d_features: options.humanml3d_features,
-            teleports: options.teleports,
-            new_version: options.new_version,
-            prune: options.prune,
-            drop_labels: options.drop_labels,
         })
     }
 
@@ -186,16 +163,7 @@ impl StoredOptions {
             None => None,
         };
         Ok(IngestOptions {
-            fps: self.fps,
-            resample: self.resample,
             format: self.format.and_then(|name| format_named(&name)),
-            seed: self.seed,
-            split_by: self.split_by,
-            pairs: self.pairs,
-            splits: self.splits,
-            ids: self.ids,
-            license: self.license,
-            made_captions: self.made_captions,
             read: ReadOptions {
                 skeleton: self.skeleton,
                 user_map: self.user_map,
@@ -206,11 +174,7 @@ impl StoredOptions {
                 ..ReadOptions::default()
             },
             humanml3d_index,
-            humanml3d_features: self.humanml3d_features,
-            teleports: self.teleports,
-            new_version: self.new_version,
-            prune: self.prune,
-            drop_labels: self.drop_labels,
+            ..self.options
         })
     }
 }
@@ -223,15 +187,14 @@ impl IngestOptions {
     ///
     /// # Errors
     /// The rate is implausibly low or high.
-    pub fn check_fps(fps: Fps) -> Result<(), crate::Error> {
+    pub fn check_fps(fps: Fps) -> Result<(), Error> {
         let [lowest, highest] = FPS_LIMITS;
         match (lowest..=highest).contains(&fps.get()) {
             true => Ok(()),
-            false => Err(crate::Error::StoredRate {
-                got: fps.get(),
-                lowest,
-                highest,
-            }),
+            false => Err(Error::refused(format!(
+                "cannot store motions at {} frames per second; choose {lowest} to {highest}, or native",
+                fps.get()
+            ))),
         }
     }
 }
@@ -245,7 +208,6 @@ pub(super) const PAIRS_FACT: &str = "pairs";
 /// Fact of a manifest: the settings its clips were read with, as JSON.
 pub(super) const SETTINGS_FACT: &str = "ingest_settings";
 
-/// Settings that are recorded as the hash of a file.
 const KEPT_BY_HASH: [&str; 4] = ["splits", "ids", "joint-map", "subject-models"];
 pub(super) const SHARED_SETTINGS: [&str; 4] = ["fps", "resample", "skeleton", "features"];
 
@@ -302,7 +264,6 @@ impl Settings {
         Self(values.map(|(name, value)| (name.to_owned(), value)).into())
     }
 
-    /// JSON text of the settings.
     pub(super) fn text(&self) -> String {
         serde_json::to_string(self).expect("texts serialise")
     }

@@ -59,7 +59,6 @@ impl Places {
         Ok(())
     }
 
-    /// Adds where sources of a run were found.
     pub(super) fn record(&mut self, given: &[Given]) {
         for source in given {
             let known = self.0.entry(source.label.name.clone()).or_default();
@@ -78,7 +77,6 @@ impl Places {
         }
     }
 
-    /// Keeps only the places of sources with these names.
     pub(super) fn retain(&mut self, names: &BTreeSet<&str>) {
         self.0.retain(|name, _| names.contains(name.as_str()));
     }

@@ -18,6 +18,7 @@ use formats::source::{
     recognise, refuse_pointer,
 };
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::inputs;
 use super::known::Identified;
@@ -36,25 +37,31 @@ pub(super) struct Plan {
     pub(super) sources: BTreeMap<String, Source>,
     pub(super) releases: Vec<FoundRelease>,
     pub(super) items: Vec<Planned>,
-    pub(super) given: Vec<Given>,
     /// Files without a motion.
     pub(super) skipped: Vec<SkippedRow>,
     /// Files found broken while planning, and folders that cannot be listed.
     pub(super) rejected: Vec<QuarantineRow>,
+    pub(super) folder_labels: FolderLabels,
+    pub(super) claimed: BTreeSet<String>,
+    pub(super) notes: PlanNotes,
+}
+
+/// Parts of a plan besides its tables.
+#[derive(Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PlanNotes {
+    pub(super) given: Vec<Given>,
     pub(super) unlisted: Vec<String>,
     /// Files whose clips stay unchanged, because their labels cannot be read now.
     pub(super) staying: BTreeSet<String>,
     /// Remarks on the splits of the dataset.
     pub(super) remarks: Vec<String>,
-    /// Remarks on the clips that the user's choice left out, and on its lines that name no clip.
-    pub(super) choice: Vec<String>,
     /// Remarks on how the sources were recognised, and what was left out of them.
     pub(super) said: Vec<String>,
-    /// Labels of motions from files of their folders.
-    pub(super) folder_labels: FolderLabels,
+    /// Remarks on the clips that the user's choice left out, and on its lines that name no clip.
+    pub(super) choice: Vec<String>,
     /// Lines of the list of splits that gave no clip a split.
     pub(super) refused_splits: Vec<RefusedLine>,
-    pub(super) claimed: BTreeSet<String>,
     /// Grouping whose clips share one drawn split.
     pub(super) split_by: SplitBy,
 }
@@ -71,11 +78,8 @@ pub(super) struct Planned {
     pub(super) group: Option<String>,
     /// Split that the user's list or its labels state.
     pub(super) own_split: Option<Split>,
-    /// Split that its labels state.
     pub(super) labelled_split: Option<Split>,
-    /// Subject that its labels state.
     pub(super) subject: Option<String>,
-    /// Action that its labels state.
     pub(super) action: Option<String>,
     pub(super) id: String,
     pub(super) inputs: String,
@@ -141,54 +145,47 @@ impl Plan {
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
         let (mut skipped, mut rejected) = (Vec::new(), Vec::new());
-        let (mut given, mut unlisted) = (Vec::new(), Vec::new());
+        let mut notes = PlanNotes {
+            said,
+            split_by: options.split_by.unwrap_or_default(),
+            ..PlanNotes::default()
+        };
         let mut files: BTreeMap<String, (PathBuf, usize)> = BTreeMap::new();
         let mut archives = Archives::default();
         for (source, listing) in sources {
-            let (name, of) = (source.label.name.as_str(), given.len());
+            let (name, of) = (source.label.name.as_str(), notes.given.len());
             let behind = |path: &str| list::labelled(&source.label.label, path);
-            skipped.extend(
-                listing
-                    .special
-                    .into_iter()
-                    .map(|(path, reason)| SkippedRow {
-                        path: behind(&path),
-                        source_name: name.to_owned(),
-                        source_hash: String::new(),
-                        inputs_hash: String::new(),
-                        reason,
-                    }),
-            );
+            let special = listing.special.into_iter();
+            skipped.extend(special.map(|(path, reason)| SkippedRow {
+                path: behind(&path),
+                source_name: name.to_owned(),
+                source_hash: String::new(),
+                inputs_hash: String::new(),
+                reason,
+            }));
             for (path, hash, why) in unread(listing.unlisted, listing.refused) {
                 let path = behind(&path);
                 rejected.push(quarantine_row(&path, "", name, hash, why));
-                unlisted.push(path);
+                notes.unlisted.push(path);
             }
             archives.add(listing.archives);
             let own = listing.files.into_iter();
             files.extend(own.map(|(path, place)| (behind(&path), (place, of))));
-            given.push(source);
+            notes.given.push(source);
         }
         let sources = hash_files(store.as_ref(), &files, progress);
         let files = files.into_iter().map(|(path, (place, _))| (path, place));
         let files = Files::on(store, files.collect()).with_archives(archives);
         let mut plan = Self {
             folder_labels: FolderLabels::read(&files),
-            refused_splits: Vec::new(),
             releases: find_releases(&files, options.humanml3d_index.as_deref())?,
             files,
             sources,
-            given,
             items: Vec::new(),
             skipped,
             rejected,
-            unlisted,
-            staying: BTreeSet::new(),
-            remarks: Vec::new(),
-            said,
-            choice: Vec::new(),
             claimed: BTreeSet::new(),
-            split_by: options.split_by.unwrap_or_default(),
+            notes,
         };
         plan.claimed = plan.take_releases(options);
         plan.take_single_files(options);
@@ -211,20 +208,26 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Notes a file without a motion.
-    fn skip(&mut self, path: &str, reason: String) {
-        self.skipped.push(SkippedRow {
-            path: path.to_owned(),
-            source_name: self.source_name(path).to_owned(),
-            source_hash: source_hash(&self.sources, path),
-            inputs_hash: String::new(),
+    /// The row of a motion that is not read, or of a file without one, whose key and inputs are empty.
+    pub(super) fn skipped_row(
+        &self,
+        file: &str,
+        key: &str,
+        inputs: &str,
+        reason: String,
+    ) -> SkippedRow {
+        SkippedRow {
+            path: list::path_of(file, key),
+            source_name: self.source_name(file).to_owned(),
+            source_hash: source_hash(&self.sources, file),
+            inputs_hash: inputs.to_owned(),
             reason,
-        });
+        }
     }
 
     pub(super) fn source_of(&self, file: &str) -> Option<&Given> {
         let source = self.sources.get(file);
-        source.and_then(|source| self.given.get(source.of))
+        source.and_then(|source| self.notes.given.get(source.of))
     }
 
     pub(super) fn source_name(&self, file: &str) -> &str {
@@ -237,19 +240,18 @@ impl Plan {
         quarantine_row(file, key, self.source_name(file), hash, rejected)
     }
 
-    /// The row of a file that could not be read while planning.
-    fn unreadable(&self, file: &str) -> Option<QuarantineRow> {
+    /// Why a file could not be read while planning.
+    fn unreadable(&self, file: &str) -> Option<Rejected> {
         let source = self.sources.get(file)?;
         let reason = source.hash.as_ref().err()?;
         let code = match archive::is_in_archive(file) {
             true => archive::DAMAGED,
             false => "E-IO",
         };
-        let rejected = Rejected {
+        Some(Rejected {
             byte_offset: source.damaged_at,
             ..rejected!(code, "cannot read the file: {reason}")
-        };
-        Some(self.rejected_row(file, "", rejected))
+        })
     }
 
     /// The path of a file without the label of its source.
@@ -263,32 +265,30 @@ impl Plan {
     /// Plans the motions of the releases, and returns the files that are theirs.
     fn take_releases(&mut self, options: &IngestOptions) -> BTreeSet<String> {
         let mut claimed = BTreeSet::new();
-        let mut passed_over = Vec::new();
         for (index, (format, release)) in self.releases.iter().enumerate() {
             let (format, release) = (*format, release.contents());
             claimed.extend(release.entries.iter().map(|entry| entry.file.clone()));
             if options.format.is_some_and(|only| only != format) {
-                let files: BTreeSet<&str> =
-                    release.entries.iter().map(|e| e.file.as_str()).collect();
-                let reason = format!("{} file, not asked for", format.as_str());
-                passed_over.extend(
-                    files
-                        .into_iter()
-                        .map(|file| (file.to_owned(), reason.clone())),
-                );
+                let files = release.entries.iter().map(|entry| entry.file.as_str());
+                for file in BTreeSet::from_iter(files) {
+                    self.skipped
+                        .push(self.skipped_row(file, "", "", not_asked_for(format)));
+                }
             } else {
                 let entries = release.entries.iter().cloned();
                 self.items
                     .extend(entries.map(|entry| Planned::new(entry, format, Some(index))));
-                self.remarks.extend(release.remarks.iter().cloned());
+                self.notes.remarks.extend(release.remarks.iter().cloned());
             }
             for (file, reason) in &release.passed_over {
                 if !claimed.insert(file.clone()) {
                     continue;
                 }
                 match self.unreadable(file) {
-                    Some(row) => self.rejected.push(row),
-                    None => passed_over.push((file.clone(), reason.clone())),
+                    Some(why) => self.rejected.push(self.rejected_row(file, "", why)),
+                    None => self
+                        .skipped
+                        .push(self.skipped_row(file, "", "", reason.clone())),
                 }
             }
             for (file, rejected) in &release.rejected {
@@ -298,67 +298,61 @@ impl Plan {
                 }
             }
         }
-        for (file, reason) in passed_over {
-            self.skip(&file, reason);
-        }
         claimed
     }
 
     /// Plans every file that no release claims.
     fn take_single_files(&mut self, options: &IngestOptions) {
-        let mut skipped = Vec::new();
         for (relative, source) in &self.sources {
             if self.claimed.contains(relative) {
                 continue;
             }
-            // Do not guess the format of an unreadable file from its name.
-            if let Some(row) = self.unreadable(relative) {
-                self.rejected.push(row);
-                continue;
-            }
-            if let Err(rejected) = refuse_pointer(&source.head) {
-                self.rejected
-                    .push(self.rejected_row(relative, "", rejected));
-                continue;
-            }
-            let format = match recognise(Path::new(relative), &source.head) {
-                Recognised::Motion(format) => format,
-                Recognised::NotMotion { reason } => {
-                    skipped.push((relative.clone(), reason));
-                    continue;
+            match self.keys_of_single(relative, source, options) {
+                Ok((format, keys)) => self.items.extend(keys.into_iter().map(|key| {
+                    let entry = Entry {
+                        file: relative.clone(),
+                        id: String::new(),
+                        key,
+                        split: None,
+                        group: None,
+                        mirrored_of: None,
+                    };
+                    Planned::new(entry, format, None)
+                })),
+                Err(NoMotion::Skipped(reason)) => {
+                    self.skipped
+                        .push(self.skipped_row(relative, "", "", reason));
                 }
-            };
-            if options.format.is_some_and(|only| only != format) {
-                let reason = format!("{} file, not asked for", format.as_str());
-                skipped.push((relative.clone(), reason));
-                continue;
-            }
-            let keys = match keys_of(format, &self.files, relative, &options.read) {
-                Ok(keys) => keys,
-                Err(rejected) => {
-                    self.rejected
-                        .push(self.rejected_row(relative, "", rejected));
-                    continue;
+                Err(NoMotion::Rejected(why)) => {
+                    self.rejected.push(self.rejected_row(relative, "", why));
                 }
-            };
-            for key in keys {
-                let entry = Entry {
-                    file: relative.clone(),
-                    id: String::new(),
-                    key,
-                    split: None,
-                    group: None,
-                    mirrored_of: None,
-                };
-                self.items.push(Planned::new(entry, format, None));
             }
-        }
-        for (file, reason) in skipped {
-            self.skip(&file, reason);
         }
     }
 
-    /// Records the inputs of every motion.
+    /// The format of a file that no release claims, and the keys of its motions.
+    fn keys_of_single(
+        &self,
+        relative: &str,
+        source: &Source,
+        options: &IngestOptions,
+    ) -> Result<(Format, Vec<String>), NoMotion> {
+        // Do not guess the format of an unreadable file from its name.
+        let readable = self.unreadable(relative).map_or(Ok(()), Err);
+        readable.map_err(NoMotion::Rejected)?;
+        refuse_pointer(&source.head).map_err(NoMotion::Rejected)?;
+        match recognise(Path::new(relative), &source.head) {
+            Recognised::NotMotion { reason } => Err(NoMotion::Skipped(reason)),
+            Recognised::Motion(format) if options.format.is_some_and(|only| only != format) => {
+                Err(NoMotion::Skipped(not_asked_for(format)))
+            }
+            Recognised::Motion(format) => {
+                let keys = keys_of(format, &self.files, relative, &options.read);
+                Ok((format, keys.map_err(NoMotion::Rejected)?))
+            }
+        }
+    }
+
     fn note_inputs(&mut self) {
         let (motions, others) = self.single_files();
         let of_file = inputs::of_single_files(&motions, &others, &self.sources);
@@ -405,24 +399,15 @@ impl Plan {
                     item.state(stated);
                     return around.failed;
                 }
-                let folder = files.path(file).and_then(Path::parent);
-                let folder = folder.unwrap_or(Path::new("."));
                 let failed = Cell::new(None);
-                let companions =
-                    |name: &str| match files.read_beside(&folder.join(name_of_text(name))) {
-                        Ok(bytes) => bytes,
-                        Err(rejected) => {
-                            failed.set(Some(rejected));
-                            None
-                        }
-                    };
+                let companions = companions(files, file, &failed);
                 let own = item.format.subject_of(&item.entry.key);
                 let stated = labels::stated(Path::new(file), Some(&companions), &around, own);
                 let styled = stated.action.as_ref().zip(stated.style.as_ref());
                 item.group =
                     styled.map(|(action, style)| style_group(self.unlabelled(file), action, style));
                 item.state(stated);
-                failed.into_inner().or(around.failed)
+                failed.take().or(around.failed)
             })
             .collect();
         let mut unreadable = unreadable.into_iter();
@@ -431,8 +416,8 @@ impl Plan {
             // A clip of the dataset stays unchanged.
             Some(reason) if item.known.is_some() => {
                 let remark = format!("{} stays as it was: {}", item.id, reason.reason);
-                self.remarks.push(remark);
-                self.staying.insert(item.entry.file.clone());
+                self.notes.remarks.push(remark);
+                self.notes.staying.insert(item.entry.file.clone());
                 false
             }
             Some(reason) => {
@@ -466,7 +451,7 @@ impl Plan {
             }
         }
         if let Some(list) = list {
-            self.refused_splits = list.refused(&known);
+            self.notes.refused_splits = list.refused(&known);
             stated.extend(
                 lines
                     .into_iter()
@@ -513,7 +498,7 @@ impl Plan {
     }
 
     pub(super) fn all_remarks(&self) -> Vec<String> {
-        [&self.remarks[..], &self.said].concat()
+        [&self.notes.remarks[..], &self.notes.said].concat()
     }
 
     /// Source items: motions, and files without one.
@@ -531,7 +516,7 @@ impl Plan {
         take(&settings.text());
         take(&base.to_string());
         take(if options.prune { "prune" } else { "" });
-        for source in &self.given {
+        for source in &self.notes.given {
             take(&source.label.name);
             take(&source.label.label);
             take(if source.is_whole { "whole" } else { "" });
@@ -558,6 +543,16 @@ impl Plan {
     }
 }
 
+/// Why a file gives no motion.
+enum NoMotion {
+    Skipped(String),
+    Rejected(Rejected),
+}
+
+fn not_asked_for(format: Format) -> String {
+    format!("{} file, not asked for", format.as_str())
+}
+
 /// Folders and archives that cannot be read, with the hash of the archive and the reason: clips below them stay as they
 /// are.
 fn unread(
@@ -569,6 +564,23 @@ fn unread(
         (folder, String::new(), Rejected::read("E-IO", reason))
     });
     folders.chain(archives)
+}
+
+/// Reads files beside a motion. An unreadable one must not be treated as a missing one, so it is noted in `failed`.
+pub(super) fn companions<'a>(
+    files: &'a Files,
+    motion: &str,
+    failed: &'a Cell<Option<Rejected>>,
+) -> impl Fn(&str) -> Option<Vec<u8>> + use<'a> {
+    let folder = files.path(motion).and_then(Path::parent);
+    let folder = folder.unwrap_or(Path::new("."));
+    move |name| {
+        let read = files.read_beside(&folder.join(name_of_text(name)));
+        read.unwrap_or_else(|rejected| {
+            failed.set(Some(rejected));
+            None
+        })
+    }
 }
 
 /// Keys of the motions of a single file. The key is empty if the file holds one motion or is damaged; the

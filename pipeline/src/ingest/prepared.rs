@@ -20,7 +20,6 @@ use super::split_by::SplitBy;
 use super::split_list::SplitList;
 use crate::Error;
 
-/// Options of a run and contents of its dataset, known before the sources are identified.
 pub(super) struct Prepared {
     pub(super) options: IngestOptions,
     pub(super) settings: Settings,
@@ -31,7 +30,7 @@ pub(super) struct Prepared {
     /// The settings that differ from those the dataset was made with, in words.
     pub(super) differing: Option<String>,
     /// The differing settings that must be the same for all clips of a dataset.
-    must_agree: Option<String>,
+    pub(super) must_agree: Option<String>,
     /// Remarks on splits that the dataset keeps although they were drawn in another way than requested.
     pub(super) kept: Vec<String>,
 }
@@ -92,17 +91,13 @@ impl Prepared {
     /// Refuses settings that differ from those of the dataset, unless a new version was requested.
     pub(super) fn refuse_other_settings(&self, root: &Path) -> Result<(), Error> {
         match &self.differing {
-            Some(differing) if !self.options.new_version => Err(Error::OtherSettings {
-                path: root.to_owned(),
-                differing: differing.clone(),
-            }),
+            Some(differing) if !self.options.new_version => Err(Error::refused(format!(
+                "{} was made with other settings: {differing}; choose another folder, or pass --new-version to read \
+                 everything again with the new ones",
+                root.display()
+            ))),
             _ => Ok(()),
         }
-    }
-
-    /// The differing settings that must be the same for all clips of a dataset, in words.
-    pub(super) fn must_agree(&self) -> Option<&str> {
-        self.must_agree.as_deref()
     }
 
     pub(super) fn plan(
@@ -136,10 +131,9 @@ impl Prepared {
         )
     }
 
-    /// The places of the sources, with those of a plan.
     pub(super) fn places_with(&self, plan: &Plan) -> Places {
         let mut places = self.places.clone();
-        places.record(&plan.given);
+        places.record(&plan.notes.given);
         places
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use clip::LabelProblem;
 use datasets_spec::manifest::{FileEntry, Manifest};
-use datasets_spec::record::{MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
+use datasets_spec::record::{HumanMl3dRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::store::Store;
 use datasets_spec::table::{Row, ShardReader, read_rows};
 use datasets_spec::{Dataset, MotionId, Split};
@@ -15,7 +15,7 @@ use super::options::{LABEL_PROBLEMS_FACT, PAIRS_FACT, SEED_FACT, SETTINGS_FACT, 
 use super::places::Places;
 use super::sources::{SOURCES_FACT, SourceLabel, UNNAMED, below, free, of_path, with_names};
 use crate::Error;
-use crate::clip_table::CLIP_TABLES;
+use crate::clip_table::{CLIP_TABLES, ClipFacts};
 
 /// The version that a run starts from.
 #[derive(Default)]
@@ -78,7 +78,6 @@ pub(super) struct RecordedClip {
     pub(super) inputs: String,
     /// Hash of the motion; empty for captures without one.
     pub(super) content: String,
-    /// Stored frames; 0 for captures without a motion.
     pub(super) num_frames: i32,
     /// Columns `centre_x` to `centre_z`; none in files of older formats.
     pub(super) centre: Option<[f32; 3]>,
@@ -178,57 +177,6 @@ fn rows<R: Row>(root: &Path, base: &Manifest) -> Result<Vec<R>, Error> {
     Ok(rows)
 }
 
-struct Columns {
-    ids: Vec<MotionId>,
-    /// Name of the source, path, hash, inputs, content.
-    texts: [Vec<String>; 5],
-    num_frames: Vec<i32>,
-    centres: [Vec<Option<f32>>; 3],
-}
-
-impl Columns {
-    fn read<R: Row>(path: &Path, has_motions: bool) -> Result<Self, Error> {
-        let reader = ShardReader::open(path)?;
-        let ids = reader.column::<R, MotionId>("id")?;
-        let count = ids.len();
-        let text = |name| reader.column::<R, String>(name);
-        // Files of older formats lack the newer columns. Without `inputs_hash` their clips are read again.
-        let newer = |name| text(name).unwrap_or_else(|_| vec![String::new(); count]);
-        let number = |name| {
-            let numbers = reader.column::<R, Option<f32>>(name);
-            numbers.unwrap_or_else(|_| vec![None; count])
-        };
-        let none = || vec![String::new(); count];
-        let [source, path, hash] = [
-            newer("source_name"),
-            text("source_path")?,
-            text("source_hash")?,
-        ];
-        let texts = match has_motions {
-            true => [
-                source,
-                path,
-                hash,
-                newer("inputs_hash"),
-                text("content_hash")?,
-            ],
-            false => [source, path, hash, none(), none()],
-        };
-        Ok(Self {
-            texts,
-            num_frames: match has_motions {
-                true => reader.column::<R, i32>("n_frames")?,
-                false => vec![0; count],
-            },
-            centres: match has_motions {
-                true => ["centre_x", "centre_y", "centre_z"].map(number),
-                false => [const { Vec::new() }; 3],
-            },
-            ids,
-        })
-    }
-}
-
 /// The clips of a shard, and its captures without a motion.
 fn clips_of(
     root: &Path,
@@ -239,41 +187,23 @@ fn clips_of(
     let mut clips = Vec::new();
     let mut met = BTreeSet::new();
     for (table, file) in &shard.files {
-        let path = root.join(&file.path);
-        let columns = match *table {
-            MotionRow::TABLE => Columns::read::<MotionRow>(&path, true)?,
-            MarkerRow::TABLE => Columns::read::<MarkerRow>(&path, false)?,
-            _ => continue,
-        };
-        let Columns {
-            ids,
-            texts: [names, paths, hashes, inputs, contents],
-            num_frames,
-            centres,
-        } = columns;
-        let texts = names
-            .into_iter()
-            .zip(paths)
-            .zip(hashes)
-            .zip(inputs)
-            .zip(contents);
-        let rows = ids.into_iter().zip(texts).zip(num_frames).enumerate();
-        for (row, ((id, ((((name, path), hash), inputs), content)), num_frames)) in rows {
+        if *table == HumanMl3dRow::TABLE {
+            continue;
+        }
+        let rows: Vec<ClipFacts> = ShardReader::open(&root.join(&file.path))?.rows()?;
+        for row in rows {
             // The markers of a clip with a motion have its id.
-            if met.insert(id.clone()) {
-                let [x, y, z] = centres
-                    .each_ref()
-                    .map(|column| column.get(row).copied().flatten());
+            if met.insert(row.id.clone()) {
                 clips.push(RecordedClip {
-                    id,
                     split: shard.split,
-                    source: sources.index_of(&name, &path),
-                    path,
-                    hash,
-                    inputs,
-                    content,
-                    num_frames,
-                    centre: x.zip(y).zip(z).map(|((x, y), z)| [x, y, z]),
+                    source: sources.index_of(&row.source_name, &row.source_path),
+                    centre: row.centre(),
+                    id: row.id,
+                    path: row.source_path,
+                    hash: row.source_hash,
+                    inputs: row.inputs_hash,
+                    content: row.content_hash,
+                    num_frames: row.n_frames,
                     shard: index,
                 });
             }

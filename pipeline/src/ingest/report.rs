@@ -11,7 +11,6 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Split};
 
 use super::alike::{Alike, AlikeClips};
-use super::deal::Shards;
 use super::growth::Growth;
 use super::kept::Outside;
 use super::options::{LABEL_PROBLEMS_FACT, REFUSED_PAIRS_FACT};
@@ -67,7 +66,7 @@ pub(super) fn already_complete(out: &Path, plan: &Plan) -> Result<IngestReport, 
             .and_then(|lines| serde_json::from_str(lines).ok())
             .unwrap_or_default(),
         remarks: plan.all_remarks(),
-        refused_splits: plan.refused_splits.clone(),
+        refused_splits: plan.notes.refused_splits.clone(),
         label_problems: facts
             .get(LABEL_PROBLEMS_FACT)
             .and_then(|problems| serde_json::from_str(problems).ok())
@@ -162,8 +161,8 @@ impl Tally {
     }
 
     /// The pairs whose motions are both in the dataset and in one split, and the number of the others.
-    pub(super) fn pairs(&self, shards: &Shards) -> (Vec<PairRow>, u64) {
-        let splits = self.splits(shards);
+    pub(super) fn pairs(&self, plan: &Plan) -> (Vec<PairRow>, u64) {
+        let splits = self.splits(plan);
         let mut rows: Vec<PairRow> = Vec::new();
         for pair in &self.pairs {
             let ids = [pair.source_id.as_str(), pair.target_id.as_str()];
@@ -180,7 +179,7 @@ impl Tally {
     /// The pairs of a list whose motions are both in the dataset, beside those of the releases.
     pub(super) fn listed_pairs(
         &self,
-        shards: &Shards,
+        plan: &Plan,
         list: Option<&PairList>,
         known: &[PairRow],
     ) -> ListedPairs {
@@ -188,7 +187,7 @@ impl Tally {
             return ListedPairs::default();
         };
         let motions: BTreeMap<MotionId, Split> = self
-            .splits(shards)
+            .splits(plan)
             .into_iter()
             .filter_map(|(id, split)| Some((MotionId::parse(id).ok()?, split)))
             .collect();
@@ -221,12 +220,15 @@ impl Tally {
         masks
     }
 
-    pub(super) fn splits<'a>(&'a self, shards: &'a Shards<'a>) -> BTreeMap<&'a str, Split> {
+    pub(super) fn splits<'a>(&'a self, plan: &'a Plan) -> BTreeMap<&'a str, Split> {
         let staying = self.staying.iter();
-        let made = shards.iter().flat_map(|(_, items)| items);
-        let made = made.filter_map(|item| {
-            let id = item.id.as_ref().ok()?.as_str();
-            Some((id, *self.moves.get(id).unwrap_or(&item.split)))
+        // Of several motions with one id, the first is ingested.
+        let made = plan.items.iter().rev().filter(|item| !item.is_kept);
+        let made = made.map(|item| {
+            (
+                item.id.as_str(),
+                *self.moves.get(&item.id).unwrap_or(&item.split),
+            )
         });
         staying
             .map(|(id, split)| (id.as_str(), *split))

@@ -7,41 +7,35 @@ use clip::LabelProblem;
 use datasets_spec::dataset::{Commit, ShardName, Staging};
 use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::{Accounting, FileEntry, SPLIT_BY_FACT};
-use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
-use datasets_spec::table::Row;
+use datasets_spec::record::{
+    HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow,
+};
+use datasets_spec::table::{Row, read_rows};
 use datasets_spec::{NoProgress, Progress, Split, Transaction};
 
 use super::alike::Alike;
-use super::deal::{Item, Shards};
-use super::equal;
+use super::deal::{Dealt, Item};
 use super::fates::{Fates, Files};
 use super::growth::Growth;
 use super::kept::{Labels, Outside};
 use super::options::{
     IngestOptions, LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, REMARKS_FACT, SEED_FACT,
-    SETTINGS_FACT, Settings, rate_name,
+    SETTINGS_FACT, rate_name,
 };
-use super::places::Places;
 use super::plan::Plan;
 use super::prepared::Prepared;
-use super::recorded::Base;
 use super::report::{IngestReport, Tally, already_complete, counted};
 use super::shard::{Done, ShardNotes};
 use super::sources::SOURCES_FACT;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
-use crate::clip_table::is_composed;
+use crate::clip_table::{ClipRow, is_composed};
 use crate::versions::{check_lost, json};
 use work::{self, Failed, Made, Piece};
 
 struct Run<'a> {
     transaction: Transaction,
-    options: &'a IngestOptions,
-    settings: &'a Settings,
-    base: &'a Base,
-    places: &'a Places,
-    /// The differing settings that must be the same for all clips of a dataset, in words.
-    must_agree: Option<&'a str>,
+    prepared: &'a Prepared,
     plan: &'a Plan,
     fates: Fates<'a>,
     plan_hash: String,
@@ -56,7 +50,6 @@ pub(super) enum Pieces {
     Taken(Vec<Result<(FileEntry, ShardNotes), Failed>>),
 }
 
-/// The piece that reads a shard.
 pub(super) fn piece(plan_hash: &str, number: usize, name: &ShardName, items: &[Item]) -> Piece {
     let reads = items
         .iter()
@@ -120,7 +113,6 @@ impl Prepared {
     ) -> Result<IngestReport, Error> {
         let recorded = &self.base.recorded;
         let fates = Fates::of(plan, recorded, self.options.prune);
-        let places = self.places_with(plan);
         let outside = plan.outside(recorded);
         let is_same = self.differing.is_none();
         let pairs = self
@@ -137,16 +129,26 @@ impl Prepared {
             && self.base.pairs == pairs;
         let mut report = if is_complete {
             let out = transaction.root().to_owned();
-            places.write(transaction.store().as_ref(), &out)?;
+            self.places_with(plan)
+                .write(transaction.store().as_ref(), &out)?;
             transaction.finish()?;
             let mut growth = fates.report(plan, &BTreeSet::new());
-            growth.count(&labels(&self.base, &fates));
+            growth.count(&self.labels(&fates));
             IngestReport {
                 growth: Some(growth),
                 ..already_complete(&out, plan)?
             }
         } else {
-            let run = Run::new(transaction, &self, plan, (fates, &places));
+            let version = transaction.base().map_or(0, |base| base.version);
+            let plan_hash = plan.hash(&self.settings, &self.options, version);
+            let run = Run {
+                facts: shard_facts(&self.options, &plan_hash),
+                transaction,
+                prepared: &self,
+                plan,
+                fates,
+                plan_hash,
+            };
             let (report, growth) = run.finish(outside, is_same, pieces, progress)?;
             IngestReport {
                 growth: (!self.is_new).then_some(growth),
@@ -154,7 +156,7 @@ impl Prepared {
             }
         };
         let warning = license::warning(&report.licenses);
-        report.remarks.extend(plan.choice.iter().cloned());
+        report.remarks.extend(plan.notes.choice.iter().cloned());
         report
             .remarks
             .extend(self.kept.iter().cloned().chain(warning));
@@ -162,36 +164,7 @@ impl Prepared {
     }
 }
 
-impl<'a> Run<'a> {
-    fn new(
-        transaction: Transaction,
-        prepared: &'a Prepared,
-        plan: &'a Plan,
-        (fates, places): (Fates<'a>, &'a Places),
-    ) -> Self {
-        let Prepared {
-            options,
-            settings,
-            base,
-            ..
-        } = prepared;
-        let version = transaction.base().map_or(0, |base| base.version);
-        let plan_hash = plan.hash(settings, options, version);
-        let facts = shard_facts(options, &plan_hash);
-        Self {
-            transaction,
-            options,
-            settings,
-            base,
-            places,
-            must_agree: prepared.must_agree(),
-            plan,
-            fates,
-            plan_hash,
-            facts,
-        }
-    }
-
+impl Run<'_> {
     /// Reads new and changed motions, or takes the shards that were made of them, and commits them with the clips that
     /// stay. `outside` are rejected items of sources that are not of this run. Tables composed of the clips stay if no
     /// clip changes and `is_same` says that the settings did not change either.
@@ -202,26 +175,30 @@ impl<'a> Run<'a> {
         pieces: Pieces,
         progress: &dyn Progress,
     ) -> Result<(IngestReport, Growth), Error> {
+        let Self { prepared, plan, .. } = self;
+        let root = self.transaction.root().to_owned();
         // Nothing is read for clips that cannot stay, or for labels that may not be lost.
-        self.refuse_mixture()?;
-        let foreseen = foreseen(self.plan, self.base, &self.fates, self.options);
-        self.refuse_loss(&labels(self.base, &foreseen))?;
-        let shards = self.plan.shards(&self.fates.rewritten());
+        prepared.refuse_mixture(&root, &self.fates)?;
+        prepared.refuse_loss(
+            &root,
+            &prepared.labels(&prepared.foreseen(plan, &self.fates)),
+        )?;
+        let shards = plan.deal(&self.fates.rewritten());
         let mut tally = self.read(&shards, pieces, progress)?;
-        let num_beside = self.fates.num_beside();
-        let accounting = tally.accounting(self.plan.num_items(), outside, num_beside);
+        let num_beside = self.fates.beside().count() as u64;
+        let accounting = tally.accounting(plan.num_items(), outside, num_beside);
         progress.finish(&format!(
             "{} sources: {} ingested, {} quarantined, {} skipped",
             accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
         ));
-        let mut labels = labels(self.base, &self.fates);
-        labels.follow(&tally.splits(&shards));
-        self.refuse_loss(&labels)?;
-        let mut growth = self.fates.report(self.plan, &tally.ingested);
+        let mut labels = prepared.labels(&self.fates);
+        labels.follow(&tally.splits(plan));
+        prepared.refuse_loss(&root, &labels)?;
+        let mut growth = self.fates.report(plan, &tally.ingested);
         growth.count(&labels);
-        let alike = tally.alike.report(&tally.splits(&shards));
+        let alike = tally.alike.report(&tally.splits(plan));
         let masks = tally.masks(labels.masks);
-        let pairs = self.pairs(labels.pairs, &tally, &shards);
+        let pairs = self.pairs(labels.pairs, &tally);
         let tables = self.tables(&mut tally, &masks, &pairs.rows)?;
         let mut carried = self.composed();
         if !is_same || !self.fates.nothing_changed() {
@@ -231,18 +208,10 @@ impl<'a> Run<'a> {
         Ok((IngestReport { alike, ..report }, growth))
     }
 
-    /// Refuses the run if clips would keep old settings that all clips of a dataset must share.
-    fn refuse_mixture(&self) -> Result<(), Error> {
-        let Some(differing) = self.must_agree else {
-            return Ok(());
-        };
-        refuse_mixture(self.transaction.root(), &self.fates, differing)
-    }
-
     /// Reads the shards, or takes those that were made.
     fn read(
         &mut self,
-        shards: &Shards<'_>,
+        shards: &[Dealt],
         pieces: Pieces,
         progress: &dyn Progress,
     ) -> Result<Tally, Error> {
@@ -251,10 +220,10 @@ impl<'a> Run<'a> {
             quarantine: self.plan.rejected.clone(),
             ..Tally::default()
         };
-        let total: usize = shards.iter().map(|(_, items)| items.len()).sum();
+        let total: usize = shards.iter().map(|shard| shard.items.len()).sum();
         progress.begin("ingest", Some(total as u64));
         let mut num_shards = self.fates.rewritten();
-        let names = shards.iter().map(|(name, _)| name);
+        let names = shards.iter().map(|shard| &shard.name);
         num_shards.extend(names.filter_map(|name| Some((name.split?, name.of))));
         let staging = self.transaction.staging(&self.plan_hash);
         let (mut made, mut staged) = (Vec::new(), Vec::new());
@@ -262,7 +231,9 @@ impl<'a> Run<'a> {
             Pieces::Make => None,
             Pieces::Taken(taken) => Some(taken.into_iter()),
         };
-        for (number, (name, items)) in shards.iter().enumerate() {
+        for (number, shard) in shards.iter().enumerate() {
+            let items = self.plan.items_of(shard);
+            let (name, items) = (&shard.name, &items[..]);
             let before = match &mut taken {
                 None => {
                     let piece = piece(&self.plan_hash, number, name, items);
@@ -288,8 +259,9 @@ impl<'a> Run<'a> {
             tally.take(entry, notes);
         }
         self.fates.settle(|id| tally.ingested.contains(id));
-        self.refuse_mixture()?;
         let transaction = &self.transaction;
+        self.prepared
+            .refuse_mixture(transaction.root(), &self.fates)?;
         let mut tables = self
             .fates
             .shards(transaction, &mut num_shards, &self.facts)?;
@@ -309,7 +281,6 @@ impl<'a> Run<'a> {
         Ok(tally)
     }
 
-    /// The empty shard of a piece that failed as a whole.
     fn failed_shard(
         &self,
         name: &ShardName,
@@ -330,9 +301,14 @@ impl<'a> Run<'a> {
         (name, items): (&ShardName, &[Item]),
         progress: &dyn Progress,
     ) -> Result<(FileEntry, ShardNotes), Error> {
-        let (entry, notes) =
-            self.plan
-                .make_shard(staging, name, items, self.options, &self.facts, progress)?;
+        let (entry, notes) = self.plan.make_shard(
+            staging,
+            name,
+            items,
+            &self.prepared.options,
+            &self.facts,
+            progress,
+        )?;
         let files = notes.files(&entry).cloned().collect();
         let piece = piece(&self.plan_hash, number, name, items);
         work::keep(staging, &piece, Made::new(files, &notes))?;
@@ -346,34 +322,81 @@ impl<'a> Run<'a> {
         (staging, made): (&Staging, &[(ShardName, FileEntry)]),
         num_shards: &BTreeMap<Split, usize>,
     ) -> Result<(), Error> {
-        let transaction = &self.transaction;
-        let recorded = &self.base.recorded;
-        let staying = (transaction.root(), recorded, &self.fates);
-        tally.alike = Alike::find((staging, made), staying, &self.options.read.skeleton)?;
-        let moves = self.plan.moves(recorded, self.options.seed, &tally.alike);
+        let Prepared { base, options, .. } = self.prepared;
+        let recorded = &base.recorded;
+        let staying = (self.transaction.root(), recorded, &self.fates);
+        tally.alike = Alike::find((staging, made), staying, &options.read.skeleton)?;
+        let moves = self.plan.moves(recorded, options.seed, &tally.alike);
         if !moves.is_empty() {
-            let places = (transaction, staging);
-            let moved = (&moves, num_shards);
-            equal::move_rows(places, made, &mut tally.tables, moved, &self.facts)?;
+            let (shards, moved) = ((staging, made), (&moves, num_shards));
+            self.move_rows::<MotionRow>(&mut tally.tables, shards, moved)?;
+            self.move_rows::<MarkerRow>(&mut tally.tables, shards, moved)?;
+            self.move_rows::<HumanMl3dRow>(&mut tally.tables, shards, moved)?;
             tally.follow(moves);
         }
         Ok(())
     }
 
-    fn refuse_loss(&self, labels: &Labels) -> Result<(), Error> {
-        check_lost(
-            self.transaction.root(),
-            &labels.lost,
-            self.options.drop_labels,
-        )
+    /// Moves rows of a table to the splits that `moves` gives their motions. `made` are the shards of motions that were
+    /// staged; `of` counts the shards of every split. Similarity is known only after reading, so rows move between shards
+    /// that are already written. Staged files stay as they are, so that this step can be repeated.
+    fn move_rows<R: ClipRow>(
+        &self,
+        files: &mut Files,
+        (staging, made): (&Staging, &[(ShardName, FileEntry)]),
+        (moves, of): (&BTreeMap<String, Split>, &BTreeMap<Split, usize>),
+    ) -> Result<(), Error> {
+        let Some(files) = files.get_mut(R::TABLE) else {
+            return Ok(());
+        };
+        let mut moved: BTreeMap<Split, Vec<R>> = BTreeMap::new();
+        for (name, shard) in made {
+            let is_of_shard = |file: &FileEntry| file.name() == shard.name();
+            let Some(place) = files.iter().position(is_of_shard) else {
+                continue;
+            };
+            let rows: Vec<R> = read_rows(&staging.path(&files[place]))?;
+            let before = rows.len();
+            let mut stay = Vec::new();
+            for mut row in rows {
+                let clip = row.of_clip();
+                match moves.get(clip.id.as_str()) {
+                    Some(split) => {
+                        *clip.split = *split;
+                        moved.entry(*split).or_default().push(row);
+                    }
+                    None => stay.push(row),
+                }
+            }
+            if stay.is_empty() {
+                files.remove(place);
+            } else if stay.len() < before {
+                let name = ShardName {
+                    table: R::TABLE,
+                    ..name.clone()
+                };
+                files[place] = self.transaction.write_shard(&name, &stay, &self.facts)?;
+            }
+        }
+        for (split, rows) in moved {
+            let index = of.get(&split).copied().unwrap_or(0);
+            let name = ShardName {
+                table: R::TABLE,
+                split: Some(split),
+                index,
+                of: index + 1,
+            };
+            files.push(self.transaction.write_shard(&name, &rows, &self.facts)?);
+        }
+        Ok(())
     }
 
     /// The pairs that stay, those that came with clips of this run, and those of the list.
-    fn pairs(&self, staying: Vec<PairRow>, tally: &Tally, shards: &Shards<'_>) -> Pairs {
-        let (made, dropped) = tally.pairs(shards);
+    fn pairs(&self, staying: Vec<PairRow>, tally: &Tally) -> Pairs {
+        let (made, dropped) = tally.pairs(self.plan);
         let mut rows = with_made(staying, made);
         let known: Vec<PairRow> = rows.values().cloned().collect();
-        let listed = tally.listed_pairs(shards, self.options.pairs.as_ref(), &known);
+        let listed = tally.listed_pairs(self.plan, self.prepared.options.pairs.as_ref(), &known);
         rows.extend(listed.rows.into_iter().map(|row| (row.id.clone(), row)));
         Pairs {
             rows: rows.into_values().collect(),
@@ -411,8 +434,9 @@ impl<'a> Run<'a> {
     /// Label problems of this run, and recorded ones of files that have not changed.
     fn label_problems(&self, tally: &Tally) -> Vec<LabelProblem> {
         let mut problems = tally.label_problems(self.plan);
-        let recorded = self.base.label_problems.clone();
-        problems.extend(self.plan.recorded_problems(&self.base.recorded, recorded));
+        let base = &self.prepared.base;
+        let recorded = base.label_problems.clone();
+        problems.extend(self.plan.recorded_problems(&base.recorded, recorded));
         problems.sort();
         problems.dedup();
         problems
@@ -433,40 +457,41 @@ impl<'a> Run<'a> {
         tally: Tally,
         pairs: Pairs,
     ) -> Result<IngestReport, Error> {
-        let plan = self.plan;
+        let Self { prepared, plan, .. } = self;
+        let options = &prepared.options;
         let motions = tables.get(MotionRow::TABLE).into_iter().flatten();
         let licenses = license::count(self.transaction.root(), motions)?;
         let label_problems = self.label_problems(&tally);
         let mut facts = BTreeMap::from([
             (LICENSES_FACT.to_owned(), json(&licenses)),
             (LABEL_PROBLEMS_FACT.to_owned(), json(&label_problems)),
-            (SEED_FACT.to_owned(), self.options.seed.0.to_string()),
-            (SPLIT_BY_FACT.to_owned(), plan.split_by.to_string()),
-            ("fps".to_owned(), rate_name(self.options)),
+            (SEED_FACT.to_owned(), options.seed.0.to_string()),
+            (SPLIT_BY_FACT.to_owned(), plan.notes.split_by.to_string()),
+            ("fps".to_owned(), rate_name(options)),
             ("files".to_owned(), plan.files.len().to_string()),
             ("dropped_pairs".to_owned(), pairs.dropped.to_string()),
-            (SETTINGS_FACT.to_owned(), self.settings.text()),
+            (SETTINGS_FACT.to_owned(), prepared.settings.text()),
             (
                 SOURCES_FACT.to_owned(),
-                plan.all_sources(&self.base.recorded),
+                plan.all_sources(&prepared.base.recorded),
             ),
         ]);
-        if let Some(list) = &self.options.pairs {
+        if let Some(list) = &options.pairs {
             facts.insert(PAIRS_FACT.to_owned(), list.hash().to_owned());
         }
-        if !plan.remarks.is_empty() {
-            facts.insert(REMARKS_FACT.to_owned(), plan.remarks.join("; "));
+        if !plan.notes.remarks.is_empty() {
+            facts.insert(REMARKS_FACT.to_owned(), plan.notes.remarks.join("; "));
         }
         if !pairs.refused.is_empty() {
             facts.insert(REFUSED_PAIRS_FACT.to_owned(), json(&pairs.refused));
         }
         // Entries of sources that no manifest names have no effect.
         let (store, root) = (self.transaction.store(), self.transaction.root());
-        self.places.write(store.as_ref(), root)?;
+        prepared.places_with(plan).write(store.as_ref(), root)?;
         let dataset = self.transaction.commit(Commit {
             tables,
             plan_hash: self.plan_hash,
-            skeleton: self.options.read.skeleton.clone(),
+            skeleton: options.read.skeleton.clone(),
             accounting: Some(accounting.clone()),
             facts,
             fresh: true,
@@ -480,7 +505,7 @@ impl<'a> Run<'a> {
             dropped_pairs: pairs.dropped,
             refused_pairs: pairs.refused,
             remarks: plan.all_remarks(),
-            refused_splits: plan.refused_splits.clone(),
+            refused_splits: plan.notes.refused_splits.clone(),
             label_problems,
             licenses,
             skipped: counted(&tally.skipped),
@@ -505,48 +530,51 @@ fn staged_shard(
     }))
 }
 
-/// Labels of a dataset that are kept, and those that are lost.
-pub(super) fn labels(base: &Base, fates: &Fates<'_>) -> Labels {
-    fates.labels(base.masks.clone(), base.label_pairs.clone())
-}
-
-/// The fates that can be foreseen. Changed clips whose labels would be lost are read now, because a clip that its file
-/// no longer gives stays with its labels.
-pub(super) fn foreseen<'a>(
-    plan: &Plan,
-    base: &Base,
-    fates: &Fates<'a>,
-    options: &IngestOptions,
-) -> Fates<'a> {
-    let mut foreseen = fates.clone();
-    let lost = labels(base, fates).lost;
-    let clips: BTreeSet<&str> = lost.iter().map(|label| label.clip.as_str()).collect();
-    let items = plan.items_with_ids(&clips);
-    let done = plan.read_items(&items, options, &NoProgress);
-    let failed: BTreeSet<&str> = std::iter::zip(&items, done)
-        .filter(|(_, done)| !matches!(done, Done::Clip(..)))
-        .filter_map(|(item, _)| Some(item.id.as_ref().ok()?.as_str()))
-        .collect();
-    if !failed.is_empty() {
-        foreseen.settle(|id| !failed.contains(id));
+impl Prepared {
+    /// Labels of the dataset that are kept, and those that are lost.
+    pub(super) fn labels(&self, fates: &Fates<'_>) -> Labels {
+        fates.labels(self.base.masks.clone(), self.base.label_pairs.clone())
     }
-    foreseen
-}
 
-/// Refuses the run if clips would keep old settings that all clips of a dataset must share.
-pub(super) fn refuse_mixture(root: &Path, fates: &Fates<'_>, differing: &str) -> Result<(), Error> {
-    const SHOWN: usize = 5;
-    let staying = fates.not_read_again();
-    if staying.is_empty() {
-        return Ok(());
+    /// The fates that can be foreseen. Changed clips whose labels would be lost are read now, because a clip that its
+    /// file no longer gives stays with its labels.
+    pub(super) fn foreseen<'a>(&self, plan: &Plan, fates: &Fates<'a>) -> Fates<'a> {
+        let mut foreseen = fates.clone();
+        let lost = self.labels(fates).lost;
+        let clips: BTreeSet<&str> = lost.iter().map(|label| label.clip.as_str()).collect();
+        let items = plan.items_with_ids(&clips);
+        let done = plan.read_items(&items, &self.options, &NoProgress);
+        let failed: BTreeSet<&str> = std::iter::zip(&items, done)
+            .filter(|(_, done)| !matches!(done, Done::Clip(..)))
+            .filter_map(|(item, _)| Some(item.id.as_ref().ok()?.as_str()))
+            .collect();
+        if !failed.is_empty() {
+            foreseen.settle(|id| !failed.contains(id));
+        }
+        foreseen
     }
-    let shown: Vec<&str> = staying.iter().take(SHOWN).map(|id| id.as_str()).collect();
-    Err(Error::Mixture {
-        path: root.to_owned(),
-        count: staying.len(),
-        shown: shown.join(", "),
-        differing: differing.to_owned(),
-    })
+
+    pub(super) fn refuse_loss(&self, root: &Path, labels: &Labels) -> Result<(), Error> {
+        check_lost(root, &labels.lost, self.options.drop_labels)
+    }
+
+    /// Refuses the run if clips would keep old settings that all clips of a dataset must share.
+    pub(super) fn refuse_mixture(&self, root: &Path, fates: &Fates<'_>) -> Result<(), Error> {
+        const SHOWN: usize = 5;
+        let staying: Vec<_> = fates.beside().collect();
+        let Some(differing) = self.must_agree.as_ref().filter(|_| !staying.is_empty()) else {
+            return Ok(());
+        };
+        let shown: Vec<&str> = staying.iter().take(SHOWN).map(|id| id.as_str()).collect();
+        let reason = format!(
+            "{} clips of {} cannot be read again with the new settings ({differing}): {}; nothing was changed. Put \
+             their files back, keep the settings, or pass --prune to leave these clips out",
+            staying.len(),
+            root.display(),
+            shown.join(", ")
+        );
+        Err(Error::coded("E-MIXTURE", root.display(), reason))
+    }
 }
 
 /// Writes a table with a shard for each split that has rows.

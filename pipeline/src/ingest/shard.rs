@@ -1,6 +1,6 @@
 //! Making a shard: reading its items and writing their rows.
 
-use std::cell::RefCell;
+use std::cell::Cell;
 use std::path::Path;
 
 use clip::{LabelProblem, Outcome, Rejected};
@@ -10,14 +10,14 @@ use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{MaskRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use formats::source::labels::{self, ClipLabels};
-use formats::source::{Entry, ReadOptions, label, name_of_text, read_clip};
+use formats::source::{Entry, ReadOptions, label, read_clip};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::deal::Item;
 use super::list::path_of;
 use super::options::IngestOptions;
-use super::plan::{Plan, bounded_length, source_hash};
+use super::plan::{Plan, bounded_length, companions, source_hash};
 use super::rows::{ClipRows, clip_rows, mask_row, pair_row};
 use crate::Error;
 
@@ -61,7 +61,6 @@ impl ShardNotes {
         }
     }
 
-    /// All files of a shard.
     pub(super) fn files<'a>(&'a self, shard: &'a FileEntry) -> impl Iterator<Item = &'a FileEntry> {
         std::iter::once(shard).chain(self.beside.iter().map(|(_, file)| file))
     }
@@ -115,7 +114,11 @@ impl Plan {
                     feature_rows.extend(features);
                     rows.push(motion);
                 }
-                Done::Skipped(reason) => notes.skipped.push(self.skipped_row(item, reason)),
+                Done::Skipped(reason) => {
+                    let Entry { file, key, .. } = item.entry;
+                    let row = self.skipped_row(file, key, item.inputs, reason);
+                    notes.skipped.push(row);
+                }
                 Done::Rejected(rejection) => notes.quarantine.push(rejection),
             }
         }
@@ -163,16 +166,6 @@ impl Plan {
         })
     }
 
-    fn skipped_row(&self, item: &Item, reason: String) -> SkippedRow {
-        SkippedRow {
-            path: path_of(&item.entry.file, &item.entry.key),
-            source_name: item.source_name.to_owned(),
-            source_hash: source_hash(&self.sources, &item.entry.file),
-            inputs_hash: item.inputs.to_owned(),
-            reason,
-        }
-    }
-
     fn read_checked(&self, item: &Item, options: &IngestOptions) -> Result<Done, Rejected> {
         let id = item
             .id
@@ -207,25 +200,11 @@ impl Plan {
     }
 
     fn read_file(&self, item: &Item, around: &ClipLabels, options: &IngestOptions) -> Outcome {
-        let entry = item.entry;
-        let folder = self
-            .files
-            .path(&entry.file)
-            .and_then(Path::parent)
-            .unwrap_or(Path::new("."));
-        // An unreadable companion must not be treated as a missing one.
-        let failure = RefCell::new(None);
-        let companions = |name: &str| match self.files.read_beside(&folder.join(name_of_text(name)))
-        {
-            Ok(bytes) => bytes,
-            Err(rejected) => {
-                failure.replace(Some(rejected));
-                None
-            }
-        };
+        let failure = Cell::new(None);
+        let companions = companions(&self.files, &item.entry.file, &failure);
         let outcome = self.read_content(item, &companions, around, &options.read);
         let outcome = outcome.unwrap_or_else(Outcome::Rejected);
-        failure.into_inner().map_or(outcome, Outcome::Rejected)
+        failure.take().map_or(outcome, Outcome::Rejected)
     }
 
     fn read_content(

@@ -110,8 +110,11 @@ pub(super) fn check_name(name: &str) -> Result<(), String> {
 
 /// A folder's name as the name of a source: other characters become `-`.
 pub(super) fn name_of_folder(folder: &Path) -> String {
-    let name = text_of_name(folder.file_name().unwrap_or_default());
-    let replaced = name.chars().map(|c| if is_of_name(c) { c } else { '-' });
+    as_name(&text_of_name(folder.file_name().unwrap_or_default()))
+}
+
+fn as_name(text: &str) -> String {
+    let replaced = text.chars().map(|c| if is_of_name(c) { c } else { '-' });
     replaced.collect()
 }
 
@@ -167,14 +170,10 @@ pub(super) fn with_names(sources: Vec<SourceLabel>) -> Vec<SourceLabel> {
     }
     let mut taken = BTreeSet::new();
     let named = sources.into_iter().map(|source| {
-        let wanted = match source.label.as_str() {
+        let wanted = as_name(match source.label.as_str() {
             "" => source.name.as_str(),
             label => label,
-        };
-        let wanted: String = wanted
-            .chars()
-            .map(|c| if is_of_name(c) { c } else { '-' })
-            .collect();
+        });
         let wanted = if wanted.is_empty() { UNNAMED } else { &wanted };
         let name = free(wanted, |name| taken.insert(name.to_owned()));
         SourceLabel { name, ..source }

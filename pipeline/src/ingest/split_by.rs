@@ -24,15 +24,6 @@ pub enum SplitBy {
 impl SplitBy {
     const ALL: [Self; 3] = [Self::Clip, Self::Subject, Self::Action];
 
-    /// The name in options and cards.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Clip => "clip",
-            Self::Subject => "subject",
-            Self::Action => "action",
-        }
-    }
-
     /// Grouping of an existing dataset; none for a new one.
     pub(super) fn recorded(base: Option<&Manifest>) -> Option<Self> {
         let base = base.filter(|base| base.plans.contains_key(MotionRow::TABLE))?;
@@ -45,9 +36,9 @@ impl FromStr for SplitBy {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        let found = Self::ALL.into_iter().find(|by| by.as_str() == name);
+        let found = Self::ALL.into_iter().find(|by| by.to_string() == name);
         found.ok_or_else(|| {
-            let known = Self::ALL.map(Self::as_str).join(", ");
+            let known = Self::ALL.map(|by| by.to_string()).join(", ");
             format!("{name:?} is none of {known}")
         })
     }
@@ -55,7 +46,7 @@ impl FromStr for SplitBy {
 
 impl fmt::Display for SplitBy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
+        f.write_str(&format!("{self:?}").to_lowercase())
     }
 }
 

@@ -12,15 +12,11 @@ use datasets_spec::table::read_rows;
 use formats::source::archive::Archives;
 use formats::source::labels::FolderLabels;
 use formats::source::{Entry, Files, find_releases, format_named, name_of_text, text_of_name};
-use serde::{Deserialize, Serialize};
 
 use super::list::Source;
 use super::options::IngestOptions;
 use super::plan::{Plan, Planned};
-use super::sources::Given;
-use super::split_by::SplitBy;
 use crate::Error;
-use crate::annotation::pairs::RefusedLine;
 use work::{absolute, read_json, write_json, write_table};
 
 const SOURCES: &str = "sources.parquet";
@@ -93,22 +89,6 @@ datasets_spec::table! {
     }
 }
 
-/// Parts of a plan besides its tables.
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Rest {
-    given: Vec<Given>,
-    unlisted: Vec<String>,
-    staying: Vec<String>,
-    remarks: Vec<String>,
-    said: Vec<String>,
-    #[serde(default)]
-    choice: Vec<String>,
-    refused_splits: Vec<RefusedLine>,
-    #[serde(default)]
-    split_by: SplitBy,
-}
-
 impl Plan {
     pub(super) fn write(&self, folder: &Path) -> Result<(), Error> {
         let sources = self.sources.iter().map(|(path, source)| {
@@ -129,17 +109,7 @@ impl Plan {
         write_table(&folder.join(MOTIONS), &motions)?;
         write_table(&folder.join(SKIPPED), &self.skipped)?;
         write_table(&folder.join(REJECTED), &self.rejected)?;
-        let rest = Rest {
-            given: self.given.clone(),
-            unlisted: self.unlisted.clone(),
-            staying: self.staying.iter().cloned().collect(),
-            remarks: self.remarks.clone(),
-            said: self.said.clone(),
-            choice: self.choice.clone(),
-            refused_splits: self.refused_splits.clone(),
-            split_by: self.split_by,
-        };
-        Ok(write_json(&folder.join(REST), &rest)?)
+        Ok(write_json(&folder.join(REST), &self.notes)?)
     }
 
     /// Reads a written plan. No source is listed or hashed; of the sources, only label files that apply to many motions
@@ -187,7 +157,6 @@ impl Plan {
             }
             .into());
         }
-        let rest: Rest = read_json(&folder.join(REST))?;
         let skipped: Vec<SkippedRow> = read_rows(&folder.join(SKIPPED))?;
         let rejected: Vec<QuarantineRow> = read_rows(&folder.join(REJECTED))?;
         Ok(Self {
@@ -196,17 +165,10 @@ impl Plan {
             sources,
             releases,
             items,
-            given: rest.given,
             skipped,
             rejected,
-            unlisted: rest.unlisted,
-            staying: rest.staying.into_iter().collect(),
-            remarks: rest.remarks,
-            said: rest.said,
-            choice: rest.choice,
-            refused_splits: rest.refused_splits,
             claimed,
-            split_by: rest.split_by,
+            notes: read_json(&folder.join(REST))?,
         })
     }
 

@@ -6,8 +6,7 @@ use datasets_spec::record::SkippedRow;
 use formats::source::Entry;
 
 use super::id_list::IdList;
-use super::list::path_of;
-use super::plan::{Plan, Planned, source_hash};
+use super::plan::{Plan, Planned};
 use super::recorded::Recorded;
 use crate::versions::taken_out;
 
@@ -39,7 +38,7 @@ impl Plan {
             let found = rows.clone().find(|(id, row)| {
                 let is_there = self.sources.contains_key(&row.path);
                 let moved = !is_there && !known.contains(file);
-                (row.path == file || moved) && is_named(item, id)
+                (row.path == file || moved) && item.is_of(id)
             });
             left.extend(found.map(|(_, row)| SkippedRow {
                 path: file.to_owned(),
@@ -55,7 +54,7 @@ impl Plan {
         const SHOWN: usize = 10;
         let mut known = BTreeSet::new();
         let (mut skipped, mut stay) = (Vec::new(), 0u64);
-        let staying = &mut self.staying;
+        let staying = &mut self.notes.staying;
         self.items.retain(|item| {
             let names = item.names();
             let is_chosen = list.chooses(&names);
@@ -68,45 +67,30 @@ impl Plan {
                 stay += 1;
                 staying.insert(file.clone());
             } else {
-                skipped.push((path_of(file, key), item.inputs.clone(), file.clone()));
+                skipped.push((file.clone(), key.clone(), item.inputs.clone()));
             }
             false
         });
-        for (path, inputs_hash, file) in skipped {
-            self.skipped.push(SkippedRow {
-                path,
-                source_name: self.source_name(&file).to_owned(),
-                source_hash: source_hash(&self.sources, &file),
-                inputs_hash,
-                reason: NOT_CHOSEN.to_owned(),
-            });
+        for (file, key, inputs) in skipped {
+            let row = self.skipped_row(&file, &key, &inputs, NOT_CHOSEN.to_owned());
+            self.skipped.push(row);
         }
         if stay > 0 {
-            self.choice.push(format!(
+            self.notes.choice.push(format!(
                 "{stay} clips of the dataset are not among those of --ids; they were not read and stay as they are"
             ));
         }
         let unmatched = list.unmatched(&known);
         for (number, name) in unmatched.iter().take(SHOWN) {
-            self.choice.push(format!(
+            self.notes.choice.push(format!(
                 "line {number} of --ids: no clip is called {name:?}"
             ));
         }
         if unmatched.len() > SHOWN {
             let more = unmatched.len() - SHOWN;
-            self.choice
+            self.notes
+                .choice
                 .push(format!("{more} more lines of --ids name no clip"));
         }
-    }
-}
-
-/// Whether a motion is the one that the clip with this id was read from, given that the file is the same.
-fn is_named(item: &Planned, id: &str) -> bool {
-    match item.release {
-        Some(_) => {
-            let prefix = id.strip_suffix(&item.entry.id);
-            prefix.is_some_and(|prefix| prefix.is_empty() || prefix.ends_with('/'))
-        }
-        None => id.split_once('#').map_or("", |(_, key)| key) == item.entry.key,
     }
 }

@@ -35,16 +35,8 @@ impl Check {
     ];
 
     /// Name of the check.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Files => "files",
-            Self::Schema => "schema",
-            Self::Contents => "contents",
-            Self::References => "references",
-            Self::Systems => "systems",
-            Self::Splits => "splits",
-            Self::Accounting => "accounting",
-        }
+    pub fn name(self) -> String {
+        format!("{self:?}").to_lowercase()
     }
 }
 

@@ -120,14 +120,14 @@ impl Read {
             }),
             HumanMl3dRow::TABLE => read.features(&path, file),
             MarkerRow::TABLE => read.captures(&path, file),
-            TripletRow::TABLE => read.rows_of(&path, file, |_: &TripletRow| Vec::new()),
-            NormalizerRow::TABLE => read.rows_of(&path, file, |_: &NormalizerRow| Vec::new()),
-            WindowRow::TABLE => read.rows_of(&path, file, |_: &WindowRow| Vec::new()),
+            TripletRow::TABLE => read.decoded::<TripletRow>(&path, file).map(drop),
+            NormalizerRow::TABLE => read.decoded::<NormalizerRow>(&path, file).map(drop),
+            WindowRow::TABLE => read.decoded::<WindowRow>(&path, file).map(drop),
             ItemRow::TABLE => read.items(&path, file),
             EditRow::TABLE => read.edits(&path, file),
-            ScoreRow::TABLE => read.rows_of(&path, file, |_: &ScoreRow| Vec::new()),
-            QuarantineRow::TABLE => read.rows_of(&path, file, |_: &QuarantineRow| Vec::new()),
-            SkippedRow::TABLE => read.rows_of(&path, file, |_: &SkippedRow| Vec::new()),
+            ScoreRow::TABLE => read.decoded::<ScoreRow>(&path, file).map(drop),
+            QuarantineRow::TABLE => read.decoded::<QuarantineRow>(&path, file).map(drop),
+            SkippedRow::TABLE => read.decoded::<SkippedRow>(&path, file).map(drop),
             other => Err(format!("no table is called {other}")),
         };
         if let Err(problem) = reader {
@@ -142,26 +142,6 @@ impl Read {
             item: item.to_owned(),
             problem,
         });
-    }
-
-    /// Decodes the rows of a table and collects the motions they name.
-    fn rows_of<R: Row>(
-        &mut self,
-        path: &Path,
-        file: &FileEntry,
-        names: impl Fn(&R) -> Vec<(String, String, Split)>,
-    ) -> Result<(), String> {
-        let rows = self.decoded::<R>(path, file)?;
-        for (row, motion, split) in rows.iter().flat_map(names) {
-            self.named.push(Named {
-                table: R::TABLE,
-                row,
-                motion,
-                split,
-                frames: 0,
-            });
-        }
-        Ok(())
     }
 
     /// Decodes features, and collects their motions and recipes.

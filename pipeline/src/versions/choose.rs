@@ -10,10 +10,9 @@ use datasets_spec::{Dataset, MotionId};
 use tables::Condition;
 
 use crate::Error;
-use crate::clip_table::clip_ids;
+use crate::clip_table::{clip_facts, clip_ids};
 use crate::clips::Clips;
 
-/// Ids named in an error.
 const SHOWN: usize = 5;
 
 /// Text after the id in the reason of a clip that its owner removed.
@@ -71,12 +70,14 @@ impl Choice {
                 if !unknown.is_empty() || chosen.is_empty() {
                     let shown: Vec<&str> =
                         unknown.iter().take(SHOWN).map(|id| id.as_str()).collect();
-                    return Err(Error::UnknownIds {
-                        path: path.clone(),
-                        dataset: dataset.root().to_owned(),
-                        count: unknown.len(),
-                        shown: shown.join(", "),
-                    });
+                    let root = dataset.root().display();
+                    return Err(Error::refused(format!(
+                        "{} ids of {} name no clip of {root}: {}; nothing was changed. `stance inspect {root} --list` \
+                         shows the ids",
+                        unknown.len(),
+                        path.display(),
+                        shown.join(", ")
+                    )));
                 }
                 known.retain(|id| ids.contains(id.as_str()));
                 Ok(known)
@@ -99,42 +100,17 @@ pub(super) fn left_out(
     leaves: impl Fn(&MotionId) -> bool,
     reason: &str,
 ) -> Result<Vec<SkippedRow>, Error> {
-    let mut rows = Vec::new();
-    let mut met = BTreeSet::new();
-    let mut take = |id: MotionId, [path, source_name, source_hash, inputs_hash]: [String; 4]| {
-        if leaves(&id) && met.insert(id.clone()) {
-            rows.push(SkippedRow {
-                path,
-                source_name,
-                source_hash,
-                inputs_hash,
-                reason: format!("{id}{reason}"),
-            });
-        }
-    };
-    for (file, _) in dataset.files(MotionRow::TABLE, None) {
-        let shard = ShardReader::open(&file)?;
-        let ids = shard.column::<MotionRow, MotionId>("id")?;
-        let text = |name| shard.column::<MotionRow, String>(name);
-        // Datasets of older formats lack these columns.
-        let newer = |name| text(name).unwrap_or_else(|_| vec![String::new(); ids.len()]);
-        let (names, inputs) = (newer("source_name"), newer("inputs_hash"));
-        let columns = text("source_path")?.into_iter().zip(text("source_hash")?);
-        let columns = columns.zip(names).zip(inputs);
-        for (id, (((path, hash), name), inputs)) in ids.into_iter().zip(columns) {
-            take(id, [path, name, hash, inputs]);
-        }
-    }
-    for (file, _) in dataset.files(MarkerRow::TABLE, None) {
-        let shard = ShardReader::open(&file)?;
-        let ids = shard.column::<MarkerRow, MotionId>("id")?;
-        let text = |name| shard.column::<MarkerRow, String>(name);
-        let names = text("source_name").unwrap_or_else(|_| vec![String::new(); ids.len()]);
-        let columns = text("source_path")?.into_iter().zip(text("source_hash")?);
-        for (id, ((path, hash), name)) in ids.into_iter().zip(columns.zip(names)) {
-            take(id, [path, name, hash, String::new()]);
-        }
-    }
+    let clips = clip_facts(dataset)?.into_iter().map(|(_, clip)| clip);
+    let mut rows: Vec<SkippedRow> = clips
+        .filter(|clip| leaves(&clip.id))
+        .map(|clip| SkippedRow {
+            path: clip.source_path,
+            source_name: clip.source_name,
+            source_hash: clip.source_hash,
+            inputs_hash: clip.inputs_hash,
+            reason: format!("{}{reason}", clip.id),
+        })
+        .collect();
     rows.sort_by(|a, b| (&a.path, &a.reason).cmp(&(&b.path, &b.reason)));
     Ok(rows)
 }

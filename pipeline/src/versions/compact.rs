@@ -1,7 +1,7 @@
 //! Rewrites a dataset into as few files as a new one has.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::PathBuf;
 
 use datasets_spec::dataset::{Commit, SHARD_ROWS};
 use datasets_spec::manifest::{FileEntry, LAID_OUT_FACT, Manifest, plan_hash};
@@ -58,18 +58,8 @@ pub struct Compacted {
 /// hashes that stages recorded. Memory holds one shard.
 ///
 /// # Errors
-/// A file is damaged, or the folder is locked or cannot be written.
-pub fn compact(root: &Path, holder: &str, progress: &dyn Progress) -> Result<Compacted, Error> {
-    // Open the dataset first: locking would create a missing folder.
-    Dataset::open_unverified(root)?;
-    compact_in(Transaction::begin(root, holder)?, progress)
-}
-
-/// [`compact`] within a transaction that has begun.
-///
-/// # Errors
-/// As [`compact`].
-pub fn compact_in(transaction: Transaction, progress: &dyn Progress) -> Result<Compacted, Error> {
+/// A file is damaged, or the folder cannot be written.
+pub fn compact(transaction: Transaction, progress: &dyn Progress) -> Result<Compacted, Error> {
     let dataset = Dataset::open(transaction.root())?;
     let manifest = dataset.manifest();
     let before = Layout::of(manifest);
@@ -82,14 +72,11 @@ pub fn compact_in(transaction: Transaction, progress: &dyn Progress) -> Result<C
     {
         tables = index.write(&transaction, progress)?;
     }
-    let source = Source {
-        dataset: &dataset,
-        transaction: &transaction,
-    };
-    source.rewrite::<MaskRow>(&mut tables)?;
-    source.rewrite::<PairRow>(&mut tables)?;
-    source.rewrite::<QuarantineRow>(&mut tables)?;
-    source.rewrite::<SkippedRow>(&mut tables)?;
+    let place = (&dataset, &transaction);
+    rewrite::<MaskRow>(place, &mut tables)?;
+    rewrite::<PairRow>(place, &mut tables)?;
+    rewrite::<QuarantineRow>(place, &mut tables)?;
+    rewrite::<SkippedRow>(place, &mut tables)?;
     if tables.is_empty() {
         transaction.finish()?;
         return Ok(Compacted {
@@ -120,48 +107,34 @@ pub fn compact_in(transaction: Transaction, progress: &dyn Progress) -> Result<C
     })
 }
 
-struct Source<'a> {
-    dataset: &'a Dataset,
-    transaction: &'a Transaction,
-}
-
-impl Source<'_> {
-    /// Writes a table of small rows into fewer files, if that is possible.
-    fn rewrite<R: Row>(&self, tables: &mut BTreeMap<String, Vec<FileEntry>>) -> Result<(), Error> {
-        let splits = std::iter::once(None).chain(Split::ALL.map(Some));
-        let mut written = Vec::new();
-        let all = self.dataset.files(R::TABLE, None);
-        for split in splits {
-            let files: Vec<_> = all.iter().filter(|(_, file)| file.split == split).collect();
-            let rows: u64 = files.iter().map(|(_, file)| file.rows).sum();
-            let few = rows.div_ceil(SHARD_ROWS).max(1);
-            written.push((split, files, few));
-        }
-        if written
-            .iter()
-            .all(|(_, files, few)| files.len() as u64 <= *few)
-        {
-            return Ok(());
-        }
-        let mut entries = Vec::new();
-        for (split, files, _) in written {
-            let mut rows: Vec<R> = Vec::new();
-            let mut facts = Vec::new();
-            for (path, _) in &files {
-                if facts.is_empty() {
-                    facts = ShardReader::open(path)?.facts();
-                }
-                rows.extend(read_rows::<R>(path)?);
-            }
-            if files.is_empty() {
-                continue;
-            }
-            entries.extend(
-                self.transaction
-                    .write_shards(split, &rows, &borrowed(&facts))?,
-            );
-        }
-        tables.insert(R::TABLE.to_owned(), entries);
-        Ok(())
+/// Writes a table of small rows into fewer files, if that is possible.
+fn rewrite<R: Row>(
+    (dataset, transaction): (&Dataset, &Transaction),
+    tables: &mut BTreeMap<String, Vec<FileEntry>>,
+) -> Result<(), Error> {
+    let all = dataset.files(R::TABLE, None);
+    let splits = std::iter::once(None).chain(Split::ALL.map(Some));
+    let by_split = splits.map(|split| {
+        let files = all.iter().filter(|(_, file)| file.split == split);
+        (split, files.collect::<Vec<_>>())
+    });
+    let by_split: Vec<_> = by_split.filter(|(_, files)| !files.is_empty()).collect();
+    let is_compact = |files: &[&(PathBuf, &FileEntry)]| {
+        let rows: u64 = files.iter().map(|(_, file)| file.rows).sum();
+        files.len() as u64 <= rows.div_ceil(SHARD_ROWS).max(1)
+    };
+    if by_split.iter().all(|(_, files)| is_compact(files)) {
+        return Ok(());
     }
+    let mut entries = Vec::new();
+    for (split, files) in by_split {
+        let facts = ShardReader::open(&files[0].0)?.facts();
+        let mut rows: Vec<R> = Vec::new();
+        for (path, _) in files {
+            rows.extend(read_rows::<R>(path)?);
+        }
+        entries.extend(transaction.write_shards(split, &rows, &borrowed(&facts))?);
+    }
+    tables.insert(R::TABLE.to_owned(), entries);
+    Ok(())
 }

@@ -27,9 +27,9 @@ pub struct KeptLabel {
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Labels {
-    pub(super) masks: BTreeMap<String, MaskRow>,
-    pub(super) pairs: BTreeMap<String, PairRow>,
+pub(crate) struct Labels {
+    pub(crate) masks: BTreeMap<String, MaskRow>,
+    pub(crate) pairs: BTreeMap<String, PairRow>,
 }
 
 impl Labels {
@@ -43,7 +43,7 @@ impl Labels {
     }
 
     /// Writes the tables that differ from `before`. A table without rows has no files.
-    pub(super) fn write(
+    pub(crate) fn write(
         &self,
         before: &Self,
         transaction: &Transaction,
@@ -119,11 +119,13 @@ pub(crate) fn check_lost(root: &Path, lost: &[LostLabel], drop_labels: bool) -> 
     if lost.len() > SHOWN {
         shown.push("others".to_owned());
     }
-    Err(Error::LabelsLost {
-        path: root.to_owned(),
-        count: lost.len(),
-        shown: shown.join(", "),
-    })
+    Err(Error::refused(format!(
+        "{} labels in {} belong to clips that changed or went: {}; nothing was changed. Pass --drop-labels to go on \
+         without them (the version before keeps them)",
+        lost.len(),
+        root.display(),
+        shown.join(", ")
+    )))
 }
 
 pub(crate) fn json(value: &impl Serialize) -> String {

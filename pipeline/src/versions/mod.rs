@@ -14,23 +14,23 @@ mod select;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use datasets_spec::Dataset;
 use datasets_spec::manifest::Manifest;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
+use datasets_spec::{Dataset, Transaction};
 use serde::Serialize;
 
 use crate::Error;
 
 pub use self::choose::{Choice, taken_out};
-pub use self::compact::{Compacted, Layout, compact, compact_in};
+pub use self::compact::{Compacted, Layout, compact};
 pub use self::labels::KeptLabel;
-pub(crate) use self::labels::json;
 pub(crate) use self::labels::{
-    check_lost, is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source,
+    Labels, check_lost, is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source,
+    json,
 };
-pub use self::remove::{RemoveOptions, Removed, remove, remove_in};
-pub use self::restore::{Restored, restore, restore_in};
+pub use self::remove::{RemoveOptions, Removed, remove};
+pub use self::restore::{Restored, restore};
 pub use self::select::{SELECTED_FACT, Selected, select};
 
 /// A version of a dataset.
@@ -55,6 +55,16 @@ pub struct Version {
     pub tool_version: String,
     /// Root hash of the version.
     pub root_hash: String,
+}
+
+/// Begins a change of a dataset. `holder` is reported to other runs meanwhile.
+///
+/// # Errors
+/// The folder is no dataset, or is locked.
+pub fn begin(root: &Path, holder: &str) -> Result<Transaction, Error> {
+    // Open the dataset first: locking would create a missing folder.
+    Dataset::open_unverified(root)?;
+    Ok(Transaction::begin(root, holder)?)
 }
 
 /// The versions of a dataset that were not pruned, the oldest first.

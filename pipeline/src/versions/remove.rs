@@ -1,12 +1,11 @@
 //! Makes a version without some clips.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 
 use datasets_spec::dataset::{Commit, ShardName, table_facts};
 use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::{FileEntry, plan_hash};
-use datasets_spec::record::{HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow, SkippedRow};
+use datasets_spec::record::{MaskRow, MotionRow, PairRow, SkippedRow};
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
 use serde::Serialize;
@@ -15,7 +14,7 @@ use super::choose::{Choice, REMOVED, accounting, left_out};
 use super::labels::{Labels, check_lost, is_mask_of_people, is_pair_of_people, json, lost};
 use super::select::composed;
 use crate::Error;
-use crate::clip_table::{CLIP_TABLES, ClipRow, borrowed, clip_ids};
+use crate::clip_table::{CLIP_TABLES, borrowed, clip_ids, rewrite};
 use crate::ingest::LostLabel;
 
 /// Result of [`remove`], or of its dry run.
@@ -52,24 +51,8 @@ pub struct RemoveOptions {
 /// their files are unchanged.
 ///
 /// # Errors
-/// No clip is chosen, or all are; labels would be lost and the options do not allow it; or the folder is locked or cannot
-/// be written.
+/// No clip is chosen, or all are; labels would be lost and the options do not allow it; or the folder cannot be written.
 pub fn remove(
-    root: &Path,
-    choice: &Choice,
-    options: RemoveOptions,
-    holder: &str,
-) -> Result<Removed, Error> {
-    // Open the dataset first: locking would create a missing folder.
-    Dataset::open_unverified(root)?;
-    remove_in(Transaction::begin(root, holder)?, choice, options)
-}
-
-/// [`remove`] within a transaction that has begun.
-///
-/// # Errors
-/// As [`remove`].
-pub fn remove_in(
     transaction: Transaction,
     choice: &Choice,
     options: RemoveOptions,
@@ -83,7 +66,10 @@ pub fn remove_in(
     let left = left_out(&dataset, |id| chosen.contains(id), REMOVED)?;
     let mut shards = Shards::read(&dataset)?;
     if shards.num_clips() <= left.len() {
-        return Err(Error::AllRemoved(root.to_owned()));
+        return Err(Error::refused(format!(
+            "every clip of {} would be removed; nothing was changed. Remove the folder if that is meant",
+            root.display()
+        )));
     }
     let mut report = Removed {
         removed: chosen.iter().map(ToString::to_string).collect(),
@@ -233,34 +219,18 @@ impl Shards {
                     index,
                     of: of.get(split).copied().unwrap_or(1),
                 };
-                entries.extend(match *table {
-                    MotionRow::TABLE => rewrite::<MotionRow>(transaction, &name, file, chosen),
-                    MarkerRow::TABLE => rewrite::<MarkerRow>(transaction, &name, file, chosen),
-                    _ => rewrite::<HumanMl3dRow>(transaction, &name, file, chosen),
-                }?);
+                let stays = |id: &MotionId| (!chosen.contains(id)).then_some("");
+                let facts = ShardReader::open(&transaction.root().join(&file.path))?.facts();
+                entries.extend(rewrite(
+                    transaction,
+                    &name,
+                    file,
+                    &borrowed(&facts),
+                    &stays,
+                )?);
             }
             *next.entry(*split).or_default() += usize::from(broken);
         }
         Ok(tables)
     }
-}
-
-/// Writes the rows of a file without those of some clips, if any are left.
-fn rewrite<R: ClipRow>(
-    transaction: &Transaction,
-    name: &ShardName,
-    file: &FileEntry,
-    chosen: &BTreeSet<MotionId>,
-) -> Result<Option<FileEntry>, Error> {
-    let shard = ShardReader::open(&transaction.root().join(&file.path))?;
-    let mut rows: Vec<R> = shard.rows()?;
-    rows.retain(|row| !chosen.contains(row.id()));
-    if rows.is_empty() {
-        return Ok(None);
-    }
-    Ok(Some(transaction.write_shard(
-        name,
-        &rows,
-        &borrowed(&shard.facts()),
-    )?))
 }

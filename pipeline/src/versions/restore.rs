@@ -1,7 +1,6 @@
 //! Going back to an older version.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use datasets_spec::manifest::{Manifest, plan_hash};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
@@ -58,23 +57,8 @@ fn clips(dataset: &Dataset) -> Result<Clips, Error> {
 ///
 /// # Errors
 /// There is no such version, one of its files is damaged, labels would be lost and `drop_labels` does not allow it,
-/// or the folder is locked or cannot be written.
+/// or the folder cannot be written.
 pub fn restore(
-    root: &Path,
-    version: u64,
-    drop_labels: bool,
-    holder: &str,
-) -> Result<Restored, Error> {
-    // Open the dataset first: locking would create a missing folder.
-    Dataset::open_unverified(root)?;
-    restore_in(Transaction::begin(root, holder)?, version, drop_labels)
-}
-
-/// [`restore`] within a transaction that has begun.
-///
-/// # Errors
-/// As [`restore`].
-pub fn restore_in(
     transaction: Transaction,
     version: u64,
     drop_labels: bool,
@@ -150,30 +134,19 @@ struct Merge {
 
 impl Merge {
     fn take(&mut self, now: Labels) {
-        for mut mask in now.masks.into_values().filter(is_mask_of_people) {
-            match self.split_of((&mask.motion_id, &[])) {
-                Err((clip, reason)) => {
-                    self.lost
-                        .push(lost(MaskRow::TABLE, &mask.id, &clip, reason))
-                }
-                Ok(split) => {
-                    mask.split = split;
-                    self.insert_mask(mask);
-                }
+        for mask in now.masks.into_values().filter(is_mask_of_people) {
+            let (table, id) = (MaskRow::TABLE, mask.id.clone());
+            if let Some(split) = self.split_of(table, &id, [&mask.motion_id; 2]) {
+                self.insert_mask(MaskRow { split, ..mask });
             }
         }
-        for mut pair in now.pairs.into_values().filter(is_pair_of_people) {
-            match self.split_of((&pair.source_id, &[&pair.target_id])) {
-                Err((clip, reason)) => {
-                    self.lost
-                        .push(lost(PairRow::TABLE, &pair.id, &clip, reason))
-                }
-                Ok(split) => {
-                    pair.split = split;
-                    if self.labels.pairs.get(&pair.id) != Some(&pair) {
-                        self.keep(PairRow::TABLE, &pair.id);
-                        self.labels.pairs.insert(pair.id.clone(), pair);
-                    }
+        for pair in now.pairs.into_values().filter(is_pair_of_people) {
+            let (table, id) = (PairRow::TABLE, pair.id.clone());
+            if let Some(split) = self.split_of(table, &id, [&pair.source_id, &pair.target_id]) {
+                let pair = PairRow { split, ..pair };
+                if self.labels.pairs.get(&id) != Some(&pair) {
+                    self.keep(table, &id);
+                    self.labels.pairs.insert(id, pair);
                 }
             }
         }
@@ -200,28 +173,26 @@ impl Merge {
         });
     }
 
-    /// The split of the clips of a label in the older version.
-    fn split_of(
-        &self,
-        (first, others): (&MotionId, &[&MotionId]),
-    ) -> Result<Split, (MotionId, String)> {
-        let found = |id: &MotionId| {
-            let because = |reason: String| (id.clone(), reason);
-            let old = self.old.get(id);
-            let (old, split) =
-                old.ok_or_else(|| because(format!("{id} is not in that version")))?;
-            match self.now.get(id).is_some_and(|(now, _)| now != old) {
-                true => Err(because(format!("{id} has another motion in that version"))),
-                false => Ok(*split),
-            }
-        };
-        let split = found(first)?;
-        for id in others {
-            if found(id)? != split {
-                let reason = "its clips are in two splits in that version".to_owned();
-                return Err(((*id).clone(), reason));
-            }
+    /// The split of the clips of a label in the older version. A label without one is noted as lost.
+    fn split_of(&mut self, table: &str, id: &str, clips: [&MotionId; 2]) -> Option<Split> {
+        let mut splits: Vec<Split> = Vec::new();
+        for clip in clips {
+            let reason = match self.old.get(clip) {
+                None => format!("{clip} is not in that version"),
+                Some((old, _)) if self.now.get(clip).is_some_and(|(now, _)| now != old) => {
+                    format!("{clip} has another motion in that version")
+                }
+                Some((_, split)) if splits.first().is_some_and(|first| first != split) => {
+                    "its clips are in two splits in that version".to_owned()
+                }
+                Some((_, split)) => {
+                    splits.push(*split);
+                    continue;
+                }
+            };
+            self.lost.push(lost(table, id, clip, reason));
+            return None;
         }
-        Ok(split)
+        splits.first().copied()
     }
 }

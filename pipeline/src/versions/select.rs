@@ -1,6 +1,6 @@
 //! Makes a new dataset from some clips of another.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use datasets_spec::dataset::{Commit, table_facts};
@@ -8,7 +8,7 @@ use datasets_spec::license::{self, LICENSES_FACT};
 use datasets_spec::manifest::{LAID_OUT_FACT, plan_hash};
 use datasets_spec::record::{MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, MotionId, Progress, Transaction};
+use datasets_spec::{Dataset, Progress, Transaction};
 use serde::{Deserialize, Serialize};
 use tables::Condition;
 
@@ -22,7 +22,6 @@ use crate::ingest::Places;
 /// Fact of a manifest: the datasets and conditions that its clips were selected from and by, as JSON.
 pub const SELECTED_FACT: &str = "selected";
 
-/// Origin of selected clips.
 #[derive(Debug, Serialize, Deserialize)]
 struct Origin {
     root_hash: String,
@@ -69,7 +68,7 @@ pub fn select(
     let chosen = Choice::Where(filter.clone()).of(&dataset)?;
     let transaction = Transaction::begin(out, holder)?;
     if transaction.base().is_some() {
-        return Err(Error::DatasetExists(out.to_owned()));
+        return Err(Error::dataset_exists(out));
     }
     let manifest = dataset.manifest();
     let skeleton = dataset.skeleton()?;
@@ -79,7 +78,17 @@ pub fn select(
     index.clips.retain(|clip| chosen.contains(&clip.id));
     let mut tables = index.write(&transaction, progress)?;
     let all = Labels::read(&dataset)?;
-    let (labels, mut report) = belonging(&all, &chosen);
+    let mut labels = all.clone();
+    labels
+        .masks
+        .retain(|_, mask| chosen.contains(&mask.motion_id));
+    let sides = |pair: &PairRow| [&pair.source_id, &pair.target_id].map(|id| chosen.contains(id));
+    labels.pairs.retain(|_, pair| sides(pair) == [true, true]);
+    let parted = all.pairs.values().filter(|pair| {
+        let [source, target] = sides(pair);
+        source != target
+    });
+    let parted_pairs: Vec<String> = parted.map(|pair| pair.id.clone()).collect();
     let written = labels.write(&Labels::default(), &transaction, &skeleton, &plan)?;
     tables.extend(written);
     let facts = table_facts(&skeleton, &plan);
@@ -109,13 +118,18 @@ pub fn select(
         facts,
         ..Commit::default()
     })?;
-    report.clips = done.manifest().rows(MotionRow::TABLE, None);
-    report.left = num_left;
-    report.left_captures = captures;
-    report.tables = done.manifest().row_counts();
-    report.left_tables = left_tables;
-    report.root_hash.clone_from(&done.manifest().root_hash);
-    Ok(report)
+    let manifest = done.manifest();
+    Ok(Selected {
+        clips: manifest.rows(MotionRow::TABLE, None),
+        left: num_left,
+        left_captures: captures,
+        tables: manifest.row_counts(),
+        left_masks: (all.masks.len() - labels.masks.len()) as u64,
+        left_pairs: (all.pairs.len() - labels.pairs.len() - parted_pairs.len()) as u64,
+        parted_pairs,
+        left_tables,
+        root_hash: manifest.root_hash.clone(),
+    })
 }
 
 fn selected_from(dataset: &Dataset, filter: &Condition) -> String {
@@ -129,33 +143,6 @@ fn selected_from(dataset: &Dataset, filter: &Condition) -> String {
         condition: filter.text().to_owned(),
     });
     json(&selections)
-}
-
-fn belonging(all: &Labels, chosen: &BTreeSet<MotionId>) -> (Labels, Selected) {
-    let mut labels = all.clone();
-    labels
-        .masks
-        .retain(|_, mask| chosen.contains(&mask.motion_id));
-    let sides = |pair: &PairRow| [&pair.source_id, &pair.target_id].map(|id| chosen.contains(id));
-    labels.pairs.retain(|_, pair| sides(pair) == [true, true]);
-    let parted = all.pairs.values().filter(|pair| {
-        let [source, target] = sides(pair);
-        source != target
-    });
-    let parted_pairs: Vec<String> = parted.map(|pair| pair.id.clone()).collect();
-    let left_pairs = all.pairs.len() - labels.pairs.len() - parted_pairs.len();
-    let report = Selected {
-        clips: 0,
-        left: 0,
-        left_captures: 0,
-        tables: BTreeMap::new(),
-        left_masks: (all.masks.len() - labels.masks.len()) as u64,
-        left_pairs: left_pairs as u64,
-        parted_pairs,
-        left_tables: Vec::new(),
-        root_hash: String::new(),
-    };
-    (labels, report)
 }
 
 /// Tables that stages make of all clips of a dataset.

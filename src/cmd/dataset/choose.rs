@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use datasets_spec::Dataset;
-use pipeline::versions::{Choice, RemoveOptions, Removed, Selected, remove, select};
+use pipeline::versions::{Choice, RemoveOptions, Removed, Selected, begin, remove, select};
 use tables::Condition;
 
 use super::versions::lost_labels;
@@ -108,7 +108,7 @@ impl Remove {
             drop_labels: self.drop_labels,
             dry_run: self.dry_run,
         };
-        let done = remove(&self.dataset, &choice, options, &global.holder())?;
+        let done = remove(begin(&self.dataset, &global.holder())?, &choice, options)?;
         global.say(&done, &removed(&done))
     }
 }

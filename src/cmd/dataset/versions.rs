@@ -77,8 +77,8 @@ fn line(version: &Version) -> String {
 
 impl Restore {
     pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
-        let holder = global.holder();
-        let done = versions::restore(&self.dataset, self.to, self.drop_labels, &holder)?;
+        let transaction = versions::begin(&self.dataset, &global.holder())?;
+        let done = versions::restore(transaction, self.to, self.drop_labels)?;
         global.say(&done, &restored(&done))
     }
 }
@@ -115,7 +115,8 @@ fn restored(done: &Restored) -> String {
 
 impl Compact {
     pub(super) fn run(&self, global: &Global) -> anyhow::Result<Exit> {
-        let done = versions::compact(&self.dataset, &global.holder(), &global.bars())?;
+        let transaction = versions::begin(&self.dataset, &global.holder())?;
+        let done = versions::compact(transaction, &global.bars())?;
         global.say(&done, &compacted(&done))
     }
 }

@@ -41,7 +41,6 @@ struct Line {
     edit_type: Option<String>,
 }
 
-/// The kind of a line that states none.
 fn default_kind() -> EditKind {
     EditKind::Style
 }
@@ -270,7 +269,6 @@ fn parse_kind(word: &str) -> Result<EditKind, String> {
     })
 }
 
-/// Parses the edit type of a line; none for an empty word.
 fn parse_edit_type(word: &str, kind: EditKind) -> Result<Option<String>, String> {
     if word.is_empty() {
         return Ok(None);
