@@ -9,6 +9,7 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::rows::{EditFacts, Rows};
+use crate::table::short_hash;
 
 /// Number of items whose motions, and everything computed from them, are in memory together. It is a multiple of the
 /// encoders' batch sizes, so that each batch is full.
@@ -51,7 +52,7 @@ impl Answered {
         }
         match all {
             Some((_, all)) => Ok(all),
-            None => Err(Error::NoTables),
+            None => Err(Error::Invalid("no table of edits was given".to_owned())),
         }
     }
 
@@ -119,11 +120,12 @@ impl Answered {
         check_systems(edits).map_err(|source| of_table(path, source))?;
         let systems: BTreeSet<&str> = edits.iter().map(|row| row.system.as_str()).collect();
         let &[system] = Vec::from_iter(systems.iter().copied()).as_slice() else {
-            return Err(Error::SeveralSystems {
-                path: path.to_owned(),
-                count: systems.len(),
-                systems: Vec::from_iter(systems).join(", "),
-            });
+            return Err(Error::Invalid(format!(
+                "{} holds {} systems ({}), and a comparison needs one",
+                path.display(),
+                systems.len(),
+                Vec::from_iter(systems).join(", ")
+            )));
         };
         let name = format!("{system} ({side})");
         for row in read.edits.facts_mut() {
@@ -134,25 +136,27 @@ impl Answered {
 
     /// Adds the edits of another folder, after checking that they are edits of the same items.
     pub(crate) fn merge(&mut self, first: &Path, other: Self, path: &Path) -> Result<(), Error> {
+        let (first, second) = (first.display(), path.display());
         if other.skeleton != self.skeleton {
-            return Err(Error::OtherSkeleton {
-                first: first.to_owned(),
-                first_skeleton: self.skeleton.name().to_owned(),
-                other: path.to_owned(),
-                other_skeleton: other.skeleton.name().to_owned(),
-            });
+            return Err(Error::Invalid(format!(
+                "{first} is posed on skeleton {}, {second} on {}; tables of edits are compared on one body",
+                self.skeleton.name(),
+                other.skeleton.name()
+            )));
         }
         let ids = |items: &Rows<ItemRow>| -> BTreeSet<String> {
             items.facts().iter().map(|item| item.id.clone()).collect()
         };
         let (ours, theirs) = (ids(&self.items), ids(&other.items));
         if ours != theirs {
-            return Err(Error::OtherItems {
-                first: first.to_owned(),
-                first_alone: [ours.difference(&theirs).count(), ours.len()],
-                other: path.to_owned(),
-                other_alone: [theirs.difference(&ours).count(), theirs.len()],
-            });
+            return Err(Error::Invalid(format!(
+                "{first} and {second} answer different items: {} of {} are in {first} alone, {} of {} in {second} \
+                 alone; edit the same items: stance edit RUN --items ITEMS",
+                ours.difference(&theirs).count(),
+                ours.len(),
+                theirs.difference(&ours).count(),
+                theirs.len()
+            )));
         }
         // An item whose content differs is another item, even under the same id.
         let positions: Vec<usize> = (0..other.items.len()).collect();
@@ -164,6 +168,14 @@ impl Answered {
         self.edits.append(other.edits);
         Ok(())
     }
+}
+
+/// A system has the same take of an item twice.
+pub(crate) fn same_take(system: &str, id: &str, seed: u64) -> Error {
+    Error::Invalid(format!(
+        "system {system:?} has two motions of item {id:?} sampled with seed {seed}; give each take once, or edit again \
+         with another --seed"
+    ))
 }
 
 /// Adds the table's path to an error.
@@ -181,27 +193,21 @@ fn check_systems(edits: &[EditFacts]) -> Result<(), Error> {
     let mut takes: BTreeSet<(&str, &str, u64)> = BTreeSet::new();
     for row in edits {
         let first = *known.entry(&row.system).or_insert(row);
-        let differs = |what, first: String, other: String| Error::TwoSystems {
-            system: row.system.clone(),
-            what,
-            first,
-            other,
+        let system = &row.system;
+        let differs = |what: &str, first: &str, other: &str| {
+            Error::Invalid(format!(
+                "system {system:?} stands for two {what}: {first} and {other}; edit again with --name to tell them apart"
+            ))
         };
         if first.checkpoint_hash != row.checkpoint_hash {
-            let short = |hash: &str| format!("{hash:.12}");
             let (a, b) = (&first.checkpoint_hash, &row.checkpoint_hash);
-            return Err(differs("checkpoints", short(a), short(b)));
+            return Err(differs("checkpoints", short_hash(a), short_hash(b)));
         }
         if first.settings_hash != row.settings_hash {
-            let (a, b) = (first.settings.clone(), row.settings.clone());
-            return Err(differs("settings", a, b));
+            return Err(differs("settings", &first.settings, &row.settings));
         }
-        if !takes.insert((&row.system, &row.id, row.seed)) {
-            return Err(Error::SameTake {
-                system: row.system.clone(),
-                id: row.id.clone(),
-                seed: row.seed,
-            });
+        if !takes.insert((system, &row.id, row.seed)) {
+            return Err(same_take(system, &row.id, row.seed));
         }
     }
     Ok(())

@@ -96,19 +96,13 @@ pub fn compare(
 ) -> Result<Vec<Comparison>, Error> {
     protocol.check()?;
     let test_set = TestSet::new(answered, protocol)?;
-    if let Some(missing) = names
-        .into_iter()
-        .find(|name| !test_set.systems.contains_key(name))
-    {
-        return Err(Error::UnknownSystem {
-            system: missing.to_owned(),
-            known: test_set
-                .systems
-                .keys()
-                .copied()
-                .collect::<Vec<_>>()
-                .join(", "),
-        });
+    let is_missing = |name: &&str| !test_set.systems.contains_key(name);
+    if let Some(missing) = names.into_iter().find(is_missing) {
+        let known: Vec<&str> = test_set.systems.keys().copied().collect();
+        return Err(Error::Invalid(format!(
+            "there is no system {missing:?} among the edits; there are: {}",
+            known.join(", ")
+        )));
     }
     let Measured {
         sources, systems, ..

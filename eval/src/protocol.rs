@@ -185,16 +185,11 @@ impl Protocol {
     /// # Errors
     /// There are no repeats, no Diversity pairs, or galleries of fewer than two items.
     pub fn check(&self) -> Result<(), Error> {
-        let at_least = |field, needed, found| {
-            if found < needed {
-                Err(Error::Protocol {
-                    field,
-                    needed,
-                    found,
-                })
-            } else {
-                Ok(())
-            }
+        let at_least = |field: &str, needed: usize, found: usize| match found < needed {
+            true => Err(Error::Invalid(format!(
+                "protocol: {field} must be at least {needed}, got {found}"
+            ))),
+            false => Ok(()),
         };
         at_least("repeats", 1, self.repeats)?;
         at_least("diversity_pairs", 1, self.diversity_pairs)?;
@@ -299,10 +294,10 @@ impl Protocol {
             return Ok((0..num_items).collect());
         };
         if num_items < limit.items {
-            return Err(Error::Limit {
-                asked: limit.items,
-                found: num_items,
-            });
+            return Err(Error::Invalid(format!(
+                "{} items are to be scored, and there are {num_items}; ask for fewer or leave the limit out",
+                limit.items
+            )));
         }
         let mut rng = limit.seed.rng(&["eval", "limit"]);
         let mut kept = draw_without_replacement(num_items, limit.items, &mut rng);

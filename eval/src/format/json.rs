@@ -27,7 +27,7 @@ pub fn render(scores: &[ScoreRow], judges: &Judges) -> Result<String, Error> {
     for (index, (row, standing)) in rows.enumerate() {
         text.push_str(if index == 0 { "\n" } else { ",\n" });
         let score = Score { row, standing };
-        let line = serde_json::to_string(&score).map_err(|source| Error::Json { source })?;
+        let line = serde_json::to_string(&score)?;
         text.push_str(&line);
     }
     text.push_str("\n]\n");

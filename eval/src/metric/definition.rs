@@ -239,44 +239,42 @@ impl fmt::Display for Metric {
 }
 
 /// Refuses rows that contain NaN or infinity, which would spread through a metric unnoticed.
-pub(super) fn check_finite(metric: &'static str, rows: &Matrix) -> Result<(), Error> {
+pub(super) fn check_finite(metric: &str, rows: &Matrix) -> Result<(), Error> {
     match rows
         .rows()
         .position(|row| row.iter().any(|value| !value.is_finite()))
     {
-        Some(row) => Err(Error::NotFinite { metric, row }),
+        Some(row) => Err(not_finite(metric, row)),
         None => Ok(()),
     }
 }
 
+pub(super) fn not_finite(metric: &str, row: usize) -> Error {
+    Error::Invalid(format!("{metric}: row {row} is not finite"))
+}
+
 /// Refuses fewer rows than the metric needs.
-pub(super) fn check_count(metric: &'static str, found: usize, needed: usize) -> Result<(), Error> {
+pub(super) fn check_count(metric: &str, found: usize, needed: usize) -> Result<(), Error> {
     match found < needed {
-        true => Err(Error::TooFewRows {
-            metric,
-            needed,
-            found,
-        }),
+        true => Err(Error::Invalid(format!(
+            "{metric} needs at least {needed} rows, got {found}"
+        ))),
         false => Ok(()),
     }
 }
 
 /// Refuses two sizes that differ.
 pub(super) fn check_size(
-    metric: &'static str,
-    what: &'static str,
+    metric: &str,
+    what: &str,
     found: usize,
     expected: usize,
 ) -> Result<(), Error> {
-    if found == expected {
-        Ok(())
-    } else {
-        Err(Error::Size {
-            metric,
-            what,
-            found,
-            expected,
-        })
+    match found == expected {
+        true => Ok(()),
+        false => Err(Error::Invalid(format!(
+            "{metric}: {what} is {found}, expected {expected}"
+        ))),
     }
 }
 

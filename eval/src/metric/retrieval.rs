@@ -7,7 +7,9 @@ use rayon::prelude::*;
 
 use super::definition::Counterpart::{self, Source, Target};
 use super::definition::RankSummary::{self, Average, Median, Recall};
-use super::definition::{Better, Measure, Metric, Part, check_count, check_finite, check_size};
+use super::definition::{
+    Better, Measure, Metric, Part, check_count, check_finite, check_size, not_finite,
+};
 use crate::Error;
 use crate::linalg::Matrix;
 
@@ -232,10 +234,9 @@ pub fn unit_rows(latents: &Matrix) -> Result<Matrix, Error> {
         // Dividing by the largest entry first keeps the squares from overflowing or underflowing.
         let largest = row.iter().fold(0.0, |m: f64, value| m.max(value.abs()));
         if largest == 0.0 {
-            return Err(Error::NoDirection {
-                metric: METRIC,
-                row: index,
-            });
+            return Err(Error::Invalid(format!(
+                "{METRIC}: row {index} is zero and has no direction"
+            )));
         }
         for value in row.iter_mut() {
             *value /= largest;
@@ -300,16 +301,13 @@ fn single(rows: &Matrix, indices: &[usize]) -> Result<Vec<f32>, Error> {
         values.extend(rows.row(row).iter().map(|&value| value as f32));
     }
     match values.iter().position(|value| !value.is_finite()) {
-        Some(at) => Err(Error::NotFinite {
-            metric: METRIC,
-            row: indices[at / rows.num_cols()],
-        }),
+        Some(at) => Err(not_finite(METRIC, indices[at / rows.num_cols()])),
         None => Ok(values),
     }
 }
 
 /// Refuses a metric without galleries, or with an empty gallery.
-pub(super) fn check_galleries(metric: &'static str, galleries: &[Vec<usize>]) -> Result<(), Error> {
+pub(super) fn check_galleries(metric: &str, galleries: &[Vec<usize>]) -> Result<(), Error> {
     let least = galleries.iter().map(Vec::len).min();
     check_count(metric, least.unwrap_or(0), 1)
 }
@@ -517,20 +515,22 @@ mod tests {
     #[test]
     fn latents_without_direction_are_refused() {
         let zero = Matrix::zeros(2, 3);
-        assert!(matches!(
-            unit_rows(&zero),
-            Err(Error::NoDirection { row: 0, .. })
-        ));
+        let refusal = |found: Result<_, Error>| found.expect_err("refused").to_string();
+        assert_eq!(
+            refusal(unit_rows(&zero)),
+            "retrieval: row 0 is zero and has no direction"
+        );
         let tiny = Matrix::from_rows(&[[3e-200, 4e-200]]);
         let unit = unit_rows(&tiny).expect("a direction");
         assert!((unit.row(0)[0] - 0.6).abs() < 1e-15);
         let nan = Matrix::from_rows(&[[f64::NAN]]);
-        assert!(matches!(unit_rows(&nan), Err(Error::NotFinite { .. })));
+        assert_eq!(refusal(unit_rows(&nan)), "retrieval: row 0 is not finite");
         assert!(full_ranks(&zero, &Matrix::zeros(3, 3)).is_err());
         for bad in [f64::NAN, f64::INFINITY, 1e300] {
             let rows = Matrix::from_rows(&[[0.0, 0.0], [1.0, bad]]);
             let found = full_ranks(&rows, &rows);
-            assert!(matches!(found, Err(Error::NotFinite { row: 1, .. })));
+            let error = found.expect_err("refused").to_string();
+            assert_eq!(error, "retrieval: row 1 is not finite");
         }
     }
 

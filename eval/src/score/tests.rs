@@ -414,10 +414,11 @@ fn takes_are_scored_in_turn() {
     // Half of the ten repeats score the perfect take.
     assert!((error - lazy / 2.0).abs() < 1e-12, "{error} {lazy}");
     edits.pop();
-    assert!(matches!(
-        scored(&items, &edits, &Protocol::default()),
-        Err(Error::UnevenTakes { .. })
-    ));
+    let error = scored(&items, &edits, &Protocol::default()).expect_err("takes are missing");
+    assert!(
+        error.to_string().contains("same number of takes"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -557,7 +558,8 @@ fn broken_tables_are_refused_with_the_items_named() {
     let refused = |items: &[ItemRow], edits: &[EditRow]| {
         scored(items, edits, &Protocol::default()).expect_err("a broken table")
     };
-    assert!(matches!(refused(&[], &[]), Error::NoItems));
+    let error = refused(&[], &[]).to_string();
+    assert!(error.contains("holds no items"), "{error}");
 
     let items = questions(8);
     let mut edits = perfect("partial", &items);
@@ -577,7 +579,7 @@ fn broken_tables_are_refused_with_the_items_named() {
     assert!(error.to_string().contains(&foreign.id), "{error}");
 
     let error = refused(&items, &lazy(IDENTITY, &items));
-    assert!(matches!(error, Error::ReservedSystem { .. }), "{error}");
+    assert!(error.to_string().contains("cannot be named"), "{error}");
 
     let mut changed = items.clone();
     changed[2].instruction = "kick".to_owned();
@@ -588,7 +590,7 @@ fn broken_tables_are_refused_with_the_items_named() {
     unaimed[2].target_frames = 0;
     unaimed[2].id = unaimed[2].content_id();
     let error = refused(&unaimed, &[]);
-    assert!(matches!(error, Error::NoTarget { .. }), "{error}");
+    assert!(error.to_string().contains("has no target"), "{error}");
 
     let refused = |break_it: &dyn Fn(&mut [EditRow])| {
         let mut edits = perfect("broken", &items);
@@ -596,17 +598,8 @@ fn broken_tables_are_refused_with_the_items_named() {
         refused(&items, &edits)
     };
     let error = refused(&|edits| edits[0].fps = 30.0);
-    assert!(
-        matches!(
-            error,
-            Error::FrameRate {
-                found: 30.0,
-                expected: 20.0,
-                ..
-            }
-        ),
-        "{error}"
-    );
+    let rates = "30 fps, but its target runs at 20 fps";
+    assert!(error.to_string().contains(rates), "{error}");
     let error = refused(&|edits| edits[3].transl[0][1] = f32::NAN);
     assert!(matches!(error, Error::Motion { .. }), "{error}");
     let error = refused(&|edits| {
@@ -617,7 +610,7 @@ fn broken_tables_are_refused_with_the_items_named() {
         }
     });
     assert!(
-        matches!(error, Error::TooShort { frames: 2, .. }),
+        error.to_string().contains("2 frames are too few"),
         "{error}"
     );
 }
