@@ -34,7 +34,6 @@ mod standing;
 mod style;
 mod text;
 mod travel;
-mod words;
 
 use std::io;
 use std::path::{Path, PathBuf};
