@@ -27,17 +27,17 @@ pub(super) fn is_shown(action: Action) -> bool {
     !TEST_ACTIONS.contains(&action) && !VAL_ACTIONS.contains(&action)
 }
 
-/// The split of a clip, from the indices of its action and style in their lists and the number of its take.
-pub(super) fn split(action: Action, style: &style::Style, take: usize) -> Split {
+/// The split of the clip of an index, and of its adjusted performances.
+pub(super) fn split(index: usize) -> Split {
+    let (action, _, take) = super::cast(index);
     if TEST_ACTIONS.contains(&action) {
         return Split::Test;
     }
     if VAL_ACTIONS.contains(&action) {
         return Split::Val;
     }
-    let place = |found: Option<usize>| found.expect("listed");
-    let action = place(Action::ALL.iter().position(|other| *other == action));
-    let style = place(style::ALL.iter().position(|other| other.name == style.name));
+    // The places of the action and of the style in their lists.
+    let (action, style) = (action as usize, index % style::ALL.len());
     // Neutral clips are the sources of style edits, so no neutral clip is held out for its style.
     let styled = style.checked_sub(1);
     let is_held_style =

@@ -219,18 +219,10 @@ pub(super) fn squatting(style: &Style, facts: Facts, take: &mut Rng, scatter: &m
             let down = secs + 0.9 * beat;
             let rise = down + hold * beat;
             let up = rise + 0.9 * beat;
-            script.pelvis.extend([
-                (secs, [0.0; 4]),
-                (down, [0.0, -depth, -0.48 * depth, 0.35]),
-                (rise, [0.0, -depth, -0.48 * depth, 0.35]),
-                (up, [0.0; 4]),
-            ]);
-            script.trunk.extend([
-                (secs, [0.0; 3]),
-                (down, [0.36, 0.0, 0.0]),
-                (rise, [0.36, 0.0, 0.0]),
-                (up, [0.0; 3]),
-            ]);
+            let times = [secs, down, rise, up];
+            let low = [0.0, -depth, -0.48 * depth, 0.35];
+            script.pelvis.extend(gesture::held(times, low));
+            script.trunk.extend(gesture::held(times, [0.36, 0.0, 0.0]));
             gesture::arms_forward(script, style, secs, down, up);
             secs = up + 0.25 * beat;
         }
@@ -263,14 +255,8 @@ pub(super) fn throwing(style: &Style, facts: Facts, scatter: &mut Rng) -> Script
         let (off, on) = (secs + 0.72 * beat, secs + 1.12 * beat);
         steps[leading as usize].push((off, on, place(leading, to), 0.06 * leading.sign(), swing));
         let (off, on) = (secs + 1.55 * beat, secs + 1.98 * beat);
-        let trailing = facts.side;
-        steps[trailing as usize].push((
-            off,
-            on,
-            place(trailing, to),
-            0.06 * trailing.sign(),
-            swing,
-        ));
+        let side = facts.side;
+        steps[side as usize].push((off, on, place(side, to), 0.06 * side.sign(), swing));
         way.push((secs + 0.6 * beat, [to - step]));
         way.push((secs + 2.0 * beat, [to]));
         starts.push(secs);
