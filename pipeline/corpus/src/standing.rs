@@ -233,13 +233,7 @@ pub(super) fn squatting(style: &Style, facts: Facts, take: &mut Rng, scatter: &m
 pub(super) fn throwing(style: &Style, facts: Facts, scatter: &mut Rng) -> Script {
     let beat = 1.0 / style.tempo;
     let step = 0.42 * style.stride;
-    let swing = Swing {
-        lift: 0.07 * style.lift.min(1.3),
-        ballistic: false,
-        off: 0.35,
-        peak: 0.45,
-        strike: -0.15,
-    };
+    let swing = Swing::rolling(0.07 * style.lift.min(1.3), [0.35, 0.45, -0.15]);
     let half_width = 0.10 * style.width;
     let place = |side: Side, forward: f64| {
         DVec3::new(side.sign() * half_width, 0.0, forward - Gait::ANKLE_BEHIND)
