@@ -1,20 +1,16 @@
 //! Result tables in the shape of the paper's Table 1.
 
-use std::collections::BTreeMap;
-
 use datasets_spec::record::ScoreRow;
 
 use crate::judge::{Judges, unranked};
-use crate::metric::{self, Metric};
+use crate::metric::{self, Better, Metric};
 use crate::names::{GIVEN, NOVELTIES, place_of_task};
 
-mod column;
 pub(crate) mod notes;
 mod ranking;
 
-use ranking::{Key, key};
+use ranking::key;
 
-pub use column::Column;
 pub(crate) use ranking::{Standing, standings};
 
 /// A result table: the scores of one task with one protocol and one encoder.
@@ -35,8 +31,6 @@ pub struct Table {
     pub items: Items,
     /// Number of repeats.
     pub repeats: u32,
-    /// Width of a latent.
-    pub latent_width: u32,
     /// The columns.
     pub columns: Vec<Column>,
     /// The rows: real data, identity editor, noise floor if there is one, then the systems.
@@ -56,12 +50,26 @@ pub struct Items {
     pub sources: u32,
     /// Number of distinct instructions.
     pub instructions: u32,
-    /// Number of items on each side of a Fréchet distance.
-    pub fid: u32,
     /// Number of items of each novelty in words, such as `100 retake, 50 action`; empty if not known.
     pub novelty: String,
     /// Digest of the sorted item ids.
     pub digest: String,
+}
+
+/// A column of a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Column {
+    /// The metric.
+    pub metric: &'static Metric,
+    /// Good values of the metric for this task.
+    pub better: Better,
+}
+
+impl Column {
+    /// The metric with its arrow, such as `FID ↓`.
+    pub fn label(&self) -> String {
+        format!("{} {}", self.metric, self.better.arrow())
+    }
 }
 
 /// A row of a table.
@@ -113,13 +121,7 @@ impl Table {
         judges: &Judges,
         metrics: &[&'static Metric],
     ) -> Vec<Self> {
-        let mut keys: Vec<Key<'_>> = Vec::new();
-        for row in scores {
-            let key = key(row);
-            if !keys.contains(&key) {
-                keys.push(key);
-            }
-        }
+        let mut keys = distinct(scores.iter().map(key), |&key| key);
         // The sort is stable, so tasks stay together even if two runs were joined.
         keys.sort_by_key(|(task, ..)| (place_of_task(task), *task));
         keys.into_iter()
@@ -138,10 +140,9 @@ impl Table {
         let first = scores.first()?;
         let unranked = unranked(first, scores.iter().copied(), judges);
         let standings = ranking::of_table(scores);
-        let found = Found::of(scores, &standings, unranked.is_none());
         let columns: Vec<Column> = metrics
             .iter()
-            .filter(|metric| found.cells.keys().any(|(_, known)| known == *metric))
+            .filter(|metric| scores.iter().any(|row| row.metric == metric.name))
             .map(|&metric| Column {
                 metric,
                 better: (metric.better)(&first.task),
@@ -150,6 +151,7 @@ impl Table {
         if columns.is_empty() {
             return None;
         }
+        let ranked = unranked.is_none().then_some(&standings[..]);
         let mut table = Self {
             task: first.task.clone(),
             protocol: first.protocol.clone(),
@@ -158,25 +160,22 @@ impl Table {
                 .get(&first.encoder_hash)
                 .map(|judge| judge.recipe.clone())
                 .unwrap_or_default(),
-            unranked,
             items: Items {
                 count: first.n,
                 targets: first.targets,
                 sources: first.sources,
                 instructions: first.instructions,
-                fid: first.fid_items,
                 novelty: first.novelty.clone(),
                 digest: first.items_digest.clone(),
             },
             repeats: first.repeats,
-            latent_width: first.latent_width,
-            rows: found.rows(&columns),
+            rows: rows(scores, ranked, &columns),
+            notes: ranked.map_or_else(Vec::new, |ranked| {
+                notes::of_ranking(scores, ranked, &columns)
+            }),
             columns,
-            notes: Vec::new(),
+            unranked,
         };
-        if table.unranked.is_none() {
-            table.notes = notes::of_ranking(scores, &standings, &table.columns);
-        }
         table.notes.extend(table.note_of_novelty());
         table.notes.extend(notes::of_shortages(first, metrics));
         Some(table)
@@ -251,60 +250,56 @@ impl Table {
     }
 }
 
-/// Systems and conditions, collected from the scores of a table.
-struct Found<'a> {
-    /// Names of the systems: reference rows first, then the others in the order of their scores.
-    names: Vec<&'a str>,
-    takes: BTreeMap<&'a str, u32>,
-    cells: BTreeMap<(&'a str, &'static Metric), Cell>,
+/// The rows of a table: reference rows first, then the other systems in the order of their scores. Scores of unknown
+/// metrics are skipped. No value is marked as best without standings.
+fn rows(scores: &[&ScoreRow], standings: Option<&[Standing]>, columns: &[Column]) -> Vec<Row> {
+    let is_known = |place: &usize| metric::from_name(&scores[*place].metric).is_some();
+    let known: Vec<usize> = (0..scores.len()).filter(is_known).collect();
+    let systems = known.iter().map(|&place| scores[place].system.as_str());
+    let mut systems = distinct(systems, |&system| system);
+    systems.sort_by_key(|system| {
+        let place = GIVEN.iter().position(|given| given == system);
+        place.unwrap_or(GIVEN.len())
+    });
+    let row = |system: &str| {
+        let own = known
+            .iter()
+            .filter(|&&place| scores[place].system == system);
+        let cell = |column: &Column| {
+            let mut places = own.clone();
+            let place = *places.rfind(|&&place| scores[place].metric == column.metric.name)?;
+            Some(Cell {
+                mean: scores[place].mean,
+                ci95: scores[place].ci95,
+                best: standings.is_some_and(|standings| standings[place].best),
+            })
+        };
+        Row {
+            system: system.to_owned(),
+            baseline: GIVEN.contains(&system),
+            published: false,
+            takes: own
+                .clone()
+                .next_back()
+                .map_or(0, |&place| scores[place].takes),
+            cells: columns.iter().map(cell).collect(),
+        }
+    };
+    systems.into_iter().map(row).collect()
 }
 
-impl<'a> Found<'a> {
-    /// Skips scores of unknown metrics, and marks no best value unless `ranks` is set.
-    fn of(scores: &[&'a ScoreRow], standings: &[Standing], ranks: bool) -> Self {
-        let mut names: Vec<&str> = Vec::new();
-        let mut takes = BTreeMap::new();
-        let mut cells = BTreeMap::new();
-        for (row, standing) in scores.iter().copied().zip(standings) {
-            let Some(metric) = metric::from_name(&row.metric) else {
-                continue;
-            };
-            let system = row.system.as_str();
-            if !names.contains(&system) {
-                names.push(system);
-            }
-            takes.insert(system, row.takes);
-            let cell = Cell {
-                mean: row.mean,
-                ci95: row.ci95,
-                best: standing.best && ranks,
-            };
-            cells.insert((system, metric), cell);
+/// The values whose key no earlier value has.
+fn distinct<T, K: PartialEq>(values: impl Iterator<Item = T>, key: impl Fn(&T) -> K) -> Vec<T> {
+    let mut known = Vec::new();
+    let is_new = |value: &T| {
+        let key = key(value);
+        let is_new = !known.contains(&key);
+        if is_new {
+            known.push(key);
         }
-        names.sort_by_key(|name| {
-            let place = GIVEN.iter().position(|given| given == name);
-            place.unwrap_or(GIVEN.len())
-        });
-        Self {
-            names,
-            takes,
-            cells,
-        }
-    }
-
-    fn rows(&self, columns: &[Column]) -> Vec<Row> {
-        let cell = |name: &'a str, column: &Column| self.cells.get(&(name, column.metric)).copied();
-        self.names
-            .iter()
-            .map(|&name| Row {
-                system: name.to_owned(),
-                baseline: GIVEN.contains(&name),
-                published: false,
-                takes: self.takes.get(name).copied().unwrap_or(0),
-                cells: columns.iter().map(|column| cell(name, column)).collect(),
-            })
-            .collect()
-    }
+        is_new
+    };
+    values.filter(is_new).collect()
 }
 
 /// Whether a row is a system that was measured here.
@@ -314,17 +309,16 @@ fn competes(row: &Row) -> bool {
 
 /// Notes about values left out because of too few items, one sentence for each task and metric.
 pub fn shortages(scores: &[ScoreRow]) -> Vec<String> {
-    let mut known: Vec<Key<'_>> = Vec::new();
-    let mut found = Vec::new();
-    for row in scores {
-        if known.contains(&key(row)) {
-            continue;
-        }
-        known.push(key(row));
-        let of_table = notes::of_shortages(row, metric::ALL).into_iter();
-        found.extend(of_table.map(|sentence| format!("{}: {sentence}", row.task)));
-    }
-    found
+    let of_table = |row: &ScoreRow| -> Vec<String> {
+        let sentences = notes::of_shortages(row, metric::ALL).into_iter();
+        sentences
+            .map(|sentence| format!("{}: {sentence}", row.task))
+            .collect()
+    };
+    distinct(scores.iter(), |&row| key(row))
+        .into_iter()
+        .flat_map(of_table)
+        .collect()
 }
 
 fn counted(count: u32, what: &str) -> String {

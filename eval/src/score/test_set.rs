@@ -116,7 +116,6 @@ impl<'a> TestSet<'a> {
             targets: distinct(|item| item.target_id.as_str()),
             sources: distinct(|item| item.source_id.as_str()),
             instructions: distinct(|item| &item.instruction),
-            fid: 0,
             novelty: self.novelty(indices),
             digest,
         }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::record::ScoreRow;
 
-use super::column::Column;
+use super::Column;
 use crate::judge::{Judges, unranked};
 use crate::metric::{self, Better};
 use crate::names::{GIVEN, IDENTITY, REAL_DATA};
