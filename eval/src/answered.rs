@@ -9,7 +9,6 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::rows::{EditFacts, Rows};
-use crate::table::short_hash;
 
 /// Number of items whose motions, and everything computed from them, are in memory together. It is a multiple of the
 /// encoders' batch sizes, so that each batch is full.
@@ -109,12 +108,21 @@ impl Answered {
         Ok(rows)
     }
 
-    /// Reads a table of edits of one system, and appends `side` to the system's name, because two runs of one method
-    /// have the same name.
+    /// Reads two tables of edits of the same items, of one system each. Also returns the names of the two systems, which
+    /// tell them apart even if both are of one method.
     ///
     /// # Errors
-    /// As [`Answered::read`], or the table holds several systems.
-    pub(crate) fn of_one_system(path: &Path, side: &str) -> Result<(Self, String), Error> {
+    /// As [`Answered::read`], or a table holds several systems.
+    pub fn read_pair([a, b]: [&Path; 2]) -> Result<(Self, [String; 2]), Error> {
+        let (mut answered, first) = Self::of_one_system(a, "A")?;
+        let (other, second) = Self::of_one_system(b, "B")?;
+        answered.merge(a, other, b)?;
+        Ok((answered, [first, second]))
+    }
+
+    /// Reads a table of edits of one system, and appends `side` to the system's name, because two runs of one method
+    /// have the same name.
+    fn of_one_system(path: &Path, side: &str) -> Result<(Self, String), Error> {
         let mut read = Self::read_one(path)?;
         let edits = read.edits.facts();
         check_systems(edits).map_err(|source| of_table(path, source))?;
@@ -135,7 +143,7 @@ impl Answered {
     }
 
     /// Adds the edits of another folder, after checking that they are edits of the same items.
-    pub(crate) fn merge(&mut self, first: &Path, other: Self, path: &Path) -> Result<(), Error> {
+    fn merge(&mut self, first: &Path, other: Self, path: &Path) -> Result<(), Error> {
         let (first, second) = (first.display(), path.display());
         if other.skeleton != self.skeleton {
             return Err(Error::Invalid(format!(
@@ -200,8 +208,8 @@ fn check_systems(edits: &[EditFacts]) -> Result<(), Error> {
             ))
         };
         if first.checkpoint_hash != row.checkpoint_hash {
-            let (a, b) = (&first.checkpoint_hash, &row.checkpoint_hash);
-            return Err(differs("checkpoints", short_hash(a), short_hash(b)));
+            let [a, b] = [first, row].map(|edit| format!("{:.12}", edit.checkpoint_hash));
+            return Err(differs("checkpoints", &a, &b));
         }
         if first.settings_hash != row.settings_hash {
             return Err(differs("settings", &first.settings, &row.settings));

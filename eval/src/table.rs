@@ -2,14 +2,14 @@
 
 use datasets_spec::record::ScoreRow;
 
-use crate::judge::{Judges, unranked};
-use crate::metric::{self, Better, Metric};
+use crate::judge::{Judges, table_of, unranked};
+use crate::metric::{self, Column, Metric};
 use crate::names::{GIVEN, NOVELTIES, place_of_task};
 
 pub(crate) mod notes;
 mod ranking;
 
-use ranking::key;
+use ranking::distinct;
 
 pub(crate) use ranking::{Standing, standings};
 
@@ -54,22 +54,6 @@ pub struct Items {
     pub novelty: String,
     /// Digest of the sorted item ids.
     pub digest: String,
-}
-
-/// A column of a table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Column {
-    /// The metric.
-    pub metric: &'static Metric,
-    /// Good values of the metric for this task.
-    pub better: Better,
-}
-
-impl Column {
-    /// The metric with its arrow, such as `FID ↓`.
-    pub fn label(&self) -> String {
-        format!("{} {}", self.metric, self.better.arrow())
-    }
 }
 
 /// A row of a table.
@@ -121,12 +105,15 @@ impl Table {
         judges: &Judges,
         metrics: &[&'static Metric],
     ) -> Vec<Self> {
-        let mut keys = distinct(scores.iter().map(key), |&key| key);
+        let mut keys = distinct(scores.iter().map(table_of), |&key| key);
         // The sort is stable, so tasks stay together even if two runs were joined.
         keys.sort_by_key(|(task, ..)| (place_of_task(task), *task));
         keys.into_iter()
             .filter_map(|wanted| {
-                let rows: Vec<&ScoreRow> = scores.iter().filter(|row| key(row) == wanted).collect();
+                let rows: Vec<&ScoreRow> = scores
+                    .iter()
+                    .filter(|row| table_of(row) == wanted)
+                    .collect();
                 Self::of_group(&rows, judges, metrics)
             })
             .collect()
@@ -143,10 +130,7 @@ impl Table {
         let columns: Vec<Column> = metrics
             .iter()
             .filter(|metric| scores.iter().any(|row| row.metric == metric.name))
-            .map(|&metric| Column {
-                metric,
-                better: (metric.better)(&first.task),
-            })
+            .map(|&metric| Column::of(metric, &first.task))
             .collect();
         if columns.is_empty() {
             return None;
@@ -288,20 +272,6 @@ fn rows(scores: &[&ScoreRow], standings: Option<&[Standing]>, columns: &[Column]
     systems.into_iter().map(row).collect()
 }
 
-/// The values whose key no earlier value has.
-fn distinct<T, K: PartialEq>(values: impl Iterator<Item = T>, key: impl Fn(&T) -> K) -> Vec<T> {
-    let mut known = Vec::new();
-    let is_new = |value: &T| {
-        let key = key(value);
-        let is_new = !known.contains(&key);
-        if is_new {
-            known.push(key);
-        }
-        is_new
-    };
-    values.filter(is_new).collect()
-}
-
 /// Whether a row is a system that was measured here.
 fn competes(row: &Row) -> bool {
     !row.baseline && !row.published
@@ -315,7 +285,7 @@ pub fn shortages(scores: &[ScoreRow]) -> Vec<String> {
             .map(|sentence| format!("{}: {sentence}", row.task))
             .collect()
     };
-    distinct(scores.iter(), |&row| key(row))
+    distinct(scores.iter(), |&row| table_of(row))
         .into_iter()
         .flat_map(of_table)
         .collect()

@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 
 use super::{ABSENT, PUBLISHED_HEADING, RowGroup};
-use crate::table::{Cell, Column, Table};
+use crate::metric::Column;
+use crate::table::{Cell, Table};
 
 /// Assumed width of a terminal in characters.
 pub const MAX_WIDTH: usize = 160;

@@ -63,6 +63,27 @@ impl Better {
     }
 }
 
+/// A column of a result table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Column {
+    /// The metric.
+    pub metric: &'static Metric,
+    /// Good values of the metric for the table's task.
+    pub better: Better,
+}
+
+impl Column {
+    pub(crate) fn of(metric: &'static Metric, task: &str) -> Self {
+        let better = (metric.better)(task);
+        Self { metric, better }
+    }
+
+    /// The metric with its arrow, such as `FID ↓`.
+    pub fn label(&self) -> String {
+        format!("{} {}", self.metric, self.better.arrow())
+    }
+}
+
 /// Computes the value of one motion.
 pub type MotionMeasure = fn(&MotionSample<'_>) -> Option<f64>;
 

@@ -10,6 +10,7 @@ use kinematics::rotation::angle_between;
 use kinematics::skeleton::NUM_KEYPOINTS;
 
 use super::definition::{Better, Measure, Metric, Part, SeamAcceleration};
+use super::interval::mean;
 
 /// Mean acceleration of the keypoints at seams, where one generated window ends and the next begins, in m/s². For
 /// motions that were not generated, the same frames are measured.
@@ -149,32 +150,25 @@ pub fn accelerations(points: &[KeypointFrame], fps: Fps) -> Vec<f64> {
 
 /// Averages [`accelerations`] over the frames of seams and over the other frames.
 pub fn seam_acceleration(points: &[KeypointFrame], fps: Fps, seams: &[Seam]) -> SeamAcceleration {
-    let (mut at, mut inside) = (Mean::default(), Mean::default());
-    for (index, value) in accelerations(points, fps).into_iter().enumerate() {
-        if seams.iter().any(|seam| seam.contains(&(index + 1))) {
-            at.add(value);
-        } else {
-            inside.add(value);
-        }
-    }
-    SeamAcceleration {
-        at_seams: at.get(),
-        inside: inside.get(),
-    }
+    let is_at_seam =
+        |(index, _): &(usize, f64)| seams.iter().any(|seam| seam.contains(&(index + 1)));
+    let values = accelerations(points, fps).into_iter().enumerate();
+    let (at, inside): (Vec<_>, Vec<_>) = values.partition(is_at_seam);
+    let [at_seams, inside] =
+        [at, inside].map(|part| mean(part.into_iter().map(|(_, value)| value)));
+    SeamAcceleration { at_seams, inside }
 }
 
 /// Mean magnitude of the third derivative of the keypoints in m/s^3; none for fewer than four frames.
 pub fn jerk(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
-    let mut mean = Mean::default();
-    for frames in points.windows(4) {
+    let of_window = |frames: &[KeypointFrame]| -> [f64; NUM_KEYPOINTS] {
         let [a, b, c, d] = frames else {
             unreachable!("windows of four")
         };
-        for slot in 0..NUM_KEYPOINTS {
-            mean.add((d[slot] - 3.0 * (c[slot] - b[slot]) - a[slot]).length());
-        }
-    }
-    mean.get().map(|value| value * fps.get().powi(3))
+        std::array::from_fn(|slot| (d[slot] - 3.0 * (c[slot] - b[slot]) - a[slot]).length())
+    };
+    let mean = mean(points.windows(4).flat_map(of_window))?;
+    Some(mean * fps.get().powi(3))
 }
 
 /// Mean horizontal speed in m/s of the lowest foot: for each two consecutive frames, the ankle or toe joint with the
@@ -183,17 +177,16 @@ pub fn jerk(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
 /// A standing or walking body always has a foot at rest on the floor, so the value is near 0; for a gliding body it is
 /// the body's speed. No height threshold defines contact, so a floating body is measured too.
 pub fn foot_slide(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
-    let mut mean = Mean::default();
-    for frames in points.windows(2) {
+    let step_of = |frames: &[KeypointFrame]| {
         let height = |slot: &usize| frames[0][*slot].y + frames[1][*slot].y;
         let lowest = FEET
             .into_iter()
             .min_by(|a, b| height(a).total_cmp(&height(b)))
             .expect("there are feet");
         let step = frames[1][lowest] - frames[0][lowest];
-        mean.add(step.with_y(0.0).length());
-    }
-    mean.get().map(|value| value * fps.get())
+        step.with_y(0.0).length()
+    };
+    Some(mean(points.windows(2).map(step_of))? * fps.get())
 }
 
 /// The largest change in degrees of a joint's local rotation (root included) from one frame to the next; 0 for fewer
@@ -218,23 +211,6 @@ pub fn largest_rotation_step(poses: &[Pose]) -> f64 {
 /// Angles are computed for squared chords above this share of the longest, because rounding may hide which angle is
 /// largest.
 const NEARLY: f64 = 1.0 - 1e-9;
-
-#[derive(Default)]
-struct Mean {
-    sum: f64,
-    count: usize,
-}
-
-impl Mean {
-    fn add(&mut self, value: f64) {
-        self.sum += value;
-        self.count += 1;
-    }
-
-    fn get(&self) -> Option<f64> {
-        (self.count > 0).then(|| self.sum / self.count as f64)
-    }
-}
 
 #[cfg(test)]
 mod tests {

@@ -120,7 +120,16 @@ impl Retrieval {
         }
     }
 
-    /// The unweighted mean over galleries.
+    /// The unweighted mean over galleries of ranks that count from zero.
+    ///
+    /// # Panics
+    /// If there are none.
+    pub fn of_galleries(galleries: &[Vec<f64>]) -> Self {
+        let parts = galleries.iter().map(|ranks| Self::of_ranks(ranks));
+        Self::mean(&parts.collect::<Vec<_>>())
+    }
+
+    /// The unweighted mean.
     ///
     /// # Panics
     /// If there are none.
@@ -501,11 +510,7 @@ mod tests {
         let gallery = Matrix::from_rows(&[[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [1.0, 0.0]]);
         let ranked = |galleries: &[Vec<usize>]| gallery_ranks(&queries, &gallery, galleries);
         let ranks = ranked(&[vec![0, 1], vec![2, 3]]).expect("valid");
-        let parts: Vec<Retrieval> = ranks
-            .iter()
-            .map(|ranks| Retrieval::of_ranks(ranks))
-            .collect();
-        let result = Retrieval::mean(&parts);
+        let result = Retrieval::of_galleries(&ranks);
         assert_eq!(result.recall, [50.0, 100.0, 100.0]);
         assert_eq!(result.average_rank, 1.5);
         assert!(ranked(&[]).is_err());

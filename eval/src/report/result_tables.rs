@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use crate::draw::escaped;
 use crate::format::{PUBLISHED_HEADING, RowGroup};
-use crate::metric::Metric;
-use crate::table::{Cell, Column, Table};
+use crate::metric::{Column, Metric};
+use crate::table::{Cell, Table};
 
 /// All tables, each under the name of its task, as HTML.
 pub(super) fn html(tables: &[Table]) -> String {

@@ -17,7 +17,7 @@ use crate::answered::Answered;
 use crate::compare::{Comparison, Pairing};
 use crate::evaluators::Evaluators;
 use crate::judge::TOLD_APART;
-use crate::metric::interval::{Interval, MIN_TARGETS};
+use crate::metric::interval::{Interval, MIN_TARGETS, mean_of_known};
 use crate::metric::retrieval::E2T_RECALL_1;
 use crate::metric::{self, CLAIMS, Measure, RankSummary};
 use crate::names::{GIVEN, IDENTITY, NOISE_FLOOR, RECAPTURED};
@@ -37,6 +37,9 @@ pub(crate) use values::{Galleries, OfItems, Ranks, of_items};
 /// several takes of every item, such as samples from different seeds; repeat r then scores take r
 /// modulo their number.
 ///
+/// Also compares every system with the identity editor and with the next worse system in E2T R@1: for each task, the
+/// paired differences in the metrics that support claims ([`CLAIMS`]).
+///
 /// The result has one row for each task, system and metric: first [`REAL_DATA`](crate::names::REAL_DATA) and
 /// [`IDENTITY`], then the systems by name. With items of more than one task there is also
 /// [`ALL_TASKS`](crate::names::ALL_TASKS), which comes first. Items with a target from another capture also form the
@@ -54,20 +57,6 @@ pub(crate) use values::{Galleries, OfItems, Ranks, of_items};
 /// Table 1 of the paper for the metrics. FID is computed on latents of unit length and Diversity on raw ones; this
 /// combination explains the published magnitudes.
 pub fn score(
-    answered: &Answered,
-    evaluators: Evaluators<'_>,
-    protocol: &Protocol,
-    progress: &dyn Progress,
-) -> Result<Vec<ScoreRow>, Error> {
-    Ok(score_and_compare(answered, evaluators, protocol, progress)?.0)
-}
-
-/// Computes [`score`], and for each task the paired differences in the metrics that support claims ([`CLAIMS`]). Every
-/// system is compared with the identity editor and with the next worse system in E2T R@1.
-///
-/// # Errors
-/// As [`score`].
-pub fn score_and_compare(
     answered: &Answered,
     evaluators: Evaluators<'_>,
     protocol: &Protocol,
@@ -319,8 +308,6 @@ fn told_apart(of_items: [&OfItems; 2], resamples: &Resamples) -> Interval {
         of_system.map_or(&[][..], Vec::as_slice)
     });
     let differences: Vec<f64> = real.iter().zip(identity).map(|(a, b)| a - b).collect();
-    let known = differences.iter().filter(|value| value.is_finite());
-    let (sum, count) = known.fold((0.0, 0.0), |(sum, n), value| (sum + value, n + 1.0));
-    let mean = if count > 0.0 { sum / count } else { 0.0 };
+    let mean = mean_of_known(&differences).unwrap_or(0.0);
     Interval::of_resamples(mean, &resamples.means(&differences), &[])
 }

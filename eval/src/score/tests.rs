@@ -117,12 +117,9 @@ fn scored(
     protocol: &Protocol,
 ) -> Result<Vec<ScoreRow>, Error> {
     let answered = answered(items, edits);
-    score(
-        &answered,
-        by(&Encoder(first_frame), &answered),
-        protocol,
-        &NoProgress,
-    )
+    let encoder = Encoder(first_frame);
+    let (scores, _) = score(&answered, by(&encoder, &answered), protocol, &NoProgress)?;
+    Ok(scores)
 }
 
 fn by<'a>(encoder: &'a dyn MotionEncoder, answered: &'a Answered) -> Evaluators<'a> {
@@ -349,7 +346,8 @@ fn every_motion_is_encoded_once_and_few_are_in_memory_at_a_time() {
     });
     let answered = answered(&items, &edits);
     let protocol = Protocol::default();
-    let scores = score(&answered, by(&encoder, &answered), &protocol, &NoProgress).expect("valid");
+    let evaluators = by(&encoder, &answered);
+    let (scores, _) = score(&answered, evaluators, &protocol, &NoProgress).expect("valid");
     assert_eq!(scores, scored(&items, &edits, &protocol).expect("valid"));
     // Chunks of sources, targets and the edits of two systems; the identity editor reuses the sources. The targets from
     // other captures follow.
@@ -495,8 +493,7 @@ fn every_system_is_compared_with_the_identity_editor_and_with_the_next_one() {
     let answered = answered(&items, &edits);
     let encoder = Encoder(first_frame);
     let evaluators = by(&encoder, &answered);
-    let (_, comparisons) =
-        score_and_compare(&answered, evaluators, &protocol, &NoProgress).expect("valid");
+    let (_, comparisons) = score(&answered, evaluators, &protocol, &NoProgress).expect("valid");
     let of_all: Vec<(&str, &str, String)> = comparisons
         .iter()
         .filter(|found| found.task == "all")

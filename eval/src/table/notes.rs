@@ -2,11 +2,10 @@
 
 use datasets_spec::record::ScoreRow;
 
-use super::ranking::{Standing, idle};
-use super::{Column, distinct};
+use super::ranking::{Standing, distinct, idle};
 use crate::metric::diversity::DIVERSITY;
 use crate::metric::interval::MIN_TARGETS;
-use crate::metric::{Metric, fid};
+use crate::metric::{Column, Metric, fid};
 use crate::protocol::Protocol;
 
 /// Names the systems that do not edit, and those worse than the identity editor in some columns.

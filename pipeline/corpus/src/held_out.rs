@@ -27,21 +27,20 @@ pub(super) fn is_shown(action: Action) -> bool {
     !TEST_ACTIONS.contains(&action) && !VAL_ACTIONS.contains(&action)
 }
 
-/// The split of the clip of an index, and of its adjusted performances.
-pub(super) fn split(index: usize) -> Split {
-    let (action, _, take) = super::cast(index);
+/// The split of a clip, and of its adjusted performances.
+pub(super) fn split(action: Action, style: &style::Style, take: usize) -> Split {
     if TEST_ACTIONS.contains(&action) {
         return Split::Test;
     }
     if VAL_ACTIONS.contains(&action) {
         return Split::Val;
     }
-    // The places of the action and of the style in their lists.
-    let (action, style) = (action as usize, index % style::ALL.len());
+    let action = action as usize;
     // Neutral clips are the sources of style edits, so no neutral clip is held out for its style.
-    let styled = style.checked_sub(1);
-    let is_held_style =
-        styled.is_some_and(|style| (action + style).is_multiple_of(style::ALL.len() - 1));
+    let is_held_style = style::ALL[1..]
+        .iter()
+        .position(|other| other.name == style.name)
+        .is_some_and(|style| (action + style).is_multiple_of(style::ALL.len() - 1));
     if take >= SHOWN_TAKES || is_held_style {
         return Split::Test;
     }

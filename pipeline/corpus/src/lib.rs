@@ -317,8 +317,13 @@ pub fn write_held_out_corpus(
     options: &CorpusOptions,
     progress: &dyn Progress,
 ) -> Result<CorpusSummary, Error> {
-    let split = |index| Some(held_out::split(index));
+    let split = |index| Some(held_out_split(index));
     write_with(out, options, split, progress)
+}
+
+fn held_out_split(index: usize) -> Split {
+    let (action, style, take) = cast(index);
+    held_out::split(action, style, take)
 }
 
 fn write_with(

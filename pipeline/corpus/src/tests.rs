@@ -77,7 +77,7 @@ fn splits_hold_out_families_a_performer_and_a_style_of_each_action() {
     let mut counts: BTreeMap<Split, usize> = BTreeMap::new();
     for index in 0..HELD_OUT_CLIPS {
         let (action, style, take) = cast(index);
-        let split = held_out::split(index);
+        let split = held_out_split(index);
         *counts.entry(split).or_default() += 1;
         let cell = (action.name().to_owned(), style.name.to_owned());
         if take < 4 {
