@@ -119,33 +119,25 @@ struct Limb {
     width_m: f64,
 }
 
+const fn limb(chains: &'static [&'static [usize]], left: bool, width_m: f64) -> Limb {
+    Limb {
+        chains,
+        left,
+        width_m,
+    }
+}
+
 /// The trunk comes first, and the head is drawn with it.
 const LIMBS: [Limb; 5] = [
-    Limb {
-        chains: &[&[0, 3, 6, 9, 12, 15], &[16, 13, 9, 14, 17], &[1, 0, 2]],
-        left: false,
-        width_m: 0.06,
-    },
-    Limb {
-        chains: &[&[1, 4, 7, 10]],
-        left: true,
-        width_m: 0.068,
-    },
-    Limb {
-        chains: &[&[2, 5, 8, 11]],
-        left: false,
-        width_m: 0.068,
-    },
-    Limb {
-        chains: &[&[16, 18, 20, 24], &[20, 25]],
-        left: true,
-        width_m: 0.052,
-    },
-    Limb {
-        chains: &[&[17, 19, 21, 26], &[21, 27]],
-        left: false,
-        width_m: 0.052,
-    },
+    limb(
+        &[&[0, 3, 6, 9, 12, 15], &[16, 13, 9, 14, 17], &[1, 0, 2]],
+        false,
+        0.06,
+    ),
+    limb(&[&[1, 4, 7, 10]], true, 0.068),
+    limb(&[&[2, 5, 8, 11]], false, 0.068),
+    limb(&[&[16, 18, 20, 24], &[20, 25]], true, 0.052),
+    limb(&[&[17, 19, 21, 26], &[21, 27]], false, 0.052),
 ];
 
 /// Draws clips below each other as one SVG document.

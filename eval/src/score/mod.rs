@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::answered::Answered;
 use crate::compare::{Comparison, Pairing};
-use crate::evaluators::Evaluators;
+use crate::evaluators::{Evaluators, MotionEncoder};
 use crate::judge::TOLD_APART;
 use crate::metric::interval::{Interval, MIN_TARGETS, mean_of_known};
 use crate::metric::retrieval::E2T_RECALL_1;
@@ -23,7 +23,6 @@ use crate::metric::{self, CLAIMS, Measure, RankSummary};
 use crate::names::{GIVEN, IDENTITY, NOISE_FLOOR, RECAPTURED};
 use crate::protocol::{Protocol, SET_RESAMPLES, Spread};
 use crate::table::Items;
-use crate::table::notes::shortage_of_targets;
 
 pub(crate) use measure::{Measured, System, Take, measured};
 pub(crate) use resample::{Resamples, drawn};
@@ -65,22 +64,14 @@ pub fn score(
     protocol.check()?;
     let test_set = TestSet::new(answered, protocol)?;
     let measured = measured(&test_set, evaluators, protocol, progress)?;
-    let encoder_hash = evaluators.encoder.hash();
-    let weakness = evaluators.encoder.weakness();
+    let encoder = evaluators.encoder;
     let tasks = test_set.tasks();
     progress.begin("score", Some((tasks.len() * protocol.repeats) as u64));
     let (mut scores, mut comparisons) = (Vec::new(), Vec::new());
     for (task, indices) in tasks {
         let of_task = OfTask::new(task, &indices, &test_set, &measured, protocol)?;
-        scores.extend(of_task.scores(&encoder_hash, progress)?);
-        let mut found = of_task.claims();
-        for comparison in &mut found {
-            comparison.encoder_hash.clone_from(&encoder_hash);
-            if let Some(weakness) = &weakness {
-                comparison.rank_nothing(weakness);
-            }
-        }
-        comparisons.extend(found);
+        scores.extend(of_task.scores(&encoder.hash(), progress)?);
+        comparisons.extend(of_task.claims(encoder));
     }
     progress.finish(&format!("{} scores", scores.len()));
     Ok((scores, comparisons))
@@ -262,8 +253,8 @@ impl<'a> OfTask<'a> {
     }
 
     /// Paired differences in the metrics of [`CLAIMS`](crate::metric::CLAIMS): each system against the identity editor
-    /// and against the next worse system in E2T R@1. The encoder's hash is left empty.
-    fn claims(&self) -> Vec<Comparison> {
+    /// and against the next worse system in E2T R@1.
+    fn claims(&self, encoder: &dyn MotionEncoder) -> Vec<Comparison> {
         let values = &self.of_items;
         let recall = |place: usize| -> f64 {
             let of_system = values[place].get(&E2T_RECALL_1);
@@ -277,25 +268,23 @@ impl<'a> OfTask<'a> {
         let against_identity = ranked.iter().map(|&place| [1, place]);
         let neighbours = ranked.windows(2).map(|pair| [pair[1], pair[0]]);
         let pairs = against_identity.chain(neighbours);
-        let of_pair = |pair: [usize; 2]| Comparison {
-            task: self.task.to_owned(),
-            n: self.counts.count as usize,
-            targets: self.counts.targets,
-            items_digest: self.counts.digest.clone(),
-            systems: pair.map(|place| self.systems[place].name.to_owned()),
-            protocol: self.protocol.name(self.counts.count as usize),
-            encoder_hash: String::new(),
-            unranked: None,
-            differences: Pairing {
+        let of_pair = |pair: [usize; 2]| {
+            let pairing = Pairing {
                 task: self.task,
                 real: &values[0],
                 sides: pair.map(|place| &values[place]),
                 resamples: &self.resamples,
-            }
-            .differences(&CLAIMS),
-            notes: shortage_of_targets(self.counts.targets)
-                .into_iter()
-                .collect(),
+            };
+            let systems = pair.map(|place| self.systems[place].name);
+            let differences = pairing.differences(&CLAIMS);
+            Comparison::new(
+                self.task,
+                &self.counts,
+                systems,
+                self.protocol,
+                encoder,
+                differences,
+            )
         };
         pairs.map(of_pair).collect()
     }
