@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use super::action::{Action, Asked};
 use super::adjust::Adjustment;
 use super::style::{self, Style};
+use super::text::words;
 use super::{
     CORPUS_FPS, CorpusClip, CorpusSummary, Error, PAIR_LIST, clip_id, held_out, perform, stated,
     write_clip, write_list,
@@ -174,73 +175,19 @@ fn sides(seed: Seed) -> Vec<Question> {
     questions
 }
 
-const ADJUSTMENT_WORDS: [(&str, &str); 24] = [
-    ("lean", "Tip the trunk to the front."),
-    ("lean", "Stoop a bit while you do it."),
-    ("lean", "Incline your torso ahead, from the waist."),
-    ("look-down", "Keep your eyes on the ground."),
-    ("look-down", "Drop your chin towards the chest."),
-    ("look-down", "Let the gaze fall to the floor."),
-    ("bend-knees", "Stay lower, with flexed legs."),
-    ("bend-knees", "Sink into a slight crouch."),
-    ("bend-knees", "Do not straighten your legs so much."),
-    ("raise-shoulders", "Shrug."),
-    ("raise-shoulders", "Pull your shoulders up to the ears."),
-    (
-        "raise-shoulders",
-        "Tense up around the neck, shoulders high.",
-    ),
-    ("arms-out", "Keep your hands away from the hips."),
-    ("arms-out", "Let both arms stick out at the sides."),
-    ("arms-out", "Leave more room under the armpits."),
-    ("bend-elbows", "Flex your arms at the elbow joint."),
-    ("bend-elbows", "Do not let the forearms hang straight."),
-    ("bend-elbows", "Carry your forearms higher."),
-    ("longer-steps", "Lengthen your stride."),
-    ("longer-steps", "Cover a greater distance with each foot."),
-    ("longer-steps", "Stretch every pace."),
-    ("swing-arms", "Let the arms go back and forth wider."),
-    ("swing-arms", "Pump both hands strongly along your sides."),
-    ("swing-arms", "Give the arms a bigger pendulum motion."),
-];
-
-const STYLE_WORDS: [(&str, &str); 20] = [
-    ("proud", "Strut as though you had won a medal"),
-    ("proud", "Carry yourself like royalty"),
-    ("proud", "Make it look self-assured and boastful"),
-    (
-        "proud",
-        "Move like somebody who is very pleased with himself",
-    ),
-    ("old", "Act like a grandfather of ninety"),
-    ("old", "Do it as an aged, frail human would"),
-    ("old", "Let it seem that every joint aches from the years"),
-    ("old", "Become a senior citizen"),
-    ("playful", "Have fun with it, like a kid"),
-    ("playful", "Fool around while you do that"),
-    ("playful", "Be silly and light-hearted"),
-    ("playful", "Make a game of it"),
-    ("depressed", "Move as if you had lost all hope"),
-    ("depressed", "Look gloomy and drained"),
-    ("depressed", "Do it with a heavy heart"),
-    ("depressed", "Show deep sorrow"),
-    ("angry", "Show that you are mad at someone"),
-    ("angry", "Do it while fuming"),
-    ("angry", "Let out your wrath"),
-    ("angry", "Behave like a person in a bad temper"),
-];
-
 fn wordings() -> Vec<Question> {
     let shown: Vec<Action> = Action::ALL
         .into_iter()
         .filter(|action| held_out::is_shown(*action))
         .collect();
     let mut questions = Vec::new();
-    for (place, (name, words)) in ADJUSTMENT_WORDS.into_iter().enumerate() {
-        let adjustment = Adjustment::named(name);
+    let of_adjustment =
+        |adjustment: Adjustment| words(adjustment.name).map(move |words| (adjustment, words));
+    let adjusted = Adjustment::ALL.into_iter().flat_map(of_adjustment);
+    for (place, (adjustment, words)) in adjusted.enumerate() {
         let suited = shown.iter().filter(|action| adjustment.suits(**action));
         for (take, action) in suited.cycle().skip(place).take(2).enumerate() {
-            let take = format!("limit-{place}-{take}-{name}");
+            let take = format!("limit-{place}-{take}-{}", adjustment.name);
             questions.push(Question {
                 styles: [style::NEUTRAL, adjustment.of(&style::NEUTRAL)],
                 parts: vec![adjustment.part],
@@ -249,11 +196,11 @@ fn wordings() -> Vec<Question> {
             });
         }
     }
-    for (place, (name, words)) in STYLE_WORDS.into_iter().enumerate() {
-        let style = style::ALL.iter().find(|style| style.name == name);
-        let style = *style.expect("a style of the corpus");
+    let of_style = |style: Style| words(style.name).map(move |words| (style, words));
+    let styled = style::ALL.into_iter().skip(1).flat_map(of_style);
+    for (place, (style, words)) in styled.enumerate() {
         for (take, action) in shown.iter().cycle().skip(3 * place).take(2).enumerate() {
-            let take = format!("limit-{place}-{take}-{name}");
+            let take = format!("limit-{place}-{take}-{}", style.name);
             questions.push(Question {
                 styles: [style::NEUTRAL, style],
                 kind: EditKind::Style,
@@ -387,18 +334,16 @@ mod tests {
 
     #[test]
     fn no_wording_is_one_of_training() {
-        let all = ADJUSTMENT_WORDS.iter().chain(&STYLE_WORDS);
-        let words: BTreeSet<&str> = all.clone().map(|(_, words)| *words).collect();
-        assert_eq!(words.len(), all.count());
-        assert!(words.iter().all(|words| !words.contains('"')));
-        let of = |table: &[(&str, &str)], name| table.iter().filter(|row| row.0 == name).count();
+        let mut all: BTreeSet<&str> = Adjustment::ALL.map(|adjusted| adjusted.instruction).into();
         for adjustment in Adjustment::ALL {
-            assert!(!words.contains(adjustment.instruction));
-            assert_eq!(of(&ADJUSTMENT_WORDS, adjustment.name), 3);
+            assert_eq!(words(adjustment.name).count(), 3);
+            assert!(words(adjustment.name).all(|words| all.insert(words)));
         }
         for style in &style::ALL[1..] {
-            assert_eq!(of(&STYLE_WORDS, style.name), 4);
+            assert_eq!(words(style.name).count(), 4);
+            assert!(words(style.name).all(|words| all.insert(words)));
         }
+        assert!(all.iter().all(|words| !words.contains('"')));
     }
 
     #[test]
@@ -444,7 +389,7 @@ mod tests {
         assert_eq!(asked.len(), 60);
         let texts: BTreeSet<&str> = asked.iter().map(|one| one.instruction.as_str()).collect();
         assert_eq!(texts.len(), 2 * SIDED.len(), "both sides of every action");
-        let words = ADJUSTMENT_WORDS.len() + STYLE_WORDS.len();
-        assert_eq!(wordings().len(), 2 * words);
+        let num_wordings = 3 * Adjustment::ALL.len() + 4 * (style::ALL.len() - 1);
+        assert_eq!(wordings().len(), 2 * num_wordings);
     }
 }

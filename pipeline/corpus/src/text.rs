@@ -9,7 +9,7 @@ use super::gait::Side;
 
 /// Words of each action, in indented lines below its name: sentences about the whole body, and after the name of a part
 /// and a colon what the part does, if that can be described. Such a phrase completes "The person is ... with their
-/// <part>."
+/// <part>." Below the names of adjustments and styles are instructions for them in words that training does not show.
 const WORDS: &str = include_str!("words.txt");
 
 /// Stands in [`WORDS`] for the arm on the side of a take.
@@ -30,7 +30,7 @@ pub(super) fn describe(
         Side::Left => BodyPart::LeftArm,
         Side::Right => BodyPart::RightArm,
     };
-    let parts = words(action)
+    let parts = words(action.name())
         .filter_map(|line| line.split_once(": "))
         .map(|(part, phrase)| PartCaption {
             part: part.replace(ACTING_ARM, acting.name()),
@@ -49,7 +49,7 @@ pub(super) fn captions(
     rng: &mut Rng,
 ) -> Vec<Caption> {
     let is_sentence = |line: &&str| !line.contains(": ");
-    let mut sentences: Vec<&str> = words(action).filter(is_sentence).collect();
+    let mut sentences: Vec<&str> = words(action.name()).filter(is_sentence).collect();
     let mut manners = manners.to_vec();
     let num_captions = rng.random_range(CAPTIONS);
     (0..num_captions)
@@ -70,14 +70,12 @@ pub(super) fn captions(
         .collect()
 }
 
-/// The lines of an action in [`WORDS`].
-fn words(action: Action) -> impl Iterator<Item = &'static str> {
+/// The lines of an action, adjustment or style in [`WORDS`].
+pub(super) fn words(name: &str) -> impl Iterator<Item = &'static str> {
     let is_indented = |line: &&str| line.starts_with(' ');
     WORDS
         .lines()
-        .skip_while(move |line| {
-            is_indented(line) || !line.split(' ').any(|name| name == action.name())
-        })
+        .skip_while(move |line| is_indented(line) || !line.split(' ').any(|other| other == name))
         .skip(1)
         .take_while(is_indented)
         .map(str::trim)
