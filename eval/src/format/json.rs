@@ -9,11 +9,11 @@ use crate::table::{Standing, standings};
 
 /// A row of the table of scores in its JSON form.
 #[derive(Serialize)]
-struct Score<'a> {
+pub(super) struct Score<'a> {
     #[serde(flatten)]
-    row: &'a ScoreRow,
+    pub(super) row: &'a ScoreRow,
     #[serde(flatten)]
-    standing: Standing,
+    pub(super) standing: Standing,
 }
 
 /// Writes an array with one object, on its own line, for each row of the table of scores. So the document can be parsed

@@ -82,6 +82,16 @@ impl Column {
     pub fn label(&self) -> String {
         format!("{} {}", self.metric, self.better.arrow())
     }
+
+    /// The first word of the label if several columns share it, and the rest of the label. The four columns of E2S form
+    /// a family, and those of E2T.
+    pub(crate) fn heading(&self) -> (&'static str, String) {
+        let label = self.label();
+        ["E2S", "E2T"]
+            .into_iter()
+            .find_map(|family| Some((family, label.strip_prefix(family)?.trim_start().to_owned())))
+            .unwrap_or_else(|| ("", label.clone()))
+    }
 }
 
 /// Computes the value of one motion.
