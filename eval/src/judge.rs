@@ -2,8 +2,8 @@
 //!
 //! An encoder may not rank if it has no report, or if the lower bound of its R@3 on held-out real motion is below
 //! [`CHANCE_FACTOR`] times chance. A set of items may not be ranked if the encoder cannot distinguish its targets from
-//! its sources: the lower bound of the paired difference in [`E2T_RECALL_1`] between real data and the identity editor
-//! is not above 0.
+//! its sources: the lower bound of the paired difference in E2T R@1 between real data and the identity editor is not
+//! above 0.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

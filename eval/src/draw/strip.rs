@@ -212,36 +212,27 @@ pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String 
     let title_chars = ((width - 2.0 * MARGIN) / TITLE_CHAR) as usize;
     let title_height =
         |title: &str| TITLE_HEIGHT + LABEL_LINE * (lines(title, title_chars).len() - 1) as f64;
-    let title_heights: Vec<f64> = panels
-        .chunks(columns)
-        .map(|row| {
-            row.iter()
-                .map(|(title, _)| title_height(title))
-                .fold(0.0, f64::max)
-        })
-        .collect();
     let height_of = |svg: &str| -> f64 {
         let stated = svg.split_once("height=\"").map_or("", |(_, rest)| rest);
         let number = stated.split_once('"').map_or("", |(number, _)| number);
         number.parse().unwrap_or(0.0)
     };
-    let rows: Vec<f64> = panels
-        .chunks(columns)
-        .zip(&title_heights)
-        .map(|(row, title_height)| {
-            let tallest = row.iter().map(|(_, svg)| height_of(svg));
-            title_height + tallest.fold(0.0, f64::max)
-        })
-        .collect();
+    // The height of the titles and of the panels of each row.
+    let heights = panels.chunks(columns).map(|row| {
+        let titles = row.iter().map(|(title, _)| title_height(title));
+        let panels = row.iter().map(|(_, svg)| height_of(svg));
+        [titles.fold(0.0, f64::max), panels.fold(0.0, f64::max)]
+    });
+    let heights: Vec<[f64; 2]> = heights.collect();
     let mut svg = String::new();
     open(
         &mut svg,
         width * columns as f64,
-        rows.iter().sum(),
+        heights.iter().map(|[titles, panels]| titles + panels).sum(),
         &format!("{} motion strips", panels.len()),
     );
     let mut top = 0.0;
-    for ((row, height), title_height) in panels.chunks(columns).zip(&rows).zip(&title_heights) {
+    for (row, [title_height, panel_height]) in panels.chunks(columns).zip(heights) {
         for (column, (title, panel)) in row.iter().enumerate() {
             let left = column as f64 * width;
             for (line, title) in lines(title, title_chars).iter().enumerate() {
@@ -252,7 +243,7 @@ pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String 
             let place = format!("<svg x=\"{left}\" y=\"{}\" ", top + title_height);
             svg.push_str(&panel.replacen("<svg ", &place, 1));
         }
-        top += height;
+        top += title_height + panel_height;
     }
     svg.push_str("</svg>");
     svg

@@ -7,8 +7,7 @@ use crate::linalg::{Matrix, mean_and_covariance, symmetric_eigen, symmetric_eige
 
 const METRIC: &str = "FID";
 
-/// Fréchet distance of latents scaled to unit length.
-pub static FID: Metric = Metric {
+pub(crate) static FID: Metric = Metric {
     name: "FID",
     about: "Fréchet distance of latents of unit length, halves of the set against each other",
     part: Part::Paper,
@@ -20,8 +19,7 @@ pub static FID: Metric = Metric {
     ),
 };
 
-/// Fréchet distance of latents as the encoder returns them.
-pub static FID_RAW: Metric = Metric {
+pub(crate) static FID_RAW: Metric = Metric {
     name: "FID (raw)",
     about: "FID of raw latents, as the encoder gives them",
     part: Part::Further,

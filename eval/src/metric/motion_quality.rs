@@ -12,9 +12,7 @@ use kinematics::skeleton::NUM_KEYPOINTS;
 use super::definition::{Better, Measure, Metric, Part, SeamAcceleration};
 use super::interval::mean;
 
-/// Mean acceleration of the keypoints at seams, where one generated window ends and the next begins, in m/s². For
-/// motions that were not generated, the same frames are measured.
-pub static SEAM_ACCELERATION: Metric = Metric {
+pub(crate) static SEAM_ACCELERATION: Metric = Metric {
     name: "Acceleration at seams (m/s²)",
     about: "mean acceleration of the keypoints where two of the editor's windows meet, from the frame before the first \
             new one of a window to its first that is not blended with the window before; real data, the identity \
@@ -25,8 +23,7 @@ pub static SEAM_ACCELERATION: Metric = Metric {
     measure: Measure::Motion(|sample| sample.acceleration.at_seams),
 };
 
-/// Mean acceleration of the keypoints in all other frames, in m/s².
-pub static INSIDE_ACCELERATION: Metric = Metric {
+pub(crate) static INSIDE_ACCELERATION: Metric = Metric {
     name: "inside (m/s²)",
     about: "mean acceleration of the keypoints elsewhere",
     part: Part::Quality,
@@ -35,8 +32,7 @@ pub static INSIDE_ACCELERATION: Metric = Metric {
     measure: Measure::Motion(|sample| sample.acceleration.inside),
 };
 
-/// Mean jerk of the keypoints, in m/s³.
-pub static JERK: Metric = Metric {
+pub(crate) static JERK: Metric = Metric {
     name: "Jerk (m/s³)",
     about: "mean third derivative of the keypoints",
     part: Part::Quality,
@@ -45,8 +41,7 @@ pub static JERK: Metric = Metric {
     measure: Measure::Motion(|sample| jerk(sample.keypoints, sample.motion.fps())),
 };
 
-/// Mean horizontal speed of the lowest foot, in m/s.
-pub static FOOT_SLIDE: Metric = Metric {
+pub(crate) static FOOT_SLIDE: Metric = Metric {
     name: "Foot slide (m/s)",
     about: "mean horizontal speed of the ankle or foot that is lowest, frame by frame",
     part: Part::Main,
@@ -55,8 +50,7 @@ pub static FOOT_SLIDE: Metric = Metric {
     measure: Measure::Motion(|sample| foot_slide(sample.keypoints, sample.motion.fps())),
 };
 
-/// [`FOOT_SLIDE`] of the item's target, in m/s: the reference value for an edit.
-pub static TARGET_FOOT_SLIDE: Metric = Metric {
+pub(crate) static TARGET_FOOT_SLIDE: Metric = Metric {
     name: "Target's foot slide (m/s)",
     about: "the same of the item's target",
     part: Part::Main,
@@ -65,8 +59,7 @@ pub static TARGET_FOOT_SLIDE: Metric = Metric {
     measure: Measure::Motion(|sample| sample.target.foot_slide),
 };
 
-/// Largest rotation of a joint from one frame to the next, in degrees.
-pub static ROTATION_STEP: Metric = Metric {
+pub(crate) static ROTATION_STEP: Metric = Metric {
     name: "Largest turn (°/frame)",
     about: "largest rotation of a joint between two frames, mean over motions",
     part: Part::Quality,

@@ -21,27 +21,17 @@ pub const RECALL_AT: [usize; 3] = [1, 2, 3];
 /// Number of queries compared with the gallery at once: at 10,000 gallery rows their similarities take 10 MB.
 const QUERIES_PER_BLOCK: usize = 256;
 
-/// Edits retrieved by their originals: share ranked first, in percent.
-pub static E2S_RECALL_1: Metric = ranked("E2S R@1", Source, Recall(1));
-/// Edits retrieved by their originals: share among the first 2, in percent.
-pub static E2S_RECALL_2: Metric = ranked("E2S R@2", Source, Recall(2));
-/// Edits retrieved by their originals: share among the first 3, in percent.
-pub static E2S_RECALL_3: Metric = ranked("E2S R@3", Source, Recall(3));
-/// Edits retrieved by their targets: share ranked first, in percent.
-pub static E2T_RECALL_1: Metric = ranked("E2T R@1", Target, Recall(1));
-/// Edits retrieved by their targets: share among the first 2, in percent.
-pub static E2T_RECALL_2: Metric = ranked("E2T R@2", Target, Recall(2));
-/// Edits retrieved by their targets: share among the first 3, in percent.
-pub static E2T_RECALL_3: Metric = ranked("E2T R@3", Target, Recall(3));
+pub(crate) static E2S_RECALL_1: Metric = ranked("E2S R@1", Source, Recall(1));
+pub(crate) static E2S_RECALL_2: Metric = ranked("E2S R@2", Source, Recall(2));
+pub(crate) static E2S_RECALL_3: Metric = ranked("E2S R@3", Source, Recall(3));
+pub(crate) static E2T_RECALL_1: Metric = ranked("E2T R@1", Target, Recall(1));
+pub(crate) static E2T_RECALL_2: Metric = ranked("E2T R@2", Target, Recall(2));
+pub(crate) static E2T_RECALL_3: Metric = ranked("E2T R@3", Target, Recall(3));
 
-/// Edits retrieved by their originals: mean rank.
-pub static E2S_AVERAGE_RANK: Metric = ranked("E2S AvgR", Source, Average);
-/// Edits retrieved by their targets: mean rank.
-pub static E2T_AVERAGE_RANK: Metric = ranked("E2T AvgR", Target, Average);
-/// Edits retrieved by their originals: median rank.
-pub static E2S_MEDIAN_RANK: Metric = ranked("E2S MedR", Source, Median);
-/// Edits retrieved by their targets: median rank.
-pub static E2T_MEDIAN_RANK: Metric = ranked("E2T MedR", Target, Median);
+pub(crate) static E2S_AVERAGE_RANK: Metric = ranked("E2S AvgR", Source, Average);
+pub(crate) static E2T_AVERAGE_RANK: Metric = ranked("E2T AvgR", Target, Average);
+pub(crate) static E2S_MEDIAN_RANK: Metric = ranked("E2S MedR", Source, Median);
+pub(crate) static E2T_MEDIAN_RANK: Metric = ranked("E2T MedR", Target, Median);
 
 /// A metric computed from ranks. The paper's tables do not print the median rank.
 const fn ranked(name: &'static str, counterpart: Counterpart, summary: RankSummary) -> Metric {
@@ -160,37 +150,25 @@ impl Retrieval {
 
 /// The share of ranks below k in percent; ranks count from zero. A two-way tie for the first place has rank 0.5 and
 /// counts for k = 1; a three-way tie has rank 1 and does not.
-///
-/// # Panics
-/// If there are no ranks.
-pub fn recall_at(ranks: &[f64], k: usize) -> f64 {
+fn recall_at(ranks: &[f64], k: usize) -> f64 {
     assert!(!ranks.is_empty(), "recall of no ranks");
     let hits = ranks.iter().filter(|&&rank| rank < k as f64).count();
     100.0 * hits as f64 / ranks.len() as f64
 }
 
 /// The median rank, counted from one; for an even number of ranks, the mean of the two middle ones.
-///
-/// # Panics
-/// If there are no ranks.
-pub fn median_rank(ranks: &[f64]) -> f64 {
+fn median_rank(ranks: &[f64]) -> f64 {
     quantile::median(&mut ranks.to_vec()).expect("median of no ranks") + 1.0
 }
 
 /// The mean rank, counted from one.
-///
-/// # Panics
-/// If there are no ranks.
-pub fn average_rank(ranks: &[f64]) -> f64 {
+fn average_rank(ranks: &[f64]) -> f64 {
     assert!(!ranks.is_empty(), "mean of no ranks");
     ranks.iter().sum::<f64>() / ranks.len() as f64 + 1.0
 }
 
 /// The rank of one entry of a row of similarities, counted from zero. Tied entries share their mean position.
-///
-/// # Panics
-/// If `truth` does not exist.
-pub fn tied_rank<T: PartialOrd + Copy>(similarities: &[T], truth: usize) -> f64 {
+fn tied_rank<T: PartialOrd + Copy>(similarities: &[T], truth: usize) -> f64 {
     let own = similarities[truth];
     let (mut nearer, mut equal) = (0u32, 0u32);
     for &other in similarities {
@@ -208,7 +186,7 @@ pub fn tied_rank<T: PartialOrd + Copy>(similarities: &[T], truth: usize) -> f64 
 ///
 /// # Source
 /// TMR's "threshold" protocol: texts closer than a threshold describe the same motion.
-pub fn ranks_among_equivalents(
+pub(super) fn ranks_among_equivalents(
     similarity: &Matrix,
     equivalent: impl Fn(usize, usize) -> bool,
 ) -> Result<Vec<f64>, Error> {
