@@ -201,7 +201,7 @@ fn check_systems(edits: &[EditFacts]) -> Result<(), Error> {
     let mut takes: BTreeSet<(&str, &str, u64)> = BTreeSet::new();
     for row in edits {
         let first = *known.entry(&row.system).or_insert(row);
-        let system = &row.system;
+        let system = row.system.as_str();
         let differs = |what: &str, first: &str, other: &str| {
             Error::Invalid(format!(
                 "system {system:?} stands for two {what}: {first} and {other}; edit again with --name to tell them apart"

@@ -191,10 +191,6 @@ impl Table {
 
 const NONE: Value = None;
 
-const fn of(table: PaperTable, task: &'static str, rows: &'static [Printed]) -> Published {
-    Published { table, task, rows }
-}
-
 const fn row(system: &'static str, n: Option<u32>, values: [Value; NUM_COLUMNS]) -> Printed {
     Printed { system, n, values }
 }
@@ -219,7 +215,7 @@ const fn ci(mean: f64, half_width: f64) -> Value {
 #[rustfmt::skip]
 #[expect(clippy::approx_constant, reason = "a printed rank of 6.28 is not a circle")]
 const TABLES: &[Published] = &[
-    of(PaperTable::One, "semantic", &[
+    Published { table: PaperTable::One, task: "semantic", rows: &[
         row("Real Data", None, [ci(0.01, 0.001), ci(36.06, 0.436), ci(0.98, 0.0), ci(52.08, 0.371), ci(54.32, 0.314), ci(56.0, 0.365), ci(8.28, 0.045), ci(100.0, 0.0), ci(100.0, 0.0), ci(100.0, 0.0), ci(1.0, 0.0)]),
         row("MDM-BP", None, [ci(0.44, 0.03), ci(36.71, 0.701), ci(0.91, 0.003), ci(69.11, 0.912), ci(79.75, 0.711), ci(85.14, 0.561), ci(2.2, 0.028), ci(39.05, 0.469), ci(46.39, 0.441), ci(50.57, 0.556), ci(8.92, 0.033)]),
         row("TMED", None, [ci(0.52, 0.034), ci(35.37, 0.54), ci(0.9, 0.008), ci(38.59, 0.169), ci(44.1, 0.932), ci(48.67, 0.911), ci(9.31, 0.211), ci(42.7, 1.533), ci(52.89, 1.286), ci(58.32, 1.43), ci(6.47, 0.118)]),
@@ -227,8 +223,8 @@ const TABLES: &[Published] = &[
         row("MotionReFit w/o MCM", None, [ci(0.23, 0.026), ci(36.34, 0.62), ci(0.96, 0.003), ci(93.17, 0.273), ci(96.3, 0.178), ci(97.33, 0.206), ci(1.27, 0.011), ci(51.18, 0.206), ci(53.71, 0.275), ci(55.3, 0.371), ci(8.51, 0.02)]),
         row("MotionReFit w/o BC", None, [ci(0.23, 0.016), ci(36.18, 0.523), ci(0.97, 0.003), ci(52.51, 0.595), ci(56.03, 0.368), ci(58.19, 0.358), ci(7.54, 0.038), ci(60.78, 0.471), ci(67.17, 0.457), ci(71.11, 0.521), ci(4.74, 0.042)]),
         row("MotionReFit", None, [ci(0.2, 0.025), ci(36.01, 0.758), ci(0.97, 0.002), ci(52.48, 0.337), ci(56.13, 0.361), ci(58.59, 0.234), ci(7.46, 0.034), ci(61.37, 0.457), ci(68.35, 0.493), ci(72.2, 0.314), ci(4.65, 0.029)]),
-    ]),
-    of(PaperTable::One, "style", &[
+    ] },
+    Published { table: PaperTable::One, task: "style", rows: &[
         row("Real Data", None, [ci(0.01, 0.001), ci(33.98, 0.865), ci(0.98, 0.0), ci(50.94, 1.791), ci(62.88, 0.925), ci(67.4, 0.828), ci(6.28, 0.058), ci(100.0, 0.0), ci(100.0, 0.0), ci(100.0, 0.0), ci(1.0, 0.0)]),
         row("MDM-BP", None, [ci(0.39, 0.033), ci(33.64, 0.835), ci(0.89, 0.01), ci(62.4, 1.977), ci(82.78, 1.1), ci(89.62, 1.156), ci(1.96, 0.062), ci(38.89, 2.152), ci(53.51, 1.167), ci(60.24, 1.122), ci(7.14, 0.071)]),
         row("TMED", None, [ci(1.54, 0.093), ci(34.37, 1.111), ci(0.9, 0.01), ci(28.44, 1.156), ci(40.03, 1.173), ci(46.53, 1.28), ci(8.48, 0.104), ci(24.76, 1.44), ci(38.33, 2.067), ci(45.62, 0.934), ci(8.12, 0.099)]),
@@ -236,8 +232,8 @@ const TABLES: &[Published] = &[
         row("MotionReFit w/o MCM", None, [ci(0.23, 0.017), ci(34.05, 1.077), ci(0.93, 0.006), ci(87.05, 1.345), ci(98.33, 0.556), ci(99.41, 0.313), ci(1.16, 0.012), ci(51.39, 1.406), ci(63.58, 1.058), ci(67.88, 0.699), ci(7.15, 0.102)]),
         row("MotionReFit w/o BC", None, [ci(0.16, 0.018), ci(34.51, 0.681), ci(0.95, 0.003), ci(45.52, 1.146), ci(57.05, 1.12), ci(62.29, 0.81), ci(6.57, 0.08), ci(62.26, 1.838), ci(74.69, 0.814), ci(79.9, 1.227), ci(3.51, 0.081)]),
         row("MotionReFit", None, [ci(0.14, 0.015), ci(34.19, 0.865), ci(0.94, 0.004), ci(47.67, 1.099), ci(57.71, 1.039), ci(62.5, 0.439), ci(6.46, 0.086), ci(63.82, 1.551), ci(76.35, 0.988), ci(80.69, 1.009), ci(3.48, 0.062)]),
-    ]),
-    of(PaperTable::A1, "fine-grained", &[
+    ] },
+    Published { table: PaperTable::A1, task: "fine-grained", rows: &[
         row("Real Data", None, [mean(0.02), mean(30.57), mean(0.97), mean(39.54), mean(54.65), mean(61.16), mean(5.53), mean(100.0), mean(100.0), mean(100.0), mean(1.0)]),
         row("MDM-BP", None, [mean(0.62), mean(32.7), mean(0.92), mean(28.12), mean(34.38), mean(38.02), mean(10.41), mean(16.45), mean(24.52), mean(30.21), mean(11.6)]),
         row("TMED", Some(384), [mean(0.33), mean(31.13), mean(0.94), mean(60.16), mean(72.66), mean(82.03), mean(2.66), mean(29.69), mean(44.01), mean(52.08), mean(6.97)]),
@@ -247,8 +243,8 @@ const TABLES: &[Published] = &[
         row("SimMotionEdit", Some(192), [NONE, NONE, NONE, NONE, NONE, NONE, NONE, mean(36.46), mean(48.96), mean(57.81), mean(5.71)]),
         row("OmniME", Some(192), [NONE, NONE, NONE, NONE, NONE, NONE, NONE, mean(43.75), mean(56.25), mean(66.15), mean(4.66)]),
         row("CIME", Some(192), [NONE, NONE, NONE, NONE, NONE, NONE, NONE, mean(47.92), mean(61.46), mean(71.35), mean(4.34)]),
-    ]),
-    of(PaperTable::A2, "fine-grained", &[
+    ] },
+    Published { table: PaperTable::A2, task: "fine-grained", rows: &[
         row("1% MCM", Some(384), [mean(0.34), NONE, NONE, mean(81.77), mean(92.45), mean(93.49), mean(1.48), mean(34.11), mean(48.7), mean(57.03), mean(5.77)]),
         row("5% MCM", Some(384), [mean(0.37), NONE, NONE, mean(86.72), mean(95.57), mean(97.14), mean(1.3), mean(34.17), mean(50.0), mean(57.81), mean(5.65)]),
         row("10% MCM", Some(384), [mean(0.31), NONE, NONE, mean(82.81), mean(92.71), mean(95.31), mean(1.42), mean(37.24), mean(51.3), mean(59.11), mean(5.32)]),
@@ -257,8 +253,8 @@ const TABLES: &[Published] = &[
         row("24% data", Some(384), [mean(0.31), NONE, NONE, mean(82.03), mean(92.19), mean(95.83), mean(1.42), mean(41.93), mean(59.11), mean(67.45), mean(4.71)]),
         row("60% data", Some(384), [mean(0.3), NONE, NONE, mean(84.9), mean(92.45), mean(96.09), mean(1.38), mean(41.67), mean(55.47), mean(63.54), mean(5.02)]),
         row("MotionReFit", Some(384), [mean(0.29), NONE, NONE, mean(85.16), mean(92.97), mean(95.31), mean(1.38), mean(42.45), mean(56.25), mean(62.76), mean(5.12)]),
-    ]),
-    of(PaperTable::Two, "motionfix", &[
+    ] },
+    Published { table: PaperTable::Two, task: "motionfix", rows: &[
         row("Real Data", None, [NONE, NONE, NONE, mean(74.01), mean(84.52), mean(89.91), mean(2.03), mean(100.0), mean(100.0), mean(100.0), mean(1.0)]),
         row("MDM-BP", Some(992), [NONE, NONE, NONE, mean(61.28), mean(69.55), mean(73.99), mean(4.21), mean(39.1), mean(50.09), mean(54.84), mean(6.46)]),
         row("TMED", Some(992), [NONE, NONE, NONE, mean(71.77), mean(84.07), mean(89.52), mean(1.96), mean(62.9), mean(76.51), mean(83.06), mean(2.71)]),
@@ -267,8 +263,8 @@ const TABLES: &[Published] = &[
         row("Cross-Axis", Some(480), [NONE, NONE, NONE, NONE, NONE, NONE, NONE, mean(74.38), mean(88.54), mean(92.08), mean(1.92)]),
         row("OmniME", Some(480), [NONE, NONE, NONE, NONE, NONE, NONE, NONE, mean(77.29), mean(88.54), mean(91.88), mean(1.79)]),
         row("CIME", Some(480), [NONE, NONE, NONE, NONE, NONE, NONE, NONE, mean(78.12), mean(88.54), mean(92.5), mean(1.73)]),
-    ]),
-    of(PaperTable::A3, "motionfix", &[
+    ] },
+    Published { table: PaperTable::A3, task: "motionfix", rows: &[
         row("Real Data", Some(1013), [mean(0.01), NONE, mean(0.98), mean(20.83), mean(33.66), mean(40.47), mean(33.13), mean(64.36), mean(88.75), mean(95.56), mean(1.74)]),
         row("MDM-BP", Some(1013), [mean(0.145), NONE, mean(0.9), mean(30.21), mean(36.82), mean(40.47), mean(106.05), mean(8.69), mean(14.71), mean(18.36), mean(180.99)]),
         row("TMED", Some(1013), [mean(0.129), NONE, mean(0.92), mean(22.41), mean(34.45), mean(40.57), mean(31.42), mean(14.51), mean(21.72), mean(28.73), mean(56.63)]),
@@ -277,7 +273,7 @@ const TABLES: &[Published] = &[
         row("Cross-Axis", Some(506), [NONE, NONE, NONE, NONE, NONE, NONE, NONE, mean(29.45), mean(45.26), mean(54.55), mean(16.42)]),
         row("OmniME", Some(506), [NONE, NONE, NONE, NONE, NONE, NONE, NONE, mean(32.02), mean(50.2), mean(59.88), mean(13.06)]),
         row("CIME", Some(506), [NONE, NONE, NONE, NONE, NONE, NONE, NONE, mean(33.4), mean(50.29), mean(59.88), mean(12.24)]),
-    ]),
+    ] },
 ];
 
 #[cfg(test)]
