@@ -147,7 +147,8 @@ impl Answered {
         let (first, second) = (first.display(), path.display());
         if other.skeleton != self.skeleton {
             return Err(Error::Invalid(format!(
-                "{first} is posed on skeleton {}, {second} on {}; tables of edits are compared on one body",
+                "{first} is posed on skeleton {}, {second} on {}; tables of edits are compared on one \
+                 body",
                 self.skeleton.name(),
                 other.skeleton.name()
             )));
@@ -204,7 +205,8 @@ fn check_systems(edits: &[EditFacts]) -> Result<(), Error> {
         let system = row.system.as_str();
         let differs = |what: &str, first: &str, other: &str| {
             Error::Invalid(format!(
-                "system {system:?} stands for two {what}: {first} and {other}; edit again with --name to tell them apart"
+                "system {system:?} stands for two {what}: {first} and {other}; edit again with --name to tell \
+                 them apart"
             ))
         };
         if first.checkpoint_hash != row.checkpoint_hash {
