@@ -108,8 +108,8 @@ impl Answered {
         Ok(rows)
     }
 
-    /// Reads two tables of edits of the same items, of one system each. Also returns the names of the two systems, which
-    /// tell them apart even if both are of one method.
+    /// Reads two tables of edits of the same items, of one system each. Also returns the names of the two systems,
+    /// which tell them apart even if both are of one method.
     ///
     /// # Errors
     /// As [`Answered::read`], or a table holds several systems.
