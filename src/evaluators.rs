@@ -6,7 +6,6 @@ use std::path::Path;
 use anyhow::bail;
 use datasets_spec::{Dataset, Motion, Seed, Skeleton, Split};
 use eval::EncoderError;
-use eval::answers;
 use eval::evaluators::{Evaluators, MotionClassifier, MotionEncoder};
 use eval::judge::{About, JudgeReport, REPORT, weakness};
 use eval::metric::cross_retrieval::CrossRetrieval;
@@ -154,7 +153,7 @@ pub(crate) fn encoder_retrieval(
     }
     let texts: Vec<&str> = clips.iter().map(|clip| clip.captions[0].as_str()).collect();
     let motions: Vec<&Motion> = clips.iter().map(|clip| &clip.motion).collect();
-    let repeats = answers::encoder_retrieval(
+    let repeats = eval::judge::encoder_retrieval(
         &texts,
         &in_double(encoder.encode_texts(&texts)?),
         &in_double(encoder.encode(&motions)?),

@@ -51,7 +51,7 @@ impl Answered {
         }
         match all {
             Some((_, all)) => Ok(all),
-            None => Err(Error::NoTables),
+            None => Err(Error::Invalid("no table of edits was given".to_owned())),
         }
     }
 
@@ -108,22 +108,32 @@ impl Answered {
         Ok(rows)
     }
 
-    /// Reads a table of edits of one system, and appends `side` to the system's name, because two runs of one method
-    /// have the same name.
+    /// Reads two tables of edits of the same items, of one system each. Also returns the names of the two systems,
+    /// which tell them apart even if both are of one method.
     ///
     /// # Errors
-    /// As [`Answered::read`], or the table holds several systems.
-    pub(crate) fn of_one_system(path: &Path, side: &str) -> Result<(Self, String), Error> {
+    /// As [`Answered::read`], or a table holds several systems.
+    pub fn read_pair([a, b]: [&Path; 2]) -> Result<(Self, [String; 2]), Error> {
+        let (mut answered, first) = Self::of_one_system(a, "A")?;
+        let (other, second) = Self::of_one_system(b, "B")?;
+        answered.merge(a, other, b)?;
+        Ok((answered, [first, second]))
+    }
+
+    /// Reads a table of edits of one system, and appends `side` to the system's name, because two runs of one method
+    /// have the same name.
+    fn of_one_system(path: &Path, side: &str) -> Result<(Self, String), Error> {
         let mut read = Self::read_one(path)?;
         let edits = read.edits.facts();
         check_systems(edits).map_err(|source| of_table(path, source))?;
         let systems: BTreeSet<&str> = edits.iter().map(|row| row.system.as_str()).collect();
         let &[system] = Vec::from_iter(systems.iter().copied()).as_slice() else {
-            return Err(Error::SeveralSystems {
-                path: path.to_owned(),
-                count: systems.len(),
-                systems: Vec::from_iter(systems).join(", "),
-            });
+            return Err(Error::Invalid(format!(
+                "{} holds {} systems ({}), and a comparison needs one",
+                path.display(),
+                systems.len(),
+                Vec::from_iter(systems).join(", ")
+            )));
         };
         let name = format!("{system} ({side})");
         for row in read.edits.facts_mut() {
@@ -133,26 +143,29 @@ impl Answered {
     }
 
     /// Adds the edits of another folder, after checking that they are edits of the same items.
-    pub(crate) fn merge(&mut self, first: &Path, other: Self, path: &Path) -> Result<(), Error> {
+    fn merge(&mut self, first: &Path, other: Self, path: &Path) -> Result<(), Error> {
+        let (first, second) = (first.display(), path.display());
         if other.skeleton != self.skeleton {
-            return Err(Error::OtherSkeleton {
-                first: first.to_owned(),
-                first_skeleton: self.skeleton.name().to_owned(),
-                other: path.to_owned(),
-                other_skeleton: other.skeleton.name().to_owned(),
-            });
+            return Err(Error::Invalid(format!(
+                "{first} is posed on skeleton {}, {second} on {}; tables of edits are compared on one \
+                 body",
+                self.skeleton.name(),
+                other.skeleton.name()
+            )));
         }
         let ids = |items: &Rows<ItemRow>| -> BTreeSet<String> {
             items.facts().iter().map(|item| item.id.clone()).collect()
         };
         let (ours, theirs) = (ids(&self.items), ids(&other.items));
         if ours != theirs {
-            return Err(Error::OtherItems {
-                first: first.to_owned(),
-                first_alone: [ours.difference(&theirs).count(), ours.len()],
-                other: path.to_owned(),
-                other_alone: [theirs.difference(&ours).count(), theirs.len()],
-            });
+            return Err(Error::Invalid(format!(
+                "{first} and {second} answer different items: {} of {} are in {first} alone, {} of {} in {second} \
+                 alone; edit the same items: stance edit RUN --items ITEMS",
+                ours.difference(&theirs).count(),
+                ours.len(),
+                theirs.difference(&ours).count(),
+                theirs.len()
+            )));
         }
         // An item whose content differs is another item, even under the same id.
         let positions: Vec<usize> = (0..other.items.len()).collect();
@@ -164,6 +177,14 @@ impl Answered {
         self.edits.append(other.edits);
         Ok(())
     }
+}
+
+/// A system has the same take of an item twice.
+pub(crate) fn same_take(system: &str, id: &str, seed: u64) -> Error {
+    Error::Invalid(format!(
+        "system {system:?} has two motions of item {id:?} sampled with seed {seed}; give each take once, or edit again \
+         with another --seed"
+    ))
 }
 
 /// Adds the table's path to an error.
@@ -181,27 +202,22 @@ fn check_systems(edits: &[EditFacts]) -> Result<(), Error> {
     let mut takes: BTreeSet<(&str, &str, u64)> = BTreeSet::new();
     for row in edits {
         let first = *known.entry(&row.system).or_insert(row);
-        let differs = |what, first: String, other: String| Error::TwoSystems {
-            system: row.system.clone(),
-            what,
-            first,
-            other,
+        let system = row.system.as_str();
+        let differs = |what: &str, first: &str, other: &str| {
+            Error::Invalid(format!(
+                "system {system:?} stands for two {what}: {first} and {other}; edit again with --name to tell \
+                 them apart"
+            ))
         };
         if first.checkpoint_hash != row.checkpoint_hash {
-            let short = |hash: &str| format!("{hash:.12}");
-            let (a, b) = (&first.checkpoint_hash, &row.checkpoint_hash);
-            return Err(differs("checkpoints", short(a), short(b)));
+            let [a, b] = [first, row].map(|edit| format!("{:.12}", edit.checkpoint_hash));
+            return Err(differs("checkpoints", &a, &b));
         }
         if first.settings_hash != row.settings_hash {
-            let (a, b) = (first.settings.clone(), row.settings.clone());
-            return Err(differs("settings", a, b));
+            return Err(differs("settings", &first.settings, &row.settings));
         }
-        if !takes.insert((&row.system, &row.id, row.seed)) {
-            return Err(Error::SameTake {
-                system: row.system.clone(),
-                id: row.id.clone(),
-                seed: row.seed,
-            });
+        if !takes.insert((system, &row.id, row.seed)) {
+            return Err(same_take(system, &row.id, row.seed));
         }
     }
     Ok(())

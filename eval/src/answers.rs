@@ -9,17 +9,16 @@ use datasets_spec::record::ScoreRow;
 use datasets_spec::{Dataset, Progress, Skeleton};
 
 use crate::Error;
-use crate::compare::{Comparison, compare};
+use crate::compare::Comparison;
 use crate::evaluators::Evaluators;
 use crate::judge::{Judge, Judges, unranked};
 use crate::metric;
 use crate::names::ALL_TASKS;
 use crate::protocol::Protocol;
-use crate::score::score_and_compare;
+use crate::score::score;
 use crate::table::Table;
 
 pub use crate::answered::Answered;
-pub use crate::judge::{RankedGalleries, encoder_retrieval};
 
 /// Scores, and facts about the encoders used to measure them.
 #[derive(Clone, Debug)]
@@ -36,7 +35,7 @@ impl Scores {
     /// Scores every system.
     ///
     /// # Errors
-    /// As [`score_and_compare`].
+    /// As [`score`].
     pub fn of(
         answered: &Answered,
         evaluators: Evaluators<'_>,
@@ -44,7 +43,7 @@ impl Scores {
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
         let encoder = evaluators.encoder;
-        let (rows, comparisons) = score_and_compare(answered, evaluators, protocol, progress)?;
+        let (rows, comparisons) = score(answered, evaluators, protocol, progress)?;
         Ok(Self {
             rows,
             comparisons,
@@ -88,44 +87,5 @@ impl Scores {
             .collect();
         let plan = plan_hash("scores", &values);
         Ok(commit_rows(out, &self.rows, None, skeleton, &plan, holder)?)
-    }
-}
-
-/// Edits of two systems of the same items.
-#[derive(Debug)]
-pub struct Paired {
-    /// Items and edits; systems are distinguished by their names.
-    pub answered: Answered,
-    /// Names of the two systems.
-    pub names: [String; 2],
-}
-
-impl Paired {
-    /// Reads two tables of edits of the same items, of one system each.
-    ///
-    /// # Errors
-    /// As [`Answered::read`], or a table holds several systems.
-    pub fn read([a, b]: [&Path; 2]) -> Result<Self, Error> {
-        let (mut answered, first) = Answered::of_one_system(a, "A")?;
-        let (other, second) = Answered::of_one_system(b, "B")?;
-        answered.merge(a, other, b)?;
-        Ok(Self {
-            answered,
-            names: [first, second],
-        })
-    }
-
-    /// Compares the two systems item by item.
-    ///
-    /// # Errors
-    /// As [`compare`].
-    pub fn compare(
-        &self,
-        evaluators: Evaluators<'_>,
-        protocol: &Protocol,
-        progress: &dyn Progress,
-    ) -> Result<Vec<Comparison>, Error> {
-        let names = self.names.each_ref().map(String::as_str);
-        compare(&self.answered, names, evaluators, protocol, progress)
     }
 }

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::answered::Answered;
-use crate::evaluators::Evaluators;
+use crate::evaluators::{Evaluators, MotionEncoder};
 use crate::format::ABSENT;
 use crate::format::grid::Grid;
 use crate::linalg::Matrix;
@@ -96,24 +96,17 @@ pub fn compare(
 ) -> Result<Vec<Comparison>, Error> {
     protocol.check()?;
     let test_set = TestSet::new(answered, protocol)?;
-    if let Some(missing) = names
-        .into_iter()
-        .find(|name| !test_set.systems.contains_key(name))
-    {
-        return Err(Error::UnknownSystem {
-            system: missing.to_owned(),
-            known: test_set
-                .systems
-                .keys()
-                .copied()
-                .collect::<Vec<_>>()
-                .join(", "),
-        });
+    let is_missing = |name: &&str| !test_set.systems.contains_key(name);
+    if let Some(missing) = names.into_iter().find(is_missing) {
+        let known: Vec<&str> = test_set.systems.keys().copied().collect();
+        return Err(Error::Invalid(format!(
+            "there is no system {missing:?} among the edits; there are: {}",
+            known.join(", ")
+        )));
     }
     let Measured {
         sources, systems, ..
     } = measured(&test_set, evaluators, protocol, progress)?;
-    let weakness = evaluators.encoder.weakness();
     let find = |name: &str| systems.iter().find(|system| system.name == name);
     let tasks = test_set.tasks();
     progress.begin("compare", Some(tasks.len() as u64));
@@ -129,31 +122,14 @@ pub fn compare(
             });
             let resamples = Resamples::new(test_set.targets(&indices), protocol);
             let differences = differences(task, &sources, &targets, &sides, &resamples, protocol)?;
-            let Items {
-                targets: counted,
-                digest,
-                ..
-            } = test_set.counts(&indices);
             progress.advance(1);
+            let (counts, protocol) = (test_set.counts(&indices), whole_sets(protocol));
+            let encoder = evaluators.encoder;
+            let mut comparison =
+                Comparison::new(task, &counts, names, &protocol, encoder, differences);
             let raw = &targets.latents.raw;
-            let of_fid = shortage_of_fid(FID_NAME, raw.num_rows(), raw.num_cols());
-            let mut comparison = Comparison {
-                task: task.to_owned(),
-                n: indices.len(),
-                targets: counted,
-                items_digest: digest,
-                systems: names.map(str::to_owned),
-                protocol: whole_sets(protocol).name(indices.len()),
-                encoder_hash: evaluators.encoder.hash(),
-                unranked: None,
-                differences,
-                notes: of_fid
-                    .into_iter()
-                    .chain(shortage_of_targets(counted))
-                    .collect(),
-            };
-            if let Some(weakness) = &weakness {
-                comparison.rank_nothing(weakness);
+            if let Some(note) = shortage_of_fid(FID_NAME, raw.num_rows(), raw.num_cols()) {
+                comparison.notes.insert(0, note);
             }
             Ok(comparison)
         })
@@ -360,11 +336,32 @@ impl Difference {
 }
 
 impl Comparison {
-    /// Calls no system better, because the encoder is too weak to judge.
-    pub(crate) fn rank_nothing(&mut self, weakness: &str) {
-        self.unranked = Some(weakness.to_owned());
-        for difference in &mut self.differences {
-            difference.better = None;
+    /// A comparison by an encoder; if it is too weak to judge, no system is called better.
+    pub(crate) fn new(
+        task: &str,
+        counts: &Items,
+        systems: [&str; 2],
+        protocol: &Protocol,
+        encoder: &dyn MotionEncoder,
+        mut differences: Vec<Difference>,
+    ) -> Self {
+        let unranked = encoder.weakness();
+        if unranked.is_some() {
+            for difference in &mut differences {
+                difference.better = None;
+            }
+        }
+        Self {
+            task: task.to_owned(),
+            n: counts.count as usize,
+            targets: counts.targets,
+            items_digest: counts.digest.clone(),
+            systems: systems.map(str::to_owned),
+            protocol: protocol.name(counts.count as usize),
+            encoder_hash: encoder.hash(),
+            unranked,
+            differences,
+            notes: shortage_of_targets(counts.targets).into_iter().collect(),
         }
     }
 
@@ -544,7 +541,7 @@ mod tests {
             "ours against Identity: R@1 +24.00 shows nothing; no two agree, so nothing is claimed."
         );
         let mut weak = compared(10, &ALL_FOUR);
-        weak.rank_nothing("it guesses");
+        weak.unranked = Some("it guesses".to_owned());
         assert_eq!(weak.claim(), None);
         assert_eq!(compared(10, &[]).claim(), None);
     }

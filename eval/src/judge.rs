@@ -2,8 +2,8 @@
 //!
 //! An encoder may not rank if it has no report, or if the lower bound of its R@3 on held-out real motion is below
 //! [`CHANCE_FACTOR`] times chance. A set of items may not be ranked if the encoder cannot distinguish its targets from
-//! its sources: the lower bound of the paired difference in [`E2T_RECALL_1`] between real data and the identity editor
-//! is not above 0.
+//! its sources: the lower bound of the paired difference in E2T R@1 between real data and the identity editor is not
+//! above 0.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -17,6 +17,7 @@ use crate::Error;
 use crate::evaluators::MotionEncoder;
 use crate::linalg::Matrix;
 use crate::metric::cross_retrieval::{CrossRanks, cross_ranks};
+use crate::metric::interval::mean_of_known;
 use crate::metric::retrieval::{E2T_RECALL_1, RECALL_AT, unit_rows};
 use crate::names::IDENTITY;
 use crate::protocol::Protocol;
@@ -58,21 +59,21 @@ pub struct JudgeReport {
     /// Number of random divisions of all clips into galleries.
     pub repeats: usize,
     /// Texts are the queries, motions the gallery.
-    pub text_to_motion: Recalls,
+    pub text_to_motion: Recalls<Bounded>,
     /// Motions are the queries, texts the gallery.
-    pub motion_to_text: Recalls,
-    /// Recall of a random order.
-    pub chance: Chance,
+    pub motion_to_text: Recalls<Bounded>,
+    /// Recall of a random order, given how many clips of each gallery share a text.
+    pub chance: Recalls<f64>,
 }
 
 /// Recall in percent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Recalls {
+pub struct Recalls<T> {
     /// Share of queries whose first result is a hit.
-    pub r1: Bounded,
+    pub r1: T,
     /// Share of queries with a hit among the first three results.
-    pub r3: Bounded,
+    pub r3: T,
 }
 
 /// A share with the lower end of its 95 % bootstrap interval.
@@ -83,16 +84,6 @@ pub struct Bounded {
     pub mean: f64,
     /// 2.5 % quantile over bootstrap draws of the texts.
     pub lower: f64,
-}
-
-/// Recall of a random order in percent, given how many clips of each gallery share a text.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Chance {
-    /// R@1.
-    pub r1: f64,
-    /// R@3.
-    pub r3: f64,
 }
 
 /// Identity of the encoder and data of a report.
@@ -166,7 +157,7 @@ impl JudgeReport {
             repeats: protocol.repeats,
             text_to_motion,
             motion_to_text,
-            chance: Chance { r1, r3 },
+            chance: Recalls { r1, r3 },
         })
     }
 
@@ -197,7 +188,7 @@ impl JudgeReport {
             }
             _ => String::new(),
         };
-        let side = |name: &str, recalls: &Recalls| {
+        let side = |name: &str, recalls: &Recalls<Bounded>| {
             let of = |found: Bounded, chance: f64| {
                 format!(
                     "{:.1} % (at least {:.1}, chance {chance:.1})",
@@ -295,14 +286,11 @@ impl Queries {
     }
 
     fn means(&self) -> [f64; RECALL_CUTS.len()] {
-        self.percent().map(|values| {
-            let known = values.iter().filter(|value| value.is_finite());
-            let (sum, count) = known.fold((0.0, 0.0), |(sum, n), value| (sum + value, n + 1.0));
-            sum / count
-        })
+        self.percent()
+            .map(|values| mean_of_known(&values).unwrap_or(f64::NAN))
     }
 
-    fn recalls(&self, resamples: &Resamples) -> Recalls {
+    fn recalls(&self, resamples: &Resamples) -> Recalls<Bounded> {
         let means = self.means();
         let lower = self
             .percent()
@@ -379,6 +367,18 @@ impl Judge {
     }
 }
 
+/// Task, protocol, encoder and items of a score. Scores for which they are equal belong to one table.
+pub(crate) type TableOf<'a> = (&'a str, &'a str, &'a str, &'a str);
+
+pub(crate) fn table_of(row: &ScoreRow) -> TableOf<'_> {
+    (
+        &row.task,
+        &row.protocol,
+        &row.encoder_hash,
+        &row.items_digest,
+    )
+}
+
 /// Why a table cannot rank systems, as a sentence; none if it can. The table holds the scores with the task, protocol,
 /// encoder and items of `first`.
 pub(crate) fn unranked<'a>(
@@ -396,19 +396,7 @@ pub(crate) fn unranked<'a>(
         ));
     }
     let is_of = |row: &&ScoreRow| {
-        row.system == IDENTITY
-            && row.metric == TOLD_APART
-            && (
-                &row.task,
-                &row.protocol,
-                &row.encoder_hash,
-                &row.items_digest,
-            ) == (
-                &first.task,
-                &first.protocol,
-                &first.encoder_hash,
-                &first.items_digest,
-            )
+        row.system == IDENTITY && row.metric == TOLD_APART && table_of(row) == table_of(first)
     };
     let told = rows.into_iter().find(is_of)?;
     let lower = told.mean - told.ci95.unwrap_or(0.0);

@@ -7,18 +7,15 @@
 //! [`best_edit`] chooses the first edit of a report; [`figure`] holds the points and drawings of ablations. [`rows`]
 //! reads motions on demand, so memory does not grow with their number.
 //!
-//! Start at [`score::score`] and [`protocol::Protocol`].
+//! Start at [`answers::Scores::of`] and [`protocol::Protocol`].
 //!
 //! ```
-//! use std::collections::BTreeMap;
-//!
 //! use datasets_spec::record::ItemRow;
 //! use datasets_spec::{Fps, Motion, MotionId, NoProgress, Pose, Skeleton, Split};
-//! use eval::answers::Answered;
+//! use eval::answers::{Answered, Scores};
 //! use eval::evaluators::{Evaluators, MotionEncoder};
 //! use eval::metric::{Part, of_part};
 //! use eval::protocol::Protocol;
-//! use eval::score::score;
 //! use eval::table::Table;
 //! use eval::{EncoderError, format};
 //!
@@ -71,8 +68,8 @@
 //!     classifier: None,
 //!     skeleton: &answered.skeleton,
 //! };
-//! let scores = score(&answered, evaluators, &Protocol::default(), &NoProgress)?;
-//! let tables = Table::from_scores(&scores, &BTreeMap::new(), &of_part(Part::Paper));
+//! let scores = Scores::of(&answered, evaluators, &Protocol::default(), &NoProgress)?;
+//! let tables = Table::from_scores(&scores.rows, &scores.judges, &of_part(Part::Paper));
 //! println!("{}", format::text::render(&tables));
 //! assert!(tables[0].rows.iter().any(|row| row.system == "Identity"));
 //! # Ok::<(), Box<dyn std::error::Error>>(())

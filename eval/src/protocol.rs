@@ -185,16 +185,11 @@ impl Protocol {
     /// # Errors
     /// There are no repeats, no Diversity pairs, or galleries of fewer than two items.
     pub fn check(&self) -> Result<(), Error> {
-        let at_least = |field, needed, found| {
-            if found < needed {
-                Err(Error::Protocol {
-                    field,
-                    needed,
-                    found,
-                })
-            } else {
-                Ok(())
-            }
+        let at_least = |field: &str, needed: usize, found: usize| match found < needed {
+            true => Err(Error::Invalid(format!(
+                "protocol: {field} must be at least {needed}, got {found}"
+            ))),
+            false => Ok(()),
         };
         at_least("repeats", 1, self.repeats)?;
         at_least("diversity_pairs", 1, self.diversity_pairs)?;
@@ -284,9 +279,15 @@ impl Protocol {
 
     /// Number of items in a gallery, and in all galleries of a repeat together.
     pub fn gallery_sizes(&self, num_items: usize) -> (usize, usize) {
+        let size = self.batch(num_items).unwrap_or(num_items);
+        (size, num_items / size.max(1) * size)
+    }
+
+    /// Number of items in a batch; none if one gallery holds all items.
+    fn batch(&self, num_items: usize) -> Option<usize> {
         match self.gallery {
-            Gallery::Batches(size) if num_items >= size => (size, num_items / size * size),
-            Gallery::Full | Gallery::Batches(_) => (num_items, num_items),
+            Gallery::Batches(size) if num_items >= size => Some(size),
+            Gallery::Full | Gallery::Batches(_) => None,
         }
     }
 
@@ -299,10 +300,10 @@ impl Protocol {
             return Ok((0..num_items).collect());
         };
         if num_items < limit.items {
-            return Err(Error::Limit {
-                asked: limit.items,
-                found: num_items,
-            });
+            return Err(Error::Invalid(format!(
+                "{} items are to be scored, and there are {num_items}; ask for fewer or leave the limit out",
+                limit.items
+            )));
         }
         let mut rng = limit.seed.rng(&["eval", "limit"]);
         let mut kept = draw_without_replacement(num_items, limit.items, &mut rng);
@@ -312,24 +313,19 @@ impl Protocol {
 
     /// The galleries of a repeat, as positions of items.
     pub fn galleries(&self, num_items: usize, repeat: usize) -> Vec<Vec<usize>> {
-        match self.gallery {
-            Gallery::Batches(size) if num_items >= size => {
-                let order = draw_without_replacement(
-                    num_items,
-                    num_items,
-                    &mut self.rng("gallery", repeat),
-                );
-                order.chunks_exact(size).map(<[usize]>::to_vec).collect()
-            }
-            Gallery::Full | Gallery::Batches(_) => vec![(0..num_items).collect()],
-        }
+        let Some(size) = self.batch(num_items) else {
+            return vec![(0..num_items).collect()];
+        };
+        let mut rng = self.rng("gallery", repeat);
+        let order = draw_without_replacement(num_items, num_items, &mut rng);
+        order.chunks_exact(size).map(<[usize]>::to_vec).collect()
     }
 
     /// Number of repeats with different galleries: one if a gallery holds all items.
     pub fn distinct_galleries(&self, num_items: usize) -> usize {
-        match self.gallery {
-            Gallery::Batches(size) if num_items > size => self.repeats,
-            Gallery::Full | Gallery::Batches(_) => 1,
+        match self.batch(num_items) {
+            Some(size) if num_items > size => self.repeats,
+            _ => 1,
         }
     }
 

@@ -1,20 +1,16 @@
 //! Result tables in the shape of the paper's Table 1.
 
-use std::collections::BTreeMap;
-
 use datasets_spec::record::ScoreRow;
 
-use crate::judge::{Judges, unranked};
-use crate::metric::{self, Metric};
+use crate::judge::{Judges, table_of, unranked};
+use crate::metric::{self, Column, Metric};
 use crate::names::{GIVEN, NOVELTIES, place_of_task};
 
-mod column;
 pub(crate) mod notes;
 mod ranking;
 
-use ranking::{Key, key};
+use ranking::distinct;
 
-pub use column::Column;
 pub(crate) use ranking::{Standing, standings};
 
 /// A result table: the scores of one task with one protocol and one encoder.
@@ -35,8 +31,6 @@ pub struct Table {
     pub items: Items,
     /// Number of repeats.
     pub repeats: u32,
-    /// Width of a latent.
-    pub latent_width: u32,
     /// The columns.
     pub columns: Vec<Column>,
     /// The rows: real data, identity editor, noise floor if there is one, then the systems.
@@ -56,8 +50,6 @@ pub struct Items {
     pub sources: u32,
     /// Number of distinct instructions.
     pub instructions: u32,
-    /// Number of items on each side of a Fréchet distance.
-    pub fid: u32,
     /// Number of items of each novelty in words, such as `100 retake, 50 action`; empty if not known.
     pub novelty: String,
     /// Digest of the sorted item ids.
@@ -113,18 +105,15 @@ impl Table {
         judges: &Judges,
         metrics: &[&'static Metric],
     ) -> Vec<Self> {
-        let mut keys: Vec<Key<'_>> = Vec::new();
-        for row in scores {
-            let key = key(row);
-            if !keys.contains(&key) {
-                keys.push(key);
-            }
-        }
+        let mut keys = distinct(scores.iter().map(table_of), |&key| key);
         // The sort is stable, so tasks stay together even if two runs were joined.
         keys.sort_by_key(|(task, ..)| (place_of_task(task), *task));
         keys.into_iter()
             .filter_map(|wanted| {
-                let rows: Vec<&ScoreRow> = scores.iter().filter(|row| key(row) == wanted).collect();
+                let rows: Vec<&ScoreRow> = scores
+                    .iter()
+                    .filter(|row| table_of(row) == wanted)
+                    .collect();
                 Self::of_group(&rows, judges, metrics)
             })
             .collect()
@@ -138,18 +127,15 @@ impl Table {
         let first = scores.first()?;
         let unranked = unranked(first, scores.iter().copied(), judges);
         let standings = ranking::of_table(scores);
-        let found = Found::of(scores, &standings, unranked.is_none());
         let columns: Vec<Column> = metrics
             .iter()
-            .filter(|metric| found.cells.keys().any(|(_, known)| known == *metric))
-            .map(|&metric| Column {
-                metric,
-                better: (metric.better)(&first.task),
-            })
+            .filter(|metric| scores.iter().any(|row| row.metric == metric.name))
+            .map(|&metric| Column::of(metric, &first.task))
             .collect();
         if columns.is_empty() {
             return None;
         }
+        let ranked = unranked.is_none().then_some(&standings[..]);
         let mut table = Self {
             task: first.task.clone(),
             protocol: first.protocol.clone(),
@@ -158,25 +144,22 @@ impl Table {
                 .get(&first.encoder_hash)
                 .map(|judge| judge.recipe.clone())
                 .unwrap_or_default(),
-            unranked,
             items: Items {
                 count: first.n,
                 targets: first.targets,
                 sources: first.sources,
                 instructions: first.instructions,
-                fid: first.fid_items,
                 novelty: first.novelty.clone(),
                 digest: first.items_digest.clone(),
             },
             repeats: first.repeats,
-            latent_width: first.latent_width,
-            rows: found.rows(&columns),
+            rows: rows(scores, ranked, &columns),
+            notes: ranked.map_or_else(Vec::new, |ranked| {
+                notes::of_ranking(scores, ranked, &columns)
+            }),
             columns,
-            notes: Vec::new(),
+            unranked,
         };
-        if table.unranked.is_none() {
-            table.notes = notes::of_ranking(scores, &standings, &table.columns);
-        }
         table.notes.extend(table.note_of_novelty());
         table.notes.extend(notes::of_shortages(first, metrics));
         Some(table)
@@ -251,60 +234,42 @@ impl Table {
     }
 }
 
-/// Systems and conditions, collected from the scores of a table.
-struct Found<'a> {
-    /// Names of the systems: reference rows first, then the others in the order of their scores.
-    names: Vec<&'a str>,
-    takes: BTreeMap<&'a str, u32>,
-    cells: BTreeMap<(&'a str, &'static Metric), Cell>,
-}
-
-impl<'a> Found<'a> {
-    /// Skips scores of unknown metrics, and marks no best value unless `ranks` is set.
-    fn of(scores: &[&'a ScoreRow], standings: &[Standing], ranks: bool) -> Self {
-        let mut names: Vec<&str> = Vec::new();
-        let mut takes = BTreeMap::new();
-        let mut cells = BTreeMap::new();
-        for (row, standing) in scores.iter().copied().zip(standings) {
-            let Some(metric) = metric::from_name(&row.metric) else {
-                continue;
-            };
-            let system = row.system.as_str();
-            if !names.contains(&system) {
-                names.push(system);
-            }
-            takes.insert(system, row.takes);
-            let cell = Cell {
-                mean: row.mean,
-                ci95: row.ci95,
-                best: standing.best && ranks,
-            };
-            cells.insert((system, metric), cell);
-        }
-        names.sort_by_key(|name| {
-            let place = GIVEN.iter().position(|given| given == name);
-            place.unwrap_or(GIVEN.len())
-        });
-        Self {
-            names,
-            takes,
-            cells,
-        }
-    }
-
-    fn rows(&self, columns: &[Column]) -> Vec<Row> {
-        let cell = |name: &'a str, column: &Column| self.cells.get(&(name, column.metric)).copied();
-        self.names
+/// The rows of a table: reference rows first, then the other systems in the order of their scores. Scores of unknown
+/// metrics are skipped. No value is marked as best without standings.
+fn rows(scores: &[&ScoreRow], standings: Option<&[Standing]>, columns: &[Column]) -> Vec<Row> {
+    let is_known = |place: &usize| metric::from_name(&scores[*place].metric).is_some();
+    let known: Vec<usize> = (0..scores.len()).filter(is_known).collect();
+    let systems = known.iter().map(|&place| scores[place].system.as_str());
+    let mut systems = distinct(systems, |&system| system);
+    systems.sort_by_key(|system| {
+        let place = GIVEN.iter().position(|given| given == system);
+        place.unwrap_or(GIVEN.len())
+    });
+    let row = |system: &str| {
+        let own = known
             .iter()
-            .map(|&name| Row {
-                system: name.to_owned(),
-                baseline: GIVEN.contains(&name),
-                published: false,
-                takes: self.takes.get(name).copied().unwrap_or(0),
-                cells: columns.iter().map(|column| cell(name, column)).collect(),
+            .filter(|&&place| scores[place].system == system);
+        let cell = |column: &Column| {
+            let mut places = own.clone();
+            let place = *places.rfind(|&&place| scores[place].metric == column.metric.name)?;
+            Some(Cell {
+                mean: scores[place].mean,
+                ci95: scores[place].ci95,
+                best: standings.is_some_and(|standings| standings[place].best),
             })
-            .collect()
-    }
+        };
+        Row {
+            system: system.to_owned(),
+            baseline: GIVEN.contains(&system),
+            published: false,
+            takes: own
+                .clone()
+                .next_back()
+                .map_or(0, |&place| scores[place].takes),
+            cells: columns.iter().map(cell).collect(),
+        }
+    };
+    systems.into_iter().map(row).collect()
 }
 
 /// Whether a row is a system that was measured here.
@@ -314,17 +279,16 @@ fn competes(row: &Row) -> bool {
 
 /// Notes about values left out because of too few items, one sentence for each task and metric.
 pub fn shortages(scores: &[ScoreRow]) -> Vec<String> {
-    let mut known: Vec<Key<'_>> = Vec::new();
-    let mut found = Vec::new();
-    for row in scores {
-        if known.contains(&key(row)) {
-            continue;
-        }
-        known.push(key(row));
-        let of_table = notes::of_shortages(row, metric::ALL).into_iter();
-        found.extend(of_table.map(|sentence| format!("{}: {sentence}", row.task)));
-    }
-    found
+    let of_table = |row: &ScoreRow| -> Vec<String> {
+        let sentences = notes::of_shortages(row, metric::ALL).into_iter();
+        sentences
+            .map(|sentence| format!("{}: {sentence}", row.task))
+            .collect()
+    };
+    distinct(scores.iter(), |&row| table_of(row))
+        .into_iter()
+        .flat_map(of_table)
+        .collect()
 }
 
 fn counted(count: u32, what: &str) -> String {

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use clap::ValueEnum as _;
 use datasets_spec::{Seed, Split};
-use eval::answers::{Answered, Paired, Scores};
+use eval::answers::{Answered, Scores};
+use eval::compare::compare;
 use eval::format;
 use eval::metric::cross_retrieval::CrossRetrieval;
 use eval::metric::interval::Interval;
@@ -428,9 +429,10 @@ fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
     let protocol = args.measure.protocol(None, global);
     let runs = args.measure.runs()?;
-    let paired = Paired::read([&args.a, &args.b])?;
-    let comparisons = runs.with(&paired.answered.skeleton, |evaluators| {
-        paired.compare(evaluators, &protocol, &global.bars())
+    let (answered, names) = Answered::read_pair([&args.a, &args.b])?;
+    let names = names.each_ref().map(String::as_str);
+    let comparisons = runs.with(&answered.skeleton, |evaluators| {
+        compare(&answered, names, evaluators, &protocol, &global.bars())
     })?;
     let unranked = comparisons.iter().find_map(|found| found.unranked.clone());
     let exit = args.measure.weak_judge.exit(unranked, Exit::Done);

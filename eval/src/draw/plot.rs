@@ -83,9 +83,7 @@ pub fn heat_map(map: &HeatMap) -> String {
         columns.len() * rows.len(),
         "a value for every pair"
     );
-    let mut svg = String::new();
-    open(&mut svg, SIZE.x, SIZE.y, &map.title);
-    heading(&mut svg, &map.title);
+    let mut svg = begin(SIZE, &map.title);
     let Some((low, high)) = extent(map.values.iter().copied().filter(|v| v.is_finite())) else {
         return without_values(svg);
     };
@@ -106,14 +104,8 @@ pub fn heat_map(map: &HeatMap) -> String {
                 0.5
             };
             let corner = start + cell * DVec2::new(column as f64, row as f64);
-            svg.push_str(&format!(
-                r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="3" fill="{}"/>"#,
-                corner.x + 1.5,
-                corner.y + 1.5,
-                cell.x - 3.0,
-                cell.y - 3.0,
-                COLD.towards(HOT, share).hex(),
-            ));
+            let style = format!(r#"rx="3" fill="{}""#, COLD.towards(HOT, share).hex());
+            rect(&mut svg, corner + 1.5, cell - 3.0, &style);
             let at = DVec2::new(corner.x + cell.x / 2.0, middle + 4.0);
             let shown = format!("{value:.2}");
             text(&mut svg, at, "middle", 12.0, r##"fill="#1D1F23""##, &shown);
@@ -124,11 +116,7 @@ pub fn heat_map(map: &HeatMap) -> String {
         text(&mut svg, at, "middle", 11.0, FAINT, label);
     }
     axis_label(&mut svg, SIZE, &map.x.0);
-    side_label(
-        &mut svg,
-        DVec2::new(14.0, f64::midpoint(start.y, end.y)),
-        &map.y.0,
-    );
+    side_label(&mut svg, 14.0, [start.y, end.y], &map.y.0);
     svg.push_str("</svg>");
     svg
 }
@@ -198,22 +186,30 @@ pub fn bar_chart(chart: &Bars) -> String {
         .map(|(_, value)| *value)
         .filter(|value| value.is_finite())
         .fold(0.0, f64::max);
-    let mut svg = String::new();
     if highest == 0.0 {
-        open(&mut svg, SIZE.x, SIZE.y, &chart.title);
-        heading(&mut svg, &chart.title);
-        return without_values(svg);
+        return without_values(begin(SIZE, &chart.title));
     }
     let longest = bars.iter().map(|(label, _)| label.chars().count()).max();
     let label_width = LEGEND_CHAR * longest.unwrap_or(0) as f64;
     let slot = (SIZE.x - MARGIN_START.x - MARGIN_END.x) / bars.len() as f64;
-    if label_width + LEGEND_CHAR <= slot {
-        standing_bars(&mut svg, chart, highest, slot);
-    } else {
-        lying_bars(&mut svg, chart, highest, label_width);
-    }
-    svg.push_str("</svg>");
-    svg
+    let svg = match label_width + LEGEND_CHAR <= slot {
+        true => standing_bars(chart, highest, slot),
+        false => lying_bars(chart, highest, label_width),
+    };
+    svg + "</svg>"
+}
+
+/// Adds a rectangle; `attributes` are written as given.
+fn rect(svg: &mut String, corner: DVec2, size: DVec2, attributes: &str) {
+    svg.push_str(&format!(
+        r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" {attributes}/>"#,
+        corner.x, corner.y, size.x, size.y
+    ));
+}
+
+fn bar(svg: &mut String, corner: DVec2, size: DVec2) {
+    let style = format!(r#"rx="1.5" fill="{}" fill-opacity="0.85""#, colour(0));
+    rect(svg, corner, size, &style);
 }
 
 /// The height of a bar; NaN has height 0.
@@ -225,40 +221,34 @@ fn bar_height(value: f64) -> f64 {
     }
 }
 
-fn standing_bars(svg: &mut String, chart: &Bars, highest: f64, slot: f64) {
-    open(svg, SIZE.x, SIZE.y, &chart.title);
-    heading(svg, &chart.title);
+fn standing_bars(chart: &Bars, highest: f64, slot: f64) -> String {
+    let mut svg = begin(SIZE, &chart.title);
     let (start, end) = (MARGIN_START, SIZE - MARGIN_END);
     let ticks = linear_ticks(0.0, highest);
     let top = ticks.last().copied().unwrap_or(highest).max(highest);
     let y_of = |value: f64| end.y - (end.y - start.y) * value / top;
     for tick in ticks {
-        grid_line(svg, start.x, end.x, y_of(tick), tick);
+        grid_line(&mut svg, start.x, end.x, y_of(tick), tick);
     }
     for (index, (label, value)) in chart.bars.iter().enumerate() {
         let left = start.x + slot * index as f64;
         let y = y_of(bar_height(*value));
-        svg.push_str(&format!(
-            r#"<rect x="{:.1}" y="{y:.1}" width="{:.1}" height="{:.1}" rx="1.5" fill="{}" fill-opacity="0.85"/>"#,
-            left + 0.1 * slot,
-            0.8 * slot,
-            end.y - y,
-            colour(0)
-        ));
+        let corner = DVec2::new(left + 0.1 * slot, y);
+        bar(&mut svg, corner, DVec2::new(0.8 * slot, end.y - y));
         let at = DVec2::new(left + slot / 2.0, end.y + 16.0);
-        text(svg, at, "middle", 11.0, FAINT, label);
+        text(&mut svg, at, "middle", 11.0, FAINT, label);
     }
-    axis_label(svg, SIZE, &chart.x_label);
+    axis_label(&mut svg, SIZE, &chart.x_label);
+    svg
 }
 
 /// Distance of horizontal bars in pixels.
 const BAR_ROW: f64 = 15.0;
 
-fn lying_bars(svg: &mut String, chart: &Bars, highest: f64, label_width: f64) {
+fn lying_bars(chart: &Bars, highest: f64, label_width: f64) -> String {
     let height = MARGIN_START.y + BAR_ROW * chart.bars.len() as f64 + MARGIN_END.y;
     let size = DVec2::new(SIZE.x.max(2.0 * label_width), height);
-    open(svg, size.x, size.y, &chart.title);
-    heading(svg, &chart.title);
+    let mut svg = begin(size, &chart.title);
     let start = DVec2::new(label_width + 24.0, MARGIN_START.y);
     let end = size - MARGIN_END;
     let ticks = linear_ticks(0.0, highest);
@@ -266,28 +256,21 @@ fn lying_bars(svg: &mut String, chart: &Bars, highest: f64, label_width: f64) {
     let x_of = |value: f64| start.x + (end.x - start.x) * value / far;
     for tick in ticks {
         let x = x_of(tick);
-        line(svg, DVec2::new(x, start.y), DVec2::new(x, end.y));
+        line(&mut svg, DVec2::new(x, start.y), DVec2::new(x, end.y));
         let at = DVec2::new(x, end.y + 16.0);
-        text(svg, at, "middle", 11.0, FAINT, &tick_text(tick, tick.abs()));
+        let label = tick_text(tick, tick.abs());
+        text(&mut svg, at, "middle", 11.0, FAINT, &label);
     }
     for (index, (label, value)) in chart.bars.iter().enumerate() {
         let top = start.y + BAR_ROW * index as f64;
-        svg.push_str(&format!(
-            r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="1.5" fill="{}" fill-opacity="0.85"/>"#,
-            start.x,
-            top + 0.1 * BAR_ROW,
-            x_of(bar_height(*value)) - start.x,
-            0.8 * BAR_ROW,
-            colour(0)
-        ));
+        let corner = DVec2::new(start.x, top + 0.1 * BAR_ROW);
+        let width = x_of(bar_height(*value)) - start.x;
+        bar(&mut svg, corner, DVec2::new(width, 0.8 * BAR_ROW));
         let at = DVec2::new(start.x - 8.0, top + 0.75 * BAR_ROW);
-        text(svg, at, "end", 11.0, FAINT, label);
+        text(&mut svg, at, "end", 11.0, FAINT, label);
     }
-    side_label(
-        svg,
-        DVec2::new(12.0, f64::midpoint(start.y, end.y)),
-        &chart.x_label,
-    );
+    side_label(&mut svg, 12.0, [start.y, end.y], &chart.x_label);
+    svg
 }
 
 /// A histogram with bins of equal, round width, labelled by their lower ends; values that are not
@@ -320,6 +303,14 @@ fn colour(index: usize) -> &'static str {
     COLOURS[index % COLOURS.len()]
 }
 
+/// Opens a drawing with its title as heading.
+fn begin(size: DVec2, title: &str) -> String {
+    let mut svg = String::new();
+    open(&mut svg, size.x, size.y, title);
+    heading(&mut svg, title);
+    svg
+}
+
 fn heading(svg: &mut String, title: &str) {
     if !title.is_empty() {
         let at = DVec2::new(MARGIN_START.x, HEADING_Y);
@@ -332,8 +323,9 @@ fn axis_label(svg: &mut String, size: DVec2, label: &str) {
     text(svg, at, "middle", 12.0, FAINT, label);
 }
 
-/// A label turned by 90 degrees, read upwards, centred on `middle`.
-fn side_label(svg: &mut String, middle: DVec2, label: &str) {
+/// A label turned by 90 degrees, read upwards, in the middle between two heights.
+fn side_label(svg: &mut String, x: f64, [top, bottom]: [f64; 2], label: &str) {
+    let middle = DVec2::new(x, f64::midpoint(top, bottom));
     let turned = format!(
         r#"{FAINT} transform="rotate(-90 {} {:.1})""#,
         middle.x, middle.y
@@ -462,11 +454,7 @@ impl Axes {
             text(svg, at, "middle", 11.0, FAINT, &label);
         }
         axis_label(svg, SIZE, &plot.x_label);
-        side_label(
-            svg,
-            DVec2::new(14.0, f64::midpoint(start.y, end.y)),
-            &plot.y_label,
-        );
+        side_label(svg, 14.0, [start.y, end.y], &plot.y_label);
     }
 
     /// Draws the intervals of a curve and a dot at each point, if the curve has intervals.

@@ -119,33 +119,25 @@ struct Limb {
     width_m: f64,
 }
 
+const fn limb(chains: &'static [&'static [usize]], left: bool, width_m: f64) -> Limb {
+    Limb {
+        chains,
+        left,
+        width_m,
+    }
+}
+
 /// The trunk comes first, and the head is drawn with it.
 const LIMBS: [Limb; 5] = [
-    Limb {
-        chains: &[&[0, 3, 6, 9, 12, 15], &[16, 13, 9, 14, 17], &[1, 0, 2]],
-        left: false,
-        width_m: 0.06,
-    },
-    Limb {
-        chains: &[&[1, 4, 7, 10]],
-        left: true,
-        width_m: 0.068,
-    },
-    Limb {
-        chains: &[&[2, 5, 8, 11]],
-        left: false,
-        width_m: 0.068,
-    },
-    Limb {
-        chains: &[&[16, 18, 20, 24], &[20, 25]],
-        left: true,
-        width_m: 0.052,
-    },
-    Limb {
-        chains: &[&[17, 19, 21, 26], &[21, 27]],
-        left: false,
-        width_m: 0.052,
-    },
+    limb(
+        &[&[0, 3, 6, 9, 12, 15], &[16, 13, 9, 14, 17], &[1, 0, 2]],
+        false,
+        0.06,
+    ),
+    limb(&[&[1, 4, 7, 10]], true, 0.068),
+    limb(&[&[2, 5, 8, 11]], false, 0.068),
+    limb(&[&[16, 18, 20, 24], &[20, 25]], true, 0.052),
+    limb(&[&[17, 19, 21, 26], &[21, 27]], false, 0.052),
 ];
 
 /// Draws clips below each other as one SVG document.
@@ -220,36 +212,27 @@ pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String 
     let title_chars = ((width - 2.0 * MARGIN) / TITLE_CHAR) as usize;
     let title_height =
         |title: &str| TITLE_HEIGHT + LABEL_LINE * (lines(title, title_chars).len() - 1) as f64;
-    let title_heights: Vec<f64> = panels
-        .chunks(columns)
-        .map(|row| {
-            row.iter()
-                .map(|(title, _)| title_height(title))
-                .fold(0.0, f64::max)
-        })
-        .collect();
     let height_of = |svg: &str| -> f64 {
         let stated = svg.split_once("height=\"").map_or("", |(_, rest)| rest);
         let number = stated.split_once('"').map_or("", |(number, _)| number);
         number.parse().unwrap_or(0.0)
     };
-    let rows: Vec<f64> = panels
-        .chunks(columns)
-        .zip(&title_heights)
-        .map(|(row, title_height)| {
-            let tallest = row.iter().map(|(_, svg)| height_of(svg));
-            title_height + tallest.fold(0.0, f64::max)
-        })
-        .collect();
+    // The height of the titles and of the panels of each row.
+    let heights = panels.chunks(columns).map(|row| {
+        let titles = row.iter().map(|(title, _)| title_height(title));
+        let panels = row.iter().map(|(_, svg)| height_of(svg));
+        [titles.fold(0.0, f64::max), panels.fold(0.0, f64::max)]
+    });
+    let heights: Vec<[f64; 2]> = heights.collect();
     let mut svg = String::new();
     open(
         &mut svg,
         width * columns as f64,
-        rows.iter().sum(),
+        heights.iter().map(|[titles, panels]| titles + panels).sum(),
         &format!("{} motion strips", panels.len()),
     );
     let mut top = 0.0;
-    for ((row, height), title_height) in panels.chunks(columns).zip(&rows).zip(&title_heights) {
+    for (row, [title_height, panel_height]) in panels.chunks(columns).zip(heights) {
         for (column, (title, panel)) in row.iter().enumerate() {
             let left = column as f64 * width;
             for (line, title) in lines(title, title_chars).iter().enumerate() {
@@ -260,7 +243,7 @@ pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String 
             let place = format!("<svg x=\"{left}\" y=\"{}\" ", top + title_height);
             svg.push_str(&panel.replacen("<svg ", &place, 1));
         }
-        top += height;
+        top += title_height + panel_height;
     }
     svg.push_str("</svg>");
     svg

@@ -1,7 +1,9 @@
 //! Scores as comma-separated values, one line per score.
 
 use datasets_spec::record::ScoreRow;
+use serde_json::Value;
 
+use super::json::Score;
 use crate::judge::Judges;
 use crate::table::standings;
 
@@ -14,51 +16,17 @@ const HEAD: &str = "system,task,metric,protocol,encoder_hash,n,repeats,mean,ci95
 pub fn render(scores: &[ScoreRow], judges: &Judges) -> String {
     let mut text = format!("{HEAD}\n");
     for (row, standing) in scores.iter().zip(standings(scores, judges)) {
-        let ScoreRow {
-            system,
-            task,
-            metric,
-            protocol,
-            encoder_hash,
-            n,
-            repeats,
-            mean,
-            ci95,
-            takes,
-            targets,
-            sources,
-            instructions,
-            gallery,
-            ranked,
-            fid_items,
-            latent_width,
-            novelty,
-            items_digest,
-        } = row;
-        let fields = [
-            system.clone(),
-            task.clone(),
-            metric.clone(),
-            protocol.clone(),
-            encoder_hash.clone(),
-            n.to_string(),
-            repeats.to_string(),
-            mean.to_string(),
-            ci95.map_or_else(String::new, |ci95| ci95.to_string()),
-            takes.to_string(),
-            targets.to_string(),
-            sources.to_string(),
-            instructions.to_string(),
-            gallery.to_string(),
-            ranked.to_string(),
-            fid_items.to_string(),
-            latent_width.to_string(),
-            novelty.clone(),
-            items_digest.clone(),
-            standing.ranks_systems.to_string(),
-            standing.behind_identity.to_string(),
-            standing.best.to_string(),
-        ];
+        let score = serde_json::to_value(Score { row, standing }).expect("plain columns");
+        let field = |name: &str| match &score[name] {
+            Value::Null => String::new(),
+            Value::String(text) => text.clone(),
+            // JSON writes a point or an exponent that the shortest form lacks.
+            Value::Number(number) if number.is_f64() => {
+                number.as_f64().unwrap_or(f64::NAN).to_string()
+            }
+            other => other.to_string(),
+        };
+        let fields: Vec<String> = HEAD.split(',').map(field).collect();
         text += &line(&fields);
     }
     text
@@ -92,6 +60,18 @@ mod tests {
              0.1,0.001,1,29,400,61,32,512,256,64,,a1b2c3d4e5f6,true,false,true\n"
         );
         assert_eq!(render(std::slice::from_ref(&row), &Judges::new()), expected);
+        let standing = crate::table::Standing::default();
+        let score = serde_json::to_value(Score {
+            row: &row,
+            standing,
+        })
+        .expect("plain columns");
+        let fields = score.as_object().expect("an object");
+        assert_eq!(
+            HEAD.split(',').count(),
+            fields.len(),
+            "no column is left out"
+        );
         let without = ScoreRow { ci95: None, ..row };
         assert_eq!(
             render(&[without], &Judges::new()),

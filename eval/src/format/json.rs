@@ -9,11 +9,11 @@ use crate::table::{Standing, standings};
 
 /// A row of the table of scores in its JSON form.
 #[derive(Serialize)]
-struct Score<'a> {
+pub(super) struct Score<'a> {
     #[serde(flatten)]
-    row: &'a ScoreRow,
+    pub(super) row: &'a ScoreRow,
     #[serde(flatten)]
-    standing: Standing,
+    pub(super) standing: Standing,
 }
 
 /// Writes an array with one object, on its own line, for each row of the table of scores. So the document can be parsed
@@ -27,7 +27,7 @@ pub fn render(scores: &[ScoreRow], judges: &Judges) -> Result<String, Error> {
     for (index, (row, standing)) in rows.enumerate() {
         text.push_str(if index == 0 { "\n" } else { ",\n" });
         let score = Score { row, standing };
-        let line = serde_json::to_string(&score).map_err(|source| Error::Json { source })?;
+        let line = serde_json::to_string(&score)?;
         text.push_str(&line);
     }
     text.push_str("\n]\n");

@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 
 use super::{ABSENT, PUBLISHED_HEADING, RowGroup};
-use crate::table::{Cell, Column, Table};
+use crate::metric::Column;
+use crate::table::{Cell, Table};
 
 /// Assumed width of a terminal in characters.
 pub const MAX_WIDTH: usize = 160;
@@ -43,7 +44,8 @@ fn table_text(table: &Table, text: &mut String) {
         text.push('\n');
     }
     // Columns of one family, such as the four of E2S, share a heading.
-    let (families, labels): (Vec<&str>, Vec<String>) = table.columns.iter().map(heading).unzip();
+    let (families, labels): (Vec<&str>, Vec<String>) =
+        table.columns.iter().map(Column::heading).unzip();
     let columns: Vec<Vec<String>> = (0..table.columns.len())
         .map(|index| column_texts(table, index))
         .collect();
@@ -105,46 +107,21 @@ fn name_width(table: &Table, free: usize) -> usize {
     (least..whole).find(are_apart).unwrap_or(whole)
 }
 
-/// The family of a column, and the rest of its label.
-fn heading(column: &Column) -> (&'static str, String) {
-    let name = column.metric.name;
-    for family in ["E2S", "E2T"] {
-        if let Some(rest) = name.strip_prefix(family) {
-            return (
-                family,
-                format!("{} {}", rest.trim_start(), column.better.arrow()),
-            );
-        }
-    }
-    ("", column.label())
-}
-
 fn families_line(name_width: usize, families: &[&str], widths: &[usize]) -> String {
     let mut line = " ".repeat(name_width);
-    let mut index = 0;
-    while index < families.len() {
-        let count = families[index..]
-            .iter()
-            .take_while(|family| **family == families[index])
-            .count();
-        let span: usize = widths[index..index + count]
-            .iter()
-            .map(|width| width + GAP)
-            .sum::<usize>()
-            - GAP;
-        let family = families[index];
-        let filling = if family.is_empty() { " " } else { "─" };
-        let title = if family.is_empty() {
-            String::new()
-        } else {
-            format!(" {family} ")
+    let mut widths = widths.iter();
+    for columns in families.chunk_by(|a, b| a == b) {
+        let of_family = widths.by_ref().take(columns.len());
+        let span = of_family.map(|width| width + GAP).sum::<usize>() - GAP;
+        let (filling, title) = match columns[0] {
+            "" => (" ", String::new()),
+            family => ("─", format!(" {family} ")),
         };
         let free = span.saturating_sub(width(&title));
         line.push_str(&" ".repeat(GAP));
         line.push_str(&filling.repeat(free / 2));
         line.push_str(&title);
         line.push_str(&filling.repeat(free - free / 2));
-        index += count;
     }
     line
 }

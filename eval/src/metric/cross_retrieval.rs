@@ -4,23 +4,20 @@ use super::retrieval::{Retrieval, check_galleries, ranks_among_equivalents};
 use crate::Error;
 use crate::linalg::Matrix;
 
-/// Recalls and ranks of both directions of retrieval.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CrossRetrieval {
+/// Something of both directions of retrieval.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BothWays<T> {
     /// Texts are the queries, motions the gallery.
-    pub text_to_motion: Retrieval,
+    pub text_to_motion: T,
     /// Motions are the queries, texts the gallery.
-    pub motion_to_text: Retrieval,
+    pub motion_to_text: T,
 }
 
-/// Ranks, counted from zero, in each gallery.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CrossRanks {
-    /// Rank of the true motion for each text query.
-    pub text_to_motion: Vec<Vec<f64>>,
-    /// Rank of the true text for each motion query.
-    pub motion_to_text: Vec<Vec<f64>>,
-}
+/// Recalls and ranks.
+pub type CrossRetrieval = BothWays<Retrieval>;
+
+/// Ranks of the true answers in each gallery, counted from zero.
+pub type CrossRanks = BothWays<Vec<Vec<f64>>>;
 
 impl CrossRanks {
     /// The mean over the galleries.
@@ -28,13 +25,9 @@ impl CrossRanks {
     /// # Panics
     /// If there is no gallery.
     pub fn retrieval(&self) -> CrossRetrieval {
-        let mean = |galleries: &[Vec<f64>]| {
-            let parts = galleries.iter().map(|ranks| Retrieval::of_ranks(ranks));
-            Retrieval::mean(&parts.collect::<Vec<_>>())
-        };
-        CrossRetrieval {
-            text_to_motion: mean(&self.text_to_motion),
-            motion_to_text: mean(&self.motion_to_text),
+        BothWays {
+            text_to_motion: Retrieval::of_galleries(&self.text_to_motion),
+            motion_to_text: Retrieval::of_galleries(&self.motion_to_text),
         }
     }
 }
@@ -57,10 +50,7 @@ pub fn cross_ranks(
     same_text: impl Fn(usize, usize) -> bool,
 ) -> Result<CrossRanks, Error> {
     check_galleries("text-to-motion retrieval", galleries)?;
-    let mut found = CrossRanks {
-        text_to_motion: Vec::with_capacity(galleries.len()),
-        motion_to_text: Vec::with_capacity(galleries.len()),
-    };
+    let mut found = CrossRanks::default();
     for indices in galleries {
         let similarity = texts
             .select_rows(indices)

@@ -63,6 +63,37 @@ impl Better {
     }
 }
 
+/// A column of a result table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Column {
+    /// The metric.
+    pub metric: &'static Metric,
+    /// Good values of the metric for the table's task.
+    pub better: Better,
+}
+
+impl Column {
+    pub(crate) fn of(metric: &'static Metric, task: &str) -> Self {
+        let better = (metric.better)(task);
+        Self { metric, better }
+    }
+
+    /// The metric with its arrow, such as `FID ↓`.
+    pub fn label(&self) -> String {
+        format!("{} {}", self.metric, self.better.arrow())
+    }
+
+    /// The first word of the label if several columns share it, and the rest of the label. The four columns of E2S form
+    /// a family, and those of E2T.
+    pub(crate) fn heading(&self) -> (&'static str, String) {
+        let label = self.label();
+        ["E2S", "E2T"]
+            .into_iter()
+            .find_map(|family| Some((family, label.strip_prefix(family)?.trim_start().to_owned())))
+            .unwrap_or_else(|| ("", label.clone()))
+    }
+}
+
 /// Computes the value of one motion.
 pub type MotionMeasure = fn(&MotionSample<'_>) -> Option<f64>;
 
@@ -239,52 +270,50 @@ impl fmt::Display for Metric {
 }
 
 /// Refuses rows that contain NaN or infinity, which would spread through a metric unnoticed.
-pub(super) fn check_finite(metric: &'static str, rows: &Matrix) -> Result<(), Error> {
+pub(super) fn check_finite(metric: &str, rows: &Matrix) -> Result<(), Error> {
     match rows
         .rows()
         .position(|row| row.iter().any(|value| !value.is_finite()))
     {
-        Some(row) => Err(Error::NotFinite { metric, row }),
+        Some(row) => Err(not_finite(metric, row)),
         None => Ok(()),
     }
 }
 
+pub(super) fn not_finite(metric: &str, row: usize) -> Error {
+    Error::Invalid(format!("{metric}: row {row} is not finite"))
+}
+
 /// Refuses fewer rows than the metric needs.
-pub(super) fn check_count(metric: &'static str, found: usize, needed: usize) -> Result<(), Error> {
+pub(super) fn check_count(metric: &str, found: usize, needed: usize) -> Result<(), Error> {
     match found < needed {
-        true => Err(Error::TooFewRows {
-            metric,
-            needed,
-            found,
-        }),
+        true => Err(Error::Invalid(format!(
+            "{metric} needs at least {needed} rows, got {found}"
+        ))),
         false => Ok(()),
     }
 }
 
 /// Refuses two sizes that differ.
 pub(super) fn check_size(
-    metric: &'static str,
-    what: &'static str,
+    metric: &str,
+    what: &str,
     found: usize,
     expected: usize,
 ) -> Result<(), Error> {
-    if found == expected {
-        Ok(())
-    } else {
-        Err(Error::Size {
-            metric,
-            what,
-            found,
-            expected,
-        })
+    match found == expected {
+        true => Ok(()),
+        false => Err(Error::Invalid(format!(
+            "{metric}: {what} is {found}, expected {expected}"
+        ))),
     }
 }
 
 /// The Euclidean distance of two latents.
 pub(super) fn distance(a: &[f64], b: &[f64]) -> f64 {
-    a.iter()
-        .zip(b)
-        .map(|(a, b)| (a - b) * (a - b))
-        .sum::<f64>()
-        .sqrt()
+    squared_distance(a, b).sqrt()
+}
+
+pub(super) fn squared_distance(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }

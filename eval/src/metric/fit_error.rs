@@ -5,8 +5,7 @@ use super::definition::{Better, Measure, Metric, Part};
 /// Centimetres in a metre.
 const CM_PER_M: f64 = 100.0;
 
-/// Mean distance between generated keypoints and the body fitted to them, in centimetres.
-pub static FIT_ERROR: Metric = Metric {
+pub(crate) static FIT_ERROR: Metric = Metric {
     name: "Fit error (cm)",
     about: "mean distance of generated keypoints from the body fitted to them",
     part: Part::Further,
@@ -15,8 +14,7 @@ pub static FIT_ERROR: Metric = Metric {
     measure: Measure::Motion(|sample| Some(CM_PER_M * f64::from(sample.edit?.fit_error_m?))),
 };
 
-/// Mean difference between the lengths of generated bones and of the body's bones, in centimetres.
-pub static BONE_DRIFT: Metric = Metric {
+pub(crate) static BONE_DRIFT: Metric = Metric {
     name: "Bone drift (cm)",
     about: "mean difference between the lengths of generated bones and of the fitted body's bones",
     part: Part::Further,

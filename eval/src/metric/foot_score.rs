@@ -48,22 +48,13 @@ fn feet(keypoints: &[KeypointFrame]) -> Vec<Feet> {
         .collect()
 }
 
-/// Penalties of one frame: excess speed of the slowest foot joint, and excess distance of the lowest one from the
-/// floor.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Contact {
-    /// Speed above the threshold in m/s.
-    pub excess_speed: f64,
-    /// Distance from the floor, above or below it, in excess of the threshold, in metres.
-    pub excess_height: f64,
-}
-
 /// Penalties of all frames with a neighbour on both sides, `[L - 2]`; none for a clip of fewer than [`MIN_FRAMES`]
-/// frames.
+/// frames. They are the speed of the slowest foot joint in excess of the threshold, in m/s, and the distance of the
+/// lowest one from the floor, above or below it, in excess of the threshold, in metres.
 ///
 /// # Shapes
 /// `feet` is `[L, 4]`.
-pub fn contacts(feet: &[Feet], fps: Fps, floor: Floor) -> impl Iterator<Item = Contact> {
+fn contacts(feet: &[Feet], fps: Fps, floor: Floor) -> impl Iterator<Item = [f64; 2]> {
     let lowest = |frame: &Feet| frame.iter().fold(f64::INFINITY, |least, p| least.min(p.y));
     let floor = match floor {
         Floor::Lowest => feet.iter().map(lowest).fold(f64::INFINITY, f64::min),
@@ -76,10 +67,10 @@ pub fn contacts(feet: &[Feet], fps: Fps, floor: Floor) -> impl Iterator<Item = C
             .map(|(after, before)| after.distance_squared(*before))
             .fold(f64::INFINITY, f64::min);
         let height = lowest(&frames[1]) - floor;
-        Contact {
-            excess_speed: (squared_step.sqrt() * half_rate - STILL_SPEED).max(0.0),
-            excess_height: (height.abs() - TOUCH_HEIGHT).max(0.0),
-        }
+        [
+            (squared_step.sqrt() * half_rate - STILL_SPEED).max(0.0),
+            (height.abs() - TOUCH_HEIGHT).max(0.0),
+        ]
     })
 }
 
@@ -89,13 +80,12 @@ pub fn contacts(feet: &[Feet], fps: Fps, floor: Floor) -> impl Iterator<Item = C
 /// `feet` is `[L, 4]`.
 ///
 /// # Source
-/// DIMOS "contact": the mean over interior frames of `exp(-s) exp(-h)`, with `s` and `h` the penalties of [`contacts`].
+/// DIMOS "contact": the mean over interior frames of `exp(-s) exp(-h)`, with `s` and `h` the penalties of `contacts`.
 /// The paper's Table 1 prints a down arrow, its Tables A1 and A3 an up arrow; the definition and the bold entries imply
 /// up.
 pub fn foot_score(feet: &[Feet], fps: Fps, floor: Floor) -> Option<f64> {
     let frames = feet.len().checked_sub(MIN_FRAMES - 1).filter(|&n| n > 0)?;
-    let scores = contacts(feet, fps, floor)
-        .map(|contact| (-(contact.excess_speed + contact.excess_height)).exp());
+    let scores = contacts(feet, fps, floor).map(|[speed, height]| (-(speed + height)).exp());
     Some(scores.sum::<f64>() / frames as f64)
 }
 
@@ -137,14 +127,14 @@ mod tests {
                 let expected = golden.scalar(&format!("out.{case}.dimos_fps{rate}"));
                 golden.check_scalar(case, score, expected, 0.0, 1e-9);
             }
-            let terms: Vec<Contact> = contacts(&feet, fps(20.0), Floor::At(0.0)).collect();
+            let terms: Vec<[f64; 2]> = contacts(&feet, fps(20.0), Floor::At(0.0)).collect();
             let speeds = golden.numbers(&format!("out.{case}.speed_term"));
             let heights = golden.numbers(&format!("out.{case}.height_term"));
             assert_eq!(terms.len(), speeds.len());
             for (frame, term) in terms.iter().enumerate() {
-                golden.check_scalar("speed", term.excess_speed, speeds[frame], 0.0, 1e-9);
+                golden.check_scalar("speed", term[0], speeds[frame], 0.0, 1e-9);
                 // The reference lists the heights of all frames; the score uses interior frames only.
-                golden.check_scalar("height", term.excess_height, heights[frame + 1], 0.0, 1e-9);
+                golden.check_scalar("height", term[1], heights[frame + 1], 0.0, 1e-9);
             }
         }
     }

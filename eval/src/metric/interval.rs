@@ -98,6 +98,17 @@ impl Interval {
     }
 }
 
+/// The mean; none without values.
+pub(crate) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
+    (count > 0.0).then(|| sum / count)
+}
+
+/// The mean of the finite values; none without any.
+pub(crate) fn mean_of_known(values: &[f64]) -> Option<f64> {
+    mean(values.iter().copied().filter(|value| value.is_finite()))
+}
+
 /// The population variance; none if there are no values or all are equal.
 fn variance(values: &[f64]) -> Option<f64> {
     if values.is_empty() {

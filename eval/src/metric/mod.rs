@@ -18,8 +18,8 @@ pub mod position_error;
 pub mod retrieval;
 
 pub use definition::{
-    Better, Counterpart, Draws, Latents, Measure, Metric, MotionMeasure, MotionSample, Part,
-    RankSummary, SeamAcceleration, SetMeasure, SetSample, TakesMeasure, TakesSample, Target,
+    Better, Column, Counterpart, Draws, Latents, Measure, Metric, MotionMeasure, MotionSample,
+    Part, RankSummary, SeamAcceleration, SetMeasure, SetSample, TakesMeasure, TakesSample, Target,
 };
 
 /// Version of the metrics. It is raised when a metric gives other values for the same motions, so that stored scores

@@ -10,10 +10,9 @@ use kinematics::rotation::angle_between;
 use kinematics::skeleton::NUM_KEYPOINTS;
 
 use super::definition::{Better, Measure, Metric, Part, SeamAcceleration};
+use super::interval::mean;
 
-/// Mean acceleration of the keypoints at seams, where one generated window ends and the next begins, in m/s². For
-/// motions that were not generated, the same frames are measured.
-pub static SEAM_ACCELERATION: Metric = Metric {
+pub(crate) static SEAM_ACCELERATION: Metric = Metric {
     name: "Acceleration at seams (m/s²)",
     about: "mean acceleration of the keypoints where two of the editor's windows meet, from the frame before the first \
             new one of a window to its first that is not blended with the window before; real data, the identity \
@@ -24,8 +23,7 @@ pub static SEAM_ACCELERATION: Metric = Metric {
     measure: Measure::Motion(|sample| sample.acceleration.at_seams),
 };
 
-/// Mean acceleration of the keypoints in all other frames, in m/s².
-pub static INSIDE_ACCELERATION: Metric = Metric {
+pub(crate) static INSIDE_ACCELERATION: Metric = Metric {
     name: "inside (m/s²)",
     about: "mean acceleration of the keypoints elsewhere",
     part: Part::Quality,
@@ -34,8 +32,7 @@ pub static INSIDE_ACCELERATION: Metric = Metric {
     measure: Measure::Motion(|sample| sample.acceleration.inside),
 };
 
-/// Mean jerk of the keypoints, in m/s³.
-pub static JERK: Metric = Metric {
+pub(crate) static JERK: Metric = Metric {
     name: "Jerk (m/s³)",
     about: "mean third derivative of the keypoints",
     part: Part::Quality,
@@ -44,8 +41,7 @@ pub static JERK: Metric = Metric {
     measure: Measure::Motion(|sample| jerk(sample.keypoints, sample.motion.fps())),
 };
 
-/// Mean horizontal speed of the lowest foot, in m/s.
-pub static FOOT_SLIDE: Metric = Metric {
+pub(crate) static FOOT_SLIDE: Metric = Metric {
     name: "Foot slide (m/s)",
     about: "mean horizontal speed of the ankle or foot that is lowest, frame by frame",
     part: Part::Main,
@@ -54,8 +50,7 @@ pub static FOOT_SLIDE: Metric = Metric {
     measure: Measure::Motion(|sample| foot_slide(sample.keypoints, sample.motion.fps())),
 };
 
-/// [`FOOT_SLIDE`] of the item's target, in m/s: the reference value for an edit.
-pub static TARGET_FOOT_SLIDE: Metric = Metric {
+pub(crate) static TARGET_FOOT_SLIDE: Metric = Metric {
     name: "Target's foot slide (m/s)",
     about: "the same of the item's target",
     part: Part::Main,
@@ -64,8 +59,7 @@ pub static TARGET_FOOT_SLIDE: Metric = Metric {
     measure: Measure::Motion(|sample| sample.target.foot_slide),
 };
 
-/// Largest rotation of a joint from one frame to the next, in degrees.
-pub static ROTATION_STEP: Metric = Metric {
+pub(crate) static ROTATION_STEP: Metric = Metric {
     name: "Largest turn (°/frame)",
     about: "largest rotation of a joint between two frames, mean over motions",
     part: Part::Quality,
@@ -149,32 +143,25 @@ pub fn accelerations(points: &[KeypointFrame], fps: Fps) -> Vec<f64> {
 
 /// Averages [`accelerations`] over the frames of seams and over the other frames.
 pub fn seam_acceleration(points: &[KeypointFrame], fps: Fps, seams: &[Seam]) -> SeamAcceleration {
-    let (mut at, mut inside) = (Mean::default(), Mean::default());
-    for (index, value) in accelerations(points, fps).into_iter().enumerate() {
-        if seams.iter().any(|seam| seam.contains(&(index + 1))) {
-            at.add(value);
-        } else {
-            inside.add(value);
-        }
-    }
-    SeamAcceleration {
-        at_seams: at.get(),
-        inside: inside.get(),
-    }
+    let is_at_seam =
+        |(index, _): &(usize, f64)| seams.iter().any(|seam| seam.contains(&(index + 1)));
+    let values = accelerations(points, fps).into_iter().enumerate();
+    let (at, inside): (Vec<_>, Vec<_>) = values.partition(is_at_seam);
+    let [at_seams, inside] =
+        [at, inside].map(|part| mean(part.into_iter().map(|(_, value)| value)));
+    SeamAcceleration { at_seams, inside }
 }
 
 /// Mean magnitude of the third derivative of the keypoints in m/s^3; none for fewer than four frames.
 pub fn jerk(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
-    let mut mean = Mean::default();
-    for frames in points.windows(4) {
+    let of_window = |frames: &[KeypointFrame]| -> [f64; NUM_KEYPOINTS] {
         let [a, b, c, d] = frames else {
             unreachable!("windows of four")
         };
-        for slot in 0..NUM_KEYPOINTS {
-            mean.add((d[slot] - 3.0 * (c[slot] - b[slot]) - a[slot]).length());
-        }
-    }
-    mean.get().map(|value| value * fps.get().powi(3))
+        std::array::from_fn(|slot| (d[slot] - 3.0 * (c[slot] - b[slot]) - a[slot]).length())
+    };
+    let mean = mean(points.windows(4).flat_map(of_window))?;
+    Some(mean * fps.get().powi(3))
 }
 
 /// Mean horizontal speed in m/s of the lowest foot: for each two consecutive frames, the ankle or toe joint with the
@@ -183,17 +170,16 @@ pub fn jerk(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
 /// A standing or walking body always has a foot at rest on the floor, so the value is near 0; for a gliding body it is
 /// the body's speed. No height threshold defines contact, so a floating body is measured too.
 pub fn foot_slide(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
-    let mut mean = Mean::default();
-    for frames in points.windows(2) {
+    let step_of = |frames: &[KeypointFrame]| {
         let height = |slot: &usize| frames[0][*slot].y + frames[1][*slot].y;
         let lowest = FEET
             .into_iter()
             .min_by(|a, b| height(a).total_cmp(&height(b)))
             .expect("there are feet");
         let step = frames[1][lowest] - frames[0][lowest];
-        mean.add(step.with_y(0.0).length());
-    }
-    mean.get().map(|value| value * fps.get())
+        step.with_y(0.0).length()
+    };
+    Some(mean(points.windows(2).map(step_of))? * fps.get())
 }
 
 /// The largest change in degrees of a joint's local rotation (root included) from one frame to the next; 0 for fewer
@@ -218,23 +204,6 @@ pub fn largest_rotation_step(poses: &[Pose]) -> f64 {
 /// Angles are computed for squared chords above this share of the longest, because rounding may hide which angle is
 /// largest.
 const NEARLY: f64 = 1.0 - 1e-9;
-
-#[derive(Default)]
-struct Mean {
-    sum: f64,
-    count: usize,
-}
-
-impl Mean {
-    fn add(&mut self, value: f64) {
-        self.sum += value;
-        self.count += 1;
-    }
-
-    fn get(&self) -> Option<f64> {
-        (self.count > 0).then(|| self.sum / self.count as f64)
-    }
-}
 
 #[cfg(test)]
 mod tests {

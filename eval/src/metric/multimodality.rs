@@ -2,9 +2,7 @@
 
 use datasets_spec::Rng;
 
-use super::definition::{
-    Better, Measure, Metric, Part, TakesSample, check_count, check_finite, check_size,
-};
+use super::definition::{Better, Measure, Metric, Part, TakesSample, check_count};
 use super::diversity::diversity_of_pairs;
 use crate::Error;
 use crate::linalg::Matrix;
@@ -74,8 +72,7 @@ pub fn pairs(
 /// The mean distance between the latents at paired positions of each condition.
 ///
 /// # Errors
-/// There is no condition or no pair, the conditions or lists differ in size, or a latent is not
-/// finite.
+/// There is no condition or no pair, the lists differ in size, or a latent is not finite.
 ///
 /// # Panics
 /// If a position does not exist.
@@ -85,22 +82,8 @@ pub fn multimodality_of_pairs(
     second: &[usize],
 ) -> Result<f64, Error> {
     check_count(METRIC, conditions.len(), 1)?;
-    let example = &conditions[0];
     let mut total = 0.0;
     for latents in conditions {
-        check_size(
-            METRIC,
-            "number of repeats",
-            latents.num_rows(),
-            example.num_rows(),
-        )?;
-        check_size(
-            METRIC,
-            "latent width",
-            latents.num_cols(),
-            example.num_cols(),
-        )?;
-        check_finite(METRIC, latents)?;
         total += diversity_of_pairs(latents, first, second)?;
     }
     Ok(total / conditions.len() as f64)

@@ -7,7 +7,9 @@ use rayon::prelude::*;
 
 use super::definition::Counterpart::{self, Source, Target};
 use super::definition::RankSummary::{self, Average, Median, Recall};
-use super::definition::{Better, Measure, Metric, Part, check_count, check_finite, check_size};
+use super::definition::{
+    Better, Measure, Metric, Part, check_count, check_finite, check_size, not_finite,
+};
 use crate::Error;
 use crate::linalg::Matrix;
 
@@ -19,27 +21,17 @@ pub const RECALL_AT: [usize; 3] = [1, 2, 3];
 /// Number of queries compared with the gallery at once: at 10,000 gallery rows their similarities take 10 MB.
 const QUERIES_PER_BLOCK: usize = 256;
 
-/// Edits retrieved by their originals: share ranked first, in percent.
-pub static E2S_RECALL_1: Metric = ranked("E2S R@1", Source, Recall(1));
-/// Edits retrieved by their originals: share among the first 2, in percent.
-pub static E2S_RECALL_2: Metric = ranked("E2S R@2", Source, Recall(2));
-/// Edits retrieved by their originals: share among the first 3, in percent.
-pub static E2S_RECALL_3: Metric = ranked("E2S R@3", Source, Recall(3));
-/// Edits retrieved by their targets: share ranked first, in percent.
-pub static E2T_RECALL_1: Metric = ranked("E2T R@1", Target, Recall(1));
-/// Edits retrieved by their targets: share among the first 2, in percent.
-pub static E2T_RECALL_2: Metric = ranked("E2T R@2", Target, Recall(2));
-/// Edits retrieved by their targets: share among the first 3, in percent.
-pub static E2T_RECALL_3: Metric = ranked("E2T R@3", Target, Recall(3));
+pub(crate) static E2S_RECALL_1: Metric = ranked("E2S R@1", Source, Recall(1));
+pub(crate) static E2S_RECALL_2: Metric = ranked("E2S R@2", Source, Recall(2));
+pub(crate) static E2S_RECALL_3: Metric = ranked("E2S R@3", Source, Recall(3));
+pub(crate) static E2T_RECALL_1: Metric = ranked("E2T R@1", Target, Recall(1));
+pub(crate) static E2T_RECALL_2: Metric = ranked("E2T R@2", Target, Recall(2));
+pub(crate) static E2T_RECALL_3: Metric = ranked("E2T R@3", Target, Recall(3));
 
-/// Edits retrieved by their originals: mean rank.
-pub static E2S_AVERAGE_RANK: Metric = ranked("E2S AvgR", Source, Average);
-/// Edits retrieved by their targets: mean rank.
-pub static E2T_AVERAGE_RANK: Metric = ranked("E2T AvgR", Target, Average);
-/// Edits retrieved by their originals: median rank.
-pub static E2S_MEDIAN_RANK: Metric = ranked("E2S MedR", Source, Median);
-/// Edits retrieved by their targets: median rank.
-pub static E2T_MEDIAN_RANK: Metric = ranked("E2T MedR", Target, Median);
+pub(crate) static E2S_AVERAGE_RANK: Metric = ranked("E2S AvgR", Source, Average);
+pub(crate) static E2T_AVERAGE_RANK: Metric = ranked("E2T AvgR", Target, Average);
+pub(crate) static E2S_MEDIAN_RANK: Metric = ranked("E2S MedR", Source, Median);
+pub(crate) static E2T_MEDIAN_RANK: Metric = ranked("E2T MedR", Target, Median);
 
 /// A metric computed from ranks. The paper's tables do not print the median rank.
 const fn ranked(name: &'static str, counterpart: Counterpart, summary: RankSummary) -> Metric {
@@ -118,7 +110,16 @@ impl Retrieval {
         }
     }
 
-    /// The unweighted mean over galleries.
+    /// The unweighted mean over galleries of ranks that count from zero.
+    ///
+    /// # Panics
+    /// If there are none.
+    pub fn of_galleries(galleries: &[Vec<f64>]) -> Self {
+        let parts = galleries.iter().map(|ranks| Self::of_ranks(ranks));
+        Self::mean(&parts.collect::<Vec<_>>())
+    }
+
+    /// The unweighted mean.
     ///
     /// # Panics
     /// If there are none.
@@ -149,37 +150,25 @@ impl Retrieval {
 
 /// The share of ranks below k in percent; ranks count from zero. A two-way tie for the first place has rank 0.5 and
 /// counts for k = 1; a three-way tie has rank 1 and does not.
-///
-/// # Panics
-/// If there are no ranks.
-pub fn recall_at(ranks: &[f64], k: usize) -> f64 {
+fn recall_at(ranks: &[f64], k: usize) -> f64 {
     assert!(!ranks.is_empty(), "recall of no ranks");
     let hits = ranks.iter().filter(|&&rank| rank < k as f64).count();
     100.0 * hits as f64 / ranks.len() as f64
 }
 
 /// The median rank, counted from one; for an even number of ranks, the mean of the two middle ones.
-///
-/// # Panics
-/// If there are no ranks.
-pub fn median_rank(ranks: &[f64]) -> f64 {
+fn median_rank(ranks: &[f64]) -> f64 {
     quantile::median(&mut ranks.to_vec()).expect("median of no ranks") + 1.0
 }
 
 /// The mean rank, counted from one.
-///
-/// # Panics
-/// If there are no ranks.
-pub fn average_rank(ranks: &[f64]) -> f64 {
+fn average_rank(ranks: &[f64]) -> f64 {
     assert!(!ranks.is_empty(), "mean of no ranks");
     ranks.iter().sum::<f64>() / ranks.len() as f64 + 1.0
 }
 
 /// The rank of one entry of a row of similarities, counted from zero. Tied entries share their mean position.
-///
-/// # Panics
-/// If `truth` does not exist.
-pub fn tied_rank<T: PartialOrd + Copy>(similarities: &[T], truth: usize) -> f64 {
+fn tied_rank<T: PartialOrd + Copy>(similarities: &[T], truth: usize) -> f64 {
     let own = similarities[truth];
     let (mut nearer, mut equal) = (0u32, 0u32);
     for &other in similarities {
@@ -197,7 +186,7 @@ pub fn tied_rank<T: PartialOrd + Copy>(similarities: &[T], truth: usize) -> f64 
 ///
 /// # Source
 /// TMR's "threshold" protocol: texts closer than a threshold describe the same motion.
-pub fn ranks_among_equivalents(
+pub(super) fn ranks_among_equivalents(
     similarity: &Matrix,
     equivalent: impl Fn(usize, usize) -> bool,
 ) -> Result<Vec<f64>, Error> {
@@ -232,10 +221,9 @@ pub fn unit_rows(latents: &Matrix) -> Result<Matrix, Error> {
         // Dividing by the largest entry first keeps the squares from overflowing or underflowing.
         let largest = row.iter().fold(0.0, |m: f64, value| m.max(value.abs()));
         if largest == 0.0 {
-            return Err(Error::NoDirection {
-                metric: METRIC,
-                row: index,
-            });
+            return Err(Error::Invalid(format!(
+                "{METRIC}: row {index} is zero and has no direction"
+            )));
         }
         for value in row.iter_mut() {
             *value /= largest;
@@ -300,16 +288,13 @@ fn single(rows: &Matrix, indices: &[usize]) -> Result<Vec<f32>, Error> {
         values.extend(rows.row(row).iter().map(|&value| value as f32));
     }
     match values.iter().position(|value| !value.is_finite()) {
-        Some(at) => Err(Error::NotFinite {
-            metric: METRIC,
-            row: indices[at / rows.num_cols()],
-        }),
+        Some(at) => Err(not_finite(METRIC, indices[at / rows.num_cols()])),
         None => Ok(values),
     }
 }
 
 /// Refuses a metric without galleries, or with an empty gallery.
-pub(super) fn check_galleries(metric: &'static str, galleries: &[Vec<usize>]) -> Result<(), Error> {
+pub(super) fn check_galleries(metric: &str, galleries: &[Vec<usize>]) -> Result<(), Error> {
     let least = galleries.iter().map(Vec::len).min();
     check_count(metric, least.unwrap_or(0), 1)
 }
@@ -503,11 +488,7 @@ mod tests {
         let gallery = Matrix::from_rows(&[[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [1.0, 0.0]]);
         let ranked = |galleries: &[Vec<usize>]| gallery_ranks(&queries, &gallery, galleries);
         let ranks = ranked(&[vec![0, 1], vec![2, 3]]).expect("valid");
-        let parts: Vec<Retrieval> = ranks
-            .iter()
-            .map(|ranks| Retrieval::of_ranks(ranks))
-            .collect();
-        let result = Retrieval::mean(&parts);
+        let result = Retrieval::of_galleries(&ranks);
         assert_eq!(result.recall, [50.0, 100.0, 100.0]);
         assert_eq!(result.average_rank, 1.5);
         assert!(ranked(&[]).is_err());
@@ -517,20 +498,22 @@ mod tests {
     #[test]
     fn latents_without_direction_are_refused() {
         let zero = Matrix::zeros(2, 3);
-        assert!(matches!(
-            unit_rows(&zero),
-            Err(Error::NoDirection { row: 0, .. })
-        ));
+        let refusal = |found: Result<_, Error>| found.expect_err("refused").to_string();
+        assert_eq!(
+            refusal(unit_rows(&zero)),
+            "retrieval: row 0 is zero and has no direction"
+        );
         let tiny = Matrix::from_rows(&[[3e-200, 4e-200]]);
         let unit = unit_rows(&tiny).expect("a direction");
         assert!((unit.row(0)[0] - 0.6).abs() < 1e-15);
         let nan = Matrix::from_rows(&[[f64::NAN]]);
-        assert!(matches!(unit_rows(&nan), Err(Error::NotFinite { .. })));
+        assert_eq!(refusal(unit_rows(&nan)), "retrieval: row 0 is not finite");
         assert!(full_ranks(&zero, &Matrix::zeros(3, 3)).is_err());
         for bad in [f64::NAN, f64::INFINITY, 1e300] {
             let rows = Matrix::from_rows(&[[0.0, 0.0], [1.0, bad]]);
             let found = full_ranks(&rows, &rows);
-            assert!(matches!(found, Err(Error::NotFinite { row: 1, .. })));
+            let error = found.expect_err("refused").to_string();
+            assert_eq!(error, "retrieval: row 1 is not finite");
         }
     }
 

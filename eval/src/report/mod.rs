@@ -127,13 +127,17 @@ impl Report {
             escaped(&self.subtitle),
         );
         let sections = self.sections();
-        navigation(&mut html, &sections);
+        if sections.len() > 1 {
+            let links = sections
+                .iter()
+                .map(|(anchor, title, _)| format!("<a href=\"#{anchor}\">{title}</a>"));
+            html += &between("<nav>", links, "</nav>\n");
+        }
         html.push_str("<main>\n");
-        for section in sections {
+        for (anchor, title, body) in sections {
             let _ = write!(
                 html,
-                "<section id=\"{}\">\n<h2>{}</h2>\n{}</section>\n",
-                section.anchor, section.title, section.body
+                "<section id=\"{anchor}\">\n<h2>{title}</h2>\n{body}</section>\n"
             );
         }
         html.push_str("</main>\n");
@@ -144,130 +148,75 @@ impl Report {
         html
     }
 
-    fn sections(&self) -> Vec<Section> {
-        [
-            Section::new("one-edit", "One edit", opening::body(self.opening.as_ref())),
-            Section::new("summary", "Summary", cards(&self.cards)),
-            Section::new("results", "Results", result_tables::html(&self.tables)),
-            Section::new("figures", "Figures", charts(&self.figures)),
-            Section::new(
-                "viewer-section",
-                "Motions in 3D",
-                viewer::section(&self.strips),
-            ),
-            Section::new("edits", "Edited motions", strips(&self.strips)),
-            Section::new("training", "Training and data", charts(&self.charts)),
-            Section::new("dataset", "Dataset", definitions(&self.facts)),
-            Section::new(
-                "settings",
-                "Settings and versions",
-                definitions(&self.settings) + &details::html(&self.details),
-            ),
-            Section::new("reproduce", "How to reproduce", commands(&self.commands)),
-        ]
-        .into_iter()
-        .filter(|section| !section.body.is_empty())
-        .collect()
+    /// Anchor, title and content of each section that is not empty.
+    fn sections(&self) -> Vec<(&'static str, &'static str, String)> {
+        let settings = definitions(&self.settings) + &details::html(&self.details);
+        let viewer = viewer::section(&self.strips);
+        let all = [
+            ("one-edit", "One edit", opening::body(self.opening.as_ref())),
+            ("summary", "Summary", cards(&self.cards)),
+            ("results", "Results", result_tables::html(&self.tables)),
+            ("figures", "Figures", charts(&self.figures)),
+            ("viewer-section", "Motions in 3D", viewer),
+            ("edits", "Edited motions", strips(&self.strips)),
+            ("training", "Training and data", charts(&self.charts)),
+            ("dataset", "Dataset", definitions(&self.facts)),
+            ("settings", "Settings and versions", settings),
+            ("reproduce", "How to reproduce", commands(&self.commands)),
+        ];
+        let is_filled = |(_, _, body): &(_, _, String)| !body.is_empty();
+        all.into_iter().filter(is_filled).collect()
     }
 }
 
-struct Section {
-    anchor: &'static str,
-    title: &'static str,
-    body: String,
-}
-
-impl Section {
-    fn new(anchor: &'static str, title: &'static str, body: String) -> Self {
-        Self {
-            anchor,
-            title,
-            body,
-        }
+/// Entries between two tags; empty without entries.
+fn between(open: &str, entries: impl Iterator<Item = String>, close: &str) -> String {
+    let entries: String = entries.collect();
+    match entries.is_empty() {
+        true => entries,
+        false => format!("{open}{entries}{close}"),
     }
-}
-
-fn navigation(html: &mut String, sections: &[Section]) {
-    if sections.len() < 2 {
-        return;
-    }
-    html.push_str("<nav>");
-    for section in sections {
-        let _ = write!(
-            html,
-            "<a href=\"#{}\">{}</a>",
-            section.anchor, section.title
-        );
-    }
-    html.push_str("</nav>\n");
 }
 
 fn cards(cards: &[Card]) -> String {
-    if cards.is_empty() {
-        return String::new();
-    }
-    let mut html = "<div class=\"cards\">\n".to_owned();
-    for card in cards {
-        let _ = writeln!(
-            html,
-            "<div class=\"card\"><div class=\"label\">{}</div><div class=\"value\">{}</div><div class=\"note\">{}</div></div>",
+    let cards = cards.iter().map(|card| {
+        format!(
+            "<div class=\"card\"><div class=\"label\">{}</div><div class=\"value\">{}</div><div class=\"note\">{}</div></div>\n",
             escaped(&card.label),
             escaped(&card.value),
             escaped(&card.note),
-        );
-    }
-    html.push_str("</div>\n");
-    html
+        )
+    });
+    between("<div class=\"cards\">\n", cards, "</div>\n")
 }
 
 fn strips(strips: &[Strip]) -> String {
-    let mut html = String::new();
-    for item in strips {
-        let _ = write!(
-            html,
+    let figures = strips.iter().map(|item| {
+        format!(
             "<figure><figcaption><q>{}</q><span>{}</span></figcaption>\n<div class=\"scroll\">{}</div></figure>\n",
             escaped(&item.caption),
             escaped(&item.note),
             strip(&item.rows, &Style::default()),
-        );
-    }
-    if !html.is_empty() {
-        html.insert_str(
-            0,
-            "<p class=\"head\">Time runs from orange to blue. Right limbs are in full colour, left \
-             limbs pale; green marks the joints the edit was asked to change.</p>\n",
-        );
-    }
-    html
+        )
+    });
+    let legend = "<p class=\"head\">Time runs from orange to blue. Right limbs are in full colour, left \
+                  limbs pale; green marks the joints the edit was asked to change.</p>\n";
+    between(legend, figures, "")
 }
 
 fn charts(charts: &[Chart]) -> String {
-    if charts.is_empty() {
-        return String::new();
-    }
-    let mut html = "<div class=\"charts\">\n".to_owned();
-    for chart in charts {
-        let _ = writeln!(html, "<div class=\"chart\">{}</div>", chart.svg());
-    }
-    html.push_str("</div>\n");
-    html
+    let charts = charts
+        .iter()
+        .map(|chart| format!("<div class=\"chart\">{}</div>\n", chart.svg()));
+    between("<div class=\"charts\">\n", charts, "</div>\n")
 }
 
 fn definitions(entries: &[(String, String)]) -> String {
-    if entries.is_empty() {
-        return String::new();
-    }
-    let mut html = "<dl>\n".to_owned();
-    for (name, value) in entries {
-        let _ = writeln!(
-            html,
-            "<div><dt>{}</dt><dd>{}</dd></div>",
-            escaped(name),
-            escaped(value)
-        );
-    }
-    html.push_str("</dl>\n");
-    html
+    let entries = entries.iter().map(|(name, value)| {
+        let (name, value) = (escaped(name), escaped(value));
+        format!("<div><dt>{name}</dt><dd>{value}</dd></div>\n")
+    });
+    between("<dl>\n", entries, "</dl>\n")
 }
 
 fn commands(commands: &[String]) -> String {

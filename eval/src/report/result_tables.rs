@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use crate::draw::escaped;
 use crate::format::{PUBLISHED_HEADING, RowGroup};
-use crate::metric::Metric;
-use crate::table::{Cell, Column, Table};
+use crate::metric::{Column, Metric};
+use crate::table::{Cell, Table};
 
 /// All tables, each under the name of its task, as HTML.
 pub(super) fn html(tables: &[Table]) -> String {
@@ -74,36 +74,25 @@ const WIDE_COLUMNS: usize = 5;
 fn table_head(html: &mut String, columns: &[Column]) {
     let mut families = "<tr><th rowspan=\"2\" scope=\"col\">System</th>".to_owned();
     let mut members = "<tr>".to_owned();
-    let mut index = 0;
-    while index < columns.len() {
-        let name = columns[index].metric.name;
-        let family = FAMILIES.into_iter().find(|family| name.starts_with(family));
-        let Some(family) = family else {
-            let label = escaped(&columns[index].label());
-            let _ = write!(families, "<th rowspan=\"2\" scope=\"col\">{label}</th>");
-            index += 1;
-            continue;
-        };
-        let span = columns[index..]
-            .iter()
-            .take_while(|column| column.metric.name.starts_with(family))
-            .count();
-        let _ = write!(
-            families,
-            "<th colspan=\"{span}\" scope=\"colgroup\" class=\"family\">{family}</th>"
-        );
-        for column in &columns[index..index + span] {
-            let label = column.label();
-            let label = label.strip_prefix(family).unwrap_or(&label).trim_start();
-            let _ = write!(members, "<th scope=\"col\">{}</th>", escaped(label));
+    let headings: Vec<(&str, String)> = columns.iter().map(Column::heading).collect();
+    for headings in headings.chunk_by(|(a, _), (b, _)| a == b) {
+        let (family, span) = (headings[0].0, headings.len());
+        if !family.is_empty() {
+            let _ = write!(
+                families,
+                "<th colspan=\"{span}\" scope=\"colgroup\" class=\"family\">{family}</th>"
+            );
         }
-        index += span;
+        for (_, label) in headings {
+            let label = escaped(label);
+            let _ = match family {
+                "" => write!(families, "<th rowspan=\"2\" scope=\"col\">{label}</th>"),
+                _ => write!(members, "<th scope=\"col\">{label}</th>"),
+            };
+        }
     }
     let _ = write!(html, "{families}</tr>{members}</tr>");
 }
-
-/// First words that mark columns of one family.
-const FAMILIES: [&str; 2] = ["E2S", "E2T"];
 
 fn table_cell(html: &mut String, cell: Option<&Cell>, metric: &Metric) {
     let Some(cell) = cell else {

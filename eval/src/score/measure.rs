@@ -4,7 +4,7 @@
 use std::borrow::Cow;
 
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::{JointSet, Motion, Progress, Skeleton};
+use datasets_spec::{Fps, JointSet, Motion, Progress, Skeleton};
 use rayon::prelude::*;
 
 use super::test_set::{TestSet, windows_of};
@@ -261,13 +261,13 @@ impl Subject<'_> {
     fn checked(mut self, cut: bool) -> Result<Self, Error> {
         let (system, id) = (self.system, self.asked.id);
         let target = &self.asked.target;
-        if self.motion.fps() != target.fps() {
-            return Err(Error::FrameRate {
-                system: system.to_owned(),
-                id: id.to_owned(),
-                found: self.motion.fps().get(),
-                expected: target.fps().get(),
-            });
+        let refused =
+            |problem: String| Error::Invalid(format!("system {system:?}, item {id:?}: {problem}"));
+        let [found, expected] = [self.motion.fps(), target.fps()].map(Fps::get);
+        if found != expected {
+            return Err(refused(format!(
+                "{found} fps, but its target runs at {expected} fps; resample before scoring"
+            )));
         }
         if cut && self.motion.len() > target.len() {
             let cropped = self.motion.crop(0..target.len());
@@ -275,12 +275,10 @@ impl Subject<'_> {
             self.motion = Cow::Owned(cropped);
         }
         if self.motion.len() < MIN_FRAMES {
-            return Err(Error::TooShort {
-                system: system.to_owned(),
-                id: id.to_owned(),
-                frames: self.motion.len(),
-                needed: MIN_FRAMES,
-            });
+            return Err(refused(format!(
+                "{} frames are too few for the foot score, which needs {MIN_FRAMES}",
+                self.motion.len()
+            )));
         }
         Ok(self)
     }
@@ -465,18 +463,18 @@ impl<'a> Measuring<'a> {
         motions: &[&Motion],
         width: Option<usize>,
     ) -> Result<Vec<Vec<f64>>, Error> {
-        let system = || subjects[0].system.to_owned();
+        let system = subjects[0].system;
         let encoder = self.evaluators.encoder;
         let latents = encoder.encode(motions).map_err(|source| Error::Encoder {
-            system: system(),
+            system: system.to_owned(),
             source,
         })?;
         if latents.len() != motions.len() {
-            return Err(Error::LatentCount {
-                system: system(),
-                found: latents.len(),
-                expected: motions.len(),
-            });
+            return Err(Error::Invalid(format!(
+                "the encoder returned {} latents for {} motions of system {system:?}",
+                latents.len(),
+                motions.len()
+            )));
         }
         let width = width.unwrap_or_else(|| latents[0].len());
         for (subject, latent) in subjects.iter().zip(&latents) {
@@ -489,11 +487,10 @@ impl<'a> Measuring<'a> {
             } else {
                 continue;
             };
-            return Err(Error::Latent {
-                system: subject.system.to_owned(),
-                id: subject.asked.id.to_owned(),
-                problem,
-            });
+            return Err(Error::Invalid(format!(
+                "system {:?}, item {:?}: the latent {problem}",
+                subject.system, subject.asked.id
+            )));
         }
         Ok(latents)
     }

@@ -15,15 +15,14 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::answered::Answered;
 use crate::compare::{Comparison, Pairing};
-use crate::evaluators::Evaluators;
+use crate::evaluators::{Evaluators, MotionEncoder};
 use crate::judge::TOLD_APART;
-use crate::metric::interval::{Interval, MIN_TARGETS};
+use crate::metric::interval::{Interval, MIN_TARGETS, mean_of_known};
 use crate::metric::retrieval::E2T_RECALL_1;
 use crate::metric::{self, CLAIMS, Measure, RankSummary};
 use crate::names::{GIVEN, IDENTITY, NOISE_FLOOR, RECAPTURED};
 use crate::protocol::{Protocol, SET_RESAMPLES, Spread};
 use crate::table::Items;
-use crate::table::notes::shortage_of_targets;
 
 pub(crate) use measure::{Measured, System, Take, measured};
 pub(crate) use resample::{Resamples, drawn};
@@ -36,6 +35,9 @@ pub(crate) use values::{Galleries, OfItems, Ranks, of_items};
 /// The edits may hold any number of systems, each with a motion for every item. A system may hold
 /// several takes of every item, such as samples from different seeds; repeat r then scores take r
 /// modulo their number.
+///
+/// Also compares every system with the identity editor and with the next worse system in E2T R@1: for each task, the
+/// paired differences in the metrics that support claims ([`CLAIMS`]).
 ///
 /// The result has one row for each task, system and metric: first [`REAL_DATA`](crate::names::REAL_DATA) and
 /// [`IDENTITY`], then the systems by name. With items of more than one task there is also
@@ -58,40 +60,18 @@ pub fn score(
     evaluators: Evaluators<'_>,
     protocol: &Protocol,
     progress: &dyn Progress,
-) -> Result<Vec<ScoreRow>, Error> {
-    Ok(score_and_compare(answered, evaluators, protocol, progress)?.0)
-}
-
-/// Computes [`score`], and for each task the paired differences in the metrics that support claims ([`CLAIMS`]). Every
-/// system is compared with the identity editor and with the next worse system in E2T R@1.
-///
-/// # Errors
-/// As [`score`].
-pub fn score_and_compare(
-    answered: &Answered,
-    evaluators: Evaluators<'_>,
-    protocol: &Protocol,
-    progress: &dyn Progress,
 ) -> Result<(Vec<ScoreRow>, Vec<Comparison>), Error> {
     protocol.check()?;
     let test_set = TestSet::new(answered, protocol)?;
     let measured = measured(&test_set, evaluators, protocol, progress)?;
-    let encoder_hash = evaluators.encoder.hash();
-    let weakness = evaluators.encoder.weakness();
+    let encoder = evaluators.encoder;
     let tasks = test_set.tasks();
     progress.begin("score", Some((tasks.len() * protocol.repeats) as u64));
     let (mut scores, mut comparisons) = (Vec::new(), Vec::new());
     for (task, indices) in tasks {
         let of_task = OfTask::new(task, &indices, &test_set, &measured, protocol)?;
-        scores.extend(of_task.scores(&encoder_hash, progress)?);
-        let mut found = of_task.claims();
-        for comparison in &mut found {
-            comparison.encoder_hash.clone_from(&encoder_hash);
-            if let Some(weakness) = &weakness {
-                comparison.rank_nothing(weakness);
-            }
-        }
-        comparisons.extend(found);
+        scores.extend(of_task.scores(&encoder.hash(), progress)?);
+        comparisons.extend(of_task.claims(encoder));
     }
     progress.finish(&format!("{} scores", scores.len()));
     Ok((scores, comparisons))
@@ -273,8 +253,8 @@ impl<'a> OfTask<'a> {
     }
 
     /// Paired differences in the metrics of [`CLAIMS`](crate::metric::CLAIMS): each system against the identity editor
-    /// and against the next worse system in E2T R@1. The encoder's hash is left empty.
-    fn claims(&self) -> Vec<Comparison> {
+    /// and against the next worse system in E2T R@1.
+    fn claims(&self, encoder: &dyn MotionEncoder) -> Vec<Comparison> {
         let values = &self.of_items;
         let recall = |place: usize| -> f64 {
             let of_system = values[place].get(&E2T_RECALL_1);
@@ -288,25 +268,23 @@ impl<'a> OfTask<'a> {
         let against_identity = ranked.iter().map(|&place| [1, place]);
         let neighbours = ranked.windows(2).map(|pair| [pair[1], pair[0]]);
         let pairs = against_identity.chain(neighbours);
-        let of_pair = |pair: [usize; 2]| Comparison {
-            task: self.task.to_owned(),
-            n: self.counts.count as usize,
-            targets: self.counts.targets,
-            items_digest: self.counts.digest.clone(),
-            systems: pair.map(|place| self.systems[place].name.to_owned()),
-            protocol: self.protocol.name(self.counts.count as usize),
-            encoder_hash: String::new(),
-            unranked: None,
-            differences: Pairing {
+        let of_pair = |pair: [usize; 2]| {
+            let pairing = Pairing {
                 task: self.task,
                 real: &values[0],
                 sides: pair.map(|place| &values[place]),
                 resamples: &self.resamples,
-            }
-            .differences(&CLAIMS),
-            notes: shortage_of_targets(self.counts.targets)
-                .into_iter()
-                .collect(),
+            };
+            let systems = pair.map(|place| self.systems[place].name);
+            let differences = pairing.differences(&CLAIMS);
+            Comparison::new(
+                self.task,
+                &self.counts,
+                systems,
+                self.protocol,
+                encoder,
+                differences,
+            )
         };
         pairs.map(of_pair).collect()
     }
@@ -319,8 +297,6 @@ fn told_apart(of_items: [&OfItems; 2], resamples: &Resamples) -> Interval {
         of_system.map_or(&[][..], Vec::as_slice)
     });
     let differences: Vec<f64> = real.iter().zip(identity).map(|(a, b)| a - b).collect();
-    let known = differences.iter().filter(|value| value.is_finite());
-    let (sum, count) = known.fold((0.0, 0.0), |(sum, n), value| (sum + value, n + 1.0));
-    let mean = if count > 0.0 { sum / count } else { 0.0 };
+    let mean = mean_of_known(&differences).unwrap_or(0.0);
     Interval::of_resamples(mean, &resamples.means(&differences), &[])
 }

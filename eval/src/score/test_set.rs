@@ -6,7 +6,7 @@ use datasets_spec::Fps;
 use kinematics::canonical::FIXED_FRAMES;
 
 use crate::Error;
-use crate::answered::Answered;
+use crate::answered::{Answered, same_take};
 use crate::metric::motion_quality::Windows;
 use crate::names::{ALL_TASKS, GIVEN, NOVELTIES, RECAPTURED};
 use crate::protocol::Protocol;
@@ -33,22 +33,25 @@ impl<'a> TestSet<'a> {
         let mut by_id: BTreeMap<&str, usize> = BTreeMap::new();
         for (position, item) in answered.items.facts().iter().enumerate() {
             if item.target_frames == 0 {
-                return Err(Error::NoTarget {
-                    id: item.id.clone(),
-                });
+                return Err(Error::Invalid(format!(
+                    "item {:?} has no target to compare with; score items drawn by `stance items`",
+                    item.id
+                )));
             }
             by_id.insert(&item.id, position);
         }
         if by_id.is_empty() {
-            return Err(Error::NoItems);
+            let problem = "the table holds no items; draw them with `stance items`";
+            return Err(Error::Invalid(problem.to_owned()));
         }
         let ids: Vec<&str> = by_id.keys().copied().collect();
         let mut by_system: BTreeMap<&str, OfSystem<'_>> = BTreeMap::new();
         for (position, row) in answered.edits.facts().iter().enumerate() {
             if GIVEN.contains(&row.system.as_str()) {
-                return Err(Error::ReservedSystem {
-                    system: row.system.clone(),
-                });
+                return Err(Error::Invalid(format!(
+                    "a system cannot be named {:?}, which is a row of every table; rename it",
+                    row.system
+                )));
             }
             by_system
                 .entry(&row.system)
@@ -113,7 +116,6 @@ impl<'a> TestSet<'a> {
             targets: distinct(|item| item.target_id.as_str()),
             sources: distinct(|item| item.source_id.as_str()),
             instructions: distinct(|item| &item.instruction),
-            fid: 0,
             novelty: self.novelty(indices),
             digest,
         }
@@ -213,12 +215,12 @@ fn takes<'a>(system: &str, rows: OfSystem<'a>, ids: &[&'a str]) -> Result<Vec<Ve
         .filter(|id| !rows.contains_key(id))
         .collect();
     if !missing.is_empty() {
-        return Err(Error::MissingItems {
-            system: system.to_owned(),
-            count: missing.len(),
-            total: ids.len(),
-            ids: listed(&missing),
-        });
+        return Err(Error::Invalid(format!(
+            "system {system:?} lacks {} of {} items: {}; edit them or leave the system out",
+            missing.len(),
+            ids.len(),
+            listed(&missing)
+        )));
     }
     let unknown: Vec<&str> = rows
         .keys()
@@ -226,30 +228,25 @@ fn takes<'a>(system: &str, rows: OfSystem<'a>, ids: &[&'a str]) -> Result<Vec<Ve
         .filter(|id| ids.binary_search(id).is_err())
         .collect();
     if !unknown.is_empty() {
-        return Err(Error::UnknownItems {
-            system: system.to_owned(),
-            count: unknown.len(),
-            ids: listed(&unknown),
-        });
+        return Err(Error::Invalid(format!(
+            "system {system:?} has {} items without a target: {}; score them with the table they belong to",
+            unknown.len(),
+            listed(&unknown)
+        )));
     }
     let num_takes = rows.values().next().map_or(0, Vec::len);
     let mut takes = vec![Vec::with_capacity(ids.len()); num_takes];
     for (id, mut rows) in rows {
         if rows.len() != num_takes {
-            return Err(Error::UnevenTakes {
-                system: system.to_owned(),
-                id: id.to_owned(),
-                found: rows.len(),
-                expected: num_takes,
-            });
+            return Err(Error::Invalid(format!(
+                "system {system:?} has {} motions of item {id:?} but {num_takes} of the others; give every item the \
+                 same number of takes",
+                rows.len()
+            )));
         }
         rows.sort_unstable();
         if let Some(twice) = rows.windows(2).find(|pair| pair[0].0 == pair[1].0) {
-            return Err(Error::SameTake {
-                system: system.to_owned(),
-                id: id.to_owned(),
-                seed: twice[0].0,
-            });
+            return Err(same_take(system, id, twice[0].0));
         }
         for (take, (_, position)) in takes.iter_mut().zip(rows) {
             take.push(position);

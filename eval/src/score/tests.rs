@@ -117,12 +117,9 @@ fn scored(
     protocol: &Protocol,
 ) -> Result<Vec<ScoreRow>, Error> {
     let answered = answered(items, edits);
-    score(
-        &answered,
-        by(&Encoder(first_frame), &answered),
-        protocol,
-        &NoProgress,
-    )
+    let encoder = Encoder(first_frame);
+    let (scores, _) = score(&answered, by(&encoder, &answered), protocol, &NoProgress)?;
+    Ok(scores)
 }
 
 fn by<'a>(encoder: &'a dyn MotionEncoder, answered: &'a Answered) -> Evaluators<'a> {
@@ -349,7 +346,8 @@ fn every_motion_is_encoded_once_and_few_are_in_memory_at_a_time() {
     });
     let answered = answered(&items, &edits);
     let protocol = Protocol::default();
-    let scores = score(&answered, by(&encoder, &answered), &protocol, &NoProgress).expect("valid");
+    let evaluators = by(&encoder, &answered);
+    let (scores, _) = score(&answered, evaluators, &protocol, &NoProgress).expect("valid");
     assert_eq!(scores, scored(&items, &edits, &protocol).expect("valid"));
     // Chunks of sources, targets and the edits of two systems; the identity editor reuses the sources. The targets from
     // other captures follow.
@@ -414,10 +412,11 @@ fn takes_are_scored_in_turn() {
     // Half of the ten repeats score the perfect take.
     assert!((error - lazy / 2.0).abs() < 1e-12, "{error} {lazy}");
     edits.pop();
-    assert!(matches!(
-        scored(&items, &edits, &Protocol::default()),
-        Err(Error::UnevenTakes { .. })
-    ));
+    let error = scored(&items, &edits, &Protocol::default()).expect_err("takes are missing");
+    assert!(
+        error.to_string().contains("same number of takes"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -494,8 +493,7 @@ fn every_system_is_compared_with_the_identity_editor_and_with_the_next_one() {
     let answered = answered(&items, &edits);
     let encoder = Encoder(first_frame);
     let evaluators = by(&encoder, &answered);
-    let (_, comparisons) =
-        score_and_compare(&answered, evaluators, &protocol, &NoProgress).expect("valid");
+    let (_, comparisons) = score(&answered, evaluators, &protocol, &NoProgress).expect("valid");
     let of_all: Vec<(&str, &str, String)> = comparisons
         .iter()
         .filter(|found| found.task == "all")
@@ -557,7 +555,8 @@ fn broken_tables_are_refused_with_the_items_named() {
     let refused = |items: &[ItemRow], edits: &[EditRow]| {
         scored(items, edits, &Protocol::default()).expect_err("a broken table")
     };
-    assert!(matches!(refused(&[], &[]), Error::NoItems));
+    let error = refused(&[], &[]).to_string();
+    assert!(error.contains("holds no items"), "{error}");
 
     let items = questions(8);
     let mut edits = perfect("partial", &items);
@@ -577,7 +576,7 @@ fn broken_tables_are_refused_with_the_items_named() {
     assert!(error.to_string().contains(&foreign.id), "{error}");
 
     let error = refused(&items, &lazy(IDENTITY, &items));
-    assert!(matches!(error, Error::ReservedSystem { .. }), "{error}");
+    assert!(error.to_string().contains("cannot be named"), "{error}");
 
     let mut changed = items.clone();
     changed[2].instruction = "kick".to_owned();
@@ -588,7 +587,7 @@ fn broken_tables_are_refused_with_the_items_named() {
     unaimed[2].target_frames = 0;
     unaimed[2].id = unaimed[2].content_id();
     let error = refused(&unaimed, &[]);
-    assert!(matches!(error, Error::NoTarget { .. }), "{error}");
+    assert!(error.to_string().contains("has no target"), "{error}");
 
     let refused = |break_it: &dyn Fn(&mut [EditRow])| {
         let mut edits = perfect("broken", &items);
@@ -596,17 +595,8 @@ fn broken_tables_are_refused_with_the_items_named() {
         refused(&items, &edits)
     };
     let error = refused(&|edits| edits[0].fps = 30.0);
-    assert!(
-        matches!(
-            error,
-            Error::FrameRate {
-                found: 30.0,
-                expected: 20.0,
-                ..
-            }
-        ),
-        "{error}"
-    );
+    let rates = "30 fps, but its target runs at 20 fps";
+    assert!(error.to_string().contains(rates), "{error}");
     let error = refused(&|edits| edits[3].transl[0][1] = f32::NAN);
     assert!(matches!(error, Error::Motion { .. }), "{error}");
     let error = refused(&|edits| {
@@ -617,7 +607,7 @@ fn broken_tables_are_refused_with_the_items_named() {
         }
     });
     assert!(
-        matches!(error, Error::TooShort { frames: 2, .. }),
+        error.to_string().contains("2 frames are too few"),
         "{error}"
     );
 }

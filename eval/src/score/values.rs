@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::measure::{System, Take};
 use super::resample::drawn;
 use crate::Error;
+use crate::metric::interval::mean;
 use crate::metric::retrieval::{Retrieval, gallery_ranks};
 use crate::metric::{
     self, Counterpart, Draws, Latents, Measure, Metric, RankSummary, SetMeasure, SetSample,
@@ -67,11 +68,7 @@ impl Ranks {
                     Queries::Real => gallery_ranks(real, edited, galleries)?,
                     Queries::Edited => gallery_ranks(edited, real, galleries)?,
                 };
-                let parts: Vec<Retrieval> = ranks
-                    .iter()
-                    .map(|ranks| Retrieval::of_ranks(ranks))
-                    .collect();
-                let retrieval = Retrieval::mean(&parts);
+                let retrieval = Retrieval::of_galleries(&ranks);
                 Ok(Ranked { ranks, retrieval })
             };
             Ok([by(sources)?, by(targets)?])
@@ -323,9 +320,4 @@ fn of_takes(
         repeat,
         protocol,
     })
-}
-
-fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
-    (count > 0.0).then(|| sum / count)
 }

@@ -2,11 +2,10 @@
 
 use datasets_spec::record::ScoreRow;
 
-use super::column::Column;
-use super::ranking::{Standing, idle};
+use super::ranking::{Standing, distinct, idle};
 use crate::metric::diversity::DIVERSITY;
 use crate::metric::interval::MIN_TARGETS;
-use crate::metric::{Metric, fid};
+use crate::metric::{Column, Metric, fid};
 use crate::protocol::Protocol;
 
 /// Names the systems that do not edit, and those worse than the identity editor in some columns.
@@ -25,13 +24,8 @@ pub(super) fn of_ranking(
     }
     // Systems that are worse in the same columns share a clause.
     let mut clauses: Vec<(Vec<&str>, Vec<&str>)> = Vec::new();
-    let mut systems: Vec<&str> = Vec::new();
-    for row in scores {
-        if !systems.contains(&row.system.as_str()) {
-            systems.push(&row.system);
-        }
-    }
-    for system in systems {
+    let systems = scores.iter().map(|row| row.system.as_str());
+    for system in distinct(systems, |&system| system) {
         let is_behind = |column: &&Column| {
             let mut rows = scores.iter().zip(standings);
             rows.any(|(row, standing)| {

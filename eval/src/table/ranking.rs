@@ -4,22 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::record::ScoreRow;
 
-use super::column::Column;
-use crate::judge::{Judges, unranked};
-use crate::metric::{self, Better};
+use crate::judge::{Judges, TableOf, table_of, unranked};
+use crate::metric::{self, Better, Column};
 use crate::names::{GIVEN, IDENTITY, REAL_DATA};
-
-/// Task, protocol, encoder and items. Scores with equal keys belong to one table.
-pub(super) type Key<'a> = (&'a str, &'a str, &'a str, &'a str);
-
-pub(super) fn key(row: &ScoreRow) -> Key<'_> {
-    (
-        &row.task,
-        &row.protocol,
-        &row.encoder_hash,
-        &row.items_digest,
-    )
-}
 
 /// How a score compares with the other scores of its table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -35,9 +22,9 @@ pub(crate) struct Standing {
 /// Compares each score with those of the same task, items, protocol and encoder. In a table without ranking, no score
 /// is marked as best or as behind the identity editor.
 pub(crate) fn standings(scores: &[ScoreRow], judges: &Judges) -> Vec<Standing> {
-    let mut groups: BTreeMap<Key<'_>, Vec<usize>> = BTreeMap::new();
+    let mut groups: BTreeMap<TableOf<'_>, Vec<usize>> = BTreeMap::new();
     for (place, row) in scores.iter().enumerate() {
-        groups.entry(key(row)).or_default().push(place);
+        groups.entry(table_of(row)).or_default().push(place);
     }
     let mut standings = vec![Standing::default(); scores.len()];
     for places in groups.into_values() {
@@ -71,10 +58,7 @@ pub(super) fn of_table(scores: &[&ScoreRow]) -> Vec<Standing> {
         let Some(metric) = metric::from_name(name) else {
             continue;
         };
-        let column = Column {
-            metric,
-            better: (metric.better)(&scores[places[0]].task),
-        };
+        let column = Column::of(metric, &scores[places[0]].task);
         let given = |name: &str| {
             let place = places.iter().find(|&&place| scores[place].system == name);
             place.map(|&place| scores[place].mean)
@@ -139,4 +123,21 @@ fn badness(column: Column, mean: f64, real: Option<f64>) -> Option<f64> {
         Better::Higher => Some(-printed(mean)),
         Better::NearReal => real.map(|real| (printed(mean) - printed(real)).abs()),
     }
+}
+
+/// The values whose key no earlier value has.
+pub(super) fn distinct<T, K: PartialEq>(
+    values: impl Iterator<Item = T>,
+    key: impl Fn(&T) -> K,
+) -> Vec<T> {
+    let mut known = Vec::new();
+    let is_new = |value: &T| {
+        let key = key(value);
+        let is_new = !known.contains(&key);
+        if is_new {
+            known.push(key);
+        }
+        is_new
+    };
+    values.filter(is_new).collect()
 }

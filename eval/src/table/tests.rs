@@ -1,3 +1,5 @@
+use std::collections::BTreeMap;
+
 use super::*;
 use crate::judge::{Judge, TOLD_APART};
 use crate::metric::diversity::DIVERSITY;

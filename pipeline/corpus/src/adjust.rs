@@ -91,13 +91,6 @@ impl Adjustment {
         },
     ];
 
-    pub(super) fn named(name: &str) -> Self {
-        let found = Self::ALL
-            .into_iter()
-            .find(|adjustment| adjustment.name == name);
-        found.expect("an adjustment of the corpus")
-    }
-
     pub(super) fn suits(&self, action: Action) -> bool {
         (self.suits)(action)
     }

@@ -28,7 +28,11 @@ pub(super) struct Script {
     pub(super) trunk: Keys<3>,
     /// Head: nod, tilt to the left, turn to the left.
     pub(super) head: Keys<3>,
-    pub(super) arms: [Vec<ArmKey>; 2],
+    /// Gestures of the arms, written for the left arm; the right one mirrors them. A key holds a weight (0 leaves the
+    /// arm hanging and swinging, 1 follows the gesture), the direction from the shoulder to the wrist (outwards, up,
+    /// forward), the bend of the elbow from straight in radians, the direction in which the elbow points, and 0 if the
+    /// directions turn with the chest, 1 if they keep to the vertical.
+    pub(super) arms: [Keys<9>; 2],
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -86,38 +90,6 @@ impl Coupling {
         bounce: 0.0,
         lift_lead: 0.0,
     };
-}
-
-/// A keyframe of an arm's gesture, written for the left arm; the right one mirrors it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct ArmKey {
-    pub(super) secs: f64,
-    /// 0 leaves the arm hanging and swinging, 1 follows the gesture.
-    pub(super) weight: f64,
-    /// Direction from the shoulder to the wrist: outwards, up, forward.
-    pub(super) towards: DVec3,
-    /// Bend of the elbow from straight in radians.
-    pub(super) bend: f64,
-    /// Direction in which the elbow points.
-    pub(super) elbow: DVec3,
-    /// 0 if the directions turn with the chest, 1 if they keep to the vertical.
-    pub(super) upright: f64,
-}
-
-impl ArmKey {
-    fn values(&self) -> [f64; 9] {
-        [
-            self.weight,
-            self.towards.x,
-            self.towards.y,
-            self.towards.z,
-            self.bend,
-            self.elbow.x,
-            self.elbow.y,
-            self.elbow.z,
-            self.upright,
-        ]
-    }
 }
 
 /// Minimum bend of a knee in radians. People do not lock their knees, and near a straight leg the knee would
@@ -449,10 +421,7 @@ impl Tracks {
             trunk: track(&script.trunk),
             head: track(&script.head),
             bob: track(&bob_keys(script, style)),
-            arms: script
-                .arms
-                .each_ref()
-                .map(|keys| track(&keys.iter().map(|key| (key.secs, key.values())).collect())),
+            arms: script.arms.each_ref().map(track),
             trunk_noise: std::array::from_fn(|_| Wobble::new(rng, 0.012 * restless, 0.35)),
             head_noise: [0.025, 0.02, 0.07].map(|size| Wobble::new(rng, size * restless, 0.28)),
             arm_noise: std::array::from_fn(|_| {

@@ -188,6 +188,17 @@ pub(super) struct Swing {
 }
 
 impl Swing {
+    /// A step that rolls over the foot; the pitches are those at lift-off, early in the swing and at touch-down.
+    pub(super) fn rolling(lift: f64, [off, peak, strike]: [f64; 3]) -> Self {
+        Self {
+            lift,
+            ballistic: false,
+            off,
+            peak,
+            strike,
+        }
+    }
+
     /// Height above the floor at the fraction `u` of the swing.
     fn height(&self, u: f64) -> f64 {
         if self.ballistic {

@@ -6,7 +6,7 @@ use datasets_spec::Rng;
 use glam::DVec3;
 use rand::RngExt;
 
-use super::body::{ArmKey, Keys, Script};
+use super::body::{Keys, Script};
 use super::gait::Side;
 use super::style::Style;
 
@@ -85,22 +85,28 @@ impl Hold {
         }
     }
 
-    fn key(self, secs: f64, weight: f64) -> ArmKey {
-        ArmKey {
-            secs,
+    fn key(self, secs: f64, weight: f64) -> (f64, [f64; 9]) {
+        let [x, y, z] = self.towards.normalize_or(DVec3::NEG_Y).to_array();
+        let elbow = self.elbow.normalize_or(DVec3::NEG_Z);
+        let values = [
             weight,
-            towards: self.towards.normalize_or(DVec3::NEG_Y),
-            bend: self.bend,
-            elbow: self.elbow.normalize_or(DVec3::NEG_Z),
-            upright: self.upright,
-        }
+            x,
+            y,
+            z,
+            self.bend,
+            elbow.x,
+            elbow.y,
+            elbow.z,
+            self.upright,
+        ];
+        (secs, values)
     }
 }
 
 /// Adds poses of one arm one after the other, each after a pause; the first and the last fade the
 /// gesture in and out.
 struct ArmScript<'a> {
-    keys: &'a mut Vec<ArmKey>,
+    keys: &'a mut Keys<9>,
     secs: f64,
     beat: f64,
 }
@@ -131,6 +137,17 @@ impl<'a> ArmScript<'a> {
     }
 }
 
+/// Keys that reach a value at the second time, keep it until the third, and are zero at the first and the last.
+pub(super) fn held<const N: usize>(times: [f64; 4], value: [f64; N]) -> [(f64, [f64; N]); 4] {
+    let [from, reached, left, end] = times;
+    [
+        (from, [0.0; N]),
+        (reached, value),
+        (left, value),
+        (end, [0.0; N]),
+    ]
+}
+
 pub(super) fn wave(
     script: &mut Script,
     style: &Style,
@@ -152,14 +169,11 @@ pub(super) fn wave(
         pause = 0.27 * rng.random_range(0.92..1.08);
     }
     let end = arm.then(0.45, HALF_RAISED).rest(0.6);
-    let lean = -0.05 * side.sign();
-    let raised = from + 0.8 / style.tempo;
-    script.trunk.extend([
-        (from, [0.0; 3]),
-        (raised, [-0.02, lean, -0.06 * side.sign()]),
-        (end - 0.9 / style.tempo, [-0.02, lean, -0.06 * side.sign()]),
-        (end, [0.0; 3]),
-    ]);
+    let raised = [from + 0.8 / style.tempo, end - 0.9 / style.tempo];
+    let leaning = [-0.02, -0.05 * side.sign(), -0.06 * side.sign()];
+    script
+        .trunk
+        .extend(held([from, raised[0], raised[1], end], leaning));
     end
 }
 
@@ -325,12 +339,10 @@ pub(super) fn reach_up(script: &mut Script, style: &Style, side: Side, from: f64
     let beat = 1.0 / style.tempo;
     let lean = -0.10 * side.sign() * style.amplitude;
     let (up, down) = (from + 0.95 * beat, from + 1.4 * beat);
-    script.trunk.extend([
-        (from + 0.2 * beat, [0.0; 3]),
-        (up, [-0.06, lean, -0.15 * side.sign()]),
-        (down, [-0.06, lean, -0.15 * side.sign()]),
-        (from + 2.1 * beat, [0.0; 3]),
-    ]);
+    script.trunk.extend(held(
+        [from + 0.2 * beat, up, down, from + 2.1 * beat],
+        [-0.06, lean, -0.15 * side.sign()],
+    ));
     script.head.extend([
         (from, [0.0; 3]),
         (up - 0.2 * beat, [-0.38, 0.0, 0.1 * side.sign()]),
@@ -340,20 +352,13 @@ pub(super) fn reach_up(script: &mut Script, style: &Style, side: Side, from: f64
     ]);
     // A short reach needs no tiptoes; a full one raises the heels.
     let tiptoe = 0.42 * (style.amplitude - 0.5).max(0.0) / 0.5;
+    let times = [from + 0.35 * beat, up, down, down + 0.45 * beat];
     for keys in &mut script.feet_offset {
-        keys.extend([
-            (from + 0.35 * beat, [0.0; 4]),
-            (up, [0.0, 0.0, 0.0, tiptoe]),
-            (down, [0.0, 0.0, 0.0, tiptoe]),
-            (down + 0.45 * beat, [0.0; 4]),
-        ]);
+        keys.extend(held(times, [0.0, 0.0, 0.0, tiptoe]));
     }
-    script.pelvis.extend([
-        (from + 0.35 * beat, [0.0; 4]),
-        (up, [0.0, 0.12 * tiptoe, 0.03, 0.0]),
-        (down, [0.0, 0.12 * tiptoe, 0.03, 0.0]),
-        (down + 0.45 * beat, [0.0; 4]),
-    ]);
+    script
+        .pelvis
+        .extend(held(times, [0.0, 0.12 * tiptoe, 0.03, 0.0]));
     end
 }
 
@@ -377,18 +382,11 @@ pub(super) fn pick_up(script: &mut Script, style: &Style, side: Side, from: f64)
     // A stooping body need not crouch as low for the hand to come near the floor.
     let depth = 0.41 - 0.14 * style.lean.max(0.0);
     let turn = -0.22 * side.sign();
-    script.pelvis.extend([
-        (from, [0.0; 4]),
-        (low, [0.0, -depth, -0.20, 0.42]),
-        (rise, [0.0, -depth, -0.20, 0.42]),
-        (up, [0.0; 4]),
-    ]);
-    script.trunk.extend([
-        (from, [0.0; 3]),
-        (low, [0.62, 0.0, turn]),
-        (rise, [0.62, 0.0, turn]),
-        (up, [0.0; 3]),
-    ]);
+    let times = [from, low, rise, up];
+    script
+        .pelvis
+        .extend(held(times, [0.0, -depth, -0.20, 0.42]));
+    script.trunk.extend(held(times, [0.62, 0.0, turn]));
     script.head.extend([
         (from, [0.0; 3]),
         (low - 0.3 * beat, [0.35, 0.0, 0.0]),
@@ -498,24 +496,11 @@ pub(super) fn bow(script: &mut Script, style: &Style, from: f64, depth: f64, hol
     let beat = 1.0 / style.tempo;
     let (low, rise) = (from + 1.0 * beat, from + (1.0 + hold) * beat);
     let end = rise + 1.1 * beat;
-    script.trunk.extend([
-        (from, [0.0; 3]),
-        (low, [0.62 * depth, 0.0, 0.0]),
-        (rise, [0.62 * depth, 0.0, 0.0]),
-        (end, [0.0; 3]),
-    ]);
-    script.pelvis.extend([
-        (from, [0.0; 4]),
-        (low, [0.0, -0.01, -0.14 * depth, 0.55 * depth]),
-        (rise, [0.0, -0.01, -0.14 * depth, 0.55 * depth]),
-        (end, [0.0; 4]),
-    ]);
-    script.head.extend([
-        (from, [0.0; 3]),
-        (low, [0.65 * depth, 0.0, 0.0]),
-        (rise, [0.65 * depth, 0.0, 0.0]),
-        (end, [0.0; 3]),
-    ]);
+    let times = [from, low, rise, end];
+    script.trunk.extend(held(times, [0.62 * depth, 0.0, 0.0]));
+    let tilt = [0.0, -0.01, -0.14 * depth, 0.55 * depth];
+    script.pelvis.extend(held(times, tilt));
+    script.head.extend(held(times, [0.65 * depth, 0.0, 0.0]));
     for side in Side::BOTH {
         ArmScript::begin(script, style, side, from)
             .then(0.9, BESIDE)

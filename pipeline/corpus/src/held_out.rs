@@ -27,7 +27,7 @@ pub(super) fn is_shown(action: Action) -> bool {
     !TEST_ACTIONS.contains(&action) && !VAL_ACTIONS.contains(&action)
 }
 
-/// The split of a clip, from the indices of its action and style in their lists and the number of its take.
+/// The split of a clip, and of its adjusted performances.
 pub(super) fn split(action: Action, style: &style::Style, take: usize) -> Split {
     if TEST_ACTIONS.contains(&action) {
         return Split::Test;
@@ -35,13 +35,12 @@ pub(super) fn split(action: Action, style: &style::Style, take: usize) -> Split 
     if VAL_ACTIONS.contains(&action) {
         return Split::Val;
     }
-    let place = |found: Option<usize>| found.expect("listed");
-    let action = place(Action::ALL.iter().position(|other| *other == action));
-    let style = place(style::ALL.iter().position(|other| other.name == style.name));
+    let action = action as usize;
     // Neutral clips are the sources of style edits, so no neutral clip is held out for its style.
-    let styled = style.checked_sub(1);
-    let is_held_style =
-        styled.is_some_and(|style| (action + style).is_multiple_of(style::ALL.len() - 1));
+    let is_held_style = style::ALL[1..]
+        .iter()
+        .position(|other| other.name == style.name)
+        .is_some_and(|style| (action + style).is_multiple_of(style::ALL.len() - 1));
     if take >= SHOWN_TAKES || is_held_style {
         return Split::Test;
     }

@@ -34,7 +34,6 @@ mod standing;
 mod style;
 mod text;
 mod travel;
-mod words;
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -109,10 +108,6 @@ pub struct CorpusClip {
     /// Name of the clip: action, style and take, such as `walk_proud_001`. Clips of the same action
     /// and take in different styles are a style pair.
     pub name: String,
-    /// Name of the action.
-    pub action: String,
-    /// Name of the style.
-    pub style: String,
     /// The motion on the neutral SMPL-X skeleton, y up, at [`CORPUS_FPS`]; the toe joints of a
     /// standing body are on the floor at y = 0.
     pub motion: Motion,
@@ -130,12 +125,6 @@ pub struct AdjustedClip {
     pub instruction: &'static str,
     /// The part of the body that moves differently.
     pub part: BodyPart,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum ClipFormat {
-    Amass,
-    Bvh,
 }
 
 /// Counts of the written corpus.
@@ -184,8 +173,6 @@ pub fn clip(index: usize, options: &CorpusOptions) -> CorpusClip {
     let (captions, parts) = text::describe(action, style.name, facts, &mut words);
     CorpusClip {
         name: clip_name(action, style, take),
-        action: action.name().to_owned(),
-        style: style.name.to_owned(),
         motion,
         sidecar: Sidecar {
             captions: captions.into_iter().map(Into::into).collect(),
@@ -222,8 +209,6 @@ pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip
             AdjustedClip {
                 clip: CorpusClip {
                     name: format!("{neutral}_adjusted-{}", adjustment.name),
-                    action: action.name().to_owned(),
-                    style: style.name.to_owned(),
                     motion,
                     sidecar: Sidecar {
                         captions: captions.into_iter().map(Into::into).collect(),
@@ -237,7 +222,7 @@ pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip
         .collect()
 }
 
-/// Labels that the sidecars of a clip and of its adjusted performances share.
+/// Labels that the sidecars of all performances of a take share.
 fn stated(action: Action, take: usize) -> Sidecar {
     Sidecar {
         subject: Some(Performer::of_take(take).name()),
@@ -282,25 +267,22 @@ fn cast(index: usize) -> (Action, &'static style::Style, usize) {
     (action, &style::ALL[index % styles], index / CLIPS_PER_TAKE)
 }
 
-/// The format of an index. All styles of an action and take have one format, so that style pairs differ only in style.
-/// Half of the actions of a take have each format, and the next take swaps them.
-fn format_of(index: usize) -> ClipFormat {
+/// Whether the clip of an index is an AMASS archive, and not BVH. All styles of an action and take have one format, so
+/// that style pairs differ only in style. Half of the actions of a take have each format, and the next take swaps them.
+fn is_amass(index: usize) -> bool {
     let (action, take) = (index / style::ALL.len(), index / CLIPS_PER_TAKE);
-    if (action + take).is_multiple_of(2) {
-        ClipFormat::Amass
-    } else {
-        ClipFormat::Bvh
-    }
+    (action + take).is_multiple_of(2)
 }
 
 /// Path of a clip relative to the folder of the corpus.
 fn clip_path(index: usize, clip: &CorpusClip) -> PathBuf {
-    match format_of(index) {
-        ClipFormat::Amass => Path::new("amass")
+    let (_, style, _) = cast(index);
+    match is_amass(index) {
+        true => Path::new("amass")
             .join(AMASS_SUBSET)
-            .join(&clip.style)
+            .join(style.name)
             .join(format!("{}_poses.npz", clip.name)),
-        ClipFormat::Bvh => Path::new("bvh").join(format!("{}.bvh", clip.name)),
+        false => Path::new("bvh").join(format!("{}.bvh", clip.name)),
     }
 }
 
@@ -339,7 +321,6 @@ pub fn write_held_out_corpus(
     write_with(out, options, split, progress)
 }
 
-/// The split of the clip of an index, and of its adjusted performances, in a held-out corpus.
 fn held_out_split(index: usize) -> Split {
     let (action, style, take) = cast(index);
     held_out::split(action, style, take)
@@ -419,19 +400,16 @@ fn write_clips(
 
 /// Writes a clip to a path below `out`, in the format of its extension.
 fn write_clip(out: &Path, path: &Path, clip: &CorpusClip) -> Result<CorpusSummary, Error> {
-    let format = match path.extension().is_some_and(|name| name == "npz") {
-        true => ClipFormat::Amass,
-        false => ClipFormat::Bvh,
-    };
+    let is_amass = path.extension().is_some_and(|name| name == "npz");
     let path = out.join(path);
     let failed = |source| Error::Write {
         path: path.clone(),
         source,
     };
     let skeleton = Skeleton::smplx_neutral();
-    let motion = match format {
-        ClipFormat::Amass => write::amass::encode(&clip.motion, &skeleton).map_err(failed)?,
-        ClipFormat::Bvh => write::bvh::encode(&clip.motion, &skeleton).into_bytes(),
+    let motion = match is_amass {
+        true => write::amass::encode(&clip.motion, &skeleton).map_err(failed)?,
+        false => write::bvh::encode(&clip.motion, &skeleton).into_bytes(),
     };
     let mut sidecar = serde_json::to_vec_pretty(&clip.sidecar)
         .map_err(|source| failed(io::Error::from(source)))?;
@@ -445,8 +423,8 @@ fn write_clip(out: &Path, path: &Path, clip: &CorpusClip) -> Result<CorpusSummar
     replace_file(&sidecar_path, &sidecar).map_err(failed)?;
     replace_file(&path, &motion).map_err(failed)?;
     Ok(CorpusSummary {
-        amass: usize::from(format == ClipFormat::Amass),
-        bvh: usize::from(format == ClipFormat::Bvh),
+        amass: usize::from(is_amass),
+        bvh: usize::from(!is_amass),
         frames: clip.motion.len(),
         bytes: (motion.len() + sidecar.len()) as u64,
         ..CorpusSummary::default()

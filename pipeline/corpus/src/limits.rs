@@ -11,12 +11,13 @@ use datasets_spec::{BodyPart, Motion, Progress, Seed, Split};
 use formats::sidecar::Sidecar;
 use rayon::prelude::*;
 
-use super::action::{Action, Asked, Facts};
+use super::action::{Action, Asked};
 use super::adjust::Adjustment;
 use super::style::{self, Style};
+use super::text::words;
 use super::{
-    CORPUS_FPS, CorpusClip, CorpusSummary, Error, LICENSE, PAIR_LIST, Performer, clip_id, held_out,
-    perform, write_clip, write_list,
+    CORPUS_FPS, CorpusClip, CorpusSummary, Error, PAIR_LIST, clip_id, held_out, perform, stated,
+    write_clip, write_list,
 };
 
 /// Name of the list that pairs the motions of [`Limit::Wording`] with the instructions of the training split.
@@ -57,23 +58,33 @@ impl Limit {
     }
 }
 
-/// Properties of a performance that distinguish it from the others of its take.
-struct Performance {
-    style: Style,
-    asked: Asked,
-}
-
-/// Two performances of a take, and the instruction from one to the other.
+/// Two performances of a take, and the instruction from the first to the second.
 struct Question {
     action: Action,
     take: String,
-    before: Performance,
-    after: Performance,
+    styles: [Style; 2],
+    asked: [Asked; 2],
     instruction: String,
     parts: Vec<BodyPart>,
     kind: EditKind,
     /// The instruction in the training split's words; none for a style, whose instruction follows from its name.
     seen: Option<&'static str>,
+}
+
+impl Question {
+    /// A fine-grained question whose performances and parts remain to be stated.
+    fn new(action: Action, take: String, instruction: String) -> Self {
+        Self {
+            action,
+            take,
+            styles: [style::NEUTRAL; 2],
+            asked: [Asked::default(); 2],
+            instruction,
+            parts: Vec::new(),
+            kind: EditKind::FineGrained,
+            seen: None,
+        }
+    }
 }
 
 /// Actions that are repeated, with their name in an instruction and the parts that move.
@@ -91,22 +102,15 @@ fn repetitions() -> Vec<Question> {
     for take in 0..TAKES {
         for (action, verb, part) in REPEATED {
             for (from, to, times) in CHANGES {
-                let of = |times: usize| Performance {
-                    style: style::NEUTRAL,
-                    asked: Asked {
-                        times: Some(times),
-                        ..Asked::default()
-                    },
-                };
+                let asked = [from, to].map(|times| Asked {
+                    times: Some(times),
+                    ..Asked::default()
+                });
+                let take = format!("limit-{take}-{from}-to-{to}");
                 questions.push(Question {
-                    action,
-                    take: format!("limit-{take}-{from}-to-{to}"),
-                    before: of(from),
-                    after: of(to),
-                    instruction: format!("{verb} {times}."),
+                    asked,
                     parts: vec![part],
-                    kind: EditKind::FineGrained,
-                    seen: None,
+                    ..Question::new(action, take, format!("{verb} {times}."))
                 });
             }
         }
@@ -153,130 +157,54 @@ fn sides(seed: Seed) -> Vec<Question> {
     for take in 0..2 * TAKES {
         for (action, template, part) in SIDED {
             let take = format!("limit-{take}-other-side");
-            let facts = facts(action, &take, seed);
-            let of = |is_mirrored| Performance {
-                style: style::NEUTRAL,
-                asked: Asked {
-                    is_mirrored,
-                    ..Asked::default()
-                },
-            };
+            let (_, facts) = perform(action, &style::NEUTRAL, Asked::default(), &take, seed);
+            let asked = [false, true].map(|is_mirrored| Asked {
+                is_mirrored,
+                ..Asked::default()
+            });
+            let instruction = template
+                .replace("{side}", facts.side.word())
+                .replace("{other}", facts.side.other().word());
             questions.push(Question {
-                action,
-                take,
-                before: of(false),
-                after: of(true),
-                instruction: template
-                    .replace("{side}", facts.side.word())
-                    .replace("{other}", facts.side.other().word()),
+                asked,
                 parts: vec![part],
-                kind: EditKind::FineGrained,
-                seen: None,
+                ..Question::new(action, take, instruction)
             });
         }
     }
     questions
 }
 
-fn facts(action: Action, take: &str, seed: Seed) -> Facts {
-    perform(action, &style::NEUTRAL, Asked::default(), take, seed).1
-}
-
-const ADJUSTMENT_WORDS: [(&str, &str); 24] = [
-    ("lean", "Tip the trunk to the front."),
-    ("lean", "Stoop a bit while you do it."),
-    ("lean", "Incline your torso ahead, from the waist."),
-    ("look-down", "Keep your eyes on the ground."),
-    ("look-down", "Drop your chin towards the chest."),
-    ("look-down", "Let the gaze fall to the floor."),
-    ("bend-knees", "Stay lower, with flexed legs."),
-    ("bend-knees", "Sink into a slight crouch."),
-    ("bend-knees", "Do not straighten your legs so much."),
-    ("raise-shoulders", "Shrug."),
-    ("raise-shoulders", "Pull your shoulders up to the ears."),
-    (
-        "raise-shoulders",
-        "Tense up around the neck, shoulders high.",
-    ),
-    ("arms-out", "Keep your hands away from the hips."),
-    ("arms-out", "Let both arms stick out at the sides."),
-    ("arms-out", "Leave more room under the armpits."),
-    ("bend-elbows", "Flex your arms at the elbow joint."),
-    ("bend-elbows", "Do not let the forearms hang straight."),
-    ("bend-elbows", "Carry your forearms higher."),
-    ("longer-steps", "Lengthen your stride."),
-    ("longer-steps", "Cover a greater distance with each foot."),
-    ("longer-steps", "Stretch every pace."),
-    ("swing-arms", "Let the arms go back and forth wider."),
-    ("swing-arms", "Pump both hands strongly along your sides."),
-    ("swing-arms", "Give the arms a bigger pendulum motion."),
-];
-
-const STYLE_WORDS: [(&str, &str); 20] = [
-    ("proud", "Strut as though you had won a medal"),
-    ("proud", "Carry yourself like royalty"),
-    ("proud", "Make it look self-assured and boastful"),
-    (
-        "proud",
-        "Move like somebody who is very pleased with himself",
-    ),
-    ("old", "Act like a grandfather of ninety"),
-    ("old", "Do it as an aged, frail human would"),
-    ("old", "Let it seem that every joint aches from the years"),
-    ("old", "Become a senior citizen"),
-    ("playful", "Have fun with it, like a kid"),
-    ("playful", "Fool around while you do that"),
-    ("playful", "Be silly and light-hearted"),
-    ("playful", "Make a game of it"),
-    ("depressed", "Move as if you had lost all hope"),
-    ("depressed", "Look gloomy and drained"),
-    ("depressed", "Do it with a heavy heart"),
-    ("depressed", "Show deep sorrow"),
-    ("angry", "Show that you are mad at someone"),
-    ("angry", "Do it while fuming"),
-    ("angry", "Let out your wrath"),
-    ("angry", "Behave like a person in a bad temper"),
-];
-
 fn wordings() -> Vec<Question> {
     let shown: Vec<Action> = Action::ALL
         .into_iter()
         .filter(|action| held_out::is_shown(*action))
         .collect();
-    let of = |style: Style| Performance {
-        style,
-        asked: Asked::default(),
-    };
     let mut questions = Vec::new();
-    for (place, (name, words)) in ADJUSTMENT_WORDS.into_iter().enumerate() {
-        let adjustment = Adjustment::named(name);
+    let of_adjustment =
+        |adjustment: Adjustment| words(adjustment.name).map(move |words| (adjustment, words));
+    let adjusted = Adjustment::ALL.into_iter().flat_map(of_adjustment);
+    for (place, (adjustment, words)) in adjusted.enumerate() {
         let suited = shown.iter().filter(|action| adjustment.suits(**action));
         for (take, action) in suited.cycle().skip(place).take(2).enumerate() {
+            let take = format!("limit-{place}-{take}-{}", adjustment.name);
             questions.push(Question {
-                action: *action,
-                take: format!("limit-{place}-{take}-{name}"),
-                before: of(style::NEUTRAL),
-                after: of(adjustment.of(&style::NEUTRAL)),
-                instruction: words.to_owned(),
+                styles: [style::NEUTRAL, adjustment.of(&style::NEUTRAL)],
                 parts: vec![adjustment.part],
-                kind: EditKind::FineGrained,
                 seen: Some(adjustment.instruction),
+                ..Question::new(*action, take, words.to_owned())
             });
         }
     }
-    for (place, (name, words)) in STYLE_WORDS.into_iter().enumerate() {
-        let style = style::ALL.iter().find(|style| style.name == name);
-        let style = *style.expect("a style of the corpus");
+    let of_style = |style: Style| words(style.name).map(move |words| (style, words));
+    let styled = style::ALL.into_iter().skip(1).flat_map(of_style);
+    for (place, (style, words)) in styled.enumerate() {
         for (take, action) in shown.iter().cycle().skip(3 * place).take(2).enumerate() {
+            let take = format!("limit-{place}-{take}-{}", style.name);
             questions.push(Question {
-                action: *action,
-                take: format!("limit-{place}-{take}-{name}"),
-                before: of(style::NEUTRAL),
-                after: of(style),
-                instruction: words.to_owned(),
-                parts: Vec::new(),
+                styles: [style::NEUTRAL, style],
                 kind: EditKind::Style,
-                seen: None,
+                ..Question::new(*action, take, words.to_owned())
             });
         }
     }
@@ -333,16 +261,15 @@ pub fn write_limits(
 
 impl Question {
     fn perform(&self, seed: Seed) -> [Motion; 2] {
-        let play = |performance: &Performance, least_secs: f64| {
+        let play = |end: usize, least_secs: f64| {
             let asked = Asked {
                 least_secs,
-                ..performance.asked
+                ..self.asked[end]
             };
-            perform(self.action, &performance.style, asked, &self.take, seed).0
+            perform(self.action, &self.styles[end], asked, &self.take, seed).0
         };
-        let both = [&self.before, &self.after];
-        let motions = both.map(|performance| play(performance, 0.0));
-        if self.before.asked.times.is_none() {
+        let motions = [0, 1].map(|end| play(end, 0.0));
+        if self.asked[0].times.is_none() {
             return motions;
         }
         // Both clips get the longer duration, because an edit has as many frames as its source.
@@ -350,14 +277,14 @@ impl Question {
             .iter()
             .map(|motion| motion.len() as f64 / CORPUS_FPS);
         let longest = secs.fold(0.0, f64::max);
-        both.map(|performance| play(performance, longest))
+        [0, 1].map(|end| play(end, longest))
     }
 
     /// Writes both clips. Returns the line of the question, and the line with the training split's instruction.
     fn write(&self, folder: &Path, seed: Seed) -> Result<(CorpusSummary, [String; 2]), Error> {
         let mut summary = CorpusSummary::default();
-        let styles = [&self.before, &self.after].map(|performance| match self.kind {
-            EditKind::Style => Some(performance.style.name),
+        let styles = self.styles.each_ref().map(|style| match self.kind {
+            EditKind::Style => Some(style.name),
             _ => None,
         });
         let ends = ["before", "after"];
@@ -366,16 +293,11 @@ impl Question {
             let name = format!("{}_{}_{end}", self.action.name(), self.take);
             let path = Path::new(&name).with_extension("npz");
             let clip = CorpusClip {
-                action: self.action.name().to_owned(),
-                style: style.unwrap_or(style::NEUTRAL.name).to_owned(),
                 motion,
                 sidecar: Sidecar {
-                    subject: Some(Performer::of_take(0).name()),
-                    action: Some(self.action.name().to_owned()),
                     style: style.map(str::to_owned),
                     split: Some(Split::Test),
-                    license: Some(LICENSE.to_owned()),
-                    ..Sidecar::default()
+                    ..stated(self.action, 0)
                 },
                 name,
             };
@@ -412,18 +334,16 @@ mod tests {
 
     #[test]
     fn no_wording_is_one_of_training() {
-        let all = ADJUSTMENT_WORDS.iter().chain(&STYLE_WORDS);
-        let words: BTreeSet<&str> = all.clone().map(|(_, words)| *words).collect();
-        assert_eq!(words.len(), all.count());
-        assert!(words.iter().all(|words| !words.contains('"')));
-        let of = |table: &[(&str, &str)], name| table.iter().filter(|row| row.0 == name).count();
+        let mut all: BTreeSet<&str> = Adjustment::ALL.map(|adjusted| adjusted.instruction).into();
         for adjustment in Adjustment::ALL {
-            assert!(!words.contains(adjustment.instruction));
-            assert_eq!(of(&ADJUSTMENT_WORDS, adjustment.name), 3);
+            assert_eq!(words(adjustment.name).count(), 3);
+            assert!(words(adjustment.name).all(|words| all.insert(words)));
         }
         for style in &style::ALL[1..] {
-            assert_eq!(of(&STYLE_WORDS, style.name), 4);
+            assert_eq!(words(style.name).count(), 4);
+            assert!(words(style.name).all(|words| all.insert(words)));
         }
+        assert!(all.iter().all(|words| !words.contains('"')));
     }
 
     #[test]
@@ -434,7 +354,7 @@ mod tests {
         for question in questions.iter().take(12) {
             let [before, after] = question.perform(Seed(0));
             assert_eq!(before.len(), after.len(), "{}", question.instruction);
-            for (motion, performance) in [(before, &question.before), (after, &question.after)] {
+            for (motion, asked) in [before, after].into_iter().zip(question.asked) {
                 let points = skeleton.motion_keypoints(&motion).points;
                 // Number of times that a joint rises above (or falls below) its start by this distance.
                 let times = |joint: Joint, metres: f64| {
@@ -452,10 +372,9 @@ mod tests {
                     Action::Kick => times(Joint::LeftAnkle, 0.4) + times(Joint::RightAnkle, 0.4),
                     _ => hands[0].max(hands[1]),
                 };
-                let asked = performance.asked.times;
                 assert_eq!(
                     Some(found),
-                    asked,
+                    asked.times,
                     "{} {}",
                     question.instruction,
                     question.take
@@ -470,7 +389,7 @@ mod tests {
         assert_eq!(asked.len(), 60);
         let texts: BTreeSet<&str> = asked.iter().map(|one| one.instruction.as_str()).collect();
         assert_eq!(texts.len(), 2 * SIDED.len(), "both sides of every action");
-        let words = ADJUSTMENT_WORDS.len() + STYLE_WORDS.len();
-        assert_eq!(wordings().len(), 2 * words);
+        let num_wordings = 3 * Adjustment::ALL.len() + 4 * (style::ALL.len() - 1);
+        assert_eq!(wordings().len(), 2 * num_wordings);
     }
 }

@@ -219,18 +219,10 @@ pub(super) fn squatting(style: &Style, facts: Facts, take: &mut Rng, scatter: &m
             let down = secs + 0.9 * beat;
             let rise = down + hold * beat;
             let up = rise + 0.9 * beat;
-            script.pelvis.extend([
-                (secs, [0.0; 4]),
-                (down, [0.0, -depth, -0.48 * depth, 0.35]),
-                (rise, [0.0, -depth, -0.48 * depth, 0.35]),
-                (up, [0.0; 4]),
-            ]);
-            script.trunk.extend([
-                (secs, [0.0; 3]),
-                (down, [0.36, 0.0, 0.0]),
-                (rise, [0.36, 0.0, 0.0]),
-                (up, [0.0; 3]),
-            ]);
+            let times = [secs, down, rise, up];
+            let low = [0.0, -depth, -0.48 * depth, 0.35];
+            script.pelvis.extend(gesture::held(times, low));
+            script.trunk.extend(gesture::held(times, [0.36, 0.0, 0.0]));
             gesture::arms_forward(script, style, secs, down, up);
             secs = up + 0.25 * beat;
         }
@@ -241,13 +233,7 @@ pub(super) fn squatting(style: &Style, facts: Facts, take: &mut Rng, scatter: &m
 pub(super) fn throwing(style: &Style, facts: Facts, scatter: &mut Rng) -> Script {
     let beat = 1.0 / style.tempo;
     let step = 0.42 * style.stride;
-    let swing = Swing {
-        lift: 0.07 * style.lift.min(1.3),
-        ballistic: false,
-        off: 0.35,
-        peak: 0.45,
-        strike: -0.15,
-    };
+    let swing = Swing::rolling(0.07 * style.lift.min(1.3), [0.35, 0.45, -0.15]);
     let half_width = 0.10 * style.width;
     let place = |side: Side, forward: f64| {
         DVec3::new(side.sign() * half_width, 0.0, forward - Gait::ANKLE_BEHIND)
@@ -263,14 +249,8 @@ pub(super) fn throwing(style: &Style, facts: Facts, scatter: &mut Rng) -> Script
         let (off, on) = (secs + 0.72 * beat, secs + 1.12 * beat);
         steps[leading as usize].push((off, on, place(leading, to), 0.06 * leading.sign(), swing));
         let (off, on) = (secs + 1.55 * beat, secs + 1.98 * beat);
-        let trailing = facts.side;
-        steps[trailing as usize].push((
-            off,
-            on,
-            place(trailing, to),
-            0.06 * trailing.sign(),
-            swing,
-        ));
+        let side = facts.side;
+        steps[side as usize].push((off, on, place(side, to), 0.06 * side.sign(), swing));
         way.push((secs + 0.6 * beat, [to - step]));
         way.push((secs + 2.0 * beat, [to]));
         starts.push(secs);

@@ -5,7 +5,15 @@ use datasets_spec::{BodyPart, Rng};
 use rand::RngExt;
 
 use super::action::{Action, Facts};
-use super::words::Words;
+use super::gait::Side;
+
+/// Words of each action, in indented lines below its name: sentences about the whole body, and after the name of a part
+/// and a colon what the part does, if that can be described. Such a phrase completes "The person is ... with their
+/// <part>." Below the names of adjustments and styles are instructions for them in words that training does not show.
+const WORDS: &str = include_str!("words.txt");
+
+/// Stands in [`WORDS`] for the arm on the side of a take.
+const ACTING_ARM: &str = "ACTING_ARM";
 
 /// Captions per clip: HumanML3D has three or four, KIT-ML one to three.
 const CAPTIONS: std::ops::RangeInclusive<usize> = 2..=3;
@@ -18,10 +26,15 @@ pub(super) fn describe(
     rng: &mut Rng,
 ) -> (Vec<Caption>, Vec<PartCaption>) {
     let captions = captions(action, manners(style), facts, rng);
-    let parts = parts(action, facts)
+    let acting = match facts.side {
+        Side::Left => BodyPart::LeftArm,
+        Side::Right => BodyPart::RightArm,
+    };
+    let parts = words(action.name())
+        .filter_map(|line| line.split_once(": "))
         .map(|(part, phrase)| PartCaption {
-            part: part.name().to_owned(),
-            text: fill(phrase, "", part_manner(style), facts),
+            part: part.replace(ACTING_ARM, acting.name()),
+            text: fill(phrase, "", manners(style)[0], facts),
         })
         .collect();
     (captions, parts)
@@ -35,7 +48,8 @@ pub(super) fn captions(
     facts: Facts,
     rng: &mut Rng,
 ) -> Vec<Caption> {
-    let mut sentences = Words::of(action).sentences.to_vec();
+    let is_sentence = |line: &&str| !line.contains(": ");
+    let mut sentences: Vec<&str> = words(action.name()).filter(is_sentence).collect();
     let mut manners = manners.to_vec();
     let num_captions = rng.random_range(CAPTIONS);
     (0..num_captions)
@@ -54,6 +68,17 @@ pub(super) fn captions(
             }
         })
         .collect()
+}
+
+/// The lines of an action, adjustment or style in [`WORDS`].
+pub(super) fn words(name: &str) -> impl Iterator<Item = &'static str> {
+    let is_indented = |line: &&str| line.starts_with(' ');
+    WORDS
+        .lines()
+        .skip_while(move |line| is_indented(line) || !line.split(' ').any(|other| other == name))
+        .skip(1)
+        .take_while(is_indented)
+        .map(str::trim)
 }
 
 const SUBJECTS: [&str; 4] = ["a person", "someone", "the person", "a figure"];
@@ -115,26 +140,11 @@ fn manners(style: &str) -> &'static [&'static str] {
     }
 }
 
-fn part_manner(style: &str) -> &'static str {
-    manners(style)[0]
-}
-
-/// Phrases about single parts.
-fn parts(action: Action, facts: Facts) -> impl Iterator<Item = (BodyPart, &'static str)> {
-    let acting = match facts.side.sign() > 0.0 {
-        true => BodyPart::LeftArm,
-        false => BodyPart::RightArm,
-    };
-    let parts = Words::of(action).parts.iter();
-    parts.map(move |(part, phrase)| (part.unwrap_or(acting), *phrase))
-}
-
 #[cfg(test)]
 mod tests {
     use datasets_spec::Seed;
 
     use super::*;
-    use crate::gait::Side;
     use crate::style;
 
     #[test]

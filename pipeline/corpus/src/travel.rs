@@ -57,13 +57,7 @@ impl Travel {
                 duty: 0.61,
                 half_width: 0.080,
                 toe_out: 0.04,
-                swing: Swing {
-                    lift: 0.028,
-                    ballistic: false,
-                    off: 0.75,
-                    peak: 0.95,
-                    strike: -0.30,
-                },
+                swing: Swing::rolling(0.028, [0.75, 0.95, -0.30]),
                 jitter: 0.025,
                 first: Side::draw(take),
             },
@@ -79,13 +73,7 @@ impl Travel {
             step_secs: 1.12 * walk.gait.step_secs,
             duty: 0.66,
             half_width: 0.095,
-            swing: Swing {
-                lift: 0.045,
-                ballistic: false,
-                off: 0.25,
-                peak: 0.45,
-                strike: 0.35,
-            },
+            swing: Swing::rolling(0.045, [0.25, 0.45, 0.35]),
             ..walk.gait
         };
         Self {
@@ -138,13 +126,7 @@ impl Travel {
                 step_secs,
                 duty: 0.455,
                 half_width: 0.060,
-                swing: Swing {
-                    lift: 0.12,
-                    ballistic: false,
-                    off: 0.85,
-                    peak: 1.55,
-                    strike: -0.12,
-                },
+                swing: Swing::rolling(0.12, [0.85, 1.55, -0.12]),
                 ..walk.gait
             },
             coupling: Coupling {
@@ -211,13 +193,7 @@ impl Travel {
                 duty: 0.66,
                 // Wide enough that the closing foot stays clear of the leading one.
                 half_width: 0.085 + 0.25 * pair,
-                swing: Swing {
-                    lift: 0.05,
-                    ballistic: false,
-                    off: 0.30,
-                    peak: 0.40,
-                    strike: 0.10,
-                },
+                swing: Swing::rolling(0.05, [0.30, 0.40, 0.10]),
                 first: side,
                 ..walk.gait
             },
@@ -257,13 +233,7 @@ impl Travel {
                 duty: 0.66,
                 half_width: 0.105,
                 toe_out: 0.10,
-                swing: Swing {
-                    lift: 0.05,
-                    ballistic: false,
-                    off: 0.5,
-                    peak: 0.6,
-                    strike: 0.1,
-                },
+                swing: Swing::rolling(0.05, [0.5, 0.6, 0.1]),
                 jitter: 0.03,
                 first: facts.side,
             },
@@ -285,13 +255,7 @@ impl Travel {
                 step_secs: 0.50 * take.random_range(0.94..1.08),
                 duty: 0.60,
                 half_width: 0.085,
-                swing: Swing {
-                    lift: 0.42,
-                    ballistic: false,
-                    off: 0.9,
-                    peak: 1.3,
-                    strike: 0.6,
-                },
+                swing: Swing::rolling(0.42, [0.9, 1.3, 0.6]),
                 ..walk.gait
             },
             coupling: Coupling {
