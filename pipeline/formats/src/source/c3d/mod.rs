@@ -10,13 +10,11 @@
 
 mod parameters;
 
-use std::path::Path;
-
 use datasets_spec::Fps;
 use glam::DVec3;
 
 use self::parameters::{BLOCK, Parameters, Processor};
-use super::format::{Format, ReadCapture, Recognised, SourceFormat};
+use super::format::Format;
 use super::options::ReadOptions;
 use super::unit::Unit;
 use crate::markers::{self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, is_model_output};
@@ -431,48 +429,27 @@ fn marker_labels(bytes: &[u8]) -> Option<Vec<String>> {
 
 /// C3D: marker positions of an optical capture.
 // Bytes per second: measured on 24 captures.
-pub const FORMAT: Format = Format::of_files(
-    "c3d",
-    ".c3d of Intel, DEC and MIPS, whole and real numbers; one motion for each person in it; fitted to the \
-     markers, which are kept",
-    60_000.0,
-    &C3d,
-);
-
-struct C3d;
-
-impl SourceFormat for C3d {
-    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
-        (extension == "c3d").then_some(Recognised::Motion(FORMAT))
-    }
-
-    fn may_hold_several(&self) -> bool {
-        true
-    }
-
-    fn keys(&self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+pub const FORMAT: Format = Format {
+    extensions: &["c3d"],
+    keys: Some(|bytes, options| {
         let labels = marker_labels(bytes).unwrap_or_default();
         markers::keys(&labels, options.markers.as_ref())
-    }
-
-    fn capture_reader(&self) -> Option<ReadCapture> {
-        Some(capture)
-    }
-
-    fn subject_of<'a>(&self, key: &'a str) -> Option<&'a str> {
-        markers::subject_of(key)
-    }
-
-    fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        match capture(bytes, options) {
-            Ok(Some(capture)) => capture.clip(key, options).into(),
-            Ok(None) => Outcome::Skipped {
-                reason: "C3D without marker data".to_owned(),
-            },
-            Err(rejected) => Outcome::Rejected(rejected),
-        }
-    }
-}
+    }),
+    capture: Some(capture),
+    read: |_, key, bytes, options| match capture(bytes, options) {
+        Ok(Some(capture)) => capture.clip(key, options).into(),
+        Ok(None) => Outcome::Skipped {
+            reason: "C3D without marker data".to_owned(),
+        },
+        Err(rejected) => Outcome::Rejected(rejected),
+    },
+    ..Format::of_files(
+        "c3d",
+        ".c3d of Intel, DEC and MIPS, whole and real numbers; one motion for each person in it; fitted to the \
+         markers, which are kept",
+        60_000.0,
+    )
+};
 
 #[cfg(test)]
 mod tests;

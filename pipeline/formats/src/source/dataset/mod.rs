@@ -7,23 +7,16 @@
 mod release;
 
 use self::release::StoredDataset;
-use super::format::boxed;
-use super::{Files, Format, Release, SourceFormat};
+use super::format::{Format, boxed};
 
 /// A dataset folder.
 // Bytes per second: the 69 parameters of the store in f32 at 20 fps, before compression.
-pub const FORMAT: Format = Format::of_releases(
-    "dataset",
-    "a dataset folder of this program (meta/manifest-*.json) on the same skeleton; a clip keeps id, split, labels \
-     and masks, and the first of its pairs; rotations as stored",
-    (4 * 69 * 20) as f64,
-    &DatasetFolder,
-);
-
-struct DatasetFolder;
-
-impl SourceFormat for DatasetFolder {
-    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
-        boxed(StoredDataset::find(files))
-    }
-}
+pub const FORMAT: Format = Format {
+    find: |files| boxed(StoredDataset::find(files)),
+    ..Format::of_releases(
+        "dataset",
+        "a dataset folder of this program (meta/manifest-*.json) on the same skeleton; a clip keeps id, split, labels \
+         and masks, and the first of its pairs; rotations as stored",
+        (4 * 69 * 20) as f64,
+    )
+};

@@ -5,10 +5,8 @@
 
 mod performance;
 
-use std::path::Path;
-
 use self::performance::{Performance, Performances};
-use super::format::{Format, Recognised, SourceFormat};
+use super::format::Format;
 use super::options::ReadOptions;
 use crate::retarget;
 use clip::{Outcome, Rejected, rejected};
@@ -54,33 +52,14 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
 
 /// FBX: takes of a skeleton.
 // Bytes per second: curves of 65 bones at 30 fps in a binary file, partly packed.
-pub const FORMAT: Format = Format::of_files(
-    "fbx",
-    ".fbx, binary or text; one motion for each take; rotations are retargeted",
-    60_000.0,
-    &Fbx,
-);
-
-struct Fbx;
-
-impl SourceFormat for Fbx {
-    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
-        (extension == "fbx").then_some(Recognised::Motion(FORMAT))
-    }
-
-    fn by_content(&self, head: &[u8]) -> bool {
-        MAGICS.iter().any(|magic| head.starts_with(magic))
-    }
-
-    fn may_hold_several(&self) -> bool {
-        true
-    }
-
-    fn keys(&self, bytes: &[u8], _options: &ReadOptions) -> Vec<String> {
-        keys(bytes)
-    }
-
-    fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        read(bytes, key, options).unwrap_or_else(Outcome::Rejected)
-    }
-}
+pub const FORMAT: Format = Format {
+    extensions: &["fbx"],
+    by_content: |head| MAGICS.iter().any(|magic| head.starts_with(magic)),
+    keys: Some(|bytes, _| keys(bytes)),
+    read: |_, key, bytes, options| read(bytes, key, options).unwrap_or_else(Outcome::Rejected),
+    ..Format::of_files(
+        "fbx",
+        ".fbx, binary or text; one motion for each take; rotations are retargeted",
+        60_000.0,
+    )
+};

@@ -9,7 +9,7 @@ mod plan;
 #[cfg(test)]
 mod tests;
 
-use super::format::{Format, SourceFormat};
+use super::format::Format;
 
 pub use plan::find;
 pub use plan::{is_humanact12, recordings};
@@ -18,10 +18,5 @@ pub use plan::{is_humanact12, recordings};
 pub const FORMAT: Format = Format::of_releases(
     "humanml3d-amass",
     "AMASS files and --humanml3d-index index.csv; its own rotations, with mirrored copies",
-    super::humanml3d::FORMAT.bytes_per_second(),
-    &HumanMl3dAmass,
+    super::humanml3d::FORMAT.bytes_per_second,
 );
-
-struct HumanMl3dAmass;
-
-impl SourceFormat for HumanMl3dAmass {}

@@ -12,7 +12,7 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 use serde_json::Value as Json;
 
 use super::files::Files;
-use super::format::{Contents, Entry, Format, Release, SourceFormat};
+use super::format::{Contents, Entry, Format, Release};
 use super::head::{LFS_POINTER, refuse_pointer};
 use super::names::file_name;
 use super::options::ReadOptions;
@@ -454,21 +454,15 @@ fn parse_parts(answer: &str) -> Vec<BodyPart> {
 
 /// A folder of the MotionFix release.
 // Bytes per second: source and target in f4 at 30 fps: translation, rotations and joint positions.
-pub const FORMAT: Format = Format::of_releases(
-    "motionfix",
-    "motionfix*.pth.tar (joblib, packed or not); splits.json beside it gives the splits; its own rotations, with \
-     pairs",
-    (2 * 4 * 3 * (1 + 2 * NUM_BODY_JOINTS) * 30) as f64,
-    &MotionFix,
-);
-
-struct MotionFix;
-
-impl SourceFormat for MotionFix {
-    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
-        find(files)
-    }
-}
+pub const FORMAT: Format = Format {
+    find,
+    ..Format::of_releases(
+        "motionfix",
+        "motionfix*.pth.tar (joblib, packed or not); splits.json beside it gives the splits; its own rotations, with \
+         pairs",
+        (2 * 4 * 3 * (1 + 2 * NUM_BODY_JOINTS) * 30) as f64,
+    )
+};
 
 #[cfg(test)]
 mod tests;

@@ -15,24 +15,17 @@ mod release;
 mod tests;
 mod timeline;
 
-use super::files::Files;
-use super::format::{Format, Release, SourceFormat, boxed};
+use super::format::{Format, boxed};
 
 pub use timeline::Timelines;
 
 /// BONES-SEED.
 // Bytes per second: 240 numbers of nine characters at 120 fps.
-pub const FORMAT: Format = Format::of_releases(
-    "bones-seed",
-    "BVH files with metadata/seed_metadata_* beside them; rotations are retargeted",
-    260_000.0,
-    &Seed,
-);
-
-struct Seed;
-
-impl SourceFormat for Seed {
-    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
-        boxed(release::SeedFolder::find(files))
-    }
-}
+pub const FORMAT: Format = Format {
+    find: |files| boxed(release::SeedFolder::find(files)),
+    ..Format::of_releases(
+        "bones-seed",
+        "BVH files with metadata/seed_metadata_* beside them; rotations are retargeted",
+        260_000.0,
+    )
+};

@@ -13,14 +13,10 @@ pub mod origin;
 mod release;
 mod split;
 
-use std::path::Path;
-
 use kinematics::motion::BODY_POSE_WIDTH;
 
 use super::files::Files;
-use super::format::{Format, Recognised, Release, SourceFormat, boxed};
-use super::options::ReadOptions;
-use clip::Outcome;
+use super::format::{Format, Release, boxed};
 
 pub use motion::read_pickle_motion;
 pub use name::{FIRST_FREE_NUMBER, file_stem};
@@ -35,29 +31,17 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
 
 /// A folder of the STANCE release.
 // Bytes per second: the parameters of the store in f4 at 20 fps.
-pub const FORMAT: Format = Format::of_releases(
-    "stance",
-    "a folder of the STANCE release, in its present or older paths; a lone pickle; its own rotations, with masks \
-     and pairs",
-    (4 * (3 + 3 + BODY_POSE_WIDTH) * 20) as f64,
-    &Stance,
-);
-
-struct Stance;
-
-impl SourceFormat for Stance {
-    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
-        matches!(extension, "pkl" | "pickle").then_some(Recognised::Motion(FORMAT))
-    }
-
-    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        motion::read_pickle(bytes, &options.skeleton)
-    }
-
-    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
-        find(files)
-    }
-}
+pub const FORMAT: Format = Format {
+    extensions: &["pkl", "pickle"],
+    read: |_, _, bytes, options| motion::read_pickle(bytes, &options.skeleton),
+    find,
+    ..Format::of_releases(
+        "stance",
+        "a folder of the STANCE release, in its present or older paths; a lone pickle; its own rotations, with masks \
+         and pairs",
+        (4 * (3 + 3 + BODY_POSE_WIDTH) * 20) as f64,
+    )
+};
 
 #[cfg(test)]
 mod tests;

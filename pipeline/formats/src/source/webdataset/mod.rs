@@ -7,22 +7,15 @@ mod release;
 
 use self::release::Shards;
 pub(super) use self::release::is_shard;
-use super::format::boxed;
-use super::{Files, Format, Release, SourceFormat};
+use super::format::{Format, boxed};
 
 /// A folder of shards, or of unpacked files.
 // Bytes per second: the 69 parameters of the store in f32 at 20 fps.
-pub const FORMAT: Format = Format::of_releases(
-    "webdataset",
-    "tar shards of `stance export --to webdataset`, or the files unpacked from them; rotations as stored",
-    (4 * 69 * 20) as f64,
-    &WebDataset,
-);
-
-struct WebDataset;
-
-impl SourceFormat for WebDataset {
-    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
-        boxed(Shards::find(files))
-    }
-}
+pub const FORMAT: Format = Format {
+    find: |files| boxed(Shards::find(files)),
+    ..Format::of_releases(
+        "webdataset",
+        "tar shards of `stance export --to webdataset`, or the files unpacked from them; rotations as stored",
+        (4 * 69 * 20) as f64,
+    )
+};
