@@ -85,11 +85,7 @@ impl Header {
     fn parse(bytes: &[u8]) -> Result<(Self, usize), Rejected> {
         let mut cursor = Cursor {
             bytes,
-            at: if bytes.starts_with(UTF8_BOM) {
-                UTF8_BOM.len()
-            } else {
-                0
-            },
+            at: bytes.strip_prefix(UTF8_BOM).map_or(0, |_| UTF8_BOM.len()),
         };
         let joints = parse_hierarchy(&mut cursor)?;
         let num_channels = joints.iter().map(|joint| joint.channels.len()).sum();

@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::cursor::{Cursor, parse_number, shown, syntax};
-use super::joint::{Axis, BvhJoint, Channel};
+use super::joint::{BvhJoint, Channel};
 use super::soma;
 use clip::Rejected;
 
@@ -111,12 +111,8 @@ fn parse_channels(cursor: &mut Cursor) -> Result<Vec<Channel>, Rejected> {
     let mut channels = Vec::with_capacity(count);
     for _ in 0..count {
         let (at, word) = cursor.word();
-        let axis = match word.first().map(u8::to_ascii_uppercase) {
-            Some(b'X') => Some(Axis::X),
-            Some(b'Y') => Some(Axis::Y),
-            Some(b'Z') => Some(Axis::Z),
-            _ => None,
-        };
+        let first = word.first().map(u8::to_ascii_uppercase);
+        let axis = first.and_then(|first| b"XYZ".iter().position(|axis| *axis == first));
         let channel = axis.and_then(|axis| {
             if word[1..].eq_ignore_ascii_case(b"position") {
                 Some(Channel::Position(axis))

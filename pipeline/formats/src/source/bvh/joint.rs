@@ -2,26 +2,15 @@
 
 use glam::DVec3;
 
-/// An axis of the file's coordinates.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Axis {
-    /// First.
-    X,
-    /// Second.
-    Y,
-    /// Third.
-    Z,
-}
-
-/// Meaning of one column of the motion for its joint.
+/// Meaning of one column of the motion for its joint, with its axis: 0 for x, 1 for y, 2 for z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channel {
     /// A coordinate in the parent's frame, in the file's unit. It replaces that coordinate of the
     /// offset.
-    Position(Axis),
+    Position(usize),
     /// A rotation about an axis, in degrees. Rotations apply in the order of their columns: the
     /// first is the outermost.
-    Rotation(Axis),
+    Rotation(usize),
 }
 
 /// A joint of the hierarchy.

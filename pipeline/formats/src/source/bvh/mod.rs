@@ -20,7 +20,7 @@ mod tests;
 use std::io::Read;
 
 pub use file::BvhFile;
-pub use joint::{Axis, BvhJoint, Channel};
+pub use joint::{BvhJoint, Channel};
 
 use super::format::Format;
 use super::head::UTF8_BOM;

@@ -45,11 +45,7 @@ pub(super) struct Lines<'a> {
 
 impl<'a> Lines<'a> {
     pub(super) fn of(bytes: &'a [u8]) -> Self {
-        let at = if bytes.starts_with(UTF8_BOM) {
-            UTF8_BOM.len()
-        } else {
-            0
-        };
+        let at = bytes.strip_prefix(UTF8_BOM).map_or(0, |_| UTF8_BOM.len());
         Self { bytes, at }
     }
 }
