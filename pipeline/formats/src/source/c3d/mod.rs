@@ -44,7 +44,7 @@ pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Option<Capture>, R
 }
 
 /// The processor of a file and its parameters.
-fn parameters(bytes: &[u8]) -> Result<(Processor, Parameters), Rejected> {
+fn parameters(bytes: &[u8]) -> Result<(Processor, Parameters<'_>), Rejected> {
     if bytes.len() < BLOCK {
         return Err(rejected!(
             "E-C3D-TRUNCATED",
@@ -128,7 +128,7 @@ impl Layout {
     fn find(
         bytes: &[u8],
         header: &Header,
-        parameters: &Parameters,
+        parameters: &Parameters<'_>,
     ) -> Result<Option<Self>, Rejected> {
         let mut notes = Vec::new();
         let stated = |name: &str| parameters.number("POINT", name);
@@ -198,7 +198,7 @@ impl Layout {
         mut self,
         bytes: &[u8],
         processor: Processor,
-        parameters: &Parameters,
+        parameters: &Parameters<'_>,
         unit: Option<Unit>,
     ) -> Result<Option<Capture>, Rejected> {
         let (labels, kept) = labels_of_markers(parameters, self.points);
@@ -257,7 +257,7 @@ impl Layout {
     /// The unit that the user states, else the file's.
     fn unit(
         &mut self,
-        parameters: &Parameters,
+        parameters: &Parameters<'_>,
         points: &[Point],
         by_user: Option<Unit>,
     ) -> CaptureUnit {
@@ -338,7 +338,7 @@ fn whole_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
 /// limited by the length of the file.
 fn frame_count(
     header: &Header,
-    parameters: &Parameters,
+    parameters: &Parameters<'_>,
     room: usize,
     notes: &mut Vec<String>,
 ) -> Result<usize, Rejected> {
@@ -385,7 +385,7 @@ fn frame_count(
 }
 
 /// A unique name for each point.
-fn labels(parameters: &Parameters, points: usize) -> Vec<String> {
+fn labels(parameters: &Parameters<'_>, points: usize) -> Vec<String> {
     let mut stated = Vec::new();
     for number in 1.. {
         let name = match number {
@@ -408,7 +408,7 @@ fn labels(parameters: &Parameters, points: usize) -> Vec<String> {
 }
 
 /// Names of the points that are markers, and which points these are.
-fn labels_of_markers(parameters: &Parameters, points: usize) -> (Vec<String>, Vec<usize>) {
+fn labels_of_markers(parameters: &Parameters<'_>, points: usize) -> (Vec<String>, Vec<usize>) {
     let labels = labels(parameters, points);
     let outputs = parameters.model_outputs();
     let is_marker = |label: &String| !outputs.contains(label) && !is_model_output(label);
