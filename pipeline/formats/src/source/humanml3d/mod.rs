@@ -24,13 +24,14 @@ pub use array::{features, joints};
 pub(crate) use folder::add_captions;
 pub use folder::find;
 pub use folder::read_captions;
+pub(crate) use id::clip_of;
 pub use id::is_id;
 pub use id::mirrored_of;
 pub use index::IndexRow;
 pub use index::parse_index;
 pub use layout::Layout;
 pub use layout::layouts;
-pub(crate) use layout::{LISTS, above, parse_list};
+pub(crate) use layout::{LISTS, List, lists_above, parse_list};
 pub(crate) use splits::Splits;
 
 /// Recognises a motion in a single npy array by its shape, or says why it is none.

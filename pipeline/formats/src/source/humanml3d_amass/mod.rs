@@ -12,8 +12,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-use datasets_spec::Split;
-
 use self::crop::{Crop, cut};
 use self::mirror::{mirror, mirrored_body, on_floor};
 use super::amass::catalogue::{Recording, Subset};
@@ -21,7 +19,7 @@ use super::amass::{self, Parsed};
 use super::files::Files;
 use super::format::{Contents, Entry, Format, Release};
 use super::head::refuse_pointer;
-use super::humanml3d::{self, IndexRow, Splits};
+use super::humanml3d::{self, IndexRow, List, Splits};
 use super::options::ReadOptions;
 use crate::Error;
 use clip::{ReadClip, Rejected, rejected};
@@ -85,7 +83,8 @@ pub fn find(files: &Files, index: &Path) -> Result<Box<dyn Release>, Error> {
         .collect();
     let beside = lists_beside(index);
     let listed = layouts.iter().flat_map(|layout| layout.lists.values());
-    let splits = Splits::of(listed.chain(&beside));
+    let listed = listed.chain(&beside);
+    let splits = Splits::of(listed, |id| humanml3d::clip_of(id).to_owned());
 
     let recordings = recordings(files);
     let index_name = index.file_name().unwrap_or_default().to_string_lossy();
@@ -125,7 +124,7 @@ pub fn find(files: &Files, index: &Path) -> Result<Box<dyn Release>, Error> {
 
 /// The split lists in the folder of the index, and in the folder of the published repository
 /// below it.
-fn lists_beside(index: &Path) -> Vec<(Option<Split>, Vec<String>)> {
+fn lists_beside(index: &Path) -> Vec<List> {
     let folder = index.parent().unwrap_or(Path::new("."));
     let read = |name: &str| {
         [folder.to_owned(), folder.join("HumanML3D")]

@@ -11,13 +11,12 @@ mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use datasets_spec::Split;
 use pickle::npy::Header;
 
 use super::escaped;
 use super::files::Files;
 use super::format::{Contents, Entry, Format, Release, boxed};
-use super::humanml3d::{LISTS, above, add_captions, parse_list};
+use super::humanml3d::{Splits, add_captions, lists_above};
 use super::names::around_folder;
 use super::options::ReadOptions;
 use clip::ReadClip;
@@ -120,7 +119,20 @@ impl MotionXFolder {
         captions: &BTreeMap<&str, Vec<&str>>,
     ) -> Self {
         let mut folder = Self::default();
-        let (splits, lists) = folder.read_lists(files, root);
+        let mut lists = Vec::new();
+        for (file, list) in lists_above(files, root) {
+            match list {
+                Ok(list) => {
+                    let reason = "list of motions of Motion-X, no motion";
+                    folder.contents.pass_over(&file, reason);
+                    lists.push((file, list));
+                }
+                Err(rejected) => folder.contents.reject(file, rejected),
+            }
+        }
+        lists.retain(|(_, (split, _))| split.is_some());
+        let original = |name: &str| original_of(name).unwrap_or_else(|| name.to_owned());
+        let splits = Splits::of(lists.iter().map(|(_, list)| list), original);
         let motions: Vec<(&str, &str)> = files
             .under(root)
             .filter_map(|file| Some((file, below(file, &MOTIONS, "npy")?)))
@@ -128,10 +140,10 @@ impl MotionXFolder {
             .map(|(file, (_, name))| (file, name))
             .collect();
         let names: BTreeSet<&str> = motions.iter().map(|(_, name)| *name).collect();
-        let missing = splits.keys().map(String::as_str);
-        let missing = missing.filter(|name| !names.contains(name)).collect();
+        let missing = splits.clips().filter(|name| !names.contains(name));
+        let lists: Vec<&str> = lists.iter().map(|(file, _)| file.as_str()).collect();
         let contents = &mut folder.contents;
-        contents.remark_on_listed("Motion-X", &lists.join(", "), missing);
+        contents.remark_on_listed("Motion-X", &lists.join(", "), missing.collect());
         // Leave captions that belong to another copy of the release, or to another release with the same names.
         let is_own = |text: &&&str| {
             let common = |root: &&str| common_start(text, root);
@@ -139,15 +151,10 @@ impl MotionXFolder {
         };
         for (file, name) in motions {
             let original = original_of(name);
-            let listed = splits.get(original.as_deref().unwrap_or(name));
-            if let Some(listed) = listed.filter(|listed| listed.len() > 1) {
-                let named: Vec<&str> = listed.iter().map(|split| split.as_str()).collect();
-                let note = format!(
-                    "listed in several splits ({}); the last was taken",
-                    named.join(", ")
-                );
-                folder.notes.insert(file.to_owned(), note);
-            }
+            let (split, note) = splits.get(name);
+            folder
+                .notes
+                .extend(note.map(|note| (file.to_owned(), note)));
             let own = captions.get(name).into_iter().flatten().filter(is_own);
             // If there are several copies of the release, use the captions nearest to the motion.
             let nearest = own.max_by_key(|text| common_start(text, file));
@@ -158,7 +165,7 @@ impl MotionXFolder {
                 file: file.to_owned(),
                 key: String::new(),
                 id: escaped(name),
-                split: listed.and_then(|listed| listed.last().copied()),
+                split,
                 group: Some(original.clone().unwrap_or_else(|| name.to_owned())),
                 mirrored_of: original
                     .filter(|original| names.contains(original.as_str()))
@@ -166,39 +173,6 @@ impl MotionXFolder {
             });
         }
         folder
-    }
-
-    /// Reads the splits from the lists in the folders above the motions, by the name of the original motion. A motion
-    /// in several lists keeps all their splits, sorted: test is the last.
-    fn read_lists(
-        &mut self,
-        files: &Files,
-        root: &str,
-    ) -> (BTreeMap<String, BTreeSet<Split>>, Vec<String>) {
-        let mut lists = Vec::new();
-        let mut splits: BTreeMap<String, BTreeSet<Split>> = BTreeMap::new();
-        for (name, split) in LISTS {
-            let mut candidates = above(root).map(|folder| format!("{folder}{name}"));
-            let Some(file) = candidates.find(|file| files.contains(file)) else {
-                continue;
-            };
-            match files.read(&file) {
-                Ok(bytes) => {
-                    let names = parse_list(&bytes).into_iter();
-                    for name in names.filter(|_| split.is_some()) {
-                        let original = original_of(&name).unwrap_or(name);
-                        splits.entry(original).or_default().extend(split);
-                    }
-                    if split.is_some() {
-                        lists.push(file.clone());
-                    }
-                    let reason = "list of motions of Motion-X, no motion";
-                    self.contents.pass_over(file, reason);
-                }
-                Err(rejected) => self.contents.reject(file, rejected),
-            }
-        }
-        (splits, lists)
     }
 }
 

@@ -18,7 +18,7 @@ mod tests;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
-use datasets_spec::{Skeleton, Split};
+use datasets_spec::Skeleton;
 use features::representation_272::{Features, WIDTH, motion_of_features};
 use pickle::npy::{self, Header};
 
@@ -26,7 +26,7 @@ use super::files::Files;
 use super::format::{Contents, Entry, Format, Release, boxed};
 use super::head::refuse_pointer;
 use super::humanml3d::{
-    Splits, add_captions, check_length, in_single_precision, mirrored_of, parse_list,
+    List, Splits, add_captions, check_length, clip_of, in_single_precision, mirrored_of, parse_list,
 };
 use super::names::file_name;
 use super::options::ReadOptions;
@@ -108,7 +108,7 @@ fn starts_with_width(files: &Files, file: &str) -> bool {
 impl Folder {
     fn new(files: &Files, root: &str, clips: &BTreeMap<&str, &str>) -> Self {
         let mut folder = Self::default();
-        let mut lists: Vec<(Option<Split>, Vec<String>)> = Vec::new();
+        let mut lists: Vec<List> = Vec::new();
         for file in files.under(root) {
             let inside = &file[root.len()..];
             let text_of = |folder: &str| inside.strip_prefix(folder)?.strip_suffix(".txt");
@@ -135,7 +135,7 @@ impl Folder {
             };
             folder.contents.pass_over(file, reason);
         }
-        let splits = Splits::of(lists.iter());
+        let splits = Splits::of(lists.iter(), |id| clip_of(id).to_owned());
         let listed = lists.iter().filter(|(split, _)| split.is_some());
         let listed: BTreeSet<&str> = listed
             .flat_map(|(_, ids)| ids.iter().map(String::as_str))
