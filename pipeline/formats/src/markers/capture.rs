@@ -221,11 +221,11 @@ impl CaptureUnit {
     }
 
     /// The user's unit, else the file's, else millimetres (metres for a small capture volume), with a note unless the
-    /// file states it. `largest` returns the largest coordinate in the file's unit.
+    /// file states it. `seen` holds the points that are seen, in the file's unit.
     pub(crate) fn find(
         by_user: Option<Unit>,
         text: &str,
-        largest: impl FnOnce() -> f64,
+        seen: impl Iterator<Item = DVec3>,
     ) -> (Self, Option<String>) {
         /// A capture volume smaller than this many units is not in millimetres.
         const SMALLEST_VOLUME: f64 = 20.0;
@@ -238,7 +238,10 @@ impl CaptureUnit {
             let said = "as the file says";
             return (Self { unit, said }, None);
         }
-        let (name, unit) = if largest() < SMALLEST_VOLUME {
+        let largest = seen.fold(0.0, |largest: f64, point| {
+            largest.max(point.abs().max_element())
+        });
+        let (name, unit) = if largest < SMALLEST_VOLUME {
             ("metres", Unit::METRE)
         } else {
             ("millimetres", Unit::MILLIMETRE)

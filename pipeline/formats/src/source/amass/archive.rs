@@ -6,8 +6,7 @@ use kinematics::motion::BODY_POSE_WIDTH;
 use pickle::npy::{self, Rows};
 use pickle::npz::Archive;
 
-use super::parameters::Parameters;
-use super::variant::Variant;
+use super::parameters::{Parameters, Variant};
 use crate::source::robot;
 use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 

@@ -5,7 +5,6 @@ pub mod catalogue;
 mod parameters;
 #[cfg(test)]
 pub(crate) mod tests;
-mod variant;
 
 use std::path::Path;
 
@@ -18,10 +17,8 @@ use super::smpl::y_up_from_z_up;
 use clip::check::FLAG_FPS_DOUBTFUL;
 use clip::{Outcome, Rejected, RotationSource, SourceClip, check_resampled};
 
-pub use archive::{Parsed, parse};
-pub use archive::{parse_at, peek, read_fps};
-pub use parameters::Parameters;
-pub use variant::Variant;
+pub use archive::{Parsed, parse, parse_at, peek, read_fps};
+pub use parameters::{Parameters, Variant};
 
 /// Relative tolerance between a stated and a known frame rate: the stored 120.000046 and 59.94 count as 120 and 60.
 const FPS_TOLERANCE: f64 = 0.01;

@@ -5,8 +5,7 @@ use std::io::Read;
 use datasets_spec::Fps;
 
 use super::cursor::{Cursor, syntax};
-use super::hierarchy::parse_hierarchy;
-use super::joint::BvhJoint;
+use super::hierarchy::{BvhJoint, parse_hierarchy};
 use super::motion::{Rows, is_line_end, parse_frame_time};
 use crate::source::head::UTF8_BOM;
 use clip::{Rejected, rejected};

@@ -10,7 +10,6 @@ mod cursor;
 pub(crate) mod dialects;
 mod file;
 mod hierarchy;
-mod joint;
 mod motion;
 mod rig;
 mod soma;
@@ -20,7 +19,7 @@ mod tests;
 use std::io::Read;
 
 pub use file::BvhFile;
-pub use joint::{BvhJoint, Channel};
+pub use hierarchy::{BvhJoint, Channel};
 
 use super::format::Format;
 use super::head::UTF8_BOM;

@@ -6,7 +6,7 @@ use datasets_spec::Fps;
 use glam::{DQuat, DVec3};
 
 use super::file::BvhFile;
-use super::joint::{BvhJoint, Channel};
+use super::hierarchy::{BvhJoint, Channel};
 use super::soma;
 use crate::retarget::{Bone, Placed, Rest, Rig};
 

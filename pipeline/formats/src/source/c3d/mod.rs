@@ -206,7 +206,11 @@ impl Layout {
             return Ok(None);
         }
         let raw = self.raw_positions(bytes, processor);
-        let unit = self.unit(parameters, &raw, unit);
+        let stated = parameters.text("POINT", "UNITS").unwrap_or_default();
+        let seen = raw.iter().filter(|point| point.residual >= 0.0);
+        let seen = seen.map(|point| point.at);
+        let (unit, note) = CaptureUnit::find(unit, stated.trim(), seen);
+        self.notes.extend(note);
         let metres = unit.unit.metres();
         let frames = raw.chunks_exact(self.points);
         let frames = frames.map(|frame| kept.iter().map(move |point| frame[*point]));
@@ -252,25 +256,6 @@ impl Layout {
             notes: self.notes,
             flags: 0,
         }))
-    }
-
-    /// The unit that the user states, else the file's.
-    fn unit(
-        &mut self,
-        parameters: &Parameters<'_>,
-        points: &[Point],
-        by_user: Option<Unit>,
-    ) -> CaptureUnit {
-        let largest = || {
-            let seen = points.iter().filter(|point| point.residual >= 0.0);
-            seen.fold(0.0, |largest: f64, point| {
-                largest.max(point.at.abs().max_element())
-            })
-        };
-        let stated = parameters.text("POINT", "UNITS").unwrap_or_default();
-        let (unit, note) = CaptureUnit::find(by_user, stated.trim(), largest);
-        self.notes.extend(note);
-        unit
     }
 
     /// Every point of every frame in the file's unit.

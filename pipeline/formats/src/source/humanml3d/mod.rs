@@ -18,20 +18,15 @@ use array::{KIT_JOINTS, KIT_WIDTH};
 
 use super::format::Format;
 
-pub use array::read_array;
 pub(crate) use array::{FPS, check_length, in_single_precision};
-pub use array::{features, joints};
+pub use array::{features, joints, read_array};
 pub(crate) use folder::add_captions;
-pub use folder::find;
-pub use folder::read_captions;
+pub use folder::{find, read_captions};
 pub(crate) use id::clip_of;
-pub use id::is_id;
-pub use id::mirrored_of;
-pub use index::IndexRow;
-pub use index::parse_index;
-pub use layout::Layout;
-pub use layout::layouts;
+pub use id::{is_id, mirrored_of};
+pub use index::{IndexRow, parse_index};
 pub(crate) use layout::{LISTS, List, lists_above, parse_list};
+pub use layout::{Layout, layouts};
 pub(crate) use splits::Splits;
 
 /// Recognises a motion in a single npy array by its shape, or says why it is none.

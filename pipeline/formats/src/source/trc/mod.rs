@@ -8,13 +8,11 @@
 //! OpenSim's documentation of its `.trc` files.
 
 mod header;
-mod lines;
 mod rows;
 #[cfg(test)]
 mod tests;
 
-use self::header::{Header, MAGIC};
-use self::lines::Lines;
+use self::header::{Header, Lines, MAGIC};
 use self::rows::Rows;
 use super::format::Format;
 use super::head::UTF8_BOM;
@@ -48,13 +46,8 @@ pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Capture, Rejected>
         flags |= FLAG_FPS_DOUBTFUL;
         notes.push(note);
     }
-    let largest = || {
-        let seen = rows.positions.iter().flatten();
-        seen.fold(0.0, |largest: f64, point| {
-            largest.max(point.abs().max_element())
-        })
-    };
-    let (unit, note) = CaptureUnit::find(options.unit, &header.unit, largest);
+    let seen = rows.positions.iter().flatten().copied();
+    let (unit, note) = CaptureUnit::find(options.unit, &header.unit, seen);
     notes.extend(note);
     let positions = in_metres(&rows, &header, unit)?;
     let (markers, note) = positions.markers(fps, header.labels());
