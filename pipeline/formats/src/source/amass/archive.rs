@@ -24,15 +24,7 @@ pub enum Parsed<'a> {
     },
 }
 
-/// Reads the parameters of an archive.
-///
-/// # Errors
-/// As [`super::read`].
-pub fn parse(bytes: &[u8]) -> Result<Parsed<'_>, Rejected> {
-    parse_at(bytes, None)
-}
-
-/// Like [`parse`], with a rate in 1/s in place of the archive's, if one is given.
+/// Reads the parameters of an archive, with a rate in 1/s in place of the archive's, if one is given.
 ///
 /// # Errors
 /// As [`super::read`].

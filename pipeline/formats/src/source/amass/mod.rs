@@ -17,7 +17,7 @@ use super::smpl::y_up_from_z_up;
 use clip::check::FLAG_FPS_DOUBTFUL;
 use clip::{Outcome, Rejected, RotationSource, SourceClip, check_resampled};
 
-pub use archive::{Parsed, parse, parse_at, peek, read_fps};
+pub use archive::{Parsed, parse_at, peek, read_fps};
 pub use parameters::{Parameters, Variant};
 
 /// Relative tolerance between a stated and a known frame rate: the stored 120.000046 and 59.94 count as 120 and 60.
@@ -41,7 +41,7 @@ const FPS_TOLERANCE: f64 = 0.01;
 /// position of the pelvis, about which SMPL turns the body.
 pub fn read(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Outcome, Rejected> {
     let (rate, skeleton) = (options.rate, &options.skeleton);
-    let parameters = match parse(bytes)? {
+    let parameters = match parse_at(bytes, None)? {
         Parsed::Parameters(parameters) => *parameters,
         Parsed::NoMotion { reason } => return Ok(Outcome::Skipped { reason }),
     };

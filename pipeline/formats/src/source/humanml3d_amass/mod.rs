@@ -199,7 +199,7 @@ impl Release for Cuts {
             .ok_or_else(|| rejected!("E-HML-INDEX", "found no row {id} in the index"))?;
         let bytes = files.read(&entry.file)?;
         refuse_pointer(&bytes)?;
-        let parameters = match amass::parse(&bytes)? {
+        let parameters = match amass::parse_at(&bytes, None)? {
             Parsed::Parameters(parameters) => *parameters,
             Parsed::NoMotion { reason } => return Err(Rejected::read("E-AMASS-KEYS", reason)),
         };

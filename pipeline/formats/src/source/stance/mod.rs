@@ -16,7 +16,7 @@ mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use datasets_spec::record::CAPTION_BY_RULE;
+use datasets_spec::record::{CAPTION_BY_RULE, MaskRow, PairRow};
 use kinematics::motion::BODY_POSE_WIDTH;
 use pickle::{Value, joblib};
 use serde_json::Value as Json;
@@ -26,7 +26,7 @@ use self::labels::Labels;
 use self::motion::release_clip;
 use self::name::{listed_name, motion_id, original_of};
 use self::origin::{CODE_OF_ORIGIN, Origin, Origins, Parsed};
-use self::split::{ClipSplits, Lists};
+use self::split::Lists;
 use super::files::Files;
 use super::format::{Contents, Entry, Format, Release, boxed, check_skeleton};
 use super::head::refuse_pointer;
@@ -167,7 +167,7 @@ impl StanceRelease {
     ) -> Result<(), Rejected> {
         match &detail.role {
             Role::Base => {
-                let named = motion_id(stem_of(&entry.file));
+                let named = motion_id(listed_name(&entry.file));
                 self.annotations.attach(&named, clip);
             }
             Role::Styled { source_id, style } => {
@@ -203,7 +203,7 @@ impl StanceRelease {
         source_id: &str,
         notes: &mut Vec<String>,
     ) -> EditOf {
-        let beside = &self.adjustments[stem_of(file)];
+        let beside = &self.adjustments[listed_name(file)];
         let said = |key: &str| match text_of(pair, key) {
             text if text.is_empty() => beside[key].as_str().unwrap_or_default().to_owned(),
             text => text,
@@ -236,12 +236,12 @@ impl Release for StanceRelease {
         match (&self.labels, &detail.origin) {
             (Some(labels), Some(origin)) => {
                 labels.check(entry, origin, &clip)?;
-                check_skeleton(labels.skeleton(), options)?;
+                check_skeleton(&labels.record.skeleton, options)?;
                 labels.attach(origin, &mut clip);
             }
             _ => self.describe(files, (entry, detail), &pickle, &mut clip)?,
         }
-        let stem = stem_of(&entry.file);
+        let stem = listed_name(&entry.file);
         if motion_id(stem) != stem {
             clip.notes.push(format!("file {stem} of the release"));
         }
@@ -295,10 +295,6 @@ fn text_of(value: &Value, key: &str) -> String {
         }
         _ => String::new(),
     }
-}
-
-fn stem_of(file: &str) -> &str {
-    listed_name(file)
 }
 
 /// Plans the motions in the files of a release.
@@ -355,8 +351,14 @@ impl<'a> Planner<'a> {
             Some(Parsed::Record(record)) => record,
         };
         let ids: BTreeSet<&str> = record.motions.values().map(|origin| &*origin.id).collect();
-        let masks = self.take(&masks, |bytes| Labels::masks(bytes, &ids));
-        let pairs = self.take(&pairs, |bytes| Labels::pairs(bytes, &ids));
+        let masks = self.take(&masks, |bytes| {
+            labels::rows_of(bytes, &ids, |row: &MaskRow| vec![&row.motion_id])
+        });
+        let pairs = self.take(&pairs, |bytes| {
+            labels::rows_of(bytes, &ids, |row: &PairRow| {
+                vec![&row.source_id, &row.target_id]
+            })
+        });
         self.origins.clone_from(&record.motions);
         let labels = Labels::new(record, masks.unwrap_or_default(), pairs.unwrap_or_default());
         self.release.labels = Some(labels);
@@ -367,12 +369,12 @@ impl<'a> Planner<'a> {
     fn is_as_written(&mut self, file: &str) -> bool {
         let name = file.strip_prefix(self.root).unwrap_or(file);
         let labels = self.release.labels.as_ref();
-        let Some(written) = labels.and_then(|labels| labels.list(name)) else {
+        let Some(written) = labels.and_then(|labels| labels.record.lists.get(name)) else {
             return true;
         };
         let found = self.files.read(file);
         let found = found.map(|bytes| blake3::hash(&bytes).to_hex().to_string());
-        if found.is_ok_and(|found| found == written) {
+        if found.is_ok_and(|found| found == *written) {
             return true;
         }
         let reason = format!(
@@ -492,7 +494,7 @@ impl<'a> Planner<'a> {
     }
 
     fn plan_motions(&mut self) {
-        let clips = ClipSplits::new(&self.base_lists, &self.style_lists);
+        let clips = Lists::of_clips(&self.base_lists, &self.style_lists);
         for section in [BASE_MOTION, STYLE_TRANSFER, ADJUSTMENT] {
             let prefix = format!("{}{section}/", self.root);
             let files: Vec<&str> = self
@@ -515,7 +517,7 @@ impl<'a> Planner<'a> {
         let stems_in = |section: &str| -> BTreeSet<&str> {
             let prefix = format!("{}{section}/", self.root);
             let files = self.files.all().filter(|file| file.starts_with(&prefix));
-            files.map(stem_of).collect()
+            files.map(listed_name).collect()
         };
         let base: BTreeSet<String> = stems_in(BASE_MOTION).into_iter().map(motion_id).collect();
         let sections = [
@@ -539,11 +541,11 @@ impl<'a> Planner<'a> {
         }
     }
 
-    fn plan_base(&mut self, file: &str, clips: &ClipSplits) {
-        let id = motion_id(stem_of(file));
+    fn plan_base(&mut self, file: &str, clips: &Lists) {
+        let id = motion_id(listed_name(file));
         let entry = Entry {
             file: file.to_owned(),
-            split: clips.of(&id),
+            split: clips.of_clip(&id),
             mirrored_of: original_of(&id).map(str::to_owned),
             id,
             ..Entry::default()
@@ -551,8 +553,8 @@ impl<'a> Planner<'a> {
         self.plan(entry, Role::Base, BASE_MOTION);
     }
 
-    fn plan_styled(&mut self, file: &str, clips: &ClipSplits) {
-        let Some((base, style)) = stem_of(file).split_once('_') else {
+    fn plan_styled(&mut self, file: &str, clips: &Lists) {
+        let Some((base, style)) = listed_name(file).split_once('_') else {
             let reason = "the file name has no style, expected one such as 000009_proud.pkl";
             let rejected = Rejected::read("E-STANCE-NAME", reason);
             return self.release.contents.reject(file, rejected);
@@ -565,7 +567,7 @@ impl<'a> Planner<'a> {
             file: file.to_owned(),
             // A crop, a copy and a styled version share their clip's split.
             id: format!("{source_id}#{style}"),
-            split: clips.of(&source_id),
+            split: clips.of_clip(&source_id),
             ..Entry::default()
         };
         let role = Role::Styled {
@@ -576,7 +578,7 @@ impl<'a> Planner<'a> {
     }
 
     fn plan_adjustment(&mut self, file: &str) {
-        let stem = stem_of(file);
+        let stem = listed_name(file);
         let split = self.adjustment_lists.of(stem);
         let id_of = |key: &str| {
             let origin = self.origins.get(&format!("{ADJUSTMENT}/{stem}#{key}"));
@@ -613,7 +615,7 @@ impl<'a> Planner<'a> {
             "" => String::new(),
             key => format!("#{key}"),
         };
-        let name = format!("{section}/{}{suffix}", stem_of(&entry.file));
+        let name = format!("{section}/{}{suffix}", listed_name(&entry.file));
         let origin = self.origins.get(&name).cloned();
         if let Some(origin) = &origin {
             entry.id.clone_from(&origin.id);
