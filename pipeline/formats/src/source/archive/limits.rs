@@ -13,8 +13,8 @@ pub(super) struct Budget {
     pub(super) small: u64,
     /// Size of the archive.
     pub(super) size: u64,
-    members: u64,
-    bytes: u64,
+    pub(super) members: u64,
+    pub(super) bytes: u64,
 }
 
 impl Budget {
