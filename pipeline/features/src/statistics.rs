@@ -61,8 +61,8 @@ impl<const WIDTH: usize> Statistics<WIDTH> {
         std::array::from_fn(|column| self.mean[column] as f32)
     }
 
-    /// The standard deviation of each feature; each feature of a group gets the mean over the group, as in the published
-    /// `Std.npy` of HumanML3D.
+    /// The standard deviation of each feature; each feature of a group gets the mean over the group, as in the
+    /// published `Std.npy` of HumanML3D.
     pub fn std_by(&self, groups: &[(&str, Range<usize>)]) -> [f32; WIDTH] {
         let deviation = |column: usize| (self.scatter[column] / self.frames.max(1) as f64).sqrt();
         let mut std = std::array::from_fn(|column| deviation(column) as f32);

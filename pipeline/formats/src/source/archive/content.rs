@@ -38,7 +38,8 @@ impl Content {
             Named::File(name) => return Some(name),
             Named::Special(name, reason) => self.special.push((name, reason.to_owned())),
             Named::Refused(name) => {
-                let reason = "the name of the member leads out of the archive; pack the files by their relative paths";
+                let reason = "the name of the member leads out of the archive; pack the files by their relative \
+                              paths";
                 self.refuse(&name, NAME, reason.to_owned(), at);
             }
         }

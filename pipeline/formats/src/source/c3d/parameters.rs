@@ -61,8 +61,8 @@ impl Processor {
     }
 }
 
-/// A value as stored: its type (-1 for text, 1 for bytes, 2 for words, 4 for real numbers), the length of a row, and all
-/// bytes.
+/// A value as stored: its type (-1 for text, 1 for bytes, 2 for words, 4 for real numbers), the length of a row, and
+/// all bytes.
 type Value<'a> = (i8, usize, &'a [u8]);
 
 /// All parameters by group and name, in upper case.

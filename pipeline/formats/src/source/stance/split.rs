@@ -78,8 +78,8 @@ impl Lists {
         Some(self.names.get(name).copied().unwrap_or(Split::Train))
     }
 
-    /// The splits of HumanML3D's clips. A clip, its mirrored copy and its styled versions share one split: of those that
-    /// the lists of base motions and style transfers give them, the furthest from training.
+    /// The splits of HumanML3D's clips. A clip, its mirrored copy and its styled versions share one split: of those
+    /// that the lists of base motions and style transfers give them, the furthest from training.
     pub(super) fn of_clips(base: &Self, style: &Self) -> Self {
         let mut clips = Self::default();
         for (name, split) in &base.names {
