@@ -112,28 +112,14 @@ fn only(markers: &Markers, subject: &mut Subject) -> Markers {
     let count = markers.labels.len().max(1);
     let columns = std::mem::take(&mut subject.columns);
     let frames = markers.positions.len() / count;
-    let mut positions = Vec::with_capacity(frames * columns.len());
-    let mut residuals = Vec::with_capacity(frames * columns.len());
-    for start in (0..frames).map(|frame| frame * count) {
-        positions.extend(
-            columns
-                .iter()
-                .map(|column| markers.positions[start + column]),
-        );
-        residuals.extend(
-            columns
-                .iter()
-                .map(|column| markers.residuals[start + column]),
-        );
-    }
+    let starts = (0..frames).map(|frame| frame * count);
+    let kept = starts.flat_map(|start| columns.iter().map(move |column| start + column));
+    let labels = columns.iter().map(|column| markers.labels[*column].clone());
     subject.columns = (0..columns.len()).collect();
     Markers {
-        labels: columns
-            .iter()
-            .map(|column| markers.labels[*column].clone())
-            .collect(),
-        positions,
-        residuals,
+        labels: labels.collect(),
+        positions: kept.clone().map(|at| markers.positions[at]).collect(),
+        residuals: kept.map(|at| markers.residuals[at]).collect(),
         ..markers.clone()
     }
 }
