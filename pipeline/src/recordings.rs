@@ -91,7 +91,7 @@ impl Origin {
         let mut recordings = vec![Recording::Clip(number, own)];
         recordings.extend(original.map(|original| Recording::Clip(number, original)));
         let hash = self.source_hash.clone();
-        if format_named(&self.source).is_some_and(Format::is_of_files) && !hash.is_empty() {
+        if format_named(&self.source).is_some_and(|format| format.is_of_files) && !hash.is_empty() {
             recordings.push(Recording::File(hash));
         } else if !hash.is_empty() {
             recordings.push(Recording::Member(hash, prefixes.strip(&name).to_owned()));

@@ -154,7 +154,7 @@ pub(crate) fn parse_source() -> impl TypedValueParser<Value = SourceArg> {
 fn format_parser() -> impl TypedValueParser<Value = Format> {
     let formats = FORMATS.iter();
     PossibleValuesParser::new(
-        formats.map(|format| PossibleValue::new(format.as_str()).help(format.about())),
+        formats.map(|format| PossibleValue::new(format.as_str()).help(format.about)),
     )
     .map(|name| format_named(&name).expect("a listed name"))
 }

@@ -14,7 +14,7 @@ use datasets_spec::Fps;
 
 pub use smpl_body::smpl_body;
 pub use statistics::Statistics;
-pub use to_motion::{motion_of_directions, motion_of_features, motion_of_joints};
+pub use to_motion::{motion_of_features, motion_of_joints};
 
 /// The rate of the 272-d and 201-d features and of MotionFix: 30 fps.
 pub fn released_fps() -> Fps {

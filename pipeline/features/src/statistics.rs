@@ -2,8 +2,6 @@
 
 use std::ops::Range;
 
-use super::humanml3d;
-
 /// Running mean and variance of every feature. The statistics of two sets of frames can be merged.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Statistics<const WIDTH: usize> {
@@ -63,7 +61,8 @@ impl<const WIDTH: usize> Statistics<WIDTH> {
         std::array::from_fn(|column| self.mean[column] as f32)
     }
 
-    /// The standard deviation of each feature; each feature of a group gets the mean over the group.
+    /// The standard deviation of each feature; each feature of a group gets the mean over the group, as in the
+    /// published `Std.npy` of HumanML3D.
     pub fn std_by(&self, groups: &[(&str, Range<usize>)]) -> [f32; WIDTH] {
         let deviation = |column: usize| (self.scatter[column] / self.frames.max(1) as f64).sqrt();
         let mut std = std::array::from_fn(|column| deviation(column) as f32);
@@ -75,20 +74,12 @@ impl<const WIDTH: usize> Statistics<WIDTH> {
     }
 }
 
-impl Statistics<{ datasets_spec::record::HUMANML3D_WIDTH }> {
-    /// The standard deviation of each feature of HumanML3D, replaced by its mean over the group the feature
-    /// belongs to, as in the published `Std.npy`. The contacts are a group of their own.
-    pub fn group_std(&self) -> humanml3d::Features {
-        self.std_by(&humanml3d::GROUPS)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use datasets_spec::record::HUMANML3D_WIDTH;
 
     use super::*;
-    use crate::humanml3d::Features;
+    use crate::humanml3d::{self, Features};
     use crate::representation_272;
 
     fn frames(count: usize, from: usize) -> Vec<Features> {
@@ -113,8 +104,11 @@ mod tests {
             .map(|f| (f64::from(f[3]) - mean).powi(2))
             .sum::<f64>()
             / 50.0;
-        assert!((f64::from(whole.group_std()[3]) - variance.sqrt()).abs() < 1e-6);
-        assert_eq!(whole.group_std()[4], whole.group_std()[66]);
+        assert!((f64::from(whole.std_by(&humanml3d::GROUPS)[3]) - variance.sqrt()).abs() < 1e-6);
+        assert_eq!(
+            whole.std_by(&humanml3d::GROUPS)[4],
+            whole.std_by(&humanml3d::GROUPS)[66]
+        );
     }
 
     #[test]
@@ -130,7 +124,12 @@ mod tests {
             assert_eq!(left.frames(), 60);
             for column in 0..HUMANML3D_WIDTH {
                 assert!((left.mean()[column] - whole.mean()[column]).abs() < 1e-6);
-                assert!((left.group_std()[column] - whole.group_std()[column]).abs() < 1e-6);
+                assert!(
+                    (left.std_by(&humanml3d::GROUPS)[column]
+                        - whole.std_by(&humanml3d::GROUPS)[column])
+                        .abs()
+                        < 1e-6
+                );
             }
         }
     }

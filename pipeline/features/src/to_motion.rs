@@ -91,10 +91,7 @@ pub fn motion_of_features(
 
 /// Poses the body by the position of the root and the directions of the bones, frame by frame.
 /// The path is scaled by the ratio of the body's leg length to the source's, `leg_m`.
-///
-/// # Errors
-/// There is no frame, or a direction is NaN.
-pub fn motion_of_directions(
+fn motion_of_directions(
     frames: &[(DVec3, Joints)],
     leg_m: f64,
     fps: Fps,

@@ -117,7 +117,7 @@ mod tests {
         let mut keys = format.keys(bytes, &options);
         keys.push(String::new());
         for key in keys {
-            let _outcome = format.read(Path::new("file"), &key, bytes, &options);
+            let _outcome = (format.read)(Path::new("file"), &key, bytes, &options);
         }
     }
 

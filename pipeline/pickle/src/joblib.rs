@@ -22,54 +22,37 @@ const LZMA_MEMORY_KIB: u32 = 128 << 10;
 /// Bytes needed to recognise the packing.
 const MAGIC_LEN: usize = 6;
 
-/// How a dump is packed.
-#[derive(Clone, Copy, Debug)]
-enum Packing {
-    None,
-    Zlib,
-    Gzip,
-    Bzip2,
-    Xz,
-    Lzma,
-    Lz4,
-}
-
-impl Packing {
-    /// Recognises a packing by the first bytes.
-    ///
-    /// # Source
-    /// The prefixes in joblib's `compressor.py`.
-    fn of(head: &[u8]) -> Result<Self, Error> {
-        Ok(match head {
-            [0x78, ..] => Self::Zlib,
-            [0x1f, 0x8b, ..] => Self::Gzip,
-            [b'B', b'Z', b'h', ..] => Self::Bzip2,
-            [0xfd, b'7', b'z', b'X', b'Z', 0] => Self::Xz,
-            [0x5d, 0x00, ..] => Self::Lzma,
-            [0x04, 0x22, 0x4d, 0x18, ..] => Self::Lz4,
-            [b'Z', b'F', ..] => {
-                return Err(Error::new(
-                    "E-JOBLIB-OLD",
-                    "found a dump of joblib before 0.10, expected one of a newer version; load it \
-                     there and dump it again",
-                )
-                .at(0));
-            }
-            _ => Self::None,
-        })
-    }
-
-    fn unpacked<'a>(self, packed: impl Read + 'a) -> io::Result<Box<dyn Read + 'a>> {
-        Ok(match self {
-            Self::None => Box::new(packed),
-            Self::Zlib => Box::new(ZlibDecoder::new(packed)),
-            Self::Gzip => Box::new(MultiGzDecoder::new(packed)),
-            Self::Bzip2 => Box::new(BzDecoder::new(packed)),
-            Self::Xz => Box::new(XzReader::new_mem_limit(packed, true, LZMA_MEMORY_KIB)),
-            Self::Lzma => Box::new(LzmaReader::new_mem_limit(packed, LZMA_MEMORY_KIB, None)?),
-            Self::Lz4 => Box::new(FrameDecoder::new(packed)),
-        })
-    }
+/// Unpacks a dump, whose first bytes say how it is packed.
+///
+/// # Source
+/// The prefixes in joblib's `compressor.py`.
+fn unpacked<'a>(head: Vec<u8>, rest: impl Read + 'a) -> Result<Box<dyn Read + 'a>, Error> {
+    let packed = io::Cursor::new(head.clone()).chain(rest);
+    Ok(match head[..] {
+        [0x78, ..] => Box::new(ZlibDecoder::new(packed)),
+        [0x1f, 0x8b, ..] => Box::new(MultiGzDecoder::new(packed)),
+        [b'B', b'Z', b'h', ..] => Box::new(BzDecoder::new(packed)),
+        [0xfd, b'7', b'z', b'X', b'Z', 0] => {
+            Box::new(XzReader::new_mem_limit(packed, true, LZMA_MEMORY_KIB))
+        }
+        [0x5d, 0x00, ..] => {
+            let reader = LzmaReader::new_mem_limit(packed, LZMA_MEMORY_KIB, None);
+            Box::new(reader.map_err(|error| {
+                let reason = format!("found a damaged Lzma stream ({error})");
+                Error::new("E-PICKLE-UNPACK", reason).at(0)
+            })?)
+        }
+        [0x04, 0x22, 0x4d, 0x18, ..] => Box::new(FrameDecoder::new(packed)),
+        [b'Z', b'F', ..] => {
+            return Err(Error::new(
+                "E-JOBLIB-OLD",
+                "found a dump of joblib before 0.10, expected one of a newer version; load it \
+                 there and dump it again",
+            )
+            .at(0));
+        }
+        _ => Box::new(packed),
+    })
 }
 
 /// Reads a dump, packed or not. A plain pickle is a dump without arrays.
@@ -96,24 +79,17 @@ pub fn read_from<'a>(
         .take(MAGIC_LEN as u64)
         .read_to_end(&mut head)
         .map_err(|error| Error::new("E-IO", format!("cannot read the dump ({error})")))?;
-    let packing = Packing::of(&head)?;
-    let whole = io::Cursor::new(head).chain(packed);
     let limit = packed_len
         .saturating_mul(MAX_RATIO)
         .clamp(SMALL_LEN, MAX_UNPACKED_LEN);
-    let unpacked = packing.unpacked(whole).map_err(|error| {
-        Error::new(
-            "E-PICKLE-UNPACK",
-            format!("found a damaged {packing:?} stream ({error})"),
-        )
-        .at(0)
-    })?;
     let capped = Capped {
-        inner: unpacked,
+        inner: unpacked(head, packed)?,
         limit,
         left: limit,
     };
-    Machine::new(capped, *options).with_wrapped_arrays().read()
+    let mut machine = Machine::new(capped, *options);
+    machine.wrapped_arrays = true;
+    machine.read()
 }
 
 /// A stream that fails beyond a limit.

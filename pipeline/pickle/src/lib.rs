@@ -31,17 +31,37 @@ mod machine;
 pub mod npy;
 pub mod npz;
 mod object;
-mod read;
 pub mod torch;
 mod value;
+
+use std::io::Read;
+
+use self::machine::Machine;
 
 pub use array::{Array, Dtype};
 pub use encode::{DictWriter, encode};
 pub use error::Error;
-pub use read::{read, read_from};
 pub use value::{Options, Value};
 
 #[cfg(test)]
 mod fixture;
 #[cfg(test)]
 mod tests;
+
+/// Reads a pickle.
+///
+/// # Errors
+/// `E-PICKLE-REFUSED` for anything that would be code, `E-PICKLE-TRUNCATED` if the bytes end too
+/// early, `E-PICKLE-LIMIT` where a bound is exceeded, `E-PICKLE-DTYPE` and `E-PICKLE-SHAPE` for
+/// arrays, `E-PICKLE-FORMAT` for anything that is no pickle.
+pub fn read(bytes: &[u8]) -> Result<Value, Error> {
+    read_from(bytes, &Options::default())
+}
+
+/// Reads a pickle from a stream.
+///
+/// # Errors
+/// As [`read`]; `E-PICKLE-UNPACK` if the stream is packed and damaged, `E-IO` if it fails.
+pub fn read_from<'a>(reader: impl Read + 'a, options: &Options<'a>) -> Result<Value, Error> {
+    Machine::new(reader, *options).read()
+}

@@ -24,19 +24,17 @@ pub(crate) enum Global {
     /// Dictionaries.
     Dict,
     List,
+    /// Tuples; also a tensor's shape.
     Tuple,
     Set,
+    /// Bytes; also Python 3's encoding of them in protocols before 3: text in Latin-1.
     Bytes,
-    /// Python 3's encoding of bytes in protocols before 3: text in Latin-1.
-    Encode,
     /// A tensor over a storage.
     RebuildTensor,
     /// A tensor's storage from the bytes of a file of its own.
     LoadStorage,
     /// The class of storages of a type.
     StorageOf(Dtype),
-    /// A tensor's shape.
-    TensorShape,
     /// joblib's placeholder for an array whose bytes follow it.
     ArrayWrapper,
 }
@@ -67,10 +65,10 @@ impl Global {
             ("builtins" | "__builtin__", "tuple") => Self::Tuple,
             ("builtins" | "__builtin__", "set" | "frozenset") => Self::Set,
             ("builtins" | "__builtin__", "bytes" | "bytearray") => Self::Bytes,
-            ("_codecs", "encode") => Self::Encode,
+            ("_codecs", "encode") => Self::Bytes,
             ("torch._utils", "_rebuild_tensor_v2") => Self::RebuildTensor,
             ("torch.storage", "_load_from_bytes") => Self::LoadStorage,
-            ("torch", "Size") => Self::TensorShape,
+            ("torch", "Size") => Self::Tuple,
             ("torch", storage) => Self::StorageOf(storage_type(storage)?),
             ("joblib.numpy_pickle", "NumpyArrayWrapper") => Self::ArrayWrapper,
             _ => return None,

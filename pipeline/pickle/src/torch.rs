@@ -46,7 +46,8 @@ pub fn read(bytes: &[u8]) -> Result<Value, Error> {
         return Err(wrong("found a byte order other than little"));
     }
     let pickle = member(&mut archive, name)?;
-    let mut machine = Machine::new(&pickle[..], Options::default()).with_outside_storages();
+    let mut machine = Machine::new(&pickle[..], Options::default());
+    machine.outside_storages = true;
     let root = machine.run()?;
     let mut storages = BTreeMap::new();
     for key in machine.outside_storages().into_keys() {
@@ -95,7 +96,8 @@ struct Legacy<'a> {
 
 impl<'a> Legacy<'a> {
     fn read(bytes: &'a [u8]) -> Result<Self, Error> {
-        let mut machine = Machine::new(bytes, Options::default()).with_outside_storages();
+        let mut machine = Machine::new(bytes, Options::default());
+        machine.outside_storages = true;
         for (what, expected) in [("number", LEGACY_MAGIC), ("version", LEGACY_VERSION)] {
             let id = machine.run()?;
             if !matches!(machine.node(id), Node::Leaf(Value::Int(found)) if *found == expected) {
@@ -120,11 +122,11 @@ impl<'a> Legacy<'a> {
             let dtype = dtypes
                 .get(key)
                 .ok_or_else(|| wrong(format!("found a storage {key:?} no tensor has")))?;
-            let count = u64::from_le_bytes(machine.input().array()?);
+            let count = u64::from_le_bytes(machine.input.array()?);
             let len = count
                 .checked_mul(dtype.item_len() as u64)
                 .ok_or_else(|| wrong(format!("found a storage of {count} items")))?;
-            storages.insert(key.to_owned(), machine.input().bytes(len)?.into());
+            storages.insert(key.to_owned(), machine.input.bytes(len)?.into());
         }
         Ok(Self {
             machine,

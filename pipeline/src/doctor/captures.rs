@@ -16,7 +16,7 @@ pub(super) fn captures(rest: &[&Looked], options: &ReadOptions) -> Vec<CaptureFi
         .iter()
         .filter(|file| !file.is_pointer)
         .filter_map(|&file| match file.kind {
-            Recognised::Motion(format) => Some((file, format, format.capture_reader()?)),
+            Recognised::Motion(format) => Some((file, format, format.capture?)),
             Recognised::NotMotion { .. } => None,
         })
         .collect();

@@ -209,7 +209,7 @@ fn estimate_others(rest: &[&Looked]) -> Estimate {
 
 /// Seconds of motion in files of a format, estimated from their size.
 fn seconds_in(format: Format, bytes: u64) -> f64 {
-    bytes as f64 / format.bytes_per_second()
+    bytes as f64 / format.bytes_per_second
 }
 
 /// A listed file, and what its first bytes identify.

@@ -7,7 +7,7 @@ use std::path::Path;
 use datasets_spec::record::{HUMANML3D_WIDTH, HumanMl3dRow, MotionRow};
 use datasets_spec::table::{Caption, Row, ShardReader};
 use datasets_spec::{Dataset, Fps, Skeleton, Split};
-use features::humanml3d::{Features, RECIPE, recover_joints};
+use features::humanml3d::{Features, GROUPS, RECIPE, recover_joints};
 use features::{Statistics, smpl_body};
 use formats::source::humanml3d::is_id;
 use kinematics::skeleton::NUM_BODY_JOINTS;
@@ -119,7 +119,7 @@ impl ByClip for HumanMl3dFolder {
         file(
             folder,
             "Std.npy",
-            &npy::encode(&width, &statistics.group_std()),
+            &npy::encode(&width, &statistics.std_by(&GROUPS)),
         )?;
         Ok(written)
     }

@@ -592,7 +592,7 @@ fn keys_of(
     options: &ReadOptions,
 ) -> Result<Vec<String>, Rejected> {
     let whole = || vec![String::new()];
-    if !format.may_hold_several() {
+    if format.keys.is_none() {
         return Ok(whole());
     }
     bounded_length(files, relative)?;

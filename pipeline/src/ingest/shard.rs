@@ -218,12 +218,12 @@ impl Plan {
         let path = Path::new(file);
         let length = bounded_length(&self.files, file)?;
         if length > LARGE_LEN
-            && let Some(rejected) = item.format.refuse_large(self.files.open_at(file)?)
+            && let Some(rejected) = (item.format.refuse_large)(self.files.open_at(file)?)
         {
             return Err(rejected);
         }
         let mut opened = self.files.open(file)?;
-        if let Some(outcome) = item.format.read_in_pieces(&mut *opened, length, options) {
+        if let Some(outcome) = (item.format.read_in_pieces)(&mut *opened, length, options) {
             return Ok(label(outcome, path, companions, around));
         }
         let bytes = self.files.read(file)?;

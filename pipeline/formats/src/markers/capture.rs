@@ -112,28 +112,14 @@ fn only(markers: &Markers, subject: &mut Subject) -> Markers {
     let count = markers.labels.len().max(1);
     let columns = std::mem::take(&mut subject.columns);
     let frames = markers.positions.len() / count;
-    let mut positions = Vec::with_capacity(frames * columns.len());
-    let mut residuals = Vec::with_capacity(frames * columns.len());
-    for start in (0..frames).map(|frame| frame * count) {
-        positions.extend(
-            columns
-                .iter()
-                .map(|column| markers.positions[start + column]),
-        );
-        residuals.extend(
-            columns
-                .iter()
-                .map(|column| markers.residuals[start + column]),
-        );
-    }
+    let starts = (0..frames).map(|frame| frame * count);
+    let kept = starts.flat_map(|start| columns.iter().map(move |column| start + column));
+    let labels = columns.iter().map(|column| markers.labels[*column].clone());
     subject.columns = (0..columns.len()).collect();
     Markers {
-        labels: columns
-            .iter()
-            .map(|column| markers.labels[*column].clone())
-            .collect(),
-        positions,
-        residuals,
+        labels: labels.collect(),
+        positions: kept.clone().map(|at| markers.positions[at]).collect(),
+        residuals: kept.map(|at| markers.residuals[at]).collect(),
         ..markers.clone()
     }
 }
@@ -221,11 +207,11 @@ impl CaptureUnit {
     }
 
     /// The user's unit, else the file's, else millimetres (metres for a small capture volume), with a note unless the
-    /// file states it. `largest` returns the largest coordinate in the file's unit.
+    /// file states it. `seen` holds the points that are seen, in the file's unit.
     pub(crate) fn find(
         by_user: Option<Unit>,
         text: &str,
-        largest: impl FnOnce() -> f64,
+        seen: impl Iterator<Item = DVec3>,
     ) -> (Self, Option<String>) {
         /// A capture volume smaller than this many units is not in millimetres.
         const SMALLEST_VOLUME: f64 = 20.0;
@@ -238,7 +224,10 @@ impl CaptureUnit {
             let said = "as the file says";
             return (Self { unit, said }, None);
         }
-        let (name, unit) = if largest() < SMALLEST_VOLUME {
+        let largest = seen.fold(0.0, |largest: f64, point| {
+            largest.max(point.abs().max_element())
+        });
+        let (name, unit) = if largest < SMALLEST_VOLUME {
             ("metres", Unit::METRE)
         } else {
             ("millimetres", Unit::MILLIMETRE)

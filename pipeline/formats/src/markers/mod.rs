@@ -8,8 +8,7 @@ mod set;
 mod solve;
 mod worn;
 
-pub use capture::Capture;
-pub use capture::CaptureUnit;
+pub use capture::{Capture, CaptureUnit};
 pub(crate) use capture::{MAX_DISTANCE_M, Positions, UNIT_CODE, unique_labels};
 pub use label::is_model_output;
 pub(crate) use label::{keys, subject_of};

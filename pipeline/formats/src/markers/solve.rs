@@ -225,11 +225,10 @@ fn check_parts(joints: &[usize], set: &MarkerSet, missing: &[&str]) -> Result<bo
 
 struct Solver<'a> {
     skeleton: &'a Skeleton,
-    /// Joint that carries each marker.
-    joints: Vec<usize>,
+    /// The markers, with the joint that carries each and its first offset.
+    worn: &'a LabelledMarkers,
     /// Offset of the marker in the joint's frame.
     offsets: Vec<DVec3>,
-    first_offsets: Vec<DVec3>,
     /// Scale from the capture to the body.
     scale: f64,
 }
@@ -263,12 +262,11 @@ impl Body {
 
 impl<'a> Solver<'a> {
     /// A solver that starts with the set's marker offsets and the body's own size.
-    fn of(skeleton: &'a Skeleton, worn: &LabelledMarkers) -> Self {
+    fn of(skeleton: &'a Skeleton, worn: &'a LabelledMarkers) -> Self {
         Self {
             skeleton,
-            joints: worn.joints.clone(),
+            worn,
             offsets: worn.offsets.clone(),
-            first_offsets: worn.offsets.clone(),
             scale: 1.0,
         }
     }
@@ -280,14 +278,14 @@ impl<'a> Solver<'a> {
             [DQuat::IDENTITY; NUM_BODY_JOINTS],
             self.skeleton,
         );
-        let body_markers: Vec<DVec3> = (0..self.joints.len())
-            .map(|marker| rest.points[self.joints[marker]] + self.offsets[marker])
+        let body_markers: Vec<DVec3> = (0..self.worn.joints.len())
+            .map(|marker| rest.points[self.worn.joints[marker]] + self.offsets[marker])
             .collect();
         // Arms are left out, because their height varies.
-        let upright = |marker: &usize| !matches!(self.joints[*marker], 16..=21);
+        let upright = |marker: &usize| !matches!(self.worn.joints[*marker], 16..=21);
         let mut ratios: Vec<f64> = Vec::new();
         for &frame in usable {
-            let seen: Vec<(f64, f64)> = (0..self.joints.len())
+            let seen: Vec<(f64, f64)> = (0..self.worn.joints.len())
                 .filter(upright)
                 .filter_map(|marker| {
                     Some((body_markers[marker].y, frames.points[frame][marker]?.y))
@@ -323,14 +321,15 @@ impl<'a> Solver<'a> {
         };
         let side = |sign: f64| {
             move |solver: &Self, marker: usize| {
-                let at = solver.skeleton.rest(solver.joints[marker]) + solver.first_offsets[marker];
-                sign * at.x > 0.03 && !matches!(solver.joints[marker], 16..=21)
+                let at =
+                    solver.skeleton.rest(solver.worn.joints[marker]) + solver.worn.offsets[marker];
+                sign * at.x > 0.03 && !matches!(solver.worn.joints[marker], 16..=21)
             }
         };
         let left = mean(&|marker| side(1.0)(self, marker))?;
         let right = mean(&|marker| side(-1.0)(self, marker))?;
-        let pelvis = mean(&|marker| self.joints[marker] == 0)
-            .or_else(|| mean(&|marker| matches!(self.joints[marker], 1 | 2)))?;
+        let pelvis = mean(&|marker| self.worn.joints[marker] == 0)
+            .or_else(|| mean(&|marker| matches!(self.worn.joints[marker], 1 | 2)))?;
         let across = (left - right).with_y(0.0).try_normalize()?;
         let front = across.cross(DVec3::Y);
         let facing = DQuat::from_mat3(&DMat3::from_cols(across, DVec3::Y, front)).normalize();
@@ -363,7 +362,7 @@ impl<'a> Solver<'a> {
     fn refit(&mut self, frames: &Frames, chosen: &[usize], bodies: &[Body]) {
         let (mut along, mut spread) = (0.0, 0.0);
         for (body, &frame) in bodies.iter().zip(chosen) {
-            let seen: Vec<(DVec3, DVec3)> = (0..self.joints.len())
+            let seen: Vec<(DVec3, DVec3)> = (0..self.worn.joints.len())
                 .filter_map(|marker| {
                     Some((self.marker(body, marker), frames.points[frame][marker]?))
                 })
@@ -379,8 +378,8 @@ impl<'a> Solver<'a> {
         if spread > 0.0 && along > 0.0 {
             self.scale = along / spread;
         }
-        for marker in 0..self.joints.len() {
-            let joint = self.joints[marker];
+        for marker in 0..self.worn.joints.len() {
+            let joint = self.worn.joints[marker];
             let measured: Vec<DVec3> = bodies
                 .iter()
                 .zip(chosen)
@@ -398,7 +397,7 @@ impl<'a> Solver<'a> {
             let count = measured.len() as f64;
             let prior = OFFSET_PRIOR * count;
             let sum: DVec3 = measured.into_iter().sum();
-            self.offsets[marker] = (sum + self.first_offsets[marker] * prior) / (count + prior);
+            self.offsets[marker] = (sum + self.worn.offsets[marker] * prior) / (count + prior);
         }
     }
 
@@ -421,7 +420,7 @@ impl<'a> Solver<'a> {
             .zip(&solved)
             .map(|(points, body)| {
                 let body = body.as_ref()?;
-                let squares: Vec<f64> = (0..self.joints.len())
+                let squares: Vec<f64> = (0..self.worn.joints.len())
                     .filter_map(|marker| {
                         let point = points[marker]? * self.scale;
                         Some((self.marker(body, marker) - point).length_squared())
@@ -466,7 +465,7 @@ impl<'a> Solver<'a> {
     }
 
     fn marker(&self, body: &Body, marker: usize) -> DVec3 {
-        let joint = self.joints[marker];
+        let joint = self.worn.joints[marker];
         body.points[joint] + body.globals[joint] * self.offsets[marker]
     }
 
@@ -576,7 +575,7 @@ impl<'a> Solver<'a> {
             let weight = (OUTLIER_M / residual.length().max(OUTLIER_M)).min(1.0);
             // The unknowns that move this marker: the pelvis, and every joint above it.
             let mut columns: Vec<(usize, DMat3)> = vec![(0, DMat3::IDENTITY)];
-            let mut joint = self.joints[marker];
+            let mut joint = self.worn.joints[marker];
             loop {
                 columns.push((3 + 3 * joint, cross_matrix(posed - body.points[joint])));
                 if joint == 0 {

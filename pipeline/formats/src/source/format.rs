@@ -9,125 +9,85 @@ use datasets_spec::store::Reader;
 
 use super::files::Files;
 use super::options::ReadOptions;
-use crate::markers::Capture;
+use crate::markers::{self, Capture};
 use clip::{Outcome, ReadClip, Rejected, rejected};
-
-/// A source format: how its files are recognised and read. Formats register in [`super::FORMATS`].
-///
-/// A format of single files implements [`SourceFormat::read`] and a way to recognise them; a format of
-/// releases, whose files belong together, implements [`SourceFormat::find`].
-pub trait SourceFormat: Send + Sync {
-    /// Recognises a file by its name; none if the name is not of this format. The extension is in lower
-    /// case.
-    fn by_name(&self, _extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
-        None
-    }
-
-    /// Whether the first bytes of a file without a known name have this format.
-    fn by_content(&self, _head: &[u8]) -> bool {
-        false
-    }
-
-    /// Whether one file may hold several motions.
-    fn may_hold_several(&self) -> bool {
-        false
-    }
-
-    /// Names of the motions in a file; empty if it holds one, or cannot be read.
-    fn keys(&self, _bytes: &[u8], _options: &ReadOptions) -> Vec<String> {
-        Vec::new()
-    }
-
-    /// The subject that a key of [`SourceFormat::keys`] names, for formats whose keys are subjects.
-    fn subject_of<'a>(&self, _key: &'a str) -> Option<&'a str> {
-        None
-    }
-
-    /// Reads one motion of a single file. The key is one of [`SourceFormat::keys`], or empty.
-    fn read(&self, _path: &Path, _key: &str, _bytes: &[u8], _options: &ReadOptions) -> Outcome {
-        let reason = "the format is one of releases, not of files";
-        Outcome::Rejected(Rejected::read("E-INTERNAL", reason))
-    }
-
-    /// The function that reads the markers of a file, for formats of captures.
-    fn capture_reader(&self) -> Option<ReadCapture> {
-        None
-    }
-
-    /// Refuses a large file from its headers, before all of it is read.
-    fn refuse_large(&self, _file: Reader) -> Option<Rejected> {
-        None
-    }
-
-    /// Reads a file that holds one motion in pieces, for formats whose files are much larger than their motions. None,
-    /// without reading anything, if the format reads files whole.
-    fn read_in_pieces(
-        &self,
-        _file: &mut dyn Read,
-        _length: usize,
-        _options: &ReadOptions,
-    ) -> Option<Outcome> {
-        None
-    }
-
-    /// The releases among the files, each found by its layout.
-    fn find(&self, _files: &Files) -> Vec<Box<dyn Release>> {
-        Vec::new()
-    }
-}
 
 /// Reads the markers of a file; none if it has none.
 pub type ReadCapture = fn(&[u8], &ReadOptions) -> Result<Option<Capture>, Rejected>;
 
-/// One of [`super::FORMATS`].
+/// A source format: how its files are recognised and read. Formats register in [`super::FORMATS`].
+///
+/// A format of single files states their `extensions` or `by_content`, and `read`; a format of releases, whose files
+/// belong together, states `find`. The rest is that of `of_files` or `of_releases`.
 #[derive(Clone, Copy)]
 pub struct Format {
-    name: &'static str,
-    about: &'static str,
-    of_releases: bool,
-    bytes_per_second: f64,
-    reader: &'static dyn SourceFormat,
+    pub(super) name: &'static str,
+    /// How files are recognised and where rotations come from, for the help text.
+    pub about: &'static str,
+    /// Bytes per second of motion in a file, for estimates.
+    pub bytes_per_second: f64,
+    /// Whether each of its files holds one recording.
+    pub is_of_files: bool,
+    /// Extensions of its files, in lower case.
+    pub(super) extensions: &'static [&'static str],
+    /// Judges a file with one of the extensions by its name and first bytes: whether it is a motion, or the reason why
+    /// it is none; none if it is not of this format.
+    pub(super) by_name: fn(&str, &[u8]) -> Option<Result<(), String>>,
+    /// Whether the first bytes of a file without a known name have this format.
+    pub(super) by_content: fn(&[u8]) -> bool,
+    /// Names the motions in a file, for formats whose files may hold several; empty if it holds one, or cannot be read.
+    pub keys: Option<fn(&[u8], &ReadOptions) -> Vec<String>>,
+    /// Reads one motion of a single file. The key is one of `keys`, or empty.
+    pub read: fn(&Path, &str, &[u8], &ReadOptions) -> Outcome,
+    /// Reads the markers of a file, for formats of captures, whose keys are subjects.
+    pub capture: Option<ReadCapture>,
+    /// Refuses a large file from its headers, before all of it is read.
+    pub refuse_large: fn(Reader) -> Option<Rejected>,
+    /// Reads a file that holds one motion in pieces, for formats whose files are much larger than their motions. None,
+    /// without reading anything, if the format reads files whole.
+    pub read_in_pieces: fn(&mut dyn Read, usize, &ReadOptions) -> Option<Outcome>,
+    /// The releases among the files, each found by its layout.
+    pub(super) find: fn(&Files) -> Vec<Box<dyn Release>>,
 }
 
 impl Format {
     /// A format of single files, each of which holds one recording. `about` says how files are recognised and where
     /// rotations come from.
-    pub const fn of_files(
+    pub(super) const fn of_files(
         name: &'static str,
         about: &'static str,
         bytes_per_second: f64,
-        reader: &'static dyn SourceFormat,
     ) -> Self {
         Self {
             name,
             about,
-            of_releases: false,
             bytes_per_second,
-            reader,
+            is_of_files: true,
+            extensions: &[],
+            by_name: |_, _| Some(Ok(())),
+            by_content: |_| false,
+            keys: None,
+            read: |_, _, _, _| {
+                let reason = "the format is one of releases, not of files";
+                Outcome::Rejected(Rejected::read("E-INTERNAL", reason))
+            },
+            capture: None,
+            refuse_large: |_| None,
+            read_in_pieces: |_, _, _| None,
+            find: |_| Vec::new(),
         }
     }
 
-    /// A format of releases, as [`Format::of_files`]. A file of a release may hold thousands of recordings.
-    pub const fn of_releases(
+    /// A format of releases, as `of_files`. A file of a release may hold thousands of recordings.
+    pub(super) const fn of_releases(
         name: &'static str,
         about: &'static str,
         bytes_per_second: f64,
-        reader: &'static dyn SourceFormat,
     ) -> Self {
         Self {
-            of_releases: true,
-            ..Self::of_files(name, about, bytes_per_second, reader)
+            is_of_files: false,
+            ..Self::of_files(name, about, bytes_per_second)
         }
-    }
-
-    /// Whether each of its files holds one recording.
-    pub fn is_of_files(self) -> bool {
-        !self.of_releases
-    }
-
-    /// How files are recognised and where rotations come from, for the help text.
-    pub fn about(self) -> &'static str {
-        self.about
     }
 
     /// The name used in tables and on the command line.
@@ -135,17 +95,25 @@ impl Format {
         self.name
     }
 
-    /// Bytes per second of motion in a file, for estimates.
-    pub const fn bytes_per_second(self) -> f64 {
-        self.bytes_per_second
+    /// Recognises a file by its name in lower case; none if the name is not of this format.
+    pub(super) fn recognise(self, extension: &str, name: &str, head: &[u8]) -> Option<Recognised> {
+        if !self.extensions.contains(&extension) {
+            return None;
+        }
+        Some(match (self.by_name)(name, head)? {
+            Ok(()) => Recognised::Motion(self),
+            Err(reason) => Recognised::NotMotion { reason },
+        })
     }
-}
 
-impl std::ops::Deref for Format {
-    type Target = dyn SourceFormat;
+    /// Names of the motions in a file; empty if it holds one, or cannot be read.
+    pub fn keys(self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+        self.keys.map_or_else(Vec::new, |keys| keys(bytes, options))
+    }
 
-    fn deref(&self) -> &Self::Target {
-        self.reader
+    /// The subject that a key of `keys` names; none for formats whose keys are not subjects.
+    pub fn subject_of(self, key: &str) -> Option<&str> {
+        self.capture.and_then(|_| markers::subject_of(key))
     }
 }
 

@@ -38,18 +38,16 @@ pub mod webdataset;
 use std::path::Path;
 
 pub use self::files::Files;
-pub use self::format::{Contents, Entry, Format, ReadCapture, Recognised, Release, SourceFormat};
+pub use self::format::{Contents, Entry, Format, ReadCapture, Recognised, Release};
 pub use self::head::{HEAD_BYTES, is_pointer, read_head, refuse_pointer};
 use self::labels::ClipLabels;
-pub use self::names::escaped;
-pub use self::names::unique_keys;
-pub use self::names::{name_of_text, text_of_name};
+pub use self::names::{escaped, name_of_text, text_of_name, unique_keys};
 pub use self::options::ReadOptions;
 pub use self::unit::{Unit, UnitError};
 use clip::Outcome;
 
 /// Every source format, in the order in which releases are looked for. To add one, write a folder
-/// with a [`SourceFormat`] and add its line here.
+/// with a [`Format`] and add its line here.
 pub const FORMATS: &[Format] = &[
     bvh::FORMAT,
     amass::FORMAT,
@@ -90,7 +88,7 @@ pub fn find_releases(
 ) -> Result<Vec<FoundRelease>, crate::Error> {
     let mut releases = Vec::new();
     for &format in FORMATS {
-        let mut found = format.find(files);
+        let mut found = (format.find)(files);
         if let Some(index) = humanml3d_index.filter(|_| format == humanml3d_amass::FORMAT) {
             found.push(humanml3d_amass::find(files, index)?);
         }
@@ -106,7 +104,7 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
     let name = path.file_name().map(lower).unwrap_or_default();
     let extension = path.extension().map(lower).unwrap_or_default();
     for format in FORMATS {
-        if let Some(recognised) = format.by_name(&extension, &name, head) {
+        if let Some(recognised) = format.recognise(&extension, &name, head) {
             return recognised;
         }
     }
@@ -138,7 +136,7 @@ pub fn recognise(path: &Path, head: &[u8]) -> Recognised {
         return not_motion(format!("{kind} archive; unpack it"));
     }
     let mut formats = FORMATS.iter().copied();
-    match formats.find(|format| format.by_content(head)) {
+    match formats.find(|format| (format.by_content)(head)) {
         Some(format) => Recognised::Motion(format),
         None if extension.is_empty() => not_motion("no known motion format".to_owned()),
         None => not_motion(format!("{extension} is no known motion format")),
@@ -185,7 +183,7 @@ pub fn read_clip(
     if let Err(rejected) = refuse_pointer(bytes) {
         return Outcome::Rejected(rejected);
     }
-    let outcome = format.read(path, key, bytes, options);
+    let outcome = (format.read)(path, key, bytes, options);
     label(outcome, path, companions, around)
 }
 

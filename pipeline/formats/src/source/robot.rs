@@ -145,7 +145,7 @@ mod tests {
 
     fn read(value: &Value) -> Outcome {
         let bytes = pickle::encode(value);
-        stance::FORMAT.read(Path::new("a.pkl"), "", &bytes, &ReadOptions::default())
+        (stance::FORMAT.read)(Path::new("a.pkl"), "", &bytes, &ReadOptions::default())
     }
 
     fn array(shape: &[usize]) -> Value {

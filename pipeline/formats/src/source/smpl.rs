@@ -43,6 +43,22 @@ impl Parameters {
         ))
     }
 
+    /// Makes parameters from the rotation vectors of root and body together, `[T, 66]`.
+    ///
+    /// # Errors
+    /// As [`Parameters::new`].
+    pub(super) fn of_poses(
+        poses: impl Iterator<Item = [f32; 3 + BODY_POSE_WIDTH]>,
+        trans: Vec<[f32; 3]>,
+    ) -> Result<Self, Rejected> {
+        let part = |pose: [f32; 3 + BODY_POSE_WIDTH]| {
+            let body: [f32; BODY_POSE_WIDTH] = std::array::from_fn(|column| pose[3 + column]);
+            ([pose[0], pose[1], pose[2]], body)
+        };
+        let (root, body): (Vec<_>, Vec<_>) = poses.map(part).unzip();
+        Self::new(root, body, trans)
+    }
+
     /// The motion with the world rotated by `turn` to y up, and put on the floor. Body rotations are copied bit for
     /// bit.
     ///

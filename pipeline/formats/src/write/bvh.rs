@@ -8,80 +8,34 @@ use glam::{DMat3, DQuat, DVec3};
 /// Centimetres per metre: the unit of the file.
 const CM: f64 = 100.0;
 
-/// A joint of the file.
-struct FileJoint {
-    name: &'static str,
-    /// Index of the parent in [`HIERARCHY`]; the root has none.
-    parent: Option<usize>,
-    /// The body joint; none for the zero-length joints of the CMU hierarchy at the hips and below the neck.
-    joint: Option<Joint>,
-    /// The SMPL-X joint at which a chain ends, for the `End Site`.
-    end: Option<usize>,
-}
-
-const fn joint(
-    name: &'static str,
-    parent: usize,
-    joint: Option<Joint>,
-    end: Option<usize>,
-) -> FileJoint {
-    FileJoint {
-        name,
-        parent: Some(parent),
-        joint,
-        end,
-    }
-}
-
-const fn body(name: &'static str, parent: usize, body: Joint) -> FileJoint {
-    joint(name, parent, Some(body), None)
-}
-
-const fn fixed(name: &'static str, parent: usize) -> FileJoint {
-    joint(name, parent, None, None)
-}
-
-const fn tip(name: &'static str, parent: usize, body: Joint, end: usize) -> FileJoint {
-    joint(name, parent, Some(body), Some(end))
-}
-
-/// SMPL-X joints without a rotation, at the end of a chain.
-const LEFT_EYE: usize = 23;
-const LEFT_MIDDLE: usize = 28;
-const RIGHT_MIDDLE: usize = 43;
-
-/// The joints in the order of the file: depth first, as the format requires.
-const HIERARCHY: [FileJoint; 25] = [
-    FileJoint {
-        name: "Hips",
-        parent: None,
-        joint: Some(Joint::Pelvis),
-        end: None,
-    },
-    fixed("LHipJoint", 0),
-    body("LeftUpLeg", 1, Joint::LeftHip),
-    body("LeftLeg", 2, Joint::LeftKnee),
-    body("LeftFoot", 3, Joint::LeftAnkle),
-    body("LeftToeBase", 4, Joint::LeftFoot),
-    fixed("RHipJoint", 0),
-    body("RightUpLeg", 6, Joint::RightHip),
-    body("RightLeg", 7, Joint::RightKnee),
-    body("RightFoot", 8, Joint::RightAnkle),
-    body("RightToeBase", 9, Joint::RightFoot),
-    body("LowerBack", 0, Joint::Spine1),
-    body("Spine", 11, Joint::Spine2),
-    body("Spine1", 12, Joint::Spine3),
-    fixed("Neck", 13),
-    body("Neck1", 14, Joint::Neck),
-    tip("Head", 15, Joint::Head, LEFT_EYE),
-    body("LeftShoulder", 13, Joint::LeftCollar),
-    body("LeftArm", 17, Joint::LeftShoulder),
-    body("LeftForeArm", 18, Joint::LeftElbow),
-    tip("LeftHand", 19, Joint::LeftWrist, LEFT_MIDDLE),
-    body("RightShoulder", 13, Joint::RightCollar),
-    body("RightArm", 21, Joint::RightShoulder),
-    body("RightForeArm", 22, Joint::RightElbow),
-    tip("RightHand", 23, Joint::RightWrist, RIGHT_MIDDLE),
+/// The joints in the order of the file: depth first, as the format requires. Name, index of the parent, which the first
+/// one lacks, and body joint; none for the zero-length joints of the CMU hierarchy at the hips and below the neck.
+const HIERARCHY: [(&str, usize, Option<Joint>); 25] = [
+    ("Hips", 0, Some(Joint::Pelvis)),
+    ("LHipJoint", 0, None),
+    ("LeftUpLeg", 1, Some(Joint::LeftHip)),
+    ("LeftLeg", 2, Some(Joint::LeftKnee)),
+    ("LeftFoot", 3, Some(Joint::LeftAnkle)),
+    ("LeftToeBase", 4, Some(Joint::LeftFoot)),
+    ("RHipJoint", 0, None),
+    ("RightUpLeg", 6, Some(Joint::RightHip)),
+    ("RightLeg", 7, Some(Joint::RightKnee)),
+    ("RightFoot", 8, Some(Joint::RightAnkle)),
+    ("RightToeBase", 9, Some(Joint::RightFoot)),
+    ("LowerBack", 0, Some(Joint::Spine1)),
+    ("Spine", 11, Some(Joint::Spine2)),
+    ("Spine1", 12, Some(Joint::Spine3)),
+    ("Neck", 13, None),
+    ("Neck1", 14, Some(Joint::Neck)),
+    ("Head", 15, Some(Joint::Head)),
+    ("LeftShoulder", 13, Some(Joint::LeftCollar)),
+    ("LeftArm", 17, Some(Joint::LeftShoulder)),
+    ("LeftForeArm", 18, Some(Joint::LeftElbow)),
+    ("LeftHand", 19, Some(Joint::LeftWrist)),
+    ("RightShoulder", 13, Some(Joint::RightCollar)),
+    ("RightArm", 21, Some(Joint::RightShoulder)),
+    ("RightForeArm", 22, Some(Joint::RightElbow)),
+    ("RightHand", 23, Some(Joint::RightWrist)),
 ];
 
 /// Distance in metres from the toe joint to the tip of the toes, for which the skeleton has no joint.
@@ -105,10 +59,8 @@ pub fn encode(motion: &Motion, skeleton: &Skeleton) -> String {
             &mut out,
             format_args!("{:.4} {:.4} {:.4}", pelvis.x, pelvis.y, pelvis.z),
         );
-        for file_joint in &HIERARCHY {
-            let rotation = file_joint
-                .joint
-                .map_or(DQuat::IDENTITY, |joint| pose.rotations[joint.index()]);
+        for (.., joint) in HIERARCHY {
+            let rotation = joint.map_or(DQuat::IDENTITY, |joint| pose.rotations[joint.index()]);
             let [z, y, x] = euler_zyx(rotation).map(f64::to_degrees);
             put(&mut out, format_args!(" {z:.5} {y:.5} {x:.5}"));
         }
@@ -124,32 +76,33 @@ fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
 
 /// Writes a joint and, nested in it, all its children.
 fn write_joint(out: &mut String, skeleton: &Skeleton, index: usize, depth: usize) {
-    let file_joint = &HIERARCHY[index];
+    let (name, _, joint) = HIERARCHY[index];
     let indent = "\t".repeat(depth);
-    let (kind, channels) = match file_joint.parent {
-        None => ("ROOT", "6 Xposition Yposition Zposition"),
-        Some(_) => ("JOINT", "3"),
-    };
     // The root's position is only in its channels.
-    let offset = match (file_joint.parent, file_joint.joint) {
-        (Some(_), Some(joint)) => skeleton.offset(joint.index()),
-        _ => DVec3::ZERO,
+    let (kind, channels, offset) = match (index, joint) {
+        (0, _) => ("ROOT", "6 Xposition Yposition Zposition", DVec3::ZERO),
+        (_, None) => ("JOINT", "3", DVec3::ZERO),
+        (_, Some(joint)) => ("JOINT", "3", skeleton.offset(joint.index())),
     };
-    *out += &format!("{indent}{kind} {}\n{indent}{{\n", file_joint.name);
+    *out += &format!("{indent}{kind} {name}\n{indent}{{\n");
     write_offset(out, &indent, offset);
     *out += &format!("{indent}\tCHANNELS {channels} Zrotation Yrotation Xrotation\n");
     let mut is_leaf = true;
-    for (child, candidate) in HIERARCHY.iter().enumerate() {
-        if candidate.parent == Some(index) {
+    for (child, (_, parent, _)) in HIERARCHY.iter().enumerate().skip(1) {
+        if *parent == index {
             write_joint(out, skeleton, child, depth + 1);
             is_leaf = false;
         }
     }
     if is_leaf {
         *out += &format!("{indent}\tEnd Site\n{indent}\t{{\n");
-        let end = file_joint
-            .end
-            .map_or(DVec3::Z * TOE_LENGTH, |end| skeleton.offset(end));
+        // SMPL-X joints without a rotation: an eye, and the first joints of the middle fingers.
+        let end = match joint {
+            Some(Joint::Head) => skeleton.offset(23),
+            Some(Joint::LeftWrist) => skeleton.offset(28),
+            Some(Joint::RightWrist) => skeleton.offset(43),
+            _ => DVec3::Z * TOE_LENGTH,
+        };
         write_offset(out, &format!("{indent}\t"), end);
         *out += &format!("{indent}\t}}\n");
     }
@@ -196,26 +149,20 @@ mod tests {
         for joint in Joint::ALL {
             let at = HIERARCHY
                 .iter()
-                .position(|file_joint| file_joint.joint == Some(joint))
+                .position(|(.., found)| *found == Some(joint))
                 .expect("present");
             // Skip the zero-length joints between a joint and its parent.
-            let mut above = HIERARCHY[at].parent;
-            while let Some(index) = above
-                && HIERARCHY[index].joint.is_none()
-            {
-                above = HIERARCHY[index].parent;
+            let mut above = HIERARCHY[at].1;
+            while HIERARCHY[above].2.is_none() {
+                above = HIERARCHY[above].1;
             }
-            assert_eq!(
-                above.and_then(|index| HIERARCHY[index].joint),
-                joint.parent()
-            );
-            assert_eq!(
-                HIERARCHY.iter().filter(|j| j.joint == Some(joint)).count(),
-                1
-            );
+            let parent = HIERARCHY[above].2.filter(|_| at > 0);
+            assert_eq!(parent, joint.parent());
+            let named = HIERARCHY.iter().filter(|(.., found)| *found == Some(joint));
+            assert_eq!(named.count(), 1);
         }
-        for (index, file_joint) in HIERARCHY.iter().enumerate() {
-            assert!(file_joint.parent.is_none_or(|parent| parent < index));
+        for (index, (_, parent, _)) in HIERARCHY.iter().enumerate().skip(1) {
+            assert!(*parent < index);
         }
     }
 

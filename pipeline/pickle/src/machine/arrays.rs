@@ -110,7 +110,7 @@ impl Machine<'_> {
         let Some(&data) = arguments.first() else {
             return Err(self.malformed("found a storage without bytes"));
         };
-        if !self.inner_files {
+        if self.outside_storages {
             return Err(self.refused("a file within a file", "one within a pickle is the most"));
         }
         let bytes = self.take_bytes(data)?;

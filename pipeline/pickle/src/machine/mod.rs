@@ -31,14 +31,13 @@ const FALSE: Id = 2;
 
 /// The machine and its state.
 pub(crate) struct Machine<'a> {
-    input: Input<'a>,
+    /// After a pickle was run, the input behind it.
+    pub(crate) input: Input<'a>,
     options: Options<'a>,
     /// Whether the bytes of arrays follow joblib's wrappers.
-    wrapped_arrays: bool,
-    /// Whether storages outside the pickle may be named.
-    outside_storages: bool,
-    /// Whether a storage may be a file within the pickle.
-    inner_files: bool,
+    pub(crate) wrapped_arrays: bool,
+    /// Whether storages outside the pickle may be named; else a storage may be a file within the pickle.
+    pub(crate) outside_storages: bool,
     nodes: Vec<Node>,
     stack: Vec<Id>,
     marks: Vec<usize>,
@@ -55,7 +54,6 @@ impl<'a> Machine<'a> {
             options,
             wrapped_arrays: false,
             outside_storages: false,
-            inner_files: true,
             nodes: vec![
                 Node::Leaf(Value::None),
                 Node::Leaf(Value::Bool(true)),
@@ -69,22 +67,6 @@ impl<'a> Machine<'a> {
         }
     }
 
-    pub(crate) fn with_wrapped_arrays(self) -> Self {
-        Self {
-            wrapped_arrays: true,
-            ..self
-        }
-    }
-
-    /// Accepts names of storages outside the pickle, and no files within it.
-    pub(crate) fn with_outside_storages(self) -> Self {
-        Self {
-            outside_storages: true,
-            inner_files: false,
-            ..self
-        }
-    }
-
     /// Reads a pickle to its end.
     pub(crate) fn read(mut self) -> Result<Value, Error> {
         let root = self.run()?;
@@ -94,11 +76,6 @@ impl<'a> Machine<'a> {
     /// The object with this id.
     pub(crate) fn node(&self, id: Id) -> &Node {
         &self.nodes[id as usize]
-    }
-
-    /// The input after the last pickle that was run.
-    pub(crate) fn input(&mut self) -> &mut Input<'a> {
-        &mut self.input
     }
 
     /// Element types of the storages outside the pickle, by storage name.

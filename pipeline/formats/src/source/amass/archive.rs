@@ -6,8 +6,7 @@ use kinematics::motion::BODY_POSE_WIDTH;
 use pickle::npy::{self, Rows};
 use pickle::npz::Archive;
 
-use super::parameters::Parameters;
-use super::variant::Variant;
+use super::parameters::{Parameters, Variant};
 use crate::source::robot;
 use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
@@ -25,15 +24,7 @@ pub enum Parsed<'a> {
     },
 }
 
-/// Reads the parameters of an archive.
-///
-/// # Errors
-/// As [`super::read`].
-pub fn parse(bytes: &[u8]) -> Result<Parsed<'_>, Rejected> {
-    parse_at(bytes, None)
-}
-
-/// Like [`parse`], with a rate in 1/s in place of the archive's, if one is given.
+/// Reads the parameters of an archive, with a rate in 1/s in place of the archive's, if one is given.
 ///
 /// # Errors
 /// As [`super::read`].

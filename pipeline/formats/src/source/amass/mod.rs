@@ -5,24 +5,20 @@ pub mod catalogue;
 mod parameters;
 #[cfg(test)]
 pub(crate) mod tests;
-mod variant;
 
 use std::path::Path;
 
 use datasets_spec::Fps;
-use datasets_spec::store::Reader;
 use kinematics::resample;
 
-use super::format::{Format, Recognised, SourceFormat};
+use super::format::Format;
 use super::options::ReadOptions;
 use super::smpl::y_up_from_z_up;
 use clip::check::FLAG_FPS_DOUBTFUL;
 use clip::{Outcome, Rejected, RotationSource, SourceClip, check_resampled};
 
-pub use archive::{Parsed, parse};
-pub use archive::{parse_at, peek, read_fps};
-pub use parameters::Parameters;
-pub use variant::Variant;
+pub use archive::{Parsed, parse_at, peek, read_fps};
+pub use parameters::{Parameters, Variant};
 
 /// Relative tolerance between a stated and a known frame rate: the stored 120.000046 and 59.94 count as 120 and 60.
 const FPS_TOLERANCE: f64 = 0.01;
@@ -45,7 +41,7 @@ const FPS_TOLERANCE: f64 = 0.01;
 /// position of the pelvis, about which SMPL turns the body.
 pub fn read(path: &Path, bytes: &[u8], options: &ReadOptions) -> Result<Outcome, Rejected> {
     let (rate, skeleton) = (options.rate, &options.skeleton);
-    let parameters = match parse(bytes)? {
+    let parameters = match parse_at(bytes, None)? {
         Parsed::Parameters(parameters) => *parameters,
         Parsed::NoMotion { reason } => return Ok(Outcome::Skipped { reason }),
     };
@@ -90,34 +86,23 @@ fn subset_note(path: &Path) -> Option<String> {
 
 /// AMASS: SMPL, SMPL-H or SMPL-X parameters in an npz archive.
 // Bytes per second: SMPL-H at 120 fps in f8.
-pub const FORMAT: Format = Format::of_files(
-    "amass",
-    ".npz with poses and trans: SMPL, SMPL-H, SMPL-X, gendered or neutral; its own rotations",
-    160_000.0,
-    &Amass,
-);
-
-struct Amass;
-
-impl SourceFormat for Amass {
-    fn by_name(&self, extension: &str, name: &str, _head: &[u8]) -> Option<Recognised> {
-        let no_motion = |reason: &str| Recognised::NotMotion {
-            reason: reason.to_owned(),
-        };
-        (extension == "npz").then(|| match name {
-            "shape.npz" => no_motion("body shape of a subject, no motion"),
+pub const FORMAT: Format = Format {
+    extensions: &["npz"],
+    by_name: |name, _| {
+        let reason = match name {
+            "shape.npz" => "body shape of a subject, no motion",
             name if name.ends_with("_stagei.npz") => {
-                no_motion("body shape of a subject (MoSh stage i), no motion")
+                "body shape of a subject (MoSh stage i), no motion"
             }
-            _ => Recognised::Motion(FORMAT),
-        })
-    }
-
-    fn refuse_large(&self, file: Reader) -> Option<Rejected> {
-        archive::refuse_large(file)
-    }
-
-    fn read(&self, path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        read(path, bytes, options).unwrap_or_else(Outcome::Rejected)
-    }
-}
+            _ => return Some(Ok(())),
+        };
+        Some(Err(reason.to_owned()))
+    },
+    refuse_large: archive::refuse_large,
+    read: |path, _, bytes, options| read(path, bytes, options).unwrap_or_else(Outcome::Rejected),
+    ..Format::of_files(
+        "amass",
+        ".npz with poses and trans: SMPL, SMPL-H, SMPL-X, gendered or neutral; its own rotations",
+        160_000.0,
+    )
+};

@@ -1,9 +1,8 @@
 //! Contents of an archive, and the errors in it.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
-use super::members::{Member, Members, ReadFrom};
+use super::members::{Member, ReadFrom};
 use crate::source::names::text_of_bytes;
 use clip::Rejected;
 
@@ -33,8 +32,18 @@ impl Content {
         self.members.is_empty() && self.special.is_empty() && self.refused.is_empty()
     }
 
-    pub(super) fn members(self, at: &Path) -> Members {
-        Members::new(at, self.members, self.read_from)
+    /// The path of a file from the raw name of a member at an offset of the archive. Other members are noted.
+    pub(super) fn file_name(&mut self, raw: &[u8], at: u64) -> Option<String> {
+        match named(raw) {
+            Named::File(name) => return Some(name),
+            Named::Special(name, reason) => self.special.push((name, reason.to_owned())),
+            Named::Refused(name) => {
+                let reason = "the name of the member leads out of the archive; pack the files by their relative \
+                              paths";
+                self.refuse(&name, NAME, reason.to_owned(), at);
+            }
+        }
+        None
     }
 
     /// Refuses a member.
@@ -53,7 +62,7 @@ impl Content {
 }
 
 /// Meaning of a member's name.
-pub(super) enum Named {
+enum Named {
     File(String),
     /// A name of a member that is skipped, and the reason.
     Special(String, &'static str),
@@ -62,7 +71,7 @@ pub(super) enum Named {
 }
 
 /// The name of a member as a relative path. Names that lead out of the archive are refused, as by all unpackers.
-pub(super) fn named(raw: &[u8]) -> Named {
+fn named(raw: &[u8]) -> Named {
     let shown = text_of_bytes(raw);
     let is_drive =
         |part: &[u8]| part.len() == 2 && part[1] == b':' && part[0].is_ascii_alphabetic();
@@ -87,9 +96,6 @@ pub(super) fn named(raw: &[u8]) -> Named {
         false => Named::File(name),
     }
 }
-
-pub(super) const CLIMBS: &str =
-    "the name of the member leads out of the archive; pack the files by their relative paths";
 
 #[cfg(test)]
 mod tests {

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use datasets_spec::store::{Disk, Locking, NewFile, ReadAt, Reader, Store};
 use zip::ZipArchive;
 
+use super::content::Content;
 use super::scratch::Scratch;
 use super::unpacked::{Packed, Slice, Zipped};
 use crate::source::name_of_text;
@@ -18,13 +19,8 @@ const MAX_IN_MEMORY: u64 = 2 << 30;
 /// Location of a member's bytes.
 #[derive(Clone, Debug)]
 pub(super) enum Member {
-    /// An uncompressed range of the archive.
-    Range {
-        /// First byte.
-        start: u64,
-        /// Size in bytes.
-        size: u64,
-    },
+    /// Uncompressed bytes of the archive.
+    Range(Slice),
     /// A member of a zip archive, by index.
     Zipped {
         /// Index of the member.
@@ -44,9 +40,8 @@ pub(super) enum Member {
 impl Member {
     fn size(&self) -> u64 {
         match self {
-            Self::Range { size, .. } | Self::Zipped { size, .. } | Self::Unpacked { size, .. } => {
-                *size
-            }
+            Self::Range(range) => range.size,
+            Self::Zipped { size, .. } | Self::Unpacked { size, .. } => *size,
         }
     }
 }
@@ -54,8 +49,6 @@ impl Member {
 /// Open archive from which members are read.
 #[derive(Debug)]
 pub(super) enum ReadFrom {
-    /// An archive with uncompressed members.
-    Tar(Arc<dyn ReadAt>),
     /// A zip archive.
     Zip(Arc<dyn ReadAt>, ZipArchive<Reader>),
     /// The folder of the unpacked members; it is removed when no archive uses it.
@@ -71,17 +64,13 @@ pub(super) struct Members {
 }
 
 impl Members {
-    pub(super) fn new(
-        at: &Path,
-        members: BTreeMap<String, Member>,
-        from: Option<ReadFrom>,
-    ) -> Self {
-        let members = members.into_iter();
+    pub(super) fn new(at: &Path, content: Content) -> Self {
+        let members = content.members.into_iter();
         let members = members.map(|(name, member)| (PathBuf::from(name_of_text(&name)), member));
         Self {
             at: at.to_owned(),
             members: members.collect(),
-            from,
+            from: content.read_from,
         }
     }
 
@@ -110,17 +99,6 @@ impl Members {
             crc: entry.crc32(),
             at: entry.header_start(),
         })
-    }
-
-    fn range(&self, start: u64, size: u64) -> io::Result<Slice> {
-        match &self.from {
-            Some(ReadFrom::Tar(file)) => Ok(Slice {
-                file: Arc::clone(file),
-                start,
-                size,
-            }),
-            _ => Err(io::ErrorKind::NotFound.into()),
-        }
     }
 }
 
@@ -152,10 +130,7 @@ impl Store for Members {
 
     fn open(&self, path: &Path) -> io::Result<Box<dyn Read>> {
         match self.member(path)? {
-            Member::Range { start, size } => {
-                let range = self.range(*start, *size)?;
-                Ok(Box::new(Reader::new(Arc::new(range))))
-            }
+            Member::Range(range) => Ok(Box::new(Reader::new(Arc::new(range.clone())))),
             Member::Zipped { number, .. } => Ok(self.zipped(*number)?.open()),
             Member::Unpacked { path, .. } => Disk.open(path),
         }
@@ -163,7 +138,7 @@ impl Store for Members {
 
     fn open_at(&self, path: &Path) -> io::Result<Arc<dyn ReadAt>> {
         match self.member(path)? {
-            Member::Range { start, size } => Ok(Arc::new(self.range(*start, *size)?)),
+            Member::Range(range) => Ok(Arc::new(range.clone())),
             Member::Zipped { number, size } => {
                 let member = self.zipped(*number)?;
                 if member.is_stored && member.size == member.packed.size {

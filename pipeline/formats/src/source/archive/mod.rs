@@ -24,7 +24,8 @@ use rayon::prelude::*;
 
 use self::content::{Content, LIMIT, NAME};
 use self::kind::Kind;
-use self::limits::{Budget, Limits};
+use self::limits::Budget;
+use self::members::Members;
 use self::scratch::Scratch;
 use self::unpacked::DamagedMember;
 use super::{is_pointer, name_of_text, read_head, text_of_name};
@@ -125,7 +126,7 @@ struct Unpacking<'a> {
 impl<'a> Unpacking<'a> {
     fn new(progress: &'a dyn Progress) -> Self {
         Self {
-            scratch: Arc::new(Scratch::new()),
+            scratch: Arc::default(),
             progress,
         }
     }
@@ -139,21 +140,6 @@ impl<'a> Unpacking<'a> {
             .map(|(_, path)| ByPath.size(path).unwrap_or(0))
             .collect();
         (!sizes.is_empty()).then(|| (sizes.len(), unpacked::shown(sizes.iter().sum())))
-    }
-
-    /// Reports how many bytes will be unpacked, if any.
-    fn begin(&self, archives: &[(String, PathBuf)]) {
-        if let Some((count, megabytes)) = Self::packed(archives) {
-            self.progress.begin("unpack", Some(megabytes));
-            self.progress.message(&format!("MB of {count} archives"));
-        }
-    }
-
-    fn finish(&self, archives: &[(String, PathBuf)]) {
-        if let Some((count, megabytes)) = Self::packed(archives) {
-            let told = format!("{count} archives of {megabytes} MB");
-            self.progress.finish(&told);
-        }
     }
 }
 
@@ -175,7 +161,11 @@ pub fn open_all(
         return Ok(all);
     }
     let unpacking = Unpacking::new(progress);
-    unpacking.begin(&archives);
+    let packed = Unpacking::packed(&archives);
+    if let Some((count, megabytes)) = packed {
+        progress.begin("unpack", Some(megabytes));
+        progress.message(&format!("MB of {count} archives"));
+    }
     let is_folder = |relative: &str| {
         let below = format!("{relative}/");
         let mut next = files.range(below.clone()..);
@@ -192,7 +182,9 @@ pub fn open_all(
             open(relative, path, 0, &unpacking)
         })
         .collect::<Result<_, Error>>()?;
-    unpacking.finish(&archives);
+    if let Some((count, megabytes)) = packed {
+        progress.finish(&format!("{count} archives of {megabytes} MB"));
+    }
     for ((relative, _), opened) in archives.iter().zip(opened) {
         if let Some(opened) = opened {
             files.remove(relative);
@@ -258,7 +250,7 @@ fn open(
         let place = path.join(name_of_text(name));
         opened.files.insert(of_archive(name), place);
     }
-    let members = content.members(path);
+    let members = Members::new(path, content);
     let mounted = mount(path, Arc::new(members));
     opened.archives.open.push(Arc::new(mounted));
     if !kind.is_random_access() {
@@ -291,7 +283,7 @@ fn content(
             return Ok(Err(Rejected::read("E-IO", reason)));
         }
     };
-    let budget = Budget::new(Limits::default(), size);
+    let budget = Budget::new(size);
     match kind {
         Kind::Zip => Ok(zipped::content(path, budget)),
         Kind::Tar => Ok(tarball::content(path, budget)),
@@ -305,23 +297,24 @@ mod tests {
 
     #[test]
     fn limits_count_members_bytes_and_the_ratio() {
-        let limits = Limits {
-            members: 3,
-            bytes: 1000,
+        let of_size = |size: u64| Budget {
+            max_members: 3,
+            max_bytes: 1000,
             ratio: 10,
             small: 100,
+            ..Budget::new(size)
         };
-        let mut budget = Budget::new(limits, 5);
+        let mut budget = of_size(5);
         assert!(budget.take(100).is_ok() && budget.take(0).is_ok());
         assert!(
             budget
                 .take(1)
                 .is_err_and(|reason| reason.contains("10 times"))
         );
-        let mut budget = Budget::new(limits, 500);
+        let mut budget = of_size(500);
         assert!(budget.take(1000).is_ok());
         assert!(budget.take(1).is_err());
-        let mut budget = Budget::new(limits, 500);
+        let mut budget = of_size(500);
         assert!((0..3).all(|_| budget.take(1).is_ok()));
         assert!(
             budget

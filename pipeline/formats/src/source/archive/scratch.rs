@@ -22,10 +22,6 @@ pub(super) struct Scratch {
 }
 
 impl Scratch {
-    pub(super) fn new() -> Self {
-        Self::default()
-    }
-
     /// An unused path in the folder.
     ///
     /// # Errors

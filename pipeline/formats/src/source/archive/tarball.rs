@@ -1,10 +1,10 @@
 //! Tar archives, uncompressed or compressed.
 
+use std::cell::Cell;
 use std::fs::File;
 use std::io::{self, Read, Write};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use bzip2::read::MultiBzDecoder;
 use datasets_spec::Progress;
@@ -13,12 +13,12 @@ use flate2::read::MultiGzDecoder;
 use lzma_rust2::XzReader;
 use tar::EntryType;
 
-use super::content::{CLIMBS, Content, DAMAGED, LIMIT, NAME, Named, named};
+use super::content::{Content, DAMAGED, LIMIT};
 use super::kind::Kind;
 use super::limits::Budget;
 use super::members::{Member, ReadFrom};
 use super::scratch::{Scratch, no_room};
-use super::unpacked::{Capped, Counting};
+use super::unpacked::{Capped, Counting, Slice};
 use crate::Error;
 use clip::{Rejected, rejected};
 
@@ -59,19 +59,19 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
         let (start, size) = (entry.raw_file_position(), entry.size());
         end = start.saturating_add(size.next_multiple_of(BLOCK));
         budget
-            .take(size.min(budget.size()))
+            .take(size.min(budget.size))
             .map_err(|reason| too_large(reason, start))?;
         let Some(name) = file_name(&mut content, &entry) else {
             continue;
         };
-        if start.saturating_add(size) > budget.size() {
+        if start.saturating_add(size) > budget.size {
             let reason = "the archive ends before the member does; it is cut short".to_owned();
             content.refuse(&name, DAMAGED, reason, start);
             break;
         }
-        content.add(name, Member::Range { start, size });
+        let file = Arc::clone(&file);
+        content.add(name, Member::Range(Slice { file, start, size }));
     }
-    content.read_from = Some(ReadFrom::Tar(file));
     Ok(content)
 }
 
@@ -81,17 +81,7 @@ fn file_name<R: Read>(content: &mut Content, entry: &tar::Entry<'_, R>) -> Optio
     if matches!(kind, EntryType::Directory | EntryType::XGlobalHeader) {
         return None;
     }
-    let name = match named(&entry.path_bytes()) {
-        Named::File(name) => name,
-        Named::Special(name, reason) => {
-            content.special.push((name, reason.to_owned()));
-            return None;
-        }
-        Named::Refused(name) => {
-            content.refuse(&name, NAME, CLIMBS.to_owned(), entry.raw_header_position());
-            return None;
-        }
-    };
+    let name = content.file_name(&entry.path_bytes(), entry.raw_header_position())?;
     let reason = match kind {
         EntryType::Regular | EntryType::Continuous => return Some(name),
         EntryType::Symlink | EntryType::Link => "link in an archive, not followed",
@@ -124,9 +114,13 @@ pub(super) fn unpack(
         Ok(packed) => packed,
         Err(error) => return Ok(Err(unreadable(&error))),
     };
-    let (packed, count) = Counting::new(packed, progress);
-    let place = || count.load(Ordering::Relaxed);
-    let (most, packed_size) = (budget.bytes_left(), budget.size());
+    let (place, is_exceeded) = (Cell::new(0), Cell::new(false));
+    let packed = Counting {
+        inner: packed,
+        count: &place,
+        progress,
+    };
+    let (most, packed_size) = (budget.bytes_left(), budget.size);
     let unpacked: Box<dyn Read + '_> = match kind {
         Kind::Gzip => Box::new(MultiGzDecoder::new(packed)),
         Kind::Bzip2 => Box::new(MultiBzDecoder::new(packed)),
@@ -135,13 +129,17 @@ pub(super) fn unpack(
     };
     let mut content = Content::default();
     // Headers count too: their long names are read into memory.
-    let (unpacked, is_exceeded) = Capped::new(unpacked, most);
+    let unpacked = Capped {
+        inner: unpacked,
+        left: most,
+        is_exceeded: &is_exceeded,
+    };
     let too_much = || {
         let reason = format!(
             "{packed_size} bytes unpack to more than {most} bytes; if its files are really so large, unpack it and name the \
              folder"
         );
-        too_large(reason, place())
+        too_large(reason, place.get())
     };
     let mut archive = tar::Archive::new(unpacked);
     let entries = match archive.entries() {
@@ -152,17 +150,17 @@ pub(super) fn unpack(
     for entry in entries {
         let mut entry = match entry {
             Ok(entry) => entry,
-            Err(_) if is_exceeded.load(Ordering::Relaxed) => return Ok(Err(too_much())),
+            Err(_) if is_exceeded.get() => return Ok(Err(too_much())),
             Err(error) => {
-                let end = if is_first { 0 } else { place() };
-                content.refuse("", DAMAGED, broken(end, &error), place());
+                let end = if is_first { 0 } else { place.get() };
+                content.refuse("", DAMAGED, broken(end, &error), place.get());
                 break;
             }
         };
         is_first = false;
         let size = entry.size();
         if let Err(reason) = budget.take(size) {
-            return Ok(Err(too_large(reason, place())));
+            return Ok(Err(too_large(reason, place.get())));
         }
         let Some(name) = file_name(&mut content, &entry) else {
             continue;
@@ -173,11 +171,11 @@ pub(super) fn unpack(
             Ok(copied) if copied == size => {
                 content.add(name, Member::Unpacked { path: to, size });
             }
-            _ if is_exceeded.load(Ordering::Relaxed) => return Ok(Err(too_much())),
+            _ if is_exceeded.get() => return Ok(Err(too_much())),
             copied => {
                 let error = copied.err().unwrap_or(io::ErrorKind::UnexpectedEof.into());
-                let what = broken(place().max(1), &error);
-                content.refuse("", DAMAGED, what, place());
+                let what = broken(place.get().max(1), &error);
+                content.refuse("", DAMAGED, what, place.get());
                 break;
             }
         }

@@ -1,8 +1,8 @@
 //! Readers of packed archive members.
 
+use std::cell::Cell;
 use std::io::{self, Read};
 use std::ops::Range;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bytes::Bytes;
@@ -197,28 +197,17 @@ const SHOWN: u64 = 1_000_000;
 
 /// Counts the bytes read, and reports progress for every million.
 pub(super) struct Counting<'a, R> {
-    inner: R,
-    count: Arc<AtomicU64>,
-    progress: &'a dyn Progress,
-}
-
-impl<'a, R: Read> Counting<'a, R> {
-    pub(super) fn new(inner: R, progress: &'a dyn Progress) -> (Self, Arc<AtomicU64>) {
-        let count = Arc::new(AtomicU64::new(0));
-        let counting = Self {
-            inner,
-            count: Arc::clone(&count),
-            progress,
-        };
-        (counting, count)
-    }
+    pub(super) inner: R,
+    pub(super) count: &'a Cell<u64>,
+    pub(super) progress: &'a dyn Progress,
 }
 
 impl<R: Read> Read for Counting<'_, R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let read = self.inner.read(buffer)?;
-        let before = self.count.fetch_add(read as u64, Ordering::Relaxed);
-        let shown = (before + read as u64) / SHOWN - before / SHOWN;
+        let before = self.count.get();
+        self.count.set(before + read as u64);
+        let shown = self.count.get() / SHOWN - before / SHOWN;
         if shown > 0 {
             self.progress.advance(shown);
         }
@@ -232,25 +221,13 @@ pub(super) fn shown(bytes: u64) -> u64 {
 }
 
 /// Reads at most a number of bytes, and reports whether there were more.
-pub(super) struct Capped<R> {
-    inner: R,
-    left: u64,
-    is_exceeded: Arc<AtomicBool>,
+pub(super) struct Capped<'a, R> {
+    pub(super) inner: R,
+    pub(super) left: u64,
+    pub(super) is_exceeded: &'a Cell<bool>,
 }
 
-impl<R: Read> Capped<R> {
-    pub(super) fn new(inner: R, left: u64) -> (Self, Arc<AtomicBool>) {
-        let is_exceeded = Arc::new(AtomicBool::new(false));
-        let capped = Self {
-            inner,
-            left,
-            is_exceeded: Arc::clone(&is_exceeded),
-        };
-        (capped, is_exceeded)
-    }
-}
-
-impl<R: Read> Read for Capped<R> {
+impl<R: Read> Read for Capped<'_, R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let read = self.inner.read(buffer)?;
         match self.left.checked_sub(read as u64) {
@@ -259,7 +236,7 @@ impl<R: Read> Read for Capped<R> {
                 Ok(read)
             }
             None => {
-                self.is_exceeded.store(true, Ordering::Relaxed);
+                self.is_exceeded.set(true);
                 Err(io::ErrorKind::FileTooLarge.into())
             }
         }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use datasets_spec::store::{ByPath, Reader, Store};
 use zip::{CompressionMethod, ZipArchive};
 
-use super::content::{CLIMBS, Content, DAMAGED, LIMIT, NAME, Named, PACKING, named};
+use super::content::{Content, DAMAGED, LIMIT, PACKING};
 use super::limits::Budget;
 use super::members::{Member, ReadFrom};
 use clip::{Rejected, rejected};
@@ -16,7 +16,7 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
     let file = ByPath
         .open_at(path)
         .map_err(|error| rejected!("E-IO", "cannot read the archive: {error}"))?;
-    let size = budget.size();
+    let size = budget.size;
     let zip = ZipArchive::new(Reader::new(Arc::clone(&file))).map_err(|error| {
         rejected!(
             DAMAGED,
@@ -42,16 +42,8 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
         let raw = name
             .as_ref()
             .map_or(entry.name_raw(), |name| name.as_bytes());
-        let name = match named(raw) {
-            Named::File(name) => name,
-            Named::Special(name, reason) => {
-                content.special.push((name, reason.to_owned()));
-                continue;
-            }
-            Named::Refused(name) => {
-                content.refuse(&name, NAME, CLIMBS.to_owned(), at);
-                continue;
-            }
+        let Some(name) = content.file_name(raw, at) else {
+            continue;
         };
         if entry.is_symlink() {
             let reason = "link in an archive, not followed".to_owned();
@@ -75,7 +67,7 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
             content.refuse(&name, PACKING, reason, at);
             continue;
         }
-        if at.saturating_add(entry.compressed_size()) > budget.size() {
+        if at.saturating_add(entry.compressed_size()) > budget.size {
             let reason = "the archive ends before the member does; it is cut short".to_owned();
             content.refuse(&name, DAMAGED, reason, at);
             continue;

@@ -5,8 +5,7 @@ use std::io::Read;
 use datasets_spec::Fps;
 
 use super::cursor::{Cursor, syntax};
-use super::hierarchy::parse_hierarchy;
-use super::joint::BvhJoint;
+use super::hierarchy::{BvhJoint, parse_hierarchy};
 use super::motion::{Rows, is_line_end, parse_frame_time};
 use crate::source::head::UTF8_BOM;
 use clip::{Rejected, rejected};
@@ -85,11 +84,7 @@ impl Header {
     fn parse(bytes: &[u8]) -> Result<(Self, usize), Rejected> {
         let mut cursor = Cursor {
             bytes,
-            at: if bytes.starts_with(UTF8_BOM) {
-                UTF8_BOM.len()
-            } else {
-                0
-            },
+            at: bytes.strip_prefix(UTF8_BOM).map_or(0, |_| UTF8_BOM.len()),
         };
         let joints = parse_hierarchy(&mut cursor)?;
         let num_channels = joints.iter().map(|joint| joint.channels.len()).sum();

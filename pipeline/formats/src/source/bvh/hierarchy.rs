@@ -3,7 +3,6 @@
 use glam::DVec3;
 
 use super::cursor::{Cursor, parse_number, shown, syntax};
-use super::joint::{Axis, BvhJoint, Channel};
 use super::soma;
 use clip::Rejected;
 
@@ -111,12 +110,8 @@ fn parse_channels(cursor: &mut Cursor) -> Result<Vec<Channel>, Rejected> {
     let mut channels = Vec::with_capacity(count);
     for _ in 0..count {
         let (at, word) = cursor.word();
-        let axis = match word.first().map(u8::to_ascii_uppercase) {
-            Some(b'X') => Some(Axis::X),
-            Some(b'Y') => Some(Axis::Y),
-            Some(b'Z') => Some(Axis::Z),
-            _ => None,
-        };
+        let first = word.first().map(u8::to_ascii_uppercase);
+        let axis = first.and_then(|first| b"XYZ".iter().position(|axis| *axis == first));
         let channel = axis.and_then(|axis| {
             if word[1..].eq_ignore_ascii_case(b"position") {
                 Some(Channel::Position(axis))
@@ -137,4 +132,32 @@ fn parse_channels(cursor: &mut Cursor) -> Result<Vec<Channel>, Rejected> {
         })?);
     }
     Ok(channels)
+}
+
+/// Meaning of one column of the motion for its joint, with its axis: 0 for x, 1 for y, 2 for z.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channel {
+    /// A coordinate in the parent's frame, in the file's unit. It replaces that coordinate of the
+    /// offset.
+    Position(usize),
+    /// A rotation about an axis, in degrees. Rotations apply in the order of their columns: the
+    /// first is the outermost.
+    Rotation(usize),
+}
+
+/// A joint of the hierarchy.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BvhJoint {
+    /// Name as written.
+    pub name: String,
+    /// Index of the parent; none for the root. A parent precedes its children.
+    pub parent: Option<usize>,
+    /// Position in the parent's frame in the file's unit, unless a channel replaces it.
+    pub offset: DVec3,
+    /// The joint's columns, in order.
+    pub channels: Vec<Channel>,
+    /// Index of the joint's first column.
+    pub first_channel: usize,
+    /// End of the joint's bone (`End Site`), if stated.
+    pub end_site: Option<DVec3>,
 }

@@ -10,7 +10,6 @@ mod cursor;
 pub(crate) mod dialects;
 mod file;
 mod hierarchy;
-mod joint;
 mod motion;
 mod rig;
 mod soma;
@@ -18,53 +17,34 @@ mod soma;
 mod tests;
 
 use std::io::Read;
-use std::path::Path;
 
 pub use file::BvhFile;
-pub use joint::{Axis, BvhJoint, Channel};
+pub use hierarchy::{BvhJoint, Channel};
 
-use super::format::{Format, Recognised, SourceFormat};
+use super::format::Format;
 use super::head::UTF8_BOM;
 use super::options::ReadOptions;
 use crate::retarget;
 use clip::check::FLAG_ROW_COUNT;
-use clip::{Outcome, Rejected, SourceClip};
+use clip::{Rejected, SourceClip};
 
 /// Biovision hierarchy: a skeleton and Euler angles, as text.
 // Bytes per second: measured on 318 captured clips.
-pub const FORMAT: Format = Format::of_files(
-    "bvh",
-    ".bvh, or text that begins with HIERARCHY; rotations are retargeted",
-    40_000.0,
-    &Bvh,
-);
-
-struct Bvh;
-
-impl SourceFormat for Bvh {
-    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
-        (extension == "bvh").then_some(Recognised::Motion(FORMAT))
-    }
-
-    fn by_content(&self, head: &[u8]) -> bool {
+pub const FORMAT: Format = Format {
+    extensions: &["bvh"],
+    by_content: |head| {
         let text = head.strip_prefix(UTF8_BOM).unwrap_or(head);
         let first = text.trim_ascii_start().first_chunk::<9>();
         first.is_some_and(|first| first.eq_ignore_ascii_case(b"HIERARCHY"))
-    }
-
-    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        read(&mut &bytes[..], bytes.len(), options).into()
-    }
-
-    fn read_in_pieces(
-        &self,
-        file: &mut dyn Read,
-        length: usize,
-        options: &ReadOptions,
-    ) -> Option<Outcome> {
-        Some(read(file, length, options).into())
-    }
-}
+    },
+    read: |_, _, bytes, options| read(&mut &bytes[..], bytes.len(), options).into(),
+    read_in_pieces: |file, length, options| Some(read(file, length, options).into()),
+    ..Format::of_files(
+        "bvh",
+        ".bvh, or text that begins with HIERARCHY; rotations are retargeted",
+        40_000.0,
+    )
+};
 
 /// Reads a file of about `length` bytes.
 pub fn read(

@@ -6,7 +6,7 @@ use datasets_spec::Fps;
 use glam::{DQuat, DVec3};
 
 use super::file::BvhFile;
-use super::joint::{Axis, BvhJoint, Channel};
+use super::hierarchy::{BvhJoint, Channel};
 use super::soma;
 use crate::retarget::{Bone, Placed, Rest, Rig};
 
@@ -126,7 +126,7 @@ impl BvhFile {
             if let Channel::Position(axis) = *channel {
                 let column = self.values[column..].iter().step_by(self.num_channels);
                 let sum: f64 = column.skip(frames.start).sum();
-                *coordinate(&mut offset, axis) = sum / frames.len() as f64;
+                offset[axis] = sum / frames.len() as f64;
             }
         }
         offset
@@ -171,7 +171,7 @@ impl LocalBlock {
             match *channel {
                 Channel::Position(axis) => {
                     for (position, value) in self.positions.iter_mut().zip(column) {
-                        *coordinate(position, axis) = value;
+                        position[axis] = value;
                     }
                 }
                 Channel::Rotation(axis) => {
@@ -185,22 +185,14 @@ impl LocalBlock {
     }
 }
 
-fn coordinate(vector: &mut DVec3, axis: Axis) -> &mut f64 {
-    match axis {
-        Axis::X => &mut vector.x,
-        Axis::Y => &mut vector.y,
-        Axis::Z => &mut vector.z,
-    }
-}
-
 /// `q` times the rotation about an axis with the given sine and cosine of half its angle. It takes
 /// half the multiplications of a general product.
-fn rotated(q: DQuat, axis: Axis, s: f64, c: f64) -> DQuat {
+fn rotated(q: DQuat, axis: usize, s: f64, c: f64) -> DQuat {
     let DQuat { x, y, z, w } = q;
     match axis {
-        Axis::X => DQuat::from_xyzw(x * c + w * s, y * c + z * s, z * c - y * s, w * c - x * s),
-        Axis::Y => DQuat::from_xyzw(x * c - z * s, y * c + w * s, z * c + x * s, w * c - y * s),
-        Axis::Z => DQuat::from_xyzw(x * c + y * s, y * c - x * s, z * c + w * s, w * c - z * s),
+        0 => DQuat::from_xyzw(x * c + w * s, y * c + z * s, z * c - y * s, w * c - x * s),
+        1 => DQuat::from_xyzw(x * c - z * s, y * c + w * s, z * c + x * s, w * c - y * s),
+        _ => DQuat::from_xyzw(x * c + y * s, y * c - x * s, z * c + w * s, w * c - z * s),
     }
 }
 

@@ -12,7 +12,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::joint::BvhJoint;
+use super::hierarchy::BvhJoint;
 use crate::retarget::{Placed, bare};
 
 /// Joints of the trunk and of the legs, with the angle of their x axis from up to the front. Their z axis

@@ -10,13 +10,11 @@
 
 mod parameters;
 
-use std::path::Path;
-
 use datasets_spec::Fps;
 use glam::DVec3;
 
 use self::parameters::{BLOCK, Parameters, Processor};
-use super::format::{Format, ReadCapture, Recognised, SourceFormat};
+use super::format::Format;
 use super::options::ReadOptions;
 use super::unit::Unit;
 use crate::markers::{self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, is_model_output};
@@ -46,7 +44,7 @@ pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Option<Capture>, R
 }
 
 /// The processor of a file and its parameters.
-fn parameters(bytes: &[u8]) -> Result<(Processor, Parameters), Rejected> {
+fn parameters(bytes: &[u8]) -> Result<(Processor, Parameters<'_>), Rejected> {
     if bytes.len() < BLOCK {
         return Err(rejected!(
             "E-C3D-TRUNCATED",
@@ -130,7 +128,7 @@ impl Layout {
     fn find(
         bytes: &[u8],
         header: &Header,
-        parameters: &Parameters,
+        parameters: &Parameters<'_>,
     ) -> Result<Option<Self>, Rejected> {
         let mut notes = Vec::new();
         let stated = |name: &str| parameters.number("POINT", name);
@@ -200,7 +198,7 @@ impl Layout {
         mut self,
         bytes: &[u8],
         processor: Processor,
-        parameters: &Parameters,
+        parameters: &Parameters<'_>,
         unit: Option<Unit>,
     ) -> Result<Option<Capture>, Rejected> {
         let (labels, kept) = labels_of_markers(parameters, self.points);
@@ -208,7 +206,11 @@ impl Layout {
             return Ok(None);
         }
         let raw = self.raw_positions(bytes, processor);
-        let unit = self.unit(parameters, &raw, unit);
+        let stated = parameters.text("POINT", "UNITS").unwrap_or_default();
+        let seen = raw.iter().filter(|point| point.residual >= 0.0);
+        let seen = seen.map(|point| point.at);
+        let (unit, note) = CaptureUnit::find(unit, stated.trim(), seen);
+        self.notes.extend(note);
         let metres = unit.unit.metres();
         let frames = raw.chunks_exact(self.points);
         let frames = frames.map(|frame| kept.iter().map(move |point| frame[*point]));
@@ -254,25 +256,6 @@ impl Layout {
             notes: self.notes,
             flags: 0,
         }))
-    }
-
-    /// The unit that the user states, else the file's.
-    fn unit(
-        &mut self,
-        parameters: &Parameters,
-        points: &[Point],
-        by_user: Option<Unit>,
-    ) -> CaptureUnit {
-        let largest = || {
-            let seen = points.iter().filter(|point| point.residual >= 0.0);
-            seen.fold(0.0, |largest: f64, point| {
-                largest.max(point.at.abs().max_element())
-            })
-        };
-        let stated = parameters.text("POINT", "UNITS").unwrap_or_default();
-        let (unit, note) = CaptureUnit::find(by_user, stated.trim(), largest);
-        self.notes.extend(note);
-        unit
     }
 
     /// Every point of every frame in the file's unit.
@@ -340,7 +323,7 @@ fn whole_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
 /// limited by the length of the file.
 fn frame_count(
     header: &Header,
-    parameters: &Parameters,
+    parameters: &Parameters<'_>,
     room: usize,
     notes: &mut Vec<String>,
 ) -> Result<usize, Rejected> {
@@ -387,7 +370,7 @@ fn frame_count(
 }
 
 /// A unique name for each point.
-fn labels(parameters: &Parameters, points: usize) -> Vec<String> {
+fn labels(parameters: &Parameters<'_>, points: usize) -> Vec<String> {
     let mut stated = Vec::new();
     for number in 1.. {
         let name = match number {
@@ -410,7 +393,7 @@ fn labels(parameters: &Parameters, points: usize) -> Vec<String> {
 }
 
 /// Names of the points that are markers, and which points these are.
-fn labels_of_markers(parameters: &Parameters, points: usize) -> (Vec<String>, Vec<usize>) {
+fn labels_of_markers(parameters: &Parameters<'_>, points: usize) -> (Vec<String>, Vec<usize>) {
     let labels = labels(parameters, points);
     let outputs = parameters.model_outputs();
     let is_marker = |label: &String| !outputs.contains(label) && !is_model_output(label);
@@ -431,48 +414,27 @@ fn marker_labels(bytes: &[u8]) -> Option<Vec<String>> {
 
 /// C3D: marker positions of an optical capture.
 // Bytes per second: measured on 24 captures.
-pub const FORMAT: Format = Format::of_files(
-    "c3d",
-    ".c3d of Intel, DEC and MIPS, whole and real numbers; one motion for each person in it; fitted to the \
-     markers, which are kept",
-    60_000.0,
-    &C3d,
-);
-
-struct C3d;
-
-impl SourceFormat for C3d {
-    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
-        (extension == "c3d").then_some(Recognised::Motion(FORMAT))
-    }
-
-    fn may_hold_several(&self) -> bool {
-        true
-    }
-
-    fn keys(&self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+pub const FORMAT: Format = Format {
+    extensions: &["c3d"],
+    keys: Some(|bytes, options| {
         let labels = marker_labels(bytes).unwrap_or_default();
         markers::keys(&labels, options.markers.as_ref())
-    }
-
-    fn capture_reader(&self) -> Option<ReadCapture> {
-        Some(capture)
-    }
-
-    fn subject_of<'a>(&self, key: &'a str) -> Option<&'a str> {
-        markers::subject_of(key)
-    }
-
-    fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        match capture(bytes, options) {
-            Ok(Some(capture)) => capture.clip(key, options).into(),
-            Ok(None) => Outcome::Skipped {
-                reason: "C3D without marker data".to_owned(),
-            },
-            Err(rejected) => Outcome::Rejected(rejected),
-        }
-    }
-}
+    }),
+    capture: Some(capture),
+    read: |_, key, bytes, options| match capture(bytes, options) {
+        Ok(Some(capture)) => capture.clip(key, options).into(),
+        Ok(None) => Outcome::Skipped {
+            reason: "C3D without marker data".to_owned(),
+        },
+        Err(rejected) => Outcome::Rejected(rejected),
+    },
+    ..Format::of_files(
+        "c3d",
+        ".c3d of Intel, DEC and MIPS, whole and real numbers; one motion for each person in it; fitted to the \
+         markers, which are kept",
+        60_000.0,
+    )
+};
 
 #[cfg(test)]
 mod tests;

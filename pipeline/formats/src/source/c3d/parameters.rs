@@ -61,24 +61,15 @@ impl Processor {
     }
 }
 
-/// A value as stored.
-#[derive(Clone, Debug)]
-enum Value {
-    /// Characters in rows of one length.
-    Text {
-        width: usize,
-        characters: Vec<u8>,
-    },
-    Bytes(Vec<u8>),
-    /// Words as stored, not yet signed.
-    Words(Vec<u16>),
-    Reals(Vec<f32>),
-}
+/// A value as stored: its type (-1 for text, 1 for bytes, 2 for words, 4 for real numbers), the length of a row, and
+/// all bytes.
+type Value<'a> = (i8, usize, &'a [u8]);
 
 /// All parameters by group and name, in upper case.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Parameters {
-    values: BTreeMap<(String, String), Value>,
+#[derive(Clone, Debug)]
+pub(super) struct Parameters<'a> {
+    processor: Processor,
+    values: BTreeMap<(String, String), Value<'a>>,
 }
 
 /// Reads bytes sequentially with bounds checks.
@@ -108,7 +99,7 @@ impl<'a> Cursor<'a> {
     }
 }
 
-impl Parameters {
+impl<'a> Parameters<'a> {
     /// Parses the section that begins at `start`.
     ///
     /// Some programs write a link to the next parameter that leads out of the section. Then the
@@ -117,7 +108,7 @@ impl Parameters {
     /// # Errors
     /// `E-C3D-PARAM` if it breaks off in the middle of a value.
     pub(super) fn parse(
-        bytes: &[u8],
+        bytes: &'a [u8],
         start: usize,
         processor: Processor,
     ) -> Result<Self, Rejected> {
@@ -125,7 +116,7 @@ impl Parameters {
         let end = bytes.len();
         let stated_end = start + usize::from(bytes[start + 2]) * BLOCK;
         let mut groups: BTreeMap<u8, String> = BTreeMap::new();
-        let mut by_group: Vec<(u8, String, Value)> = Vec::new();
+        let mut by_group: Vec<(u8, String, Value<'a>)> = Vec::new();
         let mut cursor = Cursor {
             bytes,
             at: start + 4,
@@ -148,7 +139,7 @@ impl Parameters {
             if group < 0 {
                 groups.insert(group.unsigned_abs(), name);
             } else {
-                let value = value(&mut cursor, processor)?;
+                let value = value(&mut cursor)?;
                 by_group.push((group.unsigned_abs(), name, value));
             }
             // An offset of zero ends the section.
@@ -169,34 +160,41 @@ impl Parameters {
             .into_iter()
             .filter_map(|(group, name, value)| Some(((groups.get(&group)?.clone(), name), value)))
             .collect();
-        Ok(Self { values })
+        Ok(Self { processor, values })
     }
 
-    fn get(&self, group: &str, name: &str) -> Option<&Value> {
-        self.values.get(&(group.to_owned(), name.to_owned()))
+    fn get(&self, group: &str, name: &str) -> Option<Value<'a>> {
+        let key = (group.to_owned(), name.to_owned());
+        self.values.get(&key).copied()
+    }
+
+    /// The first real number of a value.
+    fn real(&self, bytes: &[u8]) -> Option<f32> {
+        Some(self.processor.f32(*bytes.first_chunk()?))
     }
 
     /// The first number of a parameter.
     pub(super) fn number(&self, group: &str, name: &str) -> Option<f64> {
-        match self.get(group, name)? {
-            Value::Bytes(bytes) => bytes.first().map(|byte| f64::from(*byte as i8)),
-            Value::Words(words) => words.first().map(|word| f64::from(*word as i16)),
-            Value::Reals(reals) => reals.first().map(|real| f64::from(*real)),
-            Value::Text { .. } => None,
-        }
-        .filter(|number| number.is_finite())
+        let number = match self.get(group, name)? {
+            (1, _, bytes) => f64::from(*bytes.first()? as i8),
+            (2, _, bytes) => self.processor.i16(*bytes.first_chunk()?).into(),
+            (4, _, bytes) => self.real(bytes)?.into(),
+            _ => return None,
+        };
+        Some(number).filter(|number| number.is_finite())
     }
 
     /// A count in two words, the low one first for every processor, or as a real number.
     pub(super) fn long(&self, group: &str, name: &str) -> Option<usize> {
         match self.get(group, name)? {
-            Value::Words(words) => match words[..] {
-                [low, high, ..] => Some(usize::from(low) | usize::from(high) << 16),
-                [low] => Some(low.into()),
-                [] => None,
-            },
-            Value::Reals(reals) => {
-                let number = *reals.first()?;
+            (2, _, bytes) => {
+                let words = bytes.as_chunks().0.iter();
+                let mut words = words.map(|word| usize::from(self.processor.u16(*word)));
+                let low = words.next()?;
+                Some(low | words.next().unwrap_or(0) << 16)
+            }
+            (4, _, bytes) => {
+                let number = self.real(bytes)?;
                 (number >= 0.0 && number < u32::MAX as f32).then_some(number as usize)
             }
             _ => None,
@@ -211,15 +209,11 @@ impl Parameters {
     /// A parameter's rows of text.
     pub(super) fn texts(&self, group: &str, name: &str) -> Option<Vec<String>> {
         match self.get(group, name)? {
-            Value::Text { width, characters } => Some(
-                characters
-                    .chunks((*width).max(1))
-                    .map(|row| {
-                        let row = String::from_utf8_lossy(row);
-                        row.trim_matches(['\0', ' ']).to_owned()
-                    })
-                    .collect(),
-            ),
+            (-1, width, characters) => {
+                let rows = characters.chunks(width.max(1)).map(String::from_utf8_lossy);
+                let rows = rows.map(|row| row.trim_matches(['\0', ' ']).to_owned());
+                Some(rows.collect())
+            }
             _ => None,
         }
     }
@@ -256,7 +250,7 @@ fn is_record(bytes: &[u8], at: usize) -> bool {
     group != 0 && name.len() >= SHORTEST_NAME && name.iter().all(is_named)
 }
 
-fn value(cursor: &mut Cursor, processor: Processor) -> Result<Value, Rejected> {
+fn value<'a>(cursor: &mut Cursor<'a>) -> Result<Value<'a>, Rejected> {
     let kind_at = cursor.at;
     let kind = cursor.byte()? as i8;
     let num_axes = cursor.byte()?;
@@ -281,24 +275,6 @@ fn value(cursor: &mut Cursor, processor: Processor) -> Result<Value, Rejected> {
         .iter()
         .try_fold(size, |length: usize, axis| length.checked_mul(*axis))
         .unwrap_or(usize::MAX);
-    let bytes = cursor.take(length)?;
-    Ok(match kind {
-        -1 => Value::Text {
-            width: axes.first().copied().unwrap_or(1),
-            characters: bytes.to_vec(),
-        },
-        1 => Value::Bytes(bytes.to_vec()),
-        2 => Value::Words(
-            bytes
-                .chunks_exact(2)
-                .map(|word| processor.u16([word[0], word[1]]))
-                .collect(),
-        ),
-        _ => Value::Reals(
-            bytes
-                .chunks_exact(4)
-                .map(|real| processor.f32([real[0], real[1], real[2], real[3]]))
-                .collect(),
-        ),
-    })
+    let width = axes.first().copied().unwrap_or(1);
+    Ok((kind, width, cursor.take(length)?))
 }

@@ -113,16 +113,6 @@ pub(super) struct Curve<const N: usize> {
     pub(super) interpolation: Interpolation,
 }
 
-/// The value of a curve between two keys.
-enum Between<const N: usize> {
-    /// The value of a key.
-    Key([f64; N]),
-    /// Two values and the fraction of the way from the first to the second.
-    Linear([f64; N], [f64; N], f64),
-    /// The value of a spline.
-    Spline([f64; N]),
-}
-
 impl<const N: usize> Curve<N> {
     pub(super) fn read(
         document: &Document,
@@ -156,21 +146,27 @@ impl<const N: usize> Curve<N> {
         })
     }
 
-    /// The value at a time in seconds. A key less than `slack` seconds ahead counts as reached.
-    fn at(&self, time: f64, slack: f64) -> Between<N> {
+    /// The value at a time in seconds, made from numbers by `made`, and between two keys by `lerp`. A key less than
+    /// `slack` seconds ahead counts as reached.
+    fn at<T>(
+        &self,
+        (time, slack): (f64, f64),
+        made: impl Fn([f64; N]) -> T,
+        lerp: impl Fn(T, T, f64) -> T,
+    ) -> T {
         let per_key = self.values.len() / self.times.len();
         let value = |key: usize| self.values[key * per_key + per_key / 2];
         let next = self.times.partition_point(|&key| key <= time + slack);
         let Some(last) = next.checked_sub(1) else {
-            return Between::Key(value(0));
+            return made(value(0));
         };
         if next == self.times.len() || self.interpolation == Interpolation::Step {
-            return Between::Key(value(last));
+            return made(value(last));
         }
         let span = self.times[next] - self.times[last];
         let u = ((time - self.times[last]) / span).clamp(0.0, 1.0);
         if self.interpolation == Interpolation::Linear {
-            return Between::Linear(value(last), value(next), u);
+            return lerp(made(value(last)), made(value(next)), u);
         }
         let (u2, u3) = (u * u, u * u * u);
         let weights = [
@@ -185,7 +181,7 @@ impl<const N: usize> Curve<N> {
             value(next),
             self.values[next * per_key],
         ];
-        Between::Spline(std::array::from_fn(|i| {
+        made(std::array::from_fn(|i| {
             weights
                 .iter()
                 .zip(&terms)
@@ -197,20 +193,14 @@ impl<const N: usize> Curve<N> {
 
 impl Curve<3> {
     pub(super) fn vector(&self, time: f64, slack: f64) -> DVec3 {
-        match self.at(time, slack) {
-            Between::Key(value) | Between::Spline(value) => DVec3::from_array(value),
-            Between::Linear(from, to, u) => DVec3::from_array(from).lerp(DVec3::from_array(to), u),
-        }
+        self.at((time, slack), DVec3::from_array, DVec3::lerp)
     }
 }
 
 impl Curve<4> {
     pub(super) fn rotation(&self, time: f64, slack: f64) -> DQuat {
         let unit = |value| unit(DVec4::from_array(value));
-        match self.at(time, slack) {
-            Between::Key(value) | Between::Spline(value) => unit(value),
-            Between::Linear(from, to, u) => slerp(unit(from), unit(to), u),
-        }
+        self.at((time, slack), unit, slerp)
     }
 }
 

@@ -13,15 +13,13 @@ mod skeleton;
 #[cfg(test)]
 mod tests;
 
-use std::path::Path;
-
 use container::MAGIC;
 use document::Document;
 use nodes::Tree;
 use performance::Performance;
 use skeleton::Skeleton;
 
-use super::format::{Format, Recognised, SourceFormat};
+use super::format::Format;
 use super::options::ReadOptions;
 use crate::retarget;
 use clip::{Outcome, Rejected, rejected};
@@ -93,33 +91,14 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
 
 /// glTF or GLB: animations of a skinned skeleton.
 // Bytes per second: an exported character with two or three clips.
-pub const FORMAT: Format = Format::of_files(
-    "gltf",
-    ".glb, or .gltf with embedded buffers; one motion for each animation; rotations are retargeted",
-    50_000.0,
-    &Gltf,
-);
-
-struct Gltf;
-
-impl SourceFormat for Gltf {
-    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
-        matches!(extension, "glb" | "gltf").then_some(Recognised::Motion(FORMAT))
-    }
-
-    fn by_content(&self, head: &[u8]) -> bool {
-        head.starts_with(MAGIC)
-    }
-
-    fn may_hold_several(&self) -> bool {
-        true
-    }
-
-    fn keys(&self, bytes: &[u8], _options: &ReadOptions) -> Vec<String> {
-        keys(bytes)
-    }
-
-    fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        read(bytes, key, options).unwrap_or_else(Outcome::Rejected)
-    }
-}
+pub const FORMAT: Format = Format {
+    extensions: &["glb", "gltf"],
+    by_content: |head| head.starts_with(MAGIC),
+    keys: Some(|bytes, _| keys(bytes)),
+    read: |_, key, bytes, options| read(bytes, key, options).unwrap_or_else(Outcome::Rejected),
+    ..Format::of_files(
+        "gltf",
+        ".glb, or .gltf with embedded buffers; one motion for each animation; rotations are retargeted",
+        50_000.0,
+    )
+};

@@ -26,21 +26,13 @@ const KNOWN_EMPTY: [&str; 2] = ["009707", "011059"];
 /// same clip. Rounding measures 2e-7.
 const RECOVERY_TOLERANCE_M: f64 = 1e-3;
 
-/// Files and metadata of a clip.
-#[derive(Debug, Default)]
-struct Clip {
-    vector: Option<String>,
-    joints: Option<String>,
-    text: Option<String>,
-    crop: Option<IndexRow>,
-    notes: Vec<String>,
-}
-
 /// A HumanML3D folder, whole or in part.
 #[derive(Debug)]
 struct Folder {
     contents: Contents,
-    clips: BTreeMap<String, Clip>,
+    layout: Layout,
+    /// Notes on the splits of clips, by id.
+    notes: BTreeMap<String, String>,
 }
 
 /// The HumanML3D folders among the files, each found by its layout.
@@ -50,57 +42,45 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
 
 impl Folder {
     fn new(layout: Layout) -> Self {
-        let splits = Splits::of(layout.lists.values());
-        let mut folder = Self {
-            contents: Contents::default(),
-            clips: BTreeMap::new(),
-        };
-        let crops: BTreeMap<&str, &IndexRow> = layout
-            .index
-            .iter()
-            .flat_map(|(_, rows)| rows)
-            .map(|row| (row.id.as_str(), row))
-            .collect();
+        let splits = Splits::of(layout.lists.values(), |id| clip_of(id).to_owned());
+        let mut contents = Contents::default();
+        let mut notes = BTreeMap::new();
         for id in layout.ids() {
             let (split, note) = splits.get(id);
-            let clip = Clip {
-                vector: layout.vectors.get(id).cloned(),
-                joints: layout.joints.get(id).cloned(),
-                text: layout.texts.get(id).cloned(),
-                crop: crops.get(clip_of(id)).map(|row| (*row).clone()),
-                notes: note.into_iter().collect(),
-            };
-            if let (Some(_), Some(joints)) = (&clip.vector, &clip.joints) {
+            notes.extend(note.map(|note| (id.clone(), note)));
+            let (vector, joints) = (layout.vectors.get(id), layout.joints.get(id));
+            if let (Some(_), Some(joints)) = (vector, joints) {
                 let reason = "joints of a clip that is read from its HumanML3D vector";
-                folder.contents.pass_over(joints, reason);
+                contents.pass_over(joints, reason);
             }
-            let Some(file) = clip.vector.clone().or(clip.joints.clone()) else {
-                continue;
-            };
-            folder.contents.entries.push(Entry {
-                file,
+            contents.entries.extend(vector.or(joints).map(|file| Entry {
+                file: file.clone(),
                 id: id.clone(),
                 split,
                 mirrored_of: mirrored_of(id).map(str::to_owned),
                 ..Entry::default()
-            });
-            folder.clips.insert(id.clone(), clip);
+            }));
         }
-        folder.remark(&layout);
-        folder.pass_over(layout);
+        let mut folder = Self {
+            contents,
+            layout,
+            notes,
+        };
+        folder.remark();
+        folder.pass_over();
         folder
     }
 
     /// Remarks on listed ids without a motion, unless there are no motions at all: then the captions may belong to
     /// clips cut from AMASS.
-    fn remark(&mut self, layout: &Layout) {
-        if self.clips.is_empty() {
+    fn remark(&mut self) {
+        if self.contents.entries.is_empty() {
             return;
         }
-        for (file, (split, ids)) in &layout.lists {
+        for (file, (split, ids)) in &self.layout.lists {
             let ids = ids
                 .iter()
-                .filter(|id| split.is_some() && !layout.has_motion(id));
+                .filter(|id| split.is_some() && !self.layout.has_motion(id));
             let missing: BTreeSet<&str> = ids.map(String::as_str).collect();
             let missing = missing.into_iter().collect();
             self.contents.remark_on_listed("HumanML3D", file, missing);
@@ -108,25 +88,25 @@ impl Folder {
     }
 
     /// Lists the files that hold no motion.
-    fn pass_over(&mut self, layout: Layout) {
-        for (id, file) in layout.texts {
-            let reason = if self.clips.contains_key(&id) {
-                "captions, read with the motion they describe"
-            } else {
-                "captions without a motion"
+    fn pass_over(&mut self) {
+        for (id, file) in &self.layout.texts {
+            let reason = match self.layout.has_motion(id) {
+                true => "captions, read with the motion they describe",
+                false => "captions without a motion",
             };
             self.contents.pass_over(file, reason);
         }
-        for file in layout.lists.into_keys() {
+        for file in self.layout.lists.keys() {
             let reason = "HumanML3D list of ids, no motion";
             self.contents.pass_over(file, reason);
         }
-        if let Some((file, _)) = layout.index {
+        if let Some((file, _)) = &self.layout.index {
             let reason = "HumanML3D crop list, no motion";
             self.contents.pass_over(file, reason);
         }
-        self.contents.passed_over.extend(layout.others);
-        self.contents.rejected.extend(layout.rejected);
+        let layout = &mut self.layout;
+        self.contents.passed_over.append(&mut layout.others);
+        self.contents.rejected.append(&mut layout.rejected);
     }
 }
 
@@ -136,36 +116,34 @@ impl Release for Folder {
     }
 
     fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
-        let skeleton = &options.skeleton;
-        let unknown = Clip::default();
-        let clip = self.clips.get(&entry.id).unwrap_or(&unknown);
+        let (id, layout) = (&entry.id, &self.layout);
         let bytes = files.read(&entry.file)?;
-        let mut read = read_array(&bytes, skeleton).map_err(|rejected| {
-            let known = rejected.code == TOO_SHORT && KNOWN_EMPTY.contains(&clip_of(&entry.id));
-            if known {
-                Rejected {
+        let mut read = read_array(&bytes, &options.skeleton).map_err(|rejected| {
+            let known = rejected.code == TOO_SHORT && KNOWN_EMPTY.contains(&clip_of(id));
+            match known {
+                true => Rejected {
                     reason: format!(
-                        "{}; {} is published so: its crop leaves no motion",
-                        rejected.reason, entry.id
+                        "{}; {id} is published so: its crop leaves no motion",
+                        rejected.reason
                     ),
                     ..rejected
-                }
-            } else {
-                rejected
+                },
+                false => rejected,
             }
         })?;
-        read.notes.extend(clip.notes.iter().cloned());
-        if let (Some(_), Some(joints)) = (&clip.vector, &clip.joints) {
+        read.notes.extend(self.notes.get(id).cloned());
+        if let (true, Some(joints)) = (layout.vectors.contains_key(id), layout.joints.get(id)) {
             compare(files, &bytes, joints, &mut read);
         }
-        if let Some(crop) = &clip.crop {
+        let crops = layout.index.as_ref().map(|(_, crops)| crops);
+        if let Some(crop) = crops.and_then(|crops| crops.get(clip_of(id))) {
             read.source_frames = frames_of(crop, read.motion.len());
             read.notes.push(format!(
                 "cut from {} (frames at 20 fps after the lead-in of its subset)",
                 crop.source_path
             ));
         }
-        add_captions(&mut read, files, clip.text.as_ref())?;
+        add_captions(&mut read, files, layout.texts.get(id))?;
         Ok(read)
     }
 }

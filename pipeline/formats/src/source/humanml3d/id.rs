@@ -17,6 +17,6 @@ fn is_original(id: &str) -> bool {
 }
 
 /// The id that a clip and its mirror image share.
-pub(super) fn clip_of(id: &str) -> &str {
+pub(crate) fn clip_of(id: &str) -> &str {
     mirrored_of(id).unwrap_or(id)
 }

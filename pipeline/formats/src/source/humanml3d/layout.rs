@@ -39,11 +39,11 @@ pub struct Layout {
     /// File of each id's captions.
     pub texts: BTreeMap<String, String>,
     /// Lists by their file: the split of each and its ids.
-    pub lists: BTreeMap<String, (Option<Split>, Vec<String>)>,
+    pub lists: BTreeMap<String, List>,
     /// Other files of the folder, with the reason why each is skipped.
     pub(super) others: Vec<(String, String)>,
-    /// The crop list.
-    pub(crate) index: Option<(String, Vec<IndexRow>)>,
+    /// The crop list, and its rows by id.
+    pub(super) index: Option<(String, BTreeMap<String, IndexRow>)>,
     /// Files that could not be read.
     pub(super) rejected: Vec<(String, Rejected)>,
 }
@@ -100,16 +100,11 @@ impl Layout {
     /// them.
     fn find_companions(&mut self, files: &Files) {
         let root = self.root.clone();
-        let nearest = |name: &str| {
-            above(&root)
-                .map(|folder| format!("{folder}{name}"))
-                .find(|file| files.contains(file))
-        };
-        for (name, split) in LISTS {
-            let Some(file) = nearest(name) else { continue };
-            match files.read(&file) {
-                Ok(bytes) => {
-                    self.lists.insert(file, (split, parse_list(&bytes)));
+        let nearest = |name: &str| nearest(files, &root, name);
+        for (file, list) in lists_above(files, &root) {
+            match list {
+                Ok(list) => {
+                    self.lists.insert(file, list);
                 }
                 Err(rejected) => self.rejected.push((file, rejected)),
             }
@@ -122,7 +117,10 @@ impl Layout {
         }
         if let Some(file) = nearest(INDEX) {
             match files.read(&file).and_then(|bytes| parse_index(&bytes)) {
-                Ok(rows) => self.index = Some((file, rows)),
+                Ok(rows) => {
+                    let rows = rows.into_iter().map(|row| (row.id.clone(), row));
+                    self.index = Some((file, rows.collect()));
+                }
                 Err(rejected) => self.rejected.push((file, rejected)),
             }
         }
@@ -145,8 +143,31 @@ impl Layout {
     }
 }
 
+/// A list of ids, and its split, if any.
+pub(crate) type List = (Option<Split>, Vec<String>);
+
+/// The [`LISTS`] in the folder or the nearest one above that has them, in their order.
+pub(crate) fn lists_above(files: &Files, root: &str) -> Vec<(String, Result<List, Rejected>)> {
+    let found = LISTS
+        .into_iter()
+        .filter_map(|(name, split)| Some((nearest(files, root, name)?, split)));
+    found
+        .map(|(file, split)| {
+            let read = files.read(&file);
+            (file, read.map(|bytes| (split, parse_list(&bytes))))
+        })
+        .collect()
+}
+
+/// The file of this name in the folder or the nearest one above that has it.
+fn nearest(files: &Files, root: &str, name: &str) -> Option<String> {
+    above(root)
+        .map(|folder| format!("{folder}{name}"))
+        .find(|file| files.contains(file))
+}
+
 /// A folder and its parents, innermost first, each with a trailing slash.
-pub(crate) fn above(root: &str) -> impl Iterator<Item = &str> {
+fn above(root: &str) -> impl Iterator<Item = &str> {
     let ends: Vec<usize> = root.match_indices('/').map(|(at, _)| at + 1).collect();
     ends.into_iter()
         .rev()

@@ -10,51 +10,39 @@ mod splits;
 #[cfg(test)]
 mod tests;
 
-use std::path::Path;
-
 use datasets_spec::record::HUMANML3D_WIDTH;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use pickle::npy::Header;
 
 use array::{KIT_JOINTS, KIT_WIDTH};
 
-use super::files::Files;
-use super::format::{Format, Recognised, Release, SourceFormat};
-use super::options::ReadOptions;
-use clip::Outcome;
+use super::format::Format;
 
-pub use array::read_array;
 pub(crate) use array::{FPS, check_length, in_single_precision};
-pub use array::{features, joints};
+pub use array::{features, joints, read_array};
 pub(crate) use folder::add_captions;
-pub use folder::find;
-pub use folder::read_captions;
-pub use id::is_id;
-pub use id::mirrored_of;
-pub use index::IndexRow;
-pub use index::parse_index;
-pub use layout::Layout;
-pub use layout::layouts;
-pub(crate) use layout::{LISTS, above, parse_list};
+pub use folder::{find, read_captions};
+pub(crate) use id::clip_of;
+pub use id::{is_id, mirrored_of};
+pub use index::{IndexRow, parse_index};
+pub(crate) use layout::{LISTS, List, lists_above, parse_list};
+pub use layout::{Layout, layouts};
 pub(crate) use splits::Splits;
 
-/// Recognises a single npy array by its shape.
-pub(crate) fn recognise_array(head: &[u8]) -> Recognised {
-    let not_motion = |reason: String| Recognised::NotMotion { reason };
+/// Recognises a motion in a single npy array by its shape, or says why it is none.
+fn recognise_array(head: &[u8]) -> Result<(), String> {
     let Ok(shape) = Header::peek_shape("array", head) else {
         // The reader reports what is wrong with it.
-        return Recognised::Motion(FORMAT);
+        return Ok(());
     };
     match shape[..] {
-        [_, HUMANML3D_WIDTH | KIT_WIDTH] | [_, NUM_BODY_JOINTS | KIT_JOINTS, 3] => {
-            Recognised::Motion(FORMAT)
-        }
-        [_, 66] => not_motion(
+        [_, HUMANML3D_WIDTH | KIT_WIDTH] | [_, NUM_BODY_JOINTS | KIT_JOINTS, 3] => Ok(()),
+        [_, 66] => Err(
             "npy array of 66 columns, which may be positions or rotations of 22 joints; save \
              positions as [frames, 22, 3]"
                 .to_owned(),
         ),
-        _ => not_motion(format!(
+        _ => Err(format!(
             "npy array of {} dimensions, no motion",
             shape.len()
         )),
@@ -63,26 +51,15 @@ pub(crate) fn recognise_array(head: &[u8]) -> Recognised {
 
 /// A HumanML3D folder: joints, 263-d vectors, captions and split lists.
 // Bytes per second: the vectors in f4 at 20 fps.
-pub const FORMAT: Format = Format::of_releases(
-    "humanml3d",
-    "a folder with new_joint_vecs or new_joints; a lone array of their shape; rotations from the vector, else \
-     fitted",
-    (size_of::<[f32; HUMANML3D_WIDTH]>() * 20) as f64,
-    &HumanMl3d,
-);
-
-struct HumanMl3d;
-
-impl SourceFormat for HumanMl3d {
-    fn by_name(&self, extension: &str, _name: &str, head: &[u8]) -> Option<Recognised> {
-        (extension == "npy").then(|| recognise_array(head))
-    }
-
-    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        read_array(bytes, &options.skeleton).into()
-    }
-
-    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
-        find(files)
-    }
-}
+pub const FORMAT: Format = Format {
+    extensions: &["npy"],
+    by_name: |_, head| Some(recognise_array(head)),
+    read: |_, _, bytes, options| read_array(bytes, &options.skeleton).into(),
+    find,
+    ..Format::of_releases(
+        "humanml3d",
+        "a folder with new_joint_vecs or new_joints; a lone array of their shape; rotations from the vector, else \
+         fitted",
+        (size_of::<[f32; HUMANML3D_WIDTH]>() * 20) as f64,
+    )
+};

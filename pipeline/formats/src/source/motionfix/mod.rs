@@ -7,12 +7,13 @@
 
 use std::collections::BTreeMap;
 
-use datasets_spec::{BodyPart, Fps, Split};
+use datasets_spec::{BodyPart, Split};
+use features::released_fps;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use serde_json::Value as Json;
 
 use super::files::Files;
-use super::format::{Contents, Entry, Format, Release, SourceFormat};
+use super::format::{Contents, Entry, Format, Release};
 use super::head::{LFS_POINTER, refuse_pointer};
 use super::names::file_name;
 use super::options::ReadOptions;
@@ -21,12 +22,8 @@ use clip::{EditOf, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 use pickle::joblib;
 use pickle::{Options, Value};
 
-/// Rate of every motion of the release, in 1/s.
-const RELEASE_FPS: f64 = 30.0;
 /// Number of digits of an id.
 const ID_DIGITS: usize = 6;
-/// Numbers per frame of `rots`: the root and 21 body joints.
-const ROTATIONS_WIDTH: usize = 66;
 
 /// The file that states the split of each pair.
 pub const SPLITS: &str = "splits.json";
@@ -329,10 +326,8 @@ impl Release for MotionFixRelease {
             SOURCE => &pair.source,
             _ => &pair.target,
         };
-        let fps =
-            Fps::new(RELEASE_FPS).map_err(|error| Rejected::read("E-FPS", error.to_string()))?;
         let parameters = parameters.as_ref().map_err(Rejected::clone)?;
-        let motion = parameters.turned(y_up_from_z_up(), fps, &options.skeleton)?;
+        let motion = parameters.turned(y_up_from_z_up(), released_fps(), &options.skeleton)?;
         let mut clip = SourceClip::new(motion, RotationSource::Native);
         clip.notes = vec![
             "SMPL-H parameters (66 pose columns), z up, placed at the origin".to_owned(),
@@ -411,18 +406,8 @@ impl Pair {
 }
 
 fn parameters(motion: &Value) -> Result<Parameters, Rejected> {
-    let rotations: Vec<[f32; ROTATIONS_WIDTH]> = column(motion, "rots")?;
-    Parameters::new(
-        rotations
-            .iter()
-            .map(|frame| [frame[0], frame[1], frame[2]])
-            .collect(),
-        rotations
-            .iter()
-            .map(|frame| std::array::from_fn(|column| frame[3 + column]))
-            .collect(),
-        column(motion, "trans")?,
-    )
+    let rotations = column(motion, "rots")?;
+    Parameters::of_poses(rotations.into_iter(), column(motion, "trans")?)
 }
 
 /// The parts that an answer such as `Answer: right arm\nleft arm` names. `buttocks` maps to the lower
@@ -454,21 +439,15 @@ fn parse_parts(answer: &str) -> Vec<BodyPart> {
 
 /// A folder of the MotionFix release.
 // Bytes per second: source and target in f4 at 30 fps: translation, rotations and joint positions.
-pub const FORMAT: Format = Format::of_releases(
-    "motionfix",
-    "motionfix*.pth.tar (joblib, packed or not); splits.json beside it gives the splits; its own rotations, with \
-     pairs",
-    (2 * 4 * 3 * (1 + 2 * NUM_BODY_JOINTS) * 30) as f64,
-    &MotionFix,
-);
-
-struct MotionFix;
-
-impl SourceFormat for MotionFix {
-    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
-        find(files)
-    }
-}
+pub const FORMAT: Format = Format {
+    find,
+    ..Format::of_releases(
+        "motionfix",
+        "motionfix*.pth.tar (joblib, packed or not); splits.json beside it gives the splits; its own rotations, with \
+         pairs",
+        (2 * 4 * 3 * (1 + 2 * NUM_BODY_JOINTS) * 30) as f64,
+    )
+};
 
 #[cfg(test)]
 mod tests;

@@ -20,7 +20,7 @@ fn motion(frames: usize, split_rotations: bool) -> Value {
         .as_vec3()
         .to_array();
     let rots = (0..frames).flat_map(|_| {
-        let mut frame = [0.0; ROTATIONS_WIDTH];
+        let mut frame = [0.0; 66];
         frame[..3].copy_from_slice(&root);
         frame[65] = 0.25;
         frame

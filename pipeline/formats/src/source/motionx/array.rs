@@ -1,6 +1,7 @@
 //! An array of 322 columns as a motion.
 
-use datasets_spec::{Fps, Skeleton};
+use datasets_spec::Skeleton;
+use features::released_fps;
 use glam::{DQuat, DVec3};
 use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::rotation::from_axis_angle;
@@ -14,9 +15,8 @@ use clip::{Rejected, RotationSource, SourceClip, rejected};
 /// Columns of a frame: root 3, body 63, hands 90, jaw 3, expression 50, shape of the face 100, translation 3,
 /// betas 10.
 pub(super) const WIDTH: usize = 322;
-/// First column of each part that is used.
-const ROOT_AT: usize = 0;
-const BODY_AT: usize = 3;
+/// Columns of root and body, and the first column of the translation.
+const POSE_WIDTH: usize = 3 + BODY_POSE_WIDTH;
 const TRANSLATION_AT: usize = 309;
 /// Frames per second of all motions.
 pub(super) const FPS: f64 = 30.0;
@@ -41,7 +41,7 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
     };
     check_length(num_frames)?;
     let used = |column: usize| {
-        column < BODY_AT + BODY_POSE_WIDTH || (TRANSLATION_AT..TRANSLATION_AT + 3).contains(&column)
+        column < POSE_WIDTH || (TRANSLATION_AT..TRANSLATION_AT + 3).contains(&column)
     };
     let bad = |(at, value): &(usize, &f64)| used(at % WIDTH) && !(**value as f32).is_finite();
     if let Some((at, value)) = array.values.iter().enumerate().find(bad) {
@@ -56,13 +56,11 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
         });
     }
     let (rows, _) = array.values.as_chunks::<WIDTH>();
-    let parameters = Parameters::new(
-        rows.iter().map(|row| part(row, ROOT_AT)).collect(),
-        rows.iter().map(|row| part(row, BODY_AT)).collect(),
+    let parameters = Parameters::of_poses(
+        rows.iter().map(|row| part(row, 0)),
         rows.iter().map(|row| part(row, TRANSLATION_AT)).collect(),
     )?;
-    let fps = Fps::new(FPS).map_err(|error| Rejected::read("E-FPS", error.to_string()))?;
-    let motion = parameters.turned(DQuat::IDENTITY, fps, skeleton)?;
+    let motion = parameters.turned(DQuat::IDENTITY, released_fps(), skeleton)?;
     let mut clip = SourceClip::new(motion, RotationSource::Native);
     clip.notes = vec![
         format!(

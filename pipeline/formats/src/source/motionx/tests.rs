@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use datasets_spec::{Skeleton, Split};
 use glam::{DQuat, DVec3};
@@ -7,8 +8,8 @@ use proptest::prelude::*;
 use testkit::{npy, npy_f8};
 
 use super::*;
-use crate::source::recognise;
 use crate::source::release_tests::{assert_contains, assert_says, edited, files_of, planned};
+use crate::source::{ReadOptions, Recognised, recognise};
 use clip::Rejected;
 
 /// Rows whose numbers identify their columns, except in the pose.
@@ -164,7 +165,7 @@ fn a_release_has_captions_splits_and_mirrored_copies() {
         ),
         ("x/test.txt", b"humanml/000003\n"),
     ]);
-    let found = FORMAT.find(&files);
+    let found = (FORMAT.find)(&files);
     assert_eq!(found.len(), 1);
     let contents = found[0].contents();
     assert_eq!(
@@ -208,7 +209,7 @@ fn the_folders_of_motion_x_plus_plus_are_read_too() {
         ("motion/motion_generation/smplx322/animation/a.npy", &motion),
         ("text/semantic_label/animation/a.txt", b"a figure jumps\n"),
     ]);
-    let found = FORMAT.find(&files);
+    let found = (FORMAT.find)(&files);
     let contents = found[0].contents();
     assert_eq!(contents.entries[0].id, "animation/a");
     let clip = found[0]

@@ -17,21 +17,20 @@ mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
-use std::path::Path;
 
-use datasets_spec::{Skeleton, Split};
+use datasets_spec::Skeleton;
 use features::representation_272::{Features, WIDTH, motion_of_features};
 use pickle::npy::{self, Header};
 
 use super::files::Files;
-use super::format::{Contents, Entry, Format, Recognised, Release, SourceFormat, boxed};
+use super::format::{Contents, Entry, Format, Release, boxed};
 use super::head::refuse_pointer;
 use super::humanml3d::{
-    Splits, add_captions, check_length, in_single_precision, mirrored_of, parse_list,
+    List, Splits, add_captions, check_length, clip_of, in_single_precision, mirrored_of, parse_list,
 };
 use super::names::file_name;
 use super::options::ReadOptions;
-use clip::{Outcome, ReadClip, Rejected, RotationSource, SourceClip, rejected};
+use clip::{ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
 const MOTIONS: &str = "motion_data/";
 /// Folder of the features in MotionMillion, which may hold other features beside it.
@@ -45,29 +44,18 @@ const HEAD_BYTES: u64 = 256;
 
 /// The 272 features of MotionStreamer and MotionMillion.
 // Bytes per second: the features in f4 at 30 fps.
-pub const FORMAT: Format = Format::of_releases(
-    "272",
-    "a folder motion_data of arrays with 272 columns (MotionMillion, HumanML3D-272, BABEL-272); a lone array of \
-     their shape; its own rotations",
-    (size_of::<Features>() * 30) as f64,
-    &Representation272,
-);
-
-struct Representation272;
-
-impl SourceFormat for Representation272 {
-    fn by_name(&self, extension: &str, _name: &str, head: &[u8]) -> Option<Recognised> {
-        (extension == "npy" && has_width(head)).then_some(Recognised::Motion(FORMAT))
-    }
-
-    fn read(&self, _path: &Path, _key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
-        read_array(bytes, &options.skeleton).into()
-    }
-
-    fn find(&self, files: &Files) -> Vec<Box<dyn Release>> {
-        find(files)
-    }
-}
+pub const FORMAT: Format = Format {
+    extensions: &["npy"],
+    by_name: |_, head| has_width(head).then_some(Ok(())),
+    read: |_, _, bytes, options| read_array(bytes, &options.skeleton).into(),
+    find,
+    ..Format::of_releases(
+        "272",
+        "a folder motion_data of arrays with 272 columns (MotionMillion, HumanML3D-272, BABEL-272); a lone array of \
+         their shape; its own rotations",
+        (size_of::<Features>() * 30) as f64,
+    )
+};
 
 /// Whether these are the first bytes of an array with 272 columns.
 fn has_width(head: &[u8]) -> bool {
@@ -120,7 +108,7 @@ fn starts_with_width(files: &Files, file: &str) -> bool {
 impl Folder {
     fn new(files: &Files, root: &str, clips: &BTreeMap<&str, &str>) -> Self {
         let mut folder = Self::default();
-        let mut lists: Vec<(Option<Split>, Vec<String>)> = Vec::new();
+        let mut lists: Vec<List> = Vec::new();
         for file in files.under(root) {
             let inside = &file[root.len()..];
             let text_of = |folder: &str| inside.strip_prefix(folder)?.strip_suffix(".txt");
@@ -147,7 +135,7 @@ impl Folder {
             };
             folder.contents.pass_over(file, reason);
         }
-        let splits = Splits::of(lists.iter());
+        let splits = Splits::of(lists.iter(), |id| clip_of(id).to_owned());
         let listed = lists.iter().filter(|(split, _)| split.is_some());
         let listed: BTreeSet<&str> = listed
             .flat_map(|(_, ids)| ids.iter().map(String::as_str))

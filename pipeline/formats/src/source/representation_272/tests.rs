@@ -1,3 +1,5 @@
+use std::path::Path;
+
 use datasets_spec::Motion;
 use features::released_fps;
 use features::representation_272::features_of_motion;
@@ -6,6 +8,7 @@ use testkit::walk;
 use testkit::{npy, npy_f8};
 
 use super::*;
+use crate::source::Recognised;
 use crate::source::release_tests::{assert_says, clip_of, edited, files_of, planned};
 
 fn vector() -> Vec<u8> {
@@ -81,11 +84,11 @@ fn folders_of_both_layouts_are_found_and_every_file_is_accounted_for() {
 #[test]
 fn a_lone_array_is_told_by_its_width() {
     let head = |shape: &[usize]| npy_f8(shape, &vec![0.0; shape.iter().product()]);
-    let recognised = |shape: &[usize]| FORMAT.by_name("npy", "a.npy", &head(shape)[..128]);
+    let recognised = |shape: &[usize]| FORMAT.recognise("npy", "a.npy", &head(shape)[..128]);
     assert_eq!(recognised(&[3, 272]), Some(Recognised::Motion(FORMAT)));
     assert_eq!(recognised(&[272]), None);
     assert_eq!(recognised(&[3, 263]), None);
-    assert_eq!(FORMAT.by_name("txt", "a.txt", &head(&[3, 272])), None);
+    assert_eq!(FORMAT.recognise("txt", "a.txt", &head(&[3, 272])), None);
     let found = crate::source::recognise(Path::new("a/walk.npy"), &head(&[3, 272])[..128]);
     assert_eq!(found, Recognised::Motion(FORMAT));
 }

@@ -13,7 +13,7 @@ use crate::source::bvh::dialects::RigText;
 use crate::source::release_tests::{
     assert_contains, assert_notes, assert_says, edited, files_of, only,
 };
-use crate::source::{ReadOptions, labels};
+use crate::source::{Files, ReadOptions, Release, labels};
 use clip::{Outcome, Rejected};
 use testkit::walk;
 
@@ -127,7 +127,7 @@ const PARQUET: &str = "metadata/seed_metadata_v004.parquet";
 const LABELS: &str = "metadata/seed_metadata_v002_temporal_labels.jsonl";
 
 fn one(files: &Files) -> Box<dyn Release> {
-    only(FORMAT.find(files))
+    only((FORMAT.find)(files))
 }
 
 fn reasons(release: &dyn Release) -> BTreeMap<String, String> {
@@ -324,9 +324,9 @@ fn a_motion_that_is_damaged_is_quarantined_by_its_own_code() {
     assert!(rejected.byte_offset.is_some());
     // Without metadata, there is no release, and files are read one by one.
     let (_dir, files) = folder(&[(WALK, bvh())]);
-    assert!(FORMAT.find(&files).is_empty());
+    assert!((FORMAT.find)(&files).is_empty());
     let outcome =
-        crate::source::bvh::FORMAT.read(Path::new(WALK), "", &bvh(), &ReadOptions::default());
+        (crate::source::bvh::FORMAT.read)(Path::new(WALK), "", &bvh(), &ReadOptions::default());
     assert!(matches!(outcome, Outcome::Clip(_)));
 }
 

@@ -2,7 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use datasets_spec::MotionId;
 use datasets_spec::record::{MaskRow, PairRow};
+use serde::de::DeserializeOwned;
 
 use super::origin::{self, CODE_OF_ORIGIN, Origin, Record};
 use crate::source::format::Entry;
@@ -11,7 +13,7 @@ use clip::{Rejected, RotationSource, SourceClip, rejected};
 
 /// Labels of an export's motions.
 pub(super) struct Labels {
-    record: Record,
+    pub(super) record: Record,
     stored: StoredLabels,
     /// Motion ids by content hash.
     contents: BTreeMap<String, String>,
@@ -32,31 +34,6 @@ impl Labels {
             stored,
             record,
         }
-    }
-
-    /// Reads masks of known motions.
-    pub(super) fn masks(bytes: &[u8], ids: &BTreeSet<&str>) -> Result<Vec<MaskRow>, String> {
-        let rows: Vec<MaskRow> = origin::rows(bytes)?;
-        let named = rows.iter().map(|row| row.motion_id.as_str());
-        known(named, ids).map(|()| rows)
-    }
-
-    /// Reads pairs of known motions.
-    pub(super) fn pairs(bytes: &[u8], ids: &BTreeSet<&str>) -> Result<Vec<PairRow>, String> {
-        let rows: Vec<PairRow> = origin::rows(bytes)?;
-        let named = rows.iter();
-        let named = named.flat_map(|row| [row.source_id.as_str(), row.target_id.as_str()]);
-        known(named, ids).map(|()| rows)
-    }
-
-    /// The skeleton of the dataset.
-    pub(super) fn skeleton(&self) -> &str {
-        &self.record.skeleton
-    }
-
-    /// Hash of a list of the release at the time of the export.
-    pub(super) fn list(&self, name: &str) -> Option<&str> {
-        self.record.lists.get(name).map(String::as_str)
     }
 
     /// Refuses a file whose motion differs from the recorded one.
@@ -120,10 +97,15 @@ impl Labels {
     }
 }
 
-fn known<'a>(named: impl Iterator<Item = &'a str>, ids: &BTreeSet<&str>) -> Result<(), String> {
-    let mut unknown = named.filter(|id| !ids.contains(id));
-    match unknown.next() {
-        Some(id) => Err(format!("{} has no motion {id:?}", origin::FILE_NAME)),
-        None => Ok(()),
-    }
+/// Reads masks or pairs, each of which names known motions.
+pub(super) fn rows_of<R: DeserializeOwned>(
+    bytes: &[u8],
+    ids: &BTreeSet<&str>,
+    named: fn(&R) -> Vec<&MotionId>,
+) -> Result<Vec<R>, String> {
+    let rows: Vec<R> = origin::rows(bytes)?;
+    let named = rows.iter().flat_map(named);
+    let unknown = named.map(MotionId::as_str).find(|id| !ids.contains(id));
+    let problem = unknown.map(|id| format!("{} has no motion {id:?}", origin::FILE_NAME));
+    problem.map_or(Ok(rows), Err)
 }

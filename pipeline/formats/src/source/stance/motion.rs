@@ -1,10 +1,7 @@
 //! The motion in a pickle.
 
-use std::ops::Range;
-
 use datasets_spec::{Fps, Skeleton};
 use glam::DQuat;
-use kinematics::motion::BODY_POSE_WIDTH;
 
 use crate::source::robot;
 use crate::source::smpl::{Parameters, column};
@@ -12,15 +9,10 @@ use clip::{Outcome, Rejected, RotationSource, SourceClip, rejected};
 use pickle::joblib;
 use pickle::{Array, Value};
 
-/// Rate of every motion of the release, in 1/s.
-pub(super) const RELEASE_FPS: Fps = Fps::STORE;
 /// Rate of AIST++, in 1/s.
 const AIST_FPS: f64 = 60.0;
 /// Numbers per frame of SMPL's pose: 24 joints, the last two of them hands.
 const SMPL_WIDTH: usize = 72;
-/// Columns of SMPL's pose for the root and for the body joints of the store.
-const ROOT_COLUMNS: Range<usize> = 0..3;
-const BODY_COLUMNS: Range<usize> = 3..3 + BODY_POSE_WIDTH;
 
 /// Reads a single pickle as a motion: a dictionary of the STANCE release (`body_pose`,
 /// `global_orient`, `transl`; SMPL-X, y up, 20 fps), or one of AIST++ (`smpl_poses`, `smpl_trans`,
@@ -74,7 +66,7 @@ pub(super) fn release_clip(value: &Value) -> Result<SourceClip, Rejected> {
         column(value, "body_pose")?,
         column(value, "transl")?,
     )?;
-    let motion = parameters.unchanged(RELEASE_FPS)?;
+    let motion = parameters.unchanged(Fps::STORE)?;
     let mut clip = SourceClip::new(motion, RotationSource::Native);
     clip.notes
         .push("SMPL-X parameters of the STANCE release, kept as they are".to_owned());
@@ -105,11 +97,8 @@ fn aist(value: &Value, skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
     for value in trans.as_flattened_mut() {
         *value = (f64::from(*value) / scale) as f32;
     }
-    let parameters = Parameters::new(
-        poses.iter().map(|pose| part(pose, ROOT_COLUMNS)).collect(),
-        poses.iter().map(|pose| part(pose, BODY_COLUMNS)).collect(),
-        trans,
-    )?;
+    let poses = poses.iter().filter_map(|pose| pose.first_chunk()).copied();
+    let parameters = Parameters::of_poses(poses, trans)?;
     let fps = Fps::new(AIST_FPS).map_err(|error| Rejected::read("E-FPS", error.to_string()))?;
     let motion = parameters.turned(DQuat::IDENTITY, fps, skeleton)?;
     let mut clip = SourceClip::new(motion, RotationSource::Native);
@@ -118,8 +107,4 @@ fn aist(value: &Value, skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
         format!("rotations drive the body {} as they are", skeleton.name()),
     ];
     Ok(clip)
-}
-
-fn part<const D: usize>(pose: &[f32; SMPL_WIDTH], columns: Range<usize>) -> [f32; D] {
-    std::array::from_fn(|column| pose[columns.start + column])
 }

@@ -77,45 +77,25 @@ impl Lists {
         }
         Some(self.names.get(name).copied().unwrap_or(Split::Train))
     }
-}
 
-/// The splits of HumanML3D's clips. A clip, its mirrored copy and its styled versions share one split: of those that
-/// the lists of base motions and style transfers give them, the furthest from training.
-#[derive(Clone, Debug, Default)]
-pub(super) struct ClipSplits {
-    clips: BTreeMap<String, Split>,
-}
-
-impl ClipSplits {
-    pub(super) fn new(base: &Lists, style: &Lists) -> Self {
-        let mut clips = BTreeMap::new();
-        // A style transfer is listed by its file, such as 000009_proud.
-        let styled = style.names.iter().map(|(name, split)| {
-            let (base, _style) = name.split_once('_').unwrap_or((name, ""));
-            (base, split)
-        });
-        let base = base
-            .names
-            .iter()
-            .map(|(name, split)| (name.as_str(), split));
-        for (name, &split) in base.chain(styled) {
-            let found = clips.entry(clip_of(&motion_id(name))).or_insert(split);
-            *found = split.max(*found);
+    /// The splits of HumanML3D's clips. A clip, its mirrored copy and its styled versions share one split: of those
+    /// that the lists of base motions and style transfers give them, the furthest from training.
+    pub(super) fn of_clips(base: &Self, style: &Self) -> Self {
+        let mut clips = Self::default();
+        for (name, split) in &base.names {
+            clips.put(*split, &clip_of(&motion_id(name)));
         }
-        Self { clips }
+        for (name, split) in &style.names {
+            // A style transfer is listed by its file, such as 000009_proud.
+            let (base, _style) = name.split_once('_').unwrap_or((name, ""));
+            clips.put(*split, &clip_of(&motion_id(base)));
+        }
+        clips
     }
 
-    /// The split of a motion by its id; none if there are no lists.
-    pub(super) fn of(&self, id: &str) -> Option<Split> {
-        if self.clips.is_empty() {
-            return None;
-        }
-        Some(
-            self.clips
-                .get(&clip_of(id))
-                .copied()
-                .unwrap_or(Split::Train),
-        )
+    /// The split of the clip of a motion, by the motion's id, in lists of [`Lists::of_clips`].
+    pub(super) fn of_clip(&self, id: &str) -> Option<Split> {
+        self.of(&clip_of(id))
     }
 }
 
@@ -139,7 +119,7 @@ mod tests {
             &json!([["000004.pkl", "style/000004_proud.pkl"], 5]),
         );
         style.take_json(Split::Test, &json!({"000001_old": 1}));
-        let splits = ClipSplits::new(&base, &style);
+        let splits = Lists::of_clips(&base, &style);
         for (id, split) in [
             ("000001", Split::Test),
             ("M000001", Split::Test),
@@ -149,10 +129,10 @@ mod tests {
             ("000005", Split::Test),
             ("000006", Split::Train),
         ] {
-            assert_eq!(splits.of(id), Some(split), "{id}");
+            assert_eq!(splits.of_clip(id), Some(split), "{id}");
         }
-        let none = ClipSplits::new(&Lists::default(), &Lists::default());
-        assert_eq!(none.of("000001"), None);
+        let none = Lists::of_clips(&Lists::default(), &Lists::default());
+        assert_eq!(none.of_clip("000001"), None);
     }
 
     #[test]

@@ -8,22 +8,18 @@
 //! OpenSim's documentation of its `.trc` files.
 
 mod header;
-mod lines;
 mod rows;
 #[cfg(test)]
 mod tests;
 
-use std::path::Path;
-
-use self::header::{Header, MAGIC};
-use self::lines::Lines;
+use self::header::{Header, Lines, MAGIC};
 use self::rows::Rows;
-use super::format::{Format, ReadCapture, Recognised, SourceFormat};
+use super::format::Format;
 use super::head::UTF8_BOM;
 use super::options::ReadOptions;
 use crate::markers::{self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, UNIT_CODE};
 use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_ROW_COUNT};
-use clip::{Outcome, Rejected, rejected};
+use clip::{Rejected, rejected};
 
 /// The markers of a file. A unit in the options replaces the one that the file states. If the options are lenient, the
 /// number of rows may differ from the header's; rows beyond the stated number are dropped.
@@ -50,13 +46,8 @@ pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Capture, Rejected>
         flags |= FLAG_FPS_DOUBTFUL;
         notes.push(note);
     }
-    let largest = || {
-        let seen = rows.positions.iter().flatten();
-        seen.fold(0.0, |largest: f64, point| {
-            largest.max(point.abs().max_element())
-        })
-    };
-    let (unit, note) = CaptureUnit::find(options.unit, &header.unit, largest);
+    let seen = rows.positions.iter().flatten().copied();
+    let (unit, note) = CaptureUnit::find(options.unit, &header.unit, seen);
     notes.extend(note);
     let positions = in_metres(&rows, &header, unit)?;
     let (markers, note) = positions.markers(fps, header.labels());
@@ -132,46 +123,26 @@ fn in_metres(rows: &Rows, header: &Header, unit: CaptureUnit) -> Result<Position
 
 /// TRC: marker positions as text.
 // Bytes per second: 40 markers of three coordinates of ten characters at 100 fps.
-pub const FORMAT: Format = Format::of_files(
-    "trc",
-    ".trc, or text that begins with PathFileType: markers of OpenSim, Theia, Cortex; one motion for each person \
-     in it; fitted to the markers, which are kept",
-    120_000.0,
-    &Trc,
-);
-
-struct Trc;
-
-impl SourceFormat for Trc {
-    fn by_name(&self, extension: &str, _name: &str, _head: &[u8]) -> Option<Recognised> {
-        (extension == "trc").then_some(Recognised::Motion(FORMAT))
-    }
-
-    fn by_content(&self, head: &[u8]) -> bool {
+pub const FORMAT: Format = Format {
+    extensions: &["trc"],
+    by_content: |head| {
         let text = head.strip_prefix(UTF8_BOM).unwrap_or(head);
         text.trim_ascii_start().starts_with(MAGIC)
-    }
-
-    fn may_hold_several(&self) -> bool {
-        true
-    }
-
-    fn keys(&self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+    },
+    keys: Some(|bytes, options| {
         let header = Header::parse(&mut Lines::of(bytes));
         let labels = header.map(|header| header.labels()).unwrap_or_default();
         markers::keys(&labels, options.markers.as_ref())
-    }
-
-    fn capture_reader(&self) -> Option<ReadCapture> {
-        Some(|bytes, options| capture(bytes, options).map(Some))
-    }
-
-    fn subject_of<'a>(&self, key: &'a str) -> Option<&'a str> {
-        markers::subject_of(key)
-    }
-
-    fn read(&self, _path: &Path, key: &str, bytes: &[u8], options: &ReadOptions) -> Outcome {
+    }),
+    capture: Some(|bytes, options| capture(bytes, options).map(Some)),
+    read: |_, key, bytes, options| {
         let clip = capture(bytes, options).and_then(|capture| capture.clip(key, options));
         clip.into()
-    }
-}
+    },
+    ..Format::of_files(
+        "trc",
+        ".trc, or text that begins with PathFileType: markers of OpenSim, Theia, Cortex; one motion for each person \
+         in it; fitted to the markers, which are kept",
+        120_000.0,
+    )
+};

@@ -3,8 +3,7 @@
 use datasets_spec::Fps;
 use glam::DVec3;
 
-use super::header::Header;
-use super::lines::{Line, Lines};
+use super::header::{Header, Line, Lines};
 use crate::source::names::shown;
 use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 

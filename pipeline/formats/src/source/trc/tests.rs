@@ -1,4 +1,5 @@
 use std::fmt::Write;
+use std::path::Path;
 
 use datasets_spec::{Pose, Skeleton};
 use glam::{DQuat, DVec3};
@@ -7,6 +8,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::markers::{MarkerSet, marker_sets};
 use crate::source::release_tests::edited;
+use clip::Outcome;
 
 /// Two markers in three frames; the second marker is not seen in the second.
 const SMALL: &str = "PathFileType\t4\t(X/Y/Z)\twalk.trc\n\
@@ -267,7 +269,7 @@ fn a_capture_of_a_known_set_becomes_the_motion_it_shows() {
         let mut sets = marker_sets().iter();
         let set = sets.find(|set| set.name() == name).expect(name);
         let (text, poses) = text_of(set, 60);
-        let outcome = FORMAT.read(Path::new("a.trc"), "", text.as_bytes(), &options);
+        let outcome = (FORMAT.read)(Path::new("a.trc"), "", text.as_bytes(), &options);
         let Outcome::Clip(clip) = outcome else {
             panic!("{outcome:?}");
         };
@@ -285,7 +287,7 @@ fn a_capture_of_a_known_set_becomes_the_motion_it_shows() {
         }
     }
     // Markers of an unknown set give no motion.
-    let outcome = FORMAT.read(Path::new("a.trc"), "", SMALL.as_bytes(), &options);
+    let outcome = (FORMAT.read)(Path::new("a.trc"), "", SMALL.as_bytes(), &options);
     let Outcome::Rejected(rejected) = outcome else {
         panic!("{outcome:?}");
     };
@@ -294,7 +296,7 @@ fn a_capture_of_a_known_set_becomes_the_motion_it_shows() {
         .iter()
         .find(|set| set.name() == "opensim-gait");
     let (text, _) = text_of(opensim.expect("built in"), 20);
-    let outcome = FORMAT.read(Path::new("a.trc"), "", text.as_bytes(), &options);
+    let outcome = (FORMAT.read)(Path::new("a.trc"), "", text.as_bytes(), &options);
     let Outcome::Rejected(rejected) = outcome else {
         panic!("{outcome:?}");
     };

@@ -1,19 +1,23 @@
-//! Reads a dataset folder as a source.
+//! Dataset folders of this program, read as a release: every clip keeps its id, split, labels, masks, pairs
+//! and markers.
+//!
+//! If the rate stays the same, motions and features are copied bit for bit. Captures without a motion are not read.
+//! `E-DATASET-HASH` rejects a file that differs from its manifest.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-use datasets_spec::manifest::{FORMAT, FileEntry, Manifest};
+use datasets_spec::manifest::{self, FileEntry, Manifest};
 use datasets_spec::record::{
     CAPTION_BY_RULE, HumanMl3dRow, MarkerRow, MaskRow, MotionRow, PairRow,
 };
 use datasets_spec::table::{Row, SCHEMA_VERSION, ShardReader, read_rows};
 use datasets_spec::{Fps, Split};
 
-use crate::source::format::check_skeleton;
-use crate::source::stored_labels::StoredLabels;
-use crate::source::{Contents, Entry, Files, ReadOptions, Release};
+use super::format::{Contents, Entry, Format, Release, boxed, check_skeleton};
+use super::stored_labels::StoredLabels;
+use super::{Files, ReadOptions};
 use clip::check::{FLAG_FPS_DOUBTFUL, FLAG_GAPS_FILLED, FLAG_REFERENCE_DROPPED, FLAG_TELEPORT};
 use clip::{Markers, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
@@ -22,9 +26,21 @@ const KEPT_FLAGS: u32 =
     FLAG_FPS_DOUBTFUL | FLAG_GAPS_FILLED | FLAG_REFERENCE_DROPPED | FLAG_TELEPORT;
 const CODE: &str = "E-DATASET-FILE";
 
+/// A dataset folder.
+// Bytes per second: the 69 parameters of the store in f32 at 20 fps, before compression.
+pub const FORMAT: Format = Format {
+    find: |files| boxed(StoredDataset::find(files)),
+    ..Format::of_releases(
+        "dataset",
+        "a dataset folder of this program (meta/manifest-*.json) on the same skeleton; a clip keeps id, split, labels \
+         and masks, and the first of its pairs; rotations as stored",
+        (4 * 69 * 20) as f64,
+    )
+};
+
 /// A planned dataset.
 #[derive(Debug, Default)]
-pub(super) struct StoredDataset {
+struct StoredDataset {
     contents: Contents,
     /// Shards of motions, by relative path.
     shards: BTreeMap<String, ShardReader>,
@@ -63,7 +79,7 @@ impl Rows {
 
 impl StoredDataset {
     /// Finds the dataset folders among the files, and plans the newest version of each.
-    pub(super) fn find(files: &Files) -> Vec<Self> {
+    fn find(files: &Files) -> Vec<Self> {
         let mut newest: BTreeMap<&str, (u64, &str)> = BTreeMap::new();
         for file in files.all() {
             let Some((root, version)) = root_and_version(file) else {
@@ -78,7 +94,8 @@ impl StoredDataset {
             .into_iter()
             .filter_map(|(root, (_, file))| {
                 let manifest: Manifest = serde_json::from_slice(&files.read(file).ok()?).ok()?;
-                (manifest.format == FORMAT).then(|| Self::plan(files, root, file, &manifest))
+                (manifest.format == manifest::FORMAT)
+                    .then(|| Self::plan(files, root, file, &manifest))
             })
             .collect()
     }

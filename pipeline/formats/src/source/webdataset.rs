@@ -1,4 +1,7 @@
-//! The shards of a folder.
+//! WebDataset exports of this program: tar shards, or the files unpacked from them.
+//!
+//! A clip is `KEY.transl.npy`, `KEY.global_orient.npy`, `KEY.body_pose.npy` and `KEY.json`, which has its
+//! id, split, rate and labels. The shards of a folder are one release.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek, SeekFrom};
@@ -10,9 +13,9 @@ use datasets_spec::{Fps, Motion};
 use pickle::npy::read_numbers;
 use serde::Deserialize;
 
+use super::format::{Contents, Entry, Format, Release, boxed, check_skeleton};
+use super::{Files, ReadOptions};
 use crate::sidecar::LabelCaption;
-use crate::source::format::check_skeleton;
-use crate::source::{Contents, Entry, Files, ReadOptions, Release};
 use clip::{ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
 /// Endings of the members of a clip.
@@ -25,6 +28,17 @@ const FACTS: &str = "json";
 /// Longest member that is read: an hour of poses at 120 fps.
 const MAX_MEMBER_LEN: u64 = 1 << 28;
 const CODE: &str = "E-WEBDATASET-MEMBER";
+
+/// A folder of shards, or of unpacked files.
+// Bytes per second: the 69 parameters of the store in f32 at 20 fps.
+pub const FORMAT: Format = Format {
+    find: |files| boxed(Shards::find(files)),
+    ..Format::of_releases(
+        "webdataset",
+        "tar shards of `stance export --to webdataset`, or the files unpacked from them; rotations as stored",
+        (4 * 69 * 20) as f64,
+    )
+};
 
 /// Metadata of a clip in `KEY.json`.
 #[derive(Debug, Default, Deserialize)]
@@ -57,7 +71,7 @@ type Members = BTreeMap<&'static str, Place>;
 
 /// The shards of a folder, planned.
 #[derive(Debug, Default)]
-pub(super) struct Shards {
+struct Shards {
     contents: Contents,
     /// Clips by file and key of the entry.
     clips: BTreeMap<(String, String), Members>,
@@ -65,7 +79,7 @@ pub(super) struct Shards {
 
 impl Shards {
     /// Finds the folders with shards or unpacked files.
-    pub(super) fn find(files: &Files) -> Vec<Self> {
+    fn find(files: &Files) -> Vec<Self> {
         // By folder, then by archive name (empty for unpacked files) and key, because a key is unique only within a
         // shard.
         let mut found: BTreeMap<&str, BTreeMap<(String, String), Members>> = BTreeMap::new();
@@ -200,7 +214,7 @@ fn member(name: &str) -> Option<(&str, &'static str)> {
 }
 
 /// Whether a tar file is a shard, by its first member.
-pub(crate) fn is_shard(path: &Path) -> bool {
+pub(super) fn is_shard(path: &Path) -> bool {
     let Ok(opened) = ByPath.open_at(path) else {
         return false;
     };
