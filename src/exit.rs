@@ -3,6 +3,7 @@
 use std::error::Error as StdError;
 
 use crate::failure::Failure;
+use crate::session::Stopped;
 
 /// How a command ended. A command line that cannot be parsed exits with 2 before any command runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,10 +23,27 @@ pub(crate) enum Exit {
 }
 
 impl Exit {
+    /// The exit of a command that finished; `are_some` says whether items were quarantined.
+    pub(crate) fn quarantined_if(are_some: bool) -> Self {
+        match are_some {
+            true => Self::Quarantined,
+            false => Self::Done,
+        }
+    }
+
+    /// The exit of a check, or of work some of which may have failed.
+    pub(crate) fn done_if(has_passed: bool) -> Self {
+        match has_passed {
+            true => Self::Done,
+            false => Self::Failed,
+        }
+    }
+
     /// The code of a command that ended with an error.
     pub(crate) fn of_error(error: &anyhow::Error) -> Self {
         let is_stop = |cause: &(dyn StdError + 'static)| {
             matches!(cause.downcast_ref(), Some(train::Error::Stopped { .. }))
+                || cause.is::<Stopped>()
         };
         match Failure::of_error(error).code {
             "E-LOCKED" | "E-OVERTAKEN" => Self::Locked,

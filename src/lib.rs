@@ -28,6 +28,7 @@ use cli::Cli;
 use exit::Exit;
 use failure::Failure;
 pub use itself::Itself;
+use session::Stopped;
 
 /// Exit code of usage errors.
 const USAGE: u8 = 2;
@@ -71,6 +72,10 @@ fn run_words(words: &[OsString], itself: Itself<'_>) -> u8 {
     let registered = remote_store::register().map_err(anyhow::Error::from);
     match registered.and_then(|()| cli.run(itself)) {
         Ok(exit) => exit.code(),
+        Err(error) if error.is::<Stopped>() => {
+            report::note(&Stopped.to_string());
+            Exit::Interrupted.code()
+        }
         Err(error) => {
             report::error(&error);
             if cli.json() {

@@ -7,6 +7,7 @@
 use std::borrow::Cow;
 use std::io::Write;
 
+use datasets_spec::manifest::Accounting;
 use serde::Serialize;
 
 use crate::failure::Failure;
@@ -47,6 +48,14 @@ pub(crate) fn listing(lines: &[String]) -> String {
         text += &format!("  and {} more; --json lists all\n", lines.len() - SHOWN);
     }
     text
+}
+
+/// Where the sources of a dataset went, in one line.
+pub(crate) fn accounted(accounting: &Accounting) -> String {
+    format!(
+        "{} sources = {} ingested + {} quarantined + {} skipped",
+        accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
+    )
 }
 
 /// Lines up rows of cells in columns. Columns for which `is_right` holds are aligned to the right, others to the left.

@@ -1,5 +1,6 @@
 //! Services of the process for the library crates: signals, clock, progress sink.
 
+use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock, Once};
 use std::time::Instant;
@@ -14,20 +15,28 @@ use train::work::Surroundings;
 
 use crate::device::{arithmetic, device, devices};
 use crate::exit::Exit;
-use crate::report;
 
 /// Set by the first interrupt: training saves and ends.
 static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
-/// Whether an interrupt has ended the work.
-pub(crate) fn is_stopped() -> bool {
-    STOP.load(Ordering::Relaxed)
+/// An interrupt ended a chain of stages.
+#[derive(Debug)]
+pub(crate) struct Stopped;
+
+impl fmt::Display for Stopped {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("stopped and saved; the same command continues from here")
+    }
 }
 
-/// Reports an interrupt between two stages of a chain.
-pub(crate) fn stopped() -> Exit {
-    report::note("stopped and saved; the same command continues from here");
-    Exit::Interrupted
+impl std::error::Error for Stopped {}
+
+/// Fails after an interrupt.
+pub(crate) fn go_on() -> Result<(), Stopped> {
+    match STOP.load(Ordering::Relaxed) {
+        true => Err(Stopped),
+        false => Ok(()),
+    }
 }
 
 /// Turns the first interrupt into a request to save and end; a second one ends at once.

@@ -3,35 +3,46 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use compose::ItemConfig;
-use datasets_spec::{Dataset, Progress, Seed, Split};
+use anyhow::Context;
+use compose::recording::{self, Kind, Settings};
+use compose::{ComposeConfig, ItemConfig};
+use datasets_spec::{Dataset, MotionId, Seed, Split};
 use eval::answers::{Answered, Scores};
+use eval::judge::JudgeReport;
 use eval::protocol::Protocol;
 use eval::times::WindowTimes;
+use pipeline::annotation::masks::MaskConfig;
+use pipeline::annotation::pairs::PairConfig;
 use pipeline::ingest::{IngestReport, SourceArg, ingest};
-use pipeline::stage::{self, IngestConfig};
+use pipeline::stage::{self, IngestConfig, Judged};
+use train::kind::{ModelKind, TrainRequest, Trained};
 use train::registry::open_system;
 use train::sample::EditTimes;
 use train::system::{Answers, EditConfig, Remarks, SystemSource, answer_items};
 
 use crate::cmd::ingest::summary;
 use crate::device::device;
-use crate::evaluators::EvaluatorRuns;
+use crate::evaluators::{EvaluatorRuns, report_on_encoder};
 use crate::global::Global;
 use crate::report;
 use crate::session::with_session;
 
-/// Ingests sources, or continues an ingestion.
-pub(crate) fn ingested(
-    sources: &[SourceArg],
-    root: &Path,
+/// Name of the evaluation encoder among the models.
+pub(crate) const ENCODER: &str = "tmr";
+
+/// Makes the dataset of some sources in a folder, or completes it: motions, masks and, with their settings, style pairs.
+/// Also returns the styled motions without a counterpart.
+pub(crate) fn dataset(
+    (sources, root): (&[SourceArg], &Path),
     config: &IngestConfig,
+    masks: &MaskConfig,
+    pairs: Option<&PairConfig>,
     seed: Seed,
     global: &Global,
-    progress: &dyn Progress,
-) -> anyhow::Result<IngestReport> {
-    let options = config.options(seed)?;
-    let done = ingest(sources, root, &options, &global.holder(), progress)?;
+) -> anyhow::Result<(IngestReport, Vec<MotionId>)> {
+    let options = config.options(seed).context("stage ingest")?;
+    let done = ingest(sources, root, &options, &global.holder(), &global.bars())
+        .context("stage ingest")?;
     let is_partial = done.accounting.quarantined > 0 || !done.refused_pairs.is_empty();
     if is_partial && !global.json {
         report::note(&summary(&done));
@@ -40,7 +51,54 @@ pub(crate) fn ingested(
             report::note(&format!("note: {remark}"));
         }
     }
-    Ok(done)
+    global
+        .stage(|context| stage::masks(root, masks, Judged::Keep, None, context))
+        .context("stage masks")?;
+    let Some(pairs) = pairs else {
+        return Ok((done, Vec::new()));
+    };
+    let (_, alone) = global
+        .stage(|context| stage::pairs(root, pairs, seed, None, context))
+        .context("stage pairs")?;
+    Ok((done, alone))
+}
+
+/// Records triplets of a dataset in a folder.
+pub(crate) fn triplets(
+    [root, out]: [&Path; 2],
+    count: u64,
+    config: &ComposeConfig,
+    seed: Seed,
+    global: &Global,
+) -> anyhow::Result<Dataset> {
+    let settings = Settings {
+        kind: Kind::Triplets,
+        count,
+        config: config.clone(),
+        seed,
+        condition: None,
+    };
+    global
+        .stage(|context| recording::record(root, out, &settings, context))
+        .context("stage triplets")
+}
+
+/// Trains a model. An evaluation encoder that is complete gets a report on how well it retrieves.
+pub(crate) fn trained(
+    kind: &ModelKind,
+    request: &TrainRequest<'_>,
+    global: &Global,
+) -> anyhow::Result<(Trained, Option<JudgeReport>)> {
+    let run = request.start.run;
+    let done = with_session(&global.bars().of(run), |session| {
+        (kind.train)(request, session)
+    })?;
+    if kind.name != ENCODER || !done.is_complete {
+        return Ok((done, None));
+    }
+    let seed = Seed(request.seed.unwrap_or_default());
+    let report = report_on_encoder(request.dataset, run, seed).context("report on the encoder")?;
+    Ok((done, Some(report)))
 }
 
 /// Draws test questions.

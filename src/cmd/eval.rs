@@ -17,6 +17,7 @@ use eval::published::PaperTable;
 use eval::table::{Table, shortages};
 use eval::times::{self, WindowTimes};
 use pipeline::answers::bundle::{Bundle, Rates};
+use serde::Deserialize;
 
 use crate::device::DeviceArgs;
 use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs, encoder_retrieval, judge_hash};
@@ -227,15 +228,18 @@ fn parse_keypoints(text: &str) -> Result<Keypoints, String> {
 }
 
 /// A result table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub(crate) enum TableArg {
     #[value(
         name = "main",
         help = "what a claim is made of: R@1, foot slide, error inside and outside of the mask"
     )]
     Main,
+    #[serde(rename = "1")]
     #[value(name = "1", help = "body part replacement and style transfer")]
     One,
+    #[serde(rename = "2")]
     #[value(name = "2", help = "MotionFix, galleries of 32")]
     Two,
     #[value(name = "a1", help = "fine-grained adjustment")]

@@ -204,10 +204,7 @@ fn manifest_text(manifest: &Manifest) -> String {
         );
     }
     let accounting = &manifest.accounting;
-    text += &format!(
-        "\n{} sources = {} ingested + {} quarantined + {} skipped\n",
-        accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
-    );
+    text += &format!("\n{}\n", accounted(accounting));
     for (code, count) in &accounting.codes {
         text += &format!("  {code:<20} {count:>6}\n");
     }

@@ -4,7 +4,7 @@ use clip::LabelProblem;
 use pipeline::annotation::pairs::RefusedLine;
 use pipeline::ingest::{AlikeClips, Forecast, Growth, IngestReport};
 
-use crate::report::append_list;
+use crate::report::{accounted, append_list};
 
 /// Message about clips that stay although their files are missing or no longer contain them.
 const MISSING: &str = "missing, kept; --prune removes them";
@@ -62,18 +62,14 @@ pub(super) fn foreseen(told: &Forecast) -> String {
 /// Summary of the ingestion, on one screen.
 pub(crate) fn summary(done: &IngestReport) -> String {
     let accounting = &done.accounting;
+    let complete = match done.already_complete {
+        true => " (already complete)",
+        false => "",
+    };
     let mut text = format!(
-        "{} files, {} sources = {} ingested + {} quarantined + {} skipped{}\n",
+        "{} files, {}{complete}\n",
         done.files,
-        accounting.sources,
-        accounting.ingested,
-        accounting.quarantined,
-        accounting.skipped,
-        if done.already_complete {
-            " (already complete)"
-        } else {
-            ""
-        },
+        accounted(accounting)
     );
     for (reason, count) in &done.skipped {
         text += &format!("  skipped {count:>6}  {reason}\n");

@@ -11,7 +11,7 @@ use eval::draw::strip::{Style, sheet, strip};
 use eval::rows::ItemFacts;
 use serde::Deserialize;
 
-use super::files::{file_name, write_drawing};
+use super::finish::{file_name, write_drawing};
 use crate::cmd::page::strip_of;
 
 /// Section `[[picture]]` of a plan.
@@ -96,11 +96,7 @@ pub(super) fn draw(
     }
     anyhow::ensure!(!panels.is_empty(), "there is no item of its tasks");
     let svg = sheet(&panels, 1, Style::default().width);
-    let path = out
-        .join("figures")
-        .join(format!("{}.svg", file_name(&picture.name)));
-    write_drawing(&path, &svg)?;
-    Ok(path)
+    write_drawing(out, &file_name(&picture.name), &svg)
 }
 
 /// Positions of the items of a picture; for selections by distance, with the number of metres by which the edit is

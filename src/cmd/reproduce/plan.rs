@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use clap::ValueEnum as _;
 use compose::{ComposeConfig, ItemConfig, ItemTask};
 use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::Row as _;
@@ -33,12 +32,12 @@ use crate::judge::is_builtin;
 use crate::local;
 use crate::seeds::Seeds;
 use crate::settings;
+use crate::stages::ENCODER;
 
 /// Model of a system that names none.
 const EDITOR: &str = "motionrefit";
 const COORDINATOR: &str = "coordinator";
 const POSES: &str = "j2s";
-pub(super) const ENCODER: &str = "tmr";
 
 /// Settings that override those of a preset.
 type Own = Map<String, Value>;
@@ -59,7 +58,7 @@ pub(super) struct Plan {
     /// Folder of CLIP or BERT, or a table of vectors, for settings with a frozen text encoder.
     #[serde(alias = "clip")]
     pub(super) text_encoder: Option<PathBuf>,
-    #[serde(default = "tiny")]
+    #[serde(default)]
     pub(super) preset: Preset,
     /// Split that the items are drawn from.
     #[serde(default = "test")]
@@ -128,31 +127,17 @@ struct System {
 #[serde(deny_unknown_fields)]
 pub(super) struct PaperTable {
     /// Number of the table: 1, 2, a1, a2, a3 or a4.
-    #[serde(deserialize_with = "number")]
     pub(super) paper: TableArg,
     /// Names of the systems in the table; if empty, all.
     #[serde(default)]
-    systems: Vec<String>,
+    pub(super) systems: Vec<String>,
     /// Whether the table also shows the published rows.
     #[serde(default)]
     pub(super) published: bool,
 }
 
-fn number<'de, D: serde::Deserializer<'de>>(from: D) -> Result<TableArg, D::Error> {
-    let text = String::deserialize(from)?;
-    TableArg::from_str(&text, true).map_err(|_| {
-        serde::de::Error::custom(format!(
-            "there is no table {text:?}; there are main, 1, 2, a1, a2, a3 and a4"
-        ))
-    })
-}
-
 fn title() -> String {
     "Reproduction".to_owned()
-}
-
-fn tiny() -> Preset {
-    Preset::Tiny
 }
 
 fn test() -> Split {
@@ -310,23 +295,15 @@ impl Plan {
                     seeds.len()
                 );
             }
-            if let Some(seed) = seeds
-                .iter()
-                .enumerate()
-                .find_map(|(place, seed)| seeds[..place].contains(seed).then_some(seed))
-            {
+            if let Some(seed) = twice(seeds) {
                 bail!(
                     "train_seeds holds {seed} twice; equal trainings say nothing of their spread"
                 );
             }
         }
-        for (place, system) in self.systems.iter().enumerate() {
-            if self.systems[..place]
-                .iter()
-                .any(|other| other.name == system.name)
-            {
-                bail!("two systems are called {:?}; name them apart", system.name);
-            }
+        let names: Vec<&String> = self.systems.iter().map(|system| &system.name).collect();
+        if let Some(name) = twice(&names) {
+            bail!("two systems are called {name:?}; name them apart");
         }
         let of_tables = self.tables.iter().flat_map(|table| &table.systems);
         let of_figures = self
@@ -348,11 +325,6 @@ impl Plan {
                 .with_context(|| format!("there is no [[system]] named {name:?}")),
             None => systems.next().context("the plan has no [[system]]"),
         }
-    }
-
-    /// Names of the systems of a table.
-    pub(super) fn systems_of<'a>(&'a self, table: &'a PaperTable) -> Vec<&'a str> {
-        self.systems_named(&table.systems)
     }
 
     /// The systems with these names, or all if no name is given.
@@ -581,6 +553,13 @@ fn own_of(name: &str, preset: Preset, own: Value) -> anyhow::Result<Value> {
     };
     checked?;
     Ok(own)
+}
+
+/// The first value that is there twice.
+fn twice<T: PartialEq>(values: &[T]) -> Option<&T> {
+    let mut places = 0..values.len();
+    let place = places.find(|&place| values[..place].contains(&values[place]))?;
+    Some(&values[place])
 }
 
 fn metrics(names: &[String]) -> anyhow::Result<Vec<&'static Metric>> {

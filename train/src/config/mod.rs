@@ -218,7 +218,7 @@ pub enum TextEncoder {
 }
 
 /// Named settings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Preset {
     /// Settings of the paper.
@@ -226,6 +226,7 @@ pub enum Preset {
     /// The released configuration.
     Official,
     /// A small model that trains in a few minutes on two processor cores.
+    #[default]
     Tiny,
 }
 
