@@ -9,6 +9,7 @@ use std::io::Write;
 
 use datasets_spec::manifest::Accounting;
 use serde::Serialize;
+use serde_json::Value;
 
 use crate::failure::Failure;
 
@@ -23,6 +24,15 @@ pub(crate) fn text(text: &str) {
 pub(crate) fn json<T: Serialize>(value: &T) -> anyhow::Result<()> {
     text(&serde_json::to_string_pretty(value)?);
     Ok(())
+}
+
+/// A document with the fields of two.
+#[derive(Serialize)]
+pub(crate) struct Joined<'a, T> {
+    #[serde(flatten)]
+    pub(crate) own: Value,
+    #[serde(flatten)]
+    pub(crate) all_of: &'a T,
 }
 
 /// Prints a failure for programs.

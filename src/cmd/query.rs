@@ -70,7 +70,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             global.say(&document, &format!("{rows} rows in {}", out.display()))?;
         }
         None if args.csv => report::text(&csv(&answer)),
-        None if global.json => report::json(&objects(&answer))?,
+        None if global.json => report::json(&answer.rows::<Map<String, Value>>()?)?,
         None => report::text(&table(&answer)),
     }
     Ok(Exit::Done)
@@ -85,12 +85,6 @@ fn named(text: &str) -> Option<(&str, &str)> {
     let (name, path) = text.split_once('=')?;
     let is_name = !name.is_empty() && !name.contains(['/', '\\']);
     is_name.then_some((name, path))
-}
-
-fn objects(answer: &Answer) -> Vec<Map<String, Value>> {
-    let names = answer.columns();
-    let object = |row| names.iter().cloned().zip(answer.row(row)).collect();
-    (0..answer.len()).map(object).collect()
 }
 
 /// A value as the text of a table cell.
