@@ -41,6 +41,11 @@ impl Bars {
         Self { folder, ..self }
     }
 
+    /// Moves the bar to a number of items that are done.
+    pub(crate) fn advance_to(&self, done: u64) {
+        self.with_bar(|bar| bar.set_position(done));
+    }
+
     fn with_bar(&self, act: impl FnOnce(&ProgressBar)) {
         // A panic of another thread that advanced a bar does not affect the next line.
         let current = match self.current.lock() {

@@ -24,6 +24,7 @@ use crate::cmd::render::{holds_items, open_for_clips};
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::global::Global;
+use crate::report::accounted;
 
 /// Print the contents of a dataset, a clip of it, a shard, a manifest or a motion file.
 ///
@@ -83,10 +84,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         _ => {
             let file = foreign(path)?;
             global.say(&file, &file.text())?;
-            Ok(match file.failure {
-                Some(_) => Exit::Quarantined,
-                None => Exit::Done,
-            })
+            Ok(Exit::quarantined_if(file.failure.is_some()))
         }
     }
 }

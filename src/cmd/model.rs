@@ -292,11 +292,9 @@ fn embed(args: &EmbedArgs, global: &Global) -> anyhow::Result<()> {
     let encoder = text_encoder(Some(&args.text_encoder)).load_bert(&device())?;
     let bars = global.bars();
     bars.begin("texts", Some(texts.len() as u64));
-    let mut reported = 0;
     let all = texts.iter().map(String::as_str);
     let table = EmbeddingTable::compute(&encoder, args.vectors, all, &mut |done, _| {
-        bars.advance((done - reported) as u64);
-        reported = done;
+        bars.advance_to(done as u64);
     })?;
     bars.finish(&format!("{} texts encoded", table.texts().len()));
     Ok(table.save(&args.out)?)
@@ -321,14 +319,13 @@ fn fetch(clip: ClipModel, global: &Global) -> anyhow::Result<Vec<PathBuf>> {
 
 fn import(args: &ImportArgs) -> anyhow::Result<()> {
     args.device.choose()?;
-    if let (Model::Tmr, Some(features), Some(stats)) = (args.model, args.features, &args.stats) {
-        return import_encoder(args, features, stats);
-    }
-    if let (Model::Mdm, Some(stats)) = (args.model, &args.stats) {
-        return import_mdm(args, stats);
-    }
-    if let (Model::Tmed, Some(stats)) = (args.model, &args.stats) {
-        return import_motionfix(args, stats);
+    let seen = "name what the network sees: --stats, and for an encoder --features";
+    let stats = || args.stats.as_deref().context(seen);
+    match args.model {
+        Model::Tmr => return import_encoder(args, args.features.context(seen)?, stats()?),
+        Model::Mdm => return import_mdm(args, stats()?),
+        Model::Tmed => return import_motionfix(args, stats()?),
+        Model::Motionrefit | Model::Coordinator => {}
     }
     let Some(range_file) = &args.range else {
         bail!("the normaliser is missing: --range norm_scaled.npy");
@@ -343,32 +340,30 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
         seed: Seed(0),
     };
     let (out, file) = (&args.out, &args.file);
-    match args.model {
-        Model::Motionrefit => {
-            let clip =
-                text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitB32, &device())?;
-            let record = EditorRecord {
-                train: TrainConfig::preset(preset),
-                normalizer,
-                text: TextRecord::frozen(&clip, BertVectors::Pooled),
-                compose,
-                extrapolation: None,
-            };
-            exchange::import_editor(out, &record, &skeleton, weights, file, &device())?;
-        }
-        Model::Coordinator => {
-            let record = CoordinatorRecord {
-                train: CoordinatorConfig::preset(preset),
-                normalizer,
-                compose,
-            };
-            exchange::import_coordinator(out, &record, &skeleton, weights, file, &device())?;
-        }
-        Model::Tmr | Model::Mdm | Model::Tmed => {
-            bail!("name what the network sees: --stats, and for an encoder --features")
-        }
+    if args.model == Model::Coordinator {
+        let record = CoordinatorRecord {
+            train: CoordinatorConfig::preset(preset),
+            normalizer,
+            compose,
+        };
+        exchange::import_coordinator(out, &record, &skeleton, weights, file, &device())?;
+        return Ok(());
     }
+    let record = EditorRecord {
+        train: TrainConfig::preset(preset),
+        normalizer,
+        text: clip(args, ClipModel::VitB32, BertVectors::Pooled)?,
+        compose,
+        extrapolation: None,
+    };
+    exchange::import_editor(out, &record, &skeleton, weights, file, &device())?;
     Ok(())
+}
+
+/// The frozen CLIP of a network.
+fn clip(args: &ImportArgs, model: ClipModel, vectors: BertVectors) -> anyhow::Result<TextRecord> {
+    let clip = text_encoder(args.text_encoder.as_deref()).load(model, &device())?;
+    Ok(TextRecord::frozen(&clip, vectors))
 }
 
 fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
@@ -387,11 +382,10 @@ fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
         ..StateDictOptions::default()
     };
     let weights = weights(&args.file, &options)?;
-    let clip = text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitL14, &device())?;
     let import = TmedImport {
         num_heads: args.heads,
         statistics: read_released_statistics(&local::read(stats)?, stats)?,
-        text: TextRecord::frozen(&clip, BertVectors::States),
+        text: clip(args, ClipModel::VitL14, BertVectors::States)?,
     };
     import_tmed(&args.out, import, weights, &args.file, &device())?;
     Ok(())
@@ -464,10 +458,11 @@ fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
         mean: numbers("Mean.npy")?,
         std: numbers("Std.npy")?,
     };
-    let clip = text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitB32, &device())?;
-    let text = TextRecord::frozen(&clip, BertVectors::Pooled);
     let (out, file) = (&args.out, &args.file);
-    let fitted = (features, text);
+    let fitted = (
+        features,
+        clip(args, ClipModel::VitB32, BertVectors::Pooled)?,
+    );
     exchange::import_mdm(out, &mdm, args.heads, fitted, weights, file, &device())?;
     Ok(())
 }

@@ -44,10 +44,8 @@ pub(super) fn ask_drafts(
     let motions = MotionLibrary::open(&args.dataset)?;
     let bars = global.bars();
     bars.begin("drafts", None);
-    let mut last = 0;
     let done = draft_all(store, &motions, &model, kind, limit, now(), &mut |tasks| {
-        bars.advance((tasks - last) as u64);
-        last = tasks;
+        bars.advance_to(tasks as u64);
     })?;
     bars.finish(&format!("{} tasks", done.looked_at));
     let mut lines = vec![format!(
@@ -67,8 +65,5 @@ pub(super) fn ask_drafts(
         ));
     }
     global.say(&done, &lines.join("\n"))?;
-    Ok(match done.failures {
-        0 => Exit::Done,
-        _ => Exit::Failed,
-    })
+    Ok(Exit::done_if(done.failures == 0))
 }

@@ -16,11 +16,12 @@ use serde_json::{Value, json};
 use super::Trained;
 use super::plan::Plan;
 use crate::cmd::eval::tables;
-use crate::cmd::page::{opening, strip_of, with_edits};
+use crate::cmd::page::{card, opening, strip_of, with_edits};
 use crate::cmd::train::loss_curves;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::judge::BUILTIN;
+use crate::report::accounted;
 
 /// Results of the stages.
 pub(super) struct Done<'a> {
@@ -80,7 +81,6 @@ pub(super) fn page(done: &Done) -> anyhow::Result<String> {
         details: details(done),
         opening: opening(done.edits, done.unknown)?,
         tables: tables(done.scores),
-        figures: Vec::new(),
         strips: strips(done)?,
         facts: facts(done),
         settings: vec![
@@ -88,6 +88,7 @@ pub(super) fn page(done: &Done) -> anyhow::Result<String> {
             ("seeds".to_owned(), done.seeds.clone()),
         ],
         commands: done.plan.commands.clone(),
+        ..Report::default()
     }
     .to_html())
 }
@@ -96,43 +97,26 @@ pub(super) fn page(done: &Done) -> anyhow::Result<String> {
 fn cards(done: &Done) -> Vec<Card> {
     let manifest = done.dataset.manifest();
     let accounting = &done.ingested.accounting;
-    let card = |label: &str, value: String, note: String| Card {
-        label: label.to_owned(),
-        value,
-        note,
-    };
     let editor = &done.trained.editor;
     let loss = |key: &str| {
         let loss = editor[key].as_f64();
         loss.map_or("–".to_owned(), |loss| format!("{loss:.3}"))
     };
     let number = |key: &str| editor[key].as_f64().unwrap_or_default();
+    let rows = |table| manifest.rows(table, None);
+    let (quarantined, skipped) = (accounting.quarantined, accounting.skipped);
+    let lost = format!("{quarantined} quarantined, {skipped} skipped");
+    let losses = format!("loss {} → {}", loss("first_loss"), loss("last_loss"));
+    let speed = format!("{:.0}", number("samples_per_sec"));
+    let waiting = 100.0 * number("data_wait_share");
     vec![
-        card(
-            "clips",
-            manifest.rows(MotionRow::TABLE, None).to_string(),
-            format!(
-                "{} quarantined, {} skipped",
-                accounting.quarantined, accounting.skipped
-            ),
-        ),
-        card(
-            "masks",
-            manifest.rows(MaskRow::TABLE, None).to_string(),
-            String::new(),
-        ),
-        card(
-            "editor steps",
-            editor["steps"].to_string(),
-            format!("loss {} → {}", loss("first_loss"), loss("last_loss")),
-        ),
+        card("clips", rows(MotionRow::TABLE), &lost),
+        card("masks", rows(MaskRow::TABLE), ""),
+        card("editor steps", &editor["steps"], &losses),
         card(
             "samples/s",
-            format!("{:.0}", number("samples_per_sec")),
-            format!(
-                "{:.1} % waiting for data",
-                100.0 * number("data_wait_share")
-            ),
+            speed,
+            &format!("{waiting:.1} % waiting for data"),
         ),
     ]
 }
@@ -172,26 +156,19 @@ fn charts(done: &Done) -> anyhow::Result<Vec<Chart>> {
 /// Facts about the dataset.
 fn facts(done: &Done) -> Vec<(String, String)> {
     let manifest = done.dataset.manifest();
-    let accounting = &done.ingested.accounting;
+    let fact = |name: &str, value: String| (name.to_owned(), value);
+    let rows = |split| manifest.rows(MotionRow::TABLE, Some(split)).to_string();
     vec![
-        ("root hash".to_owned(), manifest.root_hash.clone()),
-        (
-            "format".to_owned(),
+        fact("root hash", manifest.root_hash.clone()),
+        fact(
+            "format",
             format!("{} {}", manifest.format, manifest.schema_version),
         ),
-        ("skeleton".to_owned(), manifest.skeleton.clone()),
-        (
-            "train / val / test".to_owned(),
-            Split::ALL
-                .map(|split| manifest.rows(MotionRow::TABLE, Some(split)).to_string())
-                .join(" / "),
-        ),
-        (
-            "sources".to_owned(),
-            format!(
-                "{} = {} ingested + {} quarantined + {} skipped",
-                accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
-            ),
+        fact("skeleton", manifest.skeleton.clone()),
+        fact("train / val / test", Split::ALL.map(rows).join(" / ")),
+        fact(
+            "sources",
+            accounted(&done.ingested.accounting).replacen(" sources", "", 1),
         ),
     ]
 }
