@@ -175,25 +175,20 @@ impl Args {
             &device(),
         )?)
     }
-}
 
-impl Args {
     /// Plans the answers to items for any number of processes.
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
         self.device.choose()?;
         let (Some(items), [out]) = (&self.items, self.out.as_slice()) else {
             bail!("answers to items are planned: --items ITEMS --into DIR");
         };
-        let settings = (&self.config(), global.seed());
-        let device = self.device.to_json()?;
-        let surroundings = surroundings();
         Ok(plan_edits(
             &self.source(),
             items,
             out,
-            settings,
-            device,
-            surroundings,
+            (&self.config(), global.seed()),
+            self.device.to_json()?,
+            surroundings(),
             plan,
         )?)
     }
@@ -268,6 +263,11 @@ fn asked(args: &Args, motion: &Motion) -> Vec<Vec<TimedInstruction>> {
     texts.map(|text| vec![whole(text, motion)]).collect()
 }
 
+fn texts<'a>(instructions: impl IntoIterator<Item = &'a TimedInstruction>) -> Vec<String> {
+    let instructions = instructions.into_iter();
+    instructions.map(|asked| asked.text.clone()).collect()
+}
+
 fn opened(args: &Args, motion: &str, skeleton: &Skeleton) -> anyhow::Result<Motion> {
     match &args.dataset {
         Some(dataset) if !Path::new(motion).is_file() => {
@@ -295,14 +295,10 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
     let skeleton = skeleton(args)?;
     let original = opened(args, id, &skeleton)?;
     let layers = asked(args, &original);
-    let texts: Vec<String> = layers
-        .iter()
-        .flatten()
-        .map(|asked| asked.text.clone())
-        .collect();
+    let texts = texts(layers.iter().flatten());
     let seed = global.seed();
     let mut system = args.system(&skeleton)?;
-    let remarks = remarks(&*system, &original, &layers);
+    let remarks = remarks(&*system, &original, &texts);
     let edited = with_session(&global.bars(), |session| {
         system.prepare(&texts, session)?;
         edit_layers(&*system, id, &original, &layers, seed, session)
@@ -323,12 +319,8 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
 }
 
 /// Warnings about edits of a motion. They are also printed.
-fn remarks(system: &dyn EditSystem, motion: &Motion, layers: &[Vec<TimedInstruction>]) -> Remarks {
-    let texts: Vec<&str> = layers
-        .iter()
-        .flatten()
-        .map(|asked| asked.text.as_str())
-        .collect();
+fn remarks(system: &dyn EditSystem, motion: &Motion, texts: &[String]) -> Remarks {
+    let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
     let remarks = system.remarks(&[(motion.len(), motion.fps())], &texts);
     note_remarks(&remarks);
     remarks
@@ -345,21 +337,13 @@ fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyh
         "bone_drift_m": edited.misfit.bone_drift_m,
         "times": edited.times,
     });
-    let places: Vec<String> = args
-        .out
-        .iter()
-        .map(|out| out.display().to_string())
-        .collect();
+    let out = args.out.iter().map(|out| out.display().to_string());
     let text = format!(
-        "{} frames at {}, fitted to {:.1} cm{}",
+        "{} frames at {}, fitted to {:.1} cm; in {}",
         edited.motion.len(),
         edited.motion.fps(),
         100.0 * edited.misfit.fit_error_m,
-        if places.is_empty() {
-            String::new()
-        } else {
-            format!("; in {}", places.join(", "))
-        }
+        out.collect::<Vec<_>>().join(", ")
     );
     global.say(&document, &text)?;
     if args.profile && !global.json {
@@ -469,17 +453,12 @@ impl Interactive<'_> {
             None => self.args.system(&self.skeleton)?,
         };
         let system = &mut **self.system.insert(system);
-        let texts: Vec<String> = instructions
-            .iter()
-            .map(|asked| asked.text.clone())
-            .collect();
+        let texts = texts(&instructions);
         // Each edit of a history draws different noise.
         let count = history.edits().len().to_string();
         let seed = self.global.seed().derive(&["history", &count]);
         let (id, current) = (history.id(), history.current()?);
-        let layer = [instructions];
-        remarks(system, &current, &layer);
-        let [instructions] = layer;
+        remarks(system, &current, &texts);
         let edited = with_session(&self.global.bars(), |session| {
             system.prepare(&texts, session)?;
             edit_motion(system, id, &current, &instructions, seed, session)
@@ -495,12 +474,7 @@ impl Interactive<'_> {
     }
 
     fn write(&self, history: &EditHistory, out: &Path) -> anyhow::Result<()> {
-        let texts: Vec<&str> = history
-            .edits()
-            .iter()
-            .flat_map(|edit| &edit.instructions)
-            .map(|asked| asked.text.as_str())
-            .collect();
+        let texts = texts(history.edits().iter().flat_map(|edit| &edit.instructions));
         let last = history.edits().last();
         let edited = Edited {
             motion: history.current()?,

@@ -21,7 +21,6 @@ use crate::cmd::train::loss_curves;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::judge::BUILTIN;
-use crate::report::accounted;
 
 /// Results of the stages.
 pub(super) struct Done<'a> {
@@ -156,6 +155,7 @@ fn charts(done: &Done) -> anyhow::Result<Vec<Chart>> {
 /// Facts about the dataset.
 fn facts(done: &Done) -> Vec<(String, String)> {
     let manifest = done.dataset.manifest();
+    let accounting = &done.ingested.accounting;
     let fact = |name: &str, value: String| (name.to_owned(), value);
     let rows = |split| manifest.rows(MotionRow::TABLE, Some(split)).to_string();
     vec![
@@ -168,7 +168,10 @@ fn facts(done: &Done) -> Vec<(String, String)> {
         fact("train / val / test", Split::ALL.map(rows).join(" / ")),
         fact(
             "sources",
-            accounted(&done.ingested.accounting).replacen(" sources", "", 1),
+            format!(
+                "{} = {} ingested + {} quarantined + {} skipped",
+                accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
+            ),
         ),
     ]
 }
