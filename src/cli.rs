@@ -67,12 +67,10 @@ impl Cli {
         Self::from_arg_matches(&matches)
     }
 
-    /// Whether results are printed as JSON.
     pub(crate) fn json(&self) -> bool {
         self.global.json
     }
 
-    /// Runs the verb.
     pub(crate) fn run(&self, itself: Itself<'_>) -> anyhow::Result<Exit> {
         let global = &self.global;
         global.start()?;

@@ -24,9 +24,7 @@ use crate::{judge, local, report};
 /// Run folders of the models that motions are evaluated with.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct EvaluatorRuns<'a> {
-    /// The evaluation encoder.
     pub(crate) encoder: &'a Path,
-    /// A coordinator.
     pub(crate) coordinator: Option<&'a Path>,
 }
 
@@ -36,7 +34,6 @@ pub(crate) fn judge_hash(run: &Path) -> anyhow::Result<String> {
 }
 
 impl EvaluatorRuns<'_> {
-    /// Loads the models for motions on a skeleton.
     pub(crate) fn with<T>(
         &self,
         skeleton: &Skeleton,

@@ -8,11 +8,8 @@ use crate::session::Stopped;
 /// How a command ended. A command line that cannot be parsed exits with 2 before any command runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Exit {
-    /// Done.
     Done,
-    /// Could not finish.
     Failed,
-    /// The command line is ambiguous.
     Usage,
     /// Finished, some items quarantined.
     Quarantined,
@@ -53,7 +50,6 @@ impl Exit {
         }
     }
 
-    /// The exit code as a number.
     pub(crate) fn code(self) -> u8 {
         match self {
             Self::Done => 0,

@@ -45,7 +45,6 @@ impl Global {
         Ok(())
     }
 
-    /// Worker threads, if they are given.
     pub(crate) fn threads(&self) -> Option<u16> {
         self.threads
     }
@@ -60,7 +59,6 @@ impl Global {
             .map_or(String::new(), |seed| format!(" --seed {seed}"))
     }
 
-    /// `--seed`, if it is given.
     pub(crate) fn given_seed(&self) -> Option<u64> {
         self.seed
     }
@@ -70,7 +68,6 @@ impl Global {
         Seed(self.seed.or(own).unwrap_or(0))
     }
 
-    /// Runs a stage.
     pub(crate) fn stage<T, E>(
         &self,
         act: impl FnOnce(&Context<'_>) -> Result<T, E>,
@@ -124,7 +121,6 @@ where
     })
 }
 
-/// Named settings of models.
 pub(crate) const PRESETS: Names<Preset> = &[
     ("tiny", Preset::Tiny, "Small: minutes on two cores"),
     ("paper", Preset::Paper, "What the paper says"),

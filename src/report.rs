@@ -35,7 +35,6 @@ pub(crate) struct Joined<'a, T> {
     pub(crate) all_of: &'a T,
 }
 
-/// Prints a failure for programs.
 pub(crate) fn failure(failure: &Failure) {
     let document = serde_json::to_string_pretty(failure).expect("texts serialise");
     text(&document);
@@ -92,7 +91,6 @@ pub(crate) fn flush() {
     let _flushed = std::io::stdout().flush();
 }
 
-/// Prints a note to stderr.
 pub(crate) fn note(text: &str) {
     eprintln!("{}", printable(text));
 }

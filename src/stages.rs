@@ -63,7 +63,6 @@ pub(crate) fn dataset(
     Ok((done, alone))
 }
 
-/// Records triplets of a dataset in a folder.
 pub(crate) fn triplets(
     [root, out]: [&Path; 2],
     count: u64,
@@ -101,7 +100,6 @@ pub(crate) fn trained(
     Ok((done, Some(report)))
 }
 
-/// Draws test questions.
 pub(crate) fn items(
     dataset: &Dataset,
     out: &Path,
@@ -121,7 +119,6 @@ pub(crate) fn items(
     Ok(drawn.dataset)
 }
 
-/// Answers items with a trained system.
 pub(crate) fn edits(
     items: &Path,
     source: &SystemSource,
@@ -151,7 +148,6 @@ pub(crate) fn edits(
     Ok(made)
 }
 
-/// Prints warnings about edits.
 pub(crate) fn note_remarks(remarks: &Remarks) {
     for line in remarks.lines() {
         report::note(&line);
@@ -167,7 +163,6 @@ pub(crate) fn unknown_words(edits: &[PathBuf]) -> anyhow::Result<BTreeSet<String
     Ok(words)
 }
 
-/// The times of editing per window.
 pub(crate) fn per_window(times: &EditTimes) -> WindowTimes {
     let windows = times.num_windows.max(1) as f64;
     WindowTimes {

@@ -23,7 +23,6 @@ pub(crate) struct TrainingsArgs {
 }
 
 impl TrainingsArgs {
-    /// Chooses the devices of this process.
     pub(crate) fn choose(&self) -> anyhow::Result<()> {
         self.device.choose()
     }

@@ -37,7 +37,6 @@ pub(crate) struct Args {
     out: Option<PathBuf>,
 }
 
-/// The configuration file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BuildConfig {

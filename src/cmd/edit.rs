@@ -166,7 +166,6 @@ impl Args {
         }
     }
 
-    /// Opens the system for motions on a skeleton.
     fn system(&self, skeleton: &Skeleton) -> anyhow::Result<Box<dyn EditSystem>> {
         Ok(open_system(
             &self.source(),
@@ -176,7 +175,6 @@ impl Args {
         )?)
     }
 
-    /// Plans the answers to items for any number of processes.
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
         self.device.choose()?;
         let (Some(items), [out]) = (&self.items, self.out.as_slice()) else {
@@ -352,7 +350,6 @@ fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyh
     Ok(Exit::Done)
 }
 
-/// A line typed into an interactive edit.
 enum Line {
     Edit(Vec<TimedInstruction>),
     Undo,
@@ -578,7 +575,6 @@ impl Interactive<'_> {
     }
 }
 
-/// An edit to be written.
 struct Shown<'a> {
     id: &'a str,
     skeleton: &'a Skeleton,

@@ -91,7 +91,6 @@ fn parse_name(text: &str) -> Result<String, String> {
     trimmed(text).ok_or_else(|| "expected a name".to_owned())
 }
 
-/// Parses the tag of a licence.
 pub(crate) fn parse_license(text: &str) -> Result<String, String> {
     trimmed(text).ok_or_else(|| "expected a licence".to_owned())
 }

@@ -62,7 +62,6 @@ pub(crate) struct Args {
     measure: Measure,
 }
 
-/// Descriptions of the columns.
 fn columns() -> String {
     let columns = metric::ALL.iter().map(|metric| {
         let arrow = (metric.better)(ALL_TASKS).arrow();
@@ -191,7 +190,6 @@ impl Measure {
         }
     }
 
-    /// The models to evaluate with, on the chosen device.
     fn runs(&self) -> anyhow::Result<EvaluatorRuns<'_>> {
         self.device.choose()?;
         let Some(encoder) = &self.encoder else {
@@ -320,7 +318,6 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     Ok(weak_judge.exit(scores.unranked(), Exit::Done))
 }
 
-/// Items, and the edits of folders and bundles.
 fn answers(args: &Args, encoder: &Path) -> anyhow::Result<Answered> {
     let is_bundle = |path: &&PathBuf| path.extension().is_some_and(|end| end == "zip");
     let (bundles, folders): (Vec<&PathBuf>, Vec<&PathBuf>) = args.edits.iter().partition(is_bundle);

@@ -45,7 +45,6 @@ pub(crate) struct Args {
     out: PathBuf,
 }
 
-/// The layouts by their names.
 const LAYOUTS: Names<Layout> = &[
     (
         "amass",
@@ -98,7 +97,6 @@ const LAYOUTS: Names<Layout> = &[
 ];
 
 impl Args {
-    /// Plans the export of motions for any number of processes.
     pub(crate) fn plan(&self, plan: &Path) -> anyhow::Result<Plan> {
         if self.sources || self.targets {
             bail!("exports of motions are planned; --sources and --targets are of items");
@@ -117,7 +115,6 @@ impl Args {
         )?)
     }
 
-    /// The clips that are exported.
     fn clips<'a>(&self, dataset: &'a Dataset) -> anyhow::Result<Clips<'a>> {
         Ok(match &self.chosen.condition {
             Some(condition) => Clips::chosen(dataset, condition)?,

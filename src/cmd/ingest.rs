@@ -144,7 +144,6 @@ pub(crate) struct RunArgs {
     dry_run: bool,
 }
 
-/// Parses a source with or without a name.
 pub(crate) fn parse_source() -> impl TypedValueParser<Value = SourceArg> {
     OsStringValueParser::new().try_map(|given| SourceArg::parse(&given))
 }
@@ -215,7 +214,6 @@ fn parse_allowance(text: &str) -> Result<Allowance, String> {
 }
 
 impl Args {
-    /// Plans the ingestion for any number of processes.
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
         let options = options(self, global)?;
         Ok(plan_ingest(
@@ -280,7 +278,6 @@ pub(crate) fn run(args: &RunArgs, global: &Global) -> anyhow::Result<Exit> {
     })
 }
 
-/// Prints what a run would do.
 fn tell(args: &Args, options: &IngestOptions, global: &Global) -> anyhow::Result<Exit> {
     let told = forecast(&args.sources, &args.out, options, &global.bars())
         .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
@@ -290,7 +287,6 @@ fn tell(args: &Args, options: &IngestOptions, global: &Global) -> anyhow::Result
     Ok(Exit::done_if(told.refusals.is_empty()))
 }
 
-/// The failure of a run whose dataset has no motion.
 fn without_motions(done: &IngestReport) -> Option<Failure> {
     if done.dataset.manifest().rows(MotionRow::TABLE, None) > 0 {
         return None;
@@ -344,7 +340,6 @@ fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
     })
 }
 
-/// Reads a marker set of the user.
 pub(crate) fn read_markers(path: &Path) -> anyhow::Result<MarkerSet> {
     MarkerSet::parse(&local::read_text(path)?)
         .with_context(|| format!("{} is no marker set", path.display()))

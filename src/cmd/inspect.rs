@@ -89,7 +89,6 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
 }
 
-/// The `--json` document about a dataset.
 #[derive(Serialize)]
 struct Document<'a> {
     root_hash: &'a str,
@@ -252,7 +251,6 @@ fn shard_text(shard: &ShardDescription) -> String {
     text
 }
 
-/// An item, and who answered it.
 #[derive(Serialize)]
 struct Question {
     facts: BTreeMap<String, String>,
@@ -298,7 +296,6 @@ impl Question {
     }
 }
 
-/// The `--json` document about a clip of a dataset.
 #[derive(Serialize)]
 struct Clip {
     facts: BTreeMap<String, String>,
@@ -383,7 +380,6 @@ fn marked(text: &str, is_made: bool) -> String {
     }
 }
 
-/// Contents of a motion file, motion by motion.
 #[derive(Serialize)]
 struct Foreign {
     format: &'static str,

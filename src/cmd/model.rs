@@ -208,7 +208,6 @@ enum Model {
     Mdm,
 }
 
-/// Motion features of evaluation encoders.
 pub(crate) const FEATURES: Names<FeatureRecipe> = &[
     (
         "smpl135",
@@ -256,7 +255,6 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     global.say(&serde_json::json!({ "files": files }), &lines.join("\n"))
 }
 
-/// The `--json` document of `texts`.
 #[derive(Serialize, Deserialize)]
 struct TextList {
     texts: Vec<String>,

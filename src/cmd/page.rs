@@ -137,7 +137,6 @@ pub(crate) fn with_edits(
     items.into_iter().map(answers).collect()
 }
 
-/// The key figures at the top of the page.
 fn cards(answered: &Answered, num_systems: usize) -> Vec<Card> {
     let items = answered.items.facts();
     let targets: BTreeSet<&str> = items.iter().map(|item| item.target_id.as_str()).collect();

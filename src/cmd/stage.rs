@@ -148,7 +148,6 @@ pub(crate) fn run(args: &Args, global: &Global, itself: Itself<'_>) -> anyhow::R
     }
 }
 
-/// The jobs of this program.
 fn jobs() -> Jobs {
     pipeline::jobs::jobs()
         .with(
@@ -161,7 +160,6 @@ fn jobs() -> Jobs {
         )
 }
 
-/// Chooses the device that a plan names.
 fn of_plan(plan: &Plan) -> Result<Surroundings, Failed> {
     let failed = |error: anyhow::Error| Failed::new("E-DEVICE", format!("{error:#}"));
     let device = device_of(plan)?;
@@ -195,7 +193,6 @@ fn dry_run(
     make: impl FnOnce(&Path) -> anyhow::Result<Plan>,
     global: &Global,
 ) -> anyhow::Result<Exit> {
-    /// Items of a sample.
     const SAMPLE: u64 = 16;
     let folder = NewFolder::beside(&temporary_beside(&std::env::temp_dir().join("stance")))?;
     // A plan needs an unused path, so a dry run writes it into a temporary folder.
@@ -293,7 +290,6 @@ fn work(args: &WorkArgs, global: &Global, itself: Itself<'_>) -> anyhow::Result<
     Ok(Exit::quarantined_if(failed > 0))
 }
 
-/// Code and reason of a piece that failed.
 fn why(record: &Record) -> String {
     let [code, reason] = [&record.code, &record.reason];
     let [code, reason] = [code, reason].map(|text| text.as_deref().unwrap_or_default());
@@ -337,7 +333,6 @@ fn chosen(args: &WorkArgs, plan: &Plan) -> anyhow::Result<Vec<String>> {
     Ok(ids)
 }
 
-/// Makes a piece in a child process.
 fn isolated(
     args: &WorkArgs,
     worker: &Worker,

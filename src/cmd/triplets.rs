@@ -67,7 +67,6 @@ pub(crate) struct ComposeArgs {
 }
 
 impl ComposeArgs {
-    /// The settings of the composer.
     pub(crate) fn config(&self) -> anyhow::Result<ComposeConfig> {
         self.over(&ComposeConfig::default())
     }
@@ -103,7 +102,6 @@ struct StatsArgs {
     chosen: ChosenArgs,
 }
 
-/// The `--json` document of `stats`.
 #[derive(Serialize)]
 struct Counted {
     #[serde(flatten)]
@@ -227,7 +225,6 @@ fn table(counted: &Counted) -> String {
     lines.join("\n")
 }
 
-/// The `--json` document of `--explain`.
 #[derive(Serialize)]
 struct Explained {
     id: String,
@@ -248,7 +245,6 @@ struct Explained {
 }
 
 impl Args {
-    /// Plans the recording for any number of processes.
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
         let (Some(root), Some(out)) = (&self.dataset, &self.out) else {
             bail!("a recording is planned from a dataset: DATASET --into DIR");

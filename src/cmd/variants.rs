@@ -73,7 +73,6 @@ pub(crate) struct Args {
     device: DeviceArgs,
 }
 
-/// The `--json` document.
 #[derive(Serialize)]
 struct Document {
     pairs: u64,
@@ -103,7 +102,6 @@ impl Args {
         }
     }
 
-    /// Plans the variants for any number of processes.
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
         self.device.choose()?;
         let (Some(generator), Some(instructions)) = (&self.generator, &self.instructions) else {

@@ -16,9 +16,7 @@ use crate::global::Global;
 /// Environment variable with the address of a language model's API, including its version, such as
 /// http://localhost:8000/v1.
 const MODEL_URL: &str = "STANCE_MODEL_URL";
-/// Environment variable with the name of the model.
 const MODEL_NAME: &str = "STANCE_MODEL_NAME";
-/// Environment variable with the model's API key.
 const MODEL_KEY: &str = "STANCE_MODEL_KEY";
 
 /// The language model, if its variables are set.

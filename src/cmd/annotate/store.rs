@@ -37,15 +37,11 @@ pub(super) fn open(args: &Args) -> anyhow::Result<Arc<Store>> {
     Ok(store)
 }
 
-/// Location of a store.
 enum Place<'a> {
-    /// A file of SQLite.
     File(PathBuf),
-    /// Address of a database.
     Postgres(&'a str),
 }
 
-/// Location of the store that the arguments name.
 fn place(args: &Args) -> Place<'_> {
     match args.store.as_deref().filter(|store| !store.is_empty()) {
         Some(url) if url.starts_with("postgres://") || url.starts_with("postgresql://") => {
@@ -56,7 +52,6 @@ fn place(args: &Args) -> Place<'_> {
     }
 }
 
-/// Whether an address of a database holds a password.
 fn has_password(url: &str) -> bool {
     let rest = url.split_once("://").map_or("", |(_, rest)| rest);
     let user = rest.rsplit_once('@').map_or("", |(user, _)| user);
@@ -106,7 +101,6 @@ pub(super) fn back_up(
     )
 }
 
-/// Derives all tables from the log.
 pub(super) fn rebuild(store: &Store, global: &Global) -> anyhow::Result<Exit> {
     let changed = store.rebuild()?;
     let text = match changed[..] {
@@ -116,7 +110,6 @@ pub(super) fn rebuild(store: &Store, global: &Global) -> anyhow::Result<Exit> {
     global.say(&json!({ "changed": changed }), &text)
 }
 
-/// Checks the log and all tables.
 pub(super) fn check(store: &Store, global: &Global) -> anyhow::Result<Exit> {
     let findings = store.verify()?;
     let text = match findings[..] {
@@ -132,7 +125,6 @@ pub(super) fn check(store: &Store, global: &Global) -> anyhow::Result<Exit> {
     Ok(Exit::done_if(findings.is_empty()))
 }
 
-/// Writes a project to a file.
 pub(super) fn pack(store: &Store, file: &Path, global: &Global) -> anyhow::Result<Exit> {
     store.pack(file)?;
     let text = format!(
@@ -142,7 +134,6 @@ pub(super) fn pack(store: &Store, file: &Path, global: &Global) -> anyhow::Resul
     global.say(&json!({ "packed": file }), &text)
 }
 
-/// Unpacks a project for a dataset without one.
 pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Exit> {
     let Place::File(to) = place(args) else {
         bail!("a packed project is unpacked into a file; leave the address of PostgreSQL out");

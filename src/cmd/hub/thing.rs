@@ -147,7 +147,6 @@ impl Thing {
     }
 }
 
-/// Reads a document beside a run, if it exists.
 fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<Option<T>> {
     if !path.is_file() {
         return Ok(None);
@@ -158,7 +157,6 @@ fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<Option<T>> {
         .with_context(|| format!("{} is not what stance writes there", path.display()))
 }
 
-/// Checks that a run was trained on the tables of a dataset.
 fn check_trained_on(record: &RunRecord<Value>, dataset: &Dataset) -> anyhow::Result<()> {
     // Inputs of training: only motions, motions with captured pairs, or all tables that edits are composed from.
     let of_models: [&[&str]; 3] = [

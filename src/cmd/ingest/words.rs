@@ -10,7 +10,6 @@ use crate::report::{accounted, append_list};
 const MISSING: &str = "missing, kept; --prune removes them";
 const UNUSABLE: &str = "kept as they were, their files give them no more; --prune removes them";
 
-/// A forecast as text.
 pub(super) fn foreseen(told: &Forecast) -> String {
     let mut text = "nothing was written\n".to_owned();
     for source in &told.sources {
@@ -144,7 +143,6 @@ fn problems(problems: &[LabelProblem]) -> String {
     text
 }
 
-/// Message about clips with nearly equal motion.
 fn alike_clips(alike: &[AlikeClips]) -> String {
     const SHOWN: usize = 5;
     let (together, apart): (Vec<&AlikeClips>, Vec<&AlikeClips>) =
@@ -176,7 +174,6 @@ fn alike_clips(alike: &[AlikeClips]) -> String {
     text
 }
 
-/// Message about the clips and labels that the dataset had.
 fn grown(growth: &Growth) -> String {
     let mut text = format!(
         "{} clips are new, {} changed, {} were read again, {} moved, {} stay as they are\n",

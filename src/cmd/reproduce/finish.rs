@@ -125,7 +125,6 @@ pub(super) fn finish(
     Ok(Exit::Failed)
 }
 
-/// Reason why the figures cannot compare systems.
 fn weakness_of(judges: &Judges) -> Option<String> {
     let weakness = judges.values().find_map(|judge| judge.weakness.as_ref())?;
     Some(format!(
@@ -160,7 +159,6 @@ struct Results<'a> {
 }
 
 impl Results<'_> {
-    /// Writes a table in each of its forms.
     fn add_table(&mut self, made: &TableMade, judges: &Judges) -> anyhow::Result<()> {
         let forms = made.forms(judges)?;
         for (extension, text) in &forms {

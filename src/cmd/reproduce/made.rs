@@ -13,7 +13,6 @@ use super::work::{Scored, Work};
 use crate::cmd::eval::result_tables;
 use crate::global::Global;
 
-/// A table of the paper.
 pub(super) struct TableMade {
     pub(super) name: String,
     pub(super) tables: Vec<Table>,
@@ -110,7 +109,6 @@ pub(super) fn tables(
     }))
 }
 
-/// A sentence on the rows that are means over trainings.
 fn note_of_trainings(systems: &[&(String, Vec<PathBuf>)]) -> Option<String> {
     let most = systems.iter().map(|(_, edits)| edits.len()).max()?;
     let once: Vec<&str> = systems

@@ -35,7 +35,6 @@ pub(super) struct Picture {
     order: Order,
 }
 
-/// Selection of a picture's items.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Order {

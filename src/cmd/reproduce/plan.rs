@@ -42,7 +42,6 @@ const POSES: &str = "j2s";
 /// Settings that override those of a preset.
 type Own = Map<String, Value>;
 
-/// The plan in its file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Plan {
@@ -95,7 +94,6 @@ pub(super) struct Plan {
     pub(super) pictures: Vec<Picture>,
 }
 
-/// A row of the tables.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct System {
@@ -122,7 +120,6 @@ struct System {
     train_seeds: Option<Vec<u64>>,
 }
 
-/// A table of the paper.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PaperTable {
@@ -189,7 +186,6 @@ pub(super) struct Spec {
 }
 
 impl Spec {
-    /// The trainings that the edits need.
     pub(super) fn trainings(&self) -> impl Iterator<Item = &Training> {
         [
             Some(&self.training),
@@ -242,7 +238,6 @@ impl Plan {
     }
 }
 
-/// A figure and the systems at its points.
 pub(super) struct FigureSpecs<'a> {
     pub(super) figure: &'a Figure,
     pub(super) points: Vec<Point>,
@@ -344,7 +339,6 @@ impl Plan {
         })
     }
 
-    /// All systems of the tables.
     pub(super) fn trained(&self, global: &Global) -> anyhow::Result<Vec<Trained>> {
         let systems = self.systems.iter();
         systems
@@ -358,7 +352,6 @@ impl Plan {
             .collect()
     }
 
-    /// All figures.
     pub(super) fn figure_specs(&self, global: &Global) -> anyhow::Result<Vec<FigureSpecs<'_>>> {
         let figures = self.figures.iter();
         figures

@@ -30,7 +30,6 @@ use crate::session::{Stopped, text_encoder};
 use crate::stages;
 use crate::trainings::side_by_side;
 
-/// A plan in progress.
 pub(super) struct Work<'a> {
     plan: &'a Plan,
     global: &'a Global,
@@ -83,7 +82,6 @@ impl<'a> Work<'a> {
         Ok(work)
     }
 
-    /// The encoder by its hash.
     pub(super) fn judges(&self) -> Judges {
         [self.judge.clone()].into()
     }
@@ -141,7 +139,6 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Edits of all trainings of a system.
     pub(super) fn edits_of(&self, system: &Trained) -> anyhow::Result<Vec<PathBuf>> {
         system.specs.iter().map(|spec| self.edits(spec)).collect()
     }

@@ -179,7 +179,6 @@ fn edit_all(
     Ok(tables)
 }
 
-/// Training results for the page.
 struct Trained {
     /// Report on the editor.
     editor: Value,

@@ -22,7 +22,6 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::judge::BUILTIN;
 
-/// Results of the stages.
 pub(super) struct Done<'a> {
     pub(super) plan: &'a Plan,
     pub(super) seeds: String,
@@ -92,7 +91,6 @@ pub(super) fn page(done: &Done) -> anyhow::Result<String> {
     .to_html())
 }
 
-/// The key figures at the top of the page.
 fn cards(done: &Done) -> Vec<Card> {
     let manifest = done.dataset.manifest();
     let accounting = &done.ingested.accounting;
@@ -152,7 +150,6 @@ fn charts(done: &Done) -> anyhow::Result<Vec<Chart>> {
     Ok(charts)
 }
 
-/// Facts about the dataset.
 fn facts(done: &Done) -> Vec<(String, String)> {
     let manifest = done.dataset.manifest();
     let accounting = &done.ingested.accounting;
@@ -176,7 +173,6 @@ fn facts(done: &Done) -> Vec<(String, String)> {
     ]
 }
 
-/// Settings of the models and stages.
 fn details(done: &Done) -> Vec<Details> {
     let config = &done.plan.config;
     let details = [

@@ -22,7 +22,6 @@ use crate::judge::{BUILTIN, EncoderConfig};
 use crate::seeds::Seeds;
 use crate::settings;
 
-/// The configuration file.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RunConfig {
@@ -122,7 +121,6 @@ impl RunConfig {
     }
 }
 
-/// A configuration with everything resolved.
 pub(crate) struct Plan {
     pub(super) config: RunConfig,
     pub(super) compose: ComposeConfig,
@@ -134,7 +132,6 @@ pub(crate) struct Plan {
     pub(crate) commands: Vec<String>,
 }
 
-/// Settings of a model.
 pub(super) struct Model {
     /// Settings that override the preset's: a JSON object.
     pub(super) own: Value,
@@ -169,7 +166,6 @@ impl Plan {
         })
     }
 
-    /// Path of a result of the run.
     pub(super) fn at(&self, name: &str) -> PathBuf {
         self.config.out.join(name)
     }
