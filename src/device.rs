@@ -3,8 +3,8 @@
 use std::sync::OnceLock;
 
 use burn::tensor::Device;
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde::Deserialize;
+use serde_json::{Value, json};
 use train::device::{DeviceName, list, open};
 use train::model::pass::{Arithmetic, has_bf16};
 
@@ -27,7 +27,7 @@ pub(crate) struct DeviceArgs {
     no_fused: bool,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
     device: String,
@@ -35,11 +35,9 @@ struct Stored {
 }
 
 impl DeviceArgs {
-    pub(crate) fn to_json(self) -> anyhow::Result<Value> {
-        Ok(serde_json::to_value(Stored {
-            device: self.device.to_string(),
-            no_fused: self.no_fused,
-        })?)
+    /// The options as a plan of pieces stores them.
+    pub(crate) fn to_json(self) -> Value {
+        json!({ "device": self.name(), "no_fused": self.no_fused })
     }
 
     pub(crate) fn from_json(options: Value) -> anyhow::Result<Self> {

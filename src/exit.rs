@@ -10,6 +10,7 @@ use crate::session::Stopped;
 pub(crate) enum Exit {
     Done,
     Failed,
+    /// The command line is ambiguous.
     Usage,
     /// Finished, some items quarantined.
     Quarantined,

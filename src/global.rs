@@ -17,7 +17,7 @@ use crate::report;
 pub(crate) struct Global {
     /// Worker threads; results do not depend on it [default: all cores]
     #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..))]
-    threads: Option<u16>,
+    pub(crate) threads: Option<u16>,
     /// Seed of every draw, instead of the seeds in settings files [default: 0]
     #[arg(long, global = true)]
     seed: Option<u64>,
@@ -43,10 +43,6 @@ impl Global {
         // Check the variables now, so that long work does not fail later because of a wrong one.
         FrameCache::from_environment(|name| std::env::var_os(name)).map_err(anyhow::Error::msg)?;
         Ok(())
-    }
-
-    pub(crate) fn threads(&self) -> Option<u16> {
-        self.threads
     }
 
     pub(crate) fn seed(&self) -> Seed {

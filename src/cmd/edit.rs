@@ -185,7 +185,7 @@ impl Args {
             items,
             out,
             (&self.config(), global.seed()),
-            self.device.to_json()?,
+            self.device.to_json(),
             surroundings(),
             plan,
         )?)

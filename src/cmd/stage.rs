@@ -360,7 +360,7 @@ fn child(
 ) -> std::io::Result<(Option<Record>, ExitStatus)> {
     let mut command = itself()?;
     command.args(["--json", "--no-progress"]);
-    if let Some(threads) = global.threads() {
+    if let Some(threads) = global.threads {
         command.args(["--threads", &threads.to_string()]);
     }
     command.args(["stage", "work"]).arg(&args.plan);

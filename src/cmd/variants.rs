@@ -114,7 +114,7 @@ impl Args {
             &read_instructions(instructions, self.chosen.text())?,
             (&self.config(), global.seed()),
             self.text_encoder.as_deref(),
-            self.device.to_json()?,
+            self.device.to_json(),
             &surroundings(),
             plan,
         )?)

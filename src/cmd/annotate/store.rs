@@ -63,11 +63,16 @@ fn find_or_create(args: &Args) -> anyhow::Result<Arc<Store>> {
         Place::Postgres(url) => return open_postgres(url),
         Place::File(file) => file,
     };
-    if let Some(parent) = file.parent() {
-        std::fs::create_dir_all(parent)
-            .with_context(|| format!("cannot create folder {}", parent.display()))?;
-    }
+    create_parent(&file)?;
     Ok(store::open_sqlite(&file)?)
+}
+
+fn create_parent(file: &Path) -> anyhow::Result<()> {
+    let Some(folder) = file.parent() else {
+        return Ok(());
+    };
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("cannot create folder {}", folder.display()))
 }
 
 #[cfg(feature = "postgres")]
@@ -154,10 +159,7 @@ pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Resul
             file.display()
         );
     }
-    if let Some(folder) = to.parent() {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot create folder {}", folder.display()))?;
-    }
+    create_parent(&to)?;
     let aside = to.with_extension("unpacked");
     std::fs::copy(file, &aside)
         .and_then(|_| File::open(&aside)?.sync_all())

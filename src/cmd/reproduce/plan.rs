@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use compose::{ComposeConfig, ItemConfig, ItemTask};
 use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::Row as _;
-use datasets_spec::{Dataset, Seed, Split};
+use datasets_spec::{Dataset, Split};
 use eval::figure::{Figure, Point, Sections};
 use eval::metric::interval::MOST_TRAININGS;
 use eval::metric::{self, Metric};
@@ -487,7 +487,7 @@ impl Plan {
         let seed = match (seed, has_seed) {
             (Some(seed), _) => Some(seed),
             (None, true) => global.given_seed(),
-            (None, false) => Some(self.seeds.train(global).0),
+            (None, false) => Some(global.seed_or(self.seeds.train).0),
         };
         Ok(Training {
             model,
@@ -523,10 +523,6 @@ impl Plan {
             seed: global.seed_or(Some(self.eval.seed.0)),
             ..self.eval
         }
-    }
-
-    pub(super) fn sampling_seed(&self, global: &Global) -> Seed {
-        self.seeds.sample(global)
     }
 }
 

@@ -59,7 +59,7 @@ impl<'a> Work<'a> {
         let dataset = Dataset::open(&plan.dataset)?;
         let data = dataset.content_hash(&COMPOSED);
         let items = plan.out.join("items");
-        let seed = plan.seeds.items(global);
+        let seed = global.seed_or(plan.seeds.items);
         let drawn = stages::items(&dataset, &items, plan.split, &plan.items, seed, global)
             .context("items")?;
         let mut work = Self {
@@ -145,7 +145,7 @@ impl<'a> Work<'a> {
 
     /// The folder with a system's edits of all items.
     fn edits(&self, spec: &Spec) -> anyhow::Result<PathBuf> {
-        let seed = self.plan.sampling_seed(self.global);
+        let seed = self.global.seed_or(self.plan.seeds.sample);
         let edits = self.plan.out.join("edits");
         let edits = edits.join(short("edits", &(spec, &self.data, &self.asked, seed)));
         if Dataset::open(&edits).is_ok() {

@@ -88,7 +88,7 @@ pub(crate) fn finish(
         &config.ingest,
         &config.masks,
         config.stages.pairs.then_some(&config.pairs),
-        config.seeds.split(global),
+        global.seed_or(config.seeds.split),
         global,
     )?;
     let (triplets, seed) = (plan.at("triplets"), Seed(plan.train.seed));
@@ -102,7 +102,7 @@ pub(crate) fn finish(
     let dataset = Dataset::open(&root)?;
     let text_encoder = text_encoder(config.text_encoder.as_deref());
     let trained = train_all(&plan, &dataset, &text_encoder, trainings, global)?;
-    let seed = config.seeds.items(global);
+    let seed = global.seed_or(config.seeds.items);
     stages::items(
         &dataset,
         &plan.at("items"),
@@ -160,7 +160,7 @@ fn edit_all(
             ..SystemSource::best(&plan.at(run), text_encoder.clone())
         };
         let out = plan.at("edits").join(folder);
-        let seed = config.seeds.sample(global);
+        let seed = global.seed_or(config.seeds.sample);
         stages::edits(&plan.at("items"), &source, &out, &config.edit, seed, global)
             .context("stage edit")?;
         tables.push(out);
