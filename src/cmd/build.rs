@@ -15,6 +15,7 @@ use pipeline::ingest::SourceArg;
 use pipeline::stage::IngestConfig;
 use serde::Deserialize;
 
+use crate::cmd::export::layout_named;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report::accounted;
@@ -80,13 +81,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let dataset = Dataset::open(&root)?;
     let mut exports = Vec::new();
     for name in &config.export {
-        let layout = Layout::ALL
-            .into_iter()
-            .find(|layout| layout.as_str() == name)
-            .with_context(|| {
-                let known = Layout::ALL.map(Layout::as_str).join(", ");
-                format!("[export] names {name:?}, which is none of {known}")
-            })?;
+        let layout = layout_named(name).with_context(|| {
+            let known = Layout::ALL.map(Layout::as_str).join(", ");
+            format!("[export] names {name:?}, which is none of {known}")
+        })?;
         let out = config.out.join(name);
         // An export appears complete or not at all and depends only on the dataset, so an existing one is current.
         if !out.exists() {
