@@ -350,34 +350,6 @@ fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyh
     Ok(Exit::Done)
 }
 
-enum Line {
-    Edit(Vec<TimedInstruction>),
-    Undo,
-    Redo,
-    Save(PathBuf),
-    Quit,
-}
-
-fn parse_line(line: &str, motion: &Motion) -> anyhow::Result<Option<Line>> {
-    let line = line.trim();
-    Ok(match line {
-        "" => None,
-        ":undo" => Some(Line::Undo),
-        ":redo" => Some(Line::Redo),
-        ":quit" => Some(Line::Quit),
-        _ => match line.strip_prefix(":save ") {
-            Some(path) => Some(Line::Save(path.trim().into())),
-            None if line.starts_with(':') => {
-                bail!("{line:?} is no command; known are :undo, :redo, :save FILE and :quit")
-            }
-            None if line.starts_with(|first: char| first.is_ascii_digit()) => {
-                Some(Line::Edit(vec![line.parse().map_err(anyhow::Error::msg)?]))
-            }
-            None => Some(Line::Edit(vec![whole(line, motion)])),
-        },
-    })
-}
-
 /// Continues the history of one motion, or begins it.
 fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit> {
     let skeleton = skeleton(args)?;
@@ -517,17 +489,29 @@ impl Interactive<'_> {
 
     /// Executes a line; false ends the session.
     fn follow(&mut self, history: &mut EditHistory, line: &str) -> anyhow::Result<bool> {
-        match parse_line(line, &history.current()?)? {
-            None => return Ok(true),
-            Some(Line::Quit) => return Ok(false),
-            Some(Line::Save(path)) => {
-                self.write(history, &path)?;
-                report::note(&format!("in {}", path.display()));
+        let line = line.trim();
+        match (line, line.strip_prefix(":save ")) {
+            ("", _) => return Ok(true),
+            (":quit", _) => return Ok(false),
+            (":undo", _) if !history.undo() => report::note("no edit to take back"),
+            (":redo", _) if !history.redo() => report::note("no edit was taken back"),
+            (":undo" | ":redo", _) => {}
+            (_, Some(path)) => {
+                let path = path.trim();
+                self.write(history, Path::new(path))?;
+                report::note(&format!("in {path}"));
             }
-            Some(Line::Undo) if !history.undo() => report::note("no edit to take back"),
-            Some(Line::Redo) if !history.redo() => report::note("no edit was taken back"),
-            Some(Line::Undo | Line::Redo) => {}
-            Some(Line::Edit(instructions)) => self.edit(history, instructions)?,
+            _ if line.starts_with(':') => {
+                bail!("{line:?} is no command; known are :undo, :redo, :save FILE and :quit")
+            }
+            _ if line.starts_with(|first: char| first.is_ascii_digit()) => {
+                let asked = line.parse().map_err(anyhow::Error::msg)?;
+                self.edit(history, vec![asked])?;
+            }
+            _ => {
+                let asked = whole(line, &history.current()?);
+                self.edit(history, vec![asked])?;
+            }
         }
         self.save(history)?;
         Ok(true)

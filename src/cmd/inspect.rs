@@ -8,16 +8,17 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clip::check::flag_names;
 use clip::{Outcome, Rejected};
-use datasets_spec::manifest::{Accounting, Manifest};
+use datasets_spec::manifest::Manifest;
 use datasets_spec::record::{CAPTION_BY_RULE, EditRow, ItemRow, MotionRow};
 use datasets_spec::store::{ByPath, Store, is_url};
 use datasets_spec::table::{Row, ShardDescription, describe, read_column};
 use datasets_spec::{Dataset, MotionId, Skeleton};
 use formats::source::ReadOptions;
-use pipeline::catalogue::{Catalogue, Group, catalogue};
+use pipeline::catalogue::{Group, catalogue};
 use pipeline::ingest::REMARKS_FACT;
 use pipeline::open::{read_file, stored_clip, stored_item};
 use serde::Serialize;
+use serde_json::json;
 
 use self::list::List;
 use crate::cmd::render::{holds_items, open_for_clips};
@@ -65,9 +66,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         path.is_dir()
     };
     if is_folder {
-        let dataset = Dataset::open_unverified(path)?;
-        let document = Document::of(&dataset)?;
-        return global.say(&document, &document.text());
+        return say_dataset(&Dataset::open_unverified(path)?, global);
     }
     match path.extension().and_then(|extension| extension.to_str()) {
         Some("parquet") => {
@@ -89,24 +88,6 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
 }
 
-#[derive(Serialize)]
-struct Document<'a> {
-    root_hash: &'a str,
-    schema_version: &'a str,
-    version: u64,
-    skeleton: &'a str,
-    tables: BTreeMap<String, u64>,
-    accounting: &'a Accounting,
-    facts: &'a BTreeMap<String, String>,
-    /// Items by task.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    tasks: BTreeMap<String, u64>,
-    /// Edits by system.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    systems: BTreeMap<String, u64>,
-    catalogue: Catalogue,
-}
-
 /// Rows of a table by a column of text.
 fn counted<R: Row>(
     dataset: &Dataset,
@@ -121,68 +102,63 @@ fn counted<R: Row>(
     Ok(counts)
 }
 
-impl<'a> Document<'a> {
-    fn of(dataset: &'a Dataset) -> anyhow::Result<Self> {
-        let manifest = dataset.manifest();
-        Ok(Self {
-            root_hash: &manifest.root_hash,
-            schema_version: &manifest.schema_version,
-            version: manifest.version,
-            skeleton: &manifest.skeleton,
-            tables: manifest.row_counts(),
-            accounting: &manifest.accounting,
-            facts: &manifest.facts,
-            tasks: counted::<ItemRow>(dataset, "task")?,
-            systems: counted::<EditRow>(dataset, "system")?,
-            catalogue: catalogue(dataset)?,
-        })
+fn say_dataset(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
+    let (manifest, catalogue) = (dataset.manifest(), catalogue(dataset)?);
+    let tables = manifest.row_counts();
+    let mut document = json!({
+        "root_hash": manifest.root_hash,
+        "schema_version": manifest.schema_version,
+        "version": manifest.version,
+        "skeleton": manifest.skeleton,
+        "tables": tables,
+        "accounting": manifest.accounting,
+        "facts": manifest.facts,
+        "catalogue": catalogue,
+    });
+    let mut text = format!(
+        "format {} manifest {} skeleton {}\nroot hash {}\n\n",
+        manifest.schema_version, manifest.version, manifest.skeleton, manifest.root_hash
+    );
+    if let Some(remarks) = manifest.facts.get(REMARKS_FACT) {
+        text += &format!("note: {remarks}\n\n");
     }
-
-    fn text(&self) -> String {
-        let mut text = format!(
-            "format {} manifest {} skeleton {}\nroot hash {}\n\n",
-            self.schema_version, self.version, self.skeleton, self.root_hash
-        );
-        if let Some(remarks) = self.facts.get(REMARKS_FACT) {
-            text += &format!("note: {remarks}\n\n");
-        }
-        for (table, rows) in &self.tables {
-            text += &format!("{table:<12} {rows:>8} rows\n");
-        }
-        for (title, unit, counts) in [
-            ("task", "items", &self.tasks),
-            ("system", "edits", &self.systems),
-        ] {
-            if !counts.is_empty() {
-                text += &format!("\n{title:<24} {unit:>7}\n");
-            }
-            for (label, count) in counts {
-                text += &format!("{label:<24} {count:>7}\n");
-            }
-        }
-        let groups = [
-            ("split", &self.catalogue.splits),
-            ("source", &self.catalogue.sources),
-            ("action", &self.catalogue.actions),
-            ("style", &self.catalogue.styles),
-        ];
-        for (title, groups) in groups {
-            if groups.is_empty() {
-                continue;
-            }
-            text += &format!("\n{title:<24} {:>7} {:>9}\n", "clips", "minutes");
-            for Group {
-                label,
-                clips,
-                minutes,
-            } in groups
-            {
-                let label = if label.is_empty() { "(none)" } else { label };
-                text += &format!("{label:<24} {clips:>7} {minutes:>9.2}\n");
-            }
-        }
-        text
+    for (table, rows) in &tables {
+        text += &format!("{table:<12} {rows:>8} rows\n");
     }
+    let tasks = counted::<ItemRow>(dataset, "task")?;
+    let systems = counted::<EditRow>(dataset, "system")?;
+    for (title, unit, counts) in [("task", "items", tasks), ("system", "edits", systems)] {
+        if counts.is_empty() {
+            continue;
+        }
+        text += &format!("\n{title:<24} {unit:>7}\n");
+        for (label, count) in &counts {
+            text += &format!("{label:<24} {count:>7}\n");
+        }
+        document[format!("{title}s")] = json!(counts);
+    }
+    let groups = [
+        ("split", &catalogue.splits),
+        ("source", &catalogue.sources),
+        ("action", &catalogue.actions),
+        ("style", &catalogue.styles),
+    ];
+    for (title, groups) in groups {
+        if groups.is_empty() {
+            continue;
+        }
+        text += &format!("\n{title:<24} {:>7} {:>9}\n", "clips", "minutes");
+        for Group {
+            label,
+            clips,
+            minutes,
+        } in groups
+        {
+            let label = if label.is_empty() { "(none)" } else { label };
+            text += &format!("{label:<24} {clips:>7} {minutes:>9.2}\n");
+        }
+    }
+    global.say(&document, &text)
 }
 
 fn manifest_text(manifest: &Manifest) -> String {
