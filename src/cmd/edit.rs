@@ -505,7 +505,7 @@ impl Interactive<'_> {
                 bail!("{line:?} is no command; known are :undo, :redo, :save FILE and :quit")
             }
             _ if line.starts_with(|first: char| first.is_ascii_digit()) => {
-                let asked = line.parse().map_err(anyhow::Error::msg)?;
+                let asked: TimedInstruction = line.parse().map_err(anyhow::Error::msg)?;
                 self.edit(history, vec![asked])?;
             }
             _ => {
