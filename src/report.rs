@@ -36,8 +36,7 @@ pub(crate) struct Joined<'a, T> {
 }
 
 pub(crate) fn failure(failure: &Failure) {
-    let document = serde_json::to_string_pretty(failure).expect("texts serialise");
-    text(&document);
+    json(failure).expect("texts serialise");
 }
 
 /// Appends a list under a title, unless the list is empty.

@@ -484,7 +484,11 @@ fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
         }
     }
     if args.measure.format(global) == FormatArg::Json {
-        let row = |(queries, metric, Interval { mean, ci95 })| json!({ "queries": queries, "metric": metric, "n": n, "mean": mean, "ci95": ci95 });
+        let row = |(queries, metric, Interval { mean, ci95 }): (&str, &str, Interval)| {
+            json!({
+                "queries": queries, "metric": metric, "n": n, "mean": mean, "ci95": ci95,
+            })
+        };
         report::json(&found.into_iter().map(row).collect::<Vec<_>>())?;
         return Ok(Exit::Done);
     }

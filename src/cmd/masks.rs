@@ -69,12 +69,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         Some(file) => accept(args, file, global)?,
         None => {
             let config = MaskConfig::default();
-            let judged = if args.replace {
-                Judged::Replace
-            } else if args.add {
-                Judged::Add
-            } else {
-                Judged::Refuse
+            let judged = match (args.replace, args.add) {
+                (true, _) => Judged::Replace,
+                (false, true) => Judged::Add,
+                (false, false) => Judged::Refuse,
             };
             global.stage(|context| {
                 let condition = args.chosen.condition.as_ref();

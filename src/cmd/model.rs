@@ -228,25 +228,16 @@ pub(crate) const FEATURES: Names<FeatureRecipe> = &[
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let files = match &args.action {
-        Action::Import(args) => {
-            import(args)?;
-            vec![args.out.clone()]
-        }
+        Action::Import(args) => import(args).map(|()| vec![args.out.clone()])?,
         Action::Export(args) => exchange::export(&args.run, args.checkpoint, &args.out)?,
         Action::Fetch(args) => fetch(args.clip, global)?,
         Action::Texts(args) => return list_texts(args, global),
-        Action::Table(args) => {
-            make_table(args)?;
-            vec![args.out.clone()]
-        }
+        Action::Table(args) => make_table(args).map(|()| vec![args.out.clone()])?,
         Action::Encoder(args) => {
             args.device.choose()?;
             package::unpack(&args.package, &args.out, &device())?
         }
-        Action::Embed(args) => {
-            embed(args, global)?;
-            vec![args.out.clone()]
-        }
+        Action::Embed(args) => embed(args, global).map(|()| vec![args.out.clone()])?,
     };
     let lines: Vec<String> = files
         .iter()
