@@ -24,18 +24,12 @@ pub(super) fn foreseen(told: &Forecast) -> String {
         text += &listed("changed", &source.changed);
         text += &listed("read again", &source.read_again);
         text += &listed("moved", &moved);
-        text += &counted("equal", source.equal.len());
+        text += &counted("equal", source.equal.len() as u64);
         text += &listed(MISSING, &source.missing);
         text += &listed(UNUSABLE, &source.kept_unusable);
         text += &listed("pruned", &source.pruned);
-        text += &counted(
-            "quarantined",
-            usize::try_from(source.quarantined).unwrap_or(usize::MAX),
-        );
-        text += &counted(
-            "skipped",
-            usize::try_from(source.skipped).unwrap_or(usize::MAX),
-        );
+        text += &counted("quarantined", source.quarantined);
+        text += &counted("skipped", source.skipped);
     }
     if let Some(settings) = &told.settings {
         text += &format!("settings differ: {settings}\n");
@@ -124,14 +118,11 @@ fn quarantined(done: &IngestReport, code: &str, count: u64) -> String {
 
 /// Unusable lines of a list; an empty text if there are none.
 fn refused(what: &str, lines: &[RefusedLine]) -> String {
-    if lines.is_empty() {
-        return String::new();
+    let all: String = lines.iter().map(|line| format!("  {line}\n")).collect();
+    match lines.len() {
+        0 => all,
+        count => format!("{count} {what}\n{all}"),
     }
-    let mut text = format!("{} {what}\n", lines.len());
-    for line in lines {
-        text += &format!("  {line}\n");
-    }
-    text
 }
 
 /// Unusable labels; an empty text if there are none.
@@ -208,7 +199,7 @@ fn grown(growth: &Growth) -> String {
 }
 
 /// A number of clips; an empty text for none.
-fn counted(what: &str, count: usize) -> String {
+fn counted(what: &str, count: u64) -> String {
     match count {
         0 => String::new(),
         count => format!("  {count:>6} {what}\n"),
@@ -218,7 +209,7 @@ fn counted(what: &str, count: usize) -> String {
 /// A number of clips, with the first ids; an empty text for none.
 fn listed(what: &str, clips: &[String]) -> String {
     const SHOWN: usize = 5;
-    let mut text = counted(what, clips.len());
+    let mut text = counted(what, clips.len() as u64);
     for clip in clips.iter().take(SHOWN) {
         text += &format!("         {clip}\n");
     }
