@@ -37,7 +37,7 @@ const GROUPS: [(&str, &str); 6] = [
 #[command(name = "stance", version, arg_required_else_help = true, after_help = NOTES)]
 pub(crate) struct Cli {
     #[command(flatten)]
-    global: Global,
+    pub(crate) global: Global,
     #[command(subcommand)]
     command: Command,
 }
@@ -50,10 +50,6 @@ impl Cli {
     pub(crate) fn of_words(words: &[OsString]) -> Result<Self, clap::Error> {
         let matches = grouped(Self::command()).try_get_matches_from(words)?;
         Self::from_arg_matches(&matches)
-    }
-
-    pub(crate) fn json(&self) -> bool {
-        self.global.json
     }
 
     pub(crate) fn run(&self, itself: Itself<'_>) -> anyhow::Result<Exit> {

@@ -67,7 +67,7 @@ fn run_words(words: &[OsString], itself: Itself<'_>) -> u8 {
         }
     };
     let registered = remote_store::register().map_err(anyhow::Error::from);
-    ended(registered.and_then(|()| cli.run(itself)), cli.json())
+    ended(registered.and_then(|()| cli.run(itself)), cli.global.json)
 }
 
 /// Reports the error of a command, if there is one, and returns the exit code.

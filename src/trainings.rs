@@ -15,7 +15,7 @@ use crate::session::go_on;
 #[command(next_help_heading = "Model options")]
 pub(crate) struct TrainingsArgs {
     #[command(flatten)]
-    device: TrainDeviceArgs,
+    pub(crate) device: TrainDeviceArgs,
     /// Trainings at a time, each with its share of the threads; results do not depend on it [default: 2 for preset tiny
     /// on the CPU, else 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
@@ -23,10 +23,6 @@ pub(crate) struct TrainingsArgs {
 }
 
 impl TrainingsArgs {
-    pub(crate) fn choose(&self) -> anyhow::Result<()> {
-        self.device.choose()
-    }
-
     /// Trainings at a time. Two trainings of a small model, on one thread each, take 1.6 times as many windows per
     /// second as one on two threads. Memory limits how many large models train together.
     pub(crate) fn at_once(&self, preset: Preset) -> usize {

@@ -48,7 +48,7 @@ const QUICK_STEPS: u64 = 40;
 const QUICK_ITEMS: usize = 24;
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    args.trainings.choose()?;
+    args.trainings.device.choose()?;
     let seed = global.seed();
     let quick = CorpusOptions {
         seed,

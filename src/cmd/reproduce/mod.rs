@@ -91,7 +91,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         let names: Vec<&str> = PLANS.iter().map(|(name, _)| *name).collect();
         return global.say(&names, &names.join("\n"));
     };
-    args.trainings.choose()?;
+    args.trainings.device.choose()?;
     let plan = read(args, path)?;
     let at = |error| settings::at(path, error);
     let systems = plan.trained(global).map_err(at)?;

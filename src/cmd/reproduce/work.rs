@@ -166,8 +166,7 @@ impl<'a> Work<'a> {
         Ok(edits)
     }
 
-    /// Items and edits of some systems, and how many items were left out: those whose source has fewer than
-    /// `min_frames` frames at the model's rate.
+    /// Items and edits of some systems, and how many items were left out.
     pub(super) fn answered(
         &self,
         edits: &[PathBuf],

@@ -47,7 +47,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    args.trainings.choose()?;
+    args.trainings.device.choose()?;
     let mut config: RunConfig = settings::read(&args.config)?;
     let base = args.config.parent().unwrap_or(Path::new("."));
     let sources = config.sources.into_iter();
