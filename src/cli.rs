@@ -4,10 +4,10 @@ use std::ffi::OsString;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
-use crate::Itself;
 use crate::cmd;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::itself::Itself;
 
 /// Notes on URLs, and on failures for scripts.
 const NOTES: &str = "A dataset or source may be a URL: s3://BUCKET/PATH, gs://, az://, and for reading http://, https:// \

@@ -1,9 +1,21 @@
 //! Exit codes. Scripts rely on them.
 
 use std::error::Error as StdError;
+use std::fmt;
 
 use crate::failure::Failure;
-use crate::session::Stopped;
+
+/// An interrupt ended a chain of stages.
+#[derive(Debug)]
+pub(crate) struct Stopped;
+
+impl fmt::Display for Stopped {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("stopped and saved; the same command continues from here")
+    }
+}
+
+impl StdError for Stopped {}
 
 /// How a command ended. A command line that cannot be parsed exits with 2 before any command runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -10,6 +10,7 @@ mod evaluators;
 mod exit;
 mod failure;
 mod global;
+mod itself;
 mod judge;
 mod local;
 mod progress;
@@ -22,16 +23,11 @@ mod test_set;
 mod trainings;
 
 use std::ffi::OsString;
-use std::{io, process};
 
 use cli::Cli;
-use exit::Exit;
+use exit::{Exit, Stopped};
 use failure::Failure;
-use session::Stopped;
-
-/// Makes the command that starts this program again, ready for arguments: pieces of long jobs may run in child
-/// processes. In the Python package the running executable is the interpreter, so the caller provides the command.
-pub type Itself<'a> = &'a dyn Fn() -> io::Result<process::Command>;
+pub use itself::Itself;
 
 /// Runs a command line, whose first word is the name of the program, and returns its exit code.
 pub fn run(words: impl IntoIterator<Item = OsString>, itself: Itself<'_>) -> u8 {

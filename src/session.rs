@@ -1,6 +1,5 @@
 //! Services of the process for the library crates: signals, clock, progress sink.
 
-use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock, Once};
 use std::time::Instant;
@@ -14,22 +13,10 @@ use train::text::source::TextEncoderSource;
 use train::work::Surroundings;
 
 use crate::device::{arithmetic, device, devices};
-use crate::exit::Exit;
+use crate::exit::{Exit, Stopped};
 
 /// Set by the first interrupt: training saves and ends.
 static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
-
-/// An interrupt ended a chain of stages.
-#[derive(Debug)]
-pub(crate) struct Stopped;
-
-impl fmt::Display for Stopped {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("stopped and saved; the same command continues from here")
-    }
-}
-
-impl std::error::Error for Stopped {}
 
 /// Fails after an interrupt.
 pub(crate) fn go_on() -> Result<(), Stopped> {

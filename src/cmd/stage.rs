@@ -15,11 +15,11 @@ use train::sample::EditTimes;
 use train::work::{Surroundings, device_of, edits, variants};
 use work::{CommitOptions, Failed, Jobs, NewFolder, Outcome, Piece, Plan, Record, Sample, Worker};
 
-use crate::Itself;
 use crate::cmd;
 use crate::device::DeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::itself::Itself;
 use crate::report;
 use crate::session::surroundings;
 use crate::stages::per_window;

@@ -9,7 +9,7 @@ use eval::report::Chart;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::finish::{Done, file_name};
+use super::files::{Failed, file_name};
 use super::plan::{FigureSpecs, Plan, Trained};
 use super::work::{Work, in_json};
 use crate::global::Global;
@@ -51,7 +51,7 @@ pub(super) fn drawn(
     specs: &FigureSpecs<'_>,
     plan: &Plan,
     work: &Work<'_>,
-    done: &mut Done,
+    failed: &mut Failed,
     global: &Global,
 ) -> anyhow::Result<FigureMade> {
     let (figure, judges) = (specs.figure, work.judges());
@@ -71,7 +71,7 @@ pub(super) fn drawn(
                 (scored.scores.rows, scored.trainings)
             }
             Err(error) => {
-                done.fail(name, error)?;
+                failed.add(name, error)?;
                 (Vec::new(), Vec::new())
             }
         };

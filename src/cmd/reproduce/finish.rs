@@ -2,8 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
-use eval::draw::raster::png;
 use eval::judge::Judges;
 use eval::names::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA, is_pooled};
 use eval::report::Report;
@@ -12,6 +10,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::figures::FigureMade;
+use super::files::{Failed, file_name, write, write_drawing};
 use super::made::TableMade;
 use super::plan::Plan;
 use super::work::{Work, in_json};
@@ -19,12 +18,10 @@ use crate::cmd::page;
 use crate::evaluators::WeakJudgeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::{local, report};
+use crate::report;
 
 /// Items in the viewer of the page.
 const SHOWN_ITEMS: usize = 12;
-/// PNG pixels per SVG unit.
-const PNG_ZOOM: f32 = 2.0;
 
 /// Results of a plan so far.
 #[derive(Default)]
@@ -35,22 +32,7 @@ pub(super) struct Done {
     pub(super) figures: Vec<FigureMade>,
     /// Drawings of the pictures.
     pub(super) pictures: Vec<PathBuf>,
-    /// Names of the parts that failed.
-    failed: Vec<String>,
-}
-
-impl Done {
-    /// Records a part that failed. An interrupt or a lock ends the command; after other failures the remaining parts
-    /// continue.
-    pub(super) fn fail(&mut self, part: &str, error: anyhow::Error) -> anyhow::Result<()> {
-        let (exit, error) = (Exit::of_error(&error), error.context(part.to_owned()));
-        if exit != Exit::Failed {
-            return Err(error);
-        }
-        report::error(&error);
-        self.failed.push(part.to_owned());
-        Ok(())
-    }
+    pub(super) failed: Failed,
 }
 
 /// The `--json` document, also `results.json`.
@@ -88,7 +70,7 @@ pub(super) fn finish(
             trainings: Vec::new(),
             figures: Vec::new(),
             pictures: done.pictures,
-            failed: done.failed,
+            failed: done.failed.0,
         },
         record: Vec::new(),
     };
@@ -276,28 +258,4 @@ struct Line<'a> {
     /// Scores of each training, if there are several.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     trainings: Vec<&'a Value>,
-}
-
-fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot create {}", folder.display()))?;
-    }
-    local::write(path, bytes)
-}
-
-/// Writes a drawing of a folder of results as SVG, and as PNG beside it.
-pub(super) fn write_drawing(out: &Path, name: &str, svg: &str) -> anyhow::Result<PathBuf> {
-    let path = out.join("figures").join(format!("{name}.svg"));
-    write(&path, svg.as_bytes())?;
-    write(&path.with_extension("png"), &png(svg, PNG_ZOOM)?)?;
-    Ok(path)
-}
-
-pub(super) fn file_name(text: &str) -> String {
-    let name: String = text
-        .chars()
-        .map(|c| if c.is_alphanumeric() { c } else { '-' })
-        .collect();
-    name.to_lowercase()
 }

@@ -1,6 +1,7 @@
 //! `stance reproduce`
 
 mod figures;
+mod files;
 mod finish;
 mod made;
 mod pictures;
@@ -113,24 +114,28 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         report::note(&format!("system {} of {count}: {name}", place + 1));
         match work.edits_of(system) {
             Ok(edits) => done.edits.push((name.clone(), edits)),
-            Err(error) => done.fail(name, error)?,
+            Err(error) => done.failed.add(name, error)?,
         }
     }
     for table in &plan.tables {
         match tables(table, args.published, &plan, &work, &done.edits, global) {
             Ok(made) => done.tables.extend(made),
-            Err(error) => done.fail(&format!("table {}", table.paper.name()), error)?,
+            Err(error) => done
+                .failed
+                .add(&format!("table {}", table.paper.name()), error)?,
         }
     }
     for figure in &figures {
-        let made = drawn(figure, &plan, &work, &mut done, global)?;
+        let made = drawn(figure, &plan, &work, &mut done.failed, global)?;
         done.figures.push(made);
     }
     for picture in &plan.pictures {
         let systems = plan.systems_named(&picture.systems);
         match pictures::draw(picture, &systems, &done.edits, &plan.out) {
             Ok(drawing) => done.pictures.push(drawing),
-            Err(error) => done.fail(&format!("picture {}", picture.name), error)?,
+            Err(error) => done
+                .failed
+                .add(&format!("picture {}", picture.name), error)?,
         }
     }
     let command = command(args, path, global);

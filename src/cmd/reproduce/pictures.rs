@@ -11,7 +11,7 @@ use eval::draw::strip::{Style, sheet, strip};
 use eval::rows::ItemFacts;
 use serde::Deserialize;
 
-use super::finish::{file_name, write_drawing};
+use super::files::{file_name, write_drawing};
 use crate::cmd::page::strip_of;
 
 /// Section `[[picture]]` of a plan.

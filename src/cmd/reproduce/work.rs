@@ -24,9 +24,9 @@ use train::system::SystemSource;
 
 use super::plan::{Plan, Spec, Trained, Training};
 use crate::evaluators::EvaluatorRuns;
-use crate::exit::Exit;
+use crate::exit::{Exit, Stopped};
 use crate::global::Global;
-use crate::session::{Stopped, text_encoder};
+use crate::session::text_encoder;
 use crate::stages;
 use crate::trainings::side_by_side;
 

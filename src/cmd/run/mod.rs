@@ -14,7 +14,7 @@ use eval::answers::Answered;
 use eval::protocol::Protocol;
 use page::{Done, page, print};
 use pipeline::stage;
-use serde_json::Value;
+use plan::Trained;
 use train::checkpoint::Start;
 use train::kind::TrainRequest;
 use train::registry;
@@ -177,17 +177,6 @@ fn edit_all(
         edit("runs/captured-alone", None, "captured-alone")?;
     }
     Ok(tables)
-}
-
-struct Trained {
-    /// Report on the editor.
-    editor: Value,
-    /// Report on the encoder; none if the built-in one evaluates.
-    encoder: Option<Value>,
-    /// Whether there is a coordinator.
-    is_guided: bool,
-    /// Whether there is an editor trained only on captured pairs.
-    is_captured_alone: bool,
 }
 
 /// Trains the models that are not trained yet.

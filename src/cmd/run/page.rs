@@ -13,8 +13,7 @@ use eval::report::{Card, Chart, Details, Report, Strip};
 use pipeline::ingest::IngestReport;
 use serde_json::{Value, json};
 
-use super::Trained;
-use super::plan::Plan;
+use super::plan::{Plan, Trained};
 use crate::cmd::eval::tables;
 use crate::cmd::page::{card, opening, strip_of, with_edits};
 use crate::cmd::train::loss_curves;

@@ -195,3 +195,15 @@ impl Model {
         Ok(Self { own, all, seed })
     }
 }
+
+/// Results of the trainings.
+pub(super) struct Trained {
+    /// Report on the editor.
+    pub(super) editor: Value,
+    /// Report on the encoder; none if the built-in one evaluates.
+    pub(super) encoder: Option<Value>,
+    /// Whether there is a coordinator.
+    pub(super) is_guided: bool,
+    /// Whether there is an editor trained only on captured pairs.
+    pub(super) is_captured_alone: bool,
+}
