@@ -32,7 +32,7 @@ pub(crate) struct Args {
     #[arg(required = true)]
     dataset: Option<PathBuf>,
     /// Draw a test set that comes with the program: builtin-1, 300 questions on the built-in corpus
-    #[arg(long, value_name = "NAME", value_parser = [BUILTIN_1], hide_possible_values = true, conflicts_with_all = ["split", "count", "task", "novelty", "ComposeArgs", "ChosenArgs"])]
+    #[arg(long, value_name = "NAME", value_parser = parse_set, conflicts_with_all = ["split", "count", "task", "novelty", "ComposeArgs", "ChosenArgs"])]
     set: Option<String>,
     /// Split to draw from
     #[arg(long, default_value = "test")]
@@ -76,6 +76,13 @@ struct ExportArgs {
     /// New folder to write
     #[arg(long, value_parser = crate::local::path())]
     out: PathBuf,
+}
+
+fn parse_set(name: &str) -> Result<String, String> {
+    match name {
+        BUILTIN_1 => Ok(name.to_owned()),
+        _ => Err(format!("{name:?} is no test set; there is {BUILTIN_1}")),
+    }
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
