@@ -30,8 +30,8 @@ use crate::session::with_session;
 /// Name of the evaluation encoder among the models.
 pub(crate) const ENCODER: &str = "tmr";
 
-/// Makes the dataset of some sources in a folder, or completes it: motions, masks and, with their settings, style pairs.
-/// Also returns the styled motions without a counterpart.
+/// Makes the dataset of some sources in a folder, or completes it: motions, masks and, if there are settings for them,
+/// style pairs. Also returns the styled motions without a counterpart.
 pub(crate) fn dataset(
     (sources, root): (&[SourceArg], &Path),
     config: &IngestConfig,

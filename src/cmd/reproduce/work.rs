@@ -190,8 +190,8 @@ impl<'a> Work<'a> {
         Ok((answered, left_out))
     }
 
-    /// Scores systems, each given by a folder of edits for each of its trainings, and averages over the trainings. Items
-    /// are left out if their source has fewer than `min_frames` frames at the model's rate.
+    /// Scores systems, each given by a folder of edits for each of its trainings, and averages over the trainings.
+    /// Items are left out if their source has fewer than `min_frames` frames at the model's rate.
     pub(super) fn scored(
         &self,
         systems: &[&[PathBuf]],
