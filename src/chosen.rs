@@ -17,8 +17,9 @@ pub(crate) struct ChosenArgs {
 impl ChosenArgs {
     /// The condition as it was written.
     pub(crate) fn text(&self) -> Option<String> {
-        let condition = self.condition.as_ref()?;
-        Some(condition.text().to_owned())
+        self.condition
+            .as_ref()
+            .map(|condition| condition.text().to_owned())
     }
 
     /// Opens and verifies a dataset, and restricts it to the chosen clips.

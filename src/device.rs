@@ -3,8 +3,8 @@
 use std::sync::OnceLock;
 
 use burn::tensor::Device;
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde::Deserialize;
+use serde_json::{Value, json};
 use train::device::{DeviceName, list, open};
 use train::model::pass::{Arithmetic, has_bf16};
 
@@ -27,8 +27,7 @@ pub(crate) struct DeviceArgs {
     no_fused: bool,
 }
 
-/// The options, as stored in a plan of pieces.
-#[derive(Serialize, Deserialize)]
+#[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
     device: String,
@@ -36,22 +35,17 @@ struct Stored {
 }
 
 impl DeviceArgs {
-    /// The options for a plan of pieces.
-    pub(crate) fn to_json(self) -> anyhow::Result<Value> {
-        Ok(serde_json::to_value(Stored {
-            device: self.device.to_string(),
-            no_fused: self.no_fused,
-        })?)
+    /// The options as a plan of pieces stores them.
+    pub(crate) fn to_json(self) -> Value {
+        json!({ "device": self.name(), "no_fused": self.no_fused })
     }
 
-    /// The options stored in a plan.
     pub(crate) fn from_json(options: Value) -> anyhow::Result<Self> {
         let Stored { device, no_fused } = serde_json::from_value(options)?;
         let device = device.parse().map_err(|error| anyhow::anyhow!("{error}"))?;
         Ok(Self { device, no_fused })
     }
 
-    /// Name of the requested device.
     pub(crate) fn name(&self) -> String {
         self.device.to_string()
     }
@@ -98,7 +92,6 @@ impl TrainDeviceArgs {
         matches!(self.one.device, DeviceName::Cpu | DeviceName::Ndarray)
     }
 
-    /// Chooses the devices of this process.
     pub(crate) fn choose(&self) -> anyhow::Result<()> {
         self.one.choose_of(self.devices.into(), self.bf16)
     }
@@ -108,7 +101,6 @@ fn chosen() -> &'static (Vec<Device>, Arithmetic) {
     CHOSEN.get_or_init(|| (vec![Device::flex()], Arithmetic::default()))
 }
 
-/// The devices models run on.
 pub(crate) fn devices() -> &'static [Device] {
     &chosen().0
 }
@@ -131,7 +123,6 @@ pub(crate) fn is_list_asked(words: &[String]) -> bool {
     named || words.iter().any(|word| word == "--device=list")
 }
 
-/// Prints the devices of this machine that this program can use.
 pub(crate) fn print_list(is_json: bool) -> anyhow::Result<Exit> {
     let found = list();
     if is_json {

@@ -23,9 +23,7 @@ use crate::{judge, local, report};
 /// Run folders of the models that motions are evaluated with.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct EvaluatorRuns<'a> {
-    /// The evaluation encoder.
     pub(crate) encoder: &'a Path,
-    /// A coordinator.
     pub(crate) coordinator: Option<&'a Path>,
 }
 
@@ -35,7 +33,6 @@ pub(crate) fn judge_hash(run: &Path) -> anyhow::Result<String> {
 }
 
 impl EvaluatorRuns<'_> {
-    /// Loads the models for motions on a skeleton.
     pub(crate) fn with<T>(
         &self,
         skeleton: &Skeleton,
@@ -91,7 +88,7 @@ fn network(run: &Path) -> anyhow::Result<TmrEncoder> {
     Ok(encoder.with_arithmetic(arithmetic()))
 }
 
-fn in_double(latents: Vec<Vec<f32>>) -> Vec<Vec<f64>> {
+fn in_double(latents: Vec<Vec<f32>>) -> Latents {
     latents
         .into_iter()
         .map(|latent| latent.into_iter().map(f64::from).collect())
@@ -141,26 +138,31 @@ pub(crate) fn encoder_retrieval(
 ) -> anyhow::Result<(usize, Vec<CrossRetrieval>)> {
     protocol.check()?;
     let encoder = network(run)?;
-    let clips = captioned_clips(&Dataset::open(root)?, split)?;
+    let mut clips = captioned_clips(&Dataset::open(root)?, split)?;
     let kept: BTreeSet<usize> = protocol.scored_items(clips.len())?.into_iter().collect();
-    let clips: Vec<&CaptionedClip> = clips
-        .iter()
-        .enumerate()
-        .filter_map(|(place, clip)| kept.contains(&place).then_some(clip))
-        .collect();
+    let mut places = 0..;
+    clips.retain(|_| places.next().is_some_and(|place| kept.contains(&place)));
     if clips.is_empty() {
         bail!("no clip of split {split} has a caption; choose another split with --split");
     }
-    let texts: Vec<&str> = clips.iter().map(|clip| clip.captions[0].as_str()).collect();
-    let motions: Vec<&Motion> = clips.iter().map(|clip| &clip.motion).collect();
-    let repeats = eval::judge::encoder_retrieval(
-        &texts,
-        &in_double(encoder.encode_texts(&texts)?),
-        &in_double(encoder.encode(&motions)?),
-        protocol,
-    )?;
+    let (texts, [of_texts, of_motions]) = latents(&encoder, &clips)?;
+    let repeats = eval::judge::encoder_retrieval(&texts, &of_texts, &of_motions, protocol)?;
     let repeats = repeats.into_iter().map(|(_, ranks)| ranks.retrieval());
     Ok((clips.len(), repeats.collect()))
+}
+
+/// Latent vectors by text or motion.
+type Latents = Vec<Vec<f64>>;
+
+/// The first caption of each clip, and the latent vectors of these captions and of the motions.
+fn latents<'a>(
+    encoder: &TmrEncoder,
+    clips: &'a [CaptionedClip],
+) -> anyhow::Result<(Vec<&'a str>, [Latents; 2])> {
+    let texts: Vec<&str> = clips.iter().map(|clip| clip.captions[0].as_str()).collect();
+    let motions: Vec<&Motion> = clips.iter().map(|clip| &clip.motion).collect();
+    let of_texts = in_double(encoder.encode_texts(&texts)?);
+    Ok((texts, [of_texts, in_double(encoder.encode(&motions)?)]))
 }
 
 /// Measures how well the texts and motions of a trained encoder retrieve each other on the validation clips of its
@@ -172,12 +174,11 @@ pub(crate) fn report_on_encoder(
 ) -> anyhow::Result<JudgeReport> {
     let encoder = TmrEncoder::load(run, Slot::Best, &device())?.with_arithmetic(arithmetic());
     let clips = captioned_clips(dataset, Split::Val)?;
-    let texts: Vec<&str> = clips.iter().map(|clip| clip.captions[0].as_str()).collect();
-    let motions: Vec<&Motion> = clips.iter().map(|clip| &clip.motion).collect();
+    let (texts, [of_texts, of_motions]) = latents(&encoder, &clips)?;
     let report = JudgeReport::measure(
         &texts,
-        &in_double(encoder.encode_texts(&texts)?),
-        &in_double(encoder.encode(&motions)?),
+        &of_texts,
+        &of_motions,
         About {
             encoder_hash: encoder.hash(),
             dataset_hash: &dataset.manifest().root_hash,

@@ -1,15 +1,26 @@
 //! Exit codes. Scripts rely on them.
 
 use std::error::Error as StdError;
+use std::fmt;
 
 use crate::failure::Failure;
+
+/// An interrupt ended a chain of stages.
+#[derive(Debug)]
+pub(crate) struct Stopped;
+
+impl fmt::Display for Stopped {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("stopped and saved; the same command continues from here")
+    }
+}
+
+impl StdError for Stopped {}
 
 /// How a command ended. A command line that cannot be parsed exits with 2 before any command runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Exit {
-    /// Done.
     Done,
-    /// Could not finish.
     Failed,
     /// The command line is ambiguous.
     Usage,
@@ -22,10 +33,27 @@ pub(crate) enum Exit {
 }
 
 impl Exit {
+    /// The exit of a command that finished; `are_some` says whether items were quarantined.
+    pub(crate) fn quarantined_if(are_some: bool) -> Self {
+        match are_some {
+            true => Self::Quarantined,
+            false => Self::Done,
+        }
+    }
+
+    /// The exit of a check, or of work some of which may have failed.
+    pub(crate) fn done_if(has_passed: bool) -> Self {
+        match has_passed {
+            true => Self::Done,
+            false => Self::Failed,
+        }
+    }
+
     /// The code of a command that ended with an error.
     pub(crate) fn of_error(error: &anyhow::Error) -> Self {
         let is_stop = |cause: &(dyn StdError + 'static)| {
             matches!(cause.downcast_ref(), Some(train::Error::Stopped { .. }))
+                || cause.is::<Stopped>()
         };
         match Failure::of_error(error).code {
             "E-LOCKED" | "E-OVERTAKEN" => Self::Locked,
@@ -35,7 +63,6 @@ impl Exit {
         }
     }
 
-    /// The exit code as a number.
     pub(crate) fn code(self) -> u8 {
         match self {
             Self::Done => 0,

@@ -16,11 +16,9 @@ pub(crate) struct Failure {
     pub(crate) reason: String,
 }
 
-/// Code of failures without a specific code.
 const FAILED: &str = "E-FAILED";
 
 impl Failure {
-    /// The failure of a command that ended with an error.
     pub(crate) fn of_error(error: &anyhow::Error) -> Self {
         let (code, item) = error.chain().find_map(known).unwrap_or((FAILED, None));
         Self {
@@ -30,7 +28,6 @@ impl Failure {
         }
     }
 
-    /// A command line that cannot be parsed.
     pub(crate) fn of_usage(error: &clap::Error) -> Self {
         let text = error.to_string();
         // The usage and a hint follow after an empty line.

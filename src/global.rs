@@ -17,7 +17,7 @@ use crate::report;
 pub(crate) struct Global {
     /// Worker threads; results do not depend on it [default: all cores]
     #[arg(long, global = true, value_parser = clap::value_parser!(u16).range(1..))]
-    threads: Option<u16>,
+    pub(crate) threads: Option<u16>,
     /// Seed of every draw, instead of the seeds in settings files [default: 0]
     #[arg(long, global = true)]
     seed: Option<u64>,
@@ -45,11 +45,6 @@ impl Global {
         Ok(())
     }
 
-    /// Worker threads, if they are given.
-    pub(crate) fn threads(&self) -> Option<u16> {
-        self.threads
-    }
-
     pub(crate) fn seed(&self) -> Seed {
         self.seed_or(None)
     }
@@ -60,7 +55,6 @@ impl Global {
             .map_or(String::new(), |seed| format!(" --seed {seed}"))
     }
 
-    /// `--seed`, if it is given.
     pub(crate) fn given_seed(&self) -> Option<u64> {
         self.seed
     }
@@ -70,7 +64,6 @@ impl Global {
         Seed(self.seed.or(own).unwrap_or(0))
     }
 
-    /// Runs a stage.
     pub(crate) fn stage<T, E>(
         &self,
         act: impl FnOnce(&Context<'_>) -> Result<T, E>,
@@ -124,7 +117,6 @@ where
     })
 }
 
-/// Named settings of models.
 pub(crate) const PRESETS: Names<Preset> = &[
     ("tiny", Preset::Tiny, "Small: minutes on two cores"),
     ("paper", Preset::Paper, "What the paper says"),

@@ -50,12 +50,10 @@ impl EncoderConfig {
     /// The encoder that ships with the program.
     pub(crate) const BUILTIN: Self = Self::Named(Builtin::Builtin);
 
-    /// Whether this is the built-in encoder.
     pub(crate) fn is_builtin(&self) -> bool {
         matches!(self, Self::Named(_))
     }
 
-    /// Settings that override the preset's.
     pub(crate) fn settings(&self) -> Map<String, Value> {
         match self {
             Self::Named(_) => Map::new(),
@@ -69,7 +67,6 @@ pub(crate) fn is_builtin(run: &Path) -> bool {
     run == Path::new(BUILTIN)
 }
 
-/// The built-in encoder.
 pub(crate) fn load() -> anyhow::Result<TmrEncoder> {
     let name = Path::new(BUILTIN);
     Ok(TmrEncoder::from_bytes(CONFIG, WEIGHTS, name, &device())?)
@@ -81,7 +78,6 @@ pub(crate) fn check_skeleton(skeleton: &Skeleton) -> anyhow::Result<()> {
     Ok(check_skeleton_of(CONFIG, name, "the encoder", skeleton)?)
 }
 
-/// Report of the built-in encoder.
 pub(crate) fn report() -> anyhow::Result<JudgeReport> {
     serde_json::from_str(REPORT).context("the report of the built-in encoder")
 }

@@ -25,12 +25,9 @@ mod trainings;
 use std::ffi::OsString;
 
 use cli::Cli;
-use exit::Exit;
+use exit::{Exit, Stopped};
 use failure::Failure;
 pub use itself::Itself;
-
-/// Exit code of usage errors.
-const USAGE: u8 = 2;
 
 /// Runs a command line, whose first word is the name of the program, and returns its exit code.
 pub fn run(words: impl IntoIterator<Item = OsString>, itself: Itself<'_>) -> u8 {
@@ -48,13 +45,7 @@ fn run_words(words: &[OsString], itself: Itself<'_>) -> u8 {
         .collect();
     let has_json = texts.iter().any(|word| word == "--json");
     if device::is_list_asked(&texts) {
-        return match device::print_list(has_json) {
-            Ok(exit) => exit.code(),
-            Err(error) => {
-                report::error(&error);
-                Exit::of_error(&error).code()
-            }
-        };
+        return ended(device::print_list(has_json), has_json);
     }
     let cli = match Cli::of_words(words) {
         Ok(cli) => cli,
@@ -65,18 +56,29 @@ fn run_words(words: &[OsString], itself: Itself<'_>) -> u8 {
             }
             // A closed pipe is not an error.
             let _printed = error.print();
-            return if error.use_stderr() { USAGE } else { 0 };
+            return match error.use_stderr() {
+                true => Exit::Usage.code(),
+                false => Exit::Done.code(),
+            };
         }
     };
     let registered = remote_store::register().map_err(anyhow::Error::from);
-    match registered.and_then(|()| cli.run(itself)) {
-        Ok(exit) => exit.code(),
-        Err(error) => {
-            report::error(&error);
-            if cli.json() {
-                report::failure(&Failure::of_error(&error));
-            }
-            Exit::of_error(&error).code()
-        }
+    ended(registered.and_then(|()| cli.run(itself)), cli.global.json)
+}
+
+/// Reports the error of a command, if there is one, and returns the exit code.
+fn ended(result: anyhow::Result<Exit>, is_json: bool) -> u8 {
+    let error = match result {
+        Ok(exit) => return exit.code(),
+        Err(error) => error,
+    };
+    if error.is::<Stopped>() {
+        report::note(&Stopped.to_string());
+        return Exit::Interrupted.code();
     }
+    report::error(&error);
+    if is_json {
+        report::failure(&Failure::of_error(&error));
+    }
+    Exit::of_error(&error).code()
 }

@@ -13,7 +13,6 @@ pub(crate) fn path() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(|path| check(&path).map(|()| path))
 }
 
-/// Refuses a URL.
 pub(crate) fn check(path: &Path) -> Result<(), String> {
     match is_url(path) {
         true => Err(format!(
@@ -24,12 +23,10 @@ pub(crate) fn check(path: &Path) -> Result<(), String> {
     }
 }
 
-/// Reads a file.
 pub(crate) fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
     fs::read(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
-/// Reads a file of text.
 pub(crate) fn read_text(path: &Path) -> anyhow::Result<String> {
     fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
 }

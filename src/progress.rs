@@ -2,7 +2,7 @@
 
 use std::io::IsTerminal;
 use std::path::Path;
-use std::sync::{LazyLock, Mutex};
+use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use datasets_spec::Progress;
@@ -41,12 +41,14 @@ impl Bars {
         Self { folder, ..self }
     }
 
+    /// Moves the bar to a number of items that are done.
+    pub(crate) fn advance_to(&self, done: u64) {
+        self.with_bar(|bar| bar.set_position(done));
+    }
+
     fn with_bar(&self, act: impl FnOnce(&ProgressBar)) {
         // A panic of another thread that advanced a bar does not affect the next line.
-        let current = match self.current.lock() {
-            Ok(current) => current,
-            Err(poisoned) => poisoned.into_inner(),
-        };
+        let current = self.current.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, bar, _)) = current.as_ref() {
             act(bar);
         }

@@ -7,7 +7,9 @@
 use std::borrow::Cow;
 use std::io::Write;
 
+use datasets_spec::manifest::Accounting;
 use serde::Serialize;
+use serde_json::Value;
 
 use crate::failure::Failure;
 
@@ -24,10 +26,17 @@ pub(crate) fn json<T: Serialize>(value: &T) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Prints a failure for programs.
+/// A document with the fields of two.
+#[derive(Serialize)]
+pub(crate) struct Joined<'a, T> {
+    #[serde(flatten)]
+    pub(crate) own: Value,
+    #[serde(flatten)]
+    pub(crate) all_of: &'a T,
+}
+
 pub(crate) fn failure(failure: &Failure) {
-    let document = serde_json::to_string_pretty(failure).expect("texts serialise");
-    text(&document);
+    json(failure).expect("texts serialise");
 }
 
 /// Appends a list under a title, unless the list is empty.
@@ -47,6 +56,14 @@ pub(crate) fn listing(lines: &[String]) -> String {
         text += &format!("  and {} more; --json lists all\n", lines.len() - SHOWN);
     }
     text
+}
+
+/// Where the sources of a dataset went, in one line.
+pub(crate) fn accounted(accounting: &Accounting) -> String {
+    format!(
+        "{} sources = {} ingested + {} quarantined + {} skipped",
+        accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
+    )
 }
 
 /// Lines up rows of cells in columns. Columns for which `is_right` holds are aligned to the right, others to the left.
@@ -73,7 +90,6 @@ pub(crate) fn flush() {
     let _flushed = std::io::stdout().flush();
 }
 
-/// Prints a note to stderr.
 pub(crate) fn note(text: &str) {
     eprintln!("{}", printable(text));
 }

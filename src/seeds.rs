@@ -11,41 +11,21 @@ use crate::global::Global;
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Seeds {
     /// Seed of the draws when the dataset is made: the split of new clips, and the pairs.
-    split: Option<u64>,
+    pub(crate) split: Option<u64>,
     /// Seed of the test items.
-    items: Option<u64>,
+    pub(crate) items: Option<u64>,
     /// Seed of weights, noise and the training stream.
-    train: Option<u64>,
+    pub(crate) train: Option<u64>,
     /// Seed of the sampling noise of edits.
-    sample: Option<u64>,
+    pub(crate) sample: Option<u64>,
 }
 
 impl Seeds {
-    pub(crate) fn split(&self, global: &Global) -> Seed {
-        global.seed_or(self.split)
-    }
-
-    pub(crate) fn items(&self, global: &Global) -> Seed {
-        global.seed_or(self.items)
-    }
-
-    pub(crate) fn train(&self, global: &Global) -> Seed {
-        global.seed_or(self.train)
-    }
-
-    pub(crate) fn sample(&self, global: &Global) -> Seed {
-        global.seed_or(self.sample)
-    }
-
     /// All seeds in words, for a report.
     pub(crate) fn in_words(&self, global: &Global) -> String {
-        format!(
-            "split {}, items {}, training {}, sampling {}",
-            self.split(global).0,
-            self.items(global).0,
-            self.train(global).0,
-            self.sample(global).0
-        )
+        let [split, items, train, sample] =
+            [self.split, self.items, self.train, self.sample].map(|seed| global.seed_or(seed).0);
+        format!("split {split}, items {items}, training {train}, sampling {sample}")
     }
 
     /// The seed of a model whose own settings may hold one; `resolved` is the seed in its settings, completed by the

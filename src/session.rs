@@ -13,21 +13,17 @@ use train::text::source::TextEncoderSource;
 use train::work::Surroundings;
 
 use crate::device::{arithmetic, device, devices};
-use crate::exit::Exit;
-use crate::report;
+use crate::exit::{Exit, Stopped};
 
 /// Set by the first interrupt: training saves and ends.
 static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
-/// Whether an interrupt has ended the work.
-pub(crate) fn is_stopped() -> bool {
-    STOP.load(Ordering::Relaxed)
-}
-
-/// Reports an interrupt between two stages of a chain.
-pub(crate) fn stopped() -> Exit {
-    report::note("stopped and saved; the same command continues from here");
-    Exit::Interrupted
+/// Fails after an interrupt.
+pub(crate) fn go_on() -> Result<(), Stopped> {
+    match STOP.load(Ordering::Relaxed) {
+        true => Err(Stopped),
+        false => Ok(()),
+    }
 }
 
 /// Turns the first interrupt into a request to save and end; a second one ends at once.

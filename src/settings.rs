@@ -10,7 +10,6 @@ use train::config::SettingError;
 
 use crate::local;
 
-/// Reads a TOML file.
 pub(crate) fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<T> {
     parse(&local::read_text(path)?, path)
 }

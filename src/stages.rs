@@ -3,35 +3,46 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use compose::ItemConfig;
-use datasets_spec::{Dataset, Progress, Seed, Split};
+use anyhow::Context;
+use compose::recording::{self, Kind, Settings};
+use compose::{ComposeConfig, ItemConfig};
+use datasets_spec::{Dataset, MotionId, Seed, Split};
 use eval::answers::{Answered, Scores};
+use eval::judge::JudgeReport;
 use eval::protocol::Protocol;
 use eval::times::WindowTimes;
+use pipeline::annotation::masks::MaskConfig;
+use pipeline::annotation::pairs::PairConfig;
 use pipeline::ingest::{IngestReport, SourceArg, ingest};
-use pipeline::stage::{self, IngestConfig};
+use pipeline::stage::{self, IngestConfig, Judged};
+use train::kind::{ModelKind, TrainRequest, Trained};
 use train::registry::open_system;
 use train::sample::EditTimes;
 use train::system::{Answers, EditConfig, Remarks, SystemSource, answer_items};
 
 use crate::cmd::ingest::summary;
 use crate::device::device;
-use crate::evaluators::EvaluatorRuns;
+use crate::evaluators::{EvaluatorRuns, report_on_encoder};
 use crate::global::Global;
 use crate::report;
 use crate::session::with_session;
 
-/// Ingests sources, or continues an ingestion.
-pub(crate) fn ingested(
-    sources: &[SourceArg],
-    root: &Path,
+/// Name of the evaluation encoder among the models.
+pub(crate) const ENCODER: &str = "tmr";
+
+/// Makes the dataset of some sources in a folder, or completes it: motions, masks and, if there are settings for them,
+/// style pairs. Also returns the styled motions without a counterpart.
+pub(crate) fn dataset(
+    (sources, root): (&[SourceArg], &Path),
     config: &IngestConfig,
+    masks: &MaskConfig,
+    pairs: Option<&PairConfig>,
     seed: Seed,
     global: &Global,
-    progress: &dyn Progress,
-) -> anyhow::Result<IngestReport> {
-    let options = config.options(seed)?;
-    let done = ingest(sources, root, &options, &global.holder(), progress)?;
+) -> anyhow::Result<(IngestReport, Vec<MotionId>)> {
+    let options = config.options(seed).context("stage ingest")?;
+    let done = ingest(sources, root, &options, &global.holder(), &global.bars())
+        .context("stage ingest")?;
     let is_partial = done.accounting.quarantined > 0 || !done.refused_pairs.is_empty();
     if is_partial && !global.json {
         report::note(&summary(&done));
@@ -40,10 +51,55 @@ pub(crate) fn ingested(
             report::note(&format!("note: {remark}"));
         }
     }
-    Ok(done)
+    global
+        .stage(|context| stage::masks(root, masks, Judged::Keep, None, context))
+        .context("stage masks")?;
+    let Some(pairs) = pairs else {
+        return Ok((done, Vec::new()));
+    };
+    let (_, alone) = global
+        .stage(|context| stage::pairs(root, pairs, seed, None, context))
+        .context("stage pairs")?;
+    Ok((done, alone))
 }
 
-/// Draws test questions.
+pub(crate) fn triplets(
+    [root, out]: [&Path; 2],
+    count: u64,
+    config: &ComposeConfig,
+    seed: Seed,
+    global: &Global,
+) -> anyhow::Result<Dataset> {
+    let settings = Settings {
+        kind: Kind::Triplets,
+        count,
+        config: config.clone(),
+        seed,
+        condition: None,
+    };
+    global
+        .stage(|context| recording::record(root, out, &settings, context))
+        .context("stage triplets")
+}
+
+/// Trains a model. An evaluation encoder that is complete gets a report on how well it retrieves.
+pub(crate) fn trained(
+    kind: &ModelKind,
+    request: &TrainRequest<'_>,
+    global: &Global,
+) -> anyhow::Result<(Trained, Option<JudgeReport>)> {
+    let run = request.start.run;
+    let done = with_session(&global.bars().of(run), |session| {
+        (kind.train)(request, session)
+    })?;
+    if kind.name != ENCODER || !done.is_complete {
+        return Ok((done, None));
+    }
+    let seed = Seed(request.seed.unwrap_or_default());
+    let report = report_on_encoder(request.dataset, run, seed).context("report on the encoder")?;
+    Ok((done, Some(report)))
+}
+
 pub(crate) fn items(
     dataset: &Dataset,
     out: &Path,
@@ -63,7 +119,6 @@ pub(crate) fn items(
     Ok(drawn.dataset)
 }
 
-/// Answers items with a trained system.
 pub(crate) fn edits(
     items: &Path,
     source: &SystemSource,
@@ -93,7 +148,6 @@ pub(crate) fn edits(
     Ok(made)
 }
 
-/// Prints warnings about edits.
 pub(crate) fn note_remarks(remarks: &Remarks) {
     for line in remarks.lines() {
         report::note(&line);
@@ -109,7 +163,6 @@ pub(crate) fn unknown_words(edits: &[PathBuf]) -> anyhow::Result<BTreeSet<String
     Ok(words)
 }
 
-/// The times of editing per window.
 pub(crate) fn per_window(times: &EditTimes) -> WindowTimes {
     let windows = times.num_windows.max(1) as f64;
     WindowTimes {

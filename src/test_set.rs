@@ -3,34 +3,14 @@
 //! It is not stored: corpus, dataset and items follow from seed 0, and its digest is a constant below.
 
 use std::path::Path;
-use std::str::FromStr;
 
 use compose::{ItemConfig, ItemCount, Novelty};
 use corpus::{CorpusOptions, HELD_OUT_CLIPS, PAIR_LIST};
 use datasets_spec::Seed;
 
-/// A test set by its name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum TestSet {
-    /// Questions on the built-in corpus, in thirds by what training has shown: another take, other combinations, or no
-    /// such action.
-    Builtin1,
-}
-
-impl FromStr for TestSet {
-    type Err = String;
-
-    fn from_str(name: &str) -> Result<Self, String> {
-        match name {
-            BUILTIN_1 => Ok(Self::Builtin1),
-            _ => Err(format!("{name:?} is no test set; there is {BUILTIN_1}")),
-        }
-    }
-}
-
-/// Name of the set.
+/// Name of the set: questions on the built-in corpus, in thirds by what training has shown: another take, other
+/// combinations, or no such action.
 pub(crate) const BUILTIN_1: &str = "builtin-1";
-/// Number of items in the set.
 const COUNT: usize = 300;
 /// Number of items that the demo is scored on, unless all are requested.
 const PART: usize = 150;
@@ -39,7 +19,6 @@ const DIGEST: &str = "099accb8ce2b9bbe74622c0a5611bf21";
 /// Adjusted clips per neutral clip, which make the fine-grained pairs.
 pub(crate) const ADJUSTED: usize = 2;
 
-/// The corpus that the items are drawn from.
 pub(crate) fn corpus(seed: Seed) -> CorpusOptions {
     CorpusOptions {
         clips: HELD_OUT_CLIPS,

@@ -8,14 +8,14 @@ use rayon::ThreadPoolBuilder;
 use train::config::Preset;
 
 use crate::device::TrainDeviceArgs;
-use crate::session::is_stopped;
+use crate::session::go_on;
 
 /// Options of verbs that train several models.
 #[derive(Clone, Copy, Debug, clap::Args)]
 #[command(next_help_heading = "Model options")]
 pub(crate) struct TrainingsArgs {
     #[command(flatten)]
-    device: TrainDeviceArgs,
+    pub(crate) device: TrainDeviceArgs,
     /// Trainings at a time, each with its share of the threads; results do not depend on it [default: 2 for preset tiny
     /// on the CPU, else 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
@@ -23,11 +23,6 @@ pub(crate) struct TrainingsArgs {
 }
 
 impl TrainingsArgs {
-    /// Chooses the devices of this process.
-    pub(crate) fn choose(&self) -> anyhow::Result<()> {
-        self.device.choose()
-    }
-
     /// Trainings at a time. Two trainings of a small model, on one thread each, take 1.6 times as many windows per
     /// second as one on two threads. Memory limits how many large models train together.
     pub(crate) fn at_once(&self, preset: Preset) -> usize {
@@ -41,19 +36,19 @@ impl TrainingsArgs {
 }
 
 /// Calls `act` on every piece, on `at_once` pieces at a time, each with its share of the worker threads. Returns the
-/// results in the order of the pieces, or none after an interrupt. After an error, no further piece starts.
+/// results in the order of the pieces. After an error or an interrupt, no further piece starts.
 pub(crate) fn side_by_side<T: Send, R: Send>(
     pieces: Vec<T>,
     at_once: usize,
     act: impl Fn(T) -> anyhow::Result<R> + Sync,
-) -> anyhow::Result<Option<Vec<R>>> {
+) -> anyhow::Result<Vec<R>> {
     let threads = (rayon::current_num_threads() / at_once).max(1);
     let waiting = Mutex::new(pieces.into_iter().enumerate());
     let has_failed = AtomicBool::new(false);
     let work = || -> anyhow::Result<Vec<(usize, R)>> {
         let pool = ThreadPoolBuilder::new().num_threads(threads).build()?;
         let mut done = Vec::new();
-        while !is_stopped() && !has_failed.load(Ordering::Relaxed) {
+        while go_on().is_ok() && !has_failed.load(Ordering::Relaxed) {
             let next = waiting.lock().expect("no piece panics with it").next();
             let Some((place, piece)) = next else {
                 break;
@@ -80,11 +75,9 @@ pub(crate) fn side_by_side<T: Send, R: Send>(
             .collect()
     });
     let mut done: Vec<(usize, R)> = done?.into_iter().flatten().collect();
-    if is_stopped() {
-        return Ok(None);
-    }
+    go_on()?;
     done.sort_by_key(|&(place, _)| place);
-    Ok(Some(done.into_iter().map(|(_, result)| result).collect()))
+    Ok(done.into_iter().map(|(_, result)| result).collect())
 }
 
 #[cfg(test)]
@@ -103,7 +96,7 @@ mod tests {
             anyhow::Ok(10 * piece)
         };
         let done = side_by_side((0..6).collect(), 2, act).expect("no error");
-        assert_eq!(done, Some(vec![0, 10, 20, 30, 40, 50]));
+        assert_eq!(done, [0, 10, 20, 30, 40, 50]);
     }
 
     #[test]
@@ -114,9 +107,9 @@ mod tests {
             side_by_side(vec![(); 3], at_once, act).expect("no error")
         };
         pool.expect("a pool").install(|| {
-            assert_eq!(shares(1), Some(vec![6; 3]));
-            assert_eq!(shares(3), Some(vec![2; 3]));
-            assert_eq!(shares(12), Some(vec![1; 3]));
+            assert_eq!(shares(1), [6; 3]);
+            assert_eq!(shares(3), [2; 3]);
+            assert_eq!(shares(12), [1; 3]);
         });
     }
 

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Split};
-use formats::source::{Format, format_named};
+use formats::source::format_named;
 use rayon::prelude::*;
 
 use crate::Error;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use compose::ComposeConfig;
-use compose::recording::{self, Kind, Settings};
+use datasets_spec::Dataset;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, TripletRow};
 use datasets_spec::table::Row;
 use pipeline::annotation::masks::MaskConfig;
@@ -12,11 +12,13 @@ use pipeline::annotation::pairs::PairConfig;
 use pipeline::clips::Clips;
 use pipeline::export::{Layout, export};
 use pipeline::ingest::SourceArg;
-use pipeline::stage::{self, IngestConfig, Judged};
-use serde::{Deserialize, Serialize};
+use pipeline::stage::IngestConfig;
+use serde::Deserialize;
 
+use crate::cmd::export::layout_named;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::report::accounted;
 use crate::{settings, stages};
 
 /// Build a dataset from one file of settings: motions, masks, pairs, splits, triplets.
@@ -36,8 +38,7 @@ pub(crate) struct Args {
     out: Option<PathBuf>,
 }
 
-/// The configuration file.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BuildConfig {
     /// Files, folders and URLs to ingest, each as NAME=PATH or a path.
@@ -63,95 +64,68 @@ fn default_triplets() -> u64 {
     256
 }
 
-/// The `--json` document.
-#[derive(Serialize)]
-struct Document {
-    dataset: PathBuf,
-    triplets: PathBuf,
-    exports: Vec<PathBuf>,
-    accounting: datasets_spec::manifest::Accounting,
-    motions: u64,
-    masks: u64,
-    pairs: u64,
-    alone: usize,
-    recorded: u64,
-    root_hash: String,
-}
-
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let config = read(args)?;
-    let bars = global.bars();
-    let root = config.out.join("dataset");
-    let ingested = stages::ingested(
-        &config.sources,
-        &root,
+    let (root, seed) = (config.out.join("dataset"), global.seed());
+    let (ingested, alone) = stages::dataset(
+        (&config.sources, &root),
         &config.ingest,
-        global.seed(),
-        global,
-        &bars,
-    )
-    .context("stage ingest")?;
-    global
-        .stage(|context| stage::masks(&root, &config.masks, Judged::Keep, None, context))
-        .context("stage masks")?;
-    let seed = global.seed();
-    let alone = match &config.pairs {
-        Some(pairs) => {
-            global
-                .stage(|context| stage::pairs(&root, pairs, seed, None, context))
-                .context("stage pairs")?
-                .1
-        }
-        None => Vec::new(),
-    };
-    let triplets = config.out.join("triplets");
-    let settings = Settings {
-        kind: Kind::Triplets,
-        count: config.triplets,
-        config: config.compose.clone(),
+        &config.masks,
+        config.pairs.as_ref(),
         seed,
-        condition: None,
-    };
-    let recorded = global
-        .stage(|context| recording::record(&root, &triplets, &settings, context))
-        .context("stage triplets")?;
-    let dataset = datasets_spec::Dataset::open(&root)?;
+        global,
+    )?;
+    let triplets = config.out.join("triplets");
+    let (count, compose) = (config.triplets, &config.compose);
+    let recorded = stages::triplets([&root, &triplets], count, compose, seed, global)?;
+    let dataset = Dataset::open(&root)?;
     let mut exports = Vec::new();
     for name in &config.export {
-        let layout = Layout::ALL
-            .into_iter()
-            .find(|layout| layout.as_str() == name)
-            .with_context(|| {
-                let known = Layout::ALL.map(Layout::as_str).join(", ");
-                format!("[export] names {name:?}, which is none of {known}")
-            })?;
+        let layout = layout_named(name).with_context(|| {
+            let known = Layout::ALL.map(Layout::as_str).join(", ");
+            format!("[export] names {name:?}, which is none of {known}")
+        })?;
         let out = config.out.join(name);
         // An export appears complete or not at all and depends only on the dataset, so an existing one is current.
         if !out.exists() {
-            export(&Clips::all(&dataset), layout, &out, &bars)
+            export(&Clips::all(&dataset), layout, &out, &global.bars())
                 .with_context(|| format!("stage export {name}"))?;
         }
         exports.push(out);
     }
-    let manifest = dataset.manifest();
-    let document = Document {
-        dataset: root,
-        triplets,
-        exports,
-        accounting: ingested.accounting.clone(),
-        motions: manifest.rows(MotionRow::TABLE, None),
-        masks: manifest.rows(MaskRow::TABLE, None),
-        pairs: manifest.rows(PairRow::TABLE, None),
-        alone: alone.len(),
-        recorded: recorded.manifest().rows(TripletRow::TABLE, None),
-        root_hash: manifest.root_hash.clone(),
-    };
-    global.say(&document, &summary(&document))?;
-    Ok(if ingested.accounting.quarantined > 0 {
-        Exit::Quarantined
-    } else {
-        Exit::Done
-    })
+    let (accounting, manifest) = (&ingested.accounting, dataset.manifest());
+    let counts = [MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE];
+    let [motions, masks, pairs] = counts.map(|table| manifest.rows(table, None));
+    let recorded = recorded.manifest().rows(TripletRow::TABLE, None);
+    let mut lines = vec![
+        accounted(accounting),
+        format!("motions   {motions:>8}"),
+        format!("masks     {masks:>8}"),
+        format!(
+            "pairs     {pairs:>8}   {} styled motions have no counterpart in their split",
+            alone.len()
+        ),
+        format!("triplets  {recorded:>8}"),
+        format!("dataset   {}", root.display()),
+        format!("recorded  {}", triplets.display()),
+    ];
+    let written = exports.iter();
+    lines.extend(written.map(|path| format!("export    {}", path.display())));
+    lines.push(format!("root hash {}", manifest.root_hash));
+    let document = serde_json::json!({
+        "dataset": root,
+        "triplets": triplets,
+        "exports": exports,
+        "accounting": accounting,
+        "motions": motions,
+        "masks": masks,
+        "pairs": pairs,
+        "alone": alone.len(),
+        "recorded": recorded,
+        "root_hash": manifest.root_hash,
+    });
+    global.say(&document, &lines.join("\n"))?;
+    Ok(Exit::quarantined_if(accounting.quarantined > 0))
 }
 
 fn read(args: &Args) -> anyhow::Result<BuildConfig> {
@@ -175,27 +149,4 @@ fn read(args: &Args) -> anyhow::Result<BuildConfig> {
         bail!("{} names no sources", args.config.display());
     }
     Ok(config)
-}
-
-fn summary(document: &Document) -> String {
-    let accounting = &document.accounting;
-    let mut lines = vec![
-        format!(
-            "{} sources = {} ingested + {} quarantined + {} skipped",
-            accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
-        ),
-        format!("motions   {:>8}", document.motions),
-        format!("masks     {:>8}", document.masks),
-        format!(
-            "pairs     {:>8}   {} styled motions have no counterpart in their split",
-            document.pairs, document.alone
-        ),
-        format!("triplets  {:>8}", document.recorded),
-        format!("dataset   {}", document.dataset.display()),
-        format!("recorded  {}", document.triplets.display()),
-    ];
-    let exports = document.exports.iter();
-    lines.extend(exports.map(|path| format!("export    {}", path.display())));
-    lines.push(format!("root hash {}", document.root_hash));
-    lines.join("\n")
 }

@@ -10,10 +10,11 @@ use anyhow::Context;
 use clap::Subcommand;
 use datasets_spec::Transaction;
 use pipeline::merge::{Merged, merge};
-use serde::Serialize;
+use serde_json::json;
 
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::report::Joined;
 
 /// Versions of a dataset, and datasets made of others.
 ///
@@ -121,15 +122,6 @@ fn summary(done: &Merged) -> String {
     text + &format!("root hash {}\n", done.root_hash)
 }
 
-/// The `--json` document.
-#[derive(Serialize)]
-struct Document {
-    versions: Vec<u64>,
-    files: u64,
-    bytes: u64,
-    dry_run: bool,
-}
-
 fn pruned(args: &Prune, global: &Global) -> anyhow::Result<Exit> {
     // Check that the folder is a dataset: locking would create a missing folder.
     datasets_spec::Dataset::open_unverified(&args.dataset)?;
@@ -142,11 +134,9 @@ fn pruned(args: &Prune, global: &Global) -> anyhow::Result<Exit> {
         done.files,
         done.bytes as f64 / 1e6
     );
-    let document = Document {
-        versions: done.versions,
-        files: done.files,
-        bytes: done.bytes,
-        dry_run: args.dry_run,
+    let document = Joined {
+        own: json!({ "dry_run": args.dry_run }),
+        all_of: &done,
     };
     global.say(&document, &text)
 }

@@ -6,7 +6,8 @@ use compose::ItemCount;
 use corpus::{CLIPS_PER_TAKE, CorpusOptions, PAIR_LIST, write_corpus, write_held_out_corpus};
 use datasets_spec::Seed;
 use pipeline::ingest::SourceArg;
-use train::config::{Preset, RunLength, TrainConfig};
+use serde_json::{Map, Value, json};
+use train::config::RunLength;
 
 use crate::cmd::run::{Plan, RunConfig, finish};
 use crate::evaluators::WeakJudgeArgs;
@@ -47,7 +48,7 @@ const QUICK_STEPS: u64 = 40;
 const QUICK_ITEMS: usize = 24;
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    args.trainings.choose()?;
+    args.trainings.device.choose()?;
     let seed = global.seed();
     let quick = CorpusOptions {
         seed,
@@ -70,18 +71,24 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     config.ingest.pairs = Some(pairs);
     config.stages.composed_once = true;
     config.stages.captured_alone = true;
-    match args.quick {
-        true => config.items.count = ItemCount::Exactly(QUICK_ITEMS),
-        false => config.items = test_set::items(seed, args.full),
-    }
     config.encoder = EncoderConfig::BUILTIN;
-    let mut plan = Plan::new(config, global)?;
     if args.quick {
-        shorten(&mut plan);
+        config.items.count = ItemCount::Exactly(QUICK_ITEMS);
+        config.poses = settings(json!({
+            "length": RunLength::of_steps(QUICK_STEPS),
+            "val_every": QUICK_STEPS / 2,
+            "log_every": QUICK_STEPS / 8,
+        }));
+        config.train = config.poses.clone();
+        config.train.insert("val_windows".to_owned(), 64.into());
+        config.coordinator = config.train.clone();
     } else {
-        plan.train.run.length = RunLength::of_steps(STEPS);
-        plan.coordinator.run.length = RunLength::of_steps(COORDINATOR_STEPS);
+        config.items = test_set::items(seed, args.full);
+        config.train = settings(json!({ "length": RunLength::of_steps(STEPS) }));
+        let length = RunLength::of_steps(COORDINATOR_STEPS);
+        config.coordinator = settings(json!({ "length": length }));
     }
+    let mut plan = Plan::new(config, global)?;
     let mut command = "stance demo".to_owned();
     if args.quick {
         command += " --quick";
@@ -90,26 +97,13 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         command += " --full";
     }
     if seed != Seed(0) {
-        command += &format!(" --seed {}", seed.0);
+        command += &global.seed_option();
     }
     plan.title = "stance demo".to_owned();
     plan.commands = vec![command];
     finish(plan, &args.trainings, args.weak_judge, global)
 }
 
-fn shorten(plan: &mut Plan) {
-    let Plan {
-        train,
-        coordinator,
-        poses,
-        ..
-    } = plan;
-    debug_assert_eq!(train.model, TrainConfig::preset(Preset::Tiny).model);
-    for run in [&mut train.run, &mut coordinator.run, &mut poses.run] {
-        run.length = RunLength::of_steps(QUICK_STEPS);
-        run.val_every = QUICK_STEPS / 2;
-        run.log_every = QUICK_STEPS / 8;
-    }
-    train.val_windows = 64;
-    coordinator.val_windows = 64;
+fn settings(document: Value) -> Map<String, Value> {
+    serde_json::from_value(document).expect("settings are an object")
 }

@@ -166,7 +166,6 @@ impl Args {
         }
     }
 
-    /// Opens the system for motions on a skeleton.
     fn system(&self, skeleton: &Skeleton) -> anyhow::Result<Box<dyn EditSystem>> {
         Ok(open_system(
             &self.source(),
@@ -175,25 +174,19 @@ impl Args {
             &device(),
         )?)
     }
-}
 
-impl Args {
-    /// Plans the answers to items for any number of processes.
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
         self.device.choose()?;
         let (Some(items), [out]) = (&self.items, self.out.as_slice()) else {
             bail!("answers to items are planned: --items ITEMS --into DIR");
         };
-        let settings = (&self.config(), global.seed());
-        let device = self.device.to_json()?;
-        let surroundings = surroundings();
         Ok(plan_edits(
             &self.source(),
             items,
             out,
-            settings,
-            device,
-            surroundings,
+            (&self.config(), global.seed()),
+            self.device.to_json(),
+            surroundings(),
             plan,
         )?)
     }
@@ -268,6 +261,11 @@ fn asked(args: &Args, motion: &Motion) -> Vec<Vec<TimedInstruction>> {
     texts.map(|text| vec![whole(text, motion)]).collect()
 }
 
+fn texts<'a>(instructions: impl IntoIterator<Item = &'a TimedInstruction>) -> Vec<String> {
+    let instructions = instructions.into_iter();
+    instructions.map(|asked| asked.text.clone()).collect()
+}
+
 fn opened(args: &Args, motion: &str, skeleton: &Skeleton) -> anyhow::Result<Motion> {
     match &args.dataset {
         Some(dataset) if !Path::new(motion).is_file() => {
@@ -295,14 +293,10 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
     let skeleton = skeleton(args)?;
     let original = opened(args, id, &skeleton)?;
     let layers = asked(args, &original);
-    let texts: Vec<String> = layers
-        .iter()
-        .flatten()
-        .map(|asked| asked.text.clone())
-        .collect();
+    let texts = texts(layers.iter().flatten());
     let seed = global.seed();
     let mut system = args.system(&skeleton)?;
-    let remarks = remarks(&*system, &original, &layers);
+    let remarks = remarks(&*system, &original, &texts);
     let edited = with_session(&global.bars(), |session| {
         system.prepare(&texts, session)?;
         edit_layers(&*system, id, &original, &layers, seed, session)
@@ -323,12 +317,8 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
 }
 
 /// Warnings about edits of a motion. They are also printed.
-fn remarks(system: &dyn EditSystem, motion: &Motion, layers: &[Vec<TimedInstruction>]) -> Remarks {
-    let texts: Vec<&str> = layers
-        .iter()
-        .flatten()
-        .map(|asked| asked.text.as_str())
-        .collect();
+fn remarks(system: &dyn EditSystem, motion: &Motion, texts: &[String]) -> Remarks {
+    let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
     let remarks = system.remarks(&[(motion.len(), motion.fps())], &texts);
     note_remarks(&remarks);
     remarks
@@ -345,56 +335,19 @@ fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyh
         "bone_drift_m": edited.misfit.bone_drift_m,
         "times": edited.times,
     });
-    let places: Vec<String> = args
-        .out
-        .iter()
-        .map(|out| out.display().to_string())
-        .collect();
+    let out = args.out.iter().map(|out| out.display().to_string());
     let text = format!(
-        "{} frames at {}, fitted to {:.1} cm{}",
+        "{} frames at {}, fitted to {:.1} cm; in {}",
         edited.motion.len(),
         edited.motion.fps(),
         100.0 * edited.misfit.fit_error_m,
-        if places.is_empty() {
-            String::new()
-        } else {
-            format!("; in {}", places.join(", "))
-        }
+        out.collect::<Vec<_>>().join(", ")
     );
     global.say(&document, &text)?;
     if args.profile && !global.json {
         report::text(&profile(&edited.times));
     }
     Ok(Exit::Done)
-}
-
-/// A line typed into an interactive edit.
-enum Line {
-    Edit(Vec<TimedInstruction>),
-    Undo,
-    Redo,
-    Save(PathBuf),
-    Quit,
-}
-
-fn parse_line(line: &str, motion: &Motion) -> anyhow::Result<Option<Line>> {
-    let line = line.trim();
-    Ok(match line {
-        "" => None,
-        ":undo" => Some(Line::Undo),
-        ":redo" => Some(Line::Redo),
-        ":quit" => Some(Line::Quit),
-        _ => match line.strip_prefix(":save ") {
-            Some(path) => Some(Line::Save(path.trim().into())),
-            None if line.starts_with(':') => {
-                bail!("{line:?} is no command; known are :undo, :redo, :save FILE and :quit")
-            }
-            None if line.starts_with(|first: char| first.is_ascii_digit()) => {
-                Some(Line::Edit(vec![line.parse().map_err(anyhow::Error::msg)?]))
-            }
-            None => Some(Line::Edit(vec![whole(line, motion)])),
-        },
-    })
 }
 
 /// Continues the history of one motion, or begins it.
@@ -469,17 +422,12 @@ impl Interactive<'_> {
             None => self.args.system(&self.skeleton)?,
         };
         let system = &mut **self.system.insert(system);
-        let texts: Vec<String> = instructions
-            .iter()
-            .map(|asked| asked.text.clone())
-            .collect();
+        let texts = texts(&instructions);
         // Each edit of a history draws different noise.
         let count = history.edits().len().to_string();
         let seed = self.global.seed().derive(&["history", &count]);
         let (id, current) = (history.id(), history.current()?);
-        let layer = [instructions];
-        remarks(system, &current, &layer);
-        let [instructions] = layer;
+        remarks(system, &current, &texts);
         let edited = with_session(&self.global.bars(), |session| {
             system.prepare(&texts, session)?;
             edit_motion(system, id, &current, &instructions, seed, session)
@@ -495,12 +443,7 @@ impl Interactive<'_> {
     }
 
     fn write(&self, history: &EditHistory, out: &Path) -> anyhow::Result<()> {
-        let texts: Vec<&str> = history
-            .edits()
-            .iter()
-            .flat_map(|edit| &edit.instructions)
-            .map(|asked| asked.text.as_str())
-            .collect();
+        let texts = texts(history.edits().iter().flat_map(|edit| &edit.instructions));
         let last = history.edits().last();
         let edited = Edited {
             motion: history.current()?,
@@ -546,17 +489,29 @@ impl Interactive<'_> {
 
     /// Executes a line; false ends the session.
     fn follow(&mut self, history: &mut EditHistory, line: &str) -> anyhow::Result<bool> {
-        match parse_line(line, &history.current()?)? {
-            None => return Ok(true),
-            Some(Line::Quit) => return Ok(false),
-            Some(Line::Save(path)) => {
-                self.write(history, &path)?;
-                report::note(&format!("in {}", path.display()));
+        let line = line.trim();
+        match (line, line.strip_prefix(":save ")) {
+            ("", _) => return Ok(true),
+            (":quit", _) => return Ok(false),
+            (":undo", _) if !history.undo() => report::note("no edit to take back"),
+            (":redo", _) if !history.redo() => report::note("no edit was taken back"),
+            (":undo" | ":redo", _) => {}
+            (_, Some(path)) => {
+                let path = path.trim();
+                self.write(history, Path::new(path))?;
+                report::note(&format!("in {path}"));
             }
-            Some(Line::Undo) if !history.undo() => report::note("no edit to take back"),
-            Some(Line::Redo) if !history.redo() => report::note("no edit was taken back"),
-            Some(Line::Undo | Line::Redo) => {}
-            Some(Line::Edit(instructions)) => self.edit(history, instructions)?,
+            _ if line.starts_with(':') => {
+                bail!("{line:?} is no command; known are :undo, :redo, :save FILE and :quit")
+            }
+            _ if line.starts_with(|first: char| first.is_ascii_digit()) => {
+                let asked: TimedInstruction = line.parse().map_err(anyhow::Error::msg)?;
+                self.edit(history, vec![asked])?;
+            }
+            _ => {
+                let asked = whole(line, &history.current()?);
+                self.edit(history, vec![asked])?;
+            }
         }
         self.save(history)?;
         Ok(true)
@@ -604,7 +559,6 @@ impl Interactive<'_> {
     }
 }
 
-/// An edit to be written.
 struct Shown<'a> {
     id: &'a str,
     skeleton: &'a Skeleton,

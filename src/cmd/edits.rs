@@ -1,6 +1,6 @@
 //! `stance edits`
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use datasets_spec::license::licenses;
@@ -8,13 +8,13 @@ use datasets_spec::record::EditRow;
 use datasets_spec::{Dataset, Fps};
 use pipeline::answers::bundle::Bundle;
 use pipeline::answers::{AnswerOptions, AnswerReport, Place, Up, read_answers};
-use serde::Serialize;
+use serde_json::json;
 
 use crate::evaluators::judge_hash;
 use crate::exit::Exit;
 use crate::global::{Global, one_of};
 use crate::local;
-use crate::report;
+use crate::report::{self, Joined};
 
 /// Import answers of systems outside this program, and bundle answers.
 #[derive(clap::Args, Debug)]
@@ -91,7 +91,6 @@ fn parse_name(text: &str) -> Result<String, String> {
     trimmed(text).ok_or_else(|| "expected a name".to_owned())
 }
 
-/// Parses the tag of a licence.
 pub(crate) fn parse_license(text: &str) -> Result<String, String> {
     trimmed(text).ok_or_else(|| "expected a licence".to_owned())
 }
@@ -121,17 +120,6 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
 }
 
-/// The `--json` document.
-#[derive(Serialize)]
-struct Document<'a> {
-    system: &'a str,
-    /// None if nothing was written.
-    out: Option<&'a Path>,
-    root_hash: Option<&'a str>,
-    #[serde(flatten)]
-    report: &'a AnswerReport,
-}
-
 fn import(args: &ImportArgs, global: &Global) -> anyhow::Result<Exit> {
     let asked = Dataset::open(&args.items)?;
     let items = asked.items()?;
@@ -151,17 +139,15 @@ fn import(args: &ImportArgs, global: &Global) -> anyhow::Result<Exit> {
         true => Some(answers.commit(&args.out, &items, &skeleton, &global.holder())?),
         false => None,
     };
-    global.say(
-        &Document {
-            system: &args.name,
-            out: written.as_ref().map(|_| args.out.as_path()),
-            root_hash: written
-                .as_ref()
-                .map(|made| made.manifest().root_hash.as_str()),
-            report,
-        },
-        &text(args, report, written.is_some()),
-    )?;
+    // Both are null if nothing was written.
+    let own = json!({
+        "system": args.name,
+        "out": written.as_ref().map(|_| &args.out),
+        "root_hash": written.as_ref().map(|made| &made.manifest().root_hash),
+    });
+    let all_of = report;
+    let text = text(args, report, written.is_some());
+    global.say(&Joined { own, all_of }, &text)?;
     for warning in &report.warnings {
         report::note(&format!("warning: {warning}"));
     }
@@ -176,10 +162,7 @@ fn import(args: &ImportArgs, global: &Global) -> anyhow::Result<Exit> {
             }
         );
     }
-    Ok(match report.refused.len() {
-        0 => Exit::Done,
-        _ => Exit::Quarantined,
-    })
+    Ok(Exit::quarantined_if(!report.refused.is_empty()))
 }
 
 fn bundle(args: &BundleArgs, global: &Global) -> anyhow::Result<Exit> {
@@ -202,7 +185,7 @@ fn bundle(args: &BundleArgs, global: &Global) -> anyhow::Result<Exit> {
     let zip = bundle.to_zip()?;
     local::write(&args.out, &zip)?;
     global.say(
-        &serde_json::json!({
+        &json!({
             "out": args.out,
             "bytes": zip.len(),
             "answers": bundle.rows.len(),

@@ -18,6 +18,8 @@ use eval::published::PaperTable;
 use eval::table::{Table, shortages};
 use eval::times::{self, WindowTimes};
 use pipeline::answers::bundle::{Bundle, Rates};
+use serde::Deserialize;
+use serde_json::json;
 
 use crate::device::DeviceArgs;
 use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs, encoder_retrieval, judge_hash};
@@ -62,7 +64,6 @@ pub(crate) struct Args {
     measure: Measure,
 }
 
-/// Descriptions of the columns.
 fn columns() -> String {
     let columns = metric::ALL.iter().map(|metric| {
         let arrow = (metric.better)(ALL_TASKS).arrow();
@@ -159,6 +160,13 @@ struct Measure {
 }
 
 impl Measure {
+    fn format(&self, global: &Global) -> FormatArg {
+        match global.json {
+            true => FormatArg::Json,
+            false => self.format,
+        }
+    }
+
     fn protocol(&self, table: Option<PaperTable>, global: &Global) -> Protocol {
         let default = Protocol::default();
         Protocol {
@@ -169,16 +177,14 @@ impl Measure {
                 (false, None, None) => default.gallery,
             },
             repeats: self.repeats,
-            queries: if self.transpose {
-                Queries::Edited
-            } else {
-                Queries::Real
+            queries: match self.transpose {
+                true => Queries::Edited,
+                false => Queries::Real,
             },
             truncate_to_target: self.truncate,
-            fid_sample: if self.fid_all {
-                FidSample::All
-            } else {
-                FidSample::Halves
+            fid_sample: match self.fid_all {
+                true => FidSample::All,
+                false => FidSample::Halves,
             },
             floor: self.floor.map_or(default.floor, Floor::At),
             keypoints: self.keypoints,
@@ -191,7 +197,6 @@ impl Measure {
         }
     }
 
-    /// The models to evaluate with, on the chosen device.
     fn runs(&self) -> anyhow::Result<EvaluatorRuns<'_>> {
         self.device.choose()?;
         let Some(encoder) = &self.encoder else {
@@ -228,15 +233,18 @@ fn parse_keypoints(text: &str) -> Result<Keypoints, String> {
 }
 
 /// A result table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub(crate) enum TableArg {
     #[value(
         name = "main",
         help = "what a claim is made of: R@1, foot slide, error inside and outside of the mask"
     )]
     Main,
+    #[serde(rename = "1")]
     #[value(name = "1", help = "body part replacement and style transfer")]
     One,
+    #[serde(rename = "2")]
     #[value(name = "2", help = "MotionFix, galleries of 32")]
     Two,
     #[value(name = "a1", help = "fine-grained adjustment")]
@@ -288,7 +296,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(out) = &args.out {
         scores.commit(out, &answered.skeleton, &global.holder())?;
     }
-    let text = if global.json || args.measure.format == FormatArg::Json {
+    let format = args.measure.format(global);
+    let text = if format == FormatArg::Json {
         format::json::render(&scores.rows, &scores.judges)?
     } else {
         let mut tables = result_tables(&scores, args.table, table);
@@ -300,7 +309,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         if args.further {
             tables.extend(further_tables(&scores));
         }
-        match args.measure.format {
+        match format {
             FormatArg::Text => format::text::render(&tables),
             FormatArg::Markdown => format::markdown::render(&tables),
             FormatArg::Latex => format::latex::render(&tables),
@@ -308,7 +317,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
     };
     report::text(&text);
-    if global.json || matches!(args.measure.format, FormatArg::Json | FormatArg::Csv) {
+    if matches!(format, FormatArg::Json | FormatArg::Csv) {
         for shortage in shortages(&scores.rows) {
             report::note(&shortage);
         }
@@ -317,7 +326,6 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     Ok(weak_judge.exit(scores.unranked(), Exit::Done))
 }
 
-/// Items, and the edits of folders and bundles.
 fn answers(args: &Args, encoder: &Path) -> anyhow::Result<Answered> {
     let is_bundle = |path: &&PathBuf| path.extension().is_some_and(|end| end == "zip");
     let (bundles, folders): (Vec<&PathBuf>, Vec<&PathBuf>) = args.edits.iter().partition(is_bundle);
@@ -362,15 +370,10 @@ pub(crate) fn result_tables(scores: &Scores, table: TableArg, paper: PaperTable)
 /// with scores.
 fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     let mut tables = Table::from_scores(&scores.rows, &scores.judges, &table.columns());
-    let wanted = |found: &Table| {
-        [ALL_TASKS, RECAPTURED].contains(&found.task.as_str())
-            || table.tasks().contains(&found.task.as_str())
-    };
-    if tables
-        .iter()
-        .any(|found| table.tasks().contains(&found.task.as_str()))
-    {
-        tables.retain(wanted);
+    let is_of_table = |found: &Table| table.tasks().contains(&found.task.as_str());
+    let is_pooled = |found: &Table| [ALL_TASKS, RECAPTURED].contains(&found.task.as_str());
+    if tables.iter().any(is_of_table) {
+        tables.retain(|found| is_pooled(found) || is_of_table(found));
     } else {
         report::note(&format!(
             "{} is about {} edits, and there are none; these are the tasks there are",
@@ -394,24 +397,21 @@ fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if args.published {
         rows.extend(times::published());
     }
-    if global.json || args.measure.format == FormatArg::Json {
-        let rows: Vec<_> = rows
-            .iter()
-            .map(|(name, times)| {
-                serde_json::json!({
-                    "name": name,
-                    "window": times.window,
-                    "batch": times.batch,
-                    "latency": times.is_latency(),
-                    "diffusion_secs": times.diffusion_secs,
-                    "coordinator_secs": times.coordinator_secs,
-                    "fit_secs": times.fit_secs,
-                    "total_secs": times.total_secs(),
-                    "fps": times.fps(),
-                })
+    if args.measure.format(global) == FormatArg::Json {
+        let row = |(name, times): &(String, WindowTimes)| {
+            json!({
+                "name": name,
+                "window": times.window,
+                "batch": times.batch,
+                "latency": times.is_latency(),
+                "diffusion_secs": times.diffusion_secs,
+                "coordinator_secs": times.coordinator_secs,
+                "fit_secs": times.fit_secs,
+                "total_secs": times.total_secs(),
+                "fps": times.fps(),
             })
-            .collect();
-        report::json(&rows)?;
+        };
+        report::json(&rows.iter().map(row).collect::<Vec<_>>())?;
     } else {
         let grids = times::tables(&rows);
         let grids: Vec<String> = grids
@@ -436,7 +436,7 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
     })?;
     let unranked = comparisons.iter().find_map(|found| found.unranked.clone());
     let exit = args.measure.weak_judge.exit(unranked, Exit::Done);
-    if global.json || args.measure.format == FormatArg::Json {
+    if args.measure.format(global) == FormatArg::Json {
         report::json(&comparisons)?;
         return Ok(exit);
     }
@@ -478,24 +478,31 @@ fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
         ("MedR", |found| found.median_rank),
         ("AvgR", |found| found.average_rank),
     ];
-    let values = |side: Side, column: Column| {
-        let values: Vec<f64> = repeats.iter().map(|found| column(side(found))).collect();
-        Interval::of(&values)
-    };
-    if global.json || args.measure.format == FormatArg::Json {
-        let mut rows = Vec::new();
-        for (queries, side) in sides {
-            for (metric, column) in columns {
-                let Interval { mean, ci95 } = values(side, column);
-                rows.push(serde_json::json!({
-                    "queries": queries, "metric": metric, "n": n, "mean": mean, "ci95": ci95,
-                }));
-            }
+    let mut found = Vec::new();
+    for (queries, side) in sides {
+        for (metric, column) in columns {
+            let values: Vec<f64> = repeats.iter().map(|found| column(side(found))).collect();
+            found.push((queries, metric, Interval::of(&values)));
         }
-        report::json(&rows)?;
+    }
+    if args.measure.format(global) == FormatArg::Json {
+        let row = |(queries, metric, Interval { mean, ci95 }): (&str, &str, Interval)| {
+            json!({
+                "queries": queries, "metric": metric, "n": n, "mean": mean, "ci95": ci95,
+            })
+        };
+        report::json(&found.into_iter().map(row).collect::<Vec<_>>())?;
         return Ok(Exit::Done);
     }
     let head = std::iter::once("Queries").chain(columns.iter().map(|(name, _)| *name));
+    let cell = |(_, _, Interval { mean, ci95 }): &(&str, &str, Interval)| {
+        let ci95 = ci95.map_or_else(String::new, |ci95| format!("±{ci95:.2}"));
+        format!("{mean:.2}{ci95}")
+    };
+    let row = |row: &[(&str, &str, Interval)]| {
+        let cells = row.iter().map(cell);
+        std::iter::once(row[0].0.to_owned()).chain(cells).collect()
+    };
     let grid = format::grid::Grid {
         title: format!(
             "{n} clips of {}, {} repeats; {}",
@@ -504,17 +511,7 @@ fn encoder(args: &EncoderArgs, global: &Global) -> anyhow::Result<Exit> {
             protocol.gallery_name(n)
         ),
         head: head.map(str::to_owned).collect(),
-        rows: sides
-            .iter()
-            .map(|(name, side)| {
-                let cells = columns.iter().map(|(_, column)| {
-                    let Interval { mean, ci95 } = values(*side, *column);
-                    let ci95 = ci95.map_or_else(String::new, |ci95| format!("±{ci95:.2}"));
-                    format!("{mean:.2}{ci95}")
-                });
-                std::iter::once((*name).to_owned()).chain(cells).collect()
-            })
-            .collect(),
+        rows: found.chunks(columns.len()).map(row).collect(),
     };
     report::text(&printed(&grid, args.measure.format));
     Ok(Exit::Done)

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow, TripletRow};
 use datasets_spec::table::Row;
@@ -15,7 +16,7 @@ use work::Plan;
 
 use crate::chosen::ChosenArgs;
 use crate::exit::Exit;
-use crate::global::{Global, Names, one_of};
+use crate::global::Global;
 use crate::report;
 
 /// Write a dataset, or a folder of edits, in a layout that other tools read.
@@ -30,7 +31,7 @@ pub(crate) struct Args {
     /// Dataset folder, or folder of edits
     dataset: PathBuf,
     /// Layout to write; edits go to amass, bvh or gltf, triplets and items to motionfix
-    #[arg(long, value_parser = one_of(LAYOUTS))]
+    #[arg(long, value_parser = layout_parser())]
     to: Layout,
     #[command(flatten)]
     chosen: ChosenArgs,
@@ -45,60 +46,41 @@ pub(crate) struct Args {
     out: PathBuf,
 }
 
-/// The layouts by their names.
-const LAYOUTS: Names<Layout> = &[
-    (
-        "amass",
-        Layout::Amass,
-        "AMASS npz files, SMPL-X keys, z up, at least 60 fps",
-    ),
-    (
-        "humanml3d",
-        Layout::HumanMl3d,
-        "HumanML3D: joints, 263-d vectors, texts, splits, Mean and Std",
-    ),
-    (
-        "stance",
-        Layout::Stance,
-        "The layout of the STANCE release: pickles and JSON",
-    ),
-    ("bvh", Layout::Bvh, "A BVH file for each clip"),
-    (
-        "gltf",
-        Layout::Gltf,
-        "A GLB file for each clip, with a body of capsules",
-    ),
-    (
-        "webdataset",
-        Layout::WebDataset,
-        "Tar shards of npy and json members",
-    ),
-    ("lerobot", Layout::LeRobot, "LeRobot v3: one row a frame"),
-    (
-        "humanml3d-272",
-        Layout::HumanMl3d272,
-        "HumanML3D-272: 272-d vectors at 30 fps, texts, splits, Mean and Std",
-    ),
-    ("babel-272", Layout::Babel272, "BABEL-272: as humanml3d-272"),
-    (
-        "motionmillion",
-        Layout::MotionMillion,
-        "MotionMillion: 272-d vectors by id, plain texts, splits by length, mean and std",
-    ),
-    (
-        "hy-motion",
-        Layout::HyMotion,
-        "The 201-d vectors of HY-Motion at 30 fps, texts, splits, Mean and Std",
-    ),
-    (
-        "motionfix",
-        Layout::MotionFix,
-        "MotionFix: joblib dumps of triplets, items or pairs at 30 fps, splits.json",
-    ),
-];
+fn layout_parser() -> impl TypedValueParser<Value = Layout> {
+    let help = |layout: Layout| PossibleValue::new(layout.as_str()).help(about(layout));
+    PossibleValuesParser::new(Layout::ALL.map(help))
+        .map(|name| layout_named(&name).expect("a listed name"))
+}
+
+pub(crate) fn layout_named(name: &str) -> Option<Layout> {
+    let mut layouts = Layout::ALL.into_iter();
+    layouts.find(|layout| layout.as_str() == name)
+}
+
+fn about(layout: Layout) -> &'static str {
+    match layout {
+        Layout::Amass => "AMASS npz files, SMPL-X keys, z up, at least 60 fps",
+        Layout::HumanMl3d => "HumanML3D: joints, 263-d vectors, texts, splits, Mean and Std",
+        Layout::Stance => "The layout of the STANCE release: pickles and JSON",
+        Layout::Bvh => "A BVH file for each clip",
+        Layout::Gltf => "A GLB file for each clip, with a body of capsules",
+        Layout::WebDataset => "Tar shards of npy and json members",
+        Layout::LeRobot => "LeRobot v3: one row a frame",
+        Layout::HumanMl3d272 => {
+            "HumanML3D-272: 272-d vectors at 30 fps, texts, splits, Mean and Std"
+        }
+        Layout::Babel272 => "BABEL-272: as humanml3d-272",
+        Layout::MotionMillion => {
+            "MotionMillion: 272-d vectors by id, plain texts, splits by length, mean and std"
+        }
+        Layout::HyMotion => "The 201-d vectors of HY-Motion at 30 fps, texts, splits, Mean and Std",
+        Layout::MotionFix => {
+            "MotionFix: joblib dumps of triplets, items or pairs at 30 fps, splits.json"
+        }
+    }
+}
 
 impl Args {
-    /// Plans the export of motions for any number of processes.
     pub(crate) fn plan(&self, plan: &Path) -> anyhow::Result<Plan> {
         if self.sources || self.targets {
             bail!("exports of motions are planned; --sources and --targets are of items");
@@ -117,7 +99,6 @@ impl Args {
         )?)
     }
 
-    /// The clips that are exported.
     fn clips<'a>(&self, dataset: &'a Dataset) -> anyhow::Result<Clips<'a>> {
         Ok(match &self.chosen.condition {
             Some(condition) => Clips::chosen(dataset, condition)?,

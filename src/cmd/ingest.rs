@@ -2,13 +2,11 @@
 
 mod words;
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
 use clap::builder::{OsStringValueParser, PossibleValue, PossibleValuesParser, TypedValueParser};
-use clip::LabelProblem;
 use clip::check::Teleports;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::Row;
@@ -17,12 +15,12 @@ use formats::markers::MarkerSet;
 use formats::retarget::UserMap;
 use formats::source::body_model::{Subjects, read_skeleton};
 use formats::source::{FORMATS, Format, ReadOptions, Unit, format_named};
-use pipeline::annotation::pairs::{PairList, RefusedLine};
+use pipeline::annotation::pairs::PairList;
 use pipeline::ingest::{
-    AlikeClips, Forecast, Growth, IdList, IngestOptions, IngestReport, SourceArg, SplitBy,
-    SplitList, forecast, ingest, plan_ingest,
+    IdList, IngestOptions, IngestReport, SourceArg, SplitBy, SplitList, forecast, ingest,
+    plan_ingest,
 };
-use serde::Serialize;
+use serde_json::json;
 use work::Plan;
 
 use self::words::foreseen;
@@ -30,7 +28,7 @@ use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::global::{Global, Names, one_of};
 use crate::local;
-use crate::report;
+use crate::report::{self, Joined};
 
 pub(crate) use self::words::summary;
 
@@ -146,7 +144,6 @@ pub(crate) struct RunArgs {
     dry_run: bool,
 }
 
-/// Parses a source with or without a name.
 pub(crate) fn parse_source() -> impl TypedValueParser<Value = SourceArg> {
     OsStringValueParser::new().try_map(|given| SourceArg::parse(&given))
 }
@@ -217,7 +214,6 @@ fn parse_allowance(text: &str) -> Result<Allowance, String> {
 }
 
 impl Args {
-    /// Plans the ingestion for any number of processes.
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
         let options = options(self, global)?;
         Ok(plan_ingest(
@@ -267,7 +263,12 @@ pub(crate) fn run(args: &RunArgs, global: &Global) -> anyhow::Result<Exit> {
     )
     .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
     let empty = without_motions(&done);
-    global.say(&Document::of(&done, empty.as_ref()), &summary(&done))?;
+    let mut own = empty.as_ref().map_or(json!({}), |failure| json!(failure));
+    own["dataset"] = json!(done.dataset.root().display().to_string());
+    own["tables"] = json!(done.dataset.manifest().row_counts());
+    own["root_hash"] = json!(done.dataset.manifest().root_hash);
+    let all_of = &done;
+    global.say(&Joined { own, all_of }, &summary(&done))?;
     Ok(match empty {
         Some(failure) => {
             report::note(&failure.reason);
@@ -277,33 +278,15 @@ pub(crate) fn run(args: &RunArgs, global: &Global) -> anyhow::Result<Exit> {
     })
 }
 
-/// Prints what a run would do.
 fn tell(args: &Args, options: &IngestOptions, global: &Global) -> anyhow::Result<Exit> {
-    /// The `--json` document of a dry run.
-    #[derive(Serialize)]
-    struct Told<'a> {
-        dataset: &'a Path,
-        dry_run: bool,
-        #[serde(flatten)]
-        forecast: &'a Forecast,
-    }
     let told = forecast(&args.sources, &args.out, options, &global.bars())
         .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
-    global.say(
-        &Told {
-            dataset: &args.out,
-            dry_run: true,
-            forecast: &told,
-        },
-        &foreseen(&told),
-    )?;
-    Ok(match told.refusals.is_empty() {
-        true => Exit::Done,
-        false => Exit::Failed,
-    })
+    let own = json!({ "dataset": args.out, "dry_run": true });
+    let all_of = &told;
+    global.say(&Joined { own, all_of }, &foreseen(&told))?;
+    Ok(Exit::done_if(told.refusals.is_empty()))
 }
 
-/// The failure of a run whose dataset has no motion.
 fn without_motions(done: &IngestReport) -> Option<Failure> {
     if done.dataset.manifest().rows(MotionRow::TABLE, None) > 0 {
         return None;
@@ -357,7 +340,6 @@ fn read_options(args: &Args) -> anyhow::Result<ReadOptions> {
     })
 }
 
-/// Reads a marker set of the user.
 pub(crate) fn read_markers(path: &Path) -> anyhow::Result<MarkerSet> {
     MarkerSet::parse(&local::read_text(path)?)
         .with_context(|| format!("{} is no marker set", path.display()))
@@ -371,65 +353,6 @@ fn exit(done: &IngestReport, allowance: Option<Allowance>) -> Exit {
         Some(Allowance::Files(files)) => quarantined <= files,
         Some(Allowance::Percent(percent)) => quarantined as f64 <= percent / 100.0 * sources as f64,
     };
-    if allowed && done.refused_pairs.is_empty() && done.refused_splits.is_empty() {
-        Exit::Done
-    } else {
-        Exit::Quarantined
-    }
-}
-
-/// The `--json` document.
-#[derive(Serialize)]
-struct Document<'a> {
-    /// Why the dataset has no motion.
-    #[serde(flatten)]
-    failure: Option<&'a Failure>,
-    dataset: String,
-    files: u64,
-    sources: u64,
-    ingested: u64,
-    quarantined: u64,
-    skipped: u64,
-    codes: &'a BTreeMap<String, u64>,
-    skipped_reasons: &'a BTreeMap<String, u64>,
-    already_complete: bool,
-    resumed_shards: usize,
-    tables: BTreeMap<String, u64>,
-    dropped_pairs: u64,
-    refused_pairs: &'a [RefusedLine],
-    refused_splits: &'a [RefusedLine],
-    label_problems: &'a [LabelProblem],
-    licenses: &'a BTreeMap<String, u64>,
-    remarks: &'a [String],
-    alike: &'a [AlikeClips],
-    growth: Option<&'a Growth>,
-    root_hash: &'a str,
-}
-
-impl<'a> Document<'a> {
-    fn of(done: &'a IngestReport, failure: Option<&'a Failure>) -> Self {
-        Self {
-            failure,
-            dataset: done.dataset.root().display().to_string(),
-            files: done.files,
-            sources: done.accounting.sources,
-            ingested: done.accounting.ingested,
-            quarantined: done.accounting.quarantined,
-            skipped: done.accounting.skipped,
-            codes: &done.accounting.codes,
-            skipped_reasons: &done.skipped,
-            already_complete: done.already_complete,
-            resumed_shards: done.resumed_shards,
-            tables: done.dataset.manifest().row_counts(),
-            dropped_pairs: done.dropped_pairs,
-            refused_pairs: &done.refused_pairs,
-            refused_splits: &done.refused_splits,
-            label_problems: &done.label_problems,
-            licenses: &done.licenses,
-            remarks: &done.remarks,
-            alike: &done.alike,
-            growth: done.growth.as_ref(),
-            root_hash: &done.dataset.manifest().root_hash,
-        }
-    }
+    let is_whole = done.refused_pairs.is_empty() && done.refused_splits.is_empty();
+    Exit::quarantined_if(!allowed || !is_whole)
 }

@@ -7,23 +7,25 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clip::check::flag_names;
-use clip::{Outcome, Rejected, SourceClip};
-use datasets_spec::manifest::{Accounting, Manifest};
+use clip::{Outcome, Rejected};
+use datasets_spec::manifest::Manifest;
 use datasets_spec::record::{CAPTION_BY_RULE, EditRow, ItemRow, MotionRow};
 use datasets_spec::store::{ByPath, Store, is_url};
 use datasets_spec::table::{Row, ShardDescription, describe, read_column};
-use datasets_spec::{Dataset, Skeleton};
+use datasets_spec::{Dataset, MotionId, Skeleton};
 use formats::source::ReadOptions;
-use pipeline::catalogue::{Catalogue, Group, catalogue};
+use pipeline::catalogue::{Group, catalogue};
 use pipeline::ingest::REMARKS_FACT;
 use pipeline::open::{read_file, stored_clip, stored_item};
 use serde::Serialize;
+use serde_json::json;
 
 use self::list::List;
 use crate::cmd::render::{holds_items, open_for_clips};
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::global::Global;
+use crate::report::accounted;
 
 /// Print the contents of a dataset, a clip of it, a shard, a manifest or a motion file.
 ///
@@ -51,10 +53,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         if holds_items(&dataset) {
             let item = stored_item(&dataset, id)?;
             let edits: Vec<EditRow> = dataset.read(None)?;
-            let question = Question::of(&item, &edits);
-            return global.say(&question, &question.text());
+            let item = about_item(&item, &edits);
+            return global.say(&item, &item.text());
         }
-        let clip = Clip::of(&stored_clip(&dataset, id)?);
+        let clip = about_clip(&stored_clip(&dataset, id)?);
         return global.say(&clip, &clip.text());
     }
     // A URL is a file if its name has an extension and the object exists.
@@ -64,9 +66,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         path.is_dir()
     };
     if is_folder {
-        let dataset = Dataset::open_unverified(path)?;
-        let document = Document::of(&dataset)?;
-        return global.say(&document, &document.text());
+        return say_dataset(&Dataset::open_unverified(path)?, global);
     }
     match path.extension().and_then(|extension| extension.to_str()) {
         Some("parquet") => {
@@ -83,31 +83,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         _ => {
             let file = foreign(path)?;
             global.say(&file, &file.text())?;
-            Ok(match file.failure {
-                Some(_) => Exit::Quarantined,
-                None => Exit::Done,
-            })
+            Ok(Exit::quarantined_if(file.failure.is_some()))
         }
     }
-}
-
-/// The `--json` document about a dataset.
-#[derive(Serialize)]
-struct Document<'a> {
-    root_hash: &'a str,
-    schema_version: &'a str,
-    version: u64,
-    skeleton: &'a str,
-    tables: BTreeMap<String, u64>,
-    accounting: &'a Accounting,
-    facts: &'a BTreeMap<String, String>,
-    /// Items by task.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    tasks: BTreeMap<String, u64>,
-    /// Edits by system.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    systems: BTreeMap<String, u64>,
-    catalogue: Catalogue,
 }
 
 /// Rows of a table by a column of text.
@@ -124,68 +102,63 @@ fn counted<R: Row>(
     Ok(counts)
 }
 
-impl<'a> Document<'a> {
-    fn of(dataset: &'a Dataset) -> anyhow::Result<Self> {
-        let manifest = dataset.manifest();
-        Ok(Self {
-            root_hash: &manifest.root_hash,
-            schema_version: &manifest.schema_version,
-            version: manifest.version,
-            skeleton: &manifest.skeleton,
-            tables: manifest.row_counts(),
-            accounting: &manifest.accounting,
-            facts: &manifest.facts,
-            tasks: counted::<ItemRow>(dataset, "task")?,
-            systems: counted::<EditRow>(dataset, "system")?,
-            catalogue: catalogue(dataset)?,
-        })
+fn say_dataset(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
+    let (manifest, catalogue) = (dataset.manifest(), catalogue(dataset)?);
+    let tables = manifest.row_counts();
+    let mut document = json!({
+        "root_hash": manifest.root_hash,
+        "schema_version": manifest.schema_version,
+        "version": manifest.version,
+        "skeleton": manifest.skeleton,
+        "tables": tables,
+        "accounting": manifest.accounting,
+        "facts": manifest.facts,
+        "catalogue": catalogue,
+    });
+    let mut text = format!(
+        "format {} manifest {} skeleton {}\nroot hash {}\n\n",
+        manifest.schema_version, manifest.version, manifest.skeleton, manifest.root_hash
+    );
+    if let Some(remarks) = manifest.facts.get(REMARKS_FACT) {
+        text += &format!("note: {remarks}\n\n");
     }
-
-    fn text(&self) -> String {
-        let mut text = format!(
-            "format {} manifest {} skeleton {}\nroot hash {}\n\n",
-            self.schema_version, self.version, self.skeleton, self.root_hash
-        );
-        if let Some(remarks) = self.facts.get(REMARKS_FACT) {
-            text += &format!("note: {remarks}\n\n");
-        }
-        for (table, rows) in &self.tables {
-            text += &format!("{table:<12} {rows:>8} rows\n");
-        }
-        for (title, unit, counts) in [
-            ("task", "items", &self.tasks),
-            ("system", "edits", &self.systems),
-        ] {
-            if !counts.is_empty() {
-                text += &format!("\n{title:<24} {unit:>7}\n");
-            }
-            for (label, count) in counts {
-                text += &format!("{label:<24} {count:>7}\n");
-            }
-        }
-        let groups = [
-            ("split", &self.catalogue.splits),
-            ("source", &self.catalogue.sources),
-            ("action", &self.catalogue.actions),
-            ("style", &self.catalogue.styles),
-        ];
-        for (title, groups) in groups {
-            if groups.is_empty() {
-                continue;
-            }
-            text += &format!("\n{title:<24} {:>7} {:>9}\n", "clips", "minutes");
-            for Group {
-                label,
-                clips,
-                minutes,
-            } in groups
-            {
-                let label = if label.is_empty() { "(none)" } else { label };
-                text += &format!("{label:<24} {clips:>7} {minutes:>9.2}\n");
-            }
-        }
-        text
+    for (table, rows) in &tables {
+        text += &format!("{table:<12} {rows:>8} rows\n");
     }
+    let tasks = counted::<ItemRow>(dataset, "task")?;
+    let systems = counted::<EditRow>(dataset, "system")?;
+    for (title, unit, counts) in [("task", "items", tasks), ("system", "edits", systems)] {
+        if counts.is_empty() {
+            continue;
+        }
+        text += &format!("\n{title:<24} {unit:>7}\n");
+        for (label, count) in &counts {
+            text += &format!("{label:<24} {count:>7}\n");
+        }
+        document[format!("{title}s")] = json!(counts);
+    }
+    let groups = [
+        ("split", &catalogue.splits),
+        ("source", &catalogue.sources),
+        ("action", &catalogue.actions),
+        ("style", &catalogue.styles),
+    ];
+    for (title, groups) in groups {
+        if groups.is_empty() {
+            continue;
+        }
+        text += &format!("\n{title:<24} {:>7} {:>9}\n", "clips", "minutes");
+        for Group {
+            label,
+            clips,
+            minutes,
+        } in groups
+        {
+            let label = if label.is_empty() { "(none)" } else { label };
+            text += &format!("{label:<24} {clips:>7} {minutes:>9.2}\n");
+        }
+    }
+    global.say(&document, &text)
 }
 
 fn manifest_text(manifest: &Manifest) -> String {
@@ -204,10 +177,7 @@ fn manifest_text(manifest: &Manifest) -> String {
         );
     }
     let accounting = &manifest.accounting;
-    text += &format!(
-        "\n{} sources = {} ingested + {} quarantined + {} skipped\n",
-        accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
-    );
+    text += &format!("\n{}\n", accounted(accounting));
     for (code, count) in &accounting.codes {
         text += &format!("  {code:<20} {count:>6}\n");
     }
@@ -221,14 +191,6 @@ fn listing(facts: &BTreeMap<String, String>) -> String {
         .map(|(key, value)| format!("{key:<14} {value}\n"))
         .collect();
     lines.concat()
-}
-
-/// Lines below a title; an empty text if there are none.
-fn section(title: &str, lines: &[String]) -> String {
-    match lines {
-        [] => String::new(),
-        lines => format!("{title}\n  {}\n", lines.join("\n  ")),
-    }
 }
 
 fn shard_text(shard: &ShardDescription) -> String {
@@ -257,127 +219,111 @@ fn shard_text(shard: &ShardDescription) -> String {
     text
 }
 
-/// An item, and who answered it.
-#[derive(Serialize)]
-struct Question {
+/// What is known of an item, a clip or a motion of a file: facts, and lists under their titles.
+#[derive(Default, Serialize)]
+struct About {
+    /// Name of a motion in its file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    name: Option<String>,
     facts: BTreeMap<String, String>,
-    answers: Vec<String>,
+    #[serde(flatten)]
+    lists: BTreeMap<&'static str, Vec<String>>,
 }
 
-impl Question {
-    fn of(item: &ItemRow, edits: &[EditRow]) -> Self {
-        let length = |frames: i32| format!("{frames} frames at {} fps", item.fps);
-        let facts = [
-            ("id", item.id.clone()),
-            ("task", item.task.clone()),
-            ("split", item.split.to_string()),
-            ("instruction", item.instruction.clone()),
-            ("parts", item.parts.join(", ")),
-            (
-                "source",
-                format!("{}, {}", item.source_id, length(item.source_frames)),
-            ),
-            (
-                "target",
-                format!("{}, {}", item.target_id, length(item.target_frames)),
-            ),
-            ("donors", item.donor_ids.join(", ")),
-            ("origin", item.origin.clone()),
-        ];
-        let edits = edits.iter().filter(|edit| edit.id == item.id);
-        Self {
-            facts: facts.map(|(key, value)| (key.to_owned(), value)).into(),
-            answers: edits
-                .map(|edit| {
-                    format!(
-                        "{}, seed {}, {} frames",
-                        edit.system, edit.seed, edit.n_frames
-                    )
-                })
-                .collect(),
+impl About {
+    fn fact(&mut self, key: &str, value: impl ToString) {
+        self.facts.insert(key.to_owned(), value.to_string());
+    }
+
+    fn fitted(&mut self, rotation_source: &str, fit_error_m: Option<f32>) {
+        self.fact("rotations", rotation_source);
+        if let Some(error) = fit_error_m {
+            self.fact("fit error", format!("{:.1} cm", 100.0 * error));
         }
     }
 
-    fn text(&self) -> String {
-        listing(&self.facts) + &section("answers", &self.answers)
-    }
-}
-
-/// The `--json` document about a clip of a dataset.
-#[derive(Serialize)]
-struct Clip {
-    facts: BTreeMap<String, String>,
-    captions: Vec<String>,
-    parts: Vec<String>,
-    flags: Vec<&'static str>,
-    notes: Vec<String>,
-}
-
-impl Clip {
-    fn of(row: &MotionRow) -> Self {
-        let mut facts = BTreeMap::new();
-        let mut fact = |key: &str, value: String| {
-            facts.insert(key.to_owned(), value);
-        };
-        fact("id", row.id.to_string());
-        fact("split", row.split.to_string());
-        fact("source", format!("{} {}", row.source, row.source_path));
-        fact(
-            "length",
-            format!(
-                "{} frames at {} fps, {:.2} s",
-                row.n_frames,
-                row.fps,
-                row.n_frames as f32 / row.fps
-            ),
-        );
-        fact(
-            "source frames",
-            format!(
-                "{}..{} at {} fps",
-                row.start_frame, row.end_frame, row.fps_source
-            ),
-        );
-        fact("rotations", row.rotation_source.clone());
-        if let Some(error) = row.fit_error_m {
-            fact("fit error", format!("{:.1} cm", 100.0 * error));
-        }
-        fact("max speed", format!("{:.2} m/s", row.quality.max_speed));
-        fact("foot skate", format!("{:.2} m/s", row.quality.foot_skate));
-        for (key, value) in [
-            ("action", &row.action),
-            ("style", &row.style),
-            ("subject", &row.subject),
-            ("licence", &row.license),
-            ("mirrors", &row.mirrored_of),
-        ] {
-            if let Some(value) = value {
-                fact(key, value.clone());
-            }
-        }
-        Self {
-            facts,
-            captions: row
-                .captions_by_origin()
-                .map(|(said, origin)| marked(&said.text, origin == CAPTION_BY_RULE))
-                .collect(),
-            parts: row
-                .part_captions
-                .iter()
-                .map(|said| format!("{}: {}", said.part, said.text))
-                .collect(),
-            flags: flag_names(row.quality.flags),
-            notes: row.notes.clone(),
-        }
+    fn moves(&mut self, max_speed: f32, foot_skate: f32) {
+        self.fact("max speed", format!("{max_speed:.2} m/s"));
+        self.fact("foot skate", format!("{foot_skate:.2} m/s"));
     }
 
     fn text(&self) -> String {
         let mut text = listing(&self.facts);
-        text += &format!("{:<14} {}\n", "flags", self.flags.join(", "));
-        text += &section("captions", &self.captions);
-        text += &section("parts", &self.parts);
-        text + &section("notes", &self.notes)
+        if let Some(flags) = self.lists.get("flags") {
+            text += &format!("{:<14} {}\n", "flags", flags.join(", "));
+        }
+        for (title, lines) in &self.lists {
+            if *title != "flags" && !lines.is_empty() {
+                text += &format!("{title}\n  {}\n", lines.join("\n  "));
+            }
+        }
+        text
     }
+}
+
+/// An item, and who answered it.
+fn about_item(item: &ItemRow, edits: &[EditRow]) -> About {
+    let mut about = About::default();
+    let clip = |id: &MotionId, frames: i32| format!("{id}, {frames} frames at {} fps", item.fps);
+    about.fact("id", &item.id);
+    about.fact("task", &item.task);
+    about.fact("split", item.split);
+    about.fact("instruction", &item.instruction);
+    about.fact("parts", item.parts.join(", "));
+    about.fact("source", clip(&item.source_id, item.source_frames));
+    about.fact("target", clip(&item.target_id, item.target_frames));
+    about.fact("donors", item.donor_ids.join(", "));
+    about.fact("origin", &item.origin);
+    let edits = edits.iter().filter(|edit| edit.id == item.id);
+    let answer =
+        |EditRow {
+             system,
+             seed,
+             n_frames,
+             ..
+         }: &EditRow| { format!("{system}, seed {seed}, {n_frames} frames") };
+    about.lists.insert("answers", edits.map(answer).collect());
+    about
+}
+
+fn about_clip(row: &MotionRow) -> About {
+    let mut about = About::default();
+    let secs = row.n_frames as f32 / row.fps;
+    let length = format!("{} frames at {} fps, {secs:.2} s", row.n_frames, row.fps);
+    let (first, end) = (row.start_frame, row.end_frame);
+    about.fact("id", &row.id);
+    about.fact("split", row.split);
+    about.fact("source", format!("{} {}", row.source, row.source_path));
+    about.fact("length", length);
+    about.fact(
+        "source frames",
+        format!("{first}..{end} at {} fps", row.fps_source),
+    );
+    about.fitted(&row.rotation_source, row.fit_error_m);
+    about.moves(row.quality.max_speed, row.quality.foot_skate);
+    for (key, value) in [
+        ("action", &row.action),
+        ("style", &row.style),
+        ("subject", &row.subject),
+        ("licence", &row.license),
+        ("mirrors", &row.mirrored_of),
+    ] {
+        if let Some(value) = value {
+            about.fact(key, value);
+        }
+    }
+    let captions = row.captions_by_origin();
+    let captions = captions.map(|(said, origin)| marked(&said.text, origin == CAPTION_BY_RULE));
+    let parts = row.part_captions.iter();
+    let parts = parts.map(|said| format!("{}: {}", said.part, said.text));
+    let flags = flag_names(row.quality.flags).into_iter().map(str::to_owned);
+    about.lists = BTreeMap::from([
+        ("captions", captions.collect()),
+        ("parts", parts.collect()),
+        ("flags", flags.collect()),
+        ("notes", row.notes.clone()),
+    ]);
+    about
 }
 
 /// A caption, marked if it was made by rule.
@@ -388,48 +334,41 @@ fn marked(text: &str, is_made: bool) -> String {
     }
 }
 
-/// Contents of a motion file, motion by motion.
+/// Contents of a motion file.
 #[derive(Serialize)]
 struct Foreign {
     format: &'static str,
     /// The first motion that would be quarantined.
     #[serde(flatten)]
     failure: Option<Failure>,
-    motions: Vec<ForeignMotion>,
-}
-
-#[derive(Serialize)]
-struct ForeignMotion {
-    name: String,
-    #[serde(skip)]
-    rejected: Option<Rejected>,
-    facts: BTreeMap<String, String>,
-    captions: Vec<String>,
-    notes: Vec<String>,
+    motions: Vec<About>,
 }
 
 fn foreign(path: &Path) -> anyhow::Result<Foreign> {
     let options = ReadOptions::default();
     let (format, outcomes) = read_file(path, &options)?;
-    let motions: Vec<ForeignMotion> = outcomes
-        .into_iter()
-        .map(|(name, outcome)| ForeignMotion::of(name, outcome, &options.skeleton))
-        .collect();
+    let (mut motions, mut failure) = (Vec::new(), None);
+    for (name, outcome) in outcomes {
+        let (about, rejected) = about_outcome(&name, outcome, &options.skeleton);
+        if let Some(Rejected { code, reason, .. }) = rejected
+            && failure.is_none()
+        {
+            let file = path.display();
+            let item = match name.as_str() {
+                "" => file.to_string(),
+                name => format!("{file}#{name}"),
+            };
+            failure = Some(Failure {
+                code,
+                item: Some(item),
+                reason,
+            });
+        }
+        motions.push(about);
+    }
     if motions.is_empty() {
         bail!("{} holds no motion", path.display());
     }
-    let failure = motions.iter().find_map(|motion| {
-        let rejected = motion.rejected.as_ref()?;
-        let file = path.display();
-        Some(Failure {
-            code: rejected.code,
-            item: Some(match motion.name.as_str() {
-                "" => file.to_string(),
-                name => format!("{file}#{name}"),
-            }),
-            reason: rejected.reason.clone(),
-        })
-    });
     Ok(Foreign {
         format: format.as_str(),
         failure,
@@ -437,79 +376,52 @@ fn foreign(path: &Path) -> anyhow::Result<Foreign> {
     })
 }
 
-impl ForeignMotion {
-    fn of(name: String, outcome: Outcome, skeleton: &Skeleton) -> Self {
-        let mut motion = Self {
-            name,
-            rejected: None,
-            facts: BTreeMap::new(),
-            captions: Vec::new(),
-            notes: Vec::new(),
-        };
-        let mut fact = |key: &str, value: String| {
-            motion.facts.insert(key.to_owned(), value);
-        };
-        match outcome {
-            Outcome::Clip(clip) => {
-                let SourceClip {
-                    motion: read,
-                    rotation_source,
-                    fit_error_m,
-                    ..
-                } = &*clip;
-                fact(
-                    "length",
-                    format!(
-                        "{} frames at {}, {:.2} s",
-                        read.len(),
-                        read.fps(),
-                        read.duration_secs()
-                    ),
-                );
-                fact("rotations", rotation_source.as_str().to_owned());
-                if let Some(error) = fit_error_m {
-                    fact("fit error", format!("{:.1} cm", 100.0 * error));
+/// A motion of a file, and why it would be quarantined.
+fn about_outcome(name: &str, outcome: Outcome, skeleton: &Skeleton) -> (About, Option<Rejected>) {
+    let mut about = About {
+        name: Some(name.to_owned()),
+        lists: BTreeMap::from([("captions", Vec::new()), ("notes", Vec::new())]),
+        ..About::default()
+    };
+    let mut rejected = None;
+    match outcome {
+        Outcome::Clip(clip) => {
+            let read = &clip.motion;
+            let (frames, fps, secs) = (read.len(), read.fps(), read.duration_secs());
+            about.fact("length", format!("{frames} frames at {fps}, {secs:.2} s"));
+            about.fitted(clip.rotation_source.as_str(), clip.fit_error_m);
+            match clip::check::check(read, skeleton) {
+                Ok(quality) => {
+                    about.moves(quality.max_speed, quality.foot_skate);
+                    let flags = flag_names(quality.flags | clip.flags);
+                    about.fact("flags", flags.join(", "));
                 }
-                match clip::check::check(read, skeleton) {
-                    Ok(quality) => {
-                        fact("max speed", format!("{:.2} m/s", quality.max_speed));
-                        fact("foot skate", format!("{:.2} m/s", quality.foot_skate));
-                        let flags = flag_names(quality.flags | clip.flags);
-                        fact("flags", flags.join(", "));
-                    }
-                    Err(rejected) => {
-                        fact("rejected", rejected.to_string());
-                        motion.rejected = Some(rejected);
-                    }
-                }
-                let stated = clip.captions.iter().map(|said| marked(&said.text, false));
-                let made = clip
-                    .made_captions
-                    .iter()
-                    .map(|said| marked(&said.text, true));
-                motion.captions = stated.chain(made).collect();
-                motion.notes = clip.notes;
+                Err(found) => rejected = Some(found),
             }
-            Outcome::Skipped { reason } => fact("skipped", reason),
-            Outcome::Rejected(rejected) => {
-                fact("rejected", rejected.to_string());
-                motion.rejected = Some(rejected);
-            }
+            let stated = clip.captions.iter().map(|said| marked(&said.text, false));
+            let made = clip.made_captions.iter();
+            let made = made.map(|said| marked(&said.text, true));
+            about.lists.insert("captions", stated.chain(made).collect());
+            about.lists.insert("notes", clip.notes);
         }
-        motion
+        Outcome::Skipped { reason } => about.fact("skipped", reason),
+        Outcome::Rejected(found) => rejected = Some(found),
     }
+    if let Some(rejected) = &rejected {
+        about.fact("rejected", rejected);
+    }
+    (about, rejected)
 }
 
 impl Foreign {
     fn text(&self) -> String {
         let mut text = format!("{} file\n", self.format);
         for motion in &self.motions {
-            if !motion.name.is_empty() {
-                text += &format!("\n{}\n", motion.name);
+            match motion.name.as_deref() {
+                None | Some("") => {}
+                Some(name) => text += &format!("\n{name}\n"),
             }
-            text += &listing(&motion.facts);
-            text += &section("captions", &motion.captions);
-            text += &section("notes", &motion.notes);
+            text += &motion.text();
         }
         text
     }

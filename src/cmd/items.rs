@@ -15,7 +15,7 @@ use crate::cmd::triplets::ComposeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::stages;
-use crate::test_set::{self, BUILTIN_1, TestSet};
+use crate::test_set::{self, BUILTIN_1};
 
 /// Draw the test questions: a motion, an instruction, and the expected result.
 ///
@@ -32,8 +32,8 @@ pub(crate) struct Args {
     #[arg(required = true)]
     dataset: Option<PathBuf>,
     /// Draw a test set that comes with the program: builtin-1, 300 questions on the built-in corpus
-    #[arg(long, value_name = "NAME", conflicts_with_all = ["split", "count", "task", "novelty", "ComposeArgs", "ChosenArgs"])]
-    set: Option<TestSet>,
+    #[arg(long, value_name = "NAME", value_parser = parse_set, conflicts_with_all = ["split", "count", "task", "novelty", "ComposeArgs", "ChosenArgs"])]
+    set: Option<String>,
     /// Split to draw from
     #[arg(long, default_value = "test")]
     split: Split,
@@ -78,6 +78,13 @@ struct ExportArgs {
     out: PathBuf,
 }
 
+fn parse_set(name: &str) -> Result<String, String> {
+    match name {
+        BUILTIN_1 => Ok(name.to_owned()),
+        _ => Err(format!("{name:?} is no test set; there is {BUILTIN_1}")),
+    }
+}
+
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(Action::Export(args)) = &args.action {
         return export(args, global);
@@ -88,31 +95,26 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if args.set.is_some() && global.seed() != Seed(0) {
         anyhow::bail!("{BUILTIN_1} is drawn with seed 0; leave --seed out");
     }
-    let own = || -> anyhow::Result<ItemConfig> {
-        Ok(ItemConfig {
+    let config = match args.set {
+        Some(_) => test_set::items(Seed(0), true),
+        None => ItemConfig {
             count: args.count,
             tasks: args.task.clone(),
             novelty: args.novelty.clone(),
             compose: args.compose.config()?,
             ..ItemConfig::default()
-        })
-    };
-    let config = match args.set {
-        Some(TestSet::Builtin1) => test_set::items(Seed(0), true),
-        None => own()?,
+        },
     };
     let seed = global.seed();
     let opened = args.chosen.open(dataset)?;
     let drawn = stages::items(&opened, out, args.split, &config, seed, global);
-    let drawn = match args.set {
-        Some(TestSet::Builtin1) => drawn.with_context(|| {
-            format!(
-                "{BUILTIN_1} is drawn from the dataset that these commands make: {}",
-                test_set::commands(dataset)
-            )
-        })?,
-        None => drawn.context("cannot draw items")?,
-    };
+    let drawn = drawn.with_context(|| match args.set {
+        Some(_) => format!(
+            "{BUILTIN_1} is drawn from the dataset that these commands make: {}",
+            test_set::commands(dataset)
+        ),
+        None => "cannot draw items".to_owned(),
+    })?;
     let rows: Rows<ItemRow> = Rows::read(&drawn)?;
     let rows = rows.facts();
     let distinct = |of: fn(&ItemFacts) -> &str| rows.iter().map(of).collect::<BTreeSet<_>>().len();

@@ -10,7 +10,6 @@ use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Split};
 use pipeline::annotation::masks::MaskConfig;
 use pipeline::stage::{self, Judged};
-use serde::Serialize;
 
 use crate::chosen::ChosenArgs;
 use crate::exit::Exit;
@@ -53,15 +52,6 @@ pub(crate) struct Args {
     chosen: ChosenArgs,
 }
 
-/// The `--json` document.
-#[derive(Serialize)]
-struct Document {
-    masks: u64,
-    origins: BTreeMap<String, u64>,
-    parts: BTreeMap<String, u64>,
-    root_hash: String,
-}
-
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(file) = &args.drafts {
         let dataset = args.chosen.open(&args.dataset)?;
@@ -79,12 +69,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         Some(file) => accept(args, file, global)?,
         None => {
             let config = MaskConfig::default();
-            let judged = if args.replace {
-                Judged::Replace
-            } else if args.add {
-                Judged::Add
-            } else {
-                Judged::Refuse
+            let judged = match (args.replace, args.add) {
+                (true, _) => Judged::Replace,
+                (false, true) => Judged::Add,
+                (false, false) => Judged::Refuse,
             };
             global.stage(|context| {
                 let condition = args.chosen.condition.as_ref();
@@ -145,22 +133,24 @@ fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> 
 }
 
 fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
-    let rows: Vec<MaskRow> = dataset.read(None)?;
-    let mut document = Document {
-        masks: dataset.manifest().rows(MaskRow::TABLE, None),
-        origins: BTreeMap::new(),
-        parts: BTreeMap::new(),
-        root_hash: dataset.manifest().root_hash.clone(),
-    };
-    for row in rows {
-        *document.origins.entry(row.text_origin).or_default() += 1;
-        *document.parts.entry(row.parts.join("+")).or_default() += 1;
+    let mut origins: BTreeMap<String, u64> = BTreeMap::new();
+    let mut parts: BTreeMap<String, u64> = BTreeMap::new();
+    for row in dataset.read::<MaskRow>(None)? {
+        *origins.entry(row.text_origin).or_default() += 1;
+        *parts.entry(row.parts.join("+")).or_default() += 1;
     }
-    let mut text = format!("{} masks\n", document.masks);
-    for (title, counts) in [("text", &document.origins), ("part", &document.parts)] {
+    let masks = dataset.manifest().rows(MaskRow::TABLE, None);
+    let mut text = format!("{masks} masks\n");
+    for (title, counts) in [("text", &origins), ("part", &parts)] {
         for (label, count) in counts {
             text += &format!("  {title} {label:<20} {count:>6}\n");
         }
     }
+    let document = serde_json::json!({
+        "masks": masks,
+        "origins": origins,
+        "parts": parts,
+        "root_hash": dataset.manifest().root_hash,
+    });
     global.say(&document, &text)
 }

@@ -208,7 +208,6 @@ enum Model {
     Mdm,
 }
 
-/// Motion features of evaluation encoders.
 pub(crate) const FEATURES: Names<FeatureRecipe> = &[
     (
         "smpl135",
@@ -229,25 +228,16 @@ pub(crate) const FEATURES: Names<FeatureRecipe> = &[
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let files = match &args.action {
-        Action::Import(args) => {
-            import(args)?;
-            vec![args.out.clone()]
-        }
+        Action::Import(args) => import(args).map(|()| vec![args.out.clone()])?,
         Action::Export(args) => exchange::export(&args.run, args.checkpoint, &args.out)?,
         Action::Fetch(args) => fetch(args.clip, global)?,
         Action::Texts(args) => return list_texts(args, global),
-        Action::Table(args) => {
-            make_table(args)?;
-            vec![args.out.clone()]
-        }
+        Action::Table(args) => make_table(args).map(|()| vec![args.out.clone()])?,
         Action::Encoder(args) => {
             args.device.choose()?;
             package::unpack(&args.package, &args.out, &device())?
         }
-        Action::Embed(args) => {
-            embed(args, global)?;
-            vec![args.out.clone()]
-        }
+        Action::Embed(args) => embed(args, global).map(|()| vec![args.out.clone()])?,
     };
     let lines: Vec<String> = files
         .iter()
@@ -256,7 +246,6 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     global.say(&serde_json::json!({ "files": files }), &lines.join("\n"))
 }
 
-/// The `--json` document of `texts`.
 #[derive(Serialize, Deserialize)]
 struct TextList {
     texts: Vec<String>,
@@ -292,11 +281,9 @@ fn embed(args: &EmbedArgs, global: &Global) -> anyhow::Result<()> {
     let encoder = text_encoder(Some(&args.text_encoder)).load_bert(&device())?;
     let bars = global.bars();
     bars.begin("texts", Some(texts.len() as u64));
-    let mut reported = 0;
     let all = texts.iter().map(String::as_str);
     let table = EmbeddingTable::compute(&encoder, args.vectors, all, &mut |done, _| {
-        bars.advance((done - reported) as u64);
-        reported = done;
+        bars.advance_to(done as u64);
     })?;
     bars.finish(&format!("{} texts encoded", table.texts().len()));
     Ok(table.save(&args.out)?)
@@ -321,14 +308,13 @@ fn fetch(clip: ClipModel, global: &Global) -> anyhow::Result<Vec<PathBuf>> {
 
 fn import(args: &ImportArgs) -> anyhow::Result<()> {
     args.device.choose()?;
-    if let (Model::Tmr, Some(features), Some(stats)) = (args.model, args.features, &args.stats) {
-        return import_encoder(args, features, stats);
-    }
-    if let (Model::Mdm, Some(stats)) = (args.model, &args.stats) {
-        return import_mdm(args, stats);
-    }
-    if let (Model::Tmed, Some(stats)) = (args.model, &args.stats) {
-        return import_motionfix(args, stats);
+    let seen = "name what the network sees: --stats, and for an encoder --features";
+    let stats = || args.stats.as_deref().context(seen);
+    match args.model {
+        Model::Tmr => return import_encoder(args, args.features.context(seen)?, stats()?),
+        Model::Mdm => return import_mdm(args, stats()?),
+        Model::Tmed => return import_motionfix(args, stats()?),
+        Model::Motionrefit | Model::Coordinator => {}
     }
     let Some(range_file) = &args.range else {
         bail!("the normaliser is missing: --range norm_scaled.npy");
@@ -343,32 +329,30 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
         seed: Seed(0),
     };
     let (out, file) = (&args.out, &args.file);
-    match args.model {
-        Model::Motionrefit => {
-            let clip =
-                text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitB32, &device())?;
-            let record = EditorRecord {
-                train: TrainConfig::preset(preset),
-                normalizer,
-                text: TextRecord::frozen(&clip, BertVectors::Pooled),
-                compose,
-                extrapolation: None,
-            };
-            exchange::import_editor(out, &record, &skeleton, weights, file, &device())?;
-        }
-        Model::Coordinator => {
-            let record = CoordinatorRecord {
-                train: CoordinatorConfig::preset(preset),
-                normalizer,
-                compose,
-            };
-            exchange::import_coordinator(out, &record, &skeleton, weights, file, &device())?;
-        }
-        Model::Tmr | Model::Mdm | Model::Tmed => {
-            bail!("name what the network sees: --stats, and for an encoder --features")
-        }
+    if args.model == Model::Coordinator {
+        let record = CoordinatorRecord {
+            train: CoordinatorConfig::preset(preset),
+            normalizer,
+            compose,
+        };
+        exchange::import_coordinator(out, &record, &skeleton, weights, file, &device())?;
+        return Ok(());
     }
+    let record = EditorRecord {
+        train: TrainConfig::preset(preset),
+        normalizer,
+        text: clip(args, ClipModel::VitB32, BertVectors::Pooled)?,
+        compose,
+        extrapolation: None,
+    };
+    exchange::import_editor(out, &record, &skeleton, weights, file, &device())?;
     Ok(())
+}
+
+/// The frozen CLIP of a network.
+fn clip(args: &ImportArgs, model: ClipModel, vectors: BertVectors) -> anyhow::Result<TextRecord> {
+    let clip = text_encoder(args.text_encoder.as_deref()).load(model, &device())?;
+    Ok(TextRecord::frozen(&clip, vectors))
 }
 
 fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
@@ -387,10 +371,9 @@ fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
         ..StateDictOptions::default()
     };
     let weights = weights(&args.file, &options)?;
-    let clip = text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitL14, &device())?;
     let fitted = (
         read_released_statistics(&local::read(stats)?, stats)?,
-        TextRecord::frozen(&clip, BertVectors::States),
+        clip(args, ClipModel::VitL14, BertVectors::States)?,
     );
     let (out, heads) = (&args.out, args.heads);
     import_tmed(out, heads, fitted, weights, &args.file, &device())?;
@@ -464,10 +447,11 @@ fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
         mean: numbers("Mean.npy")?,
         std: numbers("Std.npy")?,
     };
-    let clip = text_encoder(args.text_encoder.as_deref()).load(ClipModel::VitB32, &device())?;
-    let text = TextRecord::frozen(&clip, BertVectors::Pooled);
     let (out, file) = (&args.out, &args.file);
-    let fitted = (features, text);
+    let fitted = (
+        features,
+        clip(args, ClipModel::VitB32, BertVectors::Pooled)?,
+    );
     exchange::import_mdm(out, &mdm, args.heads, fitted, weights, file, &device())?;
     Ok(())
 }

@@ -111,16 +111,14 @@ pub(crate) fn of_edits(
         opening: opening(answered, &unknown)?,
         cards: cards(answered, systems.len()),
         tables,
-        figures: Vec::new(),
         charts: histograms(edits),
         strips,
-        facts: Vec::new(),
         settings: vec![
             ("stance".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("seed".to_owned(), global.seed().0.to_string()),
         ],
         details: vec![Details::of_json("Systems", &settings)],
-        commands: Vec::new(),
+        ..Report::default()
     })
 }
 
@@ -139,24 +137,23 @@ pub(crate) fn with_edits(
     items.into_iter().map(answers).collect()
 }
 
-/// The key figures at the top of the page.
 fn cards(answered: &Answered, num_systems: usize) -> Vec<Card> {
     let items = answered.items.facts();
     let targets: BTreeSet<&str> = items.iter().map(|item| item.target_id.as_str()).collect();
-    let card = |label: &str, count: usize, note: String| Card {
-        label: label.to_owned(),
-        value: count.to_string(),
-        note,
-    };
+    let targets = format!("{} distinct targets", targets.len());
     vec![
-        card(
-            "items",
-            items.len(),
-            format!("{} distinct targets", targets.len()),
-        ),
-        card("systems", num_systems, String::new()),
-        card("edited motions", answered.edits.len(), String::new()),
+        card("items", items.len(), &targets),
+        card("systems", num_systems, ""),
+        card("edited motions", answered.edits.len(), ""),
     ]
+}
+
+pub(crate) fn card(label: &str, value: impl ToString, note: &str) -> Card {
+    Card {
+        label: label.to_owned(),
+        value: value.to_string(),
+        note: note.to_owned(),
+    }
 }
 
 /// Histograms of the length of the edits, and of the distance of their points from a skeleton.

@@ -6,9 +6,8 @@ use std::path::PathBuf;
 use datasets_spec::Split;
 use datasets_spec::record::PairRow;
 use datasets_spec::table::Row;
-use pipeline::annotation::pairs::{PairConfig, RefusedLine};
+use pipeline::annotation::pairs::PairConfig;
 use pipeline::stage;
-use serde::Serialize;
 
 use crate::chosen::ChosenArgs;
 use crate::exit::Exit;
@@ -39,17 +38,6 @@ pub(crate) struct Args {
     chosen: ChosenArgs,
 }
 
-/// The `--json` document.
-#[derive(Serialize)]
-struct Document {
-    pairs: u64,
-    alone: usize,
-    refused: Vec<RefusedLine>,
-    splits: BTreeMap<&'static str, u64>,
-    styles: BTreeMap<String, u64>,
-    root_hash: String,
-}
-
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let (dataset, alone, refused) = match &args.csv {
         Some(file) => {
@@ -74,23 +62,15 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         report::note(&line.to_string());
     }
     let manifest = dataset.manifest();
-    let mut styles = BTreeMap::new();
+    let pairs = manifest.rows(PairRow::TABLE, None);
+    let in_split = |split: Split| (split.as_str(), manifest.rows(PairRow::TABLE, Some(split)));
+    let splits = BTreeMap::from(Split::ALL.map(in_split));
+    let mut styles: BTreeMap<String, u64> = BTreeMap::new();
     for pair in dataset.read::<PairRow>(None)? {
         *styles.entry(pair.style.unwrap_or(pair.kind)).or_default() += 1;
     }
-    let document = Document {
-        pairs: manifest.rows(PairRow::TABLE, None),
-        alone: alone.len(),
-        refused,
-        splits: Split::ALL
-            .into_iter()
-            .map(|split| (split.as_str(), manifest.rows(PairRow::TABLE, Some(split))))
-            .collect(),
-        styles,
-        root_hash: manifest.root_hash.clone(),
-    };
     for (split, use_of_it) in [("train", "trained on"), ("val", "validated with")] {
-        if document.pairs > 0 && document.splits.get(split) == Some(&0) {
+        if pairs > 0 && splits[split] == 0 {
             report::note(&format!(
                 "the {split} split has no pairs, so that none are {use_of_it}: both motions of a pair have to be in \
                  it; ingest into a new folder with a list of splits that puts them there (stance ingest --splits), \
@@ -99,21 +79,31 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
     }
     let left_out = match &args.csv {
-        Some(_) => format!("{} lines gave none", document.refused.len()),
+        Some(_) => format!("{} lines gave none", refused.len()),
         None => format!(
             "{} styled motions have no counterpart in their split",
-            document.alone
+            alone.len()
         ),
     };
-    let mut lines = vec![format!("{} pairs; {left_out}", document.pairs)];
-    let splits = document.splits.iter();
-    lines.extend(splits.map(|(split, count)| format!("  {split:<12} {count:>6}")));
-    let styles = document.styles.iter();
-    lines.extend(styles.map(|(style, count)| format!("  {style:<12} {count:>6}")));
+    let mut lines = vec![format!("{pairs} pairs; {left_out}")];
+    lines.extend(
+        splits
+            .iter()
+            .map(|(split, count)| format!("  {split:<12} {count:>6}")),
+    );
+    lines.extend(
+        styles
+            .iter()
+            .map(|(style, count)| format!("  {style:<12} {count:>6}")),
+    );
+    let document = serde_json::json!({
+        "pairs": pairs,
+        "alone": alone.len(),
+        "refused": refused,
+        "splits": splits,
+        "styles": styles,
+        "root_hash": manifest.root_hash,
+    });
     global.say(&document, &lines.join("\n"))?;
-    Ok(if document.refused.is_empty() {
-        Exit::Done
-    } else {
-        Exit::Quarantined
-    })
+    Ok(Exit::quarantined_if(!refused.is_empty()))
 }

@@ -5,9 +5,11 @@ use std::path::PathBuf;
 use anyhow::bail;
 use datasets_spec::Dataset;
 use eval::format::csv::line;
+use pipeline::ingest::SourceArg;
 use serde_json::{Map, Value};
 use tables::{Answer, Tables};
 
+use crate::cmd::ingest::parse_source;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::{local, report};
@@ -29,8 +31,8 @@ use crate::{local, report};
 #[command(verbatim_doc_comment)]
 pub(crate) struct Args {
     /// Dataset folders or URLs; several need names, NAME=PATH
-    #[arg(required = true, value_name = "[NAME=]DATASET")]
-    datasets: Vec<String>,
+    #[arg(required = true, value_name = "[NAME=]DATASET", value_parser = parse_source())]
+    datasets: Vec<SourceArg>,
     /// The query: one SELECT
     #[arg(value_name = "SQL")]
     query: String,
@@ -44,19 +46,19 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let mut tables = match args.datasets.as_slice() {
-        [one] => Tables::of(&open(named(one).map_or(one, |(_, path)| path))?)?,
+        [one] => Tables::of(&Dataset::open_unverified(&one.path)?)?,
         several => {
             let mut datasets: Vec<(String, Dataset)> = Vec::new();
-            for text in several {
-                let Some((name, path)) = named(text) else {
-                    bail!("each of several datasets needs a name, as in a={text}");
+            for source in several {
+                let Some(name) = &source.name else {
+                    bail!("each of several datasets needs a name, as in a={source}");
                 };
                 if datasets.iter().any(|(known, _)| known == name) {
                     bail!(
                         "two datasets are named {name}; their tables are NAME.TABLE, so give them two names"
                     );
                 }
-                datasets.push((name.to_owned(), open(path)?));
+                datasets.push((name.clone(), Dataset::open_unverified(&source.path)?));
             }
             Tables::of_several(&datasets)?
         }
@@ -70,27 +72,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             global.say(&document, &format!("{rows} rows in {}", out.display()))?;
         }
         None if args.csv => report::text(&csv(&answer)),
-        None if global.json => report::json(&objects(&answer))?,
+        None if global.json => report::json(&answer.rows::<Map<String, Value>>()?)?,
         None => report::text(&table(&answer)),
     }
     Ok(Exit::Done)
-}
-
-fn open(path: &str) -> anyhow::Result<Dataset> {
-    Ok(Dataset::open_unverified(path.as_ref())?)
-}
-
-/// The name and the path of `NAME=PATH`. The text before the first = is a name unless it contains a slash.
-fn named(text: &str) -> Option<(&str, &str)> {
-    let (name, path) = text.split_once('=')?;
-    let is_name = !name.is_empty() && !name.contains(['/', '\\']);
-    is_name.then_some((name, path))
-}
-
-fn objects(answer: &Answer) -> Vec<Map<String, Value>> {
-    let names = answer.columns();
-    let object = |row| names.iter().cloned().zip(answer.row(row)).collect();
-    (0..answer.len()).map(object).collect()
 }
 
 /// A value as the text of a table cell.

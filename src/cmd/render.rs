@@ -78,7 +78,6 @@ pub(crate) fn open_for_clips(path: &Path) -> anyhow::Result<Dataset> {
     })
 }
 
-/// Longest label that fits on one line.
 const LABEL_CHARS: usize = 15;
 
 /// Labels of clips, made from their names. If a name is too long for a line, the common beginning of all names, up to
@@ -120,10 +119,8 @@ fn name_of_file(path: &Path) -> String {
     }
 }
 
-/// Maximum number of clips in one picture.
 const MOST_CLIPS: usize = 200;
 
-/// Ids of the clips that meet a condition.
 fn chosen(dataset: &Dataset, condition: &Condition) -> anyhow::Result<Vec<String>> {
     anyhow::ensure!(
         !holds_items(dataset),
@@ -180,10 +177,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     )
 }
 
-/// A folder of edits with its rows.
 type Edits<'a> = (&'a PathBuf, Vec<EditRow>);
 
-/// The folders of `--edits`.
 fn further_edits<'a>(args: &'a Args, dataset: Option<&Dataset>) -> anyhow::Result<Vec<Edits<'a>>> {
     let others: Vec<Edits<'a>> = (args.edits.iter())
         .map(|folder| Ok((folder, Dataset::open(folder)?.read(None)?)))
@@ -198,7 +193,6 @@ fn further_edits<'a>(args: &'a Args, dataset: Option<&Dataset>) -> anyhow::Resul
     Ok(others)
 }
 
-/// Contents of a picture.
 #[derive(Default)]
 struct Picture {
     rows: Vec<Row>,
@@ -245,7 +239,6 @@ impl Picture {
         Ok(())
     }
 
-    /// The picture in the format of its extension.
     fn encoded(&self, args: &Args) -> anyhow::Result<Vec<u8>> {
         let style = Style {
             num_figures: args.figures,

@@ -9,7 +9,8 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 use datasets_spec::store::temporary_beside;
 use pipeline::export::Exported;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
+use serde_json::json;
 use train::sample::EditTimes;
 use train::work::{Surroundings, device_of, edits, variants};
 use work::{CommitOptions, Failed, Jobs, NewFolder, Outcome, Piece, Plan, Record, Sample, Worker};
@@ -147,7 +148,6 @@ pub(crate) fn run(args: &Args, global: &Global, itself: Itself<'_>) -> anyhow::R
     }
 }
 
-/// The jobs of this program.
 fn jobs() -> Jobs {
     pipeline::jobs::jobs()
         .with(
@@ -160,35 +160,12 @@ fn jobs() -> Jobs {
         )
 }
 
-/// Chooses the device that a plan names.
 fn of_plan(plan: &Plan) -> Result<Surroundings, Failed> {
     let failed = |error: anyhow::Error| Failed::new("E-DEVICE", format!("{error:#}"));
     let device = device_of(plan)?;
     let device = DeviceArgs::from_json(device).map_err(failed)?;
     device.choose().map_err(failed)?;
     Ok(surroundings())
-}
-
-/// The `--json` document of `plan`.
-#[derive(Serialize)]
-struct Planned<'a> {
-    job: &'a str,
-    plan: Option<&'a Path>,
-    destination: &'a Path,
-    plan_hash: &'a str,
-    pieces: u64,
-    items: u64,
-    bytes: u64,
-    /// Pieces made to estimate the hours; none without --dry-run.
-    sample: Option<SampleOf>,
-    /// Estimated hours of one process like this one.
-    estimated_hours: Option<f64>,
-}
-
-#[derive(Serialize)]
-struct SampleOf {
-    items: u64,
-    secs: f64,
 }
 
 fn plan(args: &PlanArgs, global: &Global) -> anyhow::Result<Exit> {
@@ -216,7 +193,6 @@ fn dry_run(
     make: impl FnOnce(&Path) -> anyhow::Result<Plan>,
     global: &Global,
 ) -> anyhow::Result<Exit> {
-    /// Items of a sample.
     const SAMPLE: u64 = 16;
     let folder = NewFolder::beside(&temporary_beside(&std::env::temp_dir().join("stance")))?;
     // A plan needs an unused path, so a dry run writes it into a temporary folder.
@@ -241,25 +217,25 @@ fn say(
     let (items, bytes) = (count(|piece| piece.items), count(|piece| piece.bytes));
     let hours = sample
         .map(|Sample { items: made, secs }| secs / made.max(1) as f64 * items as f64 / 3600.0);
-    let planned = Planned {
-        job: plan.job(),
-        plan: folder,
-        destination: plan.destination(),
-        plan_hash: plan.hash(),
-        pieces: plan.pieces().len() as u64,
-        items,
-        bytes,
-        sample: sample.map(|Sample { items, secs }| SampleOf { items, secs }),
-        estimated_hours: hours,
-    };
+    let (job, destination, pieces) = (plan.job(), plan.destination(), plan.pieces().len());
+    // Without --dry-run no pieces are made to estimate the hours of one process like this one.
+    let planned = json!({
+        "job": job,
+        "plan": folder,
+        "destination": destination,
+        "plan_hash": plan.hash(),
+        "pieces": pieces,
+        "items": items,
+        "bytes": bytes,
+        "sample": sample.map(|Sample { items, secs }| json!({ "items": items, "secs": secs })),
+        "estimated_hours": hours,
+    });
     let mut text = format!(
-        "{} pieces of {}: {items} items, {:.1} MB to read, into {}\n",
-        planned.pieces,
-        planned.job,
+        "{pieces} pieces of {job}: {items} items, {:.1} MB to read, into {}\n",
         bytes as f64 / 1e6,
-        planned.destination.display()
+        destination.display()
     );
-    if let (Some(SampleOf { items, secs }), Some(hours)) = (&planned.sample, hours) {
+    if let (Some(Sample { items, secs }), Some(hours)) = (sample, hours) {
         text += &format!(
             "{items} items were made to time them: {secs:.1} s; all take about {hours:.2} hours of one process \
              like this one\n"
@@ -301,12 +277,8 @@ fn work(args: &WorkArgs, global: &Global, itself: Itself<'_>) -> anyhow::Result<
         if global.json {
             report::text(&serde_json::to_string(&record)?);
         } else if !record.is_done() {
-            let [code, reason] = [&record.code, &record.reason];
-            let [code, reason] = [code, reason].map(|text| text.as_deref().unwrap_or_default());
-            report::note(&format!(
-                "piece {} {} failed ({code}): {reason}",
-                record.piece, record.name
-            ));
+            let (piece, name) = (&record.piece, &record.name);
+            report::note(&format!("piece {piece} {name} failed {}", why(&record)));
         }
     }
     progress.finish(&format!("{} pieces", ids.len()));
@@ -315,10 +287,13 @@ fn work(args: &WorkArgs, global: &Global, itself: Itself<'_>) -> anyhow::Result<
             "{done} pieces made, {before} were there already, {failed} failed"
         ));
     }
-    Ok(match failed {
-        0 => Exit::Done,
-        _ => Exit::Quarantined,
-    })
+    Ok(Exit::quarantined_if(failed > 0))
+}
+
+fn why(record: &Record) -> String {
+    let [code, reason] = [&record.code, &record.reason];
+    let [code, reason] = [code, reason].map(|text| text.as_deref().unwrap_or_default());
+    format!("({code}): {reason}")
 }
 
 /// Ids of the pieces to make, in their order in the plan unless they are named.
@@ -358,7 +333,6 @@ fn chosen(args: &WorkArgs, plan: &Plan) -> anyhow::Result<Vec<String>> {
     Ok(ids)
 }
 
-/// Makes a piece in a child process.
 fn isolated(
     args: &WorkArgs,
     worker: &Worker,
@@ -386,7 +360,7 @@ fn child(
 ) -> std::io::Result<(Option<Record>, ExitStatus)> {
     let mut command = itself()?;
     command.args(["--json", "--no-progress"]);
-    if let Some(threads) = global.threads() {
+    if let Some(threads) = global.threads {
         command.args(["--threads", &threads.to_string()]);
     }
     command.args(["stage", "work"]).arg(&args.plan);
@@ -478,10 +452,8 @@ fn commit(args: &CommitArgs, global: &Global) -> anyhow::Result<Exit> {
         done.root_hash
     );
     global.say(&done, &text)?;
-    Ok(match (done.already_committed, quarantined + done.failed) {
-        (true, _) | (false, 0) => Exit::Done,
-        (false, _) => Exit::Quarantined,
-    })
+    let is_lost = quarantined + done.failed > 0;
+    Ok(Exit::quarantined_if(is_lost && !done.already_committed))
 }
 
 fn status(args: &StatusArgs, global: &Global) -> anyhow::Result<Exit> {
@@ -499,12 +471,8 @@ fn status(args: &StatusArgs, global: &Global) -> anyhow::Result<Exit> {
         text += &format!("{:.1} s of work in what is done\n", status.secs);
     }
     for record in &status.failed {
-        let [code, reason] = [&record.code, &record.reason];
-        let [code, reason] = [code, reason].map(|text| text.as_deref().unwrap_or_default());
-        text += &format!(
-            "failed {} {} ({code}): {reason}\n",
-            record.piece, record.name
-        );
+        let (piece, name) = (&record.piece, &record.name);
+        text += &format!("failed {piece} {name} {}\n", why(record));
     }
     const SHOWN: usize = 20;
     for id in status.missing.iter().take(SHOWN) {

@@ -17,11 +17,11 @@ use crate::cmd::model::FEATURES;
 use crate::cmd::render::write_picture;
 use crate::cmd::triplets::ComposeArgs;
 use crate::device::TrainDeviceArgs;
-use crate::evaluators::report_on_encoder;
 use crate::exit::Exit;
 use crate::global::{Global, PRESETS, one_of};
-use crate::session::{text_encoder, with_session};
+use crate::session::text_encoder;
 use crate::settings;
+use crate::stages::{ENCODER, trained};
 
 /// Train a model on a dataset, continue its run, or plot its losses.
 ///
@@ -86,9 +86,6 @@ pub(crate) struct Args {
     #[command(flatten)]
     device: TrainDeviceArgs,
 }
-
-/// Name of the evaluation encoder among the models.
-const ENCODER: &str = "tmr";
 
 fn gigabytes(text: &str) -> Result<f64, String> {
     let parsed = text.parse::<f64>().ok();
@@ -168,15 +165,12 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         length,
         memory: args.memory.map(|gb| (1e9 * gb) as u64),
     };
-    let done = with_session(&global.bars().of(out), |session| {
-        (kind.train)(&request, session)
-    });
-    let mut done = match &args.config {
-        Some(path) => done.map_err(|error| settings::at(path, error.into()))?,
+    let done = trained(kind, &request, global);
+    let (mut done, judge) = match &args.config {
+        Some(path) => done.map_err(|error| settings::at(path, error))?,
         None => done?,
     };
-    if kind.name == ENCODER && done.is_complete {
-        let found = report_on_encoder(dataset, out, global.seed())?;
+    if let Some(found) = judge {
         done.summary += &format!("\n{}", found.lines().join("\n"));
         done.document["judge"] = serde_json::to_value(&found)?;
     }

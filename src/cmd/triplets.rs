@@ -1,5 +1,6 @@
 //! `stance triplets`
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -10,7 +11,7 @@ use eval::draw::strip::{Row, Style, strip};
 use eval::metric::foot_score::foot_score;
 use eval::protocol::Floor;
 use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 use train::config::overlay;
 use work::Plan;
 
@@ -67,7 +68,6 @@ pub(crate) struct ComposeArgs {
 }
 
 impl ComposeArgs {
-    /// The settings of the composer.
     pub(crate) fn config(&self) -> anyhow::Result<ComposeConfig> {
         self.over(&ComposeConfig::default())
     }
@@ -103,7 +103,6 @@ struct StatsArgs {
     chosen: ChosenArgs,
 }
 
-/// The `--json` document of `stats`.
 #[derive(Serialize)]
 struct Counted {
     #[serde(flatten)]
@@ -227,28 +226,7 @@ fn table(counted: &Counted) -> String {
     lines.join("\n")
 }
 
-/// The `--json` document of `--explain`.
-#[derive(Serialize)]
-struct Explained {
-    id: String,
-    instruction: String,
-    source: String,
-    source_start: usize,
-    target: String,
-    target_start: usize,
-    hard_joints: Vec<String>,
-    soft_joints: Vec<String>,
-    alpha: f64,
-    frames: usize,
-    edit_start: usize,
-    edit_end: usize,
-    recipe_hash: String,
-    original_hash: String,
-    edited_hash: String,
-}
-
 impl Args {
-    /// Plans the recording for any number of processes.
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
         let (Some(root), Some(out)) = (&self.dataset, &self.out) else {
             bail!("a recording is planned from a dataset: DATASET --into DIR");
@@ -282,24 +260,29 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         let dataset = args.chosen.open(root)?;
         let (stream, _) = compose::train_stream(&dataset, &config, global.seed(), None)?;
         let triplet = stream.explain(id)?;
-        let explained = Explained {
-            instruction: triplet.instruction,
-            source: triplet.source_id.to_string(),
-            source_start: triplet.source_start,
-            target: triplet.target_id.to_string(),
-            target_start: triplet.target_start,
-            hard_joints: triplet.mask.hard().names(),
-            soft_joints: triplet.mask.soft().names(),
-            alpha: triplet.alpha,
-            frames: triplet.original.len(),
-            edit_start: triplet.edited_frames.start,
-            edit_end: triplet.edited_frames.end,
-            recipe_hash: triplet.recipe_hash,
-            original_hash: triplet.original.content_hash(),
-            edited_hash: triplet.edited.content_hash(),
-            id: triplet.id,
-        };
-        return global.say(&explained, &toml::to_string(&explained)?);
+        let (edited, mask) = (&triplet.edited_frames, triplet.mask);
+        let facts = [
+            ("id", json!(triplet.id)),
+            ("instruction", json!(triplet.instruction)),
+            ("source", json!(triplet.source_id.to_string())),
+            ("source_start", json!(triplet.source_start)),
+            ("target", json!(triplet.target_id.to_string())),
+            ("target_start", json!(triplet.target_start)),
+            ("hard_joints", json!(mask.hard().names())),
+            ("soft_joints", json!(mask.soft().names())),
+            ("alpha", json!(triplet.alpha)),
+            ("frames", json!(triplet.original.len())),
+            ("edit_start", json!(edited.start)),
+            ("edit_end", json!(edited.end)),
+            ("recipe_hash", json!(triplet.recipe_hash)),
+            ("original_hash", json!(triplet.original.content_hash())),
+            ("edited_hash", json!(triplet.edited.content_hash())),
+        ];
+        let lines = facts
+            .iter()
+            .map(|(key, value)| format!("{key} = {value}\n"));
+        let text: String = lines.collect();
+        return global.say(&BTreeMap::from(facts), &text);
     }
     let out = args.out.as_deref().context("--out is missing")?;
     let settings = args.recorded(config, global);

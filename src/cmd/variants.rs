@@ -6,8 +6,8 @@ use anyhow::{Context, bail};
 use datasets_spec::Split;
 use datasets_spec::record::PairRow;
 use datasets_spec::table::Row;
-use serde::Serialize;
-use train::candidates::{VariantConfig, VariantCounts};
+use serde_json::json;
+use train::candidates::VariantConfig;
 use train::mld::LatentNoise;
 use train::stage::variants::{
     Instructions, MakeVariants, VariantReport, make_variants, pair_variants,
@@ -19,6 +19,7 @@ use crate::chosen::ChosenArgs;
 use crate::device::DeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::report::Joined;
 use crate::session::{surroundings, text_encoder, with_session};
 
 /// Make candidates of fine-grained pairs: variants of one motion, paired one to one.
@@ -73,16 +74,6 @@ pub(crate) struct Args {
     device: DeviceArgs,
 }
 
-/// The `--json` document.
-#[derive(Serialize)]
-struct Document {
-    pairs: u64,
-    splits: Vec<(Split, u64)>,
-    counts: Option<VariantCounts>,
-    latent_std: Option<f32>,
-    root_hash: String,
-}
-
 impl Args {
     fn filter(&self) -> VariantConfig {
         VariantConfig {
@@ -103,7 +94,6 @@ impl Args {
         }
     }
 
-    /// Plans the variants for any number of processes.
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
         self.device.choose()?;
         let (Some(generator), Some(instructions)) = (&self.generator, &self.instructions) else {
@@ -116,7 +106,7 @@ impl Args {
             &read_instructions(instructions, self.chosen.text())?,
             (&self.config(), global.seed()),
             self.text_encoder.as_deref(),
-            self.device.to_json()?,
+            self.device.to_json(),
             &surroundings(),
             plan,
         )?)
@@ -173,23 +163,14 @@ fn read_instructions(file: &Path, condition: Option<String>) -> anyhow::Result<I
 
 fn print(made: &VariantReport, global: &Global) -> anyhow::Result<Exit> {
     let manifest = made.dataset.manifest();
-    let document = Document {
-        pairs: manifest.rows(PairRow::TABLE, None),
-        splits: Split::ALL
-            .into_iter()
-            .map(|split| (split, manifest.rows(PairRow::TABLE, Some(split))))
-            .collect(),
-        counts: made.counts,
-        latent_std: made.latent_std,
-        root_hash: manifest.root_hash.clone(),
-    };
-    let mut lines = vec![format!("{} candidate pairs", document.pairs)];
-    if let Some(std) = document.latent_std {
+    let pairs = manifest.rows(PairRow::TABLE, None);
+    let mut lines = vec![format!("{pairs} candidate pairs")];
+    if let Some(std) = made.latent_std {
         lines.push(format!(
             "standard deviation of the latent vectors: {std:.3}"
         ));
     }
-    match document.counts {
+    match made.counts {
         None => lines.push("they were there already".to_owned()),
         Some(counts) => {
             lines.push(format!(
@@ -209,5 +190,7 @@ fn print(made: &VariantReport, global: &Global) -> anyhow::Result<Exit> {
             lines.extend(left_out.map(|(reason, count)| format!("  {reason:<24} {count:>6}")));
         }
     }
-    global.say(&document, &lines.join("\n"))
+    let splits = Split::ALL.map(|split| (split, manifest.rows(PairRow::TABLE, Some(split))));
+    let own = json!({ "pairs": pairs, "splits": splits, "root_hash": manifest.root_hash });
+    global.say(&Joined { own, all_of: made }, &lines.join("\n"))
 }

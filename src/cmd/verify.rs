@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use datasets_spec::Dataset;
 use pipeline::reference::{Comparison, compare};
 use pipeline::verify::{Check, Finding, Verification, verify};
-use serde::Serialize;
+use serde_json::json;
 
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report::listing;
+use crate::report::{Joined, listing};
 
 /// Check a dataset: hashes, columns, contents, and that no split leaks into another.
 ///
@@ -25,16 +25,6 @@ pub(crate) struct Args {
     /// Also compare the features with those of this HumanML3D folder, by id and group of features
     #[arg(long, value_name = "DIR")]
     reference: Option<PathBuf>,
-}
-
-/// The `--json` document.
-#[derive(Serialize)]
-struct Document<'a> {
-    passed: bool,
-    #[serde(flatten)]
-    verification: &'a Verification,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    reference: Option<&'a Comparison>,
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
@@ -54,15 +44,13 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(comparison) = &comparison {
         page += &compared(comparison);
     }
-    global.say(
-        &Document {
-            passed,
-            verification: &verification,
-            reference: comparison.as_ref(),
-        },
-        &page,
-    )?;
-    Ok(if passed { Exit::Done } else { Exit::Failed })
+    let mut own = json!({ "passed": passed });
+    if let Some(comparison) = &comparison {
+        own["reference"] = json!(comparison);
+    }
+    let all_of = &verification;
+    global.say(&Joined { own, all_of }, &page)?;
+    Ok(Exit::done_if(passed))
 }
 
 fn text(verification: &Verification) -> String {

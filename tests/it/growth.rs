@@ -12,7 +12,9 @@ use crate::grown::{
     begun, begun_with_half, clips, files, halves, ingest, judge, masks, motions, move_files,
     refused, verified,
 };
-use crate::util::{arg, assert_has, corpus, len_of, put, rows_of, stance, stem_of, text_of, typed};
+use crate::util::{
+    arg, assert_has, corpus, len_of, put, root_hash_of, rows_of, stance, stem_of, text_of, typed,
+};
 
 /// Checks that equal motions share a split. Returns the number of motions outside of `train` that have an equal one:
 /// without the rule some of these would be separated.
@@ -206,11 +208,7 @@ fn signs_in_names_do_not_collapse_splits() {
 fn labels_of_clips_that_change_are_not_lost_unasked() {
     let (dir, source, more, dataset) = begun_with_half(12);
     let judged = judge(&dataset, dir.path());
-    let root_hash = Dataset::open(&dataset)
-        .expect("a dataset")
-        .manifest()
-        .root_hash
-        .clone();
+    let root_hash = root_hash_of(&dataset);
     // A file that has a judged mask gets another motion.
     let rows = motions(&dataset);
     let labelled = |row: &&MotionRow| judged.values().any(|mask| mask.motion_id == row.id);
@@ -229,13 +227,7 @@ fn labels_of_clips_that_change_are_not_lost_unasked() {
         message.contains("--drop-labels") && message.contains(row.id.as_str()),
         "{message}"
     );
-    assert_eq!(
-        Dataset::open(&dataset)
-            .expect("a dataset")
-            .manifest()
-            .root_hash,
-        root_hash
-    );
+    assert_eq!(root_hash_of(&dataset), root_hash);
     // The file is restored: the dataset does not change.
     put(&file, &kept);
     assert_eq!(
@@ -536,24 +528,14 @@ fn old_versions_go_only_when_asked() {
     let (dir, source, more, dataset) = begun_with_half(8);
     judge(&dataset, dir.path());
     ingest(&[&source, &more], &dataset, &[], 0);
-    let root_hash = Dataset::open(&dataset)
-        .expect("a dataset")
-        .manifest()
-        .root_hash
-        .clone();
+    let root_hash = root_hash_of(&dataset);
     let prune = ["--json", "dataset", "prune", arg(&dataset)];
     let asked: Value = stance(&[&prune[..], &["--dry-run"]].concat()).done();
     let done: Value = stance(&prune).done();
     assert_eq!(asked["files"], done["files"]);
     assert_eq!(done["versions"], serde_json::json!([1, 2, 3]));
     assert!(done["files"].as_u64() > Some(0));
-    assert_eq!(
-        Dataset::open(&dataset)
-            .expect("a dataset")
-            .manifest()
-            .root_hash,
-        root_hash
-    );
+    assert_eq!(root_hash_of(&dataset), root_hash);
     verified(&dataset);
     let again: Value = stance(&prune).done();
     assert_eq!(again["versions"], serde_json::json!([]));

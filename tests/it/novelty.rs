@@ -135,14 +135,13 @@ fn the_built_in_test_set_asks_for_three_novelties_in_equal_parts() {
     assert!(done["targets"].as_u64() >= Some(100), "{done}");
     let items: Vec<ItemRow> = rows_of(&items);
     let rules = Rules::of(&dataset);
-    for item in &items {
-        assert_eq!(
-            item.novelty.as_deref(),
-            Some(rules.novelty(item)),
-            "{}",
-            item.origin
-        );
-    }
+    let holds = |items: &[ItemRow]| {
+        for item in items {
+            let stated = item.novelty.as_deref();
+            assert_eq!(stated, Some(rules.novelty(item)), "{}", item.origin);
+        }
+    };
+    holds(&items);
     // If no novelty is requested, items of every novelty of the split are drawn, and the rules hold for them too.
     let any = dir.path().join("any");
     typed("items {} --count 400 --seed 5 --out {}", &[&dataset, &any]).expect_code(0);
@@ -155,14 +154,7 @@ fn the_built_in_test_set_asks_for_three_novelties_in_equal_parts() {
         found,
         BTreeSet::from(["retake", "combination", "action", "unshown"])
     );
-    for item in &any {
-        assert_eq!(
-            item.novelty.as_deref(),
-            Some(rules.novelty(item)),
-            "{}",
-            item.origin
-        );
-    }
+    holds(&any);
 }
 
 #[test]

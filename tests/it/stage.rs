@@ -15,8 +15,8 @@ use work::{Outcome, Piece, Record};
 use crate::archives::files_below;
 use crate::train::Workshop;
 use crate::util::{
-    Ran, arg, command, corpus, files_with_extension, json_of, put, real_data, rows_of, stance,
-    text_of, typed, typed_with,
+    Ran, arg, command, corpus, files_with_extension, json_of, put, real_data, root_hash_of,
+    rows_of, stance, text_of, typed, typed_with,
 };
 use crate::variants::{ANY as ANY_PAIR, SMALL as SMALL_GENERATOR};
 
@@ -368,19 +368,12 @@ fn a_plan_is_refused_once_its_destination_has_another_version() {
     work(&plan, &["--items", &ids[0].id], 0);
     let source = place.at("corpus");
     stance(&["ingest", arg(&source), "--out", arg(&into), "--fps", "30"]).expect_code(0);
-    let before = Dataset::open(&into)
-        .expect("opens")
-        .manifest()
-        .root_hash
-        .clone();
+    let before = root_hash_of(&into);
     for record in work(&plan, &[], 3) {
         assert_eq!(record.code.as_deref(), Some("E-PLAN-STALE"));
     }
     stance(&["stage", "commit", arg(&plan)]).expect_refused("plan again");
-    assert_eq!(
-        Dataset::open(&into).expect("opens").manifest().root_hash,
-        before
-    );
+    assert_eq!(root_hash_of(&into), before);
 }
 
 #[test]

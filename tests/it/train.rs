@@ -11,8 +11,8 @@ use serde_json::Value;
 
 use crate::evaluate::SMALL_ENCODER;
 use crate::util::{
-    Ran, arg, assert_has, command, corpus, files_with_extension, json_of, len_of, put, rows_of,
-    stance, text_of, typed,
+    Ran, arg, assert_has, command, corpus, files_with_extension, json_of, len_of, put,
+    root_hash_of, rows_of, stance, text_of, typed,
 };
 
 /// Clips of the corpus: six styles of twenty actions.
@@ -92,8 +92,7 @@ impl Workshop {
     }
 
     pub(crate) fn root_hash(&self) -> String {
-        let dataset = Dataset::open(&self.dataset()).expect("a dataset");
-        dataset.manifest().root_hash.clone()
+        root_hash_of(&self.dataset())
     }
 
     /// A clip of the corpus as a file.

@@ -198,6 +198,11 @@ pub(crate) fn rows_of<R: Row>(dataset: &Path) -> Vec<R> {
     dataset.read(None).expect("rows")
 }
 
+pub(crate) fn root_hash_of(dataset: &Path) -> String {
+    let dataset = Dataset::open(dataset).expect("a dataset");
+    dataset.manifest().root_hash.clone()
+}
+
 /// The clips of a dataset by their ids.
 pub(crate) fn motions_of(dataset: &Path) -> BTreeMap<String, MotionRow> {
     let rows = rows_of::<MotionRow>(dataset).into_iter();

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use burn::tensor::{Device, Tensor};
 use datasets_spec::{Fps, Motion, Resample, Seed, Skeleton};
-use features::humanml3d::{Features, features_of_joints, joints_of_motion};
+use features::humanml3d::{Features, GROUPS, features_of_joints, joints_of_motion};
 use features::{Statistics, smpl_body};
 use rand::RngExt;
 use rand::seq::SliceRandom;
@@ -105,7 +105,7 @@ pub(crate) fn grouped_stats(clips: &[CaptionedRows]) -> FeatureStats {
         recipe: FeatureRecipe::HumanMl3d,
         mean: statistics.mean().to_vec(),
         std: statistics
-            .group_std()
+            .std_by(&GROUPS)
             .iter()
             .map(|std| std.max(LEAST_STD))
             .collect(),

@@ -9,6 +9,7 @@ use datasets_spec::manifest::{Accounting, FileEntry};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Split};
+use serde::Serialize;
 
 use super::alike::{Alike, AlikeClips};
 use super::growth::Growth;
@@ -21,11 +22,13 @@ use crate::annotation::pairs::{ListedPairs, PairList, RefusedLine};
 use crate::versions::taken_out;
 
 /// The report of a run.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct IngestReport {
     /// The committed dataset.
+    #[serde(skip)]
     pub dataset: Dataset,
     /// Counts of the source items. An item is a file, or one motion of a file that holds several.
+    #[serde(flatten)]
     pub accounting: Accounting,
     /// Files the items came from.
     pub files: u64,
@@ -42,8 +45,10 @@ pub struct IngestReport {
     /// Remarks on the splits and licences. Remarks that concern the dataset, not only this run, are recorded as [`REMARKS_FACT`](super::options::REMARKS_FACT).
     pub remarks: Vec<String>,
     /// The rejected sources.
+    #[serde(skip)]
     pub quarantine: Vec<QuarantineRow>,
     /// Skipped sources by reason.
+    #[serde(rename = "skipped_reasons")]
     pub skipped: BTreeMap<String, u64>,
     /// Shards taken over from an interrupted run of the same plan.
     pub resumed_shards: usize,

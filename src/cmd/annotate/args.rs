@@ -286,7 +286,6 @@ pub(super) enum UserAction {
     },
 }
 
-/// Parses a host name without scheme and port.
 fn host_name(text: &str) -> Result<String, String> {
     match text.is_empty() || text.contains([':', '/']) {
         true => {

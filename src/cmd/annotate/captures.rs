@@ -14,7 +14,7 @@ use super::sheet::{notes, write_sheet};
 use super::users::operator;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
+use crate::{local, report};
 
 /// Header of a plan; the last column may be left out.
 const HEAD: [&str; 3] = ["motion", "style", "takes"];
@@ -45,7 +45,7 @@ pub(super) fn captures(
 }
 
 fn take_plan(store: &Store, file: &Path, global: &Global) -> anyhow::Result<Exit> {
-    let bytes = std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let bytes = local::read(file)?;
     let cells =
         parse(&bytes).with_context(|| format!("in {}; the plan is as it was", file.display()))?;
     store.plan_captures(operator(store)?.id, cells, now())?;

@@ -16,9 +16,7 @@ use crate::global::Global;
 /// Environment variable with the address of a language model's API, including its version, such as
 /// http://localhost:8000/v1.
 const MODEL_URL: &str = "STANCE_MODEL_URL";
-/// Environment variable with the name of the model.
 const MODEL_NAME: &str = "STANCE_MODEL_NAME";
-/// Environment variable with the model's API key.
 const MODEL_KEY: &str = "STANCE_MODEL_KEY";
 
 /// The language model, if its variables are set.
@@ -44,10 +42,8 @@ pub(super) fn ask_drafts(
     let motions = MotionLibrary::open(&args.dataset)?;
     let bars = global.bars();
     bars.begin("drafts", None);
-    let mut last = 0;
     let done = draft_all(store, &motions, &model, kind, limit, now(), &mut |tasks| {
-        bars.advance((tasks - last) as u64);
-        last = tasks;
+        bars.advance_to(tasks as u64);
     })?;
     bars.finish(&format!("{} tasks", done.looked_at));
     let mut lines = vec![format!(
@@ -67,8 +63,5 @@ pub(super) fn ask_drafts(
         ));
     }
     global.say(&done, &lines.join("\n"))?;
-    Ok(match done.failures {
-        0 => Exit::Done,
-        _ => Exit::Failed,
-    })
+    Ok(Exit::done_if(done.failures == 0))
 }

@@ -80,7 +80,6 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
     Ok(Exit::Done)
 }
 
-/// Warnings about the listening addresses.
 fn warnings(args: &Args) -> impl Iterator<Item = &'static str> {
     let is_reached = !args.listen.ip().is_loopback();
     let is_measured = args

@@ -25,7 +25,6 @@ const BEGIN: &str = "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=
     @media print { body { padding: 0; font-size: 11pt; } h2 { break-after: avoid; } }\n\
     </style>\n";
 
-/// Writes the sheet of a project.
 pub(super) fn write_sheet(
     store: &Store,
     captures: &Captures,
@@ -45,7 +44,6 @@ pub(super) fn write_sheet(
     global.say(&document, &text)
 }
 
-/// Captions of motions by id.
 type Captions<'a> = BTreeMap<&'a str, &'a [String]>;
 
 /// The page: a section for each style that has a guideline or something to capture.

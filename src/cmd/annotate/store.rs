@@ -37,15 +37,11 @@ pub(super) fn open(args: &Args) -> anyhow::Result<Arc<Store>> {
     Ok(store)
 }
 
-/// Location of a store.
 enum Place<'a> {
-    /// A file of SQLite.
     File(PathBuf),
-    /// Address of a database.
     Postgres(&'a str),
 }
 
-/// Location of the store that the arguments name.
 fn place(args: &Args) -> Place<'_> {
     match args.store.as_deref().filter(|store| !store.is_empty()) {
         Some(url) if url.starts_with("postgres://") || url.starts_with("postgresql://") => {
@@ -56,7 +52,6 @@ fn place(args: &Args) -> Place<'_> {
     }
 }
 
-/// Whether an address of a database holds a password.
 fn has_password(url: &str) -> bool {
     let rest = url.split_once("://").map_or("", |(_, rest)| rest);
     let user = rest.rsplit_once('@').map_or("", |(user, _)| user);
@@ -68,11 +63,16 @@ fn find_or_create(args: &Args) -> anyhow::Result<Arc<Store>> {
         Place::Postgres(url) => return open_postgres(url),
         Place::File(file) => file,
     };
-    if let Some(parent) = file.parent() {
-        std::fs::create_dir_all(parent)
-            .with_context(|| format!("cannot create folder {}", parent.display()))?;
-    }
+    create_parent(&file)?;
     Ok(store::open_sqlite(&file)?)
+}
+
+fn create_parent(file: &Path) -> anyhow::Result<()> {
+    let Some(folder) = file.parent() else {
+        return Ok(());
+    };
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("cannot create folder {}", folder.display()))
 }
 
 #[cfg(feature = "postgres")]
@@ -106,7 +106,6 @@ pub(super) fn back_up(
     )
 }
 
-/// Derives all tables from the log.
 pub(super) fn rebuild(store: &Store, global: &Global) -> anyhow::Result<Exit> {
     let changed = store.rebuild()?;
     let text = match changed[..] {
@@ -116,7 +115,6 @@ pub(super) fn rebuild(store: &Store, global: &Global) -> anyhow::Result<Exit> {
     global.say(&json!({ "changed": changed }), &text)
 }
 
-/// Checks the log and all tables.
 pub(super) fn check(store: &Store, global: &Global) -> anyhow::Result<Exit> {
     let findings = store.verify()?;
     let text = match findings[..] {
@@ -124,16 +122,14 @@ pub(super) fn check(store: &Store, global: &Global) -> anyhow::Result<Exit> {
         _ => findings.join("\n"),
     };
     global.say(&json!({ "findings": findings }), &text)?;
-    if findings.is_empty() {
-        return Ok(Exit::Done);
+    if !findings.is_empty() {
+        report::note(
+            "run `stance annotate DATASET rebuild`, or restore a backup if the log itself is damaged",
+        );
     }
-    report::note(
-        "run `stance annotate DATASET rebuild`, or restore a backup if the log itself is damaged",
-    );
-    Ok(Exit::Failed)
+    Ok(Exit::done_if(findings.is_empty()))
 }
 
-/// Writes a project to a file.
 pub(super) fn pack(store: &Store, file: &Path, global: &Global) -> anyhow::Result<Exit> {
     store.pack(file)?;
     let text = format!(
@@ -143,7 +139,6 @@ pub(super) fn pack(store: &Store, file: &Path, global: &Global) -> anyhow::Resul
     global.say(&json!({ "packed": file }), &text)
 }
 
-/// Unpacks a project for a dataset without one.
 pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Exit> {
     let Place::File(to) = place(args) else {
         bail!("a packed project is unpacked into a file; leave the address of PostgreSQL out");
@@ -164,10 +159,7 @@ pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Resul
             file.display()
         );
     }
-    if let Some(folder) = to.parent() {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot create folder {}", folder.display()))?;
-    }
+    create_parent(&to)?;
     let aside = to.with_extension("unpacked");
     std::fs::copy(file, &aside)
         .and_then(|_| File::open(&aside)?.sync_all())

@@ -95,7 +95,6 @@ pub(super) fn run_bulk(store: &Store, args: &BulkArgs, global: &Global) -> anyho
     global.say(&done, &lines.join("\n"))
 }
 
-/// Rules that accept answers without a reviewer.
 pub(super) fn rules(
     store: &Store,
     action: Option<&RulesAction>,

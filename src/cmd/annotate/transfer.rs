@@ -13,6 +13,7 @@ use super::args::Args;
 use super::shared::{lines_of, now};
 use crate::exit::Exit;
 use crate::global::Global;
+use crate::local;
 
 /// Source of the last import.
 pub(super) const IMPORTED: &str = "imported dataset";
@@ -51,10 +52,8 @@ pub(super) fn import_dataset(args: &Args, store: &Store, global: &Global) -> any
     }
     let bars = global.bars();
     bars.begin("import", None);
-    let mut last = 0;
     let taken = transfer::from_dataset(store, &args.dataset, None, now(), &mut |done, _| {
-        bars.advance(u64::try_from(done - last).unwrap_or(0));
-        last = done;
+        bars.advance_to(u64::try_from(done).unwrap_or(0));
     })?;
     let count = |what: &str| taken.counts.get(what).copied().unwrap_or(0);
     bars.finish(&format!(
@@ -97,8 +96,8 @@ fn import_folder(args: &Args, store: &Store, folder: &Path) -> anyhow::Result<Ta
 }
 
 fn read_json(path: &Path) -> anyhow::Result<serde_json::Value> {
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    serde_json::from_slice(&bytes).with_context(|| format!("{} is not JSON", path.display()))
+    serde_json::from_slice(&local::read(path)?)
+        .with_context(|| format!("{} is not JSON", path.display()))
 }
 
 pub(super) fn export(

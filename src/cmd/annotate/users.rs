@@ -11,7 +11,7 @@ use super::args::UserAction;
 use super::shared::now;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
+use crate::{local, report};
 
 /// A day in milliseconds.
 const DAY: i64 = 24 * 60 * 60_000;
@@ -63,8 +63,7 @@ fn import(
     days: u16,
     global: &Global,
 ) -> anyhow::Result<Exit> {
-    let text =
-        std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let text = local::read_text(file)?;
     let (now, url) = (now(), url.trim_end_matches('/'));
     let added = store
         .add_users(None, &text, now + i64::from(days) * DAY, now)

@@ -8,13 +8,13 @@ use anyhow::bail;
 use remote_store::hub::{
     Hub, Push, PushOptions, Pushed, Repo, RepoKind, RepoName, kind_of, pull, token_from_variables,
 };
-use serde::Serialize;
+use serde_json::json;
 
 use self::thing::Thing;
 use crate::cmd::edits::parse_license;
 use crate::exit::Exit;
 use crate::global::{Global, Names, one_of};
-use crate::report;
+use crate::report::{self, Joined};
 
 /// Publish datasets, trained models and edits on the Hugging Face hub, and pull them.
 #[derive(clap::Args, Debug)]
@@ -100,20 +100,6 @@ fn connect() -> anyhow::Result<Hub> {
     Ok(Hub::from_variables(variable)?.with_token(token_from_variables(variable)))
 }
 
-/// The `--json` document of `push`.
-#[derive(Serialize)]
-struct PushDocument<'a> {
-    repo: &'a RepoName,
-    #[serde(rename = "type")]
-    kind: RepoKind,
-    what: &'static str,
-    address: String,
-    revision: &'a str,
-    dry_run: bool,
-    #[serde(flatten)]
-    done: &'a Pushed,
-}
-
 fn push_folder(args: &PushArgs, global: &Global) -> anyhow::Result<Exit> {
     let hub = connect()?;
     if !args.dry_run {
@@ -149,21 +135,22 @@ fn push_folder(args: &PushArgs, global: &Global) -> anyhow::Result<Exit> {
         true => push.preview().clone(),
         false => push.send(&global.bars())?,
     };
-    let document = PushDocument {
-        repo: &args.repo,
-        kind: repo.kind,
-        what: thing.name(),
-        address: repo.address(&hub),
-        revision: &args.revision,
-        dry_run: args.dry_run,
-        done: &done,
-    };
-    global.say(&document, &pushed_text(&document))
+    let (what, address) = (thing.name(), repo.address(&hub));
+    let text = pushed_text(&done, args.dry_run) + &format!("{what} in {address}\n");
+    let own = json!({
+        "repo": args.repo,
+        "type": repo.kind,
+        "what": what,
+        "address": address,
+        "revision": args.revision,
+        "dry_run": args.dry_run,
+    });
+    let all_of = &done;
+    global.say(&Joined { own, all_of }, &text)
 }
 
-fn pushed_text(document: &PushDocument<'_>) -> String {
-    let done = document.done;
-    let mut text = match (&done.commit, document.dry_run) {
+fn pushed_text(done: &Pushed, dry_run: bool) -> String {
+    let mut text = match (&done.commit, dry_run) {
         (Some(commit), _) => format!(
             "{} files committed as {commit:.12}, {} unchanged; {} large ones sent ({:.1} MB)\n",
             done.changed.len(),
@@ -179,20 +166,16 @@ fn pushed_text(document: &PushDocument<'_>) -> String {
         (None, false) => format!("nothing to publish: {} files unchanged\n", done.unchanged),
     };
     let mut list = |title, paths| report::append_list(&mut text, title, paths);
-    if document.dry_run {
+    if dry_run {
         list("to publish", &done.changed);
     }
-    let deleted = if document.dry_run {
-        "to delete"
-    } else {
-        "deleted"
-    };
+    let deleted = if dry_run { "to delete" } else { "deleted" };
     list(deleted, &done.deleted);
     list(
         "only in the repo, where they stay (--delete PATH)",
         &done.only_in_repo,
     );
-    text + &format!("{} in {}\n", document.what, document.address)
+    text
 }
 
 fn pull_repo(args: &PullArgs, global: &Global) -> anyhow::Result<Exit> {
@@ -222,7 +205,7 @@ fn pull_repo(args: &PullArgs, global: &Global) -> anyhow::Result<Exit> {
         count => format!("; {count} files of older versions passed over"),
     };
     global.say(
-        &serde_json::json!({
+        &json!({
             "repo": args.repo,
             "type": kind,
             "what": what,

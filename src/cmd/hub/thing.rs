@@ -25,8 +25,8 @@ const SCORES: &str = "scores.json";
 
 /// Kind of a published folder, recognised by the files that this program writes.
 pub(super) enum Thing {
-    Dataset(Box<Dataset>),
-    Edits(Box<Dataset>),
+    /// A dataset or edits, by its name.
+    Data(&'static str, Box<Dataset>),
     Run(Box<RunRecord<Value>>),
 }
 
@@ -37,10 +37,13 @@ impl Thing {
             return Ok(Self::Run(Box::new(read_any(folder)?)));
         }
         match Dataset::open(folder) {
-            Ok(dataset) if dataset.manifest().rows(EditRow::TABLE, None) > 0 => {
-                Ok(Self::Edits(Box::new(dataset)))
+            Ok(dataset) => {
+                let name = match dataset.manifest().rows(EditRow::TABLE, None) {
+                    0 => "dataset",
+                    _ => "edits",
+                };
+                Ok(Self::Data(name, Box::new(dataset)))
             }
-            Ok(dataset) => Ok(Self::Dataset(Box::new(dataset))),
             Err(error @ datasets_spec::Error::NotADataset { .. }) => {
                 let expected = format!(
                     "expected a dataset, edits, or a run with its {CONFIG}, found none of them in {}",
@@ -54,15 +57,14 @@ impl Thing {
 
     pub(super) fn kind(&self) -> RepoKind {
         match self {
-            Self::Dataset(_) | Self::Edits(_) => RepoKind::Dataset,
+            Self::Data(..) => RepoKind::Dataset,
             Self::Run(_) => RepoKind::Model,
         }
     }
 
     pub(super) fn name(&self) -> &'static str {
         match self {
-            Self::Dataset(_) => "dataset",
-            Self::Edits(_) => "edits",
+            Self::Data(name, _) => name,
             Self::Run(_) => "run",
         }
     }
@@ -70,14 +72,10 @@ impl Thing {
     /// Title of the folder's card, in a line.
     pub(super) fn title(&self) -> String {
         match self {
-            Self::Dataset(dataset) | Self::Edits(dataset) => {
+            Self::Data(name, dataset) => {
                 let manifest = dataset.manifest();
-                format!(
-                    "{}, version {}, root hash {:.12}",
-                    self.name(),
-                    manifest.version,
-                    manifest.root_hash
-                )
+                let (version, hash) = (manifest.version, &manifest.root_hash);
+                format!("{name}, version {version}, root hash {hash:.12}")
             }
             Self::Run(record) => format!("run of {}", record.kind),
         }
@@ -93,10 +91,7 @@ impl Thing {
         repo: &RepoName,
     ) -> anyhow::Result<Vec<HubFile>> {
         match self {
-            Self::Dataset(dataset) | Self::Edits(dataset) => {
-                let licenses = licenses_of(dataset, given)?;
-                files_of_dataset(dataset, &licenses)
-            }
+            Self::Data(_, dataset) => files_of_dataset(dataset, &licenses_of(dataset, given)?),
             Self::Run(record) => {
                 let dataset = trained_on.map(Dataset::open_unverified).transpose()?;
                 let licenses = match &dataset {
@@ -129,7 +124,7 @@ impl Thing {
 
     /// Checks that readers of a repo find this version of a dataset: they open the newest one.
     pub(super) fn check_version(&self, only_in_repo: &[String]) -> anyhow::Result<()> {
-        let (Self::Dataset(dataset) | Self::Edits(dataset)) = self else {
+        let Self::Data(_, dataset) = self else {
             return Ok(());
         };
         let version = dataset.manifest().version;
@@ -147,7 +142,6 @@ impl Thing {
     }
 }
 
-/// Reads a document beside a run, if it exists.
 fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<Option<T>> {
     if !path.is_file() {
         return Ok(None);
@@ -158,7 +152,6 @@ fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<Option<T>> {
         .with_context(|| format!("{} is not what stance writes there", path.display()))
 }
 
-/// Checks that a run was trained on the tables of a dataset.
 fn check_trained_on(record: &RunRecord<Value>, dataset: &Dataset) -> anyhow::Result<()> {
     // Inputs of training: only motions, motions with captured pairs, or all tables that edits are composed from.
     let of_models: [&[&str]; 3] = [

@@ -4,13 +4,12 @@ use clip::LabelProblem;
 use pipeline::annotation::pairs::RefusedLine;
 use pipeline::ingest::{AlikeClips, Forecast, Growth, IngestReport};
 
-use crate::report::append_list;
+use crate::report::{accounted, append_list};
 
 /// Message about clips that stay although their files are missing or no longer contain them.
 const MISSING: &str = "missing, kept; --prune removes them";
 const UNUSABLE: &str = "kept as they were, their files give them no more; --prune removes them";
 
-/// A forecast as text.
 pub(super) fn foreseen(told: &Forecast) -> String {
     let mut text = "nothing was written\n".to_owned();
     for source in &told.sources {
@@ -25,18 +24,12 @@ pub(super) fn foreseen(told: &Forecast) -> String {
         text += &listed("changed", &source.changed);
         text += &listed("read again", &source.read_again);
         text += &listed("moved", &moved);
-        text += &counted("equal", source.equal.len());
+        text += &counted("equal", source.equal.len() as u64);
         text += &listed(MISSING, &source.missing);
         text += &listed(UNUSABLE, &source.kept_unusable);
         text += &listed("pruned", &source.pruned);
-        text += &counted(
-            "quarantined",
-            usize::try_from(source.quarantined).unwrap_or(usize::MAX),
-        );
-        text += &counted(
-            "skipped",
-            usize::try_from(source.skipped).unwrap_or(usize::MAX),
-        );
+        text += &counted("quarantined", source.quarantined);
+        text += &counted("skipped", source.skipped);
     }
     if let Some(settings) = &told.settings {
         text += &format!("settings differ: {settings}\n");
@@ -62,18 +55,14 @@ pub(super) fn foreseen(told: &Forecast) -> String {
 /// Summary of the ingestion, on one screen.
 pub(crate) fn summary(done: &IngestReport) -> String {
     let accounting = &done.accounting;
+    let complete = match done.already_complete {
+        true => " (already complete)",
+        false => "",
+    };
     let mut text = format!(
-        "{} files, {} sources = {} ingested + {} quarantined + {} skipped{}\n",
+        "{} files, {}{complete}\n",
         done.files,
-        accounting.sources,
-        accounting.ingested,
-        accounting.quarantined,
-        accounting.skipped,
-        if done.already_complete {
-            " (already complete)"
-        } else {
-            ""
-        },
+        accounted(accounting)
     );
     for (reason, count) in &done.skipped {
         text += &format!("  skipped {count:>6}  {reason}\n");
@@ -129,14 +118,11 @@ fn quarantined(done: &IngestReport, code: &str, count: u64) -> String {
 
 /// Unusable lines of a list; an empty text if there are none.
 fn refused(what: &str, lines: &[RefusedLine]) -> String {
-    if lines.is_empty() {
-        return String::new();
+    let all: String = lines.iter().map(|line| format!("  {line}\n")).collect();
+    match lines.len() {
+        0 => all,
+        count => format!("{count} {what}\n{all}"),
     }
-    let mut text = format!("{} {what}\n", lines.len());
-    for line in lines {
-        text += &format!("  {line}\n");
-    }
-    text
 }
 
 /// Unusable labels; an empty text if there are none.
@@ -148,7 +134,6 @@ fn problems(problems: &[LabelProblem]) -> String {
     text
 }
 
-/// Message about clips with nearly equal motion.
 fn alike_clips(alike: &[AlikeClips]) -> String {
     const SHOWN: usize = 5;
     let (together, apart): (Vec<&AlikeClips>, Vec<&AlikeClips>) =
@@ -180,7 +165,6 @@ fn alike_clips(alike: &[AlikeClips]) -> String {
     text
 }
 
-/// Message about the clips and labels that the dataset had.
 fn grown(growth: &Growth) -> String {
     let mut text = format!(
         "{} clips are new, {} changed, {} were read again, {} moved, {} stay as they are\n",
@@ -215,7 +199,7 @@ fn grown(growth: &Growth) -> String {
 }
 
 /// A number of clips; an empty text for none.
-fn counted(what: &str, count: usize) -> String {
+fn counted(what: &str, count: u64) -> String {
     match count {
         0 => String::new(),
         count => format!("  {count:>6} {what}\n"),
@@ -225,7 +209,7 @@ fn counted(what: &str, count: usize) -> String {
 /// A number of clips, with the first ids; an empty text for none.
 fn listed(what: &str, clips: &[String]) -> String {
     const SHOWN: usize = 5;
-    let mut text = counted(what, clips.len());
+    let mut text = counted(what, clips.len() as u64);
     for clip in clips.iter().take(SHOWN) {
         text += &format!("         {clip}\n");
     }

@@ -2,8 +2,7 @@
 
 use clip::check::flag_names;
 use datasets_spec::Dataset;
-use serde::de::DeserializeOwned;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::{Map, Value};
 use tables::Tables;
 
 use crate::exit::Exit;
@@ -21,87 +20,38 @@ pub(crate) enum List {
     Skipped,
 }
 
-#[derive(Deserialize, Serialize)]
-struct ListedClip {
-    id: String,
-    split: String,
-    path: String,
-    #[serde(deserialize_with = "names_of_flags")]
-    flags: Vec<&'static str>,
-}
-
-#[derive(Deserialize, Serialize)]
-struct ListedRejection {
-    path: String,
-    code: String,
-    reason: String,
-    byte_offset: Option<u64>,
-}
-
-#[derive(Deserialize, Serialize)]
-struct ListedSkip {
-    path: String,
-    reason: String,
-}
-
 impl List {
     pub(super) fn show(self, dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
-        match self {
+        let query = match self {
             Self::Clips => {
-                let columns = "id, split, source_path AS path, quality.flags AS flags";
-                let clips: Vec<ListedClip> =
-                    rows(dataset, &format!("SELECT {columns} FROM motions"))?;
-                print(&clips, global, |clip| {
-                    vec![
-                        clip.id.clone(),
-                        clip.split.clone(),
-                        clip.path.clone(),
-                        clip.flags.join(","),
-                    ]
-                })
+                "SELECT id, split, source_path AS path, quality.flags AS flags FROM motions"
             }
-            Self::Quarantine => {
-                let columns = "path, code, reason, byte_offset";
-                let rejections: Vec<ListedRejection> =
-                    rows(dataset, &format!("SELECT {columns} FROM quarantine"))?;
-                print(&rejections, global, |row| {
-                    let place = row
-                        .byte_offset
-                        .map_or(String::new(), |at| format!("byte {at}"));
-                    vec![
-                        row.path.clone(),
-                        row.code.clone(),
-                        place,
-                        row.reason.clone(),
-                    ]
-                })
-            }
-            Self::Skipped => {
-                let skips: Vec<ListedSkip> = rows(dataset, "SELECT path, reason FROM skipped")?;
-                print(&skips, global, |row| {
-                    vec![row.path.clone(), row.reason.clone()]
-                })
-            }
+            Self::Quarantine => "SELECT path, code, byte_offset, reason FROM quarantine",
+            Self::Skipped => "SELECT path, reason FROM skipped",
+        };
+        let answer = Tables::of(dataset)?.ask(query)?;
+        let mut rows: Vec<Map<String, Value>> = answer.rows()?;
+        for bits in rows.iter_mut().filter_map(|row| row.get_mut("flags")) {
+            let set = bits.as_u64().and_then(|bits| u32::try_from(bits).ok());
+            *bits = flag_names(set.unwrap_or_default()).into();
         }
+        let names = answer.columns();
+        let lines = rows
+            .iter()
+            .map(|row| names.iter().map(|name| cell(&row[name])).collect());
+        global.say(&rows, &columns(&lines.collect::<Vec<_>>(), |_| false))
     }
 }
 
-/// The rows of a query, deserialized into a type.
-fn rows<T: DeserializeOwned>(dataset: &Dataset, query: &str) -> anyhow::Result<Vec<T>> {
-    Ok(Tables::of(dataset)?.ask(query)?.rows()?)
-}
-
-/// The names of flags from their bits.
-fn names_of_flags<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<&'static str>, D::Error> {
-    u32::deserialize(from).map(flag_names)
-}
-
-/// Prints rows as columns of text, or as a JSON array.
-fn print<T: Serialize>(
-    rows: &[T],
-    global: &Global,
-    cells: impl Fn(&T) -> Vec<String>,
-) -> anyhow::Result<Exit> {
-    let lines: Vec<Vec<String>> = rows.iter().map(cells).collect();
-    global.say(&rows, &columns(&lines, |_| false))
+/// A text, the names of flags, or a byte offset.
+fn cell(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Array(flags) => {
+            let flags: Vec<&str> = flags.iter().filter_map(Value::as_str).collect();
+            flags.join(",")
+        }
+        Value::Number(at) => format!("byte {at}"),
+        _ => String::new(),
+    }
 }

@@ -1,16 +1,34 @@
-//! Files of results.
+//! Files of results, and the parts of a plan that failed.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use eval::draw::raster::png;
 
-use crate::local;
+use crate::exit::Exit;
+use crate::{local, report};
 
 /// PNG pixels per SVG unit.
 const PNG_ZOOM: f32 = 2.0;
 
-/// Writes a result.
+/// Names of the parts that failed.
+#[derive(Default)]
+pub(super) struct Failed(pub(super) Vec<String>);
+
+impl Failed {
+    /// Records a part that failed. An interrupt or a lock ends the command; after other failures the remaining parts
+    /// continue.
+    pub(super) fn add(&mut self, part: &str, error: anyhow::Error) -> anyhow::Result<()> {
+        let (exit, error) = (Exit::of_error(&error), error.context(part.to_owned()));
+        if exit != Exit::Failed {
+            return Err(error);
+        }
+        report::error(&error);
+        self.0.push(part.to_owned());
+        Ok(())
+    }
+}
+
 pub(super) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder)
@@ -19,10 +37,12 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     local::write(path, bytes)
 }
 
-/// Writes a drawing as SVG, and as PNG beside it.
-pub(super) fn write_drawing(path: &Path, svg: &str) -> anyhow::Result<()> {
-    write(path, svg.as_bytes())?;
-    write(&path.with_extension("png"), &png(svg, PNG_ZOOM)?)
+/// Writes a drawing of a folder of results as SVG, and as PNG beside it.
+pub(super) fn write_drawing(out: &Path, name: &str, svg: &str) -> anyhow::Result<PathBuf> {
+    let path = out.join("figures").join(format!("{name}.svg"));
+    write(&path, svg.as_bytes())?;
+    write(&path.with_extension("png"), &png(svg, PNG_ZOOM)?)?;
+    Ok(path)
 }
 
 pub(super) fn file_name(text: &str) -> String {

@@ -9,14 +9,11 @@ use eval::table::Table;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::failed::Failed;
-use super::figures::{FigureMade, PointMade};
-use super::files::{file_name, write, write_drawing};
+use super::figures::FigureMade;
+use super::files::{Failed, file_name, write, write_drawing};
 use super::made::TableMade;
 use super::plan::Plan;
-use super::record::Record;
-use super::scores::in_json;
-use super::work::Work;
+use super::work::{Work, in_json};
 use crate::cmd::page;
 use crate::evaluators::WeakJudgeArgs;
 use crate::exit::Exit;
@@ -42,21 +39,13 @@ pub(super) struct Done {
 #[derive(Serialize)]
 struct Document {
     page: PathBuf,
-    tables: Vec<(String, Value)>,
+    tables: Vec<(String, Vec<Value>)>,
     /// Scores of each training, for tables whose systems were trained several times.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     trainings: Vec<(String, Vec<Vec<Value>>)>,
-    figures: Vec<FigureDocument>,
+    figures: Vec<FigureMade>,
     pictures: Vec<PathBuf>,
     failed: Vec<String>,
-}
-
-#[derive(Serialize)]
-struct FigureDocument {
-    name: String,
-    drawings: Vec<PathBuf>,
-    left_out: usize,
-    points: Vec<PointMade>,
 }
 
 /// Writes tables, figures and the page, which names the `command`, and prints the tables.
@@ -68,15 +57,26 @@ pub(super) fn finish(
     weak_judge: WeakJudgeArgs,
     global: &Global,
 ) -> anyhow::Result<Exit> {
-    let out = &plan.out;
-    let judges = &work.judges();
-    let mut results = Results::new(out, &done);
+    let (out, judges) = (&plan.out, &work.judges());
+    let mut page = page_of(work, &done, global)?;
+    let of_tables = done.tables.iter().find_map(|made| made.unranked.clone());
+    let unranked = of_tables.or_else(|| weakness_of(judges));
+    let mut results = Results {
+        out,
+        texts: Vec::new(),
+        document: Document {
+            page: out.join("index.html"),
+            tables: Vec::new(),
+            trainings: Vec::new(),
+            figures: Vec::new(),
+            pictures: done.pictures,
+            failed: done.failed.0,
+        },
+        record: Vec::new(),
+    };
     for made in &done.tables {
         results.add_table(made, judges)?;
     }
-    let of_tables = done.tables.iter().find_map(|made| made.unranked.clone());
-    let unranked = of_tables.or_else(|| weakness_of(judges));
-    let mut page = page_of(work, &done, global)?;
     for figure in done.figures {
         results.add_figure(figure, &mut page)?;
     }
@@ -86,11 +86,6 @@ pub(super) fn finish(
         record,
         ..
     } = results;
-    texts.extend(
-        done.pictures
-            .iter()
-            .map(|drawing| drawing.display().to_string()),
-    );
     page.title.clone_from(&plan.title);
     page.commands = vec![command];
     write(&document.page, page.to_html().as_bytes())?;
@@ -98,21 +93,20 @@ pub(super) fn finish(
         &out.join("results.json"),
         &serde_json::to_vec_pretty(&document)?,
     )?;
-    write(&out.join("record.jsonl"), &record.into_bytes())?;
-    texts.push(document.page.display().to_string());
+    write(&out.join("record.jsonl"), &record)?;
+    let paths = document.pictures.iter().chain([&document.page]);
+    texts.extend(paths.map(|path| path.display().to_string()));
     global.say(&document, &texts.join("\n"))?;
-    let Failed(failed) = done.failed;
-    if failed.is_empty() {
+    if document.failed.is_empty() {
         return Ok(weak_judge.exit(unranked, Exit::Done));
     }
     report::note(&format!(
         "failed and missing: {}; the rest is written, and the same command tries these again",
-        failed.join("; ")
+        document.failed.join("; ")
     ));
     Ok(Exit::Failed)
 }
 
-/// Reason why the figures cannot compare systems.
 fn weakness_of(judges: &Judges) -> Option<String> {
     let weakness = judges.values().find_map(|judge| judge.weakness.as_ref())?;
     Some(format!(
@@ -136,42 +130,26 @@ fn page_of(work: &Work<'_>, done: &Done, global: &Global) -> anyhow::Result<Repo
     }
 }
 
-/// Collects results as they are written one after the other.
+/// Results as they are written one after the other.
 struct Results<'a> {
     out: &'a Path,
     /// Printed texts.
     texts: Vec<String>,
     document: Document,
-    record: Record,
+    /// Lines of `record.jsonl`.
+    record: Vec<u8>,
 }
 
-impl<'a> Results<'a> {
-    fn new(out: &'a Path, done: &Done) -> Self {
-        Self {
-            out,
-            texts: Vec::new(),
-            document: Document {
-                page: out.join("index.html"),
-                tables: Vec::new(),
-                trainings: Vec::new(),
-                figures: Vec::new(),
-                pictures: done.pictures.clone(),
-                failed: done.failed.0.clone(),
-            },
-            record: Record::default(),
-        }
-    }
-
-    /// Writes a table in each of its forms.
+impl Results<'_> {
     fn add_table(&mut self, made: &TableMade, judges: &Judges) -> anyhow::Result<()> {
         let forms = made.forms(judges)?;
         for (extension, text) in &forms {
             let name = format!("{}.{extension}", made.name);
             write(&self.out.join("tables").join(name), text.as_bytes())?;
         }
-        self.texts.push(forms[0].1.clone());
-        let document = made.document(judges)?;
-        self.document.tables.push((made.name.clone(), document));
+        let [(_, text), .., (_, document)] = forms;
+        self.texts.push(text);
+        let scores: Vec<Value> = serde_json::from_str(&document)?;
         let trainings = made.trainings.iter().map(|rows| in_json(rows, judges));
         let trainings: Vec<Vec<Value>> = trainings.collect::<anyhow::Result<_>>()?;
         let shows = |table: &Table, score: &Value| {
@@ -179,10 +157,9 @@ impl<'a> Results<'a> {
             score["task"] == *table.task
                 && columns.any(|column| score["metric"] == *column.metric.name)
         };
-        let scores = in_json(&made.scores, judges)?;
         let is_shown = |score: &Value| made.tables.iter().any(|table| shows(table, score));
-        self.record
-            .add((&made.name, &[]), &scores, &trainings, is_shown)?;
+        self.record((&made.name, &[]), &scores, &trainings, is_shown)?;
+        self.document.tables.push((made.name.clone(), scores));
         if !trainings.is_empty() {
             self.document.trainings.push((made.name.clone(), trainings));
         }
@@ -191,26 +168,18 @@ impl<'a> Results<'a> {
 
     /// Writes the drawings and numbers of a figure, and puts it on the page.
     fn add_figure(&mut self, mut figure: FigureMade, page: &mut Report) -> anyhow::Result<()> {
-        let mut drawings = Vec::new();
         for (name, chart) in std::mem::take(&mut figure.charts) {
-            let drawing = self.out.join("figures").join(format!("{name}.svg"));
-            write_drawing(&drawing, &chart.svg())?;
-            drawings.push(drawing);
+            let drawing = write_drawing(self.out, &name, &chart.svg())?;
+            self.texts.push(drawing.display().to_string());
+            figure.drawings.push(drawing);
             page.figures.push(chart);
         }
-        self.texts
-            .extend(drawings.iter().map(|drawing| drawing.display().to_string()));
         for (extension, text) in [("md", figure.grid.markdown()), ("csv", figure.grid.csv())] {
             let table = format!("{}.{extension}", file_name(&figure.name));
             write(&self.out.join("tables").join(table), text.as_bytes())?;
         }
         self.record_points(&figure)?;
-        self.document.figures.push(FigureDocument {
-            name: figure.name,
-            drawings,
-            left_out: figure.left_out,
-            points: figure.points,
-        });
+        self.document.figures.push(figure);
         Ok(())
     }
 
@@ -232,9 +201,61 @@ impl<'a> Results<'a> {
                     && !given.iter().any(|name| score["system"] == **name)
             };
             let place = (figure.name.as_str(), point.values.as_slice());
-            self.record
-                .add(place, &point.scores, &point.trainings, is_shown)?;
+            self.record(place, &point.scores, &point.trainings, is_shown)?;
         }
         Ok(())
     }
+
+    /// Records the scores in a table, or in a figure at a point, with those of its trainings.
+    fn record(
+        &mut self,
+        (shown_in, at): (&str, &[Value]),
+        scores: &[Value],
+        trainings: &[Vec<Value>],
+        is_shown: impl Fn(&Value) -> bool,
+    ) -> serde_json::Result<()> {
+        for score in scores.iter().filter(|score| is_shown(score)) {
+            let [task, system, metric] = ["task", "system", "metric"].map(|key| &score[key]);
+            let is_same = |row: &&Value| {
+                (&row["task"], &row["system"], &row["metric"]) == (task, system, metric)
+            };
+            let line = Line {
+                shown_in,
+                at,
+                task,
+                system,
+                metric,
+                mean: &score["mean"],
+                ci95: &score["ci95"],
+                trainings: trainings
+                    .iter()
+                    .filter_map(|rows| rows.iter().find(is_same))
+                    .map(|row| &row["mean"])
+                    .collect(),
+            };
+            serde_json::to_writer(&mut self.record, &line)?;
+            self.record.push(b'\n');
+        }
+        Ok(())
+    }
+}
+
+/// A line of `record.jsonl`: a score that a table or figure shows. The file is small enough to be stored beside a
+/// document that quotes it, so that a test can compare the two (`eval/RESULTS.md`, `tests/it/evidence.rs`).
+#[derive(Serialize)]
+struct Line<'a> {
+    /// The table or figure that shows the value.
+    shown_in: &'a str,
+    /// Values of the settings at the point of a figure.
+    #[serde(skip_serializing_if = "<[Value]>::is_empty")]
+    at: &'a [Value],
+    task: &'a Value,
+    system: &'a Value,
+    metric: &'a Value,
+    mean: &'a Value,
+    #[serde(skip_serializing_if = "Value::is_null")]
+    ci95: &'a Value,
+    /// Scores of each training, if there are several.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    trainings: Vec<&'a Value>,
 }

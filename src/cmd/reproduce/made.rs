@@ -7,15 +7,12 @@ use eval::format;
 use eval::judge::Judges;
 use eval::table::Table;
 use eval::times::{self, WindowTimes};
-use serde_json::Value;
 
 use super::plan::{PaperTable, Plan};
-use super::scores::{Scored, in_json, scored, several};
-use super::work::Work;
+use super::work::{Scored, Work};
 use crate::cmd::eval::result_tables;
 use crate::global::Global;
 
-/// A table of the paper.
 pub(super) struct TableMade {
     pub(super) name: String,
     pub(super) tables: Vec<Table>,
@@ -29,7 +26,7 @@ pub(super) struct TableMade {
 }
 
 impl TableMade {
-    /// The table in each form, with the extension of its file; text comes first.
+    /// The table in each form, with the extension of its file; text comes first, JSON last.
     pub(super) fn forms(&self, judges: &Judges) -> anyhow::Result<[(&'static str, String); 5]> {
         let joined = |of: fn(&format::grid::Grid) -> String| {
             let grids: Vec<String> = self.grids.iter().map(of).collect();
@@ -52,13 +49,6 @@ impl TableMade {
             ],
         })
     }
-
-    pub(super) fn document(&self, judges: &Judges) -> anyhow::Result<Value> {
-        Ok(match self.grids.is_empty() {
-            true => in_json(&self.scores, judges)?.into(),
-            false => serde_json::to_value(&self.grids)?,
-        })
-    }
 }
 
 /// Makes a table of the systems that have edits, each given by its name and a folder of edits for each of its
@@ -71,7 +61,7 @@ pub(super) fn tables(
     all: &[(String, Vec<PathBuf>)],
     global: &Global,
 ) -> anyhow::Result<Option<TableMade>> {
-    let wanted = plan.systems_of(table);
+    let wanted = plan.systems_named(&table.systems);
     let rows = |name: &&str| all.iter().find(|(system, _)| system == name);
     let found: Vec<&(String, Vec<PathBuf>)> = wanted.iter().filter_map(rows).collect();
     if found.is_empty() {
@@ -100,7 +90,7 @@ pub(super) fn tables(
     let protocol = plan.protocol(Some(table.paper), global);
     let Scored {
         scores, trainings, ..
-    } = scored(&edits, None, &protocol, work)?;
+    } = work.scored(&edits, None, &protocol)?;
     let mut tables = result_tables(&scores, table.paper, paper);
     for laid_out in &mut tables {
         laid_out.sort_systems(&wanted);
@@ -114,12 +104,11 @@ pub(super) fn tables(
         name,
         tables,
         scores: scores.rows,
-        trainings: several(trainings),
+        trainings,
         grids: Vec::new(),
     }))
 }
 
-/// A sentence on the rows that are means over trainings.
 fn note_of_trainings(systems: &[&(String, Vec<PathBuf>)]) -> Option<String> {
     let most = systems.iter().map(|(_, edits)| edits.len()).max()?;
     let once: Vec<&str> = systems

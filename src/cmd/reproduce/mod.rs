@@ -1,14 +1,11 @@
 //! `stance reproduce`
 
-mod failed;
 mod figures;
 mod files;
 mod finish;
 mod made;
 mod pictures;
 mod plan;
-mod record;
-mod scores;
 mod work;
 
 use std::path::{Path, PathBuf};
@@ -24,7 +21,6 @@ use crate::evaluators::WeakJudgeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
-use crate::session::stopped;
 use crate::settings;
 use crate::trainings::TrainingsArgs;
 
@@ -96,7 +92,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         let names: Vec<&str> = PLANS.iter().map(|(name, _)| *name).collect();
         return global.say(&names, &names.join("\n"));
     };
-    args.trainings.choose()?;
+    args.trainings.device.choose()?;
     let plan = read(args, path)?;
     let at = |error| settings::at(path, error);
     let systems = plan.trained(global).map_err(at)?;
@@ -105,37 +101,24 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if args.dry_run {
         return list(&systems, &figures, global);
     }
-    let Some(work) = Work::begin(&plan, global)? else {
-        return Ok(stopped());
-    };
+    let work = Work::begin(&plan, global)?;
     let at_once = args.trainings.at_once(plan.preset);
     if at_once > 1 {
         let of_figures = figures.iter().flat_map(|figure| &figure.trained);
-        let specs = systems
-            .iter()
-            .chain(of_figures)
-            .flat_map(|trained| &trained.specs);
-        if work.train_ahead(specs, at_once)?.is_none() {
-            return Ok(stopped());
-        }
+        let all = systems.iter().chain(of_figures);
+        work.train_ahead(all.flat_map(|trained| &trained.specs), at_once)?;
     }
     let mut done = Done::default();
     for (place, system) in systems.iter().enumerate() {
-        let name = &system.name;
-        report::note(&format!(
-            "system {} of {}: {name}",
-            place + 1,
-            systems.len()
-        ));
+        let (count, name) = (systems.len(), &system.name);
+        report::note(&format!("system {} of {count}: {name}", place + 1));
         match work.edits_of(system) {
-            Ok(Some(edits)) => done.edits.push((name.clone(), edits)),
-            Ok(None) => return Ok(stopped()),
+            Ok(edits) => done.edits.push((name.clone(), edits)),
             Err(error) => done.failed.add(name, error)?,
         }
     }
     for table in &plan.tables {
-        let made = tables(table, args.published, &plan, &work, &done.edits, global);
-        match made {
+        match tables(table, args.published, &plan, &work, &done.edits, global) {
             Ok(made) => done.tables.extend(made),
             Err(error) => done
                 .failed
@@ -143,10 +126,8 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         }
     }
     for figure in &figures {
-        match drawn(figure, &plan, &work, &mut done.failed, global)? {
-            Some(made) => done.figures.push(made),
-            None => return Ok(stopped()),
-        }
+        let made = drawn(figure, &plan, &work, &mut done.failed, global)?;
+        done.figures.push(made);
     }
     for picture in &plan.pictures {
         let systems = plan.systems_named(&picture.systems);

@@ -35,7 +35,6 @@ pub(super) struct Picture {
     order: Order,
 }
 
-/// Selection of a picture's items.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Order {
@@ -96,11 +95,7 @@ pub(super) fn draw(
     }
     anyhow::ensure!(!panels.is_empty(), "there is no item of its tasks");
     let svg = sheet(&panels, 1, Style::default().width);
-    let path = out
-        .join("figures")
-        .join(format!("{}.svg", file_name(&picture.name)));
-    write_drawing(&path, &svg)?;
-    Ok(path)
+    write_drawing(out, &file_name(&picture.name), &svg)
 }
 
 /// Positions of the items of a picture; for selections by distance, with the number of metres by which the edit is

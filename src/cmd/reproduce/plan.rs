@@ -4,11 +4,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use clap::ValueEnum as _;
 use compose::{ComposeConfig, ItemConfig, ItemTask};
 use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::Row as _;
-use datasets_spec::{Dataset, Seed, Split};
+use datasets_spec::{Dataset, Split};
 use eval::figure::{Figure, Point, Sections};
 use eval::metric::interval::MOST_TRAININGS;
 use eval::metric::{self, Metric};
@@ -33,17 +32,16 @@ use crate::judge::is_builtin;
 use crate::local;
 use crate::seeds::Seeds;
 use crate::settings;
+use crate::stages::ENCODER;
 
 /// Model of a system that names none.
 const EDITOR: &str = "motionrefit";
 const COORDINATOR: &str = "coordinator";
 const POSES: &str = "j2s";
-pub(super) const ENCODER: &str = "tmr";
 
 /// Settings that override those of a preset.
 type Own = Map<String, Value>;
 
-/// The plan in its file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Plan {
@@ -59,7 +57,7 @@ pub(super) struct Plan {
     /// Folder of CLIP or BERT, or a table of vectors, for settings with a frozen text encoder.
     #[serde(alias = "clip")]
     pub(super) text_encoder: Option<PathBuf>,
-    #[serde(default = "tiny")]
+    #[serde(default)]
     pub(super) preset: Preset,
     /// Split that the items are drawn from.
     #[serde(default = "test")]
@@ -96,7 +94,6 @@ pub(super) struct Plan {
     pub(super) pictures: Vec<Picture>,
 }
 
-/// A row of the tables.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct System {
@@ -123,36 +120,21 @@ struct System {
     train_seeds: Option<Vec<u64>>,
 }
 
-/// A table of the paper.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PaperTable {
     /// Number of the table: 1, 2, a1, a2, a3 or a4.
-    #[serde(deserialize_with = "number")]
     pub(super) paper: TableArg,
     /// Names of the systems in the table; if empty, all.
     #[serde(default)]
-    systems: Vec<String>,
+    pub(super) systems: Vec<String>,
     /// Whether the table also shows the published rows.
     #[serde(default)]
     pub(super) published: bool,
 }
 
-fn number<'de, D: serde::Deserializer<'de>>(from: D) -> Result<TableArg, D::Error> {
-    let text = String::deserialize(from)?;
-    TableArg::from_str(&text, true).map_err(|_| {
-        serde::de::Error::custom(format!(
-            "there is no table {text:?}; there are main, 1, 2, a1, a2, a3 and a4"
-        ))
-    })
-}
-
 fn title() -> String {
     "Reproduction".to_owned()
-}
-
-fn tiny() -> Preset {
-    Preset::Tiny
 }
 
 fn test() -> Split {
@@ -204,7 +186,6 @@ pub(super) struct Spec {
 }
 
 impl Spec {
-    /// The trainings that the edits need.
     pub(super) fn trainings(&self) -> impl Iterator<Item = &Training> {
         [
             Some(&self.training),
@@ -257,7 +238,6 @@ impl Plan {
     }
 }
 
-/// A figure and the systems at its points.
 pub(super) struct FigureSpecs<'a> {
     pub(super) figure: &'a Figure,
     pub(super) points: Vec<Point>,
@@ -310,23 +290,15 @@ impl Plan {
                     seeds.len()
                 );
             }
-            if let Some(seed) = seeds
-                .iter()
-                .enumerate()
-                .find_map(|(place, seed)| seeds[..place].contains(seed).then_some(seed))
-            {
+            if let Some(seed) = twice(seeds) {
                 bail!(
                     "train_seeds holds {seed} twice; equal trainings say nothing of their spread"
                 );
             }
         }
-        for (place, system) in self.systems.iter().enumerate() {
-            if self.systems[..place]
-                .iter()
-                .any(|other| other.name == system.name)
-            {
-                bail!("two systems are called {:?}; name them apart", system.name);
-            }
+        let names: Vec<&String> = self.systems.iter().map(|system| &system.name).collect();
+        if let Some(name) = twice(&names) {
+            bail!("two systems are called {name:?}; name them apart");
         }
         let of_tables = self.tables.iter().flat_map(|table| &table.systems);
         let of_figures = self
@@ -350,11 +322,6 @@ impl Plan {
         }
     }
 
-    /// Names of the systems of a table.
-    pub(super) fn systems_of<'a>(&'a self, table: &'a PaperTable) -> Vec<&'a str> {
-        self.systems_named(&table.systems)
-    }
-
     /// The systems with these names, or all if no name is given.
     pub(super) fn systems_named<'a>(&'a self, names: &'a [String]) -> Vec<&'a str> {
         let all = self.systems.iter().map(|system| system.name.as_str());
@@ -372,7 +339,6 @@ impl Plan {
         })
     }
 
-    /// All systems of the tables.
     pub(super) fn trained(&self, global: &Global) -> anyhow::Result<Vec<Trained>> {
         let systems = self.systems.iter();
         systems
@@ -386,7 +352,6 @@ impl Plan {
             .collect()
     }
 
-    /// All figures.
     pub(super) fn figure_specs(&self, global: &Global) -> anyhow::Result<Vec<FigureSpecs<'_>>> {
         let figures = self.figures.iter();
         figures
@@ -522,7 +487,7 @@ impl Plan {
         let seed = match (seed, has_seed) {
             (Some(seed), _) => Some(seed),
             (None, true) => global.given_seed(),
-            (None, false) => Some(self.seeds.train(global).0),
+            (None, false) => Some(global.seed_or(self.seeds.train).0),
         };
         Ok(Training {
             model,
@@ -559,10 +524,6 @@ impl Plan {
             ..self.eval
         }
     }
-
-    pub(super) fn sampling_seed(&self, global: &Global) -> Seed {
-        self.seeds.sample(global)
-    }
 }
 
 /// Checks the settings of a model. Settings of an editor that equal its preset are left out, so that a figure's point
@@ -581,6 +542,13 @@ fn own_of(name: &str, preset: Preset, own: Value) -> anyhow::Result<Value> {
     };
     checked?;
     Ok(own)
+}
+
+/// The first value that is there twice.
+fn twice<T: PartialEq>(values: &[T]) -> Option<&T> {
+    let mut places = 0..values.len();
+    let place = places.find(|&place| values[..place].contains(&values[place]))?;
+    Some(&values[place])
 }
 
 fn metrics(names: &[String]) -> anyhow::Result<Vec<&'static Metric>> {

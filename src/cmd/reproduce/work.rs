@@ -6,27 +6,30 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use compose::COMPOSED;
+use datasets_spec::Dataset;
 use datasets_spec::manifest::plan_hash;
-use datasets_spec::{Dataset, Seed};
+use datasets_spec::record::ScoreRow;
 use eval::answers::{Answered, Scores};
+use eval::format;
 use eval::judge::{Judge, Judges};
 use eval::metric::{self, METRICS_VERSION};
 use eval::protocol::Protocol;
 use eval::rows::ItemFacts;
+use eval::score::over_trainings;
 use serde::Serialize;
+use serde_json::Value;
 use train::checkpoint::Start;
 use train::kind::TrainRequest;
 use train::system::SystemSource;
 
-use super::plan::{ENCODER, Plan, Spec, Trained, Training};
-use crate::evaluators::{EvaluatorRuns, report_on_encoder};
-use crate::exit::Exit;
+use super::plan::{Plan, Spec, Trained, Training};
+use crate::evaluators::EvaluatorRuns;
+use crate::exit::{Exit, Stopped};
 use crate::global::Global;
-use crate::session::{text_encoder, with_session};
+use crate::session::text_encoder;
 use crate::stages;
 use crate::trainings::side_by_side;
 
-/// A plan in progress.
 pub(super) struct Work<'a> {
     plan: &'a Plan,
     global: &'a Global,
@@ -40,16 +43,23 @@ pub(super) struct Work<'a> {
     judge: (String, Judge),
 }
 
-/// None if an interrupt ended the work.
-type Unless<T> = anyhow::Result<Option<T>>;
+/// Scores of systems, some of which were trained several times.
+pub(super) struct Scored {
+    /// Means over the trainings.
+    pub(super) scores: Scores,
+    /// Rows of each training, if there are several.
+    pub(super) trainings: Vec<Vec<ScoreRow>>,
+    /// Number of items that are too short to be scored.
+    pub(super) left_out: usize,
+}
 
 impl<'a> Work<'a> {
     /// Draws the items, and trains the encoder.
-    pub(super) fn begin(plan: &'a Plan, global: &'a Global) -> Unless<Self> {
+    pub(super) fn begin(plan: &'a Plan, global: &'a Global) -> anyhow::Result<Self> {
         let dataset = Dataset::open(&plan.dataset)?;
         let data = dataset.content_hash(&COMPOSED);
         let items = plan.out.join("items");
-        let seed = plan.seeds.items(global);
+        let seed = global.seed_or(plan.seeds.items);
         let drawn = stages::items(&dataset, &items, plan.split, &plan.items, seed, global)
             .context("items")?;
         let mut work = Self {
@@ -61,26 +71,22 @@ impl<'a> Work<'a> {
             encoder: PathBuf::new(),
             judge: Default::default(),
         };
-        match plan.encoder(global)? {
-            Ok(run) => work.encoder = run,
-            Err(training) => match work.trained(&training).context("encoder")? {
-                Some(run) => work.encoder = run,
-                None => return Ok(None),
-            },
-        }
+        work.encoder = match plan.encoder(global)? {
+            Ok(run) => run,
+            Err(training) => work.trained(&training).context("encoder")?,
+        };
         work.judge = work.runs().with(&drawn.skeleton()?, |evaluators| {
             let encoder = evaluators.encoder;
             Ok((encoder.hash(), Judge::of(encoder)))
         })?;
-        Ok(Some(work))
+        Ok(work)
     }
 
-    /// The encoder by its hash.
     pub(super) fn judges(&self) -> Judges {
         [self.judge.clone()].into()
     }
 
-    pub(super) fn runs(&self) -> EvaluatorRuns<'_> {
+    fn runs(&self) -> EvaluatorRuns<'_> {
         EvaluatorRuns {
             encoder: &self.encoder,
             coordinator: None,
@@ -100,22 +106,21 @@ impl<'a> Work<'a> {
         &self,
         specs: impl Iterator<Item = &'s Spec>,
         at_once: usize,
-    ) -> Unless<()> {
+    ) -> anyhow::Result<()> {
         let mut seen = BTreeSet::new();
         let mut wanted: Vec<&Training> = specs.flat_map(Spec::trainings).collect();
         wanted.retain(|training| seen.insert(self.run_folder(training)));
-        let done = side_by_side(wanted, at_once, |training| match self.trained(training) {
+        side_by_side(wanted, at_once, |training| match self.trained(training) {
             Err(error) if Exit::of_error(&error) != Exit::Failed => Err(error),
             _ => Ok(()),
-        })?;
-        Ok(done.map(|_| ()))
+        })
+        .map(drop)
     }
 
-    fn trained(&self, training: &Training) -> Unless<PathBuf> {
+    fn trained(&self, training: &Training) -> anyhow::Result<PathBuf> {
         let run = self.run_folder(training);
-        let dataset = Dataset::open(&self.plan.dataset)?;
         let request = TrainRequest {
-            dataset: &dataset,
+            dataset: &Dataset::open(&self.plan.dataset)?,
             start: Start::from(run.as_path()),
             preset: training.preset,
             own: &training.own,
@@ -126,56 +131,42 @@ impl<'a> Work<'a> {
             length: None,
             memory: None,
         };
-        let train = training.model.train;
-        let done = with_session(&self.global.bars().of(&run), |session| {
-            train(&request, session)
-        })
-        .with_context(|| format!("training {}", training.model.name))?;
-        if training.model.name == ENCODER && done.is_complete {
-            let seed = Seed(training.seed.unwrap_or_default());
-            report_on_encoder(&dataset, &run, seed).context("report on the encoder")?;
+        let (done, _) = stages::trained(training.model, &request, self.global)
+            .with_context(|| format!("training {}", training.model.name))?;
+        match done.is_complete {
+            true => Ok(run),
+            false => Err(Stopped.into()),
         }
-        Ok(done.is_complete.then_some(run))
     }
 
-    /// Edits of all trainings of a system.
-    pub(super) fn edits_of(&self, system: &Trained) -> Unless<Vec<PathBuf>> {
+    pub(super) fn edits_of(&self, system: &Trained) -> anyhow::Result<Vec<PathBuf>> {
         system.specs.iter().map(|spec| self.edits(spec)).collect()
     }
 
     /// The folder with a system's edits of all items.
-    fn edits(&self, spec: &Spec) -> Unless<PathBuf> {
-        let seed = self.plan.sampling_seed(self.global);
+    fn edits(&self, spec: &Spec) -> anyhow::Result<PathBuf> {
+        let seed = self.global.seed_or(self.plan.seeds.sample);
         let edits = self.plan.out.join("edits");
         let edits = edits.join(short("edits", &(spec, &self.data, &self.asked, seed)));
         if Dataset::open(&edits).is_ok() {
-            return Ok(Some(edits));
+            return Ok(edits);
         }
-        let helper = |training: &Option<Training>| -> Unless<Option<PathBuf>> {
-            match training {
-                Some(training) => Ok(self.trained(training)?.map(Some)),
-                None => Ok(Some(None)),
-            }
-        };
-        let Some(run) = self.trained(&spec.training)? else {
-            return Ok(None);
-        };
-        let (Some(coordinator), Some(poses)) = (helper(&spec.coordinator)?, helper(&spec.poses)?)
-        else {
-            return Ok(None);
+        let run = self.trained(&spec.training)?;
+        let helper = |training: &Option<Training>| {
+            let run = training.as_ref().map(|training| self.trained(training));
+            run.transpose()
         };
         let source = SystemSource {
             slot: spec.slot(),
-            coordinator,
-            poses,
+            coordinator: helper(&spec.coordinator)?,
+            poses: helper(&spec.poses)?,
             ..SystemSource::best(&run, text_encoder(self.plan.text_encoder.as_deref()))
         };
         stages::edits(&self.items, &source, &edits, &spec.edit, seed, self.global)?;
-        Ok(Some(edits))
+        Ok(edits)
     }
 
-    /// Items and edits of some systems, and how many items were left out: those whose source has fewer than
-    /// `min_frames` frames at the model's rate.
+    /// Items and edits of some systems, and how many items were left out.
     pub(super) fn answered(
         &self,
         edits: &[PathBuf],
@@ -199,13 +190,42 @@ impl<'a> Work<'a> {
         Ok((answered, left_out))
     }
 
-    /// Scores some systems.
-    pub(super) fn scores(
+    /// Scores systems, each given by a folder of edits for each of its trainings, and averages over the trainings.
+    /// Items are left out if their source has fewer than `min_frames` frames at the model's rate.
+    pub(super) fn scored(
+        &self,
+        systems: &[&[PathBuf]],
+        min_frames: Option<usize>,
+        protocol: &Protocol,
+    ) -> anyhow::Result<Scored> {
+        let count = systems.iter().map(|edits| edits.len()).max().unwrap_or(0);
+        let (mut trainings, mut left_out) = (Vec::with_capacity(count), 0);
+        for training in 0..count {
+            let edits = systems.iter().filter_map(|edits| edits.get(training));
+            let edits: Vec<PathBuf> = edits.cloned().collect();
+            let (answered, fewer) = self.answered(&edits, min_frames)?;
+            left_out = fewer;
+            trainings.push(self.scores(&answered, &edits, protocol)?);
+        }
+        let rows = over_trainings(&trainings);
+        trainings.retain(|_| count > 1);
+        Ok(Scored {
+            scores: Scores {
+                rows,
+                judges: self.judges(),
+                comparisons: Vec::new(),
+            },
+            trainings,
+            left_out,
+        })
+    }
+
+    fn scores(
         &self,
         answered: &Answered,
         edits: &[PathBuf],
         protocol: &Protocol,
-    ) -> anyhow::Result<Scores> {
+    ) -> anyhow::Result<Vec<ScoreRow>> {
         let names = edits.iter().filter_map(|folder| folder.file_name());
         let names: Vec<String> = names
             .map(|name| name.to_string_lossy().into_owned())
@@ -218,16 +238,17 @@ impl<'a> Work<'a> {
         let key = short("scores", &of);
         let folder = self.plan.out.join("scores").join(key);
         if let Ok(done) = Dataset::open(&folder) {
-            return Ok(Scores {
-                rows: done.read(None)?,
-                judges: self.judges(),
-                comparisons: Vec::new(),
-            });
+            return Ok(done.read(None)?);
         }
         let scores = stages::scores(answered, &self.runs(), protocol, self.global)?;
         scores.commit(&folder, &answered.skeleton, &self.global.holder())?;
-        Ok(scores)
+        Ok(scores.rows)
     }
+}
+
+/// Scores as `stance eval --json` prints them.
+pub(super) fn in_json(rows: &[ScoreRow], judges: &Judges) -> anyhow::Result<Vec<Value>> {
+    Ok(serde_json::from_str(&format::json::render(rows, judges)?)?)
 }
 
 /// Name of the run folder of a training on data of this hash.

@@ -3,7 +3,6 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use datasets_spec::manifest::Accounting;
 use datasets_spec::record::{MaskRow, MotionRow};
 use datasets_spec::table::Row as _;
 use datasets_spec::{Dataset, Split};
@@ -12,82 +11,61 @@ use eval::draw::plot::{Bars, Plot, Scale};
 use eval::format;
 use eval::report::{Card, Chart, Details, Report, Strip};
 use pipeline::ingest::IngestReport;
-use serde::Serialize;
-use train::fit::TrainReport;
+use serde_json::{Value, json};
 
-use super::plan::{Places, Plan};
+use super::plan::{Plan, Trained};
 use crate::cmd::eval::tables;
-use crate::cmd::page::{opening, strip_of, with_edits};
+use crate::cmd::page::{card, opening, strip_of, with_edits};
 use crate::cmd::train::loss_curves;
+use crate::exit::Exit;
 use crate::global::Global;
 use crate::judge::BUILTIN;
-use crate::report;
 
-/// Results of the stages.
 pub(super) struct Done<'a> {
     pub(super) plan: &'a Plan,
     pub(super) seeds: String,
     pub(super) ingested: &'a IngestReport,
     pub(super) dataset: &'a Dataset,
-    pub(super) encoder: Option<&'a TrainReport>,
-    pub(super) editor: &'a TrainReport,
+    pub(super) trained: &'a Trained,
     pub(super) edits: &'a Answered,
     /// Words of the instructions that some system's vocabulary lacks.
     pub(super) unknown: &'a BTreeSet<String>,
     pub(super) scores: &'a Scores,
 }
 
-/// The `--json` document.
-#[derive(Serialize)]
-struct Document<'a> {
-    out: &'a Path,
-    report: &'a Path,
-    accounting: &'a Accounting,
-    root_hash: &'a str,
-    /// None if the built-in encoder evaluates.
-    encoder: Option<&'a TrainReport>,
-    editor: &'a TrainReport,
-    scores: serde_json::Value,
-}
-
-pub(super) fn print(done: &Done, places: &Places, global: &Global) -> anyhow::Result<()> {
-    if global.json {
-        return report::json(&Document {
-            out: &done.plan.config.out,
-            report: &places.report,
-            accounting: &done.ingested.accounting,
-            root_hash: &done.dataset.manifest().root_hash,
-            encoder: done.encoder,
-            editor: done.editor,
-            scores: serde_json::from_str(&format::json::render(
-                &done.scores.rows,
-                &done.scores.judges,
-            )?)?,
-        });
-    }
-    report::text(&format::text::render(&tables(done.scores)));
-    let lines = [
-        ("dataset", &places.dataset),
-        ("triplets", &places.triplets),
-        ("encoder", &places.encoder),
-        ("editor", &places.editor),
-        ("items", &places.items),
-        ("edits", &places.edits),
-        ("scores", &places.scores),
-        ("report", &places.report),
-    ];
-    let mut text = String::new();
-    for (name, path) in lines {
+pub(super) fn print(done: &Done, global: &Global) -> anyhow::Result<Exit> {
+    let (plan, report) = (done.plan, done.plan.at("report.html"));
+    let scores = format::json::render(&done.scores.rows, &done.scores.judges)?;
+    let scores: Value = serde_json::from_str(&scores)?;
+    let document = json!({
+        "out": plan.config.out,
+        "report": report,
+        "accounting": done.ingested.accounting,
+        "root_hash": done.dataset.manifest().root_hash,
+        "encoder": done.trained.encoder,
+        "editor": done.trained.editor,
+        "scores": scores,
+    });
+    let mut text = format::text::render(&tables(done.scores));
+    for (name, path) in [
+        ("dataset", plan.at("dataset")),
+        ("triplets", plan.at("triplets")),
+        ("encoder", plan.encoder_run()),
+        ("editor", plan.at("runs/motionrefit")),
+        ("items", plan.at("items")),
+        ("edits", plan.at("edits")),
+        ("scores", plan.at("scores")),
+        ("report", report),
+    ] {
         text += &format!("{name:<9} {}\n", path.display());
     }
-    report::text(&text);
-    Ok(())
+    global.say(&document, &text)
 }
 
 /// Items shown as strips.
 const STRIPS: usize = 6;
 
-pub(super) fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
+pub(super) fn page(done: &Done) -> anyhow::Result<String> {
     let motions = done.dataset.manifest().rows(MotionRow::TABLE, None);
     Ok(Report {
         title: done.plan.title.clone(),
@@ -96,11 +74,10 @@ pub(super) fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
             done.edits.items.len()
         ),
         cards: cards(done),
-        charts: charts(done, places)?,
-        details: details(done)?,
+        charts: charts(done)?,
+        details: details(done),
         opening: opening(done.edits, done.unknown)?,
         tables: tables(done.scores),
-        figures: Vec::new(),
         strips: strips(done)?,
         facts: facts(done),
         settings: vec![
@@ -108,88 +85,85 @@ pub(super) fn page(done: &Done, places: &Places) -> anyhow::Result<String> {
             ("seeds".to_owned(), done.seeds.clone()),
         ],
         commands: done.plan.commands.clone(),
+        ..Report::default()
     }
     .to_html())
 }
 
-/// The key figures at the top of the page.
 fn cards(done: &Done) -> Vec<Card> {
     let manifest = done.dataset.manifest();
     let accounting = &done.ingested.accounting;
-    let card = |label: &str, value: String, note: String| Card {
-        label: label.to_owned(),
-        value,
-        note,
+    let editor = &done.trained.editor;
+    let loss = |key: &str| {
+        let loss = editor[key].as_f64();
+        loss.map_or("–".to_owned(), |loss| format!("{loss:.3}"))
     };
-    let loss = |loss: Option<f64>| loss.map_or("–".to_owned(), |loss| format!("{loss:.3}"));
+    let number = |key: &str| editor[key].as_f64().unwrap_or_default();
+    let rows = |table| manifest.rows(table, None);
+    let (quarantined, skipped) = (accounting.quarantined, accounting.skipped);
+    let lost = format!("{quarantined} quarantined, {skipped} skipped");
+    let losses = format!("loss {} → {}", loss("first_loss"), loss("last_loss"));
+    let speed = format!("{:.0}", number("samples_per_sec"));
+    let waiting = 100.0 * number("data_wait_share");
     vec![
-        card(
-            "clips",
-            manifest.rows(MotionRow::TABLE, None).to_string(),
-            format!(
-                "{} quarantined, {} skipped",
-                accounting.quarantined, accounting.skipped
-            ),
-        ),
-        card(
-            "masks",
-            manifest.rows(MaskRow::TABLE, None).to_string(),
-            String::new(),
-        ),
-        card(
-            "editor steps",
-            done.editor.steps.to_string(),
-            format!(
-                "loss {} → {}",
-                loss(done.editor.first_loss),
-                loss(done.editor.last_loss)
-            ),
-        ),
+        card("clips", rows(MotionRow::TABLE), &lost),
+        card("masks", rows(MaskRow::TABLE), ""),
+        card("editor steps", &editor["steps"], &losses),
         card(
             "samples/s",
-            format!("{:.0}", done.editor.samples_per_sec),
-            format!(
-                "{:.1} % waiting for data",
-                100.0 * done.editor.data_wait_share
-            ),
+            speed,
+            &format!("{waiting:.1} % waiting for data"),
         ),
     ]
 }
 
 /// Curves of the trainings, and the clips by action.
-fn charts(done: &Done, places: &Places) -> anyhow::Result<Vec<Chart>> {
-    let mut charts = vec![Chart::Lines(curves(
-        &places.editor,
-        "Editor: denoising loss",
-        Scale::Log,
-    )?)];
-    if done.encoder.is_some() {
-        let title = "Encoder of the evaluation";
-        charts.push(Chart::Lines(curves(&places.encoder, title, Scale::Log)?));
+fn charts(done: &Done) -> anyhow::Result<Vec<Chart>> {
+    let curves = |run: &Path, title: &str| {
+        anyhow::Ok(Chart::Lines(Plot {
+            title: title.to_owned(),
+            x_label: "step".to_owned(),
+            y_label: "loss".to_owned(),
+            y_scale: Scale::Log,
+            curves: loss_curves(run, "")?.into(),
+            ..Plot::default()
+        }))
+    };
+    let editor = done.plan.at("runs/motionrefit");
+    let mut charts = vec![curves(&editor, "Editor: denoising loss")?];
+    if done.trained.encoder.is_some() {
+        charts.push(curves(
+            &done.plan.encoder_run(),
+            "Encoder of the evaluation",
+        )?);
     }
-    charts.push(Chart::Bars(actions(done.dataset)?));
+    let groups = pipeline::catalogue::catalogue(done.dataset)?.actions;
+    let bars = groups
+        .into_iter()
+        .map(|group| (group.label, group.clips as f64));
+    charts.push(Chart::Bars(Bars {
+        title: "Clips by action".to_owned(),
+        x_label: "action".to_owned(),
+        bars: bars.collect(),
+    }));
     Ok(charts)
 }
 
-/// Facts about the dataset.
 fn facts(done: &Done) -> Vec<(String, String)> {
     let manifest = done.dataset.manifest();
     let accounting = &done.ingested.accounting;
+    let fact = |name: &str, value: String| (name.to_owned(), value);
+    let rows = |split| manifest.rows(MotionRow::TABLE, Some(split)).to_string();
     vec![
-        ("root hash".to_owned(), manifest.root_hash.clone()),
-        (
-            "format".to_owned(),
+        fact("root hash", manifest.root_hash.clone()),
+        fact(
+            "format",
             format!("{} {}", manifest.format, manifest.schema_version),
         ),
-        ("skeleton".to_owned(), manifest.skeleton.clone()),
-        (
-            "train / val / test".to_owned(),
-            Split::ALL
-                .map(|split| manifest.rows(MotionRow::TABLE, Some(split)).to_string())
-                .join(" / "),
-        ),
-        (
-            "sources".to_owned(),
+        fact("skeleton", manifest.skeleton.clone()),
+        fact("train / val / test", Split::ALL.map(rows).join(" / ")),
+        fact(
+            "sources",
             format!(
                 "{} = {} ingested + {} quarantined + {} skipped",
                 accounting.sources, accounting.ingested, accounting.quarantined, accounting.skipped
@@ -198,49 +172,25 @@ fn facts(done: &Done) -> Vec<(String, String)> {
     ]
 }
 
-/// Settings of the models and stages.
-fn details(done: &Done) -> anyhow::Result<Vec<Details>> {
+fn details(done: &Done) -> Vec<Details> {
     let config = &done.plan.config;
     let details = [
-        ("Editor", serde_json::to_value(&done.plan.train)?),
+        ("Editor", done.plan.train.all.clone()),
         (
             "Encoder",
-            match done.encoder {
-                Some(_) => serde_json::to_value(&done.plan.encoder)?,
+            match done.trained.encoder {
+                Some(_) => done.plan.encoder.all.clone(),
                 None => BUILTIN.into(),
             },
         ),
-        ("Stages", serde_json::to_value(config.stages)?),
-        ("Composition", serde_json::to_value(&done.plan.compose)?),
-        ("Items", serde_json::to_value(&config.items)?),
-        ("Edits", serde_json::to_value(&config.edit)?),
-        ("Evaluation", serde_json::to_value(config.eval)?),
+        ("Stages", json!(config.stages)),
+        ("Composition", json!(done.plan.compose)),
+        ("Items", json!(config.items)),
+        ("Edits", json!(config.edit)),
+        ("Evaluation", json!(config.eval)),
     ];
     let details = details.map(|(title, value)| Details::of_json(title, &[("value", &value)]));
-    Ok(details.into())
-}
-
-fn curves(run: &Path, title: &str, y_scale: Scale) -> anyhow::Result<Plot> {
-    Ok(Plot {
-        title: title.to_owned(),
-        x_label: "step".to_owned(),
-        y_label: "loss".to_owned(),
-        y_scale,
-        curves: loss_curves(run, "")?.into(),
-        ..Plot::default()
-    })
-}
-
-fn actions(dataset: &Dataset) -> anyhow::Result<Bars> {
-    let groups = pipeline::catalogue::catalogue(dataset)?.actions;
-    Ok(Bars {
-        title: "Clips by action".to_owned(),
-        x_label: "action".to_owned(),
-        bars: groups
-            .into_iter()
-            .map(|group| (group.label, group.clips as f64))
-            .collect(),
-    })
+    details.into()
 }
 
 /// The first items of different parts, each as source, edit and target.

@@ -1,6 +1,6 @@
 //! The configuration of a run, the settings it resolves to, and the paths of its results.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use compose::{ComposeConfig, ItemConfig};
 use eval::protocol::Protocol;
@@ -8,6 +8,7 @@ use pipeline::annotation::masks::MaskConfig;
 use pipeline::annotation::pairs::PairConfig;
 use pipeline::ingest::SourceArg;
 use pipeline::stage::IngestConfig;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use train::config::{Preset, TrainConfig};
@@ -21,7 +22,6 @@ use crate::judge::{BUILTIN, EncoderConfig};
 use crate::seeds::Seeds;
 use crate::settings;
 
-/// The configuration file.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RunConfig {
@@ -30,7 +30,7 @@ pub(crate) struct RunConfig {
     /// Folder for everything the run makes.
     pub(super) out: PathBuf,
     /// Named settings of the models.
-    #[serde(default = "default_preset")]
+    #[serde(default)]
     pub(super) preset: Preset,
     /// Folder of CLIP or BERT, or a table of vectors, for settings with a frozen text encoder; without it CLIP is
     /// searched in the hub's cache.
@@ -51,16 +51,16 @@ pub(crate) struct RunConfig {
     pub(super) pairs: PairConfig,
     /// Composer settings that override the preset's.
     #[serde(default)]
-    pub(super) compose: Map<String, Value>,
+    compose: Map<String, Value>,
     /// Editor settings that override the preset's.
     #[serde(default)]
-    pub(super) train: Map<String, Value>,
+    pub(crate) train: Map<String, Value>,
     /// Coordinator settings that override the preset's.
     #[serde(default)]
-    pub(super) coordinator: Map<String, Value>,
+    pub(crate) coordinator: Map<String, Value>,
     /// Pose network settings that override the preset's.
     #[serde(default)]
-    pub(super) poses: Map<String, Value>,
+    pub(crate) poses: Map<String, Value>,
     /// `"builtin"` for the encoder that ships with the program, or settings of an encoder to train.
     #[serde(default)]
     pub(crate) encoder: EncoderConfig,
@@ -104,10 +104,6 @@ impl Default for Stages {
     }
 }
 
-fn default_preset() -> Preset {
-    Preset::Tiny
-}
-
 fn default_triplets() -> u64 {
     64
 }
@@ -125,42 +121,37 @@ impl RunConfig {
     }
 }
 
-/// A configuration with everything resolved.
 pub(crate) struct Plan {
     pub(super) config: RunConfig,
-    pub(crate) compose: ComposeConfig,
-    pub(crate) train: TrainConfig,
-    pub(crate) coordinator: CoordinatorConfig,
-    pub(crate) poses: J2sConfig,
-    pub(crate) encoder: TmrConfig,
-    /// Whether the built-in encoder evaluates, and none is trained.
-    pub(super) with_builtin: bool,
+    pub(super) compose: ComposeConfig,
+    pub(super) train: Model,
+    pub(super) coordinator: Model,
+    pub(super) poses: Model,
+    pub(super) encoder: Model,
     pub(crate) title: String,
     pub(crate) commands: Vec<String>,
+}
+
+pub(super) struct Model {
+    /// Settings that override the preset's: a JSON object.
+    pub(super) own: Value,
+    /// All settings, including those of the preset and the seed.
+    pub(super) all: Value,
+    pub(super) seed: u64,
 }
 
 impl Plan {
     /// Resolves the presets and the seed.
     pub(crate) fn new(config: RunConfig, global: &Global) -> anyhow::Result<Self> {
-        let preset = config.preset;
+        let (preset, seeds) = (config.preset, config.seeds);
         let own = &config.train;
-        let mut train = settings::over(&TrainConfig::preset(preset), "train", own)?;
-        let own_encoder = &config.encoder.settings();
-        let with_builtin = config.encoder.is_builtin();
-        let mut encoder = settings::over(&TmrConfig::preset(preset), "encoder", own_encoder)?;
-        let own = &config.coordinator;
-        let mut coordinator =
-            settings::over(&CoordinatorConfig::preset(preset), "coordinator", own)?;
-        let mut poses = settings::over(&J2sConfig::of(preset), "poses", &config.poses)?;
-        let seeds = config.seeds;
-        for (seed, own) in [
-            (&mut train.run.seed, &config.train),
-            (&mut coordinator.run.seed, &config.coordinator),
-            (&mut poses.run.seed, &config.poses),
-            (&mut encoder.run.seed, own_encoder),
-        ] {
-            *seed = seeds.of_model(*seed, own, global).0;
-        }
+        let train = Model::over(&TrainConfig::preset(preset), "train", own, seeds, global)?;
+        let own = &config.encoder.settings();
+        let encoder = Model::over(&TmrConfig::preset(preset), "encoder", own, seeds, global)?;
+        let (of_preset, own) = (CoordinatorConfig::preset(preset), &config.coordinator);
+        let coordinator = Model::over(&of_preset, "coordinator", own, seeds, global)?;
+        let own = &config.poses;
+        let poses = Model::over(&J2sConfig::of(preset), "poses", own, seeds, global)?;
         let compose = &TrainConfig::compose_preset(preset);
         let compose = settings::over(compose, "compose", &config.compose)?;
         Ok(Self {
@@ -170,47 +161,49 @@ impl Plan {
             coordinator,
             poses,
             encoder,
-            with_builtin,
             title: "stance run".to_owned(),
             commands: Vec::new(),
         })
     }
-}
 
-/// Paths of the results of a run.
-pub(super) struct Places {
-    pub(super) dataset: PathBuf,
-    pub(super) triplets: PathBuf,
-    pub(super) editor: PathBuf,
-    pub(super) composed_once: PathBuf,
-    pub(super) captured_alone: PathBuf,
-    pub(super) coordinator: PathBuf,
-    pub(super) poses: PathBuf,
-    pub(super) encoder: PathBuf,
-    pub(super) items: PathBuf,
-    pub(super) edits: PathBuf,
-    pub(super) scores: PathBuf,
-    pub(super) report: PathBuf,
-}
+    pub(super) fn at(&self, name: &str) -> PathBuf {
+        self.config.out.join(name)
+    }
 
-impl Places {
-    pub(super) fn under(out: &Path, with_builtin: bool) -> Self {
-        Self {
-            dataset: out.join("dataset"),
-            triplets: out.join("triplets"),
-            editor: out.join("runs/motionrefit"),
-            composed_once: out.join("runs/composed-once"),
-            captured_alone: out.join("runs/captured-alone"),
-            coordinator: out.join("runs/coordinator"),
-            poses: out.join("runs/j2s"),
-            encoder: match with_builtin {
-                true => BUILTIN.into(),
-                false => out.join("runs/tmr"),
-            },
-            items: out.join("items"),
-            edits: out.join("edits"),
-            scores: out.join("scores"),
-            report: out.join("report.html"),
+    /// Run folder of the encoder that evaluates, or the name of the built-in one.
+    pub(super) fn encoder_run(&self) -> PathBuf {
+        match self.config.encoder.is_builtin() {
+            true => BUILTIN.into(),
+            false => self.at("runs/tmr"),
         }
     }
+}
+
+impl Model {
+    fn over<T: Serialize + DeserializeOwned>(
+        preset: &T,
+        section: &str,
+        own: &Map<String, Value>,
+        seeds: Seeds,
+        global: &Global,
+    ) -> anyhow::Result<Self> {
+        let mut all = serde_json::to_value(settings::over(preset, section, own)?)?;
+        let resolved = all["seed"].as_u64().unwrap_or_default();
+        let seed = seeds.of_model(resolved, own, global).0;
+        all["seed"] = seed.into();
+        let own = Value::Object(own.clone());
+        Ok(Self { own, all, seed })
+    }
+}
+
+/// Results of the trainings.
+pub(super) struct Trained {
+    /// Report on the editor.
+    pub(super) editor: Value,
+    /// Report on the encoder; none if the built-in one evaluates.
+    pub(super) encoder: Option<Value>,
+    /// Whether there is a coordinator.
+    pub(super) is_guided: bool,
+    /// Whether there is an editor trained only on captured pairs.
+    pub(super) is_captured_alone: bool,
 }

@@ -212,7 +212,7 @@ pub enum TextEncoder {
 }
 
 /// Named settings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Preset {
     /// Settings of the paper.
@@ -220,6 +220,7 @@ pub enum Preset {
     /// The released configuration.
     Official,
     /// A small model that trains in a few minutes on two processor cores.
+    #[default]
     Tiny,
 }
 

@@ -68,9 +68,10 @@ impl Default for MakeVariants {
 }
 
 /// Result of [`make_variants`] and [`pair_variants`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct VariantReport {
     /// The dataset of candidates.
+    #[serde(skip)]
     pub dataset: Dataset,
     /// Counts of the variants by outcome; none if the dataset already existed.
     pub counts: Option<VariantCounts>,

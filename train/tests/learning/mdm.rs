@@ -2,7 +2,7 @@
 
 use burn::tensor::TensorData;
 use datasets_spec::JointSet;
-use features::humanml3d::{Features, features_of_joints, joints_of_motion};
+use features::humanml3d::{Features, GROUPS, features_of_joints, joints_of_motion};
 use features::{Statistics, smpl_body};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use train::mdm::{MdmConfig, masked_l2, train_mdm};
@@ -101,7 +101,7 @@ fn the_first_loss_of_mdm_is_that_of_an_untrained_network() {
     for clip in &all {
         statistics.take(clip);
     }
-    let (mean, std) = (statistics.mean(), statistics.group_std());
+    let (mean, std) = (statistics.mean(), statistics.std_by(&GROUPS));
     let squares: Vec<f64> = all
         .iter()
         .flatten()

@@ -2,7 +2,7 @@
 
 use burn::tensor::TensorData;
 use features::Statistics;
-use features::humanml3d::Features;
+use features::humanml3d::{Features, GROUPS};
 use train::mld::{Base, Generator, LatentNoise, MldConfig, train_mld};
 use train::model::mld::{LatentDenoiser, MotionVae};
 
@@ -66,7 +66,7 @@ fn the_first_losses_of_mld_are_those_of_untrained_networks() {
     for clip in &all {
         statistics.take(clip);
     }
-    let (mean, std) = (statistics.mean(), statistics.group_std());
+    let (mean, std) = (statistics.mean(), statistics.std_by(&GROUPS));
     let mut rng = Seed(1).rng(&["predictions"]);
     // The output layer maps tokens of unit variance by weights of variance 1/3 over the width.
     let losses: Vec<f64> = all

@@ -211,7 +211,7 @@ fn edited(system: &dyn EditSystem, asked: &[(&Motion, &str, Option<usize>)]) -> 
         })
         .collect();
     let made = quietly(|session| system.edit(&requests, Seed(5), session)).expect("edits");
-    made.motions.into_iter().map(|(motion, _)| motion).collect()
+    made.0.into_iter().map(|(motion, _)| motion).collect()
 }
 
 #[test]

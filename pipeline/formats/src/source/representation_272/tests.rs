@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use datasets_spec::Motion;
+use datasets_spec::{Motion, Split};
 use features::released_fps;
 use features::representation_272::features_of_motion;
 use proptest::prelude::*;
