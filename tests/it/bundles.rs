@@ -89,7 +89,7 @@ fn a_bundle_scores_as_its_folder_and_has_the_same_bytes() {
         .expect("items");
     let ids = items.iter().map(|item| item.id.as_str());
     assert_eq!(facts["item_hash"], compose::digest_of_ids(ids));
-    assert_eq!(facts["system"], "MotionReFit");
+    assert_eq!(facts["system"], "MotionReFit (twists of the source)");
     assert_eq!(facts["settings"]["guidance"], 1.0);
     assert_eq!(facts["judge_hash"], Value::Null);
     let card = std::str::from_utf8(&members[2].1).expect("text");
@@ -108,7 +108,7 @@ fn a_bundle_scores_as_its_folder_and_has_the_same_bytes() {
     // A folder of edits holds items too.
     let other = bench.edits("other", &["--seed", "7", "--name", "Other"]);
     let both = bench.eval(&[&other, &at("a.zip")], &["--json"]).printed();
-    assert!(both.contains("\"Other\"") && both.contains("\"MotionReFit\""));
+    assert!(both.contains("\"Other\"") && both.contains("\"MotionReFit (twists of the source)\""));
     bench
         .eval(&[&at("a.zip")], &[])
         .expect_refused("--items ITEMS");
@@ -215,7 +215,10 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
         bundle(&out, &at("refused.zip"), &license).refusal()
     };
     let two = committed("two", &|rows| rows[0].system = "Another".to_owned());
-    assert!(two.contains("2 systems (Another, MotionReFit)"), "{two}");
+    assert!(
+        two.contains("2 systems (Another, MotionReFit (twists of the source))"),
+        "{two}"
+    );
     let few = committed("few", &|rows| drop(rows.remove(0)));
     assert_has(&few, &[&format!("item {first} has 0 answers")]);
     assert!(!at("refused.zip").exists());
@@ -258,7 +261,10 @@ fn what_breaks_a_rule_is_refused_by_bundle_and_item() {
     assert!(eval("flipped.zip", &flipped).contains("changed or damaged"));
     let renamed = changed(&|members| {
         let text = String::from_utf8(members[0].1.clone()).expect("text");
-        let text = text.replace("\"system\": \"MotionReFit\"", "\"system\": \"Better\"");
+        let text = text.replace(
+            "\"system\": \"MotionReFit (twists of the source)\"",
+            "\"system\": \"Better\"",
+        );
         members[0].1 = text.into_bytes();
     });
     assert!(eval("renamed.zip", &renamed).contains("\"Better\""));

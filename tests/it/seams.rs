@@ -315,6 +315,18 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     typed("train j2s {} --out {} --steps 4", &[&dataset, &poses]).expect_code(0);
     let args: Vec<&str> = args.into_iter().chain(["--poses", arg(&poses)]).collect();
     stance(&args).expect_code(0);
+    let posed = workshop.path("posed");
+    let args = [
+        "edit",
+        arg(&editor),
+        "--items",
+        arg(&items),
+        "--poses",
+        arg(&poses),
+    ];
+    stance(&[&args[..], &["--out", arg(&posed)]].concat()).expect_code(0);
+    let name = row(&posed).system;
+    assert_eq!(row(&edits).system, format!("{name} (twists of the source)"));
     let row = row(&fitted);
     let settings: Value = serde_json::from_str(&row.settings).expect("an object");
     assert_eq!(settings["fit"], "paper");
