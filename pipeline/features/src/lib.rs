@@ -16,7 +16,7 @@ pub use smpl_body::smpl_body;
 pub use statistics::Statistics;
 pub use to_motion::{motion_of_features, motion_of_joints};
 
-/// The rate of the 272-d and 201-d features and of MotionFix: 30 fps.
+/// The rate of the 272-d and 201-d features, of MotionFix and of Motion-X: 30 fps.
 pub fn released_fps() -> Fps {
     Fps::new(30.0).expect("a positive number is a rate")
 }

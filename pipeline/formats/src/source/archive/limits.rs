@@ -13,6 +13,7 @@ pub(super) struct Budget {
     pub(super) small: u64,
     /// Size of the archive.
     pub(super) size: u64,
+    /// Members taken so far, and their bytes.
     pub(super) members: u64,
     pub(super) bytes: u64,
 }

@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 use std::fs;
+use std::path::Path;
 
 use datasets_spec::Motion;
 use proptest::prelude::*;
@@ -14,7 +15,7 @@ use super::*;
 use crate::source::release_tests::{
     assert_contains, assert_refused, clip_of, edited, files_of, planned, test_data, why_passed_over,
 };
-use crate::source::{Files, ReadOptions};
+use crate::source::{Files, ReadOptions, Recognised, recognise};
 use clip::RotationSource;
 use clip::check::FLAG_POOR_FIT;
 use pickle::npy;
@@ -164,7 +165,7 @@ fn clips_published_without_frames_are_known() {
 fn a_lone_array_is_told_by_its_shape() {
     let is_motion = |shape: &[usize]| {
         let bytes = npy_f8(shape, &vec![0.0; shape.iter().product()]);
-        recognise_array(&bytes[..128]).is_ok()
+        recognise(Path::new("a.npy"), &bytes[..128]) == Recognised::Motion(FORMAT)
     };
     assert!(is_motion(&[9, 263]) && is_motion(&[9, 22, 3]) && is_motion(&[9, 251]));
     assert!(!is_motion(&[263]) && !is_motion(&[9, 66]) && !is_motion(&[9, 52, 3]));

@@ -18,7 +18,7 @@ pub(super) const WIDTH: usize = 322;
 /// Columns of root and body, and the first column of the translation.
 const POSE_WIDTH: usize = 3 + BODY_POSE_WIDTH;
 const TRANSLATION_AT: usize = 309;
-/// Frames per second of all motions.
+/// Frames per second of all motions: [`released_fps`] as a constant.
 pub(super) const FPS: f64 = 30.0;
 
 /// Reads an array as a motion of the given body. Hands, face and body shape are not used.

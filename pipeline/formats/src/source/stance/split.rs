@@ -50,17 +50,20 @@ impl Lists {
 
     fn put(&mut self, split: Split, name: &str) {
         let name = listed_name(name);
-        if name.is_empty() {
-            return;
+        if !name.is_empty() {
+            self.add(split, name.to_owned());
         }
-        let found = self.names.entry(name.to_owned()).or_insert(split);
+    }
+
+    fn add(&mut self, split: Split, name: String) {
+        let found = self.names.entry(name).or_insert(split);
         *found = split.max(*found);
     }
 
     /// Adds the names of other lists of the same section.
     pub(super) fn join(&mut self, other: Self) {
         for (name, split) in other.names {
-            self.put(split, &name);
+            self.add(split, name);
         }
     }
 
@@ -83,12 +86,12 @@ impl Lists {
     pub(super) fn of_clips(base: &Self, style: &Self) -> Self {
         let mut clips = Self::default();
         for (name, split) in &base.names {
-            clips.put(*split, &clip_of(&motion_id(name)));
+            clips.add(*split, clip_of(&motion_id(name)));
         }
         for (name, split) in &style.names {
             // A style transfer is listed by its file, such as 000009_proud.
             let (base, _style) = name.split_once('_').unwrap_or((name, ""));
-            clips.put(*split, &clip_of(&motion_id(base)));
+            clips.add(*split, clip_of(&motion_id(base)));
         }
         clips
     }
@@ -119,7 +122,12 @@ mod tests {
             &json!([["000004.pkl", "style/000004_proud.pkl"], 5]),
         );
         style.take_json(Split::Test, &json!({"000001_old": 1}));
-        let splits = Lists::of_clips(&base, &style);
+        // Names that end like a file once their extension is taken off.
+        base.take_lines(Split::Test, "run.npy.pkl\n");
+        style.take_json(Split::Test, &json!(["walk.npy_proud.pkl"]));
+        let mut bases = Lists::default();
+        bases.join(base);
+        let splits = Lists::of_clips(&bases, &style);
         for (id, split) in [
             ("000001", Split::Test),
             ("M000001", Split::Test),
@@ -128,6 +136,8 @@ mod tests {
             ("000004", Split::Test),
             ("000005", Split::Test),
             ("000006", Split::Train),
+            ("run.npy", Split::Test),
+            ("walk.npy", Split::Test),
         ] {
             assert_eq!(splits.of_clip(id), Some(split), "{id}");
         }
