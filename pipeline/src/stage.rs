@@ -333,8 +333,9 @@ pub fn items(
     progress.begin("write", Some(drawn.len() as u64));
     let dataset = commit_table::<ItemRow, Error>(out, &skeleton, &plan, context.holder, |files| {
         let made = |range: Range<usize>| -> Result<Vec<ItemRow>, Error> {
-            progress.advance(range.len() as u64);
-            Ok(drawn.rows(range)?)
+            let rows = drawn.rows(range)?;
+            progress.advance(rows.len() as u64);
+            Ok(rows)
         };
         let files = Split::ALL.map(|other| match other == split {
             true => files.write_made(Some(other), drawn.len(), made, &facts),

@@ -1,10 +1,11 @@
 use std::collections::BTreeMap;
 use std::fs;
+use std::ops::Range;
 use std::path::Path;
 
 use super::*;
 use crate::manifest::LAID_OUT_FACT;
-use crate::record::{FramesRow, MaskRow, MotionRow};
+use crate::record::{FramesRow, MaskRow, MotionRow, SkippedRow};
 use crate::store::{ByPath, Disk, Store, aside};
 use crate::table::{self, Row};
 use crate::table::{Caption, PartCaption, Quality, ShardReader};
@@ -156,6 +157,32 @@ fn single_rows_are_read_by_their_place() {
         some,
         [rows[0].clone(), rows[257].clone(), rows[299].clone()]
     );
+}
+
+#[test]
+fn rows_made_group_by_group_give_the_same_files() {
+    let group = table::group_rows::<SkippedRow>();
+    let facts = [("units", "m".to_owned())];
+    for count in [0, group, SHARD_ROWS as usize + group + 3] {
+        let rows: Vec<SkippedRow> = (0..count)
+            .map(|number| SkippedRow {
+                path: format!("{number}.txt"),
+                source_name: String::new(),
+                source_hash: "00".to_owned(),
+                inputs_hash: String::new(),
+                reason: "captions".to_owned(),
+            })
+            .collect();
+        let folders = [(); 2].map(|()| tempfile::tempdir().expect("dir"));
+        let begun = |index: usize| Transaction::begin(folders[index].path(), "test").expect("lock");
+        let whole = begun(0).write_shards(None, &rows, &facts).expect("written");
+        let make = |range: Range<usize>| -> Result<Vec<SkippedRow>, Error> {
+            assert!(range.len() <= group, "{range:?}");
+            Ok(rows[range].to_vec())
+        };
+        let made = begun(1).write_made(None, count, make, &facts);
+        assert_eq!(made.expect("written"), whole, "{count} rows");
+    }
 }
 
 #[test]

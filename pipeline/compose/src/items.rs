@@ -644,6 +644,30 @@ mod tests {
     }
 
     #[test]
+    fn items_depend_neither_on_threads_nor_on_the_ranges_they_are_asked_for_in() {
+        let library = Arc::new(fixture::library(Split::Test, CLIPS));
+        let config = ItemConfig {
+            count: ItemCount::Exactly(13),
+            ..ItemConfig::default()
+        };
+        let on = |threads: usize, at_once: usize| -> Vec<ItemRow> {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+            pool.build().expect("threads").install(|| {
+                let shown = Shown::default();
+                let drawn = draw_items(&library, &config, &shown, Seed(3)).expect("enough clips");
+                let starts = (0..drawn.len()).step_by(at_once);
+                let ranges = starts.map(|start| start..drawn.len().min(start + at_once));
+                ranges
+                    .flat_map(|range| drawn.rows(range).expect("read"))
+                    .collect()
+            })
+        };
+        let whole = on(1, 13);
+        assert!(whole.len() > 3, "{} items", whole.len());
+        assert_eq!(on(5, 3), whole);
+    }
+
+    #[test]
     fn an_item_of_a_mask_with_a_range_says_which_frames_it_is_about() {
         let (motions, mut masks) = fixture::rows(Split::Test, CLIPS);
         masks.retain(|mask| mask.motion_id.as_str() == "clip8");

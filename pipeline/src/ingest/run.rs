@@ -338,8 +338,8 @@ impl Run<'_> {
     }
 
     /// Moves rows of a table to the splits that `moves` gives their motions. `made` are the shards of motions that were
-    /// staged; `of` counts the shards of every split. Similarity is known only after reading, so rows move between shards
-    /// that are already written. Staged files stay as they are, so that this step can be repeated.
+    /// staged; `of` counts the shards of every split. Similarity is known only after reading, so rows move between
+    /// shards that are already written. Staged files stay as they are, so that this step can be repeated.
     fn move_rows<R: ClipRow>(
         &self,
         files: &mut Files,

@@ -51,7 +51,8 @@ pub struct RemoveOptions {
 /// their files are unchanged.
 ///
 /// # Errors
-/// No clip is chosen, or all are; labels would be lost and the options do not allow it; or the folder cannot be written.
+/// No clip is chosen, or all are; labels would be lost and the options do not allow it; or the folder cannot be
+/// written.
 pub fn remove(
     transaction: Transaction,
     choice: &Choice,
