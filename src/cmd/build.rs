@@ -91,12 +91,13 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             export(&Clips::all(&dataset), layout, &out, &global.bars())
                 .with_context(|| format!("stage export {name}"))?;
         }
-        exports.push(out);
+        exports.push(out.display().to_string());
     }
     let (accounting, manifest) = (&ingested.accounting, dataset.manifest());
     let counts = [MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE];
     let [motions, masks, pairs] = counts.map(|table| manifest.rows(table, None));
     let recorded = recorded.manifest().rows(TripletRow::TABLE, None);
+    let [root, triplets] = [root, triplets].map(|path| path.display().to_string());
     let mut lines = vec![
         accounted(accounting),
         format!("motions   {motions:>8}"),
@@ -106,11 +107,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             alone.len()
         ),
         format!("triplets  {recorded:>8}"),
-        format!("dataset   {}", root.display()),
-        format!("recorded  {}", triplets.display()),
+        format!("dataset   {root}"),
+        format!("recorded  {triplets}"),
     ];
-    let written = exports.iter();
-    lines.extend(written.map(|path| format!("export    {}", path.display())));
+    lines.extend(exports.iter().map(|path| format!("export    {path}")));
     lines.push(format!("root hash {}", manifest.root_hash));
     let document = serde_json::json!({
         "dataset": root,

@@ -142,7 +142,7 @@ fn import(args: &ImportArgs, global: &Global) -> anyhow::Result<Exit> {
     // Both are null if nothing was written.
     let own = json!({
         "system": args.name,
-        "out": written.as_ref().map(|_| &args.out),
+        "out": written.as_ref().map(|_| args.out.display().to_string()),
         "root_hash": written.as_ref().map(|made| &made.manifest().root_hash),
     });
     let all_of = report;

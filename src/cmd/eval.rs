@@ -247,12 +247,16 @@ pub(crate) enum TableArg {
     #[serde(rename = "2")]
     #[value(name = "2", help = "MotionFix, galleries of 32")]
     Two,
+    #[serde(alias = "A1")]
     #[value(name = "a1", help = "fine-grained adjustment")]
     A1,
+    #[serde(alias = "A2")]
     #[value(name = "a2", help = "ablations, without Diversity and FS")]
     A2,
+    #[serde(alias = "A3")]
     #[value(name = "a3", help = "MotionFix, one gallery of the test set")]
     A3,
+    #[serde(alias = "A4")]
     #[value(name = "a4", help = "seconds for one window")]
     A4,
 }

@@ -281,7 +281,7 @@ pub(crate) fn run(args: &RunArgs, global: &Global) -> anyhow::Result<Exit> {
 fn tell(args: &Args, options: &IngestOptions, global: &Global) -> anyhow::Result<Exit> {
     let told = forecast(&args.sources, &args.out, options, &global.bars())
         .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
-    let own = json!({ "dataset": args.out, "dry_run": true });
+    let own = json!({ "dataset": args.out.display().to_string(), "dry_run": true });
     let all_of = &told;
     global.say(&Joined { own, all_of }, &foreseen(&told))?;
     Ok(Exit::done_if(told.refusals.is_empty()))

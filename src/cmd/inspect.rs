@@ -252,8 +252,9 @@ impl About {
         if let Some(flags) = self.lists.get("flags") {
             text += &format!("{:<14} {}\n", "flags", flags.join(", "));
         }
-        for (title, lines) in &self.lists {
-            if *title != "flags" && !lines.is_empty() {
+        for title in ["answers", "captions", "parts", "notes"] {
+            let lines = self.lists.get(title).map_or(&[][..], Vec::as_slice);
+            if !lines.is_empty() {
                 text += &format!("{title}\n  {}\n", lines.join("\n  "));
             }
         }

@@ -218,10 +218,10 @@ fn say(
     let hours = sample
         .map(|Sample { items: made, secs }| secs / made.max(1) as f64 * items as f64 / 3600.0);
     let (job, destination, pieces) = (plan.job(), plan.destination(), plan.pieces().len());
-    // Without --dry-run no pieces are made to estimate the hours of one process like this one.
+    // Without --dry-run there are no sample and no estimate, which is of one process like this one.
     let planned = json!({
         "job": job,
-        "plan": folder,
+        "plan": folder.map(|folder| folder.display().to_string()),
         "destination": destination,
         "plan_hash": plan.hash(),
         "pieces": pieces,

@@ -262,6 +262,10 @@ fn names_that_are_not_text_stay_apart_and_never_reach_the_terminal() {
     assert_eq!(ids, [r"a\\xff", r"a\xfe", r"a\xff", r"red\x1b[31m"]);
     // Labels beside each file are found under the file's true name.
     assert!(rows.iter().all(|row| row.captions.len() == 1), "{rows:?}");
+    let out = dir.path().join(OsStr::from_bytes(b"out\xff"));
+    for more in [Vec::new(), vec!["--json"]] {
+        typed_with("ingest {} --out {} --dry-run", &[&source, &out], &more).expect_code(0);
+    }
 }
 
 #[cfg(unix)]

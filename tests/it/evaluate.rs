@@ -337,7 +337,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         let plan = write_plan(&bench, &format!("{systems}{}", figures(key)));
         stance(&["reproduce", arg(&plan)]).expect_refused(word);
     }
-    let tables = "[[table]]\npaper = \"1\"\npublished = true\n[[table]]\npaper = \"a4\"\nsystems = [\"ours\"]\n";
+    let tables = "[[table]]\npaper = \"1\"\npublished = true\n[[table]]\npaper = \"A4\"\nsystems = [\"ours\"]\n";
     let plan = write_plan(
         &bench,
         &format!("{systems}{tables}{}", figures("compose.mcm_ratio")),

@@ -2,7 +2,7 @@
 
 use datasets_spec::Rng;
 
-use super::definition::{Better, Measure, Metric, Part, TakesSample, check_count};
+use super::definition::{Better, Measure, Metric, Part, TakesSample, check_count, check_finite};
 use super::diversity::diversity_of_pairs;
 use crate::Error;
 use crate::linalg::Matrix;
@@ -84,6 +84,7 @@ pub fn multimodality_of_pairs(
     check_count(METRIC, conditions.len(), 1)?;
     let mut total = 0.0;
     for latents in conditions {
+        check_finite(METRIC, latents)?;
         total += diversity_of_pairs(latents, first, second)?;
     }
     Ok(total / conditions.len() as f64)
@@ -153,6 +154,9 @@ mod tests {
         assert_eq!(value.expect("valid"), 0.0);
         assert!(pairs(4, 4, &mut Seed(3).rng(&["mm"])).is_err());
         assert!(multimodality_of_pairs(&[], &[0], &[1]).is_err());
+        let broken = [Matrix::from_rows(&[[1.0], [f64::NAN]])];
+        let error = multimodality_of_pairs(&broken, &[0], &[1]).expect_err("refused");
+        assert_eq!(error.to_string(), "Multimodality: row 1 is not finite");
         let spread = [Matrix::from_rows(&[[0.0], [2.0]])];
         assert_eq!(
             multimodality_of_pairs(&spread, &[0], &[1]).expect("valid"),

@@ -52,13 +52,12 @@ struct Document {
 pub(super) fn finish(
     plan: &Plan,
     work: &Work<'_>,
-    done: Done,
+    mut done: Done,
     command: String,
     weak_judge: WeakJudgeArgs,
     global: &Global,
 ) -> anyhow::Result<Exit> {
     let (out, judges) = (&plan.out, &work.judges());
-    let mut page = page_of(work, &done, global)?;
     let of_tables = done.tables.iter().find_map(|made| made.unranked.clone());
     let unranked = of_tables.or_else(|| weakness_of(judges));
     let mut results = Results {
@@ -69,14 +68,15 @@ pub(super) fn finish(
             tables: Vec::new(),
             trainings: Vec::new(),
             figures: Vec::new(),
-            pictures: done.pictures,
-            failed: done.failed.0,
+            pictures: std::mem::take(&mut done.pictures),
+            failed: std::mem::take(&mut done.failed.0),
         },
         record: Vec::new(),
     };
     for made in &done.tables {
         results.add_table(made, judges)?;
     }
+    let mut page = page_of(work, &done, global)?;
     for figure in done.figures {
         results.add_figure(figure, &mut page)?;
     }

@@ -35,11 +35,12 @@ pub(super) struct Done<'a> {
 
 pub(super) fn print(done: &Done, global: &Global) -> anyhow::Result<Exit> {
     let (plan, report) = (done.plan, done.plan.at("report.html"));
+    let shown = |path: &Path| path.display().to_string();
     let scores = format::json::render(&done.scores.rows, &done.scores.judges)?;
     let scores: Value = serde_json::from_str(&scores)?;
     let document = json!({
-        "out": plan.config.out,
-        "report": report,
+        "out": shown(&plan.config.out),
+        "report": shown(&report),
         "accounting": done.ingested.accounting,
         "root_hash": done.dataset.manifest().root_hash,
         "encoder": done.trained.encoder,
@@ -57,7 +58,7 @@ pub(super) fn print(done: &Done, global: &Global) -> anyhow::Result<Exit> {
         ("scores", plan.at("scores")),
         ("report", report),
     ] {
-        text += &format!("{name:<9} {}\n", path.display());
+        text += &format!("{name:<9} {}\n", shown(&path));
     }
     global.say(&document, &text)
 }
