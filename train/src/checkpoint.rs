@@ -567,12 +567,13 @@ fn begin_with<C: Serialize + DeserializeOwned>(
     let files = read(from, Slot::Best)?
         .ok_or_else(|| Error::not_a_run(from, &record.kind, "it holds no checkpoint \"best\""))?;
     let last = read(from, Slot::Last)?.unwrap_or_default();
+    let json = json_error(&from.join(CONFIG));
     let mut lineage = before.lineage.clone();
     lineage.push(Ancestor {
         by: Inheritance::Init,
         weights: weights_hash(&before.config, &files),
         step: step_of(&last, "best_step"),
-        changed: differences(&to_value(&before).map_err(json_error(from))?, asked),
+        changed: differences(&to_value(&before).map_err(json)?, asked),
     });
     Ok((lineage, files))
 }

@@ -61,8 +61,8 @@ impl TextEncoderSource {
 
     /// One vector for each text, from the encoder that the settings select; none if that encoder is trained with the
     /// model. `clip` is the CLIP model in use. Vectors of CLIP and BERT are read from the run folder or computed; those
-    /// of another encoder are in the user's table or the run folder. Vectors of BERT are scaled, because without it they
-    /// are about a hundred times smaller than learned word vectors.
+    /// of another encoder are in the user's table or the run folder. Vectors of BERT are scaled, because they are about
+    /// a hundred times smaller than learned word vectors.
     pub(crate) fn embeddings(
         &self,
         run: &Path,
@@ -134,9 +134,9 @@ impl TextEncoderSource {
         table.map(Some)
     }
 
-    /// The run folder's table if it holds all texts; otherwise a table that a loaded encoder, BERT or CLIP, computes. If
-    /// the user gave an encoder, a table from another one, left by a failed training, is ignored. Vectors are scaled so
-    /// that the elements of each have the root mean square `rms`, if it is given.
+    /// The run folder's table if it holds all texts; otherwise a table that a loaded encoder, BERT or CLIP, computes.
+    /// If the user gave an encoder, a table from another one, left by a failed training, is ignored. If `rms` is given,
+    /// each vector is scaled so that its elements have this root mean square.
     fn computed(
         &self,
         run: &Path,
