@@ -567,7 +567,8 @@ fn begin_with<C: Serialize + DeserializeOwned>(
     let files = read(from, Slot::Best)?
         .ok_or_else(|| Error::not_a_run(from, &record.kind, "it holds no checkpoint \"best\""))?;
     let last = read(from, Slot::Last)?.unwrap_or_default();
-    let json = json_error(&from.join(CONFIG));
+    let path = from.join(CONFIG);
+    let json = json_error(&path);
     let mut lineage = before.lineage.clone();
     lineage.push(Ancestor {
         by: Inheritance::Init,

@@ -21,7 +21,7 @@ use crate::folder::{NewFolder, is_occupied, publish};
 /// Value of `format` in every plan.
 const FORMAT: &str = "stance-plan";
 /// Version of the files of a plan.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Program version of a plan. Another version could make other bytes.
 const TOOL_VERSION: &str = concat!("stance ", env!("CARGO_PKG_VERSION"));
 const HEADER: &str = "plan.json";
