@@ -114,7 +114,7 @@ fn reproduce(plan: &Path) -> Ran {
 }
 
 /// The name of an editor that is not asked with a pose network.
-const UNPOSED: &str = "MotionReFit (twists of the source)";
+pub(crate) const UNPOSED: &str = "MotionReFit (twists of the source)";
 
 #[test]
 fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {

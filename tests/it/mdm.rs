@@ -5,7 +5,7 @@ use datasets_spec::{Dataset, Skeleton};
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use serde_json::Value;
 
-use crate::evaluate::Bench;
+use crate::evaluate::{Bench, UNPOSED};
 use crate::results::score;
 use crate::util::{arg, put};
 
@@ -86,7 +86,7 @@ fn mdm_edits_body_parts_and_stands_in_the_table() {
 
     let ours = bench.edits("ours", &[]);
     let scores: Value = bench.eval(&[&ours, &out], &["--json"]).done();
-    for system in ["MDM-BP (guidance 2)", "Identity", "MotionReFit"] {
+    for system in ["MDM-BP (guidance 2)", "Identity", UNPOSED] {
         assert!(
             score(&scores, system, "E2T AvgR")["mean"]
                 .as_f64()

@@ -9,7 +9,7 @@ use datasets_spec::table::Row;
 use eval::metric::{Part, of_part};
 use serde_json::Value;
 
-use crate::evaluate::Bench;
+use crate::evaluate::{Bench, UNPOSED};
 use crate::tables::{printed, tables};
 use crate::util::{arg, assert_has, stance, text_of, typed, typed_with};
 
@@ -67,7 +67,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
         .eval(&[&edits], &["--json", "--out", arg(&committed)])
         .done();
     assert!(targets >= 10, "{targets} targets make no interval");
-    let row = score(&scores, "MotionReFit", "Position error (cm)");
+    let row = score(&scores, UNPOSED, "Position error (cm)");
     let digest = row["items_digest"].as_str().expect("a digest").to_owned();
     assert_eq!(digest.len(), 12);
     for (field, expected) in [
@@ -110,18 +110,18 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     // Items vary, so a mean over them has an interval although every repeat gives the same mean.
     let half_width =
         |scores: &Value, system: &str, metric: &str| score(scores, system, metric)["ci95"].as_f64();
-    assert!(half_width(&scores, "MotionReFit", "Position error (cm)").expect("varies") > 0.0);
-    assert!(half_width(&scores, "MotionReFit", "FID").expect("varies") > 0.0);
+    assert!(half_width(&scores, UNPOSED, "Position error (cm)").expect("varies") > 0.0);
+    assert!(half_width(&scores, UNPOSED, "FID").expect("varies") > 0.0);
     assert_eq!(half_width(&scores, "Real Data", "E2T R@1"), None);
     let over_repeats: Value = bench
         .eval(&[&edits], &["--json", "--interval", "repeats"])
         .done();
     assert_eq!(
-        half_width(&over_repeats, "MotionReFit", "Position error (cm)"),
+        half_width(&over_repeats, UNPOSED, "Position error (cm)"),
         None
     );
-    assert!(half_width(&over_repeats, "MotionReFit", "FID").expect("halves vary") > 0.0);
-    let mean = |scores: &Value| score(scores, "MotionReFit", "FID")["mean"].clone();
+    assert!(half_width(&over_repeats, UNPOSED, "FID").expect("halves vary") > 0.0);
+    let mean = |scores: &Value| score(scores, UNPOSED, "FID")["mean"].clone();
     assert_eq!(mean(&scores), mean(&over_repeats));
 
     let counted = |count: usize, what: &str| match count {
@@ -163,7 +163,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
         "{:?}",
         of_targets.notes
     );
-    let names = ["Real Data", "Identity", "MotionReFit"];
+    let names = ["Real Data", "Identity", UNPOSED];
     of_targets.check_measured(&names, &scores);
     let of_repeats = table(&["--interval", "repeats"]);
     assert_eq!(of_repeats.conditions, conditions("over the repeats"));
@@ -286,7 +286,7 @@ fn a_random_part_of_the_items_can_be_scored() {
         bench.eval(&[&edits], &limit).done()
     };
     let digest = |scores: &Value| {
-        let row = score(scores, "MotionReFit", "FS");
+        let row = score(scores, UNPOSED, "FS");
         assert_eq!(row["n"], 5);
         let protocol = row["protocol"].as_str().expect("words");
         assert_has(protocol, &["a random 5 of the items (seed"]);
@@ -405,7 +405,7 @@ fn pairs_of_motionfix_fill_its_tables() {
         row.set_motions(&source, Some(&shorter), None);
     });
     let edits = bench.answers("editor", "motionfix", "answers", &[]);
-    let names = ["Real Data", "Identity", "MotionReFit"];
+    let names = ["Real Data", "Identity", UNPOSED];
     for (table, gallery, published, counts) in [
         (
             "2",
@@ -457,7 +457,7 @@ fn pairs_of_motionfix_fill_its_tables() {
         let scores: Value = bench
             .eval(&[&edits], &["--json", "--keypoints", keypoints])
             .done();
-        let row = score(&scores, "MotionReFit", "Position error (cm)").clone();
+        let row = score(&scores, UNPOSED, "Position error (cm)").clone();
         let protocol = row["protocol"].as_str().expect("words").to_owned();
         assert_eq!(
             protocol.contains("22 joints"),
@@ -491,11 +491,11 @@ fn many_takes_tell_how_motions_of_one_item_differ() {
         .expect_code(0);
     let scores: Value = bench.eval(&[&edits], &["--json"]).done();
     for table in tables(&ran.stdout) {
-        table.check_measured(&["Real Data", "Identity", "MotionReFit"], &scores);
+        table.check_measured(&["Real Data", "Identity", UNPOSED], &scores);
         let items = table.conditions.split("; ").nth(1).expect("the items");
         assert!(items.ends_with("), 11 takes, 2 repeats"), "{items}");
     }
-    let row = score(&scores, "MotionReFit", "Multimodality");
+    let row = score(&scores, UNPOSED, "Multimodality");
     assert!(row["mean"].as_f64().expect("a number") > 0.0);
     assert_eq!(row["takes"], 11);
     assert_eq!(score(&scores, "Identity", "FS")["takes"], 1);
@@ -587,7 +587,7 @@ fn how_motions_move_stands_beside_real_data() {
     let scores: Value = bench.eval(&[&edits], &["--json"]).done();
     let metrics = of_part(Part::Quality);
     for metric in &metrics {
-        for system in ["Real Data", "Identity", "MotionReFit"] {
+        for system in ["Real Data", "Identity", UNPOSED] {
             let mean = score(&scores, system, metric.name)["mean"].as_f64();
             let mean = mean.expect("a number");
             // Zero is valid for gliding, and real data has it by definition.
@@ -601,7 +601,7 @@ fn how_motions_move_stands_beside_real_data() {
     let quality = tables(&text).pop().expect("tables");
     let labels: Vec<String> = metrics.iter().map(|metric| format!("{metric} →")).collect();
     assert_eq!(quality.head[1..], labels);
-    quality.check_measured(&["Real Data", "Identity", "MotionReFit"], &scores);
+    quality.check_measured(&["Real Data", "Identity", UNPOSED], &scores);
     let page = bench.workshop.path("page.html");
     let out = [
         "--encoder",

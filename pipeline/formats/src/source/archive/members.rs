@@ -8,7 +8,6 @@ use std::sync::Arc;
 use datasets_spec::store::{Disk, Locking, NewFile, ReadAt, Reader, Store};
 use zip::ZipArchive;
 
-use super::content::Content;
 use super::scratch::Scratch;
 use super::unpacked::{Packed, Slice, Zipped};
 use crate::source::name_of_text;
@@ -64,13 +63,17 @@ pub(super) struct Members {
 }
 
 impl Members {
-    pub(super) fn new(at: &Path, content: Content) -> Self {
-        let members = content.members.into_iter();
+    pub(super) fn new(
+        at: &Path,
+        members: BTreeMap<String, Member>,
+        from: Option<ReadFrom>,
+    ) -> Self {
+        let members = members.into_iter();
         let members = members.map(|(name, member)| (PathBuf::from(name_of_text(&name)), member));
         Self {
             at: at.to_owned(),
             members: members.collect(),
-            from: content.read_from,
+            from,
         }
     }
 

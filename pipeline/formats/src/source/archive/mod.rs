@@ -250,7 +250,7 @@ fn open(
         let place = path.join(name_of_text(name));
         opened.files.insert(of_archive(name), place);
     }
-    let members = Members::new(path, content);
+    let members = Members::new(path, content.members, content.read_from);
     let mounted = mount(path, Arc::new(members));
     opened.archives.open.push(Arc::new(mounted));
     if !kind.is_random_access() {

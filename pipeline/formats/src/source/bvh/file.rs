@@ -7,6 +7,7 @@ use datasets_spec::Fps;
 use super::cursor::{Cursor, syntax};
 use super::hierarchy::{BvhJoint, parse_hierarchy};
 use super::motion::{Rows, is_line_end, parse_frame_time};
+use super::soma;
 use crate::source::head::UTF8_BOM;
 use clip::{Rejected, rejected};
 
@@ -86,7 +87,14 @@ impl Header {
             bytes,
             at: bytes.strip_prefix(UTF8_BOM).map_or(0, |_| UTF8_BOM.len()),
         };
-        let joints = parse_hierarchy(&mut cursor)?;
+        let (joints, rest_rotation) = parse_hierarchy(&mut cursor)?;
+        if let Some(at) = rest_rotation.filter(|_| !soma::is_soma(&joints)) {
+            return Err(syntax(
+                at,
+                "found six numbers after OFFSET, expected three; only rigs of SOMA are known to state a \
+                 rest rotation there, which their channels repeat",
+            ));
+        }
         let num_channels = joints.iter().map(|joint| joint.channels.len()).sum();
         if num_channels == 0 {
             return Err(syntax(

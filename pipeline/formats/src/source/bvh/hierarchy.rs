@@ -3,13 +3,15 @@
 use glam::DVec3;
 
 use super::cursor::{Cursor, parse_number, shown, syntax};
-use super::soma;
 use clip::Rejected;
 
 /// Limit on the joints of a file. Full-body rigs with fingers and face have some 200.
 const MAX_JOINTS: usize = 4096;
 
-pub(super) fn parse_hierarchy(cursor: &mut Cursor) -> Result<Vec<BvhJoint>, Rejected> {
+/// The joints, and the byte offset of the first rest rotation, which only rigs of SOMA have.
+pub(super) fn parse_hierarchy(
+    cursor: &mut Cursor,
+) -> Result<(Vec<BvhJoint>, Option<usize>), Rejected> {
     cursor.expect("HIERARCHY")?;
     cursor.expect("ROOT")?;
     let mut joints = Vec::new();
@@ -52,14 +54,7 @@ pub(super) fn parse_hierarchy(cursor: &mut Cursor) -> Result<Vec<BvhJoint>, Reje
             ));
         }
     }
-    match rest_rotation {
-        Some(at) if !soma::is_soma(&joints) => Err(syntax(
-            at,
-            "found six numbers after OFFSET, expected three; only rigs of SOMA are known to state a \
-             rest rotation there, which their channels repeat",
-        )),
-        _ => Ok(joints),
-    }
+    Ok((joints, rest_rotation))
 }
 
 /// Skips three more numbers after an offset, and returns their byte offset. They are the joint's rest rotation in rigs
