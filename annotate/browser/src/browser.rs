@@ -13,6 +13,9 @@ use serde_json::{Value, json};
 
 use crate::waits::{PATIENCE, Program, in_time, wait};
 
+/// Starts of the driver before a test gives up.
+const STARTS: usize = 5;
+
 /// Non-printing keys, as named by WebDriver.
 pub mod keys {
     #![allow(missing_docs, reason = "the names are the documentation")]
@@ -90,7 +93,11 @@ impl Browser {
     pub fn start_with(graphics: Graphics, more: &[&str]) -> Self {
         let mut driver = Command::new("chromedriver");
         driver.arg("--port=0").stderr(Stdio::null());
-        let (driver, port) = Program::start(&mut driver, driver_port);
+        // The driver ends if another process holds the port that it has drawn, and draws another one when it is started
+        // again.
+        let mut starts = (0..STARTS).map(|_| Program::try_start(&mut driver, driver_port));
+        let started = starts.find_map(Result::ok);
+        let (driver, port) = started.unwrap_or_else(|| panic!("{driver:?} ended {STARTS} times"));
         let mut args = vec![
             "--headless=new",
             "--no-sandbox",

@@ -41,6 +41,15 @@ impl Program {
         command: &mut Command,
         read: impl Fn(&str) -> Option<T> + Send + 'static,
     ) -> (Self, T) {
+        let started = Self::try_start(command, read);
+        started.unwrap_or_else(|error| panic!("{command:?} said nothing: {error}"))
+    }
+
+    /// As [`Program::start`], with an error if the program says nothing.
+    pub(crate) fn try_start<T: Send + 'static>(
+        command: &mut Command,
+        read: impl Fn(&str) -> Option<T> + Send + 'static,
+    ) -> Result<(Self, T), mpsc::RecvTimeoutError> {
         command.stdin(Stdio::null()).stdout(Stdio::piped());
         let started = command.spawn();
         let mut child = started.unwrap_or_else(|error| {
@@ -55,9 +64,8 @@ impl Program {
                 let _unheard = sender.send(value);
             }
         });
-        let value = understood.recv_timeout(PATIENCE);
-        let value = value.unwrap_or_else(|error| panic!("{command:?} said nothing: {error}"));
-        (program, value)
+        let value = understood.recv_timeout(PATIENCE)?;
+        Ok((program, value))
     }
 }
 

@@ -604,7 +604,7 @@ mod tests {
             kind: "style".to_owned(),
             source_id: id(format!("a{number}")),
             target_id: id(format!("b{number}")),
-            style: (number % 2 == 0).then(|| "proud".to_owned()),
+            style: number.is_multiple_of(2).then(|| "proud".to_owned()),
             parts: vec!["LEFT_ARM".to_owned(); number % 3],
             instruction: format!("be proud {number}"),
             edit_type: None,

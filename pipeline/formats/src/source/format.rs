@@ -15,6 +15,12 @@ use clip::{Outcome, ReadClip, Rejected, rejected};
 /// Reads the markers of a file; none if it has none.
 pub type ReadCapture = fn(&[u8], &ReadOptions) -> Result<Option<Capture>, Rejected>;
 
+/// A function of [`Format::by_name`].
+pub(super) type JudgeByName = fn(&str, &[u8]) -> Option<Result<(), String>>;
+
+/// A function of [`Format::keys`].
+pub(super) type NameMotions = fn(&[u8], &ReadOptions) -> Vec<String>;
+
 /// A source format: how its files are recognised and read. Formats register in [`super::FORMATS`].
 ///
 /// A format of single files states their `extensions` or `by_content`, and `read`; a format of releases, whose files
@@ -32,11 +38,11 @@ pub struct Format {
     pub(super) extensions: &'static [&'static str],
     /// Judges a file with one of the extensions by its name and first bytes: whether it is a motion, or the reason why
     /// it is none; none if it is not of this format.
-    pub(super) by_name: fn(&str, &[u8]) -> Option<Result<(), String>>,
+    pub(super) by_name: JudgeByName,
     /// Whether the first bytes of a file without a known name have this format.
     pub(super) by_content: fn(&[u8]) -> bool,
     /// Names the motions in a file, for formats whose files may hold several; empty if it holds one, or cannot be read.
-    pub keys: Option<fn(&[u8], &ReadOptions) -> Vec<String>>,
+    pub keys: Option<NameMotions>,
     /// Reads one motion of a single file. The key is one of `keys`, or empty.
     pub read: fn(&Path, &str, &[u8], &ReadOptions) -> Outcome,
     /// Reads the markers of a file, for formats of captures, whose keys are subjects.
