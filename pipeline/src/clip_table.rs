@@ -97,8 +97,8 @@ pub(crate) fn borrowed(facts: &[(String, String)]) -> Vec<(&str, String)> {
         .collect()
 }
 
-/// Writes the rows of a file of clips again, under another name; none if no row stays. `stays` gives the name of the
-/// source of a clip that stays.
+/// Copies the clips that stay from a file of clips to a new file, and returns nothing if none stays. For a clip that
+/// stays, `stays` returns the name of its source.
 pub(crate) fn rewrite<'a>(
     transaction: &Transaction,
     name: &ShardName,

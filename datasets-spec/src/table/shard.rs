@@ -91,6 +91,15 @@ fn properties(
     Ok(builder.build())
 }
 
+fn writer<R: Row, W: Write + Send>(
+    sink: W,
+    facts: &[(&str, String)],
+) -> Result<ArrowWriter<W>, ParquetError> {
+    let schema = R::schema();
+    let properties = properties(&schema, R::PAGE_ROWS, facts)?;
+    ArrowWriter::try_new(sink, schema, Some(properties))
+}
+
 /// Rows of a row group of a table: writing and reading hold at least one group in memory.
 pub const fn group_rows<R: Row>() -> usize {
     ROW_GROUP_PAGES * R::PAGE_ROWS
@@ -128,10 +137,8 @@ pub(crate) fn write_groups<'a, R: Row + 'a, W: Write + Send, E: From<Error>>(
     groups: impl Iterator<Item = Result<Cow<'a, [R]>, E>>,
     facts: &[(&str, String)],
 ) -> Result<W, E> {
-    let schema = R::schema();
     let wrap = || Error::parquet("write", path);
-    let properties = properties(&schema, R::PAGE_ROWS, facts).map_err(wrap())?;
-    let mut writer = ArrowWriter::try_new(sink, schema, Some(properties)).map_err(wrap())?;
+    let mut writer = writer::<R, W>(sink, facts).map_err(wrap())?;
     for group in groups {
         writer.write(&R::encode(&group?)?).map_err(wrap())?;
     }
@@ -156,11 +163,8 @@ impl<R: Row, W: Write + Send> RowWriter<R, W> {
     /// If the table holds frames, which are laid out a whole group at a time.
     pub fn new(sink: W, path: &Path, facts: &[(&str, String)]) -> Result<Self, Error> {
         assert_eq!(R::PAGE_ROWS, 1, "{} holds frames", R::TABLE);
-        let schema = R::schema();
-        let wrap = || Error::parquet("write", path);
-        let properties = properties(&schema, R::PAGE_ROWS, facts).map_err(wrap())?;
         Ok(Self {
-            writer: ArrowWriter::try_new(sink, schema, Some(properties)).map_err(wrap())?,
+            writer: writer::<R, W>(sink, facts).map_err(Error::parquet("write", path))?,
             path: path.to_owned(),
             waiting: Vec::new(),
         })

@@ -227,28 +227,20 @@ impl DrawnItems<'_> {
     /// If the range ends after the last item.
     pub fn rows(&self, range: Range<usize>) -> Result<Vec<ItemRow>, Error> {
         let questions = self.questions[range].par_iter();
-        questions
-            .map(|question| {
-                let draws = self.drawer.source(question.place)?;
-                self.drawer.row(question.place, question.novelty, draws)
-            })
-            .collect()
+        let row = |question: &Question| {
+            let draws = question.draws.clone();
+            self.drawer.row(question.subject, question.novelty, draws)
+        };
+        questions.map(row).collect()
     }
 }
 
-/// An item, named by what its motions can be made from.
+/// An item without its motions, and what they are made from.
 struct Question {
-    place: Asking,
+    subject: Subject,
+    draws: Draws,
     novelty: Option<Novelty>,
     id: String,
-}
-
-/// Names the draws of an item.
-#[derive(Clone, Copy)]
-struct Asking {
-    subject: Subject,
-    round: usize,
-    attempt: usize,
 }
 
 /// Identity of a set of items: BLAKE3 of their sorted ids, each with a line end, as 32 hexadecimal digits.
@@ -327,8 +319,10 @@ enum Attempt {
     Exhausted,
 }
 
-/// What was drawn of an item so far.
+/// The source of an item, and the state of its other draws.
+#[derive(Clone)]
 struct Draws {
+    /// Names the draws of the item.
     id: String,
     /// Index of the clip that is edited.
     source: usize,
@@ -366,20 +360,14 @@ impl Drawer<'_> {
                 let (now, after) = left.split_at(left.len().min(wanted.left).min(TRIED_AT_ONCE));
                 left = after;
                 // A question that is unwanted before this block stays so, because quotas only shrink.
-                let first = |&(_, subject): &(u64, Subject)| {
-                    let place = Asking {
-                        subject,
-                        round,
-                        attempt: 0,
-                    };
-                    (place, self.attempt(place, &wanted))
-                };
+                let first =
+                    |&(_, subject): &(u64, Subject)| self.attempt(subject, round, 0, &wanted);
                 let firsts: Vec<_> = now.par_iter().map(first).collect();
-                for (mut place, mut found) in firsts {
+                for (&(_, subject), mut found) in now.iter().zip(firsts) {
                     if wanted.left == 0 {
                         break;
                     }
-                    loop {
+                    for next in 1..=MAX_REPEATS {
                         match found? {
                             Attempt::Drawn(question)
                                 if wanted.is_wanted(question.novelty)
@@ -392,11 +380,10 @@ impl Drawer<'_> {
                             Attempt::Exhausted => break,
                             Attempt::Drawn(_) | Attempt::Unwanted => {}
                         }
-                        place.attempt += 1;
-                        if place.attempt == MAX_REPEATS {
+                        if next == MAX_REPEATS {
                             break;
                         }
-                        found = self.attempt(place, &wanted);
+                        found = self.attempt(subject, round, next, &wanted);
                     }
                 }
             }
@@ -407,23 +394,29 @@ impl Drawer<'_> {
         Ok(questions)
     }
 
-    fn attempt(&self, place: Asking, wanted: &Quota) -> Result<Attempt, Error> {
+    fn attempt(
+        &self,
+        subject: Subject,
+        round: usize,
+        attempt: usize,
+        wanted: &Quota,
+    ) -> Result<Attempt, Error> {
         let library = &self.library;
-        let Asking {
-            subject,
-            round,
-            attempt,
-        } = place;
         if library.is_asked_as_is(subject) && (round > 0 || attempt > 0) {
             return Ok(Attempt::Exhausted);
         }
-        let draws = self.source(place)?;
+        let draws = self.source(subject, round, attempt)?;
         let novelty = self.novelty(subject, &library.clip(draws.source).id);
         if !wanted.is_wanted(novelty) {
             return Ok(Attempt::Unwanted);
         }
-        let id = self.row(place, novelty, draws)?.id;
-        Ok(Attempt::Drawn(Question { place, novelty, id }))
+        let id = self.row(subject, novelty, draws.clone())?.id;
+        Ok(Attempt::Drawn(Question {
+            subject,
+            draws,
+            novelty,
+            id,
+        }))
     }
 
     /// Novelty of an item of this subject; `source` is the clip of a mask's source.
@@ -449,13 +442,8 @@ impl Drawer<'_> {
     }
 
     /// Draws the source of an item.
-    fn source(&self, place: Asking) -> Result<Draws, Error> {
+    fn source(&self, subject: Subject, round: usize, attempt: usize) -> Result<Draws, Error> {
         let library = &self.library;
-        let Asking {
-            subject,
-            round,
-            attempt,
-        } = place;
         let round = round.to_string();
         let attempt = (attempt > 0).then(|| attempt.to_string());
         let mut parts = vec!["evaluation item", library.subject_id(subject), &round];
@@ -476,10 +464,15 @@ impl Drawer<'_> {
     }
 
     /// Makes the motions of an item.
-    fn row(&self, place: Asking, novelty: Option<Novelty>, draws: Draws) -> Result<ItemRow, Error> {
-        let mut row = match self.library.is_asked_as_is(place.subject) {
-            true => self.as_is(place.subject)?,
-            false => self.composed(place.subject, draws)?,
+    fn row(
+        &self,
+        subject: Subject,
+        novelty: Option<Novelty>,
+        draws: Draws,
+    ) -> Result<ItemRow, Error> {
+        let mut row = match self.library.is_asked_as_is(subject) {
+            true => self.as_is(subject)?,
+            false => self.composed(subject, draws)?,
         };
         row.novelty = novelty.map(|novelty| novelty.as_str().to_owned());
         row.id = row.content_id();

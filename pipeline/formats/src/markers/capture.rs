@@ -206,8 +206,8 @@ impl CaptureUnit {
         Rejected::read(CODE, error.to_string())
     }
 
-    /// The user's unit, else the file's, else millimetres (metres for a small capture volume), with a note unless the
-    /// file states it. `seen` holds the points that are seen, in the file's unit.
+    /// The user's unit, else the file's, else millimetres (metres for a small capture volume). A note says where the unit
+    /// comes from, unless the file states it. `seen` holds the observed points, in the file's unit.
     pub(crate) fn find(
         by_user: Option<Unit>,
         text: &str,

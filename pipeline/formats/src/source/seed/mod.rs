@@ -187,7 +187,7 @@ impl SeedFolder {
         }
     }
 
-    /// Records whether a table was read whole, in part or not at all.
+    /// Notes whether all rows of a table were read, some, or none.
     fn account(&mut self, file: &str, read: Result<Option<Rejected>, Rejected>) {
         match read {
             Ok(None) => {
