@@ -325,7 +325,7 @@ pub fn items(
     let drawn = draw_items(&library, config, &shown, seed)?;
     progress.finish(&format!("{} items", drawn.len()));
     let fewer = match config.count {
-        ItemCount::Exactly(count) if drawn.len() < count => Some(drawn.len()),
+        ItemCount::Exactly(count) if drawn.num_drawn < count => Some(drawn.num_drawn),
         _ => None,
     };
     let skeleton = dataset.skeleton()?;

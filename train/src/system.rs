@@ -148,6 +148,9 @@ pub(crate) enum Setting {
 /// File of warnings beside a table of edits.
 const REMARKS: &str = "remarks.json";
 
+/// Number of unknown words that a warning names.
+const NAMED_WORDS: usize = 12;
+
 /// Warnings about edits: short clips and unknown words.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Remarks {
@@ -202,10 +205,15 @@ impl Remarks {
             ));
         }
         if !self.unknown_words.is_empty() {
-            let words: Vec<&str> = self.unknown_words.iter().map(String::as_str).collect();
+            let words = self.unknown_words.iter().map(String::as_str);
+            let named: Vec<&str> = words.take(NAMED_WORDS).collect();
+            let others = match self.unknown_words.len() - named.len() {
+                0 => String::new(),
+                count => format!(" and {count} more words"),
+            };
             lines.push(format!(
-                "the editor has never seen {}: it cannot follow these words",
-                words.join(", ")
+                "the editor has never seen {}{others}: it cannot follow these words",
+                named.join(", ")
             ));
         }
         lines
@@ -608,9 +616,8 @@ mod tests {
             named(Slot::Epoch(5), &changed),
             "MotionReFit tiny (checkpoint epoch-5, guidance 3, steps 10, from source)"
         );
-        assert_eq!(
-            named(Slot::Best, &[("guidance", Setting::Number(0.25, 1.0))]),
-            "MotionReFit tiny (guidance 0.25)"
-        );
+        let quarter = [("guidance", Setting::Number(0.25, 1.0))];
+        let name = named(Slot::Best, &quarter);
+        assert_eq!(name, "MotionReFit tiny (guidance 0.25)");
     }
 }

@@ -194,17 +194,24 @@ pub fn draw_items<'a>(
             count: questions.len(),
         });
     }
+    let num_drawn = questions.len();
     let questions = match config.part {
         Some(part) => Quota::of(&config.novelty, part).first(questions),
         None => questions,
     };
-    Ok(DrawnItems { drawer, questions })
+    Ok(DrawnItems {
+        drawer,
+        questions,
+        num_drawn,
+    })
 }
 
 /// Drawn items without their motions, which are made when rows are asked for.
 pub struct DrawnItems<'a> {
     drawer: Drawer<'a>,
     questions: Vec<Question>,
+    /// Number of items that were drawn, of which [`ItemConfig::part`] are kept.
+    pub num_drawn: usize,
 }
 
 impl DrawnItems<'_> {
@@ -611,6 +618,21 @@ mod tests {
     }
 
     #[test]
+    fn a_part_is_the_first_of_the_drawn_items() {
+        let library = Arc::new(fixture::library(Split::Test, CLIPS));
+        let config = ItemConfig {
+            count: ItemCount::Exactly(6),
+            part: Some(2),
+            ..ItemConfig::default()
+        };
+        let shown = Shown::default();
+        let part = draw_items(&library, &config, &shown, Seed(3)).expect("enough clips");
+        assert_eq!((part.num_drawn, part.len()), (6, 2));
+        let all = drawn(&library, config.count);
+        assert_eq!(part.rows(0..2).expect("read"), all[..2]);
+    }
+
+    #[test]
     fn the_annotations_are_covered_before_any_is_used_again() {
         let library = Arc::new(fixture::library(Split::Test, CLIPS));
         let items = drawn(&library, ItemCount::Exactly(13));
@@ -717,23 +739,17 @@ mod tests {
         };
         assert_eq!(item.task, "motionfix");
         assert!(item.donor_ids.is_empty() && item.hard_joints.is_empty());
-        assert_eq!(
-            item.source().expect("valid"),
-            motions[0].motion().expect("valid")
-        );
-        assert_eq!(
-            item.target().expect("valid"),
-            motions[8].motion().expect("valid")
-        );
+        let motion = |row: usize| motions[row].motion().expect("valid");
+        assert_eq!(item.source().expect("valid"), motion(0));
+        assert_eq!(item.target().expect("valid"), motion(8));
         assert_ne!(item.source_frames, item.target_frames);
         let style = ItemConfig {
             tasks: vec![ItemTask::Style],
             ..ItemConfig::default()
         };
-        assert!(matches!(
-            draw_items(&library, &style, &Shown::default(), Seed(3)),
-            Err(Error::NoItem { .. })
-        ));
+        let shown = Shown::default();
+        let drawn = draw_items(&library, &style, &shown, Seed(3));
+        assert!(matches!(drawn, Err(Error::NoItem { .. })));
     }
 
     #[test]
@@ -792,10 +808,8 @@ mod tests {
             assert_eq!(text.parse(), Ok(count));
             assert_eq!(count.to_string(), text);
             let json = serde_json::to_string(&count).expect("serialises");
-            assert_eq!(
-                serde_json::from_str::<ItemCount>(&json).expect("its own text"),
-                count
-            );
+            let back: ItemCount = serde_json::from_str(&json).expect("its own text");
+            assert_eq!(back, count);
         }
         assert!("0".parse::<ItemCount>().is_err());
         assert!("some".parse::<ItemCount>().is_err());

@@ -318,24 +318,51 @@ mod tests {
         }
     }
 
+    fn numbers(count: usize, step: f32) -> Vec<f32> {
+        (0..count).map(|at| (at as f32 * step).sin()).collect()
+    }
+
+    #[test]
+    fn gradients_of_peaked_attention_are_not_subnormal() {
+        for length in [8, LONG] {
+            let heads = Heads {
+                length,
+                width: 24,
+                count: 3,
+                padding: None,
+            };
+            // The scores of a query differ by up to a hundred, so softmax weights are as small as numbers get.
+            let joint: Vec<f32> = (numbers(length * 3 * 24, 0.37).into_iter())
+                .map(|number| 6.0 * number)
+                .collect();
+            let grad: Vec<f32> = (numbers(length * 24, 0.53).into_iter())
+                .map(|number| 1e-6 * number)
+                .collect();
+            let (mask, mut out) = (Mask::new(0.0, 0), vec![0.0; length * 24]);
+            let mut weights = vec![0.0; 3 * length * length];
+            forward(heads, &joint, mask, &mut weights, &mut out);
+            let of_joint = backward(heads, &joint, mask, &weights, &grad);
+            for numbers in [&weights, &out, &of_joint] {
+                assert!(
+                    numbers.iter().all(|number| !number.is_subnormal()),
+                    "{length}"
+                );
+            }
+        }
+    }
+
     #[test]
     fn long_sequences_are_attended_as_short_ones() {
         const SEQUENCES: usize = 3;
         let (length, width, count) = (LONG + 7, 24, 3);
-        let numbers = |count: usize, step: f32| -> Vec<f32> {
-            (0..count).map(|at| (at as f32 * step).sin()).collect()
-        };
         let joint = numbers(SEQUENCES * length * 3 * width, 0.37);
         let grad = numbers(SEQUENCES * length * width, 0.53);
         // The sequences have 70, 60 and 50 tokens.
         let padding: Vec<bool> = (0..SEQUENCES * length)
             .map(|at| at % length >= 70 - 10 * (at / length))
             .collect();
-        for (padding, prob) in [
-            (None, 0.0),
-            (Some(&padding[..]), 0.0),
-            (Some(&padding[..]), 0.2),
-        ] {
+        let padding = Some(&padding[..]);
+        for (padding, prob) in [(None, 0.0), (padding, 0.0), (padding, 0.2)] {
             let heads = Heads {
                 length,
                 width,
