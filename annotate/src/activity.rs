@@ -166,81 +166,66 @@ pub(crate) mod tests {
         Motion::from_poses(Fps::STORE, &poses).expect("finite")
     }
 
+    fn highest(row: &[f32]) -> f32 {
+        row.iter().copied().fold(0.0, f32::max)
+    }
+
     fn lit(motion: &Motion) -> Vec<&'static str> {
-        let rows = heat(
-            motion,
-            &Skeleton::smplx_neutral(),
-            &[0.5; NUM_RELEASE_PARTS],
-        );
-        RELEASE_PARTS
-            .iter()
-            .zip(&rows)
-            .filter(|(_, row)| row.iter().copied().fold(0.0, f32::max) > 0.9)
-            .map(|(part, _)| part.name())
-            .collect()
+        let skeleton = Skeleton::smplx_neutral();
+        let rows = heat(motion, &skeleton, &[0.5; NUM_RELEASE_PARTS]);
+        let parts = RELEASE_PARTS.iter().zip(&rows);
+        let lit = parts.filter(|(_, row)| highest(row) > 0.9);
+        lit.map(|(part, _)| part.name()).collect()
     }
 
     #[test]
     fn one_arm_lights_its_rows_and_a_turning_walk_none() {
         assert_eq!(lit(&moving(&[], 2.0)), Vec::<&str>::new());
-        let arm = lit(&moving(&[16], 2.0));
-        assert!(
-            arm.contains(&"LEFT_ARM")
-                && !arm.contains(&"RIGHT_ARM")
-                && !arm.contains(&"LOWER_BODY")
-        );
         assert_eq!(lit(&moving(&[1, 2], 2.0)), ["LOWER_BODY"]);
-        // Arms that are only carried by the spine are not active.
-        let spine = lit(&moving(&[3], 0.0));
-        assert!(
-            !spine.contains(&"LEFT_ARM") && !spine.contains(&"RIGHT_ARM"),
-            "{spine:?}"
-        );
+        for (joint, turn, bright, dark) in [
+            (16, 2.0, &["LEFT_ARM"][..], ["RIGHT_ARM", "LOWER_BODY"]),
+            // Arms that are only carried by the spine are not active.
+            (3, 0.0, &[], ["LEFT_ARM", "RIGHT_ARM"]),
+        ] {
+            let found = lit(&moving(&[joint], turn));
+            assert!(bright.iter().all(|part| found.contains(part)), "{found:?}");
+            assert!(!dark.iter().any(|part| found.contains(part)), "{found:?}");
+        }
     }
 
     #[test]
     fn active_parts_name_what_moves() {
-        let parts = |joints: &[usize]| -> Vec<&str> {
-            let rows = heat(
-                &moving(joints, 1.0),
-                &Skeleton::smplx_neutral(),
-                &[1.0; NUM_RELEASE_PARTS],
-            );
-            active_parts(&rows).iter().map(|part| part.name()).collect()
-        };
-        assert_eq!(parts(&[]), Vec::<&str>::new());
-        assert_eq!(parts(&[17]), ["RIGHT_ARM"]);
-        assert_eq!(parts(&[16, 17, 1, 2]), ["BOTH_ARMS", "LOWER_BODY"]);
+        let skeleton = Skeleton::smplx_neutral();
+        for (joints, expected) in [
+            (&[][..], &[][..]),
+            (&[17], &["RIGHT_ARM"]),
+            (&[16, 17, 1, 2], &["BOTH_ARMS", "LOWER_BODY"]),
+        ] {
+            let motion = moving(joints, 1.0);
+            let rows = heat(&motion, &skeleton, &[1.0; NUM_RELEASE_PARTS]);
+            let parts = active_parts(&rows).into_iter().map(BodyPart::name);
+            assert_eq!(Vec::from_iter(parts), expected);
+        }
     }
 
     #[test]
-    fn a_motion_does_not_differ_from_itself_and_a_moved_arm_shows_in_its_rows() {
+    fn motions_differ_in_the_rows_of_what_moves_and_not_by_their_place_in_the_room() {
         let (still, waving) = (moving(&[], 1.0), moving(&[18], 1.0));
         let skeleton = Skeleton::smplx_neutral();
         let none = difference(&still, &still, &skeleton);
         assert_eq!((none.len(), none[0].len()), (6, 60));
         assert!(none.iter().flatten().all(|apart| *apart < 1e-6));
         let rows = difference(&still, &waving, &skeleton);
-        let most: Vec<f32> = rows
-            .iter()
-            .map(|row| row.iter().copied().fold(0.0, f32::max))
-            .collect();
+        let most: Vec<f32> = rows.iter().map(|row| highest(row)).collect();
         assert!(most[4] > 0.05, "{most:?}");
-        assert!(
-            most[0] < 1e-6 && most[2] < 1e-6 && most[5] < 1e-6,
-            "{most:?}"
-        );
-    }
-
-    #[test]
-    fn takes_at_other_places_of_the_room_do_not_differ() {
+        assert!([0, 2, 5].iter().all(|&row| most[row] < 1e-6), "{most:?}");
         let here = moving(&[16], 1.0);
         let mut there = here.clone();
         for frame in 0..there.len() {
             let [x, y, z] = there.transl()[frame];
             there.set_transl(frame, [x + 3.0, y, z - 2.0]);
         }
-        let rows = difference(&here, &there, &Skeleton::smplx_neutral());
+        let rows = difference(&here, &there, &skeleton);
         assert!(rows.iter().flatten().all(|apart| *apart < 1e-5));
     }
 }

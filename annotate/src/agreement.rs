@@ -94,29 +94,26 @@ mod tests {
     use super::*;
 
     fn rows(counts: &[(usize, usize, usize)]) -> Vec<Item> {
-        let rows = counts
-            .iter()
-            .flat_map(|&(count, a, b)| vec![vec![a, b]; count]);
-        rows.collect()
-    }
-
-    fn near(items: &[Item], labels: usize, expected: f64) {
-        let found = ac1(&items.iter().collect::<Vec<_>>(), labels);
-        assert!(
-            (found - expected).abs() < 5e-4,
-            "{found}, expected {expected}"
-        );
+        let counts = counts.iter();
+        counts
+            .flat_map(|&(count, a, b)| vec![vec![a, b]; count])
+            .collect()
     }
 
     #[test]
     fn ac1_by_hand() {
         // The mean share of yes is 0.55, chance 2 * 0.55 * 0.45 = 0.495.
         let yes_and_no = rows(&[(20, 1, 1), (5, 1, 0), (10, 0, 1), (15, 0, 0)]);
-        near(&yes_and_no, 2, (0.7 - 0.495) / (1.0 - 0.495));
-        // Nearly all answers are equal: Gwet 2008, Table 1.
-        near(&rows(&[(118, 1, 1), (5, 1, 0), (2, 0, 1)]), 2, 0.9408);
-        near(&rows(&[(9, 3, 3)]), 4, 1.0);
-        near(&[vec![0, 0, 0], vec![1, 1, 1]], 2, 1.0);
+        for (items, labels, expected) in [
+            (yes_and_no, 2, (0.7 - 0.495) / (1.0 - 0.495)),
+            // Nearly all answers are equal: Gwet 2008, Table 1.
+            (rows(&[(118, 1, 1), (5, 1, 0), (2, 0, 1)]), 2, 0.9408),
+            (rows(&[(9, 3, 3)]), 4, 1.0),
+            (vec![vec![0, 0, 0], vec![1, 1, 1]], 2, 1.0),
+        ] {
+            let found: f64 = ac1(&Vec::from_iter(&items), labels);
+            assert!((found - expected).abs() < 5e-4, "{found} of {expected}");
+        }
     }
 
     #[test]

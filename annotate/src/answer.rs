@@ -454,6 +454,8 @@ pub(crate) fn text_distance(a: &str, b: &str) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::{Value, json};
+
     use super::*;
     use crate::wire::{JointChoice, JointWeight};
 
@@ -461,41 +463,18 @@ mod tests {
     const FRAMES: i64 = 40;
     const ARM: (&[&str], &str) = (&["LEFT_ARM"], "waving");
 
-    fn strings(names: &[&str]) -> Vec<String> {
-        names.iter().map(|&name| name.to_owned()).collect()
+    fn said(json: Value) -> Answer {
+        serde_json::from_value(json).expect("an answer")
     }
 
     fn masks(list: &[(&[&str], &str)]) -> Answer {
         let masks = list.iter();
-        let masks =
-            masks.map(|(parts, text)| MaskAnswer::of_parts(strings(parts), (*text).to_owned()));
-        Answer::MaskText {
-            masks: masks.collect(),
-            count_reason: None,
-            note: String::new(),
-        }
+        let masks = masks.map(|(parts, text)| json!({ "parts": parts, "text": text }));
+        said(json!({ "kind": "mask_text", "masks": Vec::from_iter(masks) }))
     }
 
-    /// A kept pair with all required fields.
-    const FASTER: Fields<'static> = Fields {
-        verdict: Some(Verdict::Keep),
-        text: "faster",
-        edit_type: Some(EditType::Speed),
-        masks: &[],
-        count_reason: None,
-        parts: &[],
-        style: None,
-        extent: None,
-        suggestion: None,
-        note: "",
-    };
-
-    fn rejected(verdict: Verdict) -> Answer {
-        Fields {
-            verdict: Some(verdict),
-            ..Fields::default()
-        }
-        .answer(TaskKind::Pair)
+    fn pair(verdict: &str) -> Answer {
+        said(json!({ "kind": "pair", "verdict": verdict }))
     }
 
     fn code(answer: &Answer) -> Option<Code> {
@@ -507,15 +486,16 @@ mod tests {
 
     #[test]
     fn two_to_four_masks_are_asked_for_and_a_reason_excuses() {
-        let one = masks(&[ARM]);
-        assert_eq!(code(&masks(&[ARM, (&["LOWER_BODY"], "walking")])), None);
-        assert_eq!(code(&one), Some(Code::MaskCount));
-        assert_eq!(code(&masks(&[])), Some(Code::MaskCount));
-        let excused = Fields {
-            count_reason: Some(CountReason::SingleAction),
-            ..one.fields()
-        };
-        assert_eq!(code(&excused.answer(TaskKind::MaskText)), None);
+        let arm = json!([{ "parts": ["LEFT_ARM"], "text": "waving" }]);
+        let excused = json!({ "kind": "mask_text", "masks": arm, "count_reason": "single_action" });
+        for (answer, expected) in [
+            (masks(&[ARM, (&["LOWER_BODY"], "walking")]), None),
+            (masks(&[ARM]), Some(Code::MaskCount)),
+            (masks(&[]), Some(Code::MaskCount)),
+            (said(excused), None),
+        ] {
+            assert_eq!(code(&answer), expected);
+        }
         let long = "x".repeat(MAX_TEXT_CHARS + 1);
         let others: [(&[&str], &str); 7] = [
             ARM,
@@ -580,37 +560,27 @@ mod tests {
 
     #[test]
     fn a_pair_that_is_kept_needs_all_and_a_rejected_one_nothing() {
-        let arm = strings(&["LEFT_ARM"]);
-        let kept = Fields {
-            parts: &arm,
-            ..FASTER
-        };
-        assert_eq!(code(&kept.answer(TaskKind::Pair)), None);
-        for verdict in [Verdict::Unnatural, Verdict::Unclear, Verdict::Identical] {
-            assert_eq!(code(&rejected(verdict)), None);
+        let kept = json!({
+            "kind": "pair", "verdict": "keep", "parts": ["LEFT_ARM"], "edit_type": "speed", "text": "faster",
+        });
+        assert_eq!(code(&said(kept.clone())), None);
+        assert!(check_draft(&said(kept.clone()), TaskKind::Style).is_err());
+        for verdict in ["unnatural", "unclear", "identical"] {
+            assert_eq!(code(&pair(verdict)), None);
         }
-        let without_type = Fields {
-            edit_type: None,
-            ..kept
-        };
-        for lacking in [FASTER, without_type] {
-            assert_eq!(code(&lacking.answer(TaskKind::Pair)), Some(Code::Invalid));
+        for field in ["parts", "edit_type"] {
+            let mut lacking = kept.clone();
+            lacking.as_object_mut().expect("fields").remove(field);
+            assert_eq!(code(&said(lacking)), Some(Code::Invalid), "{field}");
         }
-        assert!(check_draft(&kept.answer(TaskKind::Pair), TaskKind::Style).is_err());
     }
 
     #[test]
     fn a_style_is_one_of_the_project_or_a_clearly_new_one() {
-        let style = |name: &str, extent| {
-            let said = Fields {
-                verdict: Some(Verdict::Keep),
-                style: Some(name),
-                extent,
-                ..Fields::default()
-            };
-            said.answer(TaskKind::Style)
+        let style = |name: &str, extent: Option<&str>| {
+            said(json!({ "kind": "style", "verdict": "keep", "style": name, "extent": extent }))
         };
-        let whole = |name: &str| style(name, Some(Extent::Whole));
+        let whole = |name: &str| style(name, Some("whole"));
         let settings = Settings::default();
         for (name, new) in [("proud", None), ("limping", Some("limping"))] {
             assert_eq!(code(&whole(name)), None);
@@ -624,12 +594,11 @@ mod tests {
 
     #[test]
     fn distances_by_hand() {
-        let arm = masks(&[(&["LEFT_ARM"], "a")]);
-        let arms = masks(&[(&["BOTH_ARMS"], "a")]);
-        let legs = masks(&[(&["BOTH_LEGS"], "a")]);
+        let [arm, arms, legs] =
+            ["LEFT_ARM", "BOTH_ARMS", "BOTH_LEGS"].map(|part| masks(&[(&[part], "a")]));
         let each_arm = masks(&[(&["LEFT_ARM", "RIGHT_ARM"], "a")]);
         let both = masks(&[(&["LEFT_ARM"], "a"), (&["BOTH_LEGS"], "b")]);
-        let unclear = rejected(Verdict::Unclear);
+        let unclear = pair("unclear");
         for (a, b, expected) in [
             (&arm, &legs, 1.0),
             // One of two masks has a counterpart, and so does the only mask of the other answer.
@@ -638,7 +607,7 @@ mod tests {
             (&arm, &arms, 0.5),
             (&each_arm, &arms, 0.0),
             (&masks(&[]), &arm, 1.0),
-            (&FASTER.answer(TaskKind::Pair), &unclear, 1.0),
+            (&pair("keep"), &unclear, 1.0),
             (&unclear, &unclear, 0.0),
         ] {
             assert!((distance(a, b, FRAMES) - expected).abs() < 1e-12, "{a:?}");

@@ -60,19 +60,14 @@ mod tests {
         for side in ["left", "right"] {
             assert_eq!(info.sides.iter().filter(|name| *name == side).count(), 11);
         }
-        let first: Vec<&str> = info
-            .parts
-            .iter()
-            .take(5)
-            .map(|part| part.name.as_str())
-            .collect();
-        assert_eq!(first, RELEASE_PARTS.map(BodyPart::name));
+        let names = info.parts.iter().map(|part| part.name.as_str());
+        assert_eq!(
+            Vec::from_iter(names.take(5)),
+            RELEASE_PARTS.map(BodyPart::name)
+        );
         for part in &info.parts {
-            assert!(
-                part.hard.iter().all(|joint| !part.soft.contains(joint)),
-                "{}",
-                part.name
-            );
+            let is_apart = part.hard.iter().all(|joint| !part.soft.contains(joint));
+            assert!(is_apart, "{}", part.name);
         }
     }
 }

@@ -84,40 +84,31 @@ mod tests {
     const SUMMER_TIME_DAY: i64 = 1_774_742_400_000;
 
     #[test]
-    fn a_day_begins_at_the_midnight_of_the_place() {
-        let noon = SUMMER_TIME_DAY + 12 * HOUR;
-        assert_eq!(midnight("UTC", noon), SUMMER_TIME_DAY);
-        assert_eq!(midnight("Europe/Berlin", noon), SUMMER_TIME_DAY - HOUR);
-        assert_eq!(midnight("Asia/Tokyo", noon), SUMMER_TIME_DAY - 9 * HOUR);
-        assert_eq!(
-            midnight("Asia/Tokyo", SUMMER_TIME_DAY + 16 * HOUR),
-            SUMMER_TIME_DAY + 15 * HOUR,
-            "the next day has begun there"
-        );
-        // Summer time begins on this day, which has 23 hours.
-        let next = midnight("Europe/Berlin", noon + DAY);
-        assert_eq!(next - midnight("Europe/Berlin", noon), 23 * HOUR);
-    }
-
-    #[test]
-    fn a_week_begins_on_monday_at_the_midnight_of_the_place() {
+    fn days_and_weeks_begin_at_the_midnight_of_the_place() {
+        const NOON: i64 = SUMMER_TIME_DAY + 12 * HOUR;
+        for (zone, now, begin) in [
+            ("UTC", NOON, 0),
+            ("Europe/Berlin", NOON, -HOUR),
+            ("Asia/Tokyo", NOON, -9 * HOUR),
+            // The next day has begun there.
+            ("Asia/Tokyo", SUMMER_TIME_DAY + 16 * HOUR, 15 * HOUR),
+            // Summer time began on the day before, which had 23 hours.
+            ("Europe/Berlin", NOON + DAY, 22 * HOUR),
+            ("Mars/Olympus", SUMMER_TIME_DAY + 1, 0),
+        ] {
+            assert_eq!(midnight(zone, now), SUMMER_TIME_DAY + begin, "{zone}");
+        }
         let monday = SUMMER_TIME_DAY - 6 * DAY;
-        let noon = SUMMER_TIME_DAY + 12 * HOUR;
-        assert_eq!(
-            weeks("UTC", noon, 2),
-            [monday - 7 * DAY, monday, monday + 7 * DAY]
-        );
+        let next = monday + 7 * DAY;
+        assert_eq!(weeks("UTC", NOON, 2), [monday - 7 * DAY, monday, next]);
         // Summer time begins on the Sunday of this week, which has an hour less.
-        assert_eq!(
-            weeks("Europe/Berlin", noon, 1),
-            [monday - HOUR, monday + 7 * DAY - 2 * HOUR]
-        );
+        let of_berlin = [monday - HOUR, next - 2 * HOUR];
+        assert_eq!(weeks("Europe/Berlin", NOON, 1), of_berlin);
+        // The next week has begun there.
         let sunday_evening = SUMMER_TIME_DAY + 20 * HOUR;
-        assert_eq!(
-            weeks("Asia/Tokyo", sunday_evening, 1)[0],
-            monday + 7 * DAY - 9 * HOUR,
-            "the next week has begun there"
-        );
+        assert_eq!(weeks("Asia/Tokyo", sunday_evening, 1)[0], next - 9 * HOUR);
+        assert!(is_zone("UTC") && is_zone("America/New_York"));
+        assert!(!is_zone("") && !is_zone("Mars/Olympus"));
     }
 
     #[test]
@@ -127,15 +118,5 @@ mod tests {
         assert!((5000..65_000).contains(&first), "{first}");
         assert!(clock() >= first);
         assert!(shared(|| Err(Error::Closed)).is_err());
-    }
-
-    #[test]
-    fn only_names_of_zones_are_zones() {
-        assert!(is_zone("UTC") && is_zone("America/New_York"));
-        assert!(!is_zone("") && !is_zone("Mars/Olympus"));
-        assert_eq!(
-            midnight("Mars/Olympus", SUMMER_TIME_DAY + 1),
-            SUMMER_TIME_DAY
-        );
     }
 }

@@ -299,25 +299,19 @@ mod tests {
     }
 
     fn judgements(masks: &[MaskRow]) -> Vec<Judgement> {
-        let lines = masks
-            .iter()
-            .map(|mask| Judgement::of(mask).expect("joints"));
-        lines.collect()
+        let judgement = |mask| Judgement::of(mask).expect("joints");
+        masks.iter().map(judgement).collect()
     }
 
     #[test]
-    fn lines_not_looked_at_change_nothing() {
+    fn verdicts_do_what_they_say_and_lines_not_looked_at_change_nothing() {
         let (masks, motions) = dataset();
-        let lines = drafts(&masks).expect("joints");
-        for lines in [lines.as_str(), ""] {
-            let taken = accept(lines, "ann", &masks, &motions).expect("all lines are fine");
+        let take =
+            |lines: &str| accept(lines, "ann", &masks, &motions).expect("all lines are fine");
+        for lines in [drafts(&masks).expect("joints").as_str(), ""] {
+            let taken = take(lines);
             assert_eq!((&taken.masks, taken.open_edits), (&masks, 0));
         }
-    }
-
-    #[test]
-    fn verdicts_do_what_they_say() {
-        let (masks, motions) = dataset();
         let mut lines = judgements(&masks);
         lines[0].verdict = Verdict::Accept;
         lines[0].text = " The person is saluting. ".to_owned();
@@ -329,18 +323,15 @@ mod tests {
             parts: vec!["UPPER_BODY".to_owned(), "HEAD".to_owned()],
             ..lines[0].clone()
         });
-        let text: String = lines.iter().map(Judgement::line).collect();
-        let taken = accept(&text, "ann", &masks, &motions).expect("all lines are fine");
+        let taken = take(&lines.iter().map(Judgement::line).collect::<String>());
         assert_eq!(taken.open_edits, 0);
         let rows = taken.masks;
         assert_eq!(rows.len(), 3);
         assert_eq!(rows[0].text, "The person is saluting.");
         let arm = BodyPart::RightArm.mask();
         assert_eq!(rows[0].hard_joints, arm.hard().names());
-        assert_eq!(
-            (rows[0].text_origin.as_str(), rows[0].author.as_str()),
-            ("human", "ann")
-        );
+        let by = (rows[0].text_origin.as_str(), rows[0].author.as_str());
+        assert_eq!(by, ("human", "ann"));
         assert_eq!(rows[1], masks[2]);
         assert_eq!(rows[2].id, "c#UPPER_BODY+HEAD");
         assert!(rows[2].hard_joints.contains(&"head".to_owned()));

@@ -3,6 +3,9 @@
 //! `cargo bench --bench parquet`; one thread. The rates to compare are frames a second of the two
 //! writers and readers against the copy and the matrix product below them.
 
+#[path = "../kinematics/benches/shared/calibration.rs"]
+mod calibration;
+
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 
@@ -10,7 +13,7 @@ use datasets_spec::record::{FramesRow, HUMANML3D_WIDTH, HumanMl3dRow, MotionRow}
 use datasets_spec::table::{ShardReader, read_rows, write_rows};
 use datasets_spec::{Fps, Motion, MotionId, Pose, Seed, Split};
 use divan::Bencher;
-use divan::counter::{BytesCount, ItemsCount};
+use divan::counter::ItemsCount;
 use glam::{DQuat, DVec3};
 use rand::RngExt;
 
@@ -91,25 +94,22 @@ fn shard() -> (tempfile::TempDir, PathBuf) {
 #[divan::bench]
 fn write_humanml3d(bencher: Bencher) {
     let rows = feature_rows();
-    bencher
-        .counter(frames())
-        .bench_local(|| write_rows(Vec::new(), Path::new("memory"), black_box(&rows), &[]));
+    let bencher = bencher.counter(frames());
+    bencher.bench_local(|| write_rows(Vec::new(), Path::new("memory"), black_box(&rows), &[]));
 }
 
 #[divan::bench]
 fn write_motions(bencher: Bencher) {
     let rows = motion_rows();
-    bencher
-        .counter(frames())
-        .bench_local(|| write_rows(Vec::new(), Path::new("memory"), black_box(&rows), &[]));
+    let bencher = bencher.counter(frames());
+    bencher.bench_local(|| write_rows(Vec::new(), Path::new("memory"), black_box(&rows), &[]));
 }
 
 #[divan::bench]
 fn read_motions(bencher: Bencher) {
     let (_dir, path) = shard();
-    bencher
-        .counter(frames())
-        .bench_local(|| read_rows::<MotionRow>(black_box(&path)).expect("reads"));
+    let bencher = bencher.counter(frames());
+    bencher.bench_local(|| read_rows::<MotionRow>(black_box(&path)).expect("reads"));
 }
 
 #[divan::bench]
@@ -133,42 +133,4 @@ fn read_random_clip(bencher: Bencher) {
             clip = (clip + 37) % NUM_CLIPS;
             reader.rows_at::<FramesRow>(&[black_box(clip)])
         });
-}
-
-mod calibration {
-    use super::*;
-
-    /// Size of the copied buffer: larger than the caches of the machines this runs on.
-    const COPY_BYTES: usize = 64 << 20;
-    const SIDE: usize = 512;
-
-    #[divan::bench]
-    fn copy(bencher: Bencher) {
-        let from = vec![1u8; COPY_BYTES];
-        let mut to = vec![0u8; COPY_BYTES];
-        bencher
-            .counter(BytesCount::new(2 * COPY_BYTES))
-            .bench_local(|| black_box(&mut to).copy_from_slice(black_box(&from)));
-    }
-
-    /// A product of two square matrices, vectorised by the compiler; `items` are floating-point operations.
-    #[divan::bench]
-    fn matrix_product(bencher: Bencher) {
-        let a = vec![1.0f32; SIDE * SIDE];
-        let b = vec![1.0f32; SIDE * SIDE];
-        let mut c = vec![0.0f32; SIDE * SIDE];
-        bencher
-            .counter(ItemsCount::new(2 * SIDE * SIDE * SIDE))
-            .bench_local(|| {
-                c.fill(0.0);
-                for (row, out) in a.chunks_exact(SIDE).zip(c.chunks_exact_mut(SIDE)) {
-                    for (scale, line) in row.iter().zip(b.chunks_exact(SIDE)) {
-                        for (sum, value) in out.iter_mut().zip(line) {
-                            *sum += scale * value;
-                        }
-                    }
-                }
-                black_box(&c);
-            });
-    }
 }

@@ -11,10 +11,8 @@ fn a_dataset_of_version_1_0_0_opens_and_its_missing_columns_are_empty() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/datasets/1.0.0");
     let dataset = Dataset::open(&root).expect("every hash is as recorded");
     assert_eq!(dataset.manifest().schema_version, "1.0.0");
-    assert_eq!(
-        dataset.skeleton().expect("built in"),
-        Skeleton::smplx_neutral()
-    );
+    let skeleton = dataset.skeleton().expect("built in");
+    assert_eq!(skeleton, Skeleton::smplx_neutral());
     let motions: Vec<MotionRow> = dataset.read(None).expect("reads");
     assert_eq!(motions.len(), 3);
     for row in &motions {

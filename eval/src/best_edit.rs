@@ -191,10 +191,8 @@ mod tests {
 
     /// An item whose source stands on the ground and whose target is `target` metres above it.
     fn item(name: &str, target: Option<f64>) -> ItemRow {
-        let mut item = ItemRow::blank(
-            &MotionId::parse("somewhere/walk").expect("an id"),
-            Split::Test,
-        );
+        let id = MotionId::parse("somewhere/walk").expect("an id");
+        let mut item = ItemRow::blank(&id, Split::Test);
         let target = target.map(|height| lifted(height, 0.0));
         item.set_motions(&lifted(0.0, 0.0), target.as_ref(), None);
         item.instruction = name.to_owned();
@@ -245,9 +243,10 @@ mod tests {
             let mut edits = edits(drift);
             // Edits of another system and takes with later seeds do not count, even perfect ones.
             let highest = items.iter().find(|item| item.instruction == "c");
-            let highest = highest.expect("one of the items");
-            edits.push(edit(highest, "other", 0, &lifted(4.0, 0.0)));
-            edits.push(edit(highest, "one", 1, &lifted(4.0, 0.0)));
+            for (system, seed) in [("other", 0), ("one", 1)] {
+                let highest = highest.expect("one of the items");
+                edits.push(edit(highest, system, seed, &lifted(4.0, 0.0)));
+            }
             let answered = answered(&items, edits);
             let best = best_edit(&answered).expect("motions").expect("edits");
             assert_eq!((best.item.instruction.as_str(), best.edit.seed), ("b", 0));
@@ -256,12 +255,10 @@ mod tests {
             let gain = best.gain.expect("targets");
             assert_eq!(gain.num_items, 3);
             // Motions are stored in single precision.
-            let near = |found: f64, expected: f64| (found - expected).abs() < 1e-5;
-            assert!(
-                near(gain.source_m, 2.0) && near(gain.edit_m, 0.5),
-                "{gain:?}"
-            );
-            assert!(near(gain.median_m, 1.0), "{gain:?}");
+            let lengths = [gain.source_m, gain.edit_m, gain.median_m];
+            for (found, expected) in lengths.iter().zip([2.0, 0.5, 1.0]) {
+                assert!((found - expected).abs() < 1e-5, "{gain:?}");
+            }
         }
     }
 
@@ -280,10 +277,8 @@ mod tests {
     #[test]
     fn without_targets_nothing_is_measured_and_without_edits_nothing_is_chosen() {
         let items = [item("b", None), item("a", None)];
-        let edits = items
-            .iter()
-            .map(|item| edit(item, "one", 0, &lifted(1.0, 0.0)));
-        let with_edits = answered(&items, edits.collect());
+        let edited = |item| edit(item, "one", 0, &lifted(1.0, 0.0));
+        let with_edits = answered(&items, items.iter().map(edited).collect());
         let best = best_edit(&with_edits).expect("motions").expect("edits");
         assert_eq!((best.item.id, best.gain), (first_id(&items), None));
         let without = answered(&items, Vec::new());

@@ -558,11 +558,8 @@ mod tests {
             let [plain, distance] = &found.differences[..] else {
                 panic!("{found:?}");
             };
-            assert_eq!(
-                (plain.better, distance.better),
-                (None, better),
-                "{values:?}"
-            );
+            let found = (plain.better, distance.better);
+            assert_eq!(found, (None, better), "{values:?}");
             assert_eq!(distance.metric, "Foot slide (m/s) from the target's");
             assert!((distance.a - (values[0] - values[2]).abs()).abs() < 1e-12);
         }
@@ -572,12 +569,8 @@ mod tests {
     fn too_few_targets_have_no_interval() {
         for (count, is_known) in [(9, false), (10, true)] {
             let found = compared(count, &ALL_FOUR);
-            assert!(
-                found
-                    .differences
-                    .iter()
-                    .all(|row| row.interval.is_some() == is_known)
-            );
+            let mut rows = found.differences.iter();
+            assert!(rows.all(|row| row.interval.is_some() == is_known));
             let from = &found.grid().rows[0][4];
             assert_eq!(from, if is_known { "24.00" } else { "–" });
         }

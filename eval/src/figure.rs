@@ -321,25 +321,21 @@ mod tests {
 
     #[test]
     fn points_are_every_value_or_every_pair_of_values() {
-        let ratios = figure("compose.mcm_ratio", None)
-            .points(&own())
-            .expect("points");
+        let points = |figure: Figure| figure.points(&own()).expect("points");
+        let ratios = points(figure("compose.mcm_ratio", None));
         assert_eq!(ratios.len(), 2);
         assert_eq!(ratios[0].name(), "compose.mcm_ratio = 0.5");
-        let pairs = figure("train.length.steps", Some("edit.name"));
-        let pairs = pairs.points(&own()).expect("points");
+        let pairs = points(figure("train.length.steps", Some("edit.name")));
         assert_eq!(pairs.len(), 4);
         assert_eq!(pairs[3].name(), "train.length.steps = 1, edit.name = \"y\"");
         let last = &pairs[3].sections;
-        assert_eq!(
-            last["train"],
-            json!({ "kept": 1, "length": { "steps": 1 } })
-        );
+        let length = json!({ "steps": 1 });
+        assert_eq!(last["train"], json!({ "kept": 1, "length": length }));
         assert_eq!(last["edit"], json!({ "kept": 1, "name": "y" }));
         assert_eq!(last["compose"], json!({ "kept": 1 }));
         let mut epochs = figure(EPOCH, None);
         epochs.values = vec![json!(5), json!(10)];
-        let epochs = epochs.points(&own()).expect("points");
+        let epochs = points(epochs);
         assert_eq!(epochs[1].epoch, Some(10));
         assert_eq!(epochs[1].sections, own());
     }

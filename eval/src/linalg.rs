@@ -358,11 +358,9 @@ mod tests {
         let identity = eigen.vectors.gram();
         let expected = Matrix::diagonal(&vec![1.0; size]);
         assert!(max_difference(&identity, &expected) <= tolerance);
-        let rebuilt = eigen
-            .vectors
-            .transposed()
-            .times(&Matrix::diagonal(&eigen.values))
-            .times(&eigen.vectors);
+        let turned = eigen.vectors.transposed();
+        let scaled = turned.times(&Matrix::diagonal(&eigen.values));
+        let rebuilt = scaled.times(&eigen.vectors);
         let scale = eigen.values.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
         assert!(max_difference(&rebuilt, matrix) <= tolerance * scale.max(f64::MIN_POSITIVE));
     }

@@ -380,6 +380,15 @@ mod tests {
 
     use super::*;
 
+    /// Scores a random part of the items.
+    fn limited(items: usize, seed: u64) -> Protocol {
+        let seed = Seed(seed);
+        Protocol {
+            limit: Some(Limit { items, seed }),
+            ..Protocol::default()
+        }
+    }
+
     #[test]
     fn the_name_says_what_applies_to_the_set_at_hand() {
         let protocol = Protocol::default();
@@ -389,12 +398,9 @@ mod tests {
              diversity pairs, FID between halves of 506, floor at the lowest foot, seed 0, 95 % \
              intervals from 1000 draws of the targets (100 for FID and Diversity)"
         );
-        assert!(
-            protocol
-                .name(20)
-                .starts_with("one gallery of all 20 (fewer than 32)")
-        );
-        assert!(protocol.name(20).contains(", 300 diversity pairs"));
+        let few = protocol.name(20);
+        assert!(few.starts_with("one gallery of all 20 (fewer than 32)"));
+        assert!(few.contains(", 300 diversity pairs"));
         for diversity_pairs in [1, 300] {
             let name = Protocol {
                 diversity_pairs,
@@ -404,14 +410,6 @@ mod tests {
             assert_eq!(Protocol::diversity_pairs_of(&name), Some(diversity_pairs));
         }
         assert_eq!(Protocol::diversity_pairs_of("another protocol"), None);
-        for (interval, is_drawn) in [(Spread::Targets, true), (Spread::Repeats, false)] {
-            let name = Protocol {
-                interval,
-                ..protocol
-            }
-            .name(20);
-            assert_eq!(Protocol::is_drawn_from_targets(&name), is_drawn);
-        }
         let full = Protocol {
             gallery: Gallery::Full,
             fid_sample: FidSample::All,
@@ -420,12 +418,10 @@ mod tests {
             queries: Queries::Edited,
             interval: Spread::Repeats,
             keypoints: Keypoints::Body,
-            limit: Some(Limit {
-                items: 5,
-                seed: Seed(42),
-            }),
-            ..protocol
+            ..limited(5, 42)
         };
+        assert!(Protocol::is_drawn_from_targets(&few));
+        assert!(!Protocol::is_drawn_from_targets(&full.name(5)));
         assert_eq!(
             full.name(5),
             "one gallery of all 5, edited queries, 300 diversity pairs, FID on all 5, \
@@ -456,13 +452,7 @@ mod tests {
                 gallery: Gallery::Batches(1),
                 ..default
             },
-            Protocol {
-                limit: Some(Limit {
-                    items: 0,
-                    seed: Seed(0),
-                }),
-                ..default
-            },
+            limited(0, 0),
         ] {
             assert!(broken.check().is_err(), "{broken:?}");
         }
@@ -472,26 +462,16 @@ mod tests {
     fn a_protocol_survives_json_and_refuses_unknown_settings() {
         let protocol = Protocol::default();
         let text = serde_json::to_string(&protocol).expect("serialisable");
-        assert_eq!(
-            serde_json::from_str::<Protocol>(&text).expect("readable"),
-            protocol
-        );
-        assert_eq!(
-            serde_json::from_str::<Protocol>("{}").expect("readable"),
-            protocol
-        );
+        for text in [text.as_str(), "{}"] {
+            let read: Protocol = serde_json::from_str(text).expect("readable");
+            assert_eq!(read, protocol);
+        }
         assert!(serde_json::from_str::<Protocol>(r#"{"repeat": 3}"#).is_err());
     }
 
     #[test]
     fn a_random_half_is_the_same_for_everyone_who_names_its_seed() {
-        let half = |seed| Protocol {
-            limit: Some(Limit {
-                items: 506,
-                seed: Seed(seed),
-            }),
-            ..Protocol::default()
-        };
+        let half = |seed| limited(506, seed);
         let kept = half(42).scored_items(1013).expect("enough");
         assert_eq!(kept.len(), 506);
         assert!(kept.is_sorted() && kept.last().is_some_and(|last| *last < 1013));

@@ -286,22 +286,18 @@ mod tests {
     fn shares_rise_with_k_and_real_data_find_themselves() {
         for table in TABLES {
             for row in table.rows(&COLUMNS) {
-                let cell = |metric: &Metric| {
+                let what = format!("{:?} {}", table.table, row.system);
+                let value = |metric: &Metric| {
                     let place = COLUMNS.iter().position(|known| *known == metric);
-                    row.cells[place.expect("a column of the paper")]
+                    let cell = row.cells[place.expect("a column of the paper")];
+                    cell.expect("printed").mean
                 };
-                let value = |metric: &Metric| cell(metric).expect("printed").mean;
-                for family in [&COLUMNS[3..6], &COLUMNS[7..10]] {
-                    if cell(family[0]).is_none() {
+                for family in [3..6, 7..10] {
+                    if row.cells[family.start].is_none() {
                         continue;
                     }
-                    let shares = [0, 1, 2].map(|at| value(family[at]));
-                    assert!(
-                        shares.is_sorted(),
-                        "{:?} {}: {shares:?}",
-                        table.table,
-                        row.system
-                    );
+                    let shares: Vec<f64> = family.map(|at| value(COLUMNS[at])).collect();
+                    assert!(shares.is_sorted(), "{what}: {shares:?}");
                     assert!(shares[2] <= 100.0 && shares[0] > 0.0);
                 }
                 assert!(value(&retrieval::E2T_AVERAGE_RANK) >= 1.0);
@@ -358,13 +354,8 @@ mod tests {
                     (PaperTable::A3, "CIME") => 1,
                     _ => 0,
                 };
-                assert_eq!(
-                    shares.len() - fitting,
-                    allowed,
-                    "{:?}, {}",
-                    table.table,
-                    printed.system
-                );
+                let what = (table.table, printed.system);
+                assert_eq!(shares.len() - fitting, allowed, "{what:?}");
             }
         }
     }
@@ -410,23 +401,19 @@ mod tests {
         let measured = table.rows.clone();
         assert!(table.append_published(PaperTable::One));
         assert_eq!(table.rows[..measured.len()], measured);
-        assert!(
-            table.rows[measured.len()..]
-                .iter()
-                .all(|row| { row.published && row.cells.iter().flatten().all(|cell| !cell.best) })
-        );
+        for row in &table.rows[measured.len()..] {
+            assert!(row.published && row.cells.iter().flatten().all(|cell| !cell.best));
+        }
         assert!(!table.append_published(PaperTable::A3));
         table.task = "all".to_owned();
         assert!(!table.append_published(PaperTable::One));
         table.task = "motionfix".to_owned();
+        let mut columns = table.columns.iter();
+        let place = columns.position(|column| column.metric == &retrieval::E2S_RECALL_1);
         for (paper, value) in [(PaperTable::Two, 71.77), (PaperTable::A3, 22.41)] {
             table.rows.clear();
             assert!(table.append_published(paper));
             let tmed = table.rows.iter().find(|row| row.system == "TMED");
-            let place = table
-                .columns
-                .iter()
-                .position(|column| column.metric == &retrieval::E2S_RECALL_1);
             let cell = tmed.expect("a row").cells[place.expect("a column")];
             assert_eq!(cell.expect("printed").mean, value);
         }

@@ -182,18 +182,15 @@ mod tests {
             row("together", batch(Some(42.5))),
             row("before", batch(None)),
         ]);
-        let names = |grid: &Grid| -> Vec<String> {
-            grid.rows
-                .iter()
-                .map(|row| format!("{} {}", row[0], row[1]))
-                .collect()
+        let check = |grid: &Grid, title: &str, names: &[&str]| {
+            assert!(grid.title.starts_with(title), "{}", grid.title);
+            let rows = grid.rows.iter();
+            let found: Vec<String> = rows.map(|row| format!("{} {}", row[0], row[1])).collect();
+            assert_eq!(found, names);
         };
-        assert!(grids[0].title.starts_with("Latency") && grids[1].title.starts_with("Throughput"));
-        assert_eq!(names(&grids[0]), ["16-frame, alone 1"]);
-        assert_eq!(
-            names(&grids[1]),
-            ["16-frame, together 42.5", "16-frame, before –"]
-        );
+        check(&grids[0], "Latency", &["16-frame, alone 1"]);
+        let shared = ["16-frame, together 42.5", "16-frame, before –"];
+        check(&grids[1], "Throughput", &shared);
         let old =
             r#"{"window": 16, "diffusion_secs": 1.0, "coordinator_secs": 0.0, "fit_secs": 0.5}"#;
         let old: WindowTimes = serde_json::from_str(old).expect("readable");

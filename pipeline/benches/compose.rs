@@ -4,6 +4,9 @@
 //! original and an edited one. The readers read windows recorded from the built-in corpus, or those
 //! of the dataset that `STANCE_BENCH_WINDOWS` names.
 
+#[path = "../../datasets-spec/kinematics/benches/shared/calibration.rs"]
+mod calibration;
+
 use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
@@ -18,7 +21,7 @@ use datasets_spec::record::{MaskRow, MotionRow, PairRow, WindowRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, NoProgress, Seed, Split};
 use divan::Bencher;
-use divan::counter::{BytesCount, ItemsCount};
+use divan::counter::ItemsCount;
 use pipeline::annotation::masks::{MaskConfig, automatic_masks};
 use pipeline::ingest::{IngestOptions, ingest};
 
@@ -183,43 +186,4 @@ fn recorded_windows_shuffled(bencher: Bencher) {
 #[divan::bench]
 fn recorded_windows_in_order(bencher: Bencher) {
     read(bencher, ReadOrder::Sequential);
-}
-
-/// Throughput of the machine, measured in the same run.
-mod calibration {
-    use super::*;
-
-    const COPIED: usize = 16 << 20;
-    const SIDE: usize = 512;
-
-    /// Bytes read and written.
-    #[divan::bench]
-    fn copy(bencher: Bencher) {
-        let from = vec![1.0f32; COPIED];
-        let mut to = vec![0.0f32; COPIED];
-        bencher
-            .counter(BytesCount::new(2 * size_of_val(from.as_slice())))
-            .bench_local(|| black_box(&mut to).copy_from_slice(black_box(&from)));
-    }
-
-    /// A plain product of two square matrices, in floating-point operations a second.
-    #[divan::bench]
-    fn matrix_product(bencher: Bencher) {
-        let (a, b) = (vec![1.0f32; SIDE * SIDE], vec![0.5f32; SIDE * SIDE]);
-        let mut product = vec![0.0f32; SIDE * SIDE];
-        bencher
-            .counter(ItemsCount::new(2 * SIDE * SIDE * SIDE))
-            .bench_local(|| {
-                product.fill(0.0);
-                let rows = black_box(&a).chunks_exact(SIDE);
-                for (row, out) in rows.zip(product.chunks_exact_mut(SIDE)) {
-                    for (factor, line) in row.iter().zip(black_box(&b).chunks_exact(SIDE)) {
-                        for (sum, value) in out.iter_mut().zip(line) {
-                            *sum += factor * value;
-                        }
-                    }
-                }
-                black_box(&product);
-            });
-    }
 }

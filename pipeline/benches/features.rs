@@ -33,26 +33,23 @@ fn motion() -> Motion {
 #[divan::bench]
 fn features_of_joints(bencher: Bencher) {
     let joints = humanml3d::joints_of_motion(&motion(), &skeleton());
-    bencher
-        .counter(ItemsCount::new(joints.len()))
-        .bench_local(|| humanml3d::features_of_joints(black_box(&joints)));
+    let bencher = bencher.counter(ItemsCount::new(joints.len()));
+    bencher.bench_local(|| humanml3d::features_of_joints(black_box(&joints)));
 }
 
 #[divan::bench]
 fn joints_of_motion(bencher: Bencher) {
     let (motion, skeleton) = (motion(), skeleton());
-    bencher
-        .counter(ItemsCount::new(motion.len()))
-        .bench_local(|| humanml3d::joints_of_motion(black_box(&motion), &skeleton));
+    let bencher = bencher.counter(ItemsCount::new(motion.len()));
+    bencher.bench_local(|| humanml3d::joints_of_motion(black_box(&motion), &skeleton));
 }
 
 #[divan::bench]
 fn recover_joints(bencher: Bencher) {
     let joints = humanml3d::joints_of_motion(&motion(), &skeleton());
     let rows = humanml3d::features_of_joints(&joints).expect("a clip");
-    bencher
-        .counter(ItemsCount::new(rows.len()))
-        .bench_local(|| humanml3d::recover_joints(black_box(&rows)));
+    let bencher = bencher.counter(ItemsCount::new(rows.len()));
+    bencher.bench_local(|| humanml3d::recover_joints(black_box(&rows)));
 }
 
 #[divan::bench]
@@ -60,18 +57,16 @@ fn motion_of_features(bencher: Bencher) {
     let skeleton = skeleton();
     let joints = humanml3d::joints_of_motion(&motion(), &skeleton);
     let rows = humanml3d::features_of_joints(&joints).expect("a clip");
-    bencher
-        .counter(ItemsCount::new(rows.len()))
-        .bench_local(|| features::motion_of_features(black_box(&rows), Fps::STORE, &skeleton));
+    let bencher = bencher.counter(ItemsCount::new(rows.len()));
+    bencher.bench_local(|| features::motion_of_features(black_box(&rows), Fps::STORE, &skeleton));
 }
 
 #[divan::bench]
 fn motion_of_joints(bencher: Bencher) {
     let skeleton = skeleton();
     let joints = humanml3d::joints_of_motion(&motion(), &skeleton);
-    bencher
-        .counter(ItemsCount::new(joints.len()))
-        .bench_local(|| features::motion_of_joints(black_box(&joints), Fps::STORE, &skeleton));
+    let bencher = bencher.counter(ItemsCount::new(joints.len()));
+    bencher.bench_local(|| features::motion_of_joints(black_box(&joints), Fps::STORE, &skeleton));
 }
 
 /// Input frames at 120 fps.
@@ -137,9 +132,8 @@ mod calibration {
     fn copy(bencher: Bencher) {
         let from = vec![1.0f32; COPIED];
         let mut to = vec![0.0f32; COPIED];
-        bencher
-            .counter(BytesCount::new(2 * size_of_val(from.as_slice())))
-            .bench_local(|| black_box(&mut to).copy_from_slice(black_box(&from)));
+        let bencher = bencher.counter(BytesCount::new(2 * size_of_val(from.as_slice())));
+        bencher.bench_local(|| black_box(&mut to).copy_from_slice(black_box(&from)));
     }
 
     /// A product of two square matrices, in floating-point operations a second.

@@ -134,12 +134,7 @@ mod tests {
         assert!((sketch.distance(&faster).expect("equal lengths") - expected).abs() < 0.01);
         let all = [sketch, moved, longer, faster, close].map(Some);
         let groups = [0, 1, 1, 1, 0];
-        let all: Vec<(i32, Sketch)> = all
-            .into_iter()
-            .flatten()
-            .zip(groups)
-            .map(|(s, g)| (g, s))
-            .collect();
+        let all: Vec<(i32, Sketch)> = groups.into_iter().zip(all.into_iter().flatten()).collect();
         let pairs: Vec<(usize, usize)> = near_pairs(&all).iter().map(|&(a, b, _)| (a, b)).collect();
         assert_eq!(pairs, [(0, 1), (1, 4)]);
     }

@@ -229,9 +229,7 @@ mod tests {
         let fix = |id| origin(id, "motionfix", "1");
         assert!(!are_one(&fix("000001"), &fix("000002")));
         assert!(are_one(&fix("000001"), &fix("b/000001")));
-        assert!(!are_one(
-            &fix("000001"),
-            &origin("b/000001", "motionfix", "2")
-        ));
+        let elsewhere = origin("b/000001", "motionfix", "2");
+        assert!(!are_one(&fix("000001"), &elsewhere));
     }
 }

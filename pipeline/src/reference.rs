@@ -540,10 +540,18 @@ mod tests {
         commit(root, &rows, |row| row.split, "p")
     }
 
+    /// A dataset of some ids, and a folder for published files.
+    fn sides(ids: &[&str]) -> (tempfile::TempDir, Dataset, PathBuf) {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let dataset = dataset(&dir.path().join("d"), ids);
+        let folder = dir.path().join("published");
+        (dir, dataset, folder)
+    }
+
     fn publish(folder: &Path, id: &str, features: &[Features]) {
-        let joints: Vec<f32> = recover_joints(features)
-            .iter()
-            .flatten()
+        let joints = recover_joints(features);
+        let joints = joints.as_flattened().iter();
+        let joints: Vec<f32> = joints
             .flat_map(|joint| joint.as_vec3().to_array())
             .collect();
         let frames = features.len();
@@ -560,18 +568,13 @@ mod tests {
     }
 
     fn failed(comparison: &Comparison) -> Vec<&str> {
-        let groups = comparison.groups.iter();
-        groups
-            .filter(|group| !group.passed)
-            .map(|group| group.name)
-            .collect()
+        let failed = comparison.groups.iter().filter(|group| !group.passed);
+        failed.map(|group| group.name).collect()
     }
 
     #[test]
     fn a_dataset_is_equal_to_its_own_files() {
-        let dir = tempfile::tempdir().expect("temporary folder");
-        let dataset = dataset(&dir.path().join("d"), &IDS);
-        let folder = dir.path().join("published");
+        let (_dir, dataset, folder) = sides(&IDS);
         for id in IDS {
             publish(&folder, id, &features(id));
         }
@@ -621,11 +624,8 @@ mod tests {
             assert_eq!(failed(&found).contains(&name), !forgiven, "{name}");
             // Joints are recovered from heights and positions.
             let moves_joints = range.end <= 67;
-            assert_eq!(
-                failed(&found).contains(&JOINT_GROUP),
-                moves_joints,
-                "{name}"
-            );
+            let joints_differ = failed(&found).contains(&JOINT_GROUP);
+            assert_eq!(joints_differ, moves_joints, "{name}");
         }
     }
 
@@ -646,9 +646,7 @@ mod tests {
 
     #[test]
     fn what_one_side_lacks_is_counted_both_ways() {
-        let dir = tempfile::tempdir().expect("temporary folder");
-        let dataset = dataset(&dir.path().join("d"), &IDS[..2]);
-        let folder = dir.path().join("published");
+        let (_dir, dataset, folder) = sides(&IDS[..2]);
         publish(&folder, IDS[0], &features(IDS[0]));
         publish(&folder, IDS[2], &features(IDS[2]));
         let found = compared(&dataset, &folder);
@@ -659,9 +657,7 @@ mod tests {
 
     #[test]
     fn broken_files_and_other_lengths_are_problems_of_their_clips() {
-        let dir = tempfile::tempdir().expect("temporary folder");
-        let dataset = dataset(&dir.path().join("d"), &IDS);
-        let folder = dir.path().join("published");
+        let (_dir, dataset, folder) = sides(&IDS);
         publish(&folder, IDS[0], &features(IDS[0])[..40]);
         let mut broken = features(IDS[1]);
         broken[3][9] = f32::NAN;

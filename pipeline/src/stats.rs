@@ -315,10 +315,8 @@ mod tests {
     fn spreads_are_numbers_that_were_measured() {
         assert_eq!(Spread::of(Vec::new()), None);
         let spread = Spread::of((0..=100).map(f64::from).collect()).expect("some");
-        assert_eq!(
-            (spread.p5, spread.p50, spread.p95, spread.max),
-            (5.0, 50.0, 95.0, 100.0)
-        );
+        let found = [spread.p5, spread.p50, spread.p95, spread.max];
+        assert_eq!(found, [5.0, 50.0, 95.0, 100.0]);
         let one = Spread::of(vec![2.5]).expect("one");
         assert_eq!((one.p5, one.max), (2.5, 2.5));
     }

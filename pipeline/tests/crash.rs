@@ -58,16 +58,17 @@ impl Doomed {
     }
 }
 
+fn step_fails(kind: io::ErrorKind) -> io::Result<()> {
+    Err(io::Error::new(kind, "the test lets this operation fail"))
+}
+
 fn step(count: &AtomicUsize, at: usize, fate: Fate) -> io::Result<()> {
     if count.fetch_add(1, Ordering::SeqCst) != at {
         return Ok(());
     }
     match fate {
-        Fate::Fail(kind) => Err(io::Error::new(kind, "the test lets this operation fail")),
-        Fate::WriteHalf => Err(io::Error::new(
-            io::ErrorKind::StorageFull,
-            "the test lets the disk be full",
-        )),
+        Fate::Fail(kind) => step_fails(kind),
+        Fate::WriteHalf => step_fails(io::ErrorKind::StorageFull),
         Fate::Kill => {
             let killed = Command::new("kill")
                 .args(["-9", &std::process::id().to_string()])
@@ -205,11 +206,8 @@ fn run(
         ..IngestOptions::default()
     };
     // Use one thread, so that the n-th operation is always the same.
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(1)
-        .build()
-        .expect("a pool");
-    pool.install(|| {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+    pool.expect("a pool").install(|| {
         let transaction = Transaction::begin_on(store, out, HOLDER)?;
         ingest_in(transaction, &[source.to_owned()], &options, &NoProgress)
     })
@@ -218,13 +216,8 @@ fn run(
 /// Every file of a folder that is not part of the newest manifest's dataset.
 fn leftovers(dataset: &Dataset) -> Vec<PathBuf> {
     let root = dataset.root();
-    let named: Vec<PathBuf> = dataset
-        .manifest()
-        .tables
-        .values()
-        .flatten()
-        .map(|file| root.join(&file.path))
-        .collect();
+    let named = dataset.manifest().tables.values().flatten();
+    let named: Vec<PathBuf> = named.map(|file| root.join(&file.path)).collect();
     let mut found = Vec::new();
     let mut folders = vec![root.to_owned()];
     while let Some(folder) = folders.pop() {
@@ -249,12 +242,30 @@ fn leftovers(dataset: &Dataset) -> Vec<PathBuf> {
 
 fn ids_and_hashes(dataset: &Dataset) -> Vec<(String, String)> {
     let rows: Vec<MotionRow> = dataset.read(None).expect("reads");
-    let mut pairs: Vec<(String, String)> = rows
-        .into_iter()
+    let pairs = rows.into_iter();
+    let mut pairs: Vec<(String, String)> = pairs
         .map(|row| (row.id.as_str().to_owned(), row.content_hash))
         .collect();
     pairs.sort();
     pairs
+}
+
+fn hash(dataset: &Dataset) -> String {
+    dataset.manifest().root_hash.clone()
+}
+
+/// Asserts that a reader of a folder sees no dataset or that of a clean run, and that a run on a healthy disk makes
+/// that of the clean run, with nothing else beside it.
+#[track_caller]
+fn assert_it_goes_on(source: &Path, out: &Path, clean: &str, operation: u64) {
+    if let Ok(dataset) = Dataset::open(out) {
+        assert_eq!(hash(&dataset), clean, "operation {operation}");
+    }
+    let again = run(Disk::store(), source, out, false).expect("the disk is healthy");
+    assert_eq!(hash(&again.dataset), clean, "operation {operation}");
+    assert!(again.accounting.balances());
+    let left = leftovers(&again.dataset);
+    assert!(left.is_empty(), "operation {operation}: {left:?}");
 }
 
 #[test]
@@ -280,24 +291,7 @@ fn whichever_operation_fails_nothing_is_reported_that_is_not_so() {
         match run(store, &source, &out, false) {
             Err(_) => {
                 num_failed += 1;
-                // A reader of the folder sees no dataset, or a whole one.
-                if let Ok(dataset) = Dataset::open(&out) {
-                    assert_eq!(
-                        dataset.manifest().root_hash,
-                        clean.dataset.manifest().root_hash
-                    );
-                }
-                let again = run(Disk::store(), &source, &out, false).expect("the disk is healthy");
-                assert_eq!(
-                    again.dataset.manifest().root_hash,
-                    clean.dataset.manifest().root_hash,
-                    "operation {at}"
-                );
-                assert_eq!(
-                    leftovers(&again.dataset),
-                    Vec::<PathBuf>::new(),
-                    "operation {at}"
-                );
+                assert_it_goes_on(&source, &out, &hash(&clean.dataset), at as u64);
             }
             Ok(report) if report.accounting.codes.contains_key("E-IO") => {
                 // The failed operation read a source, and the report says so.
@@ -310,11 +304,8 @@ fn whichever_operation_fails_nothing_is_reported_that_is_not_so() {
             }
             Ok(report) => {
                 // The failed operation was the removal of a leftover, or a search for leftovers.
-                assert_eq!(
-                    report.dataset.manifest().root_hash,
-                    clean.dataset.manifest().root_hash,
-                    "operation {at}"
-                );
+                let expected = hash(&clean.dataset);
+                assert_eq!(hash(&report.dataset), expected, "operation {at}");
                 Dataset::open(&out).expect("whole");
             }
         }
@@ -346,42 +337,19 @@ fn killed_anywhere_a_run_continues_to_the_same_dataset() {
     let clean = run(store, &source, &dir.path().join("clean"), false).expect("a healthy disk");
     let num_operations = count.load(Ordering::SeqCst) as u64;
     let num_shards = clean.dataset.files(MotionRow::TABLE, None).len();
-    assert!(
-        num_shards > 1,
-        "an interrupted run has something to continue after"
-    );
+    // An interrupted run has something to continue after.
+    assert!(num_shards > 1, "{num_shards}");
 
     for point in 0..NUM_POINTS {
         let at = Seed(9).draw_u64(&["kill", &point.to_string()]) % num_operations;
         let out = dir.path().join(format!("killed{point}"));
         let this = "killed_anywhere_a_run_continues_to_the_same_dataset";
-        let child = Command::new(std::env::current_exe().expect("this test"))
-            .args(["--exact", this, "--nocapture"])
-            .env(
-                CHILD,
-                format!("{at}|{}|{}", source.display(), out.display()),
-            )
-            .output()
-            .expect("the child starts");
+        let task = format!("{at}|{}|{}", source.display(), out.display());
+        let mut child = Command::new(std::env::current_exe().expect("this test"));
+        child.args(["--exact", this, "--nocapture"]);
+        let child = child.env(CHILD, task).output().expect("the child starts");
         assert_eq!(child.status.code(), None, "killed by a signal: {child:?}");
-        if let Ok(dataset) = Dataset::open(&out) {
-            assert_eq!(
-                dataset.manifest().root_hash,
-                clean.dataset.manifest().root_hash
-            );
-        }
-        let again = run(Disk::store(), &source, &out, false).expect("continues");
-        assert_eq!(
-            again.dataset.manifest().root_hash,
-            clean.dataset.manifest().root_hash,
-            "killed before operation {at}"
-        );
-        assert!(again.accounting.balances());
-        assert_eq!(
-            leftovers(&again.dataset),
-            Vec::<PathBuf>::new(),
-            "killed before operation {at}"
-        );
+        assert_it_goes_on(&source, &out, &hash(&clean.dataset), at);
         std::fs::remove_dir_all(&out).expect("removed");
     }
 }
@@ -407,10 +375,8 @@ fn a_dataset_whose_growth_fails_is_the_version_before() {
     let before = run(Disk::store(), &source, &base, false).expect("a healthy disk");
     // One clip is removed, one has other labels, and one is new.
     let rows: Vec<MotionRow> = before.dataset.read(None).expect("reads");
-    let mut files: Vec<PathBuf> = rows
-        .iter()
-        .map(|row| source.join(&row.source_path))
-        .collect();
+    let files = rows.iter().map(|row| source.join(&row.source_path));
+    let mut files: Vec<PathBuf> = files.collect();
     files.sort();
     let end = files[0].extension().expect("an extension");
     std::fs::copy(&files[0], source.join("new").with_extension(end)).expect("copied");
@@ -423,11 +389,9 @@ fn a_dataset_whose_growth_fails_is_the_version_before() {
     let (store, count) = Doomed::store(usize::MAX, Fate::Kill);
     let clean = grow(store, &dir.path().join("clean")).expect("a healthy disk");
     let growth = clean.growth.expect("it grew");
-    assert_eq!(
-        (growth.new, growth.missing.len(), growth.read_again.len()),
-        (1, 1, 1)
-    );
-    let clean = clean.dataset.manifest().root_hash.clone();
+    let counts = (growth.new, growth.missing.len(), growth.read_again.len());
+    assert_eq!(counts, (1, 1, 1));
+    let (clean, before) = (hash(&clean.dataset), hash(&before.dataset));
     for at in 0..count.load(Ordering::SeqCst) {
         let out = dir.path().join(format!("failing{at}"));
         let (store, _) = Doomed::store(at, Fate::Fail(io::ErrorKind::StorageFull));
@@ -435,11 +399,10 @@ fn a_dataset_whose_growth_fails_is_the_version_before() {
             // A source that could not be read keeps its clip, or is read the next time.
             Ok(report) => assert!(report.accounting.balances()),
             Err(_) => {
-                let found = Dataset::open(&out).expect("a whole version");
-                let found = &found.manifest().root_hash;
-                assert!(*found == before.dataset.manifest().root_hash || *found == clean);
+                let found = hash(&Dataset::open(&out).expect("a whole version"));
+                assert!(found == before || found == clean);
                 let again = run(Disk::store(), &source, &out, false).expect("the disk is healthy");
-                assert_eq!(again.dataset.manifest().root_hash, clean, "operation {at}");
+                assert_eq!(hash(&again.dataset), clean, "operation {at}");
             }
         }
         std::fs::remove_dir_all(&out).expect("removed");
@@ -466,13 +429,12 @@ fn change(verb: &str, store: Arc<dyn Store>, dataset: &Path) -> Result<(), Error
 
 /// The Parquet files below a folder, relative to it.
 fn parquet_files(root: &Path) -> Vec<String> {
-    let mut files: Vec<String> = Disk
-        .files_below(root)
-        .expect("listed")
+    let files = Disk.files_below(root).expect("listed");
+    let names = files
         .iter()
-        .filter_map(|path| path.strip_prefix(root).ok()?.to_str().map(str::to_owned))
-        .filter(|path| path.ends_with(".parquet"))
-        .collect();
+        .filter_map(|path| path.strip_prefix(root).ok()?.to_str());
+    let tables = names.filter(|name| name.ends_with(".parquet"));
+    let mut files: Vec<String> = tables.map(str::to_owned).collect();
     files.sort();
     files
 }
@@ -509,25 +471,16 @@ fn whichever_operation_fails_a_dataset_is_the_version_before_or_the_one_after() 
             copied(&base, &out);
             let (store, _) = Doomed::store(at, Fate::Fail(io::ErrorKind::StorageFull));
             let failed = change(verb, store, &out).is_err();
-            let found = Dataset::open(&out)
-                .expect("a whole version")
-                .manifest()
-                .clone();
-            let is_one = found == before || found == after;
-            assert!(is_one, "{verb}, operation {at}");
-            assert!(
-                failed || found == after,
-                "{verb}, operation {at}: nothing was said"
-            );
+            let found = Dataset::open(&out).expect("a whole version");
+            let (is_old, is_new) = (*found.manifest() == before, *found.manifest() == after);
+            // A change that did not take place is an error.
+            assert!(is_new || (is_old && failed), "{verb}, operation {at}");
             change(verb, Disk::store(), &out).expect("the disk is healthy");
             let done = Dataset::open(&out).expect("whole");
             // Going back once more, or compacting what is compact, changes nothing.
-            assert_eq!(
-                done.manifest().tables,
-                after.tables,
-                "{verb}, operation {at}"
-            );
-            let named = done.manifest().tables.values().flatten();
+            let tables = &done.manifest().tables;
+            assert_eq!(*tables, after.tables, "{verb}, operation {at}");
+            let named = tables.values().flatten();
             let mut named: Vec<String> = named.map(|file| file.path.clone()).collect();
             named.sort();
             assert_eq!(parquet_files(&out), named, "{verb}, operation {at}");

@@ -7,21 +7,16 @@ use corpus::{CorpusOptions, clip};
 use datasets_spec::record::{MotionRow, QuarantineRow};
 use datasets_spec::{Dataset, NoProgress, Skeleton};
 use formats::write;
-use pipeline::ingest::{IngestOptions, ingest};
+use pipeline::ingest::{IngestOptions, IngestReport, ingest};
 use serde_json::{Value, json};
 
-/// Required outcome of reading a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Fate {
-    /// A motion.
-    Ingested,
-    /// The quarantine table has a row with this code.
-    Quarantined(&'static str),
-    /// The file is skipped as not a motion.
-    Skipped,
-}
+/// A file, and the outcome of reading it: one of the two below, or the code of its row in the quarantine table.
+type Case = (&'static str, Vec<u8>, &'static str);
 
-use Fate::{Ingested, Quarantined, Skipped};
+/// The file becomes a motion.
+const INGESTED: &str = "ingested";
+/// The file is skipped as not a motion.
+const SKIPPED: &str = "skipped";
 
 /// A good AMASS archive.
 fn good_npz() -> Vec<u8> {
@@ -49,11 +44,7 @@ fn archive(members: &[(&str, &[u8])]) -> Vec<u8> {
 /// An npy file with any header and any content.
 fn npy(descr: &str, shape: &str, content: &[u8]) -> Vec<u8> {
     let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend(u16::try_from(header.len()).expect("short").to_le_bytes());
-    bytes.extend(header.as_bytes());
-    bytes.extend(content);
-    bytes
+    testkit::npy(&header, content)
 }
 
 fn f64s(values: impl IntoIterator<Item = f64>) -> Vec<u8> {
@@ -64,12 +55,11 @@ fn f64s(values: impl IntoIterator<Item = f64>) -> Vec<u8> {
 fn amass(frames: usize, trans: impl Fn(usize) -> [f64; 3]) -> Vec<u8> {
     let poses = f64s((0..frames * 156).map(|index| 0.1 * ((index / 156) as f64 * 0.02).sin()));
     let trans = f64s((0..frames).flat_map(trans));
+    let poses = npy("<f8", &format!("({frames}, 156)"), &poses);
+    let trans = npy("<f8", &format!("({frames}, 3)"), &trans);
     archive(&[
-        (
-            "poses.npy",
-            &npy("<f8", &format!("({frames}, 156)"), &poses),
-        ),
-        ("trans.npy", &npy("<f8", &format!("({frames}, 3)"), &trans)),
+        ("poses.npy", &poses),
+        ("trans.npy", &trans),
         ("mocap_framerate.npy", &npy("<f8", "()", &f64s([60.0]))),
         ("gender.npy", &npy("|S6", "()", b"female")),
     ])
@@ -85,125 +75,66 @@ fn edited(text: &str, from: &str, to: &str) -> Vec<u8> {
     text.replacen(from, to, 1).into_bytes()
 }
 
-fn npz_cases(canary: &Path) -> Vec<(&'static str, Vec<u8>, Fate)> {
+fn npz_cases(canary: &Path) -> Vec<Case> {
     let good = good_npz();
     let mut bad_crc = good.clone();
     // Inside the first member's content, behind its local header.
     bad_crc[400] ^= 0xFF;
-    let central = good
-        .windows(4)
-        .position(|window| window == b"PK\x01\x02")
-        .expect("a central directory");
+    let mut places = good.windows(4);
+    let central = places.position(|window| window == b"PK\x01\x02");
+    let central = central.expect("a central directory");
+    let half = good[..good.len() / 2].to_vec();
     let standing = |frame: usize| [0.0, 0.0, 0.9 + 0.001 * frame as f64];
+    let infinite = |frame: usize| [if frame == 7 { f64::INFINITY } else { 0.0 }, 0.0, 0.9];
+    let jumping = |frame: usize| [if frame > 30 { 9.0 } else { 0.0 }, 0.0, 0.9];
+    let both = |array: &[u8]| archive(&[("poses.npy", array), ("trans.npy", array)]);
     let pickled = npy("|O", "(1,)", &canary_pickle(canary));
     let lying = npy("<f8", "(1099511627776, 156)", &[0; 100]);
     let bomb = npy("<f8", "(2000000, 3)", &vec![0; 48_000_000]);
+    let named = |name: &str| archive(&[(name, &npy("<f8", "(2, 3)", &[0; 48]))]);
+    let case = archive(&[
+        ("poses.npy", b"1"),
+        ("Poses.npy", b"2"),
+        ("trans.npy", b"3"),
+    ]);
+    let betas = archive(&[("betas.npy", &npy("<f8", "(16,)", &[0; 128]))]);
     vec![
-        ("good.npz", good.clone(), Ingested),
-        ("good_amass.npz", amass(60, standing), Ingested),
-        (
-            "truncated.npz",
-            good[..good.len() / 2].to_vec(),
-            Quarantined("E-NPZ-TRUNCATED"),
-        ),
-        (
-            "no_directory.npz",
-            good[..central].to_vec(),
-            Quarantined("E-NPZ-TRUNCATED"),
-        ),
-        ("bad_crc.npz", bad_crc, Quarantined("E-NPZ-TRUNCATED")),
-        ("empty.npz", Vec::new(), Quarantined("E-NPZ-TRUNCATED")),
-        (
-            "object.npz",
-            archive(&[("poses.npy", &pickled), ("trans.npy", &pickled)]),
-            Quarantined("E-PICKLE-REFUSED"),
-        ),
-        (
-            "lying_shape.npz",
-            archive(&[("poses.npy", &lying), ("trans.npy", &lying)]),
-            Quarantined("E-NPY-SHAPE"),
-        ),
-        (
-            "bomb.npz",
-            archive(&[("poses.npy", &bomb), ("trans.npy", &bomb)]),
-            Quarantined("E-NPZ-LIMIT"),
-        ),
-        (
-            "traversal.npz",
-            archive(&[("../../poses.npy", &npy("<f8", "(2, 3)", &[0; 48]))]),
-            Quarantined("E-ARCHIVE-PATH"),
-        ),
-        (
-            "absolute.npz",
-            archive(&[("/etc/poses.npy", &npy("<f8", "(2, 3)", &[0; 48]))]),
-            Quarantined("E-ARCHIVE-PATH"),
-        ),
-        (
-            "drive.npz",
-            archive(&[("C:\\poses.npy", &npy("<f8", "(2, 3)", &[0; 48]))]),
-            Quarantined("E-ARCHIVE-PATH"),
-        ),
-        (
-            "case.npz",
-            archive(&[
-                ("poses.npy", b"1"),
-                ("Poses.npy", b"2"),
-                ("trans.npy", b"3"),
-            ]),
-            Quarantined("E-ARCHIVE-PATH"),
-        ),
-        (
-            "one_frame.npz",
-            amass(1, standing),
-            Quarantined("E-TOO-SHORT"),
-        ),
-        (
-            "no_frame.npz",
-            amass(0, standing),
-            Quarantined("E-TOO-SHORT"),
-        ),
-        (
-            "infinite.npz",
-            amass(60, |frame| {
-                [if frame == 7 { f64::INFINITY } else { 0.0 }, 0.0, 0.9]
-            }),
-            Quarantined("E-NOT-FINITE"),
-        ),
-        (
-            "teleport.npz",
-            amass(60, |frame| [if frame > 30 { 9.0 } else { 0.0 }, 0.0, 0.9]),
-            Quarantined("E-TELEPORT"),
-        ),
-        (
-            "shape.npz",
-            archive(&[("betas.npy", &npy("<f8", "(16,)", &[0; 128]))]),
-            Skipped,
-        ),
-        (
-            "betas_only.npz",
-            archive(&[("betas.npy", &npy("<f8", "(16,)", &[0; 128]))]),
-            Skipped,
-        ),
+        ("good.npz", good.clone(), INGESTED),
+        ("good_amass.npz", amass(60, standing), INGESTED),
+        ("truncated.npz", half, "E-NPZ-TRUNCATED"),
+        ("cut.npz", good[..central].to_vec(), "E-NPZ-TRUNCATED"),
+        ("bad_crc.npz", bad_crc, "E-NPZ-TRUNCATED"),
+        ("empty.npz", Vec::new(), "E-NPZ-TRUNCATED"),
+        ("object.npz", both(&pickled), "E-PICKLE-REFUSED"),
+        ("lying_shape.npz", both(&lying), "E-NPY-SHAPE"),
+        ("bomb.npz", both(&bomb), "E-NPZ-LIMIT"),
+        ("up.npz", named("../../poses.npy"), "E-ARCHIVE-PATH"),
+        ("absolute.npz", named("/etc/poses.npy"), "E-ARCHIVE-PATH"),
+        ("drive.npz", named("C:\\poses.npy"), "E-ARCHIVE-PATH"),
+        ("case.npz", case, "E-ARCHIVE-PATH"),
+        ("one_frame.npz", amass(1, standing), "E-TOO-SHORT"),
+        ("no_frame.npz", amass(0, standing), "E-TOO-SHORT"),
+        ("infinite.npz", amass(60, infinite), "E-NOT-FINITE"),
+        ("teleport.npz", amass(60, jumping), "E-TELEPORT"),
+        ("shape.npz", betas.clone(), SKIPPED),
+        ("betas_only.npz", betas, SKIPPED),
         (
             "neutral_stagei.npz",
             archive(&[("betas.npy", b"")]),
-            Skipped,
+            SKIPPED,
         ),
     ]
 }
 
-fn bvh_cases() -> Vec<(&'static str, Vec<u8>, Fate)> {
+fn bvh_cases() -> Vec<Case> {
     let good = good_bvh();
-    let frames_line = good
-        .lines()
-        .find(|line| line.starts_with("Frames:"))
-        .expect("a frame count")
-        .to_owned();
-    let time_line = good
-        .lines()
-        .find(|line| line.starts_with("Frame Time:"))
-        .expect("a frame time")
-        .to_owned();
+    let line = |start: &str| {
+        let mut lines = good.lines();
+        let found = lines.find(|line| line.starts_with(start));
+        found.expect("in the fixture")
+    };
+    let (frames, time) = (line("Frames:"), line("Frame Time:"));
+    let with = |from: &str, to: &str| edited(&good, from, to);
     let crlf = good.replace('\n', "\r\n");
     let with_bom = [b"\xEF\xBB\xBF", good.as_bytes()].concat();
     let without_end_sites = {
@@ -222,50 +153,23 @@ fn bvh_cases() -> Vec<(&'static str, Vec<u8>, Fate)> {
         }
         kept
     };
-    let motion_start = good.find("MOTION").expect("a motion");
-    let rows_start = good.find(&time_line).expect("a frame time") + time_line.len();
-    let commas = format!(
-        "{}{}",
-        &good[..rows_start],
-        good[rows_start..].replace('.', ",")
-    );
+    let head = good.as_bytes()[..good.find("MOTION").expect("a motion")].to_vec();
+    let rows_start = good.find(time).expect("a frame time") + time.len();
+    let commas = good[..rows_start].to_owned() + &good[rows_start..].replace('.', ",");
+    let deep = format!("HIERARCHY\n{}", "ROOT a\n{\n".repeat(100_000));
     vec![
-        ("good.bvh", good.clone().into_bytes(), Ingested),
-        ("crlf.bvh", crlf.into_bytes(), Ingested),
-        ("bom.bvh", with_bom, Ingested),
-        ("tabs.bvh", good.replace("  ", "\t").into_bytes(), Ingested),
-        ("no_end_sites.bvh", without_end_sites.into_bytes(), Ingested),
-        (
-            "commas.bvh",
-            commas.into_bytes(),
-            Quarantined("E-BVH-NUMBER"),
-        ),
-        (
-            "too_few_rows.bvh",
-            edited(&good, &frames_line, "Frames: 100000"),
-            Quarantined("E-BVH-FRAMES"),
-        ),
-        (
-            "too_many_rows.bvh",
-            edited(&good, &frames_line, "Frames: 3"),
-            Quarantined("E-BVH-FRAMES"),
-        ),
-        (
-            "zero_time.bvh",
-            edited(&good, &time_line, "Frame Time: 0"),
-            Quarantined("E-BVH-FRAME-TIME"),
-        ),
-        (
-            "no_motion.bvh",
-            good.as_bytes()[..motion_start].to_vec(),
-            Quarantined("E-BVH-SYNTAX"),
-        ),
-        ("empty.bvh", Vec::new(), Quarantined("E-BVH-SYNTAX")),
-        (
-            "deep.bvh",
-            format!("HIERARCHY\n{}", "ROOT a\n{\n".repeat(100_000)).into_bytes(),
-            Quarantined("E-BVH-SYNTAX"),
-        ),
+        ("good.bvh", good.clone().into_bytes(), INGESTED),
+        ("crlf.bvh", crlf.into_bytes(), INGESTED),
+        ("bom.bvh", with_bom, INGESTED),
+        ("tabs.bvh", good.replace("  ", "\t").into_bytes(), INGESTED),
+        ("no_end_sites.bvh", without_end_sites.into_bytes(), INGESTED),
+        ("commas.bvh", commas.into_bytes(), "E-BVH-NUMBER"),
+        ("few.bvh", with(frames, "Frames: 100000"), "E-BVH-FRAMES"),
+        ("many.bvh", with(frames, "Frames: 3"), "E-BVH-FRAMES"),
+        ("time.bvh", with(time, "Frame Time: 0"), "E-BVH-FRAME-TIME"),
+        ("no_motion.bvh", head, "E-BVH-SYNTAX"),
+        ("empty.bvh", Vec::new(), "E-BVH-SYNTAX"),
+        ("deep.bvh", deep.into_bytes(), "E-BVH-SYNTAX"),
     ]
 }
 
@@ -312,74 +216,32 @@ fn poked(good: &[u8], at: usize, bytes: &[u8]) -> Vec<u8> {
     broken
 }
 
-fn c3d_cases() -> Vec<(&'static str, Vec<u8>, Fate)> {
+fn c3d_cases() -> Vec<Case> {
     let whole = whole_c3d();
+    let cut = |len: usize| whole[..len].to_vec();
     let poked = |at: usize, bytes: &[u8]| poked(&whole, at, bytes);
+    let number = |at: usize, number: u16| poked(at, &number.to_le_bytes());
     let data = 2 * C3D_BLOCK;
     // Sizes of the array of labels.
-    let labels = whole
-        .windows(6)
-        .position(|window| window == b"\x04\x01LKNE")
-        .expect("the labels");
+    let mut places = whole.windows(6);
+    let labels = places.position(|window| window == b"\x04\x01LKNE");
+    let labels = labels.expect("the labels");
+    let foreign = [0x60u8, 0x00, 0x48, 0x7e].repeat(12);
     vec![
-        ("whole.c3d", whole.clone(), Quarantined("E-MARKERS")),
-        ("empty.c3d", Vec::new(), Quarantined("E-C3D-TRUNCATED")),
-        (
-            "half_a_header.c3d",
-            whole[..C3D_BLOCK / 2].to_vec(),
-            Quarantined("E-C3D-TRUNCATED"),
-        ),
-        (
-            "last_frame_cut.c3d",
-            whole[..whole.len() - 5].to_vec(),
-            Quarantined("E-C3D-TRUNCATED"),
-        ),
-        ("no_magic.c3d", poked(1, &[0]), Quarantined("E-C3D-HEADER")),
-        (
-            "parameters_beyond_the_end.c3d",
-            poked(0, &[99]),
-            Quarantined("E-C3D-HEADER"),
-        ),
-        (
-            "unknown_processor.c3d",
-            poked(C3D_BLOCK + 3, &[7]),
-            Quarantined("E-C3D-HEADER"),
-        ),
-        (
-            "parameter_too_large.c3d",
-            poked(labels, &[0xff, 0xff]),
-            Quarantined("E-C3D-PARAM"),
-        ),
-        (
-            "too_many_points.c3d",
-            poked(2, &60_000u16.to_le_bytes()),
-            Quarantined("E-C3D-HEADER"),
-        ),
-        (
-            "too_many_frames.c3d",
-            poked(8, &60_000u16.to_le_bytes()),
-            Quarantined("E-C3D-TRUNCATED"),
-        ),
-        (
-            "frames_backwards.c3d",
-            poked(6, &9u16.to_le_bytes()),
-            Quarantined("E-C3D-HEADER"),
-        ),
-        (
-            "data_beyond_the_end.c3d",
-            poked(16, &9000u16.to_le_bytes()),
-            Quarantined("E-C3D-TRUNCATED"),
-        ),
-        (
-            "no_rate.c3d",
-            poked(20, &0f32.to_le_bytes()),
-            Quarantined("E-C3D-HEADER"),
-        ),
-        (
-            "numbers_of_another_machine.c3d",
-            poked(data, &[0x60, 0x00, 0x48, 0x7e].repeat(12)),
-            Quarantined("E-C3D-ENDIAN"),
-        ),
+        ("whole.c3d", whole.clone(), "E-MARKERS"),
+        ("empty.c3d", Vec::new(), "E-C3D-TRUNCATED"),
+        ("half_a_header.c3d", cut(C3D_BLOCK / 2), "E-C3D-TRUNCATED"),
+        ("last_cut.c3d", cut(whole.len() - 5), "E-C3D-TRUNCATED"),
+        ("no_magic.c3d", poked(1, &[0]), "E-C3D-HEADER"),
+        ("far_parameters.c3d", poked(0, &[99]), "E-C3D-HEADER"),
+        ("processor.c3d", poked(C3D_BLOCK + 3, &[7]), "E-C3D-HEADER"),
+        ("parameter.c3d", poked(labels, &[0xff; 2]), "E-C3D-PARAM"),
+        ("points.c3d", number(2, 60_000), "E-C3D-HEADER"),
+        ("frames.c3d", number(8, 60_000), "E-C3D-TRUNCATED"),
+        ("frames_backwards.c3d", number(6, 9), "E-C3D-HEADER"),
+        ("far_data.c3d", number(16, 9000), "E-C3D-TRUNCATED"),
+        ("no_rate.c3d", poked(20, &[0; 4]), "E-C3D-HEADER"),
+        ("other_machine.c3d", poked(data, &foreign), "E-C3D-ENDIAN"),
     ]
 }
 
@@ -411,10 +273,10 @@ fn rewritten(good: &[u8], json: impl Fn(&mut Value), binary: impl Fn(&mut [u8]))
     bytes
 }
 
-fn gltf_cases() -> Vec<(&'static str, Vec<u8>, Fate)> {
+fn gltf_cases() -> Vec<Case> {
     let good = good_glb();
     let poked = |at: usize, bytes: &[u8]| poked(&good, at, bytes);
-    let with = |pointer: &str, value: Value| {
+    let with = |pointer: &str, value: &Value| {
         let set = |document: &mut Value| {
             let found = document.pointer_mut(pointer);
             *found.unwrap_or_else(|| panic!("the fixture has {pointer}")) = value.clone();
@@ -425,129 +287,68 @@ fn gltf_cases() -> Vec<(&'static str, Vec<u8>, Fate)> {
     let read = |pointer: &str| {
         let length = u32::from_le_bytes(good[12..16].try_into().expect("four bytes")) as usize;
         let document: Value = serde_json::from_slice(&good[GLB_JSON..][..length]).expect("JSON");
-        document
-            .pointer(pointer)
-            .and_then(Value::as_u64)
-            .expect("an index")
+        let found = document.pointer(pointer).and_then(Value::as_u64);
+        found.expect("an index")
     };
-    let key_times = format!("/accessors/{}", read("/animations/0/samplers/0/input"));
-    let key_view = format!("/bufferViews/{}", read(&format!("{key_times}/bufferView")));
-    let with_uri = |uri: &str| {
-        rewritten(
-            &good,
-            |document| document["buffers"][0]["uri"] = json!(uri),
-            |_| (),
-        )
-    };
-    let nan = rewritten(
-        &good,
-        |_| (),
-        |binary| {
-            for value in binary.chunks_exact_mut(4) {
-                value.copy_from_slice(&f32::NAN.to_le_bytes());
-            }
-        },
+    let input = "/animations/0/samplers/0/input";
+    let key_times = format!("/accessors/{}", read(input));
+    let view = read(&format!("{key_times}/bufferView"));
+    let (count, offset) = (
+        format!("{key_times}/count"),
+        format!("/bufferViews/{view}/byteOffset"),
     );
+    let (length, children) = ("/buffers/0/byteLength", "/nodes/1/children");
+    let (huge, large) = (json!(1u64 << 40), json!(100_000));
+    let (ring, unknown) = (json!([0]), json!([100_000]));
+    let with_uri = |uri: &str| {
+        let set = |document: &mut Value| document["buffers"][0]["uri"] = json!(uri);
+        rewritten(&good, set, |_| ())
+    };
+    let remote = with_uri("https://example.org/motion.bin");
+    let spoil = |binary: &mut [u8]| {
+        for value in binary.chunks_exact_mut(4) {
+            value.copy_from_slice(&f32::NAN.to_le_bytes());
+        }
+    };
     vec![
-        ("good.glb", good.clone(), Ingested),
-        ("rewritten.glb", rewritten(&good, |_| (), |_| ()), Ingested),
-        ("empty.glb", Vec::new(), Quarantined("E-GLTF-SYNTAX")),
-        (
-            "header_alone.glb",
-            good[..12].to_vec(),
-            Quarantined("E-GLTF-CHUNK"),
-        ),
-        (
-            "half.glb",
-            good[..good.len() / 2].to_vec(),
-            Quarantined("E-GLTF-CHUNK"),
-        ),
-        (
-            "another_version.glb",
-            poked(4, &[1]),
-            Quarantined("E-GLTF-CHUNK"),
-        ),
-        (
-            "chunk_too_long.glb",
-            poked(12, &u32::MAX.to_le_bytes()),
-            Quarantined("E-GLTF-CHUNK"),
-        ),
-        (
-            "no_json.glb",
-            poked(GLB_JSON, b"]"),
-            Quarantined("E-GLTF-SYNTAX"),
-        ),
-        (
-            "too_many_numbers.glb",
-            with(&format!("{key_times}/count"), json!(1u64 << 40)),
-            Quarantined("E-GLTF-ACCESSOR"),
-        ),
-        (
-            "view_beyond_the_end.glb",
-            with(&format!("{key_view}/byteOffset"), json!(1u64 << 40)),
-            Quarantined("E-GLTF-ACCESSOR"),
-        ),
-        (
-            "buffer_too_long.glb",
-            with("/buffers/0/byteLength", json!(1u64 << 40)),
-            Quarantined("E-GLTF-BUFFER"),
-        ),
-        (
-            "unknown_accessor.glb",
-            with("/animations/0/samplers/0/input", json!(100_000)),
-            Quarantined("E-GLTF-ACCESSOR"),
-        ),
-        (
-            "ring_of_nodes.glb",
-            with("/nodes/1/children", json!([0])),
-            Quarantined("E-GLTF-NODES"),
-        ),
-        (
-            "unknown_node.glb",
-            with("/nodes/1/children", json!([100_000])),
-            Quarantined("E-GLTF-NODES"),
-        ),
-        (
-            "remote_buffer.glb",
-            with_uri("https://example.org/motion.bin"),
-            Quarantined("E-GLTF-URI"),
-        ),
-        (
-            "buffer_of_another_folder.glb",
-            with_uri("../../secret.bin"),
-            Quarantined("E-GLTF-URI"),
-        ),
-        ("nan.glb", nan, Quarantined("E-NOT-FINITE")),
+        ("good.glb", good.clone(), INGESTED),
+        ("rewritten.glb", rewritten(&good, |_| (), |_| ()), INGESTED),
+        ("empty.glb", Vec::new(), "E-GLTF-SYNTAX"),
+        ("header_alone.glb", good[..12].to_vec(), "E-GLTF-CHUNK"),
+        ("half.glb", good[..good.len() / 2].to_vec(), "E-GLTF-CHUNK"),
+        ("another_version.glb", poked(4, &[1]), "E-GLTF-CHUNK"),
+        ("long_chunk.glb", poked(12, &[0xff; 4]), "E-GLTF-CHUNK"),
+        ("no_json.glb", poked(GLB_JSON, b"]"), "E-GLTF-SYNTAX"),
+        ("numbers.glb", with(&count, &huge), "E-GLTF-ACCESSOR"),
+        ("view.glb", with(&offset, &huge), "E-GLTF-ACCESSOR"),
+        ("buffer_too_long.glb", with(length, &huge), "E-GLTF-BUFFER"),
+        ("accessor.glb", with(input, &large), "E-GLTF-ACCESSOR"),
+        ("ring_of_nodes.glb", with(children, &ring), "E-GLTF-NODES"),
+        ("node.glb", with(children, &unknown), "E-GLTF-NODES"),
+        ("remote_buffer.glb", remote, "E-GLTF-URI"),
+        ("buffer.glb", with_uri("../../secret.bin"), "E-GLTF-URI"),
+        ("nan.glb", rewritten(&good, |_| (), spoil), "E-NOT-FINITE"),
     ]
 }
 
-fn other_cases(canary: &Path) -> Vec<(&'static str, Vec<u8>, Fate)> {
+fn other_cases(canary: &Path) -> Vec<Case> {
     let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 7\n";
     vec![
-        (
-            "payload.pkl",
-            canary_pickle(canary),
-            Quarantined("E-PICKLE-REFUSED"),
-        ),
-        (
-            "payload.pickle",
-            canary_pickle(canary),
-            Quarantined("E-PICKLE-REFUSED"),
-        ),
-        (
-            "pointer.bvh",
-            pointer.to_vec(),
-            Quarantined("E-LFS-POINTER"),
-        ),
-        (
-            "pointer.npz",
-            pointer.to_vec(),
-            Quarantined("E-LFS-POINTER"),
-        ),
-        ("notes.txt", b"no motion".to_vec(), Skipped),
-        ("picture.png", b"\x89PNG\r\n\x1a\n".to_vec(), Skipped),
-        ("table.parquet", b"PAR1 but not really".to_vec(), Skipped),
+        ("payload.pkl", canary_pickle(canary), "E-PICKLE-REFUSED"),
+        ("payload.pickle", canary_pickle(canary), "E-PICKLE-REFUSED"),
+        ("pointer.bvh", pointer.to_vec(), "E-LFS-POINTER"),
+        ("pointer.npz", pointer.to_vec(), "E-LFS-POINTER"),
+        ("notes.txt", b"no motion".to_vec(), SKIPPED),
+        ("picture.png", b"\x89PNG\r\n\x1a\n".to_vec(), SKIPPED),
+        ("table.parquet", b"PAR1 but not really".to_vec(), SKIPPED),
     ]
+}
+
+/// Ingests a folder.
+fn ingested(source: &Path, out: &Path) -> IngestReport {
+    let options = IngestOptions::default();
+    let report = ingest(&[source.to_owned()], out, &options, "the test", &NoProgress);
+    report.expect("bad files do not end a run")
 }
 
 #[test]
@@ -567,14 +368,7 @@ fn every_hostile_file_has_the_outcome_it_must_have() {
     let before = snapshot(&source);
 
     let out = dir.path().join("dataset");
-    let report = ingest(
-        std::slice::from_ref(&source),
-        &out,
-        &IngestOptions::default(),
-        "the test",
-        &NoProgress,
-    )
-    .expect("bad files do not end a run");
+    let report = ingested(&source, &out);
     assert!(report.accounting.balances());
     assert_eq!(report.accounting.sources, cases.len() as u64);
     assert!(!canary.exists(), "nothing in a file was executed");
@@ -589,15 +383,13 @@ fn every_hostile_file_has_the_outcome_it_must_have() {
         let of_file = |path: &str| path.split('#').next() == Some(*name);
         let row = rejected.iter().find(|row| of_file(&row.path));
         let found = match row {
-            Some(row) => format!("Quarantined({:?})", row.code),
-            None if motions.iter().any(|row| row.source_path == *name) => "Ingested".to_owned(),
-            None => "Skipped".to_owned(),
+            Some(row) => row.code.as_str(),
+            None if motions.iter().any(|row| row.source_path == *name) => INGESTED,
+            None => SKIPPED,
         };
-        if found != format!("{expected:?}") {
-            let reason = row.map(|row| row.reason.clone()).unwrap_or_default();
-            wrong.push(format!(
-                "{name}: expected {expected:?}, found {found} {reason}"
-            ));
+        if found != *expected {
+            let reason = row.map_or("", |row| row.reason.as_str());
+            wrong.push(format!("{name}: {found}, not {expected}: {reason}"));
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
@@ -632,30 +424,13 @@ fn links_and_pipes_are_accounted_for() {
     link(&source, "circle");
     link(Path::new("good.bvh"), "again.bvh");
     link(Path::new("missing.bvh"), "dangling.bvh");
-    let made = std::process::Command::new("mkfifo")
-        .arg(source.join("pipe.bvh"))
-        .status()
-        .expect("mkfifo runs");
-    assert!(made.success());
-    let report = ingest(
-        &[source],
-        &dir.path().join("dataset"),
-        &IngestOptions::default(),
-        "the test",
-        &NoProgress,
-    )
-    .expect("runs");
-    let accounting = &report.accounting;
-    assert_eq!(
-        (
-            accounting.ingested,
-            accounting.quarantined,
-            accounting.skipped
-        ),
-        (2, 1, 2),
-        "{accounting:?} {:?}",
-        report.skipped
-    );
+    let mut mkfifo = std::process::Command::new("mkfifo");
+    let made = mkfifo.arg(source.join("pipe.bvh")).status();
+    assert!(made.expect("mkfifo runs").success());
+    let report = ingested(&source, &dir.path().join("dataset"));
+    let done = &report.accounting;
+    let counts = (done.ingested, done.quarantined, done.skipped);
+    assert_eq!(counts, (2, 1, 2), "{done:?} {:?}", report.skipped);
     assert_eq!(report.quarantine[0].path, "dangling.bvh");
     assert_eq!(report.quarantine[0].code, "E-IO");
 }

@@ -276,35 +276,20 @@ mod tests {
     #[test]
     fn labels_differ_where_the_clips_do() {
         let of = |names: &[&str]| {
-            labels(
-                &names
-                    .iter()
-                    .map(|&name| name.to_owned())
-                    .collect::<Vec<_>>(),
-            )
+            let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+            labels(&names)
         };
-        assert_eq!(
-            of(&["captures/monday/walk_old", "captures/monday/walk_neutral"]),
-            ["old", "neutral"]
-        );
-        assert_eq!(
-            of(&["robot#Walking_A", "robot#Walking_B"]),
-            ["robot#Walking_A", "robot#Walking_B"]
-        );
-        assert_eq!(
-            of(&["a/session/walk", "a/session/walk_2"]),
-            ["walk", "walk_2"]
-        );
+        let names = ["captures/monday/walk_old", "captures/monday/walk_neutral"];
+        assert_eq!(of(&names), ["old", "neutral"]);
+        let names = ["robot#Walking_A", "robot#Walking_B"];
+        assert_eq!(of(&names), names);
+        let names = ["a/session/walk", "a/session/walk_2"];
+        assert_eq!(of(&names), ["walk", "walk_2"]);
         assert_eq!(of(&["walk_a", "walk_b"]), ["walk_a", "walk_b"]);
         assert_eq!(of(&["a/very/long/name/of/one_clip"]), ["one_clip"]);
-        assert_eq!(
-            of(&["a/very/long/name", "a/very/long/name"]),
-            ["name", "name"]
-        );
-        assert_eq!(
-            name_of_file(Path::new("a/robot.glb#Walking_A")),
-            "a/robot#Walking_A"
-        );
-        assert_eq!(name_of_file(Path::new("a/walk.bvh")), "a/walk");
+        assert_eq!(of(&["a/very/long/name"; 2]), ["name", "name"]);
+        let of_file = |path: &str| name_of_file(Path::new(path));
+        assert_eq!(of_file("a/robot.glb#Walking_A"), "a/robot#Walking_A");
+        assert_eq!(of_file("a/walk.bvh"), "a/walk");
     }
 }

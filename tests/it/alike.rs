@@ -1,12 +1,28 @@
-//! Motions that are nearly equal share a split.
+//! Motions that are equal or nearly so share a split.
 
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::path::Path;
 
 use datasets_spec::Split;
 use serde_json::json;
 
 use crate::grown::{clips, files, ingest, motions, verified};
 use crate::util::{arg, corpus, len_of, put, stance, text_of};
+
+/// Checks that equal motions share a split. Returns the number of motions outside of `train` that have an equal one:
+/// without the rule some of these would be separated.
+pub(crate) fn equal_motions_share_a_split(dataset: &Path) -> usize {
+    let mut splits: BTreeMap<String, Vec<Split>> = BTreeMap::new();
+    for (split, content) in clips(dataset).into_values() {
+        splits.entry(content).or_default().push(split);
+    }
+    for (content, splits) in &splits {
+        let is_one = splits.iter().all(|split| *split == splits[0]);
+        assert!(is_one, "{content}: {splits:?}");
+    }
+    let repeated = splits.values().filter(|splits| splits.len() > 1);
+    repeated.filter(|splits| splits[0] != Split::Train).count()
+}
 
 /// A BVH file with one value of every frame changed by a hair.
 fn nudged(text: &str) -> String {
@@ -24,41 +40,64 @@ fn nudged(text: &str) -> String {
 }
 
 #[test]
-fn nearly_equal_motions_share_a_split() {
+fn equal_and_nearly_equal_motions_share_a_split_wherever_they_lie() {
     let dir = corpus(48);
-    let source = dir.path().join("corpus");
-    let copies = dir.path().join("copies");
-    let is_bvh = |file: &PathBuf| file.extension().is_some_and(|end| end == "bvh");
-    for (number, file) in files(&source).into_iter().filter(is_bvh).enumerate() {
-        let text = text_of(&file);
-        put(copies.join(format!("copy{number}.bvh")), nudged(&text));
+    let at = |name: &str| dir.path().join(name);
+    let source = at("corpus");
+    for kind in ["same", "longer", "nudged"] {
+        let copies = at(kind);
+        for (number, file) in files(&source).iter().enumerate() {
+            let is_bvh = file.extension().is_some_and(|end| end == "bvh");
+            let end = if is_bvh { "bvh" } else { "npz" };
+            let place = copies.join(format!("copy{number}.{end}"));
+            match kind {
+                "same" => put(place, std::fs::read(file).expect("read")),
+                "longer" if is_bvh => put(place, text_of(file) + "\n"),
+                "nudged" if is_bvh => put(place, nudged(&text_of(file))),
+                _ => {}
+            }
+        }
+        let (both, grown) = (at(&format!("{kind}-both")), at(&format!("{kind}-grown")));
+        let made = ingest(&[&source, &copies], &both, &["--features", "humanml3d"], 0);
+        // Clips that are ingested later take the splits of those that exist. A folder with the same files is another
+        // source.
+        ingest(&[&source], &grown, &[], 0);
+        let before = clips(&grown);
+        let added = ingest(&[&copies], &grown, &[], 0);
+        let after = clips(&grown);
+        assert!(before.iter().all(|(id, clip)| after[id] == *clip), "{kind}");
+        assert_eq!(added["growth"]["new"], after.len() - 48, "{kind}");
+        assert_eq!(added["growth"]["missing"], json!([]), "{kind}");
+        for dataset in [&both, &grown] {
+            verified(dataset);
+            let shared = equal_motions_share_a_split(dataset);
+            assert!(shared > 0 || kind == "nudged", "{kind}");
+        }
+        if kind == "same" {
+            assert_eq!(after.len(), 2 * 48);
+            continue;
+        }
+        // A list that separates the clips is obeyed, with a remark, and the dataset does not pass.
+        let (list, apart) = (at("splits.csv"), at(&format!("{kind}-apart")));
+        put(
+            &list,
+            format!("clip,split\n{kind}/*,test\ncorpus/*,train\n"),
+        );
+        let parted = ingest(&[&source, &copies], &apart, &["--splits", arg(&list)], 0);
+        let ran = stance(&["verify", arg(&apart)]).expect_code(1);
+        if kind == "longer" {
+            ran.expect_printed("is the same motion within 0.0 mm");
+            stance(&["verify", arg(&apart), "--accept-duplicates"]).expect_code(0);
+            continue;
+        }
+        let groups = made["alike"].as_array().expect("a list");
+        assert!(groups.len() > 10, "{groups:?}");
+        let is_not_train = |group: &serde_json::Value| group["splits"] != json!(["train"]);
+        assert!(groups.iter().any(is_not_train));
+        let groups = parted["alike"].as_array().expect("a list");
+        assert!(groups.iter().any(|group| len_of(&group["splits"]) > 1));
+        let rows = motions(&apart);
+        let mut of_copies = rows.iter().filter(|row| row.source_name == kind);
+        assert!(of_copies.all(|row| row.split == Split::Test));
     }
-    let [both, grown] = ["both", "grown"].map(|name| dir.path().join(name));
-    let made = ingest(&[&source, &copies], &both, &[], 0);
-    verified(&both);
-    let groups = made["alike"].as_array().expect("a list");
-    assert!(groups.len() > 10, "{groups:?}");
-    assert!(
-        groups
-            .iter()
-            .any(|group| group["splits"] != json!(["train"]))
-    );
-    // Clips that are ingested later take the split of equal clips that exist.
-    ingest(&[&source], &grown, &[], 0);
-    let before = clips(&grown);
-    ingest(&[&copies], &grown, &[], 0);
-    verified(&grown);
-    let after = clips(&grown);
-    assert!(before.iter().all(|(id, clip)| after[id] == *clip));
-    // A list that separates the clips is obeyed, with a remark.
-    let list = dir.path().join("splits.csv");
-    put(&list, "clip,split\ncopies/*,test\ncorpus/*,train\n");
-    let apart = dir.path().join("apart");
-    let made = ingest(&[&source, &copies], &apart, &["--splits", arg(&list)], 0);
-    let groups = made["alike"].as_array().expect("a list").iter();
-    assert!(groups.clone().any(|group| len_of(&group["splits"]) > 1));
-    let rows = motions(&apart);
-    let mut of_copies = rows.iter().filter(|row| row.source_name == "copies");
-    assert!(of_copies.all(|row| row.split == Split::Test));
-    stance(&["verify", arg(&apart)]).expect_code(1);
 }

@@ -6,14 +6,14 @@ use std::fs;
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 
-use datasets_spec::Dataset;
-use datasets_spec::record::{MotionRow, QuarantineRow, SkippedRow};
+use datasets_spec::record::MotionRow;
 use serde_json::Value;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
 use crate::util::{
-    Ran, arg, assert_counted, assert_has, command, corpus, files_with_extension, stance, typed,
+    self, Ran, arg, assert_counted, assert_has, assert_quarantined, command, corpus, everything,
+    files_with_extension, rows_of, skipped_of, typed,
 };
 
 /// Files by their names.
@@ -21,21 +21,10 @@ pub(crate) type Files = BTreeMap<String, Vec<u8>>;
 
 /// The files below a folder.
 pub(crate) fn files_below(folder: &Path) -> Files {
-    let mut files = Files::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(current) = folders.pop() {
-        for entry in fs::read_dir(&current).expect("a folder") {
-            let path = entry.expect("an entry").path();
-            if path.is_dir() {
-                folders.push(path);
-                continue;
-            }
-            let name = path.strip_prefix(folder).expect("below it");
-            let name = name.to_str().expect("text").to_owned();
-            files.insert(name, fs::read(&path).expect("read"));
-        }
-    }
-    files
+    let found = everything(folder).into_iter();
+    let files = found.filter(|(path, _)| path.is_file());
+    let name_of = |path: PathBuf| arg(path.strip_prefix(folder).expect("below it")).to_owned();
+    files.map(|(path, bytes)| (name_of(path), bytes)).collect()
 }
 
 fn zipped(files: &Files) -> Vec<u8> {
@@ -122,13 +111,8 @@ fn xzipped(bytes: &[u8]) -> Vec<u8> {
     packed.push(0);
     let unpadded = (block_header.len() + packed.len() + 4) as u64;
     let block = [block_header, padded(packed), crc(bytes).to_vec()].concat();
-    let records = [
-        vec![0],
-        number(1),
-        number(unpadded),
-        number(bytes.len() as u64),
-    ]
-    .concat();
+    let lengths = [number(unpadded), number(bytes.len() as u64)].concat();
+    let records = [vec![0], number(1), lengths].concat();
     let index = sealed(padded(records));
     let size = ((index.len() / 4 - 1) as u32).to_le_bytes();
     let backward = [size.to_vec(), FLAGS.to_vec()].concat();
@@ -165,18 +149,19 @@ impl Place {
     }
 
     fn put(&self, name: &str, bytes: impl AsRef<[u8]>) {
-        let path = self.path(name);
-        fs::create_dir_all(path.parent().expect("a folder")).expect("made");
-        fs::write(path, bytes).expect("written");
+        util::put(self.path(name), bytes);
+    }
+
+    /// Runs the command with the folder for temporary files.
+    fn ran(&self, args: &[&str]) -> Ran {
+        let mut command = command(args);
+        let output = command.env("TMPDIR", self.path("tmp")).output();
+        output.expect("starts").into()
     }
 
     /// Runs the command, and checks that no unpacked file remains.
     fn run(&self, args: &[&str], code: i32) -> Ran {
-        let ran: Ran = command(args)
-            .env("TMPDIR", self.path("tmp"))
-            .output()
-            .expect("starts")
-            .into();
+        let ran = self.ran(args);
         let left: Vec<_> = fs::read_dir(self.path("tmp")).expect("listed").collect();
         assert!(left.is_empty(), "{left:?}");
         ran.expect_code(code)
@@ -184,50 +169,38 @@ impl Place {
 
     fn ingest(&self, source: &str, out: &str, code: i32) -> Value {
         let (source, out) = (self.path(source), self.path(out));
-        let done: Value = self
-            .run(
-                &["--json", "ingest", arg(&source), "--out", arg(&out)],
-                code,
-            )
-            .json();
+        let args = ["--json", "ingest", arg(&source), "--out", arg(&out)];
+        let done = self.run(&args, code).json();
         assert_counted(&done);
         done
     }
 
-    fn rows<R: datasets_spec::table::Row>(&self, dataset: &str) -> Vec<R> {
-        let dataset = Dataset::open(&self.path(dataset)).expect("a dataset");
-        dataset.read(None).expect("rows")
+    fn motions(&self, dataset: &str) -> Vec<MotionRow> {
+        rows_of(&self.path(dataset))
     }
 
     /// Content of every clip, by its id without a prefix.
     fn clips(&self, dataset: &str, prefix: &str) -> BTreeMap<String, String> {
-        let rows: Vec<MotionRow> = self.rows(dataset);
-        let clips = rows.into_iter().map(|row| {
-            let id = row.id.to_string();
-            let id = id.strip_prefix(prefix).unwrap_or_else(|| panic!("{id}"));
+        let clips = self.motions(dataset).into_iter().map(|row| {
+            let id = row.id.as_str().strip_prefix(prefix);
+            let id = id.unwrap_or_else(|| panic!("{}", row.id));
             (id.to_owned(), row.content_hash)
         });
         clips.collect()
     }
 
-    fn quarantine(&self, dataset: &str) -> BTreeMap<String, QuarantineRow> {
-        let rows: Vec<QuarantineRow> = self.rows(dataset);
-        rows.into_iter()
-            .map(|row| (row.path.clone(), row))
-            .collect()
+    /// A walk of the corpus.
+    fn walk(&self) -> Vec<u8> {
+        let files = files_with_extension(&self.path("corpus"), "npz");
+        fs::read(&files[0]).expect("read")
+    }
+
+    /// The walk under these names.
+    fn walks(&self, names: &[&str]) -> Files {
+        let files = names.iter().map(|name| ((*name).to_owned(), self.walk()));
+        files.collect()
     }
 }
-
-const KINDS: [&str; 8] = [
-    "all.zip",
-    "all.tar",
-    "all.tar.gz",
-    "all.tgz",
-    "all.tar.bz2",
-    "all.tbz2",
-    "all.tar.xz",
-    "all.txz",
-];
 
 #[test]
 fn every_kind_of_archive_is_a_folder_of_its_name() {
@@ -235,27 +208,21 @@ fn every_kind_of_archive_is_a_folder_of_its_name() {
     let files = files_below(&place.path("corpus"));
     let plain = place.ingest("corpus", "plain", 0);
     let expected = place.clips("plain", "");
-    for name in KINDS {
+    for ending in "zip tar tar.gz tgz tar.bz2 tbz2 tar.xz txz".split(' ') {
+        let name = format!("all.{ending}");
         let (source, out) = (format!("in-{name}"), format!("out-{name}"));
-        place.put(&format!("{source}/{name}"), packed(name, &files));
+        let (archive, prefix) = (format!("{source}/{name}"), format!("{name}/"));
+        place.put(&archive, packed(&name, &files));
         let before = files_below(&place.path(&source));
         let done = place.ingest(&source, &out, 0);
         for count in ["sources", "ingested", "skipped", "quarantined"] {
             assert_eq!(done[count], plain[count], "{name} {count}");
         }
-        assert_eq!(place.clips(&out, &format!("{name}/")), expected, "{name}");
-        let rows: Vec<MotionRow> = place.rows(&out);
-        for row in rows {
-            assert!(
-                row.source_path.starts_with(&format!("{name}/")),
-                "{}",
-                row.source_path
-            );
-            assert!(
-                !row.captions.is_empty(),
-                "labels in the archive are read: {}",
-                row.id
-            );
+        assert_eq!(place.clips(&out, &prefix), expected, "{name}");
+        for row in place.motions(&out) {
+            assert!(row.source_path.starts_with(&prefix), "{}", row.source_path);
+            // Labels in the archive are read.
+            assert!(!row.captions.is_empty(), "{}", row.id);
         }
         // A second run changes nothing, and the user's folder is unchanged too.
         let again = place.ingest(&source, &out, 0);
@@ -264,10 +231,9 @@ fn every_kind_of_archive_is_a_folder_of_its_name() {
         assert_eq!(files_below(&place.path(&source)), before, "{name}");
         // An archive is a source too.
         let alone = format!("alone-{name}");
-        place.ingest(&format!("{source}/{name}"), &alone, 0);
-        assert_eq!(place.clips(&alone, &format!("{name}/")), expected, "{name}");
-        let archive = place.path(&format!("{source}/{name}"));
-        let doctor = place.run(&["doctor", arg(&archive)], 0);
+        place.ingest(&archive, &alone, 0);
+        assert_eq!(place.clips(&alone, &prefix), expected, "{name}");
+        let doctor = place.run(&["doctor", arg(&place.path(&archive))], 0);
         doctor.expect_printed("amass");
     }
 }
@@ -278,20 +244,17 @@ fn releases_are_found_in_archives_by_their_layout() {
     place.ingest("corpus", "dataset", 0);
     for layout in ["humanml3d", "stance", "webdataset", "humanml3d-272"] {
         let (dataset, out) = (place.path("dataset"), place.path(layout));
-        stance(&["export", arg(&dataset), "--to", layout, "--out", arg(&out)]).expect_code(0);
-        let files = files_below(&out);
-        let below: Files = files
-            .iter()
-            .map(|(name, bytes)| (format!("Release/{name}"), bytes.clone()))
-            .collect();
-        place.ingest(layout, &format!("{layout}-plain"), 0);
-        let expected = place.clips(&format!("{layout}-plain"), "");
+        typed("export {} --to {} --out {}", &[&dataset, &layout, &out]).expect_code(0);
+        let files = files_below(&out).into_iter();
+        let below = files.map(|(name, bytes)| (format!("Release/{name}"), bytes));
+        let below: Files = below.collect();
+        let plain = format!("{layout}-plain");
+        place.ingest(layout, &plain, 0);
+        let expected = place.clips(&plain, "");
         assert!(!expected.is_empty(), "{layout}");
         for name in ["release.zip", "release.tar.bz2"] {
-            let (source, again) = (
-                format!("{layout}-{name}"),
-                format!("{layout}-{name}-dataset"),
-            );
+            let source = format!("{layout}-{name}");
+            let again = format!("{source}-dataset");
             place.put(&format!("{source}/{name}"), packed(name, &below));
             place.ingest(&source, &again, 0);
             assert_eq!(place.clips(&again, ""), expected, "{layout} {name}");
@@ -299,23 +262,21 @@ fn releases_are_found_in_archives_by_their_layout() {
     }
     // The repository of HumanML3D has its captions as an archive beside the motions.
     let files = files_below(&place.path("humanml3d"));
-    let (texts, others): (Files, Files) = files
-        .into_iter()
-        .partition(|(name, _)| name.starts_with("texts/"));
+    let is_text = |(name, _): &(String, Vec<u8>)| name.starts_with("texts/");
+    let (texts, others): (Files, Files) = files.into_iter().partition(is_text);
     for (name, bytes) in others {
         place.put(&format!("repository/{name}"), bytes);
     }
     place.put("repository/texts.zip", zipped(&texts));
     place.ingest("repository", "repository-dataset", 0);
     let captions = |dataset: &str| -> BTreeMap<String, usize> {
-        let rows: Vec<MotionRow> = place.rows(dataset);
-        rows.into_iter()
-            .map(|row| (row.id.to_string(), row.captions.len()))
+        let rows = place.motions(dataset).into_iter();
+        rows.map(|row| (row.id.to_string(), row.captions.len()))
             .collect()
     };
-    let (plain, archived) = (captions("humanml3d-plain"), captions("repository-dataset"));
+    let plain = captions("humanml3d-plain");
     assert!(plain.values().any(|count| *count > 0), "{plain:?}");
-    assert_eq!(archived, plain);
+    assert_eq!(captions("repository-dataset"), plain);
     // A dataset in an archive is read as a dataset.
     let dataset = files_below(&place.path("dataset"));
     place.put("packed/dataset.zip", zipped(&dataset));
@@ -330,30 +291,14 @@ fn shards_and_dumps_that_are_named_like_archives_are_read_as_what_they_are() {
     let (dataset, out) = (place.path("dataset"), place.path("shards"));
     typed("export {} --to webdataset --out {}", &[&dataset, &out]).expect_code(0);
     place.ingest("shards", "again", 0);
-    let rows: Vec<MotionRow> = place.rows("again");
+    let rows = place.motions("again");
     assert!(rows.iter().all(|row| row.source == "webdataset"));
     // Neither a known release nor a tar: the file is skipped, as before.
     place.put("weights/weights.pth.tar", b"\x80\x04.");
-    place.put(
-        "weights/walk.npz",
-        files_with_extension(&place.path("corpus"), "npz")
-            .iter()
-            .map(|path| fs::read(path).expect("read"))
-            .next()
-            .expect("one"),
-    );
+    place.put("weights/walk.npz", place.walk());
     place.ingest("weights", "weights-dataset", 0);
-    let skipped: Vec<SkippedRow> = place.rows("weights-dataset");
-    assert!(
-        skipped.iter().any(|row| row.path == "weights.pth.tar"),
-        "{skipped:?}"
-    );
-}
-
-/// One walk of the corpus as a file of an archive.
-fn walk(place: &Place) -> Vec<u8> {
-    let files = files_with_extension(&place.path("corpus"), "npz");
-    fs::read(&files[0]).expect("read")
+    let skipped = skipped_of(&place.path("weights-dataset"));
+    assert!(skipped.contains_key("weights.pth.tar"), "{skipped:?}");
 }
 
 /// Byte offset of the header of member `b_poses.npz` in a zip: 30 bytes before its name. Members are zips themselves,
@@ -366,26 +311,13 @@ fn header_of_b(zip: &[u8]) -> usize {
 
 /// Puts archives into the folder `in` that are damaged, encrypted, too large or too deep, or lead out of it.
 fn put_hostile(place: &Place) {
-    let walk = walk(place);
-    let named = |names: &[&str]| -> Files {
-        let files = names.iter().map(|name| ((*name).to_owned(), walk.clone()));
-        files.collect()
-    };
-    let good = named(&["good_poses.npz"]);
+    let good = place.walks(&["good_poses.npz"]);
     place.put("in/good.zip", zipped(&good));
     // Names that lead out of the archive.
-    place.put(
-        "in/climbs.tar",
-        tarred(&named(&[
-            "../up_poses.npz",
-            "/abs_poses.npz",
-            "in_poses.npz",
-        ])),
-    );
-    place.put(
-        "in/climbs.zip",
-        zipped(&named(&["a/../../up_poses.npz", "in_poses.npz"])),
-    );
+    let names = ["../up_poses.npz", "/abs_poses.npz", "in_poses.npz"];
+    place.put("in/climbs.tar", tarred(&place.walks(&names)));
+    let names = ["a/../../up_poses.npz", "in_poses.npz"];
+    place.put("in/climbs.zip", zipped(&place.walks(&names)));
     // Symbolic and hard links in a tar.
     let mut links = tar::Builder::new(Vec::new());
     for (kind, name) in [
@@ -395,13 +327,13 @@ fn put_hostile(place: &Place) {
         let mut header = tar::Header::new_gnu();
         header.set_entry_type(kind);
         header.set_size(0);
-        links
-            .append_link(&mut header, name, "/etc/passwd")
-            .expect("in memory");
+        let added = links.append_link(&mut header, name, "/etc/passwd");
+        added.expect("in memory");
     }
     place.put("in/links.tar", links.into_inner().expect("in memory"));
     // Cut short and altered.
-    let whole = zipped(&named(&["a_poses.npz", "b_poses.npz"]));
+    let two = place.walks(&["a_poses.npz", "b_poses.npz"]);
+    let whole = zipped(&two);
     place.put("in/cut.zip", &whole[..whole.len() / 2]);
     let mut altered = whole.clone();
     altered[300] ^= 0x55;
@@ -409,7 +341,7 @@ fn put_hostile(place: &Place) {
     let mut altered = whole.clone();
     altered[header_of_b(&whole) + 100] ^= 0x55;
     place.put("in/second.zip", altered);
-    let tar = tarred(&named(&["a_poses.npz", "b_poses.npz"]));
+    let tar = tarred(&two);
     place.put("in/cut.tar", &tar[..tar.len() * 2 / 3]);
     let gz = gzipped(&tar);
     place.put("in/cut.tar.gz", &gz[..gz.len() * 2 / 3]);
@@ -420,10 +352,9 @@ fn put_hostile(place: &Place) {
     // Encrypted: the flag in both headers.
     let mut encrypted = zipped(&good);
     for (magic, at) in [(&b"PK\x03\x04"[..], 6), (b"PK\x01\x02", 8)] {
-        let start = encrypted
-            .windows(4)
-            .position(|bytes| bytes == magic)
-            .expect("a header");
+        let mut places = encrypted.windows(4);
+        let start = places.position(|bytes| bytes == magic);
+        let start = start.expect("a header");
         encrypted[start + at] |= 1;
     }
     place.put("in/secret.zip", encrypted);
@@ -459,12 +390,7 @@ fn hostile_archives_are_quarantined_and_the_rest_goes_on() {
     ];
     let expected: BTreeSet<String> = expected.iter().map(|id| format!("{id}_poses")).collect();
     assert_eq!(ids, expected, "{done}");
-    let quarantine = place.quarantine("out");
-    let codes: BTreeMap<&str, &str> = quarantine
-        .iter()
-        .map(|(path, row)| (path.as_str(), row.code.as_str()))
-        .collect();
-    let expected = BTreeMap::from([
+    let expected = [
         ("climbs.tar/../up_poses.npz", "E-ARCHIVE-NAME"),
         ("climbs.tar//abs_poses.npz", "E-ARCHIVE-NAME"),
         ("climbs.zip/a/../../up_poses.npz", "E-ARCHIVE-NAME"),
@@ -480,72 +406,52 @@ fn hostile_archives_are_quarantined_and_the_rest_goes_on() {
         ("bomb.zip", "E-ARCHIVE-LIMIT"),
         ("bomb.tar.bz2", "E-ARCHIVE-LIMIT"),
         ("outmost.zip/outer.zip/inner.zip", "E-ARCHIVE-LIMIT"),
-    ]);
-    assert_eq!(codes, expected);
+    ];
+    let quarantine = assert_quarantined(&place.path("out"), &expected);
     for (path, row) in &quarantine {
         let is_placeless = path.contains("inner.zip");
-        assert!(
-            row.byte_offset.is_some() || is_placeless,
-            "{path}: {}",
-            row.reason
-        );
+        let has_place = row.byte_offset.is_some() || is_placeless;
+        assert!(has_place, "{path}: {}", row.reason);
         // The content of a damaged member is unknown.
         let is_damaged_member = path.starts_with("altered.zip") || path.starts_with("second.zip");
         let is_hashed = !row.source_hash.is_empty();
         assert!(is_hashed || is_damaged_member || is_placeless, "{path}");
     }
     let second = fs::read(place.path("in/second.zip")).expect("read");
-    assert_eq!(
-        quarantine["second.zip/b_poses.npz"].byte_offset,
-        Some(header_of_b(&second) as u64)
-    );
-    let skipped: Vec<SkippedRow> = place.rows("out");
-    let skipped: BTreeSet<&str> = skipped.iter().map(|row| row.path.as_str()).collect();
-    assert_eq!(
-        skipped,
-        BTreeSet::from(["links.tar/device", "links.tar/link_poses.npz"])
-    );
+    let place_of_b = quarantine["second.zip/b_poses.npz"].byte_offset;
+    assert_eq!(place_of_b, Some(header_of_b(&second) as u64));
+    let skipped = skipped_of(&place.path("out"));
+    let skipped: Vec<&String> = skipped.keys().collect();
+    assert_eq!(skipped, ["links.tar/device", "links.tar/link_poses.npz"]);
     let again = place.ingest("in", "out", 3);
     assert_eq!(again["already_complete"], true, "{again}");
     // `doctor` reports them before any work.
     let doctor = place.run(&["doctor", arg(&place.path("in"))], 0);
-    assert_has(
-        &doctor.stdout,
-        &["cut.zip", "bomb.tar.bz2", "secret.zip/good_poses.npz"],
-    );
+    let damaged = ["cut.zip", "bomb.tar.bz2", "secret.zip/good_poses.npz"];
+    assert_has(&doctor.stdout, &damaged);
 }
 
 #[test]
-fn clips_of_an_archive_that_is_damaged_later_stay() {
+fn clips_of_a_damaged_archive_stay_and_what_a_killed_run_unpacked_is_removed() {
     let place = Place::new(corpus(2));
-    let files: Files = [("walk_poses.npz".to_owned(), walk(&place))].into();
+    let files = place.walks(&["walk_poses.npz"]);
     let whole = zipped(&files);
     place.put("in/walks.zip", &whole);
-    place.put("in/other_poses.npz", walk(&place));
+    place.put("in/other_poses.npz", place.walk());
     place.ingest("in", "out", 0);
     let before = place.clips("out", "");
     place.put("in/walks.zip", &whole[..whole.len() - 30]);
     place.ingest("in", "out", 3);
     assert_eq!(place.clips("out", ""), before);
-}
-
-#[test]
-fn what_a_killed_run_unpacked_is_removed_by_the_next_one() {
-    let place = Place::new(corpus(2));
-    let files: Files = [("walk_poses.npz".to_owned(), walk(&place))].into();
-    place.put("in/walks.tar.gz", packed("walks.tar.gz", &files));
+    // `ingest` checks that nothing is left in the folder for temporary files.
+    place.put("packed/walks.tar.gz", packed("walks.tar.gz", &files));
     place.put("tmp/stance-unpacked-dead/LOCK", "");
     place.put("tmp/stance-unpacked-dead/0", "unpacked");
-    // `ingest` checks that nothing is left.
-    place.ingest("in", "out", 0);
+    place.ingest("packed", "unpacked", 0);
     // Without disk space the error names the folder for unpacking.
     fs::remove_dir(place.path("tmp")).expect("removed");
-    let (source, out) = (place.path("in"), place.path("other"));
-    let ran: Ran = command(&["ingest", arg(&source), "--out", arg(&out)])
-        .env("TMPDIR", place.path("tmp"))
-        .output()
-        .expect("starts")
-        .into();
+    let (source, out) = (place.path("packed"), place.path("other"));
+    let ran = place.ran(&["ingest", arg(&source), "--out", arg(&out)]);
     ran.expect_refused("set TMPDIR");
 }
 
@@ -553,51 +459,30 @@ fn what_a_killed_run_unpacked_is_removed_by_the_next_one() {
 fn many_processes_read_archives_as_one_does() {
     let place = Place::new(corpus(12));
     let files = files_below(&place.path("corpus"));
-    let (even, odd): (Vec<_>, Vec<_>) =
-        files.into_iter().enumerate().partition(|(n, _)| n % 2 == 0);
-    let files = |half: Vec<(usize, (String, Vec<u8>))>| -> Files {
-        half.into_iter().map(|(_, file)| file).collect()
-    };
-    place.put("in/even.zip", zipped(&files(even)));
-    place.put("in/odd.tar", tarred(&files(odd)));
+    let (mut even, mut odd) = (Files::new(), Files::new());
+    for (number, (name, bytes)) in files.into_iter().enumerate() {
+        let half = if number % 2 == 0 { &mut even } else { &mut odd };
+        half.insert(name, bytes);
+    }
+    place.put("in/even.zip", zipped(&even));
+    place.put("in/odd.tar", tarred(&odd));
     let one = place.ingest("in", "one", 0);
-    let (source, into, plan) = (place.path("in"), place.path("many"), place.path("plan"));
-    let planned = [
-        "stage",
-        "plan",
-        "ingest",
-        arg(&source),
-        "--into",
-        arg(&into),
-        "--out",
-        arg(&plan),
-    ];
-    place.run(&planned, 0);
+    let (source, plan) = (place.path("in"), place.path("plan"));
+    let planned = |into: &str, plan: &Path, code: i32| {
+        let (from, into, to) = (arg(&source), place.path(into), arg(plan));
+        let plan = ["stage", "plan", "ingest", from, "--into", arg(&into)];
+        place.run(&[&plan[..], &["--out", to]].concat(), code)
+    };
+    planned("many", &plan, 0);
     place.run(&["stage", "work", arg(&plan)], 0);
     let done: Value = place
         .run(&["--json", "stage", "commit", arg(&plan)], 0)
         .json();
     assert_eq!(done["root_hash"], one["root_hash"]);
     // A plan for many processes would make each process unpack this archive, so it is refused.
-    place.put(
-        "in/walks.tar.gz",
-        packed(
-            "walks.tar.gz",
-            &[("walk_poses.npz".to_owned(), walk(&place))].into(),
-        ),
-    );
-    let (into, plan) = (place.path("more"), place.path("another"));
-    let planned = [
-        "stage",
-        "plan",
-        "ingest",
-        arg(&source),
-        "--into",
-        arg(&into),
-        "--out",
-        arg(&plan),
-    ];
-    let ran = place.run(&planned, 1);
+    let walks = packed("walks.tar.gz", &place.walks(&["walk_poses.npz"]));
+    place.put("in/walks.tar.gz", walks);
+    let ran = planned("more", &place.path("another"), 1);
     ran.expect_said("walks.tar.gz");
     ran.expect_said("pack it as zip");
 }
@@ -612,7 +497,7 @@ fn unpacking_shows_how_far_it_is() {
         (state >> 24) as u8
     };
     let noise: Vec<u8> = (0..1_500_000).map(|_| draw()).collect();
-    let mut files = Files::from([("walk_poses.npz".to_owned(), walk(&place))]);
+    let mut files = place.walks(&["walk_poses.npz"]);
     files.insert("noise.bin".to_owned(), noise);
     for name in ["all.tar.bz2", "all.zip"] {
         let source = format!("{name}-in");

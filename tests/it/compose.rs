@@ -1,33 +1,22 @@
 //! From captures in styles to a dataset that a model can be trained from.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use datasets_spec::record::{NormalizerRow, PairRow, TripletRow, WindowRow};
+use datasets_spec::record::{MotionRow, NormalizerRow, PairRow, TripletRow, WindowRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, Split};
-use serde::Deserialize;
+use serde_json::Value;
 
-use crate::util::{
-    arg, corpus, files_with_extension, put, rows_of, stance, text_of, typed, typed_with,
-};
+use crate::util::{Folder, arg, files_with_extension, number_of, stem_of};
 
 /// One take of 26 actions in six styles.
 const CLIPS: usize = 156;
 
-#[derive(Deserialize)]
-struct Built {
-    motions: u64,
-    pairs: u64,
-    recorded: u64,
-    root_hash: String,
-}
-
 #[test]
 fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
-    let dir = corpus(CLIPS);
-    let config = dir.path().join("build.toml");
-    put(
-        &config,
+    let folder = Folder::of_clips(CLIPS);
+    folder.put(
+        "build.toml",
         r#"
             sources = ["corpus"]
             out = "built"
@@ -39,22 +28,18 @@ fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
             undonored_ratio = 0.2
         "#,
     );
-    let build = ["--json", "build", "--config", arg(&config)];
-    let built: Built = stance(&build).done();
-    assert_eq!((built.motions, built.recorded), (CLIPS as u64, 40));
-    assert!(built.pairs > 15, "{}", built.pairs);
-    let again: Built = stance(&build).done();
-    assert_eq!(again.root_hash, built.root_hash, "nothing is left to do");
+    let build = || folder.json::<Value>("build --config @build.toml");
+    let built = build();
+    assert_eq!(built["motions"], CLIPS);
+    assert_eq!(built["recorded"], 40);
+    assert!(number_of(&built["pairs"]) > 15.0, "{built}");
+    // Nothing is left to do.
+    assert_eq!(build()["root_hash"], built["root_hash"]);
 
-    let out = dir.path().join("built");
-    let dataset = Dataset::open(&out.join("dataset")).expect("a dataset");
-    let triplets: Vec<TripletRow> = rows_of(&out.join("triplets"));
-    let splits: std::collections::BTreeMap<String, Split> = dataset
-        .read::<datasets_spec::record::MotionRow>(None)
-        .expect("rows")
-        .into_iter()
-        .map(|row| (row.id.to_string(), row.split))
-        .collect();
+    let triplets: Vec<TripletRow> = folder.rows("built/triplets");
+    let clips = folder.rows::<MotionRow>("built/dataset").into_iter();
+    let splits = clips.map(|row| (row.id.to_string(), row.split));
+    let splits: BTreeMap<String, _> = splits.collect();
     for triplet in &triplets {
         let motions = [triplet.source_id.to_string(), triplet.target_id.to_string()];
         for motion in motions.iter().chain(&triplet.donor_ids) {
@@ -63,109 +48,75 @@ fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
         let warped = triplet.alignment == "time-warp";
         assert_eq!(warped, triplet.kind == "style", "{}", triplet.id);
     }
-    assert!(triplets.iter().any(|triplet| triplet.kind == "style"));
-    assert!(triplets.iter().any(|triplet| triplet.kind == "semantic"));
+    for kind in ["style", "semantic"] {
+        assert!(triplets.iter().any(|triplet| triplet.kind == kind));
+    }
 
     // The export is read again as a release, pairs included.
-    let (release, back) = (out.join("stance"), dir.path().join("back"));
-    stance(&["ingest", arg(&release), "--out", arg(&back)]).expect_code(0);
-    let back = Dataset::open(&back).expect("a dataset");
-    let styles = |dataset: &Dataset| {
-        let rows: Vec<PairRow> = dataset.read(None).expect("rows");
-        let mut styles: Vec<Option<String>> = rows.into_iter().map(|row| row.style).collect();
+    folder.run("ingest @built/stance --out @back");
+    let styles = |dataset: &str| {
+        let rows = folder.rows::<PairRow>(dataset).into_iter();
+        let mut styles: Vec<Option<String>> = rows.map(|row| row.style).collect();
         styles.sort();
         styles
     };
-    assert_eq!(styles(&back), styles(&dataset));
+    assert_eq!(styles("back"), styles("built/dataset"));
 }
 
 #[test]
 fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
-    let dir = corpus(48);
-    let at = |name: &str| dir.path().join(name);
-    let (dataset, windows, run) = (at("dataset"), at("windows"), at("run"));
-    stance(&["ingest", arg(&at("corpus")), "--out", arg(&dataset)]).expect_code(0);
-    stance(&["masks", arg(&dataset)]).expect_code(0);
-    let record = |out: &std::path::Path, more: &[&str]| {
-        typed_with(
-            "triplets {} --windows 200 --out {}",
-            &[&dataset, &out],
-            more,
-        )
-        .expect_code(0);
-        Dataset::open(out).expect("recorded")
+    let folder = Folder::of_clips(48);
+    folder.run("ingest @corpus --out @dataset");
+    folder.run("masks @dataset");
+    let record = |out: &str, more: &str| {
+        folder.run(&format!(
+            "triplets @dataset --windows 200 --out @{out} {more}"
+        ));
     };
-    let recorded = record(&windows, &[]);
+    record("windows", "");
+    let recorded = folder.dataset_at("windows");
     assert_eq!(recorded.manifest().rows(WindowRow::TABLE, None), 200);
-    let range = |dataset: &Dataset| -> String {
-        let rows: Vec<NormalizerRow> = dataset.read(None).expect("rows");
-        let [row] = &rows[..] else {
-            panic!("{rows:?}");
-        };
-        row.normalizer().expect("sound");
-        row.id.clone()
+    let ranges: Vec<NormalizerRow> = folder.rows("windows");
+    let [range] = &ranges[..] else {
+        panic!("{ranges:?}");
     };
-    assert_eq!(range(&recorded).len(), 64);
-    let untouched = Dataset::open(&dataset).expect("a dataset");
-    assert!(
-        !untouched
-            .manifest()
-            .tables
-            .contains_key(NormalizerRow::TABLE)
-    );
-    for sound in [&dataset, &windows] {
-        stance(&["verify", arg(sound)]).expect_code(0);
-    }
-    let config = at("train.toml");
-    put(&config, "batch_size = 16\n");
-    let train = |windows: &std::path::Path, run: &std::path::Path| {
-        typed(
-            "train motionrefit {} --out {} --steps 3 --config {} --windows {}",
-            &[&dataset, &run, &config, &windows],
-        )
-    };
-    train(&windows, &run).expect_code(0);
+    range.normalizer().expect("sound");
+    assert_eq!(range.id.len(), 64);
+    let untouched = folder.dataset_at("dataset");
+    let tables = &untouched.manifest().tables;
+    assert!(!tables.contains_key(NormalizerRow::TABLE));
+    folder.run("verify @dataset");
+    folder.run("verify @windows");
+    folder.put("train.toml", "batch_size = 16\n");
+    let train = "train motionrefit @dataset --steps 3 --config @train.toml";
+    folder.run(&format!("{train} --out @run --windows @windows"));
 
     // Windows recorded with another normaliser are refused.
-    let scalar = at("scalar.toml");
-    put(&scalar, "range = \"scalar\"\n");
-    let other = at("other");
-    record(&other, &["--compose", arg(&scalar)]);
-    train(&other, &at("run2")).expect_refused("another normaliser");
+    folder.put("scalar.toml", "range = \"scalar\"\n");
+    record("other", "--compose @scalar.toml");
+    folder
+        .typed(&format!("{train} --out @run2 --windows @other"))
+        .expect_refused("another normaliser");
 
-    let sheet = at("sheet.svg");
-    let stats: serde_json::Value =
-        typed("--json triplets stats {} --sheet {}", &[&dataset, &sheet]).done();
-    assert!(
-        stats["distinct_pairs"]["semantic"]
-            .as_u64()
-            .expect("a number")
-            > 100
-    );
-    let drawn = text_of(sheet);
-    assert_eq!(
-        drawn.matches("<svg ").count(),
-        13,
-        "twelve strips in one picture"
-    );
+    let stats: Value = folder.json("triplets stats @dataset --sheet @sheet.svg");
+    assert!(number_of(&stats["distinct_pairs"]["semantic"]) > 100.0);
+    // Twelve strips in one picture.
+    assert_eq!(folder.text("sheet.svg").matches("<svg ").count(), 13);
 }
 
 #[test]
 fn the_examples_build_datasets() {
-    let dir = corpus(24);
-    let source = dir.path().join("corpus");
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipeline/examples");
-    let examples = files_with_extension(&folder, "toml");
+    let folder = Folder::of_clips(24);
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipeline/examples");
+    let examples = files_with_extension(&examples, "toml");
     assert_eq!(examples.len(), 2);
     for example in &examples {
-        let out = dir.path().join(example.file_stem().expect("a name"));
-        let places = ["--sources", arg(&source), "--out", arg(&out)];
-        let built: Built = typed_with("--json build --config {}", &[&example], &places).done();
-        assert_eq!(built.motions, 24);
-        assert!(
-            built.pairs > 0 && built.recorded > 0,
-            "{}",
-            example.display()
-        );
+        let out = stem_of(example);
+        let line = format!("--json build --sources @corpus --out @{out}");
+        let built: Value = folder.typed_with(&line, &["--config", arg(example)]).done();
+        assert_eq!(built["motions"], 24);
+        for made in ["pairs", "recorded"] {
+            assert!(number_of(&built[made]) > 0.0, "{out}");
+        }
     }
 }

@@ -4,12 +4,12 @@ use std::fs;
 use std::ops::Range;
 
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::{Dataset, Motion, Skeleton};
+use datasets_spec::{Motion, Skeleton};
 use pipeline::open::clip_of_file;
 use serde_json::Value;
 
 use crate::train::Workshop;
-use crate::util::{arg, json_of, put, stance};
+use crate::util::json_of;
 
 /// The numbers of a frame.
 fn frame(motion: &Motion, frame: usize) -> Vec<u32> {
@@ -18,11 +18,8 @@ fn frame(motion: &Motion, frame: usize) -> Vec<u32> {
         &motion.global_orient()[frame],
         &motion.body_pose()[frame],
     ];
-    columns
-        .concat()
-        .iter()
-        .map(|value| value.to_bits())
-        .collect()
+    let values = columns.concat();
+    values.iter().map(|value| value.to_bits()).collect()
 }
 
 /// Frames that are not equal bit for bit.
@@ -40,8 +37,8 @@ fn assert_edited_in(source: &Motion, edit: &Motion, ranges: &[Range<usize>]) {
     assert_eq!(changed(source, edit), asked);
     for range in ranges {
         let middle = (range.start + range.end) / 2;
-        let away = source.body_pose()[middle]
-            .iter()
+        let poses = source.body_pose()[middle].iter();
+        let away = poses
             .zip(&edit.body_pose()[middle])
             .map(|(a, b)| (a - b).abs())
             .fold(0.0, f32::max);
@@ -63,10 +60,9 @@ fn assert_edited_in(source: &Motion, edit: &Motion, ranges: &[Range<usize>]) {
 fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     let workshop = Workshop::open();
     workshop.train("motionrefit", "editor", "6").expect_code(0);
-    let (editor, dataset) = (workshop.path("editor"), workshop.dataset());
     let clip = workshop.long_clip();
     let end = clip.n_frames as usize;
-    let out = workshop.path("timed");
+    let motion = format!("--dataset @dataset --motion {}", clip.id);
     for (case, ranges) in [
         vec![34..50, 50..58],
         vec![10..40, 60..80],
@@ -77,20 +73,15 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     .into_iter()
     .enumerate()
     {
-        let out = workshop.path(&format!("timed-{case}"));
-        let asked: Vec<String> = ranges
-            .iter()
-            .map(|range| format!("{}:{} The person is waving.", range.start, range.end))
-            .collect();
-        let mut args = vec!["edit", arg(&editor), "--dataset", arg(&dataset), "--motion"];
-        args.extend([clip.id.as_str(), "--out", arg(&out)]);
-        for asked in &asked {
-            args.extend(["--during", asked]);
-        }
-        stance(&args).expect_code(0);
-        let table = Dataset::open(&out).expect("a table");
-        let items: Vec<ItemRow> = table.read(None).expect("rows");
-        let rows: Vec<EditRow> = table.read(None).expect("rows");
+        let out = format!("timed-{case}");
+        let asked = ranges.iter().map(|range| {
+            let Range { start, end } = range;
+            format!(" --during '{start}:{end} The person is waving.'")
+        });
+        let asked: String = asked.collect();
+        workshop.run(&format!("edit @editor {motion} --out @{out} {asked}"));
+        let items: Vec<ItemRow> = workshop.rows(&out);
+        let rows: Vec<EditRow> = workshop.rows(&out);
         let ([item], [row]) = (&items[..], &rows[..]) else {
             panic!("{} items, {} edits", items.len(), rows.len());
         };
@@ -100,27 +91,21 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     }
 
     // Layers: the second edit is made of the result of the first, and frames outside both are the source's.
-    let history = workshop.path("layers.json");
-    let edit = |more: &[&str], during: &str| {
-        let mut args = vec!["edit", arg(&editor), "--history", arg(&history)];
-        args.extend(more);
-        args.extend(["--during", during, "--out", arg(&out)]);
-        stance(&args).expect_code(0);
-        fs::remove_dir_all(&out).expect("written");
+    let edit = |more: &str| {
+        let line = "edit @editor --history @layers.json --out @timed";
+        workshop.run(&format!("{line} {more}"));
+        fs::remove_dir_all(workshop.path("timed")).expect("written");
     };
-    let begin = ["--dataset", arg(&dataset), "--motion", clip.id.as_str()];
-    edit(&begin, "30:60 The person is waving.");
-    edit(&[], "40:70 The person is nodding.");
-    let document: Value = json_of(&history);
+    edit(&format!("{motion} --during '30:60 The person is waving.'"));
+    edit("--during '40:70 The person is nodding.'");
+    let document: Value = json_of(workshop.path("layers.json"));
     let columns = ["transl", "global_orient", "body_pose"];
     let kept_by = |before: &Value, after: &Value| -> Vec<usize> {
-        (0..end)
-            .filter(|&index| {
-                columns
-                    .iter()
-                    .all(|name| before[name][index] == after[name][index])
-            })
-            .collect()
+        let is_kept = |index: &usize| {
+            let mut columns = columns.iter();
+            columns.all(|name| before[name][index] == after[name][index])
+        };
+        (0..end).filter(is_kept).collect()
     };
     let opened = &document["opened"];
     let [first, second] = [0, 1].map(|layer| &document["edits"][layer]["result"]);
@@ -137,15 +122,14 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     let source = clip_of_file(&file, &skeleton).expect("a clip");
     assert_ne!(source.fps().get(), 20.0);
     let (first, end) = (source.len() / 3, 2 * source.len() / 3);
-    let during = format!("{first}:{end} The person is waving.");
-    let out = workshop.path("timed.npz");
-    let args = ["edit", arg(&editor), "--motion", arg(&file)];
-    stance(&[&args[..], &["--during", &during, "--out", arg(&out)]].concat()).expect_code(0);
+    let motion = file.display();
+    workshop.run(&format!(
+        "edit @editor --motion {motion} --during '{first}:{end} The person is waving.' --out @timed.npz"
+    ));
     // Source after a round trip through this format: axes turned and turned back.
-    let unedited = workshop.path("unedited.npz");
     let bytes = formats::write::amass::encode(&source, &skeleton).expect("an archive");
-    put(&unedited, bytes);
-    let [unedited, edited] =
-        [unedited, out].map(|path| clip_of_file(&path, &skeleton).expect("a clip"));
+    workshop.put("unedited.npz", bytes);
+    let [unedited, edited] = ["unedited.npz", "timed.npz"]
+        .map(|name| clip_of_file(&workshop.path(name), &skeleton).expect("a clip"));
     assert_edited_in(&unedited, &edited, std::slice::from_ref(&(first..end)));
 }

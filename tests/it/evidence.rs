@@ -5,6 +5,9 @@ use std::path::Path;
 
 use serde_json::Value;
 
+use crate::tables::cells;
+use crate::util::json_lines;
+
 fn read(path: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(path);
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
@@ -50,14 +53,11 @@ struct Shown {
     rows: Vec<Vec<String>>,
 }
 
-/// Cells of a line of a table, without Markdown's escapes and marks.
-fn cells(line: &str) -> Vec<String> {
-    let line = line.trim_matches('|').replace("\\|", "\u{0}");
-    line.split('|')
-        .map(|cell| {
-            let cell = cell.trim().trim_matches('*').replace('\u{0}', "|");
-            cell.replace('\\', "")
-        })
+/// Cells of a line of a table, without the marks of the best values.
+fn unmarked(line: &str) -> Vec<String> {
+    let cells = cells(line).into_iter();
+    cells
+        .map(|cell| cell.trim_matches('*').to_owned())
         .collect()
 }
 
@@ -87,12 +87,12 @@ fn shown(document: &str, plan_of_page: &str) -> Vec<Shown> {
                 plan: plan.clone(),
                 file: file.clone(),
                 heading: heading.clone(),
-                head: cells(line),
+                head: unmarked(line),
                 rows: Vec::new(),
             });
         } else if !line.starts_with("| :--") {
             let rows = tables.last_mut().map(|table| &mut table.rows);
-            rows.expect("a table is open").push(cells(line));
+            rows.expect("a table is open").push(unmarked(line));
         }
         is_open = true;
     }
@@ -119,65 +119,53 @@ fn printed(row: &Value, like: &str) -> String {
     }
 }
 
-/// Text of a setting's value in tables.
-fn label(value: &Value) -> String {
-    value
-        .as_str()
-        .map_or_else(|| value.to_string(), str::to_owned)
-}
-
-/// The scores of a plan that `stance reproduce` recorded.
-fn record(plan: &str) -> Vec<Value> {
-    let lines = read(&format!("eval/plans/{plan}.record.jsonl"));
-    lines
-        .lines()
-        .map(|line| serde_json::from_str(line).expect("JSON"))
-        .collect()
-}
-
 /// Values of a figure's point as a table shows them; empty for a score of a table.
 fn point_of(row: &Value) -> String {
     let values = row["at"].as_array().into_iter().flatten();
-    values.map(label).collect::<Vec<_>>().join(", ")
+    let labels = values.map(|value| match value.as_str() {
+        Some(text) => text.to_owned(),
+        None => value.to_string(),
+    });
+    labels.collect::<Vec<_>>().join(", ")
 }
 
 #[test]
 fn every_number_of_the_results_is_a_recorded_score() {
     for page in PAGES {
-        check_numbers(&page);
+        let tables = shown(&read(page.file), page.plan);
+        let checked: usize = tables.iter().map(check_numbers).sum();
+        assert!(checked > 50, "{checked} cells of {} were found", page.file);
     }
 }
 
-fn check_numbers(page: &Page) {
-    let tables = shown(&read(page.file), page.plan);
+/// Checks the numbers of a table, and returns how many there are.
+fn check_numbers(table: &Shown) -> usize {
+    let record = json_lines(&read(&format!("eval/plans/{}.record.jsonl", table.plan)));
+    let is_figure = record.iter().any(|row| row["shown_in"] == *table.heading);
     let mut checked = 0;
-    for table in &tables {
-        let record = record(&table.plan);
-        let is_figure = record.iter().any(|row| row["shown_in"] == *table.heading);
-        for row in &table.rows {
-            for (head, cell) in std::iter::zip(&table.head, row).skip(1) {
-                let first = row[0].as_str();
-                let (metric, task) = match is_figure {
-                    true => head.rsplit_once(", ").unwrap_or((head, "all")),
-                    false => (head.trim_end_matches([' ', '↑', '↓', '→']), &*table.heading),
+    for row in &table.rows {
+        for (head, cell) in std::iter::zip(&table.head, row).skip(1) {
+            let first = row[0].as_str();
+            let (metric, task) = match is_figure {
+                true => head.rsplit_once(", ").unwrap_or((head, "all")),
+                false => (head.trim_end_matches([' ', '↑', '↓', '→']), &*table.heading),
+            };
+            let found = record.iter().find(|row| {
+                let of_cell = match is_figure {
+                    true => row["shown_in"] == *table.heading && point_of(row) == first,
+                    false => row["shown_in"] == *table.file && row["system"] == first,
                 };
-                let found = record.iter().find(|row| {
-                    let of_cell = match is_figure {
-                        true => row["shown_in"] == *table.heading && point_of(row) == first,
-                        false => row["shown_in"] == *table.file && row["system"] == first,
-                    };
-                    of_cell && row["task"] == task && row["metric"] == metric
-                });
-                let place = format!("{} {}: {}, {head}", table.file, table.heading, row[0]);
-                match found {
-                    Some(row) => assert_eq!(*cell, printed(row, cell), "{place}"),
-                    None => assert_eq!(cell, "–", "{place} was not recorded"),
-                }
-                checked += 1;
+                of_cell && row["task"] == task && row["metric"] == metric
+            });
+            let place = format!("{} {}: {first}, {head}", table.file, table.heading);
+            match found {
+                Some(row) => assert_eq!(*cell, printed(row, cell), "{place}"),
+                None => assert_eq!(cell, "–", "{place} was not recorded"),
             }
+            checked += 1;
         }
     }
-    assert!(checked > 50, "{checked} cells of {} were found", page.file);
+    checked
 }
 
 #[test]

@@ -1,67 +1,67 @@
 //! Exports of chosen clips, the labels in exports, and commands that read only metadata.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use datasets_spec::Dataset;
-use datasets_spec::dataset::commit_rows;
-use datasets_spec::record::MotionRow;
+use datasets_spec::Split;
+use datasets_spec::record::{MarkerRow, MaskRow, MotionRow, PairRow};
 use pickle::npz::Archive;
+use pipeline::export::Layout;
 use serde_json::Value;
+use tempfile::TempDir;
 
 use crate::util::{
-    arg, command, corpus, files_with_extension, motions_of, name_of, put, real_data, rows_of,
-    stance, text_of, typed,
+    arg, command, commit, damage, dataset_of, exported, files_with_extension, ingested, motions_of,
+    name_of, put, real_data, rows_of, stance, text_of, typed, typed_with,
 };
 
-const LAYOUTS: [&str; 11] = [
-    "amass",
-    "humanml3d",
-    "stance",
-    "bvh",
-    "gltf",
-    "webdataset",
-    "lerobot",
-    "humanml3d-272",
-    "babel-272",
-    "motionmillion",
-    "hy-motion",
-];
+/// A dataset of the corpus in a temporary folder, and its rows by id.
+fn dataset(clips: usize) -> (TempDir, PathBuf, BTreeMap<String, MotionRow>) {
+    let (dir, dataset) = dataset_of(clips, &[]);
+    let rows = motions_of(&dataset);
+    (dir, dataset, rows)
+}
 
-/// A corpus of 12 clips as a dataset, and its rows by id.
-fn dataset(dir: &Path, more: &[&str]) -> (PathBuf, BTreeMap<String, MotionRow>) {
-    let (source, out) = (dir.join("corpus"), dir.join("dataset"));
-    let args = [&["ingest", arg(&source), "--out", arg(&out)], more].concat();
-    stance(&args).expect_code(0);
-    let rows = motions_of(&out);
-    (out, rows)
+/// The rows by id of a dataset of a folder, which is made beside it.
+fn again(source: &Path, name: &str) -> BTreeMap<String, MotionRow> {
+    let out = source.with_file_name(name);
+    ingested(source, &out, &[]);
+    motions_of(&out)
 }
 
 #[test]
-fn a_condition_chooses_the_clips_of_every_layout() {
-    let dir = corpus(12);
-    let (dataset, rows) = dataset(dir.path(), &[]);
+fn a_condition_chooses_the_clips_of_every_layout_and_a_mistaken_one_is_refused() {
+    let (dir, dataset, rows) = dataset(12);
     let mut frames: Vec<i32> = rows.values().map(|row| row.n_frames).collect();
     frames.sort_unstable();
     let middle = frames[6];
     let condition = format!("split = 'train' and not (n_frames < {middle} or flags.poor_fit)");
-    let chosen = rows
-        .values()
-        .filter(|row| row.split == datasets_spec::Split::Train && row.n_frames >= middle);
-    let expected = chosen.count();
+    let is_chosen = |row: &&MotionRow| row.split == Split::Train && row.n_frames >= middle;
+    let expected = rows.values().filter(is_chosen).count();
     assert!(0 < expected && expected < rows.len(), "{expected}");
-    for layout in LAYOUTS {
+    let none = dir.path().join("none");
+    // All layouts but that of pairs, of which this dataset has none.
+    let layouts = Layout::ALL.map(Layout::as_str).into_iter();
+    for layout in layouts.filter(|layout| *layout != "motionfix") {
         let out = dir.path().join(layout);
-        let export = |condition: &str, out: &Path| {
-            let to = ["--json", "export", arg(&dataset), "--to", layout];
-            stance(&[&to[..], &["--where", condition, "--out", arg(out)]].concat())
-        };
-        let said: Value = export(&condition, &out).done();
+        let said = exported(&dataset, layout, &out, &["--where", &condition]);
         assert_eq!(said["clips"], expected, "{layout}");
-        export("style = 'nobody walks so'", &dir.path().join("none")).expect_refused("no clip of");
+        let nobody = ["--where", "style = 'nobody walks so'"];
+        let line = "export {} --to {} --out {}";
+        typed_with(line, &[&dataset, &layout, &none], &nobody).expect_refused("no clip of");
     }
+    let columns = "there is no column splitt (was split meant?); there are id, split";
+    for (condition, said) in [
+        ("splitt = 'train'", columns),
+        ("split = 'train' or", "Expected: an expression"),
+    ] {
+        let line = "export {} --to bvh --where {} --out {}";
+        let ran = typed(line, &[&dataset, &condition, &none]).expect_code(2);
+        ran.expect_said(said);
+    }
+    assert!(!none.exists());
     let files = files_with_extension(&dir.path().join("bvh"), "bvh");
     assert_eq!(files.len(), expected);
     let archives = files_with_extension(&dir.path().join("amass"), "npz");
@@ -69,56 +69,23 @@ fn a_condition_chooses_the_clips_of_every_layout() {
 }
 
 #[test]
-fn a_mistaken_condition_is_a_mistake_of_usage() {
-    let dir = corpus(4);
-    let (dataset, _) = dataset(dir.path(), &[]);
-    let out = dir.path().join("out");
-    for (condition, said) in [
-        (
-            "splitt = 'train'",
-            "there is no column splitt (was split meant?); there are id, split",
-        ),
-        ("split = 'train' or", "Expected: an expression"),
-    ] {
-        let ran = typed(
-            "export {} --to bvh --where {} --out {}",
-            &[&dataset, &condition, &out],
-        )
-        .expect_code(2);
-        ran.expect_said(said);
-        assert!(!out.exists());
-    }
-}
-
-#[test]
-fn licences_and_captions_travel() {
-    let dir = corpus(6);
-    let (dataset, rows) = dataset(dir.path(), &[]);
-    let license = |row: &MotionRow| row.license.clone().expect("the corpus states its licence");
-    let license = license(rows.values().next().expect("a clip"));
-    let captions: Vec<&str> = rows
-        .values()
-        .flat_map(|row| &row.captions)
-        .map(|caption| caption.text.as_str())
-        .collect();
+fn exports_have_licences_captions_and_what_other_tools_read() {
+    let (dir, dataset, rows) = dataset(6);
+    let license = rows.values().next().expect("a clip").license.clone();
+    let license = license.expect("the corpus states its licence");
+    let captions = rows.values().flat_map(|row| &row.captions);
+    let captions: Vec<&str> = captions.map(|caption| caption.text.as_str()).collect();
     assert!(captions.len() >= rows.len());
     // The table of episodes of LeRobot is compressed; tests/python reads it.
-    for (layout, extension) in [
-        ("amass", "json"),
-        ("bvh", "json"),
-        ("gltf", "json"),
-        ("stance", "json"),
-        ("webdataset", "tar"),
-    ] {
+    let of_files = ["amass", "bvh", "gltf", "stance"].map(|layout| (layout, "json"));
+    let shards = [("webdataset", "tar")];
+    for (layout, extension) in of_files.into_iter().chain(shards) {
         let out = dir.path().join(layout);
-        stance(&["export", arg(&dataset), "--to", layout, "--out", arg(&out)]).expect_code(0);
+        exported(&dataset, layout, &out, &[]);
+        let read = |file: &PathBuf| std::fs::read(file).expect("written");
         let files = files_with_extension(&out, extension);
-        let text: String = files
-            .iter()
-            .map(|file| {
-                String::from_utf8_lossy(&std::fs::read(file).expect("written")).into_owned()
-            })
-            .collect();
+        let bytes: Vec<u8> = files.iter().flat_map(read).collect();
+        let text = String::from_utf8_lossy(&bytes);
         let tags = text.matches(&license).count();
         assert!(tags >= rows.len(), "{layout}: {tags} of {license}");
         for caption in &captions {
@@ -126,43 +93,13 @@ fn licences_and_captions_travel() {
         }
     }
     let out = dir.path().join("humanml3d");
-    typed("export {} --to humanml3d --out {}", &[&dataset, &out]).expect_code(0);
+    exported(&dataset, "humanml3d", &out, &[]);
     let ids = text_of(out.join("ids.csv"));
     assert_eq!(ids.matches(&license).count(), rows.len(), "{ids}");
-    assert_eq!(
-        files_with_extension(&out.join("texts"), "txt").len(),
-        rows.len()
-    );
-}
+    let texts = files_with_extension(&out.join("texts"), "txt");
+    assert_eq!(texts.len(), rows.len());
 
-#[test]
-fn names_do_not_repeat_their_extension() {
-    let dir = corpus(12);
-    let (corpus, twins) = (dir.path().join("corpus"), dir.path().join("twins"));
-    std::fs::create_dir(&twins).expect("made");
-    for extension in ["bvh", "npz"] {
-        let file = files_with_extension(&corpus, extension).remove(0);
-        std::fs::copy(file, twins.join(format!("walk.{extension}"))).expect("copied");
-    }
-    let dataset = dir.path().join("dataset");
-    stance(&["ingest", arg(&twins), "--out", arg(&dataset)]).expect_code(0);
-    let out = dir.path().join("bvh");
-    stance(&["export", arg(&dataset), "--to", "bvh", "--out", arg(&out)]).expect_code(0);
-    let files = files_with_extension(&out, "bvh");
-    assert_eq!(files.len(), 2);
-    for file in files {
-        let name = name_of(&file);
-        assert_eq!(name.matches(".bvh").count(), 1, "{name}");
-    }
-}
-
-#[test]
-fn archives_have_the_keys_of_smplx_tools() {
-    let dir = corpus(4);
-    let (dataset, rows) = dataset(dir.path(), &[]);
-    let out = dir.path().join("amass");
-    stance(&["export", arg(&dataset), "--to", "amass", "--out", arg(&out)]).expect_code(0);
-    for file in files_with_extension(&out, "npz") {
+    for file in files_with_extension(&dir.path().join("amass"), "npz") {
         let bytes = std::fs::read(&file).expect("written");
         let mut archive = Archive::open(Cursor::new(&bytes)).expect("an archive");
         let mut shape = |name: &str| archive.numbers(name).expect("numbers").shape;
@@ -180,50 +117,9 @@ fn archives_have_the_keys_of_smplx_tools() {
         let is_tripled = |row: &MotionRow| 3 * (row.n_frames as usize - 1) + 1 == frames;
         assert!(rows.values().any(is_tripled));
     }
-}
 
-#[test]
-fn damaged_motions_do_not_matter_to_metadata() {
-    let dir = corpus(12);
-    let (dataset, rows) = dataset(dir.path(), &[]);
-    let stats = |code| stance(&["stats", arg(&dataset)]).expect_code(code).stdout;
-    let before = stats(0);
-    let shards = files_with_extension(&dataset.join("data/motions"), "parquet");
-    let size = |path: &PathBuf| std::fs::metadata(path).expect("a shard").len();
-    let shard = shards.iter().max_by_key(|path| size(path)).expect("shards");
-    let mut bytes = std::fs::read(shard).expect("a shard");
-    // Nearly all of a shard is poses.
-    let middle = bytes.len() / 2;
-    bytes[middle] ^= 1;
-    put(shard, bytes);
-
-    stance(&["verify", arg(&dataset)]).expect_code(1);
-    assert_eq!(stats(0), before);
-    stance(&["inspect", arg(&dataset)]).expect_code(0);
-    let mut damaged = Vec::new();
-    for (number, id) in rows.keys().enumerate() {
-        let condition = format!("id = '{id}'");
-        let out = dir.path().join(number.to_string());
-        let export = ["export", arg(&dataset), "--to", "bvh"];
-        let exported =
-            stance(&[&export[..], &["--where", &condition, "--out", arg(&out)]].concat());
-        let shown = stance(&["inspect", arg(&dataset), "--clip", id]);
-        assert_eq!(exported.code, shown.code, "{id}");
-        if exported.code != 0 {
-            assert!(!out.exists());
-            damaged.push(id);
-        }
-    }
-    assert_eq!(damaged.len(), 1, "{damaged:?}");
-}
-
-#[test]
-fn a_motion_of_a_file_is_drawn_by_its_name() {
-    let dir = corpus(4);
-    let (dataset, _) = dataset(dir.path(), &[]);
-    let out = dir.path().join("gltf");
-    stance(&["export", arg(&dataset), "--to", "gltf", "--out", arg(&out)]).expect_code(0);
-    let file = files_with_extension(&out, "glb").remove(0);
+    // A motion of a file is drawn by its name.
+    let file = files_with_extension(&dir.path().join("gltf"), "glb").remove(0);
     let picture = dir.path().join("strip.svg");
     let draw = |name: &str| {
         let motion = format!("{}#{name}", arg(&file));
@@ -236,71 +132,51 @@ fn a_motion_of_a_file_is_drawn_by_its_name() {
 }
 
 #[test]
-fn stats_count_masks_of_a_clip_and_pairs_of_a_style() {
-    let dir = corpus(12);
-    let (dataset, rows) = dataset(dir.path(), &[]);
-    stance(&["masks", arg(&dataset)]).expect_code(0);
-    let styled: Vec<(&String, &MotionRow)> = rows
-        .iter()
-        .filter(|(_, row)| row.split == datasets_spec::Split::Train)
-        .take(2)
-        .collect();
-    let list = dir.path().join("pairs.csv");
-    let line = format!(
-        "{},{},old,walk as an old person\n",
-        styled[0].0, styled[1].0
-    );
-    put(&list, line);
-    stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
-    let said: Value = stance(&["--json", "stats", arg(&dataset)]).done();
-    let masks: Vec<datasets_spec::record::MaskRow> = rows_of(&dataset);
-    let clips: std::collections::BTreeSet<_> = masks.iter().map(|mask| &mask.motion_id).collect();
-    assert!(clips.len() > 1 && masks.len() > clips.len());
-    let average = masks.len() as f64 / clips.len() as f64;
-    assert_eq!(said["masked_clips"], clips.len());
-    assert!((said["masks_per_clip"].as_f64().expect("a number") - average).abs() < 1e-9);
-    assert_eq!(said["pairs"]["style"], 1);
-    assert_eq!(said["pair_styles"]["old"], 1);
-    let text = stance(&["stats", arg(&dataset)]).printed();
-    assert!(text.contains(&format!("{average:.1} on average")), "{text}");
-    assert!(text.contains("style of edit"), "{text}");
+fn damaged_motions_do_not_matter_to_metadata() {
+    let (dir, dataset, rows) = dataset(12);
+    let stats = |code| stance(&["stats", arg(&dataset)]).expect_code(code).stdout;
+    let before = stats(0);
+    let shards = files_with_extension(&dataset.join("data/motions"), "parquet");
+    let size = |path: &PathBuf| std::fs::metadata(path).expect("a shard").len();
+    let shard = shards.iter().max_by_key(|path| size(path)).expect("shards");
+    // Nearly all of a shard is poses.
+    damage(shard);
+
+    stance(&["verify", arg(&dataset)]).expect_code(1);
+    assert_eq!(stats(0), before);
+    stance(&["inspect", arg(&dataset)]).expect_code(0);
+    let mut damaged = Vec::new();
+    for (number, id) in rows.keys().enumerate() {
+        let condition = format!("id = '{id}'");
+        let out = dir.path().join(number.to_string());
+        let line = "export {} --to bvh --where {} --out {}";
+        let exported = typed(line, &[&dataset, &condition, &out]);
+        let shown = stance(&["inspect", arg(&dataset), "--clip", id]);
+        assert_eq!(exported.code, shown.code, "{id}");
+        if exported.code != 0 {
+            assert!(!out.exists());
+            damaged.push(id);
+        }
+    }
+    assert_eq!(damaged.len(), 1, "{damaged:?}");
 }
 
 /// Labels that people made in a dataset, as lines.
 fn labels(rows: &BTreeMap<String, MotionRow>) -> Vec<String> {
     let label = |row: &MotionRow| {
         let texts: Vec<&str> = row.captions.iter().map(|said| said.text.as_str()).collect();
-        format!(
-            "{} {} {} {:?} {:?} {:?} {:?} {}",
-            row.id,
-            row.split,
-            row.content_hash,
-            texts,
-            row.action,
-            row.style,
-            row.license,
-            row.rotation_source
-        )
+        let from = (&row.id, row.split, &row.content_hash, &row.rotation_source);
+        let labels = (&row.action, &row.style, &row.license);
+        format!("{from:?} {texts:?} {labels:?}")
     };
     rows.values().map(label).collect()
 }
 
-fn again(dir: &Path, sources: &[&Path], name: &str) -> (PathBuf, BTreeMap<String, MotionRow>) {
-    let out = dir.join(name);
-    let sources: Vec<&str> = sources.iter().map(|path| arg(path)).collect();
-    stance(&[&["ingest"], &sources[..], &["--out", arg(&out)]].concat()).expect_code(0);
-    let rows = motions_of(&out);
-    (out, rows)
-}
-
 #[test]
-fn a_dataset_among_the_sources_keeps_what_people_made() {
-    use datasets_spec::record::{MaskRow, PairRow};
-
-    let dir = corpus(12);
-    let (dataset, rows) = dataset(dir.path(), &[]);
+fn what_people_made_in_a_dataset_is_counted_and_kept_by_a_dataset_of_it_or_of_its_export() {
+    let (dir, dataset, rows) = dataset(12);
     stance(&["masks", arg(&dataset)]).expect_code(0);
-    let of_train = |row: &&MotionRow| row.split == datasets_spec::Split::Train;
+    let of_train = |row: &&MotionRow| row.split == Split::Train;
     let train: Vec<&MotionRow> = rows.values().filter(of_train).take(3).collect();
     let list = dir.path().join("pairs.csv");
     // One motion is the edit of two.
@@ -310,81 +186,60 @@ fn a_dataset_among_the_sources_keeps_what_people_made() {
     };
     put(&list, line(train[1]) + &line(train[2]));
     stance(&["pairs", arg(&dataset), "--csv", arg(&list)]).expect_code(0);
+
+    let said: Value = stance(&["--json", "stats", arg(&dataset)]).done();
+    let mut masks: Vec<MaskRow> = rows_of(&dataset);
+    let clips: BTreeSet<_> = masks.iter().map(|mask| &mask.motion_id).collect();
+    assert!(clips.len() > 1 && masks.len() > clips.len());
+    let average = masks.len() as f64 / clips.len() as f64;
+    assert_eq!(said["masked_clips"], clips.len());
+    assert!((said["masks_per_clip"].as_f64().expect("a number") - average).abs() < 1e-9);
+    assert_eq!(said["pairs"]["style"], 2);
+    assert_eq!(said["pair_styles"]["old"], 2);
+    let text = stance(&["stats", arg(&dataset)]).expect_code(0);
+    text.expect_printed(&format!("{average:.1} on average"));
+    text.expect_printed("style of edit");
+
     // Masks in the format that the annotation tool exports.
-    let stored = Dataset::open(&dataset).expect("a dataset");
     let own = Some("own".to_owned());
-    let mut masks: Vec<MaskRow> = stored.read(None).expect("rows");
     masks[0].accepted_by.clone_from(&own);
-    let mut pairs: Vec<PairRow> = stored.read(None).expect("rows");
+    let mut pairs: Vec<PairRow> = rows_of(&dataset);
     pairs[0].edit_type = Some("speed".to_owned());
     pairs[0].accepted_by = own;
-    let skeleton = stored.skeleton().expect("a skeleton");
-    let of_mask: fn(&MaskRow) -> datasets_spec::Split = |row| row.split;
-    let of_pair: fn(&PairRow) -> datasets_spec::Split = |row| row.split;
-    commit_rows(&dataset, &masks, Some(of_mask), &skeleton, "masks", "test").expect("masks");
-    commit_rows(&dataset, &pairs, Some(of_pair), &skeleton, "pairs", "test").expect("pairs");
+    commit(&dataset, &masks, |row| row.split, "masks");
+    commit(&dataset, &pairs, |row| row.split, "pairs");
 
     // A second source: the dataset now has several folders.
-    let (_, second) = again(dir.path(), &[&dataset], "second");
+    let second = again(&dataset, "second");
     assert_eq!(labels(&second), labels(&rows));
-    let read = |name: &str| Dataset::open(&dir.path().join(name)).expect("a dataset");
     let masks = |name: &str| {
-        let rows: Vec<MaskRow> = read(name).read(None).expect("rows");
-        let made = rows.into_iter().map(|mask| {
+        let rows = rows_of::<MaskRow>(&dir.path().join(name)).into_iter();
+        let made = rows.map(|mask| {
+            let of = (mask.motion_id.to_string(), mask.parts);
             let joints = (mask.hard_joints, mask.soft_joints);
-            (
-                mask.motion_id.to_string(),
-                mask.parts,
-                joints,
-                mask.text,
-                mask.text_origin,
-                mask.author,
-                mask.accepted_by,
-            )
+            let by = (mask.text_origin, mask.author, mask.accepted_by);
+            (of, joints, mask.text, by)
         });
-        made.collect::<std::collections::BTreeSet<_>>()
+        made.collect::<BTreeSet<_>>()
     };
     assert!(!masks("dataset").is_empty());
     assert_eq!(masks("second"), masks("dataset"));
     let pairs = |name: &str| {
-        let rows: Vec<PairRow> = read(name).read(None).expect("rows");
-        let pairs = rows.into_iter();
-        pairs
-            .map(|pair| {
-                let ends = (pair.source_id, pair.target_id);
-                let more = (pair.edit_type, pair.accepted_by);
-                (ends, pair.style, pair.instruction, more)
-            })
-            .collect::<Vec<_>>()
+        let rows = rows_of::<PairRow>(&dir.path().join(name)).into_iter();
+        let made = rows.map(|pair| {
+            let ends = (pair.source_id, pair.target_id);
+            let more = (pair.edit_type, pair.accepted_by);
+            (ends, pair.style, pair.instruction, more)
+        });
+        made.collect::<Vec<_>>()
     };
     assert_eq!(pairs("second").len(), 2);
     assert_eq!(pairs("second"), pairs("dataset"));
 
-    // A file that differs from its manifest is not read.
-    let shards = files_with_extension(&dataset.join("data/motions"), "parquet");
-    let mut bytes = std::fs::read(&shards[0]).expect("a shard");
-    bytes.push(0);
-    put(&shards[0], bytes);
-    let damaged = dir.path().join("damaged");
-    let ran = stance(&["--json", "ingest", arg(&dataset), "--out", arg(&damaged)]).expect_code(3);
-    assert_eq!(
-        ran.json::<Value>()["codes"]["E-DATASET-HASH"],
-        1,
-        "{}",
-        ran.stdout
-    );
-}
-
-#[test]
-fn a_webdataset_export_is_read_again_packed_or_not() {
-    let dir = corpus(12);
-    let (dataset, rows) = dataset(dir.path(), &[]);
+    // A WebDataset is read again, packed or not.
     let packed = dir.path().join("packed");
-    typed("export {} --to webdataset --out {}", &[&dataset, &packed]).expect_code(0);
-    assert_eq!(
-        labels(&again(dir.path(), &[&packed], "second").1),
-        labels(&rows)
-    );
+    exported(&dataset, "webdataset", &packed, &[]);
+    assert_eq!(labels(&again(&packed, "of-packed")), labels(&rows));
 
     let unpacked = dir.path().join("unpacked");
     for shard in files_with_extension(&packed, "tar") {
@@ -396,45 +251,50 @@ fn a_webdataset_export_is_read_again_packed_or_not() {
             .expect("tar runs");
         assert!(status.success());
     }
-    assert_eq!(
-        labels(&again(dir.path(), &[&unpacked], "third").1),
-        labels(&rows)
-    );
+    assert_eq!(labels(&again(&unpacked, "of-unpacked")), labels(&rows));
+
+    // A file that differs from its manifest is not read.
+    let shard = files_with_extension(&dataset.join("data/motions"), "parquet").remove(0);
+    let mut bytes = std::fs::read(&shard).expect("a shard");
+    bytes.push(0);
+    put(&shard, bytes);
+    let damaged = dir.path().join("damaged");
+    let ran = typed("--json ingest {} --out {}", &[&dataset, &damaged]).expect_code(3);
+    assert_eq!(ran.json::<Value>()["codes"]["E-DATASET-HASH"], 1);
 }
 
 #[test]
-fn a_dataset_among_the_sources_keeps_its_markers() {
-    use datasets_spec::record::MarkerRow;
-
-    let Some(data) = real_data("a_dataset_among_the_sources_keeps_its_markers") else {
+fn markers_of_captures_have_a_licence_and_a_dataset_of_their_dataset_keeps_them() {
+    let name = "markers_of_captures_have_a_licence_and_a_dataset_of_their_dataset_keeps_them";
+    let Some(data) = real_data(name) else {
         return;
     };
     let dir = tempfile::tempdir().expect("a temporary folder");
-    let [first, second] = ["first", "second"].map(|name| dir.path().join(name));
-    let source = data.join("c3d");
+    let [source, first, second] = ["in", "first", "second"].map(|name| dir.path().join(name));
+    let captures = files_with_extension(&data.join("c3d"), "c3d");
+    for (number, path) in captures.iter().enumerate() {
+        let bytes = std::fs::read(path).expect("a capture");
+        put(source.join(format!("{number}.c3d")), bytes);
+    }
+    let license = "Creative Commons Attribution 4.0 International\n";
+    put(source.join("COPYING"), license);
     for (source, out) in [(&source, &first), (&first, &second)] {
-        let (source, out) = (arg(source), arg(out));
-        let ran = stance(&["ingest", source, "--out", out, "--allow-quarantine", "100%"]);
-        ran.expect_code(0);
+        ingested(source, out, &["--allow-quarantine", "100%"]);
+    }
+    let markers: Vec<MarkerRow> = rows_of(&first);
+    assert!(!markers.is_empty());
+    for row in markers {
+        assert_eq!(row.license.as_deref(), Some("CC-BY-4.0"));
     }
     let [before, after] = [&first, &second].map(|dataset| {
-        let dataset = Dataset::open(dataset).expect("a dataset");
-        let solved: Vec<MotionRow> = dataset.read(None).expect("rows");
-        let solved: Vec<String> = solved.iter().map(|row| row.id.to_string()).collect();
-        let rows: Vec<MarkerRow> = dataset.read(None).expect("rows");
-        let rows = rows.into_iter();
-        let of_motions = rows.filter(|row| solved.contains(&row.id.to_string()));
-        of_motions
-            .map(|row| {
-                (
-                    row.id,
-                    row.labels,
-                    row.positions,
-                    row.residuals,
-                    row.marker_set,
-                )
-            })
-            .collect::<Vec<_>>()
+        let solved = motions_of(dataset);
+        let rows = rows_of::<MarkerRow>(dataset).into_iter();
+        let of_motions = rows.filter(|row| solved.contains_key(row.id.as_str()));
+        let markers = of_motions.map(|row| {
+            let positions = (row.positions, row.residuals);
+            (row.id, row.labels, positions, row.marker_set)
+        });
+        markers.collect::<Vec<_>>()
     });
     assert!(!before.is_empty());
     assert_eq!(after, before);
@@ -442,16 +302,9 @@ fn a_dataset_among_the_sources_keeps_its_markers() {
 
 #[test]
 fn captions_without_tags_are_said_before_anything_is_written() {
-    let dir = corpus(12);
-    let (dataset, rows) = dataset(dir.path(), &[]);
-    let untagged: usize = rows
-        .values()
-        .map(|row| {
-            row.stated_captions()
-                .filter(|said| said.tokens.is_empty())
-                .count()
-        })
-        .sum();
+    let (dir, dataset, rows) = dataset(12);
+    let stated = rows.values().flat_map(|row| row.stated_captions());
+    let untagged = stated.filter(|said| said.tokens.is_empty()).count();
     assert!(untagged > 0);
     let export = |layout: &str, out: &Path| {
         stance(&["export", arg(&dataset), "--to", layout, "--out", arg(out)])
@@ -463,11 +316,8 @@ fn captions_without_tags_are_said_before_anything_is_written() {
     export("humanml3d", &file.join("out")).expect_refused(&said);
     // A plan for any number of processes behaves in the same way.
     let (out, plan) = (dir.path().join("out"), dir.path().join("plan"));
-    let planned = typed(
-        "stage plan export {} --to humanml3d --into {} --out {}",
-        &[&dataset, &out, &plan],
-    );
-    let planned = planned.expect_code(0);
+    let line = "stage plan export {} --to humanml3d --into {} --out {}";
+    let planned = typed(line, &[&dataset, &out, &plan]).expect_code(0);
     planned.expect_said(&said);
     let done = export("bvh", &dir.path().join("bvh")).expect_code(0);
     assert!(!done.stderr.contains("part-of-speech"), "{}", done.stderr);
@@ -475,19 +325,15 @@ fn captions_without_tags_are_said_before_anything_is_written() {
 
 #[test]
 fn what_a_killed_export_left_is_removed_by_the_next_one() {
-    let dir = corpus(60);
-    let (dataset, _) = dataset(dir.path(), &[]);
+    let (dir, dataset, _) = dataset(60);
     stance(&["masks", arg(&dataset)]).expect_code(0);
     let home = dir.path().join("exports");
     std::fs::create_dir(&home).expect("made");
-    let partial = || -> Vec<PathBuf> {
+    let partial = || {
         let entries = std::fs::read_dir(&home).expect("listed");
-        let paths = entries.map(|entry| entry.expect("readable").path());
-        paths
-            .filter(|path| path.extension().is_some_and(|found| found == "partial"))
-            .collect()
+        let names = entries.map(|entry| name_of(&entry.expect("readable").path()));
+        names.filter(|name| name.ends_with(".partial")).count()
     };
-    let mut left = 0;
     for number in 0..20 {
         let out = home.join(number.to_string());
         let mut child = command(&["export", arg(&dataset), "--to", "gltf", "--out", arg(&out)])
@@ -495,31 +341,25 @@ fn what_a_killed_export_left_is_removed_by_the_next_one() {
             .stderr(Stdio::null())
             .spawn()
             .expect("stance starts");
-        while partial().is_empty() && child.try_wait().expect("a state").is_none() {
+        while partial() == 0 && child.try_wait().expect("a state").is_none() {
             std::hint::spin_loop();
         }
         child.kill().expect("killed or over");
         child.wait().expect("an end");
-        left = partial().len();
-        if left > 0 {
+        if partial() > 0 {
             break;
         }
     }
-    assert!(left > 0, "every export was faster than the kill");
-    let out = home.join("out");
-    stance(&["export", arg(&dataset), "--to", "bvh", "--out", arg(&out)]).expect_code(0);
-    assert_eq!(partial(), Vec::<PathBuf>::new());
+    assert!(partial() > 0, "every export was faster than the kill");
+    exported(&dataset, "bvh", &home.join("out"), &[]);
+    assert_eq!(partial(), 0);
     // Items and edits are written the same way.
     let dead = home.join(".stance.0-0.partial");
     std::fs::create_dir_all(dead.join("new")).expect("made");
     put(dead.join("LOCK"), "");
-    let items = dir.path().join("items");
-    typed(
-        "items {} --split train --count 4 --out {}",
-        &[&dataset, &items],
-    )
-    .expect_code(0);
-    let out = home.join("items");
-    stance(&["items", "export", arg(&items), "--out", arg(&out)]).expect_code(0);
-    assert_eq!(partial(), Vec::<PathBuf>::new());
+    let (items, out) = (dir.path().join("items"), home.join("items"));
+    let line = "items {} --split train --count 4 --out {}";
+    typed(line, &[&dataset, &items]).expect_code(0);
+    typed("items export {} --out {}", &[&items, &out]).expect_code(0);
+    assert_eq!(partial(), 0);
 }

@@ -1,6 +1,7 @@
 //! Helpers for tests of growing datasets.
 
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -9,25 +10,24 @@ use datasets_spec::{Dataset, Split};
 use serde_json::Value;
 
 use crate::util::{
-    Ran, arg, assert_counted, corpus, name_of, put, rows_of, stance, stem_of, text_of, typed,
+    Ran, arg, assert_counted, command, corpus, files_with_extension, name_of, put, rows_of, stance,
+    stem_of, text_of, typed,
 };
 
-/// Runs `ingest --json` with these sources.
-fn ran(sources: &[&Path], out: &Path, more: &[&str]) -> Ran {
-    let sources: Vec<&str> = sources.iter().map(|source| arg(source)).collect();
-    stance(
-        &[
-            &["--json", "ingest"],
-            &sources[..],
-            &["--out", arg(out)],
-            more,
-        ]
-        .concat(),
-    )
+/// Runs `ingest --json` with sources as a user writes them.
+pub(crate) fn ran(sources: &[impl AsRef<OsStr>], out: &Path, more: &[&str]) -> Ran {
+    let mut command = command(&["--json", "ingest"]);
+    command.args(sources).arg("--out").arg(out).args(more);
+    command.output().expect("stance starts").into()
+}
+
+/// A source with the name that a user gives it.
+pub(crate) fn named(name: &str, path: &Path) -> String {
+    format!("{name}={}", arg(path))
 }
 
 /// Ingests, and holds the counts of the document against each other and against the tables.
-pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) -> Value {
+pub(crate) fn ingest(sources: &[impl AsRef<OsStr>], out: &Path, more: &[&str], code: i32) -> Value {
     let done: Value = ran(sources, out, more).expect_code(code).json();
     assert_counted(&done);
     let dataset = Dataset::open(out).expect("a dataset");
@@ -38,7 +38,7 @@ pub(crate) fn ingest(sources: &[&Path], out: &Path, more: &[&str], code: i32) ->
 }
 
 /// Messages of an ingestion that fails.
-pub(crate) fn refused(sources: &[&Path], out: &Path, more: &[&str]) -> String {
+pub(crate) fn refused(sources: &[impl AsRef<OsStr>], out: &Path, more: &[&str]) -> String {
     ran(sources, out, more).refusal()
 }
 
@@ -67,18 +67,8 @@ pub(crate) fn verified(dataset: &Path) {
 
 /// The motion files of a corpus, sorted.
 pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
-    let mut found = Vec::new();
-    for entry in fs::read_dir(folder).expect("listed") {
-        let path = entry.expect("an entry").path();
-        if path.is_dir() {
-            found.extend(files(&path));
-        } else if path
-            .extension()
-            .is_some_and(|end| end == "bvh" || end == "npz")
-        {
-            found.push(path);
-        }
-    }
+    let mut found = files_with_extension(folder, "bvh");
+    found.extend(files_with_extension(folder, "npz"));
     found.sort();
     found
 }
@@ -87,12 +77,11 @@ pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
 pub(crate) fn move_files(files: &[PathBuf], to: &Path) {
     fs::create_dir_all(to).expect("made");
     for file in files {
-        let stem = stem_of(file);
         let folder = file.parent().expect("a folder");
         for entry in fs::read_dir(folder).expect("listed") {
             let path = entry.expect("an entry").path();
             let name = name_of(&path);
-            if name.starts_with(&format!("{stem}.")) {
+            if name.starts_with(&format!("{}.", stem_of(file))) {
                 fs::rename(&path, to.join(name)).expect("moved");
             }
         }
@@ -109,14 +98,6 @@ pub(crate) fn halves(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
     (dir, first, second)
 }
 
-/// A corpus of this many clips, and a dataset of it.
-pub(crate) fn begun(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
-    let dir = corpus(clips);
-    let [source, dataset] = ["corpus", "dataset"].map(|name| dir.path().join(name));
-    ingest(&[&source], &dataset, &[], 0);
-    (dir, source, dataset)
-}
-
 /// The [`halves`] of a corpus, and a dataset of the first.
 pub(crate) fn begun_with_half(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf, PathBuf) {
     let (dir, source, more) = halves(clips);
@@ -126,9 +107,9 @@ pub(crate) fn begun_with_half(clips: usize) -> (tempfile::TempDir, PathBuf, Path
 }
 
 /// Accepts every automatic mask in the name of a person.
-pub(crate) fn judge(dataset: &Path, dir: &Path) -> BTreeMap<String, MaskRow> {
-    stance(&["masks", arg(dataset)]).expect_code(0);
-    let file = dir.join("judged.jsonl");
+pub(crate) fn judge(dataset: &Path) -> BTreeMap<String, MaskRow> {
+    stance(&["masks", arg(dataset), "--add"]).expect_code(0);
+    let file = dataset.with_extension("jsonl");
     stance(&["masks", arg(dataset), "--drafts", arg(&file)]).expect_code(0);
     let lines = text_of(&file);
     put(&file, lines.replace("\"todo\"", "\"accept\""));

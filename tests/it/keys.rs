@@ -1,24 +1,23 @@
 //! Releases whose keys are plain numbers, which every copy shares: two folders of one layout must stay separate.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsStr;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use datasets_spec::Split;
 use datasets_spec::record::{MotionRow, PairRow};
 use pickle::Value as Pickled;
 use serde_json::{Value, json};
 
-use crate::formats::{put, seed_walk};
+use crate::formats::{motion_x, put, seed_walk, walk};
+use crate::grown;
 use crate::pairs::motionfix_motion;
-use crate::util::{arg, assert_counted, corpus, rows_of, stance, typed};
+use crate::util::{arg, assert_tells, corpus, json_of, motions_of, rows_of, stance, typed};
 
-fn ingest(sources: &[&Path], out: &Path) -> Value {
-    let mut args = vec!["--json", "ingest"];
-    args.extend(sources.iter().map(|source| arg(source)));
-    args.extend(["--out", arg(out), "--fps", "native"]);
-    let done: Value = stance(&args).done();
-    assert_counted(&done);
+/// Ingests folders of which every motion is good.
+fn ingest(sources: &[impl AsRef<OsStr>], out: &Path) -> Value {
+    let done = grown::ingest(sources, out, &["--fps", "native"], 0);
     assert_eq!(done["quarantined"], 0, "{done}");
     done
 }
@@ -28,11 +27,7 @@ fn splits(dataset: &Path) -> BTreeMap<String, Split> {
     let mut splits = BTreeMap::new();
     for row in rows_of::<MotionRow>(dataset) {
         let before = splits.insert(row.content_hash, row.split);
-        assert!(
-            before.is_none_or(|before| before == row.split),
-            "{}",
-            row.id
-        );
+        assert_eq!(before.unwrap_or(row.split), row.split, "{}", row.id);
     }
     splits
 }
@@ -41,19 +36,12 @@ fn splits(dataset: &Path) -> BTreeMap<String, Split> {
 fn put_pairs(folder: &Path, first: usize, count: usize) -> Vec<String> {
     let keys: Vec<String> = (0..count).map(|key| format!("{key:06}")).collect();
     let pairs = keys.iter().zip(first..).map(|(key, number)| {
-        let pair = Pickled::Dict(vec![
-            (
-                Pickled::text("motion_source"),
-                motionfix_motion(2 * number, 50 + number % 40),
-            ),
-            (
-                Pickled::text("motion_target"),
-                motionfix_motion(2 * number + 1, 61),
-            ),
-            (
-                Pickled::text("text"),
-                Pickled::text(&format!("raise your arm {number} times")),
-            ),
+        let words = format!("raise your arm {number} times");
+        let source = motionfix_motion(2 * number, 50 + number % 40);
+        let pair = Pickled::dict([
+            ("motion_source", source),
+            ("motion_target", motionfix_motion(2 * number + 1, 61)),
+            ("text", Pickled::text(&words)),
         ]);
         (Pickled::text(key), pair)
     });
@@ -79,7 +67,6 @@ fn folders_of_motionfix_with_equal_keys_lose_no_pair_and_keep_their_splits() {
     // The pairs of `c` with other keys and without a list: equal motions share a split.
     put_pairs(&at("d"), 200, 5);
     sources.push(at("d"));
-    let sources: Vec<&Path> = sources.iter().map(PathBuf::as_path).collect();
     let (one, several) = (at("one"), at("several"));
     ingest(&sources, &one);
     for source in &sources {
@@ -88,19 +75,16 @@ fn folders_of_motionfix_with_equal_keys_lose_no_pair_and_keep_their_splits() {
     for dataset in [&one, &several] {
         let rows = rows_of::<MotionRow>(dataset);
         assert_eq!(rows.len(), 2 * (40 + 20 + 40 + 5), "{dataset:?}");
-        let of_split = |split: Split| rows.iter().filter(|row| row.split == split).count();
-        assert_eq!(
-            [Split::Train, Split::Val, Split::Test].map(of_split),
-            [2 * 40, 2 * 20, 2 * 45],
-            "{dataset:?}"
-        );
+        for (split, pairs) in [(Split::Train, 40), (Split::Val, 20), (Split::Test, 45)] {
+            let of_split = rows.iter().filter(|row| row.split == split);
+            assert_eq!(of_split.count(), 2 * pairs, "{dataset:?} {split}");
+        }
         assert_eq!(splits(dataset).len(), 2 * 100);
         let pairs: Vec<PairRow> = rows_of(dataset);
         assert_eq!(pairs.len(), 105);
-        let by_id: BTreeMap<&str, &MotionRow> =
-            rows.iter().map(|row| (row.id.as_str(), row)).collect();
+        let by_id = motions_of(dataset);
         for pair in &pairs {
-            let [source, target] = [&pair.source_id, &pair.target_id].map(|id| by_id[id.as_str()]);
+            let [source, target] = [&pair.source_id, &pair.target_id].map(|id| &by_id[id.as_str()]);
             assert_eq!(source.source_path, target.source_path, "{}", pair.id);
             assert_eq!(source.split, pair.split, "{}", pair.id);
         }
@@ -112,12 +96,13 @@ fn folders_of_motionfix_with_equal_keys_lose_no_pair_and_keep_their_splits() {
     put_pairs(&at("e"), 400, 2);
     let done = ingest(&[&at("e")], &at("both"));
     assert_eq!(rows_of::<MotionRow>(&at("both")).len(), 10);
-    assert!(
-        done["remarks"]
-            .to_string()
-            .contains("have the keys of other pairs"),
-        "{done}"
-    );
+    assert_tells(&done["remarks"], "have the keys of other pairs");
+}
+
+/// The keys of an export of MotionFix.
+fn keys_of(export: &Path) -> Vec<String> {
+    let lists: BTreeMap<String, Vec<String>> = json_of(export.join("splits.json"));
+    lists.into_values().flatten().collect()
 }
 
 #[test]
@@ -130,30 +115,21 @@ fn exports_of_motionfix_have_keys_of_their_own() {
     let (mut count, mut sources) = (0, Vec::new());
     for seed in ["1", "2", "3"] {
         let (made, out) = (at(&format!("triplets{seed}")), at(&format!("fix{seed}")));
-        typed(
-            "triplets {} --count 6 --seed {} --out {}",
-            &[&at("dataset"), &seed, &made],
-        )
-        .expect_code(0);
+        let line = "triplets {} --count 6 --seed {} --out {}";
+        typed(line, &[&at("dataset"), &seed, &made]).expect_code(0);
         typed("export {} --to motionfix --out {}", &[&made, &out]).expect_code(0);
-        let lists = fs::read(out.join("splits.json")).expect("written");
-        let lists: BTreeMap<String, Vec<String>> = serde_json::from_slice(&lists).expect("lists");
-        let own: Vec<String> = lists.into_values().flatten().collect();
+        let own = keys_of(&out);
         count += own.len();
         keys.extend(own);
         sources.push(out);
     }
     assert_eq!(keys.len(), count);
-    let sources: Vec<&Path> = sources.iter().map(PathBuf::as_path).collect();
     ingest(&sources, &at("again"));
     assert_eq!(rows_of::<MotionRow>(&at("again")).len(), 2 * count);
     // A key that was read is written again.
     let out = at("once-more");
     typed("export {} --to motionfix --out {}", &[&at("again"), &out]).expect_code(0);
-    let lists = fs::read(out.join("splits.json")).expect("written");
-    let lists: BTreeMap<String, Vec<String>> = serde_json::from_slice(&lists).expect("lists");
-    let again: BTreeSet<String> = lists.into_values().flatten().collect();
-    assert_eq!(again, keys);
+    assert_eq!(keys_of(&out).into_iter().collect::<BTreeSet<_>>(), keys);
 }
 
 /// Ingests two folders of one layout with the same keys, and checks that each gives the same clips as alone.
@@ -164,11 +140,9 @@ fn two_folders(dir: &Path, name: &str) {
         let out = at(&format!("{part}-alone"));
         ingest(&[&at(part)], &out);
         let own = splits(&out);
-        let equal = own
-            .keys()
-            .filter(|content| alone.contains_key(*content))
-            .count();
-        assert_eq!(equal, 0, "{name}: the two hold different motions");
+        let mut contents = own.keys();
+        let is_new = contents.all(|content| !alone.contains_key(content));
+        assert!(is_new, "{name}: the two hold different motions");
         alone.extend(own);
     }
     ingest(&[&at("a"), &at("b")], &at("one"));
@@ -183,44 +157,24 @@ fn two_folders(dir: &Path, name: &str) {
 fn two_folders_of_every_exported_layout_stay_two() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let at = |name: &str| dir.path().join(name);
+    let layouts = "humanml3d stance humanml3d-272 motionmillion webdataset";
     for (part, seed) in [("a", "1"), ("b", "2")] {
-        let (corpus, dataset) = (
-            at(&format!("corpus-{part}")),
-            at(&format!("dataset-{part}")),
-        );
+        let [corpus, dataset] = ["corpus", "dataset"].map(|name| at(&format!("{name}-{part}")));
         typed("corpus --clips 40 --seed {} --out {}", &[&seed, &corpus]).expect_code(0);
         stance(&["ingest", arg(&corpus), "--out", arg(&dataset)]).expect_code(0);
-        for layout in [
-            "humanml3d",
-            "stance",
-            "humanml3d-272",
-            "motionmillion",
-            "webdataset",
-        ] {
+        for layout in layouts.split(' ') {
             let out = at(&format!("{layout}-{part}"));
-            stance(&["export", arg(&dataset), "--to", layout, "--out", arg(&out)]).expect_code(0);
+            typed("export {} --to {} --out {}", &[&dataset, &layout, &out]).expect_code(0);
         }
     }
     // The second folder has no lists, so its splits are drawn.
-    for list in [
-        "train.txt",
-        "val.txt",
-        "test.txt",
-        "train_val.txt",
-        "all.txt",
-    ] {
-        fs::remove_file(at("humanml3d-b").join(list)).expect("removed");
+    for list in ["train", "val", "test", "train_val", "all"] {
+        let list = at("humanml3d-b").join(list).with_extension("txt");
+        fs::remove_file(list).expect("removed");
     }
     fs::remove_dir_all(at("humanml3d-272-b/split")).expect("removed");
     fs::remove_dir_all(at("motionmillion-b/split")).expect("removed");
-    for layout in [
-        "humanml3d",
-        "stance",
-        "humanml3d-272",
-        "motionmillion",
-        "webdataset",
-        "dataset",
-    ] {
+    for layout in layouts.split(' ').chain(["dataset"]) {
         two_folders(dir.path(), layout);
     }
     // The release as its authors publish it: without the files that an export of this program adds.
@@ -234,23 +188,6 @@ fn two_folders_of_every_exported_layout_stay_two() {
     two_folders(dir.path(), "published");
 }
 
-/// An array of Motion-X: a person who bends; `number` changes the motion.
-fn motionx(number: usize) -> Vec<u8> {
-    // Motions with distinct lengths, so that no two are nearly equal.
-    let num_frames = 60 + 3 * number;
-    let rows = (0..num_frames).flat_map(|frame| {
-        let mut row = [0.0f32; 322];
-        let phase = 0.1 * frame as f32 + number as f32;
-        for (joint, value) in row[3..66].iter_mut().enumerate() {
-            *value = 0.2 * (phase + joint as f32).sin();
-        }
-        row[310] = 1.0;
-        row
-    });
-    let rows: Vec<f32> = rows.collect();
-    pickle::npy::encode(&[num_frames, 322], &rows)
-}
-
 #[test]
 fn two_folders_of_motionx_stay_two() {
     let dir = tempfile::tempdir().expect("a temporary folder");
@@ -260,22 +197,19 @@ fn two_folders_of_motionx_stay_two() {
             .map(|number| format!("aist/clip_{number}"))
             .collect();
         for (number, name) in names.iter().enumerate() {
-            put(
-                &folder,
-                &format!("motion_data/smplx_322/{name}.npy"),
-                motionx(first + number),
-            );
+            let file = format!("motion_data/smplx_322/{name}.npy");
+            // Motions with distinct lengths, so that no two are nearly equal.
+            let pace = 30.0 + (first + number) as f64;
+            let poses = walk(60 + 3 * (first + number), pace);
+            put(&folder, &file, motion_x(&poses));
         }
         // Only the first folder has lists and captions.
         if part == "a" {
             put(&folder, "train.txt", names[..10].join("\n"));
             put(&folder, "test.txt", names[10..].join("\n") + "\naist/gone");
             for name in &names {
-                put(
-                    &folder,
-                    &format!("texts/semantic_labels/{name}.txt"),
-                    "a person bends#a/DET#0.0#0.0",
-                );
+                let file = format!("texts/semantic_labels/{name}.txt");
+                put(&folder, &file, "a person bends#a/DET#0.0#0.0");
             }
         }
     }
@@ -286,12 +220,7 @@ fn two_folders_of_motionx_stay_two() {
     }
     // A listed id without a motion is reported.
     let done = ingest(&[&dir.path().join("motionx-a")], &dir.path().join("said"));
-    assert!(
-        done["remarks"]
-            .to_string()
-            .contains("1 ids of train.txt, test.txt"),
-        "{done}"
-    );
+    assert_tells(&done["remarks"], "1 ids of train.txt, test.txt");
 }
 
 #[test]
@@ -304,11 +233,8 @@ fn two_folders_of_bones_seed_stay_two() {
                 .to_owned();
         for number in 0..6 {
             let name = format!("walk_{number:03}__A425");
-            put(
-                &folder,
-                &format!("soma_uniform/bvh/230711/{name}.bvh"),
-                seed_walk(first + 6 * number),
-            );
+            let file = format!("soma_uniform/bvh/230711/{name}.bvh");
+            put(&folder, &file, seed_walk(first + 6 * number));
             table += &format!("{name},A person walks.,walking,A425,False\n");
         }
         put(&folder, "metadata/seed_metadata_v004.csv", table);

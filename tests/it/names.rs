@@ -2,75 +2,36 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
 
 use crate::grown::{clips, files, ingest, motions, move_files};
-use crate::util::{arg, assert_has, corpus, put, stance};
+use crate::util::{Folder, assert_has};
 
-fn names(dataset: &Path) -> BTreeSet<String> {
-    let rows = motions(dataset).into_iter();
+fn names(folder: &Folder, dataset: &str) -> BTreeSet<String> {
+    let rows = motions(&folder.path(dataset)).into_iter();
     rows.map(|row| row.source_name).collect()
 }
 
-/// Writes a configuration of `run` or `build` with these sources.
-fn configure(file: &Path, sources: &str, out: &str, more: &str) {
+/// Writes `stance.toml`, a configuration of `run` or `build` with these sources.
+fn configure(folder: &Folder, sources: &str, out: &str, more: &str) {
     let text = format!("sources = {sources}\nout = \"{out}\"\ntriplets = 4\n{more}");
-    put(file, text);
+    folder.put("stance.toml", text);
 }
 
-/// Two folders of one name, `anna/takes` and `ben/takes`.
-fn two_takes() -> tempfile::TempDir {
-    let dir = corpus(60);
-    let all = files(&dir.path().join("corpus"));
+/// The sources of two folders of one name, with names of their own.
+const NAMED: &str = r#"["anna=anna/takes", "ben=ben/takes"]"#;
+
+#[test]
+fn a_configuration_of_run_or_build_names_its_sources() {
+    // Two folders of one name, `anna/takes` and `ben/takes`.
+    let folder = Folder::of_clips(60);
+    let all = files(&folder.path("corpus"));
     let half: Vec<_> = all.iter().skip(1).step_by(2).cloned().collect();
-    move_files(&half, &dir.path().join("ben/takes"));
-    fs::create_dir(dir.path().join("anna")).expect("made");
-    fs::rename(dir.path().join("corpus"), dir.path().join("anna/takes")).expect("moved");
-    dir
-}
+    move_files(&half, &folder.path("ben/takes"));
+    fs::create_dir(folder.path("anna")).expect("made");
+    fs::rename(folder.path("corpus"), folder.path("anna/takes")).expect("moved");
+    let unnamed = r#"["anna/takes", "ben/takes"]"#;
+    let expected = BTreeSet::from(["anna", "ben"].map(String::from));
 
-#[test]
-fn a_configuration_of_build_names_its_sources() {
-    let dir = two_takes();
-    let config = dir.path().join("stance.toml");
-    let build =
-        |code: i32| stance(&["--json", "build", "--config", arg(&config)]).expect_code(code);
-    let folders = r#"["anna/takes", "ben/takes"]"#;
-    configure(&config, folders, "built", "");
-    let said = build(2).stdout;
-    assert_has(&said, &["E-SOURCE-NAME", "ben-takes="]);
-    assert!(!dir.path().join("built/dataset").exists());
-    let named = r#"["anna=anna/takes", "ben=ben/takes"]"#;
-    configure(&config, named, "built", "");
-    build(0);
-    let dataset = dir.path().join("built/dataset");
-    assert_eq!(names(&dataset), ["anna", "ben"].map(String::from).into());
-    let before = clips(&dataset);
-    assert_eq!(before.len(), 60);
-    // The configuration also names a folder that moved, and no clip is lost.
-    fs::rename(dir.path().join("ben"), dir.path().join("archive")).expect("moved");
-    configure(
-        &config,
-        r#"["anna=anna/takes", "ben=archive/takes"]"#,
-        "built",
-        "",
-    );
-    build(0);
-    assert_eq!(clips(&dataset), before);
-    // `ingest` recognises both sources by the names of the configuration.
-    let archive = dir.path().join("archive/takes");
-    let again = ingest(&[&archive], &dataset, &[], 0);
-    assert_eq!(again["already_complete"], true);
-    // An invalid name is reported with its line.
-    configure(&config, r#"["an#na=anna/takes"]"#, "other", "");
-    let said = build(1).stdout;
-    assert_has(&said, &["an#na", "stance.toml:1"]);
-}
-
-#[test]
-fn a_configuration_of_run_names_its_sources() {
-    let dir = two_takes();
-    let config = dir.path().join("stance.toml");
     let steps = r#"
         [train]
         length = { steps = 2 }
@@ -85,18 +46,36 @@ fn a_configuration_of_run_names_its_sources() {
         [items]
         count = 4
     "#;
-    let run = ["run", "--weak-judge", "--config", arg(&config)];
-    configure(&config, r#"["anna/takes", "ben/takes"]"#, "run", steps);
-    let said = stance(&run).expect_code(2).stderr;
-    assert!(said.contains("ben-takes="), "{said}");
-    configure(
-        &config,
-        r#"["anna=anna/takes", "ben=ben/takes"]"#,
-        "run",
-        steps,
-    );
-    stance(&run).expect_code(0);
-    let dataset = dir.path().join("run/dataset");
-    assert_eq!(names(&dataset), ["anna", "ben"].map(String::from).into());
-    assert_eq!(motions(&dataset).len(), 60);
+    let run = "run --weak-judge --config @stance.toml";
+    configure(&folder, unnamed, "run", steps);
+    let refused = folder.typed(run).expect_code(2);
+    refused.expect_said("ben-takes=");
+    configure(&folder, NAMED, "run", steps);
+    folder.run(run);
+    assert_eq!(names(&folder, "run/dataset"), expected);
+    assert_eq!(motions(&folder.path("run/dataset")).len(), 60);
+
+    let build = |sources: &str, out: &str, code: i32| {
+        configure(&folder, sources, out, "");
+        let ran = folder.typed("--json build --config @stance.toml");
+        ran.expect_code(code).stdout
+    };
+    let said = build(unnamed, "built", 2);
+    assert_has(&said, &["E-SOURCE-NAME", "ben-takes="]);
+    let dataset = folder.path("built/dataset");
+    assert!(!dataset.exists());
+    build(NAMED, "built", 0);
+    assert_eq!(names(&folder, "built/dataset"), expected);
+    let before = clips(&dataset);
+    assert_eq!(before.len(), 60);
+    // The configuration also names a folder that moved, and no clip is lost.
+    fs::rename(folder.path("ben"), folder.path("archive")).expect("moved");
+    build(r#"["anna=anna/takes", "ben=archive/takes"]"#, "built", 0);
+    assert_eq!(clips(&dataset), before);
+    // `ingest` recognises both sources by the names of the configuration.
+    let again = ingest(&[&folder.path("archive/takes")], &dataset, &[], 0);
+    assert_eq!(again["already_complete"], true);
+    // An invalid name is reported with its line.
+    let said = build(r#"["an#na=anna/takes"]"#, "other", 1);
+    assert_has(&said, &["an#na", "stance.toml:1"]);
 }

@@ -1,73 +1,51 @@
 //! Errors of unusable inputs state the place and the remedy before long work starts.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use datasets_spec::record::{MaskRow, MotionRow, QuarantineRow, SkippedRow};
-use serde_json::Value;
+use datasets_spec::record::{MaskRow, MotionRow};
+use serde_json::{Value, json};
 
 use crate::util::{
-    arg, assert_counted, assert_has, corpus, files_with_extension, put, rows_of, stance, text_of,
-    typed, typed_with,
+    arg, assert_has, assert_quarantined, assert_tells, corpus, files_with_extension, ingest,
+    motions_of, put, rows_of, skipped_of, stance, text_of, typed,
 };
 
-fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Value {
-    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
-    let done = ran.expect_code(code).json();
-    assert_counted(&done);
-    done
-}
-
 fn ids(dataset: &Path) -> BTreeSet<String> {
-    let rows: Vec<MotionRow> = rows_of(dataset);
-    rows.into_iter().map(|row| row.id.to_string()).collect()
+    motions_of(dataset).into_keys().collect()
 }
 
 /// A folder with motions of these names and no other files.
 fn motions(dir: &Path, names: &[&str]) -> PathBuf {
     let files = files_with_extension(&dir.join("corpus"), "npz");
     let source = dir.join("source");
-    fs::create_dir_all(&source).expect("made");
     for (name, file) in names.iter().zip(files.iter().cycle()) {
-        let path = source.join(format!("{name}.npz"));
-        fs::create_dir_all(path.parent().expect("a folder")).expect("made");
-        fs::copy(file, path).expect("copied");
+        let bytes = fs::read(file).expect("read");
+        put(source.join(format!("{name}.npz")), bytes);
     }
     source
 }
 
 #[test]
-fn a_quote_that_is_not_closed_is_named_by_its_line() {
+fn a_quote_that_is_not_closed_is_named_by_its_line_and_a_changed_list_by_its_ids() {
     let dir = corpus(8);
     let source = motions(dir.path(), &["walk", "run", "jump", "sit"]);
-    put(
-        source.join("captions.csv"),
-        "clip,text\nwalk,a person walks\nrun,\"a person runs\njump,a person jumps\nsit,a person sits\n",
-    );
+    let list = "clip,text\nwalk,a person walks\nrun,\"a person runs\njump,a person jumps\nsit,a person sits\n";
+    put(source.join("captions.csv"), list);
     let out = dir.path().join("dataset");
     let done = ingest(&source, &out, &[], 0);
-    let problems = done["label_problems"].to_string();
     assert_has(
-        &problems,
+        &done["label_problems"].to_string(),
         &[
             "line 3: a quote in it is not closed",
             "the 2 lines behind it",
         ],
     );
-    let rows: Vec<MotionRow> = rows_of(&out);
-    for row in rows {
-        let texts: Vec<&str> = row
-            .captions
-            .iter()
-            .map(|caption| caption.text.as_str())
-            .collect();
-        assert!(
-            texts.iter().all(|text| !text.contains("jump")),
-            "{} {texts:?}",
-            row.id
-        );
+    for row in rows_of::<MotionRow>(&out) {
+        let mut texts = row.captions.iter().map(|caption| &caption.text);
+        assert!(texts.all(|text| !text.contains("jump")), "{}", row.id);
     }
     // Lists of splits and pairs are read by the same rules.
     let list = dir.path().join("splits.csv");
@@ -76,6 +54,14 @@ fn a_quote_that_is_not_closed_is_named_by_its_line() {
     let done = ingest(&source, &out, &["--splits", arg(&list)], 3);
     let refused = done["refused_splits"].to_string();
     assert_has(&refused, &["\"line\":3", "not closed"]);
+    // Another list is told by the ids that it moves.
+    put(&list, "walk,train\nrun,train\njump,train\nsit,train\n");
+    let out = dir.path().join("moved");
+    ingest(&source, &out, &["--splits", arg(&list)], 0);
+    put(&list, "walk,train\nrun,test\njump,train\nsit,train\n");
+    let ran = typed("ingest {} --out {} --splits {}", &[&source, &out, &list]).expect_code(1);
+    ran.expect_said("splits moves run (train, now test)");
+    assert!(!ran.stderr.contains("walk"), "{}", ran.stderr);
 }
 
 #[test]
@@ -83,28 +69,19 @@ fn ids_choose_the_clips_that_are_read() {
     let dir = corpus(12);
     let source = motions(dir.path(), &["walk_1", "walk_2", "run_1", "run_2", "sit"]);
     let list = dir.path().join("ids.txt");
-    put(
-        &list,
-        "# chosen by hand\nwalk_*   # both\nsit\n\ngone\nnobody_*\n",
-    );
+    let chosen = "# chosen by hand\nwalk_*   # both\nsit\n\ngone\nnobody_*\n";
+    put(&list, chosen);
     let out = dir.path().join("dataset");
     let done = ingest(&source, &out, &["--ids", arg(&list)], 0);
-    assert_eq!(
-        done["skipped_reasons"]["clip that --ids does not choose"], 2,
-        "{done}"
-    );
+    let reasons = json!({"clip that --ids does not choose": 2});
+    assert_eq!(done["skipped_reasons"], reasons);
     let remarks = done["remarks"].to_string();
-    for (line, name) in [(5, "gone"), (6, "nobody_*")] {
-        assert!(
-            remarks.contains(&format!("line {line} of --ids")) && remarks.contains(name),
-            "{remarks}"
-        );
-    }
-    let chosen = ["walk_1", "walk_2", "sit"].map(str::to_owned);
-    assert_eq!(ids(&out), chosen.clone().into());
-    let skipped: Vec<SkippedRow> = rows_of(&out);
-    let skipped: BTreeSet<&str> = skipped.iter().map(|row| row.path.as_str()).collect();
-    assert_eq!(skipped, BTreeSet::from(["run_1.npz", "run_2.npz"]));
+    assert_has(&remarks, &["line 5 of --ids", "gone"]);
+    assert_has(&remarks, &["line 6 of --ids", "nobody_*"]);
+    let mut chosen = BTreeSet::from(["walk_1", "walk_2", "sit"].map(str::to_owned));
+    assert_eq!(ids(&out), chosen);
+    let skipped: Vec<String> = skipped_of(&out).into_keys().collect();
+    assert_eq!(skipped, ["run_1.npz", "run_2.npz"]);
     // The dataset records its choice of clips.
     let again = ingest(&source, &out, &["--ids", arg(&list)], 0);
     assert_eq!(again["already_complete"], true, "{again}");
@@ -114,31 +91,14 @@ fn ids_choose_the_clips_that_are_read() {
     put(&list, "run_1\n");
     let done = ingest(&source, &out, &["--ids", arg(&list), "--new-version"], 0);
     assert_eq!(done["growth"]["new"], 1, "{done}");
-    assert!(
-        done["remarks"]
-            .to_string()
-            .contains("3 clips of the dataset are not among those of --ids"),
-        "{done}"
-    );
-    let all: BTreeSet<String> = chosen.into_iter().chain(["run_1".to_owned()]).collect();
-    assert_eq!(ids(&out), all);
+    let said = "3 clips of the dataset are not among those of --ids";
+    assert_tells(&done["remarks"], said);
+    chosen.insert("run_1".to_owned());
+    assert_eq!(ids(&out), chosen);
     stance(&["verify", arg(&out)]).expect_code(0);
     put(&list, "# nothing\n");
     typed("ingest {} --out {} --ids {}", &[&source, &out, &list])
         .expect_refused("it names no clip");
-}
-
-#[test]
-fn another_list_of_splits_is_told_by_the_ids_that_it_moves() {
-    let dir = corpus(8);
-    let source = motions(dir.path(), &["walk", "run", "jump"]);
-    let (out, list) = (dir.path().join("dataset"), dir.path().join("splits.csv"));
-    put(&list, "walk,train\nrun,train\njump,train\n");
-    ingest(&source, &out, &["--splits", arg(&list)], 0);
-    put(&list, "walk,train\nrun,test\njump,train\n");
-    let ran = typed("ingest {} --out {} --splits {}", &[&source, &out, &list]).expect_code(1);
-    ran.expect_said("splits moves run (train, now test)");
-    assert!(!ran.stderr.contains("walk"), "{}", ran.stderr);
 }
 
 /// Writes a zip whose members have the stated lengths; the bytes after their beginnings take no space on the disk.
@@ -152,13 +112,8 @@ fn put_sparse(path: &Path, members: &[(&str, Vec<u8>, u64)]) {
         let crc = crc32fast::hash(head).to_le_bytes();
         let sizes = [crc, length32, length32].concat();
         let name_length = (name.len() as u16).to_le_bytes();
-        let common = [
-            &[20, 0, 0, 0, 0, 0, 0, 0, 0, 0],
-            &sizes[..],
-            &name_length,
-            &[0, 0],
-        ]
-        .concat();
+        let common = [&[20, 0, 0, 0, 0, 0, 0, 0, 0, 0], &sizes[..], &name_length];
+        let common = [&common.concat()[..], &[0, 0]].concat();
         let local = [b"PK\x03\x04", &common[..], name.as_bytes(), head].concat();
         file.write_all(&local).expect("written");
         let rest = (length - head.len() as u64) as i64;
@@ -168,16 +123,16 @@ fn put_sparse(path: &Path, members: &[(&str, Vec<u8>, u64)]) {
         directory.extend(u32::try_from(start).expect("below 4 GiB").to_le_bytes());
         directory.extend(name.as_bytes());
     }
-    let start = u32::try_from(file.stream_position().expect("a place")).expect("below 4 GiB");
+    let start = file.stream_position().expect("a place") as u32;
+    let start = start.to_le_bytes();
     let count = (members.len() as u16).to_le_bytes();
     let size = (directory.len() as u32).to_le_bytes();
     let end = [
-        b"PK\x05\x06",
-        &[0; 4][..],
+        &b"PK\x05\x06\0\0\0\0"[..],
         &count,
         &count,
         &size,
-        &start.to_le_bytes(),
+        &start,
         &[0; 2],
     ]
     .concat();
@@ -200,41 +155,24 @@ fn ten_hours_are_refused_by_the_header() {
     let dir = corpus(2);
     let source = motions(dir.path(), &["good"]);
     let frames = 4_320_000u64;
-    let (poses, trans) = (
-        npy_header(&format!("({frames}, 156)")),
-        npy_header(&format!("({frames}, 3)")),
-    );
-    let (poses_len, trans_len) = (
-        poses.len() as u64 + frames * 156 * 4,
-        trans.len() as u64 + frames * 3 * 4,
-    );
+    // Arrays of single precision, of which the file has the headers alone.
+    let array = |name: &'static str, width: u64| {
+        let header = npy_header(&format!("({frames}, {width})"));
+        let length = header.len() as u64 + frames * width * 4;
+        (name, header, length)
+    };
     let rate = [npy_header("()"), 120.0f32.to_le_bytes().to_vec()].concat();
-    let rate_len = rate.len() as u64;
-    let path = source.join("day_poses.npz");
-    put_sparse(
-        &path,
-        &[
-            ("mocap_framerate.npy", rate, rate_len),
-            ("trans.npy", trans, trans_len),
-            ("poses.npy", poses, poses_len),
-        ],
-    );
+    let length = rate.len() as u64;
+    let rate = ("mocap_framerate.npy", rate, length);
+    let members = [rate, array("trans.npy", 3), array("poses.npy", 156)];
+    put_sparse(&source.join("day_poses.npz"), &members);
     let out = dir.path().join("dataset");
     ingest(&source, &out, &[], 3);
-    let quarantine: Vec<QuarantineRow> = rows_of(&out);
-    let [row] = &quarantine[..] else {
-        panic!("{quarantine:?}");
-    };
-    assert_eq!(
-        (row.path.as_str(), row.code.as_str()),
-        ("day_poses.npz", "E-NPZ-LIMIT")
-    );
+    let found = assert_quarantined(&out, &[("day_poses.npz", "E-NPZ-LIMIT")]);
+    let hours = "4320000 frames at 120 fps are 10.0 hours";
     assert_has(
-        &row.reason,
-        &[
-            "4320000 frames at 120 fps are 10.0 hours",
-            "cut the recording",
-        ],
+        &found["day_poses.npz"].reason,
+        &[hours, "cut the recording"],
     );
     assert_eq!(ids(&out), ["good".to_owned()].into());
 }
@@ -247,16 +185,7 @@ fn a_name_of_254_bytes_is_shortened_and_said() {
     let source = motions(dir.path(), &[&long, &other, &accented, "short"]);
     let out = dir.path().join("dataset");
     ingest(&source, &out, &[], 0);
-    for layout in [
-        "amass",
-        "bvh",
-        "gltf",
-        "motionmillion",
-        "humanml3d",
-        "webdataset",
-        "stance",
-        "lerobot",
-    ] {
+    for layout in "amass bvh gltf motionmillion humanml3d webdataset stance lerobot".split(' ') {
         let to = dir.path().join(layout);
         let done: Value = typed("--json export {} --to {} --out {}", &[&out, &layout, &to]).done();
         assert_eq!(done["clips"], 4, "{layout}");
@@ -278,26 +207,11 @@ fn a_humanml3d_export_without_captions_says_so_before_it_writes() {
     let source = motions(dir.path(), &["one", "two"]);
     let out = dir.path().join("dataset");
     ingest(&source, &out, &["--no-made-captions"], 0);
-    let export = |dataset: &Path, to: &str| {
-        let to = dir.path().join(to);
-        typed("--json export {} --to humanml3d --out {}", &[&dataset, &to]).expect_code(0)
-    };
-    let ran = export(&out, "plain");
+    let to = dir.path().join("release");
+    let ran = typed("--json export {} --to humanml3d --out {}", &[&out, &to]).expect_code(0);
     let done: Value = ran.json();
-    assert!(
-        done["remarks"]
-            .to_string()
-            .contains("none of the 2 clips has a caption"),
-        "{done}"
-    );
+    assert_tells(&done["remarks"], "none of the 2 clips has a caption");
     ran.expect_said("captions.csv");
-    let described = dir.path().join("described");
-    ingest(&dir.path().join("corpus"), &described, &[], 0);
-    let done: Value = export(&described, "texts").json();
-    assert!(
-        !done["remarks"].to_string().contains("has a caption"),
-        "{done}"
-    );
 }
 
 #[test]
@@ -319,50 +233,47 @@ fn edited_texts_without_a_verdict_are_kept() {
     let ran = typed("masks {} --accept {} --author ann", &[&out, &file]).expect_code(0);
     ran.expect_said("1 edited lines have no verdict yet");
     let masks: Vec<MaskRow> = rows_of(&out);
-    let masks: BTreeMap<&str, &MaskRow> = masks.iter().map(|row| (row.id.as_str(), row)).collect();
-    let row = masks[edited.as_str()];
+    let row = masks.iter().find(|row| row.id == edited).expect("the mask");
     assert_eq!(row.text, "The person is thinking about it.");
-    assert_eq!(
-        (row.text_origin.as_str(), row.author.as_str()),
-        ("draft", "ann")
-    );
+    assert_eq!(row.text_origin, "draft");
+    assert_eq!(row.author, "ann");
     // The task is still open, and no run of the stage discards it.
     stance(&["masks", arg(&out), "--drafts", arg(&file)]).expect_code(0);
     let lines = text_of(&file);
-    let line = lines
-        .lines()
-        .find(|line| line.contains("thinking about it"))
-        .expect("the draft");
-    assert!(line.contains("\"todo\""), "{line}");
+    let mut lines = lines.lines();
+    let line = lines.find(|line| line.contains("thinking about it"));
+    assert_has(line.expect("the draft"), &["\"todo\""]);
 }
 
 #[test]
 fn listed_ids_without_a_motion_are_a_remark() {
     let dir = corpus(8);
-    let (dataset, release) = (dir.path().join("dataset"), dir.path().join("release"));
+    let dataset = dir.path().join("dataset");
     ingest(&dir.path().join("corpus"), &dataset, &[], 0);
-    typed("export {} --to humanml3d --out {}", &[&dataset, &release]).expect_code(0);
-    let list = release.join("test.txt");
-    let listed = text_of(&list);
-    put(&list, listed + "014000\n014001\n");
-    let said = "2 ids of test.txt have no motion (such as 014000, 014001)";
-    let out = dir.path().join("again");
-    let done = ingest(&release, &out, &[], 0);
-    assert!(done["remarks"].to_string().contains(said), "{done}");
-    let (dataset, release) = (
-        dir.path().join("dataset"),
-        dir.path().join("stance-release"),
-    );
-    typed("export {} --to stance --out {}", &[&dataset, &release]).expect_code(0);
-    let list = release.join("split/base_motion/test.txt");
-    let listed = fs::read_to_string(&list).unwrap_or_default();
-    fs::create_dir_all(list.parent().expect("a folder")).expect("made");
-    put(&list, listed + "014000\n");
-    let done = ingest(&release, &dir.path().join("stance-again"), &[], 0);
-    assert!(
-        done["remarks"]
-            .to_string()
-            .contains("1 ids of split/base_motion have no motion"),
-        "{done}"
-    );
+    for (layout, list, more, said) in [
+        (
+            "humanml3d",
+            "test.txt",
+            "014000\n014001\n",
+            "2 ids of test.txt have no motion (such as 014000, 014001)",
+        ),
+        (
+            "stance",
+            "split/base_motion/test.txt",
+            "014000\n",
+            "1 ids of split/base_motion have no motion",
+        ),
+    ] {
+        let release = dir.path().join(layout);
+        let export = "--json export {} --to {} --out {}";
+        let made: Value = typed(export, &[&dataset, &layout, &release]).done();
+        let remarks = made["remarks"].to_string();
+        assert!(!remarks.contains("has a caption"), "{remarks}");
+        let list = release.join(list);
+        let listed = fs::read_to_string(&list).unwrap_or_default();
+        put(&list, listed + more);
+        let again = dir.path().join(format!("{layout}-again"));
+        let done = ingest(&release, &again, &[], 0);
+        assert_tells(&done["remarks"], said);
+    }
 }

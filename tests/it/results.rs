@@ -1,50 +1,31 @@
 //! Notes on the numbers of tables and pages.
 
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use datasets_spec::Dataset;
+use datasets_spec::Split;
+use datasets_spec::dataset::commit_rows;
 use datasets_spec::record::{EditRow, ItemRow, MotionRow, ScoreRow};
 use datasets_spec::table::Row;
 use eval::metric::{Part, of_part};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::evaluate::{Bench, UNPOSED};
 use crate::tables::{printed, tables};
-use crate::util::{arg, assert_has, stance, text_of, typed, typed_with};
+use crate::util::{arg, assert_has, list_of, number_of, word_of};
 
-/// The items of a bench.
-fn items_of(bench: &Bench) -> Vec<ItemRow> {
-    let folder = Dataset::open(&bench.workshop.path("items")).expect("items");
-    folder.read(None).expect("rows")
-}
-
-/// Items with changed content and new ids, as another program would write them.
-fn changed(bench: &Bench, name: &str, change: impl Fn(&mut ItemRow)) -> PathBuf {
-    let mut rows = items_of(bench);
-    for row in &mut rows {
-        change(row);
-        row.id = row.content_id();
-    }
-    let out = bench.workshop.path(name);
-    let drawn = Dataset::open(&bench.workshop.path("items")).expect("items");
-    datasets_spec::dataset::commit_rows(
-        &out,
-        &rows,
-        Some(|row: &ItemRow| row.split),
-        &drawn.skeleton().expect("built in"),
-        name,
-        "test",
-    )
-    .expect("writes");
+/// Writes a table of rows as another program would.
+fn write_rows<R: Row>(bench: &Bench, name: &str, rows: &[R], split: fn(&R) -> Split) -> PathBuf {
+    let skeleton = bench.dataset_at("items").skeleton().expect("built in");
+    let out = bench.path(name);
+    commit_rows(&out, rows, Some(split), &skeleton, name, "test").expect("writes");
     out
 }
 
 /// The only row of a system and a metric over all tasks.
 pub(crate) fn score<'a>(scores: &'a Value, system: &str, metric: &str) -> &'a Value {
-    let rows = scores.as_array().expect("rows");
-    rows.iter()
-        .find(|row| row["system"] == system && row["metric"] == metric)
+    let mut rows = list_of(scores).iter();
+    rows.find(|row| row["system"] == system && row["metric"] == metric)
         .unwrap_or_else(|| panic!("{system} {metric}: {scores}"))
 }
 
@@ -52,23 +33,18 @@ pub(crate) fn score<'a>(scores: &'a Value, system: &str, metric: &str) -> &'a Va
 fn a_table_says_what_it_measured_and_how_sure_it_is() {
     let bench = Bench::of_items("80");
     let edits = bench.edits("first", &[]);
-    let items = items_of(&bench);
-    let count = |of: fn(&ItemRow) -> String| {
-        let names: BTreeSet<String> = items.iter().map(of).collect();
-        names.len()
-    };
+    let items: Vec<ItemRow> = bench.rows("items");
+    let count = |of: fn(&ItemRow) -> String| items.iter().map(of).collect::<BTreeSet<_>>().len();
     let (targets, sources, instructions) = (
         count(|item| item.target_id.to_string()),
         count(|item| item.source_id.to_string()),
         count(|item| item.instruction.clone()),
     );
-    let committed = bench.workshop.path("scores");
-    let scores: Value = bench
-        .eval(&[&edits], &["--json", "--out", arg(&committed)])
-        .done();
+    let committed = bench.path("scores");
+    let scores = bench.scores(&[&edits], &["--out", arg(&committed)]);
     assert!(targets >= 10, "{targets} targets make no interval");
     let row = score(&scores, UNPOSED, "Position error (cm)");
-    let digest = row["items_digest"].as_str().expect("a digest").to_owned();
+    let digest = word_of(&row["items_digest"]);
     assert_eq!(digest.len(), 12);
     for (field, expected) in [
         ("n", 80),
@@ -83,18 +59,14 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     ] {
         assert_eq!(row[field], expected, "{field}");
     }
-    let stored: Vec<ScoreRow> = Dataset::open(&committed)
-        .and_then(|folder| folder.read(None))
-        .expect("scores");
+    let stored: Vec<ScoreRow> = bench.rows("scores");
     let of_task = stored.iter().filter(|row| row.task == "semantic");
-    assert!(of_task.clone().count() > 20);
-    assert!(
-        of_task
-            .clone()
-            .all(|row| row.items_digest == digest && row.targets > 0)
-    );
+    let of_task: Vec<&ScoreRow> = of_task.collect();
+    assert!(of_task.len() > 20);
+    let is_counted = |row: &&ScoreRow| row.items_digest == digest && row.targets > 0;
+    assert!(of_task.iter().all(is_counted));
     // The items are counted by novelty, and each novelty also has a table of its own.
-    let shown = of_task.clone().next().expect("a row").novelty.clone();
+    let shown = &of_task[0].novelty;
     let counted: usize = shown
         .split(", ")
         .filter_map(|part| part.split(' ').next()?.parse::<usize>().ok())
@@ -108,19 +80,13 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     }
 
     // Items vary, so a mean over them has an interval although every repeat gives the same mean.
-    let half_width =
-        |scores: &Value, system: &str, metric: &str| score(scores, system, metric)["ci95"].as_f64();
-    assert!(half_width(&scores, UNPOSED, "Position error (cm)").expect("varies") > 0.0);
-    assert!(half_width(&scores, UNPOSED, "FID").expect("varies") > 0.0);
-    assert_eq!(half_width(&scores, "Real Data", "E2T R@1"), None);
-    let over_repeats: Value = bench
-        .eval(&[&edits], &["--json", "--interval", "repeats"])
-        .done();
-    assert_eq!(
-        half_width(&over_repeats, UNPOSED, "Position error (cm)"),
-        None
-    );
-    assert!(half_width(&over_repeats, UNPOSED, "FID").expect("halves vary") > 0.0);
+    let half_width = |scores, metric| score(scores, UNPOSED, metric)["ci95"].as_f64();
+    assert!(half_width(&scores, "Position error (cm)").expect("varies") > 0.0);
+    assert!(half_width(&scores, "FID").expect("varies") > 0.0);
+    assert!(score(&scores, "Real Data", "E2T R@1")["ci95"].is_null());
+    let over_repeats = bench.scores(&[&edits], &["--interval", "repeats"]);
+    assert_eq!(half_width(&over_repeats, "Position error (cm)"), None);
+    assert!(half_width(&over_repeats, "FID").expect("halves vary") > 0.0);
     let mean = |scores: &Value| score(scores, UNPOSED, "FID")["mean"].clone();
     assert_eq!(mean(&scores), mean(&over_repeats));
 
@@ -128,7 +94,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
         1 => format!("1 {what}"),
         _ => format!("{count} {what}s"),
     };
-    let dataset = Dataset::open(&bench.workshop.dataset()).expect("a dataset");
+    let dataset = bench.dataset_at("dataset");
     let dataset = dataset.content_hash(&[MotionRow::TABLE]);
     let table = |more: &[&str]| {
         let args = [&["--format", "markdown"], more].concat();
@@ -143,7 +109,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
             counted(targets, "target"),
             counted(sources, "source"),
             counted(instructions, "instruction"),
-            row["encoder_hash"].as_str().expect("a hash"),
+            word_of(&row["encoder_hash"]),
         )
     };
     let of_targets = table(&[]);
@@ -158,11 +124,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
         "Diversity is not measured: it draws 300 pairs and needs as many items, and there are 80."
     );
     let novelty = format!("Items by what training has shown of them: {shown}.");
-    assert!(
-        of_targets.notes.contains(&novelty),
-        "{:?}",
-        of_targets.notes
-    );
+    assert!(of_targets.notes.contains(&novelty), "{of_targets:?}");
     let names = ["Real Data", "Identity", UNPOSED];
     of_targets.check_measured(&names, &scores);
     let of_repeats = table(&["--interval", "repeats"]);
@@ -170,20 +132,42 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     of_repeats.check_measured(&names, &over_repeats);
     // The rate in the documents equals the printed one.
     let document = include_str!("../../eval/docs/encoders.md");
-    let line = document
-        .lines()
-        .find(|line| line.starts_with("| `smpl135`"));
+    let mut lines = document.lines();
+    let line = lines.find(|line| line.starts_with("| `smpl135`"));
     assert!(line.is_some_and(|line| line.contains("10 fps in preset `tiny`")));
+
+    // A comparison names its FID and draws targets.
+    bench.edits("second", &["--guidance", "2", "--name", "strong"]);
+    let compare = |more: &str| {
+        let line = "eval compare @first @second --encoder @encoder --weak-judge --repeats 2";
+        bench.run(&format!("{line} {more}"))
+    };
+    let document: Value = compare("--json").json();
+    let task = &document[0];
+    let differences = list_of(&task["differences"]).iter();
+    let names: Vec<&str> = differences.map(|row| word_of(&row["metric"])).collect();
+    assert!(names.contains(&"FID of whole sets") && !names.contains(&"FID"));
+    assert_eq!(task["notes"], json!([]));
+    let protocol = word_of(&task["protocol"]);
+    assert_has(protocol, &["FID on all 80", "draws of the targets"]);
+    let targets = task["targets"].as_u64();
+    assert!(targets.is_some_and(|count| (10..=80).contains(&count)));
+    assert_eq!(word_of(&task["items_digest"]).len(), 12);
+    let printed = tables(&compare("--format markdown").stdout);
+    assert_eq!(
+        printed[0].head,
+        ["Metric", "A", "B", "B - A", "from", "to", "better"]
+    );
+    assert_eq!(printed[0].names(), names);
 }
 
 #[test]
 fn a_system_behind_the_identity_editor_is_never_best() {
     let bench = Bench::open();
     // Originals raised by five metres: farther from every target than the originals.
-    let edits = bench.edits("lifted", &["--name", "lifted"]);
-    let folder = Dataset::open(&edits).expect("edits");
-    let mut rows: Vec<EditRow> = folder.read(None).expect("rows");
-    let items = items_of(&bench);
+    bench.edits("lifted", &["--name", "lifted"]);
+    let mut rows: Vec<EditRow> = bench.rows("lifted");
+    let items: Vec<ItemRow> = bench.rows("items");
     for row in &mut rows {
         let item = items.iter().find(|item| item.id == row.id);
         let source = item.expect("its item").source().expect("valid");
@@ -195,19 +179,12 @@ fn a_system_behind_the_identity_editor_is_never_best() {
             place[1] += 5.0;
         }
     }
-    datasets_spec::dataset::commit_rows(
-        &edits,
-        &rows,
-        Some(|row: &EditRow| row.split),
-        &folder.skeleton().expect("built in"),
-        "lifted",
-        "test",
-    )
-    .expect("writes");
-    let eval = |more: &[&str]| {
-        typed_with("eval --encoder builtin --repeats 2 {}", &[&edits], more).expect_code(0)
+    write_rows(&bench, "lifted", &rows, |row| row.split);
+    let eval = |more: &str| {
+        let line = format!("eval --encoder builtin --repeats 2 @lifted {more}");
+        bench.run(&line)
     };
-    let scores: Value = eval(&["--json"]).json();
+    let scores: Value = eval("--json").json();
     let [own, identity] =
         ["lifted", "Identity"].map(|name| score(&scores, name, "Position error (cm)"));
     assert!(
@@ -216,54 +193,22 @@ fn a_system_behind_the_identity_editor_is_never_best() {
     );
     assert_eq!(own["behind_identity"], true);
     assert_eq!(identity["behind_identity"], false);
-    let table = |format: &str| {
-        let args = ["--table", "1", "--further", "--format", format];
-        eval(&args).stdout
-    };
+    let table = |format: &str| eval(&format!("--table 1 --further --format {format}")).stdout;
     // One task; tables by novelty are between its tables.
     let mut markdown = tables(&table("markdown"));
     markdown.retain(|table| table.heading == "semantic");
     let further = &markdown[1];
-    let column = further
-        .head
-        .iter()
-        .position(|label| label == "Position error (cm) ↓");
+    let mut labels = further.head.iter();
+    let column = labels.position(|label| label == "Position error (cm) ↓");
     // Printed without the mark of the best value.
     assert_eq!(
         further.row("lifted")[column.expect("a column") - 1],
         printed(own)
     );
-    let behind: Vec<&str> = scores
-        .as_array()
-        .expect("rows")
-        .iter()
-        .filter(|row| row["behind_identity"] == true && row["task"] == "semantic")
-        .map(|row| row["metric"].as_str().expect("a name"))
-        .collect();
-    for table in &markdown {
-        let metrics: Vec<&str> = table.head[1..]
-            .iter()
-            .map(|label| label.rsplit_once(' ').expect("an arrow").0)
-            .filter(|metric| behind.contains(metric))
-            .collect();
-        let clause = if metrics.len() + 1 == table.head.len() {
-            "every column".to_owned()
-        } else {
-            metrics.join(", ")
-        };
-        let note = format!(
-            "Behind the identity editor, which returns the original unchanged: lifted in {clause}."
-        );
-        assert_eq!(
-            metrics.is_empty(),
-            !table.notes.contains(&note),
-            "{table:?}"
-        );
-        for (cell, label) in table.row("lifted").iter().zip(&table.head[1..]) {
-            let is_behind = metrics.iter().any(|metric| label.starts_with(metric));
-            assert!(!(is_behind && cell.contains('*')), "{label}: {cell}");
-        }
-    }
+    // How the note names columns is tested with the tables of crate `eval`.
+    let behind = "Behind the identity editor, which returns the original unchanged: lifted in ";
+    let mut notes = further.notes.iter();
+    assert!(notes.any(|note| note.starts_with(behind)), "{further:?}");
     let mean = printed(own);
     let mean = mean.split(' ').next().expect("a mean");
     let is_cell = |format: &str, separator: &str, prefix: &str| {
@@ -278,61 +223,30 @@ fn a_system_behind_the_identity_editor_is_never_best() {
 }
 
 #[test]
-fn a_random_part_of_the_items_can_be_scored() {
-    let bench = Bench::open();
-    let edits = bench.edits("first", &[]);
-    let part = |seed: &str| -> Value {
-        let limit = ["--json", "--items-limit", "5", "--items-seed", seed];
-        bench.eval(&[&edits], &limit).done()
-    };
-    let digest = |scores: &Value| {
-        let row = score(scores, UNPOSED, "FS");
-        assert_eq!(row["n"], 5);
-        let protocol = row["protocol"].as_str().expect("words");
-        assert_has(protocol, &["a random 5 of the items (seed"]);
-        row["items_digest"].clone()
-    };
-    assert_eq!(digest(&part("1")), digest(&part("1")));
-    let parts: BTreeSet<String> = ["1", "2", "3", "4"]
-        .iter()
-        .map(|seed| digest(&part(seed)).to_string())
-        .collect();
-    assert!(parts.len() > 1, "{parts:?}");
-    let refused = bench
-        .eval(&[&edits], &["--items-limit", "9"])
-        .expect_code(1);
-    assert!(refused.stderr.contains("9 items") && refused.stderr.contains("there are 8"));
-}
-
-#[test]
 fn what_cannot_stand_in_one_table_is_refused() {
     let bench = Bench::open();
     let first = bench.edits("first", &[]);
-    let page = bench.workshop.path("page.html");
-    let again = bench.workshop.path("again");
+    let again = bench.path("again");
     let copied = std::process::Command::new("cp")
         .args(["-r", arg(&first), arg(&again)])
         .status();
     assert!(copied.expect("cp starts").success());
-    let report = |other: &Path| stance(&["report", arg(&first), arg(other), "--out", arg(&page)]);
-    for ran in [bench.eval(&[&first, &again], &[]), report(&again)] {
-        let ran = ran.expect_code(1);
-        assert_has(
-            &ran.stderr,
-            &["two motions of item", "sampled with seed 0", "--seed"],
-        );
+    let report = |other: &str| bench.typed(&format!("report @first @{other} --out @page.html"));
+    for ran in [bench.eval(&[&first, &again], &[]), report("again")] {
+        let parts = ["two motions of item", "sampled with seed 0", "--seed"];
+        assert_has(&ran.refusal(), &parts);
     }
     // Half of the items are the same, but these are two test sets.
     bench.items("few", &["--count", "4"]);
     let few = bench.answers("editor", "few", "answers", &["--name", "other"]);
-    let compared = typed(
-        "eval compare {} {} --encoder {} --weak-judge",
-        &[&first, &few, &bench.encoder],
-    );
-    for ran in [bench.eval(&[&first, &few], &[]), report(&few), compared] {
-        let ran = ran.expect_code(1);
+    let compared = bench.typed("eval compare @first @answers --encoder @encoder --weak-judge");
+    for ran in [
+        bench.eval(&[&first, &few], &[]),
+        report("answers"),
+        compared,
+    ] {
         assert_has(
-            &ran.stderr,
+            &ran.refusal(),
             &[
                 "different items",
                 arg(&first),
@@ -342,55 +256,26 @@ fn what_cannot_stand_in_one_table_is_refused() {
             ],
         );
     }
-    assert!(!page.exists());
-}
+    assert!(!bench.path("page.html").exists());
 
-#[test]
-fn a_comparison_names_its_fid_and_draws_targets() {
-    let bench = Bench::of_items("80");
-    let first = bench.edits("first", &[]);
-    let second = bench.edits("second", &["--guidance", "2", "--name", "strong"]);
-    let compare = |more: &[&str]| {
-        typed_with(
-            "eval compare {} {} --encoder {} --weak-judge --repeats 2",
-            &[&first, &second, &bench.encoder],
-            more,
-        )
-        .expect_code(0)
-    };
-    let document: Value = compare(&["--json"]).json();
-    let task = &document[0];
-    let names: Vec<&str> = task["differences"]
-        .as_array()
-        .expect("metrics")
-        .iter()
-        .map(|row| row["metric"].as_str().expect("a name"))
-        .collect();
-    assert!(
-        names.contains(&"FID of whole sets") && !names.contains(&"FID"),
-        "{names:?}"
-    );
-    assert_eq!(task["notes"], serde_json::json!([]));
-    let protocol = task["protocol"].as_str().expect("words");
-    assert!(protocol.contains("FID on all 80") && protocol.contains("draws of the targets"));
-    assert!(
-        task["targets"]
-            .as_u64()
-            .is_some_and(|count| (10..=80).contains(&count))
-    );
-    assert_eq!(task["items_digest"].as_str().map(str::len), Some(12));
-    let printed = tables(&compare(&["--format", "markdown"]).stdout);
-    assert_eq!(
-        printed[0].head,
-        ["Metric", "A", "B", "B - A", "from", "to", "better"]
-    );
-    assert_eq!(printed[0].names(), names);
+    // An item that was changed under its id.
+    let mut rows: Vec<ItemRow> = bench.rows("items");
+    rows[3].instruction.push_str(" Twice.");
+    let forged = write_rows(&bench, "forged", &rows, |row| row.split);
+    let refused = bench.eval(&[&forged], &[]).refusal();
+    assert_has(&refused, &[&rows[3].id, "stance items"]);
+    let verified = bench.typed("verify @forged").expect_code(1);
+    assert_has(&verified.to_string(), &[&rows[3].id]);
+    // Rows that need no system are scored from the items only.
+    let scores: Value = bench.json("eval --items @items --encoder @encoder --weak-judge");
+    score(&scores, "Identity", "Position error (cm)");
 }
 
 #[test]
 fn pairs_of_motionfix_fill_its_tables() {
     let bench = Bench::open();
-    let items = changed(&bench, "motionfix", |row| {
+    let mut rows: Vec<ItemRow> = bench.rows("items");
+    for row in &mut rows {
         row.task = "motionfix".to_owned();
         row.donor_ids.clear();
         row.hard_joints.clear();
@@ -403,7 +288,9 @@ fn pairs_of_motionfix_fill_its_tables() {
         row.other_body_pose.clear();
         row.target_frames = 0;
         row.set_motions(&source, Some(&shorter), None);
-    });
+        row.id = row.content_id();
+    }
+    write_rows(&bench, "motionfix", &rows, |row| row.split);
     let edits = bench.answers("editor", "motionfix", "answers", &[]);
     let names = ["Real Data", "Identity", UNPOSED];
     for (table, gallery, published, counts) in [
@@ -423,7 +310,7 @@ fn pairs_of_motionfix_fill_its_tables() {
         let format = ["--table", table, "--published", "--format", "markdown"];
         let ran = bench.eval(&[&edits], &format).expect_code(0);
         assert!(!ran.stderr.contains("there are none"), "{}", ran.stderr);
-        let scores: Value = bench.eval(&[&edits], &["--table", table, "--json"]).done();
+        let scores = bench.scores(&[&edits], &["--table", table]);
         // Tables of novelties follow.
         let laid_out = &tables(&ran.stdout)[0];
         assert_eq!(laid_out.heading, "motionfix");
@@ -432,73 +319,64 @@ fn pairs_of_motionfix_fill_its_tables() {
         let all = all.chain(["SimMotionEdit", "Cross-Axis", "OmniME", "CIME"]);
         let all: Vec<String> = all.map(|name| format!("{name} (published)")).collect();
         assert_eq!(laid_out.names()[3..], all);
-        let protocol = laid_out
-            .conditions
-            .split("; ")
-            .nth(2)
-            .expect("the protocol");
+        let mut conditions = laid_out.conditions.split("; ");
+        let protocol = conditions.nth(2).expect("the protocol");
         assert_eq!(protocol.split(',').next(), Some(gallery));
-        assert!(
-            laid_out
-                .notes
-                .last()
-                .is_some_and(|note| note.contains(counts)),
-            "{laid_out:?}"
-        );
+        let note = laid_out.notes.last().expect("a note");
+        assert!(note.contains(counts), "{laid_out:?}");
     }
-    let alone = typed(
-        "eval --items {} --table 2 --format markdown --encoder {} --weak-judge",
-        &[&items, &bench.encoder],
-    )
-    .expect_code(0);
+    let alone = bench
+        .run("eval --items @motionfix --table 2 --format markdown --encoder @encoder --weak-judge");
     assert_eq!(tables(&alone.stdout)[0].names(), names[..2]);
 
     let error = |keypoints: &str| {
-        let scores: Value = bench
-            .eval(&[&edits], &["--json", "--keypoints", keypoints])
-            .done();
-        let row = score(&scores, UNPOSED, "Position error (cm)").clone();
-        let protocol = row["protocol"].as_str().expect("words").to_owned();
-        assert_eq!(
-            protocol.contains("22 joints"),
-            keypoints == "22",
-            "{protocol}"
-        );
-        row["mean"].as_f64().expect("a number")
+        let scores = bench.scores(&[&edits], &["--keypoints", keypoints]);
+        let row = score(&scores, UNPOSED, "Position error (cm)");
+        let is_said = word_of(&row["protocol"]).contains("22 joints");
+        assert_eq!(is_said, keypoints == "22", "{row}");
+        number_of(&row["mean"])
     };
     assert!(error("22") != error("28"));
-    assert!(
-        bench
-            .eval(&[&edits], &["--keypoints", "21"])
-            .expect_code(2)
-            .stderr
-            .contains("28 and 22")
-    );
+    let refused = bench.eval(&[&edits], &["--keypoints", "21"]).expect_code(2);
+    refused.expect_said("28 and 22");
 
     // Nothing was blended, and the part is still highlighted.
-    let page = bench.workshop.path("page.html");
-    stance(&["report", arg(&edits), "--out", arg(&page)]).expect_code(0);
-    let html = text_of(&page);
-    assert!(html.contains("#1BAA78"), "no joint is marked");
+    bench.run("report @answers --out @page.html");
+    assert_has(&bench.text("page.html"), &["#1BAA78"]);
 }
 
 #[test]
-fn many_takes_tell_how_motions_of_one_item_differ() {
+fn further_tables_tell_how_motions_move_and_how_takes_of_one_item_differ() {
     let bench = Bench::open();
     let edits = bench.edits("takes", &["--takes", "11"]);
-    let ran = bench
-        .eval(&[&edits], &["--further", "--format", "markdown"])
-        .expect_code(0);
-    let scores: Value = bench.eval(&[&edits], &["--json"]).done();
-    for table in tables(&ran.stdout) {
+    let further = ["--further", "--format", "markdown"];
+    let mut found = tables(&bench.eval(&[&edits], &further).printed());
+    let scores = bench.scores(&[&edits], &[]);
+    for table in &found {
         table.check_measured(&["Real Data", "Identity", UNPOSED], &scores);
         let items = table.conditions.split("; ").nth(1).expect("the items");
         assert!(items.ends_with("), 11 takes, 2 repeats"), "{items}");
     }
     let row = score(&scores, UNPOSED, "Multimodality");
-    assert!(row["mean"].as_f64().expect("a number") > 0.0);
+    assert!(number_of(&row["mean"]) > 0.0);
     assert_eq!(row["takes"], 11);
     assert_eq!(score(&scores, "Identity", "FS")["takes"], 1);
+
+    let metrics = of_part(Part::Quality);
+    for metric in &metrics {
+        for system in ["Real Data", "Identity", UNPOSED] {
+            let mean = number_of(&score(&scores, system, metric.name)["mean"]);
+            // Zero is valid for gliding, and real data has it by definition.
+            match metric.name {
+                "Gliding (%)" if system == "Real Data" => assert_eq!(mean, 0.0),
+                "Gliding (%)" => assert!((0.0..=100.0).contains(&mean), "{system} {mean}"),
+                _ => assert!(mean > 0.0, "{system} {metric}"),
+            }
+        }
+    }
+    let quality = found.pop().expect("tables");
+    let labels: Vec<String> = metrics.iter().map(|metric| format!("{metric} →")).collect();
+    assert_eq!(quality.head[1..], labels);
 }
 
 #[test]
@@ -506,22 +384,18 @@ fn latencies_stand_apart_from_times_that_windows_share() {
     let bench = Bench::open();
     let together = bench.edits("together", &[]);
     let alone = bench.edits("alone", &["--max-batch", "1"]);
-    let rows = |folder: &Path| -> Vec<EditRow> {
-        let folder = Dataset::open(folder).expect("edits");
-        folder.read(None).expect("rows")
-    };
-    assert_eq!(rows(&together), rows(&alone), "the batch changes no number");
+    let rows = |folder: &str| bench.rows::<EditRow>(folder);
+    // The batch changes no number.
+    assert_eq!(rows("together"), rows("alone"));
     let format = ["--table", "a4", "--published", "--format", "markdown"];
     let ran = bench.eval(&[&together, &alone], &format).expect_code(0);
     ran.expect_said("--max-batch 1");
     let found = tables(&ran.stdout);
     let [latency, throughput] = &found[..] else {
-        panic!("{}", ran.stdout);
+        panic!("{ran}");
     };
-    assert_eq!(
-        latency.heading,
-        "Latency: seconds for one window at batch 1"
-    );
+    let heading = "Latency: seconds for one window at batch 1";
+    assert_eq!(latency.heading, heading);
     assert_eq!(
         latency.names(),
         [
@@ -532,85 +406,24 @@ fn latencies_stand_apart_from_times_that_windows_share() {
         ]
     );
     assert!(throughput.heading.starts_with("Throughput: "));
+    // Table A4 of the paper.
+    assert_eq!(
+        latency.row("16-frame, RTX 3090 (published)"),
+        ["1", "0.474", "0.046", "0.126", "0.646", "24.77"]
+    );
     assert_eq!(throughput.names(), ["16-frame, together"]);
-    let times: Value = bench
-        .eval(&[&together, &alone], &["--table", "a4", "--json"])
-        .done();
+    let format = ["--table", "a4", "--published", "--format", "latex"];
+    let latex = bench.eval(&[&together, &alone], &format).printed();
+    assert_has(&latex, &["16-frame, alone & ", "16-frame, together & "]);
+    let times = bench.scores(&[&together, &alone], &["--table", "a4"]);
     assert_eq!([&times[0]["latency"], &times[1]["latency"]], [false, true]);
     assert_eq!(times[1]["batch"], 1.0);
-    assert!(times[0]["batch"].as_f64().expect("recorded") > 1.0);
+    assert!(number_of(&times[0]["batch"]) > 1.0);
     for (row, times) in [(throughput, &times[0]), (latency, &times[1])] {
-        let number = |field: &str| times[field].as_f64().expect("a number");
-        let secs = [
-            "diffusion_secs",
-            "coordinator_secs",
-            "fit_secs",
-            "total_secs",
-        ];
-        let mut expected = secs.map(|field| format!("{:.3}", number(field))).to_vec();
-        expected.push(format!("{:.2}", number("fps")));
+        let secs = ["diffusion", "coordinator", "fit", "total"];
+        let secs = secs.map(|part| number_of(&times[format!("{part}_secs")]));
+        let mut expected = secs.map(|secs| format!("{secs:.3}")).to_vec();
+        expected.push(format!("{:.2}", number_of(&times["fps"])));
         assert_eq!(row.rows[0][2..], expected);
     }
-}
-
-#[test]
-fn a_page_shows_settings_as_a_table() {
-    let bench = Bench::open();
-    let first = bench.edits("first", &[]);
-    let second = bench.edits("second", &["--guidance", "2", "--name", "strong"]);
-    let page = bench.workshop.path("page.html");
-    stance(&["report", arg(&first), arg(&second), "--out", arg(&page)]).expect_code(0);
-    let html = text_of(&page);
-    let settings = html
-        .split_once("<table class=\"settings\">")
-        .and_then(|(_, rest)| rest.split_once("</table>"))
-        .expect("a table")
-        .0;
-    let guidance = settings
-        .split("<tr>")
-        .find(|row| row.contains(">guidance<"))
-        .expect("a row");
-    assert!(guidance.contains("<td>1.0</td>"), "{guidance}");
-    assert_eq!(guidance.matches("<td>").count(), 2);
-    assert!(
-        settings.contains(">strong<") && !html.contains("{&quot;"),
-        "{settings}"
-    );
-}
-
-#[test]
-fn how_motions_move_stands_beside_real_data() {
-    let bench = Bench::open();
-    let edits = bench.edits("first", &[]);
-    let further = ["--further", "--format", "markdown"];
-    let text = bench.eval(&[&edits], &further).printed();
-    let scores: Value = bench.eval(&[&edits], &["--json"]).done();
-    let metrics = of_part(Part::Quality);
-    for metric in &metrics {
-        for system in ["Real Data", "Identity", UNPOSED] {
-            let mean = score(&scores, system, metric.name)["mean"].as_f64();
-            let mean = mean.expect("a number");
-            // Zero is valid for gliding, and real data has it by definition.
-            match metric.name {
-                "Gliding (%)" if system == "Real Data" => assert_eq!(mean, 0.0),
-                "Gliding (%)" => assert!((0.0..=100.0).contains(&mean), "{system} {mean}"),
-                _ => assert!(mean > 0.0, "{system} {metric}"),
-            }
-        }
-    }
-    let quality = tables(&text).pop().expect("tables");
-    let labels: Vec<String> = metrics.iter().map(|metric| format!("{metric} →")).collect();
-    assert_eq!(quality.head[1..], labels);
-    quality.check_measured(&["Real Data", "Identity", UNPOSED], &scores);
-    let page = bench.workshop.path("page.html");
-    let out = [
-        "--encoder",
-        arg(&bench.encoder),
-        "--weak-judge",
-        "--out",
-        arg(&page),
-    ];
-    stance(&[&["report", arg(&edits)], &out[..]].concat()).expect_code(0);
-    let html = text_of(&page);
-    assert!(html.contains("Foot slide (m/s)") && html.contains("Jerk (m/s³)"));
 }

@@ -1,8 +1,9 @@
 //! Dependencies: crates depend only on crates of lower layers, and imports inside a crate form no cycle.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::{Path, PathBuf};
+
+use crate::util::{files_with_extension, stem_of, text_of};
 
 /// The crates of the default build with their folders, from the lowest to the highest. Each may depend on those before it.
 const FLOORS: [(&str, &str); 18] = [
@@ -34,13 +35,12 @@ fn root() -> &'static Path {
 }
 
 fn dependencies(folder: &str) -> BTreeSet<String> {
-    let text = fs::read_to_string(root().join(folder).join("Cargo.toml")).expect("a manifest");
-    let manifest: toml::Table = text.parse().expect("TOML");
+    let manifest: toml::Table = text_of(root().join(folder).join("Cargo.toml"))
+        .parse()
+        .expect("TOML");
     let found = manifest.get("dependencies").and_then(toml::Value::as_table);
-    found
-        .into_iter()
-        .flat_map(|table| table.keys().cloned())
-        .collect()
+    let names = found.into_iter().flat_map(toml::Table::keys);
+    names.cloned().collect()
 }
 
 #[test]
@@ -49,16 +49,11 @@ fn crates_depend_on_lower_ones_alone() {
     let all: BTreeSet<&str> = FLOORS.iter().map(|(name, _)| *name).collect();
     for (name, folder) in FLOORS {
         for needed in dependencies(folder) {
-            let is_ours = all.contains(needed.as_str());
-            assert!(
-                !is_ours || below.contains(needed.as_str()),
-                "{name} needs {needed}"
-            );
-            let is_reader = READERS.contains(&needed.as_str());
-            assert!(
-                !is_reader || !["train", "annotate"].contains(&name),
-                "{name} builds {needed}"
-            );
+            let needed = needed.as_str();
+            let is_lower = !all.contains(needed) || below.contains(needed);
+            assert!(is_lower, "{name} needs {needed}");
+            let reads = READERS.contains(&needed) && ["train", "annotate"].contains(&name);
+            assert!(!reads, "{name} builds {needed}");
         }
         below.insert(name);
     }
@@ -67,57 +62,42 @@ fn crates_depend_on_lower_ones_alone() {
 /// Path of a module in its crate.
 type Module = Vec<String>;
 
-/// Finds the files of a crate, by their modules.
-fn modules(folder: &Path, at: &Module, found: &mut BTreeMap<Module, PathBuf>) {
-    for entry in fs::read_dir(folder).expect("a folder") {
-        let path = entry.expect("an entry").path();
-        let stem = path
-            .file_stem()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned();
-        let child = [at.as_slice(), std::slice::from_ref(&stem)].concat();
-        if path.is_dir() {
-            modules(&path, &child, found);
-        } else if path.extension().is_some_and(|extension| extension == "rs") && stem != "tests" {
-            let is_own = ["lib", "mod"].contains(&stem.as_str());
-            found.insert(if is_own { at.clone() } else { child }, path);
-        }
-    }
+/// The files of a crate, by their modules.
+fn modules(folder: &Path) -> BTreeMap<Module, PathBuf> {
+    let files = files_with_extension(folder, "rs").into_iter();
+    let files = files.filter(|path| stem_of(path) != "tests");
+    files
+        .map(|path| {
+            let inside = path.strip_prefix(folder).expect("inside");
+            let inside = inside.with_extension("");
+            let names = inside
+                .iter()
+                .map(|name| name.to_string_lossy().into_owned());
+            let mut module: Module = names.collect();
+            if ["lib", "mod"].contains(&&*stem_of(&path)) {
+                module.pop();
+            }
+            (module, path)
+        })
+        .collect()
 }
 
 /// Finds the paths of a tree of imports, such as those of `a::{b, c::d}`.
 fn paths(tree: &str, before: &Module, found: &mut Vec<Module>) {
-    let (mut depth, mut start) = (0usize, 0);
-    let mut parts = Vec::new();
-    for (at, c) in tree.char_indices() {
-        match c {
-            '{' => depth += 1,
-            '}' => depth -= 1,
-            ',' if depth == 0 => {
-                parts.push(&tree[start..at]);
-                start = at + 1;
-            }
-            _ => {}
-        }
-    }
-    parts.push(&tree[start..]);
-    for part in parts
-        .into_iter()
-        .map(str::trim)
-        .filter(|part| !part.is_empty())
-    {
+    let mut depth = 0;
+    let parts = tree.split(|c: char| {
+        depth += i32::from(c == '{') - i32::from(c == '}');
+        c == ',' && depth == 0
+    });
+    for part in parts.map(str::trim).filter(|part| !part.is_empty()) {
         let (path, group) = match part.split_once('{') {
             Some((path, group)) => (path, group.strip_suffix('}')),
             None => (part, None),
         };
         let mut whole = before.clone();
         let names = path.split(" as ").next().unwrap_or_default().split("::");
-        whole.extend(
-            names
-                .map(|name| name.trim().to_owned())
-                .filter(|name| !name.is_empty()),
-        );
+        let names = names.map(str::trim).filter(|name| !name.is_empty());
+        whole.extend(names.map(str::to_owned));
         match group {
             Some(group) => paths(group, &whole, found),
             None => found.push(whole),
@@ -150,14 +130,12 @@ struct House {
 
 impl House {
     fn open(folder: &Path) -> Self {
-        let mut files = BTreeMap::new();
-        modules(folder, &Module::new(), &mut files);
         let mut house = Self {
-            files,
+            files: modules(folder),
             handed_on: BTreeMap::new(),
         };
         for (module, path) in &house.files {
-            for (is_public, import) in imports(&fs::read_to_string(path).expect("text")) {
+            for (is_public, import) in imports(&text_of(path)) {
                 if let Some(whole) = house.whole(module, &import).filter(|_| is_public) {
                     let name = whole.last().cloned().unwrap_or_default();
                     house.handed_on.insert((module.clone(), name), whole);
@@ -192,9 +170,8 @@ impl House {
     fn definer(&self, path: &Module) -> Module {
         let mut path = path.clone();
         loop {
-            let deepest = (0..=path.len())
-                .rev()
-                .find(|len| self.files.contains_key(&path[..*len]));
+            let mut lengths = (0..=path.len()).rev();
+            let deepest = lengths.find(|len| self.files.contains_key(&path[..*len]));
             let deepest = deepest.expect("a crate has a root");
             let module = path[..deepest].to_vec();
             let Some(name) = path.get(deepest) else {
@@ -212,7 +189,7 @@ impl House {
         let mut edges: BTreeMap<Module, BTreeSet<Module>> = BTreeMap::new();
         for (module, path) in &self.files {
             let of_it = edges.entry(module.clone()).or_default();
-            for (is_public, import) in imports(&fs::read_to_string(path).expect("text")) {
+            for (is_public, import) in imports(&text_of(path)) {
                 if let Some(whole) = self.whole(module, &import).filter(|_| !is_public) {
                     of_it.insert(self.definer(&whole));
                 }

@@ -5,17 +5,16 @@ use std::path::{Path, PathBuf};
 
 use annotate::store::{Store, open_sqlite};
 use annotate::transfer::AnnotationRow;
-use annotate::wire::{
-    Answer, EditType, Extent, JointChoice, JointWeight, MaskAnswer, Role, TaskKind, Verdict,
-};
-use datasets_spec::dataset::commit_rows;
+use annotate::wire::{Answer, Role, TaskKind};
 use datasets_spec::record::{HumanMl3dRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, read_rows};
-use datasets_spec::{Dataset, MotionId, Split};
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use crate::annotate::{accept, settings};
-use crate::util::{arg, assert_has, put, stance, typed, typed_with};
+use crate::annotate::{accept, from_json, settings};
+use crate::util::{
+    Ran, arg, assert_has, commit, exported, ingested, json_of, len_of, motions_of, put, rows_of,
+    stance, typed, typed_with,
+};
 
 /// Number of rejected pairs among the answers.
 const REJECTED: usize = 5;
@@ -35,11 +34,7 @@ impl Labelled {
         let (source, dataset) = (made.path("corpus"), made.path("dataset"));
         typed("corpus --clips 36 --adjusted 1 --out {}", &[&source]).expect_code(0);
         let pairs = source.join("pairs.csv");
-        typed(
-            "ingest {} --out {} --pairs {}",
-            &[&source, &dataset, &pairs],
-        )
-        .expect_code(0);
+        ingested(&source, &dataset, &["--pairs", arg(&pairs)]);
         stance(&["pairs", arg(&dataset)]).expect_code(0);
         stance(&["masks", arg(&dataset)]).expect_code(0);
         let store = open_sqlite(&made.path("store.sqlite")).expect("a store");
@@ -47,19 +42,15 @@ impl Labelled {
         made.annotate("store.sqlite", &["import"]);
         let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
         let (ann, eve) = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
+        let accept = |author, kind, answer| accept(store.as_ref(), (author, eve), kind, answer);
         for number in 0..20 {
-            accept(
-                store.as_ref(),
-                (ann, eve),
-                TaskKind::MaskText,
-                masks(number),
-            );
+            accept(ann, TaskKind::MaskText, masks(number));
         }
         for number in 0..12 {
-            accept(store.as_ref(), (ann, eve), TaskKind::Pair, pair(number));
+            accept(ann, TaskKind::Pair, pair(number));
         }
         for number in 0..6 {
-            accept(store.as_ref(), (eve, eve), TaskKind::Style, style(number));
+            accept(eve, TaskKind::Style, style(number));
         }
         made
     }
@@ -69,14 +60,20 @@ impl Labelled {
     }
 
     fn rows<R: Row>(&self, dataset: &str) -> Vec<R> {
-        let dataset = Dataset::open(&self.path(dataset)).expect("a dataset");
-        dataset.read(None).expect("rows")
+        rows_of(&self.path(dataset))
+    }
+
+    fn motions(&self, dataset: &str) -> Vec<MotionRow> {
+        self.rows(dataset)
+    }
+
+    fn try_annotate(&self, dataset: &str, store: &str, words: &[&str]) -> Ran {
+        let (dataset, store) = (self.path(dataset), self.path(store));
+        typed_with("annotate {} --store {} --json", &[&dataset, &store], words)
     }
 
     fn annotate_of(&self, dataset: &str, store: &str, words: &[&str]) -> Value {
-        let (dataset, store) = (self.path(dataset), self.path(store));
-        let ran = typed_with("annotate {} --store {} --json", &[&dataset, &store], words);
-        ran.done()
+        self.try_annotate(dataset, store, words).done()
     }
 
     fn annotate(&self, store: &str, words: &[&str]) -> Value {
@@ -92,26 +89,19 @@ impl Labelled {
     }
 
     fn export(&self, layout: &str) -> Value {
-        let (dataset, out) = (self.path("dataset"), self.path(layout));
-        typed(
-            "--json export {} --to {} --out {}",
-            &[&dataset, &layout, &out],
-        )
-        .done()
+        exported(&self.path("dataset"), layout, &self.path(layout), &[])
     }
 
     fn ingest(&self, source: &str, out: &str, more: &[&str], code: i32) -> Value {
         let (source, out) = (self.path(source), self.path(out));
-        typed_with("--json ingest {} --out {}", &[&source, &out], more)
-            .expect_code(code)
-            .json()
+        let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+        ran.expect_code(code).json()
     }
 
     /// Adds the answers to the dataset, and labels that only other programs make: a mask without named parts and one of
     /// altered joints, a semantic pair, and a motion that is the style of two others.
     fn with_all_labels(&self) {
         self.annotate("store.sqlite", &["export"]);
-        let dataset = Dataset::open(&self.path("dataset")).expect("a dataset");
         let mut masks: Vec<MaskRow> = self.rows("dataset");
         let mut bare = masks[0].clone();
         bare.id = "own/joints".to_owned();
@@ -120,123 +110,64 @@ impl Labelled {
         masks[1].hard_joints.truncate(1);
         masks.push(bare);
         let mut pairs: Vec<PairRow> = self.rows("dataset");
-        let style = pairs
-            .iter()
-            .find(|pair| pair.kind == "style")
-            .expect("styles");
+        let style = pairs.iter().find(|pair| pair.kind == "style");
+        let style = style.expect("styles");
         let more = |id: &str, kind: &str, source: &PairRow| PairRow {
             id: id.to_owned(),
             kind: kind.to_owned(),
             ..source.clone()
         };
-        let (semantic, mut second) = (
-            more("own/a", "semantic", style),
-            more("own/b", "style", style),
-        );
+        let semantic = more("own/a", "semantic", style);
+        let mut second = more("own/b", "style", style);
         let of_split = pairs.iter().filter(|pair| pair.split == style.split);
         let mut sources = of_split.map(|pair| &pair.source_id);
-        second.source_id = sources
-            .find(|id| **id != style.source_id && **id != style.target_id)
-            .expect("another source")
-            .clone();
+        let other = sources.find(|id| **id != style.source_id && **id != style.target_id);
+        second.source_id = other.expect("another source").clone();
         pairs.extend([semantic, second]);
-        let skeleton = dataset.skeleton().expect("a skeleton");
         let root = self.path("dataset");
-        let of_mask: fn(&MaskRow) -> Split = |row| row.split;
-        let of_pair: fn(&PairRow) -> Split = |row| row.split;
-        commit_rows(&root, &masks, Some(of_mask), &skeleton, "masks", "test").expect("masks");
-        commit_rows(&root, &pairs, Some(of_pair), &skeleton, "pairs", "test").expect("pairs");
+        commit(&root, &masks, |row| row.split, "masks");
+        commit(&root, &pairs, |row| row.split, "pairs");
     }
-}
-
-fn parts(names: &[&str]) -> Vec<String> {
-    names.iter().map(|name| (*name).to_owned()).collect()
 }
 
 fn masks(number: usize) -> Answer {
-    let mask = |names: &[&str], soft| MaskAnswer {
-        parts: parts(names),
-        soft,
-        joints: Vec::new(),
-        range: None,
-        text: format!(
-            "moving {number} times with {}",
-            names.join(" and ").to_lowercase()
-        ),
-        suggestion: None,
+    let mask = |parts: &[&str], soft: bool| {
+        let names = parts.join(" and ").to_lowercase();
+        json!({ "parts": parts, "soft": soft, "text": format!("moving {number} times with {names}") })
     };
-    Answer::MaskText {
-        masks: vec![
-            mask(&["LEFT_ARM"], !number.is_multiple_of(3)),
-            mask(&["LOWER_BODY", "HEAD"], true),
-        ],
-        count_reason: None,
-        note: String::new(),
-    }
+    let arm = mask(&["LEFT_ARM"], !number.is_multiple_of(3));
+    from_json(json!({ "kind": "mask_text", "masks": [arm, mask(&["LOWER_BODY", "HEAD"], true)] }))
 }
 
 fn pair(number: usize) -> Answer {
-    let verdicts = [Verdict::Unnatural, Verdict::Unclear, Verdict::Identical];
-    if number < REJECTED {
-        return Answer::Pair {
-            verdict: verdicts[number % 3],
-            parts: Vec::new(),
-            edit_type: None,
-            text: String::new(),
-            suggestion: None,
-            note: format!("of take {number}"),
-        };
-    }
-    Answer::Pair {
-        verdict: Verdict::Keep,
-        parts: parts(&["RIGHT_ARM"]),
-        edit_type: Some(EditType::Speed),
-        text: format!("move the right arm {number} times faster"),
-        suggestion: None,
-        note: String::new(),
-    }
+    from_json(if number < REJECTED {
+        let verdict = ["unnatural", "unclear", "identical"][number % 3];
+        json!({ "kind": "pair", "verdict": verdict, "note": format!("of take {number}") })
+    } else {
+        let text = format!("move the right arm {number} times faster");
+        json!({
+            "kind": "pair", "verdict": "keep", "parts": ["RIGHT_ARM"], "edit_type": "speed", "text": text,
+        })
+    })
 }
 
 fn style(number: usize) -> Answer {
-    let extents = [Extent::Lower, Extent::Upper, Extent::Whole];
-    Answer::Style {
-        verdict: Verdict::Keep,
-        parts: if number.is_multiple_of(2) {
-            Vec::new()
-        } else {
-            parts(&["UPPER_BODY"])
-        },
-        style: Some("proud".to_owned()),
-        extent: Some(extents[number % 3]),
-        text: format!("walk as proudly as {number} lions"),
-        suggestion: None,
-        note: String::new(),
-    }
+    let extent = ["lower", "upper", "whole"][number % 3];
+    let upper = (!number.is_multiple_of(2)).then_some("UPPER_BODY");
+    from_json(json!({
+        "kind": "style", "verdict": "keep", "style": "proud", "extent": extent,
+        "parts": Vec::from_iter(upper), "text": format!("walk as proudly as {number} lions"),
+    }))
 }
 
 /// Labels of the motions by people and sources, as lines.
 fn said(rows: Vec<MotionRow>) -> BTreeSet<String> {
     let line = |row: MotionRow| {
-        let MotionRow {
-            id,
-            split,
-            content_hash,
-            mirrored_of,
-            captions,
-            caption_origins,
-            part_captions,
-            subject,
-            action,
-            style,
-            license,
-            rotation_source,
-            fit_error_m,
-            ..
-        } = row;
-        format!(
-            "{id} {split} {content_hash} {mirrored_of:?} {captions:?} {caption_origins:?} {part_captions:?} {subject:?} \
-             {action:?} {style:?} {license:?} {rotation_source} {fit_error_m:?}"
-        )
+        let from = (row.id, row.split, row.content_hash, row.mirrored_of);
+        let said = (row.captions, row.caption_origins, row.part_captions);
+        let labels = (row.subject, row.action, row.style, row.license);
+        let solved = (row.rotation_source, row.fit_error_m);
+        format!("{from:?} {said:?} {labels:?} {solved:?}")
     };
     rows.into_iter().map(line).collect()
 }
@@ -251,15 +182,13 @@ fn every_mask_and_pair_of_a_dataset_comes_back_by_way_of_the_stance_layout() {
     let made = Labelled::new();
     made.with_all_labels();
     let export = made.export("stance");
-    assert_eq!(export["left_out"], serde_json::json!({}), "{export}");
+    assert_eq!(export["left_out"], json!({}), "{export}");
     let report = made.ingest("stance", "again", &[], 0);
     assert_eq!(report["quarantined"], 0, "{report}");
     assert_eq!(said(made.rows("again")), said(made.rows("dataset")));
     let masks = |name: &str| sorted(made.rows::<MaskRow>(name), |row| row.id.clone());
-    let people: BTreeSet<String> = masks("dataset")
-        .into_iter()
-        .map(|mask| mask.text_origin)
-        .collect();
+    let origins = masks("dataset").into_iter().map(|mask| mask.text_origin);
+    let people: BTreeSet<String> = origins.collect();
     assert_eq!(people.len(), 3, "{people:?}");
     assert_eq!(masks("again"), masks("dataset"));
     let pairs = |name: &str| sorted(made.rows::<PairRow>(name), |row| row.id.clone());
@@ -269,11 +198,10 @@ fn every_mask_and_pair_of_a_dataset_comes_back_by_way_of_the_stance_layout() {
 
     // Data that only this program's own files can hold is counted: masks that are not in the release's two lists.
     let lists = ["mask_all", "part_annotations"].map(|name| {
-        let list = std::fs::read(made.path(&format!("stance/regen/{name}.json"))).expect("written");
-        serde_json::from_slice::<BTreeMap<String, Vec<String>>>(&list).expect("JSON")
+        let list = made.path(&format!("stance/regen/{name}.json"));
+        json_of::<BTreeMap<String, Vec<String>>>(list)
     });
-    let origin = std::fs::read(made.path("stance/origin.json")).expect("written");
-    let origin: Value = serde_json::from_slice(&origin).expect("JSON");
+    let origin: Value = json_of(made.path("stance/origin.json"));
     let mut listed: BTreeSet<(&str, &str, &str)> = BTreeSet::new();
     for (stem, parts) in &lists[0] {
         let id = &origin["motions"][format!("base_motion/{stem}")]["id"];
@@ -292,61 +220,11 @@ fn every_mask_and_pair_of_a_dataset_comes_back_by_way_of_the_stance_layout() {
     assert!(export["beside"]["pairs"].as_u64() >= Some(2), "{export}");
     // A second round trip gives the same files.
     let out = made.path("exported-again");
-    let again = made.path("again");
-    stance(&["export", arg(&again), "--to", "stance", "--out", arg(&out)]).expect_code(0);
+    exported(&made.path("again"), "stance", &out, &[]);
     for name in ["masks.jsonl", "pairs.jsonl", "regen/mask_all.json"] {
         let read = |folder: &Path| std::fs::read(folder.join(name)).expect("written");
         assert!(read(&out) == read(&made.path("stance")), "{name}");
     }
-}
-
-#[test]
-fn a_range_and_a_chosen_joint_survive_an_export_into_a_fresh_project() {
-    let made = Labelled::new();
-    let store = open_sqlite(&made.path("store.sqlite")).expect("a store");
-    let users = store.users().expect("users");
-    let id = |name: &str| {
-        let user = users.iter().find(|user| user.name == name);
-        user.expect("a user").id
-    };
-    let mut answer = masks(99);
-    if let Answer::MaskText { masks, .. } = &mut answer {
-        masks[0].range = Some([2, 33]);
-        masks[1].joints = vec![JointChoice {
-            joint: "left_hip".to_owned(),
-            weight: JointWeight::Soft,
-        }];
-    }
-    let people = (id("ann"), id("eve"));
-    accept(store.as_ref(), people, TaskKind::MaskText, answer);
-    drop(store);
-
-    // Answers are imported from the tables of an export, with all their data.
-    let first = made.answers("dataset", "store.sqlite");
-    let ranged: Vec<&AnnotationRow> = first.iter().filter(|row| row.start.is_some()).collect();
-    assert_eq!(ranged.len(), 1);
-    assert_eq!((ranged[0].start, ranged[0].end), (Some(2), Some(33)));
-    let chosen = |row: &&AnnotationRow| row.soft_joints.contains(&"left_hip".to_owned());
-    assert_eq!(first.iter().filter(chosen).count(), 1);
-    made.annotate("fresh.sqlite", &["import"]);
-    let tables = made.path("store.sqlite-answers");
-    made.annotate("fresh.sqlite", &["import", arg(&tables)]);
-    assert_eq!(made.answers("dataset", "fresh.sqlite"), first);
-
-    // Masks are imported from the tables of the dataset.
-    made.annotate("store.sqlite", &["export"]);
-    made.annotate("of-dataset.sqlite", &["import"]);
-    let of_masks = |rows: Vec<AnnotationRow>| -> Vec<String> {
-        let masks = rows.into_iter().filter(|row| row.kind == "mask_text");
-        let line = |row: AnnotationRow| {
-            let (hard, soft) = (row.hard_joints, row.soft_joints);
-            let frames = (row.start, row.end);
-            format!("{} {hard:?} {soft:?} {frames:?} {}", row.task, row.text)
-        };
-        masks.map(line).collect()
-    };
-    let again = made.answers("dataset", "of-dataset.sqlite");
-    assert_eq!(of_masks(again), of_masks(first));
 }
 
 #[test]
@@ -363,69 +241,42 @@ fn an_exported_dataset_gives_its_answers_to_a_project() {
     // The old ids also hold in a dataset made from the export, whose own tables already have the answers.
     made.ingest("stance", "again", &[], 0);
     made.annotate_of("again", "again.sqlite", &["import", arg(&folder)]);
-    let kept = |rows: Vec<AnnotationRow>| -> Vec<AnnotationRow> {
-        let rows = rows
-            .into_iter()
-            .filter(|row| row.verdict.as_deref().unwrap_or("keep") == "keep");
-        rows.collect()
-    };
-    let plain = |rows: Vec<AnnotationRow>| -> Vec<String> {
-        let rows = rows.into_iter();
+    type Line = (String, String);
+    let lines = |rows: Vec<AnnotationRow>| -> Vec<Line> {
         let line = |row: AnnotationRow| {
-            format!(
-                "{} {} {:?} {} {:?} {:?} {} {:?} {}",
-                row.kind,
-                row.motion_id,
-                row.target_id,
-                row.split,
-                row.hard_joints,
-                row.soft_joints,
-                row.text,
-                row.edit_type,
-                row.author
-            )
+            let of = (row.motion_id, row.target_id, row.split);
+            let joints = (row.hard_joints, row.soft_joints);
+            let said = (row.text, row.edit_type, row.author);
+            (row.kind, format!("{of:?} {joints:?} {said:?}"))
         };
-        rows.map(line).collect()
+        rows.into_iter().map(line).collect()
     };
-    let answers = plain(kept(made.answers("dataset", "store.sqlite")));
+    let mut answers = made.answers("dataset", "store.sqlite");
+    answers.retain(|row| row.verdict.as_deref().unwrap_or("keep") == "keep");
+    let answers = lines(answers);
     assert!(answers.len() > 40, "{}", answers.len());
-    let masks = |rows: &[String]| -> Vec<String> {
-        let masks = rows.iter().filter(|row| row.starts_with("mask_text"));
+    let masks = |lines: &[Line]| -> Vec<Line> {
+        let masks = lines.iter().filter(|(kind, _)| kind == "mask_text");
         masks.cloned().collect()
     };
     for (dataset, store) in [("plain", "plain.sqlite"), ("again", "again.sqlite")] {
-        let found = plain(made.answers(dataset, store));
+        let found = lines(made.answers(dataset, store));
         assert_eq!(masks(&found), masks(&answers), "{store}");
         assert_eq!(found.len(), answers.len(), "{store}");
     }
     // Labels of another motion of the same name are refused.
     let other = made.path("other");
-    typed(
-        "corpus --clips 36 --adjusted 1 --seed 9 --out {}",
-        &[&other],
-    )
-    .expect_code(0);
+    let line = "corpus --clips 36 --adjusted 1 --seed 9 --out {}";
+    typed(line, &[&other]).expect_code(0);
     made.ingest("other", "other-dataset", &[], 0);
-    let (dataset, store) = (made.path("other-dataset"), made.path("other.sqlite"));
-    typed(
-        "annotate {} --store {} import {}",
-        &[&dataset, &store, &folder],
-    )
-    .expect_refused("its content is");
-}
+    let import = ["import", arg(&folder)];
+    let refused = made.try_annotate("other-dataset", "other.sqlite", &import);
+    refused.expect_refused("its content is");
 
-#[test]
-fn pairs_whose_motions_are_in_two_splits_are_left_out_of_a_project_and_counted() {
-    let made = Labelled::new();
-    made.annotate("store.sqlite", &["export"]);
-    made.export("stance");
     let pairs: Vec<PairRow> = made.rows("dataset");
     // A dataset of the same motions in which targets of pairs are in another split than sources.
-    let targets: BTreeSet<String> = pairs
-        .iter()
-        .map(|pair| pair.target_id.to_string())
-        .collect();
-    let rows: Vec<MotionRow> = made.rows("dataset");
+    let targets: BTreeSet<&str> = pairs.iter().map(|pair| pair.target_id.as_str()).collect();
+    let rows = made.motions("dataset");
     let lines = rows.iter().map(|row| {
         let split = ["train", "test"][usize::from(targets.contains(row.id.as_str()))];
         format!("{},{split}\n", row.id)
@@ -433,32 +284,21 @@ fn pairs_whose_motions_are_in_two_splits_are_left_out_of_a_project_and_counted()
     let list = made.path("splits.csv");
     put(&list, format!("clip,split\n{}", lines.collect::<String>()));
     made.ingest("corpus", "parted", &["--splits", arg(&list)], 0);
-    let splits: BTreeMap<String, Split> = made
-        .rows::<MotionRow>("parted")
-        .into_iter()
-        .map(|row| (row.id.to_string(), row.split))
-        .collect();
-    let split = |id: &MotionId| splits[id.as_str()];
-    let is_across = |pair: &&PairRow| split(&pair.source_id) != split(&pair.target_id);
+    let parted = motions_of(&made.path("parted"));
+    let split = |id: &str| parted[id].split;
+    let is_across =
+        |pair: &&PairRow| split(pair.source_id.as_str()) != split(pair.target_id.as_str());
     let across = pairs.iter().filter(is_across).count();
     assert!(across > 10, "{across} of {}", pairs.len());
-    let folder = made.path("stance");
     let filled = made.annotate_of("parted", "parted.sqlite", &["import", arg(&folder)]);
     assert_eq!(filled["counts"]["pairs_across_splits"], across, "{filled}");
-    let said = filled["messages"].to_string();
-    assert_has(
-        &said,
-        &[&format!("{across} pairs have their motions in two splits")],
-    );
+    let message = format!("{across} pairs have their motions in two splits");
+    assert_has(&filled["messages"].to_string(), &[&message]);
     // No answer of the project is about a pair across splits.
-    let answers = made.answers("parted", "parted.sqlite").into_iter();
-    let of_pairs = answers.filter_map(|row| row.target_id.clone().zip(Some(row)));
-    for (target, row) in of_pairs {
-        assert_eq!(
-            splits[target.as_str()],
-            splits[row.motion_id.as_str()],
-            "{row:?}"
-        );
+    for row in made.answers("parted", "parted.sqlite") {
+        if let Some(target) = &row.target_id {
+            assert_eq!(split(target), split(&row.motion_id), "{row:?}");
+        }
     }
 }
 
@@ -467,8 +307,7 @@ fn an_export_that_was_changed_is_refused_with_both_names() {
     let made = Labelled::new();
     made.export("stance");
     let folder = made.path("stance");
-    let record = std::fs::read(folder.join("origin.json")).expect("written");
-    let record: Value = serde_json::from_slice(&record).expect("JSON");
+    let record: Value = json_of(folder.join("origin.json"));
     let motions = record["motions"].as_object().expect("an object");
     // Motions of an adjustment are also in other files.
     let mut places: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
@@ -486,79 +325,82 @@ fn an_export_that_was_changed_is_refused_with_both_names() {
     let report = made.ingest("stance", "again", &[], 3);
     assert_eq!(report["codes"]["E-STANCE-ORIGIN"], 2, "{report}");
     let again = made.path("again");
-    let listed = stance(&["inspect", arg(&again), "--list", "quarantine"]).printed();
-    assert_has(&listed, &[first.0, second.0]);
-    assert!(listed.contains("masks.jsonl holds the masks"), "{listed}");
+    let listed = typed("inspect {} --list quarantine", &[&again]).printed();
+    let said = [first.0, second.0, "masks.jsonl holds the masks"];
+    assert_has(&listed, &said);
     // All other motions are unchanged.
-    let motions: Vec<MotionRow> = made.rows("again");
-    let all: Vec<MotionRow> = made.rows("dataset");
-    assert_eq!(motions.len() + 1, all.len());
+    let [again, all] = ["again", "dataset"].map(|name| made.motions(name).len());
+    assert_eq!(again + 1, all);
     // A motion without a file is reported.
     std::fs::remove_file(&second.1).expect("removed");
     let report = made.ingest("stance", "third", &[], 3);
-    assert!(
-        report["remarks"].to_string().contains("have no file"),
-        "{report}"
-    );
+    assert_has(&report["remarks"].to_string(), &["have no file"]);
 }
 
 #[test]
-fn every_answer_of_a_project_comes_back_by_way_of_the_stance_layout() {
+fn every_answer_of_a_project_comes_back_and_what_a_layout_leaves_out_is_counted() {
     let made = Labelled::new();
-    let to = made.path("answers");
+    let store = open_sqlite(&made.path("store.sqlite")).expect("a store");
+    let users = store.users().expect("users");
+    let people = (users[0].id, users[1].id);
+    let hip = json!({ "joint": "left_hip", "weight": "soft" });
+    let answer = from_json(json!({ "kind": "mask_text", "masks": [
+        { "parts": ["LEFT_ARM"], "range": [2, 33], "text": "waving" },
+        { "parts": ["LOWER_BODY", "HEAD"], "joints": [hip], "text": "walking" },
+    ] }));
+    accept(store.as_ref(), people, TaskKind::MaskText, answer);
+    drop(store);
+    let answers = made.answers("dataset", "store.sqlite");
+    let ranges = answers.iter().filter_map(|row| row.start.zip(row.end));
+    assert_eq!(ranges.collect::<Vec<_>>(), [(2, 33)]);
+    let count = |has: fn(&AnnotationRow) -> bool| answers.iter().filter(|row| has(row)).count();
+    let left_hip = |row: &AnnotationRow| row.soft_joints.contains(&"left_hip".to_owned());
+    assert_eq!(count(left_hip), 1);
+    let rejected = |row: &AnnotationRow| row.verdict.as_deref().unwrap_or("keep") != "keep";
+    assert_eq!(count(rejected), REJECTED);
+    assert_eq!(count(|row| row.extent.is_some()), 6);
+
+    // From the table, into a project with the dataset's tasks.
+    let table = made.path("store.sqlite-answers");
+    made.annotate("of-table.sqlite", &["import"]);
+    let filled = made.annotate("of-table.sqlite", &["import", arg(&table)]);
+    for none in ["new_tasks", "conflicts"] {
+        assert_eq!(filled["counts"][none], 0, "{filled}");
+    }
+    assert_eq!(made.answers("dataset", "of-table.sqlite"), answers);
+
+    // From the release, into an empty project.
+    let to = made.path("release");
     let export = ["export", "--format", "stance", "--to", arg(&to)];
     let done = made.annotate("store.sqlite", &export);
     assert_eq!(done["counts"]["rejected_pairs"], REJECTED, "{done}");
     assert_eq!(done["counts"]["extents"], 6, "{done}");
-    let filled = made.annotate("fresh.sqlite", &["import", arg(&to)]);
+    let filled = made.annotate("of-release.sqlite", &["import", arg(&to)]);
     assert_eq!(filled["counts"]["conflicts"], 0, "{filled}");
-    let answers = made.answers("dataset", "store.sqlite");
-    let has = |name: &str| {
-        answers
-            .iter()
-            .filter(|row| row.verdict.as_deref() == Some(name))
-            .count()
-    };
-    assert_eq!(
-        has("unnatural") + has("unclear") + has("identical"),
-        REJECTED
-    );
-    assert_eq!(answers.iter().filter(|row| row.extent.is_some()).count(), 6);
-    assert_eq!(made.answers("dataset", "fresh.sqlite"), answers);
+    assert_eq!(made.answers("dataset", "of-release.sqlite"), answers);
     // Lists that contradict the table are reported.
     put(to.join("mask_all.json"), "{}");
-    let (dataset, store) = (made.path("dataset"), made.path("third.sqlite"));
-    let refused =
-        typed("annotate {} --store {} import {}", &[&dataset, &store, &to]).expect_code(1);
-    refused.expect_said("mask_all.json was changed since the export");
-}
+    made.try_annotate("dataset", "third.sqlite", &["import", arg(&to)])
+        .expect_refused("mask_all.json was changed since the export");
 
-#[test]
-fn a_spreadsheet_and_the_dataset_count_what_they_leave_out() {
-    let made = Labelled::new();
-    let tables = made.annotate("store.sqlite", &["export"]);
-    assert_eq!(tables["counts"]["left_out_extents"], 6, "{tables}");
-    assert_eq!(
-        tables["counts"]["left_out_rejected_pairs"], REJECTED,
-        "{tables}"
-    );
+    // A spreadsheet has what people of this project wrote.
     let to = made.path("sheet");
     let export = ["export", "--format", "csv", "--to", arg(&to)];
     let own = made.annotate("store.sqlite", &export);
-    let answers = made.answers("dataset", "store.sqlite");
     let tasks: BTreeSet<&String> = answers.iter().map(|row| &row.task).collect();
     assert_eq!(own["counts"]["labels"], tasks.len(), "{own}");
     assert!(own["counts"]["merged_or_imported"].is_null(), "{own}");
-    let table = made.path("store.sqlite-answers");
-    made.annotate("fresh.sqlite", &["import", arg(&table)]);
-    let none = made.annotate("fresh.sqlite", &export);
+    made.annotate("sheet.sqlite", &["import", arg(&table)]);
+    let none = made.annotate("sheet.sqlite", &export);
     assert_eq!(none["counts"]["labels"], 0, "{none}");
     assert_eq!(none["counts"]["merged_or_imported"], tasks.len(), "{none}");
     let said = none["messages"][0].as_str().expect("a message");
-    assert!(
-        said.starts_with(&format!("{} accepted answers", tasks.len())),
-        "{said}"
-    );
+    assert!(said.starts_with(&format!("{} accepted answers", tasks.len())));
+
+    let tables = made.annotate("store.sqlite", &["export"]);
+    let counts = &tables["counts"];
+    assert_eq!(counts["left_out_extents"], 6, "{tables}");
+    assert_eq!(counts["left_out_rejected_pairs"], REJECTED, "{tables}");
 }
 
 /// A project with unfinished work moves to another computer. The dataset was ingested there again: one clip has other
@@ -566,12 +408,8 @@ fn a_spreadsheet_and_the_dataset_count_what_they_leave_out() {
 #[test]
 fn a_packed_project_goes_on_where_it_is_unpacked() {
     let made = Labelled::new();
-    let (file, other, store) = (
-        made.path("project"),
-        made.path("elsewhere"),
-        made.path("store.sqlite"),
-    );
-    let opened = open_sqlite(&store).expect("a store");
+    let file = made.path("project");
+    let opened = open_sqlite(&made.path("store.sqlite")).expect("a store");
     let ann = opened.users().expect("users")[0].clone();
     made.annotate("store.sqlite", &["token", &ann.name]);
     assert_eq!(opened.tokens(ann.id).expect("tokens").len(), 1);
@@ -581,22 +419,20 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
         (serde_json::to_value(funnel).expect("JSON"), people)
     };
     let before = told(&opened);
-    made.annotate("store.sqlite", &["pack", arg(&file)]);
+    let pack = ["pack", arg(&file)];
+    made.annotate("store.sqlite", &pack);
     // Neither files nor projects are overwritten.
-    let (dataset, fresh) = (made.path("dataset"), made.path("fresh.sqlite"));
-    let of = |dataset: &Path, store: &Path, words: &[&str]| {
-        typed_with("annotate {} --store {} --json", &[&dataset, &store], words)
-    };
-    of(&dataset, &store, &["pack", arg(&file)]).expect_code(1);
-    of(&dataset, &store, &["unpack", arg(&file)]).expect_refused("stays");
+    made.try_annotate("dataset", "store.sqlite", &pack)
+        .expect_code(1);
+    let unpack = ["unpack", arg(&file)];
+    made.try_annotate("dataset", "store.sqlite", &unpack)
+        .expect_refused("stays");
 
     // With the same dataset, no task is reopened, and old tokens are invalid.
-    let moved: Value = of(&dataset, &fresh, &["unpack", arg(&file)]).done();
-    assert_eq!(
-        (&moved["people"], &moved["changed"]),
-        (&2.into(), &0.into())
-    );
-    let there = open_sqlite(&fresh).expect("a store");
+    let moved = made.annotate("fresh.sqlite", &unpack);
+    assert_eq!(moved["people"], 2);
+    assert_eq!(moved["changed"], 0);
+    let there = open_sqlite(&made.path("fresh.sqlite")).expect("a store");
     assert_eq!(told(&there), before);
     assert!(there.tokens(ann.id).expect("tokens").is_empty());
     assert_eq!(
@@ -605,43 +441,31 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
     );
 
     // With other content, each task with an answer is flagged.
-    let source = made.path("corpus");
-    typed("ingest {} --out {} --fps 30", &[&source, &other]).expect_code(0);
-    let none = made.path("none.sqlite");
-    let moved: Value = of(&other, &none, &["unpack", arg(&file)]).done();
-    let listed: Value = of(&other, &none, &["changed"]).done();
+    made.ingest("corpus", "elsewhere", &["--fps", "30"], 0);
+    let run = |words: &[&str]| made.annotate_of("elsewhere", "none.sqlite", words);
+    let moved = run(&unpack);
     assert!(moved["changed"].as_u64() > Some(20), "{moved}");
-    assert_eq!(
-        listed.as_array().map(Vec::len),
-        moved["changed"].as_u64().map(|count| count as usize)
-    );
-    assert_eq!(
-        of(&other, &none, &["check"]).done::<Value>()["findings"],
-        serde_json::json!([])
-    );
+    assert_eq!(moved["changed"], len_of(&run(&["changed"])));
+    assert_eq!(run(&["check"])["findings"], json!([]));
 
     // If the file is not a project, no store remains.
-    let nothing = made.path("nothing.sqlite");
-    put(made.path("text"), "no project");
-    of(&dataset, &nothing, &["unpack", arg(&made.path("text"))]).expect_code(1);
-    assert!(!nothing.exists());
+    let text = made.path("text");
+    put(&text, "no project");
+    let refused = made.try_annotate("dataset", "nothing.sqlite", &["unpack", arg(&text)]);
+    refused.expect_code(1);
+    assert!(!made.path("nothing.sqlite").exists());
 }
 
 #[test]
 fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
     let made = Labelled::new();
     made.with_all_labels();
-    let rows: Vec<MotionRow> = made.rows("dataset");
+    let rows = made.motions("dataset");
     let masks = made.rows::<MaskRow>("dataset").len();
     let pairs: Vec<PairRow> = made.rows("dataset");
     let count = |has: &dyn Fn(&MotionRow) -> bool| rows.iter().filter(|row| has(row)).count();
-    let made_captions = |row: &MotionRow| {
-        row.caption_origins
-            .iter()
-            .filter(|by| *by == "rule")
-            .count()
-    };
-    let made_captions: usize = rows.iter().map(made_captions).sum();
+    let origins = rows.iter().flat_map(|row| &row.caption_origins);
+    let made_captions = origins.filter(|by| *by == "rule").count();
     let part_captions: usize = rows.iter().map(|row| row.part_captions.len()).sum();
     let both = [("masks", masks), ("pairs", pairs.len())];
     let labels = [
@@ -659,27 +483,21 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
         ("webdataset", both.to_vec()),
         ("humanml3d", [&both[..], &labels].concat()),
     ];
-    let texts = |rows: Vec<MotionRow>| -> Vec<String> {
-        let mut texts: Vec<String> = rows
-            .iter()
-            .flat_map(|row| {
-                row.stated_captions()
-                    .map(|caption| format!("{} {}", row.split, caption.text))
-            })
-            .collect();
+    let texts = |rows: &[MotionRow]| -> Vec<String> {
+        let of = |row: &MotionRow| -> Vec<String> {
+            let texts = row.stated_captions().map(|caption| &caption.text);
+            texts.map(|text| format!("{} {text}", row.split)).collect()
+        };
+        let mut texts: Vec<String> = rows.iter().flat_map(of).collect();
         texts.sort();
         texts
     };
-    let names = |rows: Vec<MotionRow>| -> Vec<String> {
-        let mut names: Vec<String> = rows
-            .iter()
-            .map(|row| {
-                format!(
-                    "{} {:?} {:?} {:?} {:?} {:?}",
-                    row.split, row.action, row.style, row.subject, row.license, row.part_captions
-                )
-            })
-            .collect();
+    let names = |rows: &[MotionRow]| -> Vec<String> {
+        let name = |row: &MotionRow| {
+            let labels = (&row.action, &row.style, &row.subject, &row.license);
+            format!("{} {labels:?} {:?}", row.split, row.part_captions)
+        };
+        let mut names: Vec<String> = rows.iter().map(name).collect();
         names.sort();
         names
     };
@@ -689,105 +507,63 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
             .into_iter()
             .filter(|(_, count)| *count > 0)
             .collect();
-        assert_eq!(said["left_out"], serde_json::json!(expected), "{layout}");
-        assert_eq!(said["beside"], serde_json::json!({}), "{layout}");
-        made.ingest(layout, &format!("{layout}-again"), &[], 0);
-        let again: Vec<MotionRow> = made.rows(&format!("{layout}-again"));
+        assert_eq!(said["left_out"], json!(expected), "{layout}");
+        assert_eq!(said["beside"], json!({}), "{layout}");
+        let name = format!("{layout}-again");
+        made.ingest(layout, &name, &[], 0);
+        let again = made.motions(&name);
         assert_eq!(again.len(), rows.len(), "{layout}");
-        assert_eq!(texts(again.clone()), texts(rows.clone()), "{layout}");
+        assert_eq!(texts(&again), texts(&rows), "{layout}");
         if layout != "humanml3d" {
-            assert_eq!(names(again), names(rows.clone()), "{layout}");
+            assert_eq!(names(&again), names(&rows), "{layout}");
         }
     }
     // The text output has the same counts.
     let (dataset, out) = (made.path("dataset"), made.path("text"));
-    let text = stance(&["export", arg(&dataset), "--to", "bvh", "--out", arg(&out)]).expect_code(0);
+    let text = typed("export {} --to bvh --out {}", &[&dataset, &out]).expect_code(0);
     let line = format!("left out, because the layout has no place for them: {masks} masks");
     text.expect_printed(&line);
-}
 
-#[test]
-fn pairs_with_words_come_back_by_way_of_motionfix_and_the_rest_is_counted() {
-    let made = Labelled::new();
-    made.with_all_labels();
-    let rows: Vec<MotionRow> = made.rows("dataset");
-    let masks = made.rows::<MaskRow>("dataset").len();
-    let pairs: Vec<PairRow> = made.rows("dataset");
+    // Pairs with words come back by way of MotionFix.
     let said = made.export("motionfix");
-    let worded = pairs
-        .iter()
-        .filter(|pair| !pair.instruction.is_empty() || pair.style.is_some());
-    let worded = worded.count();
+    let is_worded = |pair: &&PairRow| !pair.instruction.is_empty() || pair.style.is_some();
+    let worded = pairs.iter().filter(is_worded).count();
     assert_eq!(said["clips"], worded, "{said}");
     let left_out = |name: &str| said["left_out"][name].as_u64().unwrap_or(0) as usize;
     assert_eq!(left_out("pairs"), pairs.len() - worded);
     assert_eq!(left_out("masks"), masks);
-    assert_eq!(
-        left_out("captions") + left_out("made_captions"),
-        rows.iter().map(|row| row.captions.len()).sum::<usize>()
-    );
-    assert_eq!(
-        left_out("edit_types"),
-        pairs.iter().filter(|pair| pair.edit_type.is_some()).count()
-    );
-    let sides = pairs
-        .iter()
-        .flat_map(|pair| [&pair.source_id, &pair.target_id]);
+    let captions: usize = rows.iter().map(|row| row.captions.len()).sum();
+    assert_eq!(left_out("captions") + left_out("made_captions"), captions);
+    let typed_pairs = pairs.iter().filter(|pair| pair.edit_type.is_some());
+    assert_eq!(left_out("edit_types"), typed_pairs.count());
+    let sides = pairs.iter();
+    let sides = sides.flat_map(|pair| [&pair.source_id, &pair.target_id]);
     let sides: BTreeSet<_> = sides.collect();
     assert_eq!(left_out("clips"), rows.len() - sides.len());
     made.ingest("motionfix", "motionfix-again", &["--fps", "30"], 0);
-    let mut instructions: Vec<String> = made
-        .rows::<PairRow>("motionfix-again")
-        .into_iter()
-        .map(|pair| pair.instruction)
-        .collect();
+    let again = made.rows::<PairRow>("motionfix-again").into_iter();
+    let mut instructions: Vec<String> = again.map(|pair| pair.instruction).collect();
     instructions.retain(|said| pairs.iter().any(|pair| pair.instruction.trim() == said));
-    let with_words = pairs
-        .iter()
-        .filter(|pair| !pair.instruction.trim().is_empty());
-    assert_eq!(instructions.len(), with_words.count());
-}
+    let mut with_words = pairs.clone();
+    with_words.retain(|pair| !pair.instruction.trim().is_empty());
+    assert_eq!(instructions.len(), with_words.len());
 
-#[test]
-fn features_and_chosen_clips_are_counted_too() {
-    let made = Labelled::new();
-    let dataset = made.path("features");
-    let source = made.path("corpus");
-    typed(
-        "ingest {} --features humanml3d --out {}",
-        &[&source, &dataset],
-    )
-    .expect_code(0);
+    // Features are counted, and pairs with only one chosen motion.
+    made.ingest("corpus", "features", &["--features", "humanml3d"], 0);
     let rows = made.rows::<HumanMl3dRow>("features").len();
-    let export = |dataset: &Path, layout: &str, out: &str, more: &[&str]| -> Value {
-        let out = made.path(out);
-        typed_with(
-            "--json export {} --to {} --out {}",
-            &[&dataset, &layout, &out],
-            more,
-        )
-        .done()
-    };
-    let said = export(&dataset, "stance", "a", &[]);
+    let said = exported(&made.path("features"), "stance", &made.path("a"), &[]);
     assert_eq!(said["left_out"]["humanml3d_features"], rows, "{said}");
-    // A pair with only one chosen motion.
-    let pairs: Vec<PairRow> = made.rows("dataset");
-    let chosen = format!("id = '{}'", pairs[0].source_id);
-    let touched = pairs
-        .iter()
-        .filter(|pair| [&pair.source_id, &pair.target_id].contains(&&pairs[0].source_id));
-    let said = export(&made.path("dataset"), "stance", "b", &["--where", &chosen]);
-    assert_eq!(said["left_out"]["pairs"], touched.count(), "{said}");
+    let first = &pairs[0].source_id;
+    let touches = |pair: &&PairRow| [&pair.source_id, &pair.target_id].contains(&first);
+    let touched = pairs.iter().filter(touches).count();
+    let chosen = format!("id = '{first}'");
+    let said = exported(&dataset, "stance", &made.path("b"), &["--where", &chosen]);
+    assert_eq!(said["left_out"]["pairs"], touched, "{said}");
     // A planned export gives the same warning.
     let (plan, out) = (made.path("plan"), made.path("planned"));
-    let dataset = made.path("dataset");
-    typed(
-        "stage plan export {} --to bvh --into {} --out {}",
-        &[&dataset, &out, &plan],
-    )
-    .expect_code(0);
+    let line = "stage plan export {} --to bvh --into {} --out {}";
+    typed(line, &[&dataset, &out, &plan]).expect_code(0);
     stance(&["stage", "work", arg(&plan)]).expect_code(0);
     let done: Value = stance(&["--json", "stage", "commit", arg(&plan)]).done();
-    let masks = made.rows::<MaskRow>("dataset").len();
     assert_eq!(done["notes"]["left_out"]["masks"], masks, "{done}");
 }

@@ -3,86 +3,57 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::Dataset;
 use datasets_spec::record::{EditRow, ItemRow};
 use serde_json::{Value, json};
 
 use crate::evaluate::Bench;
 use crate::results::score;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, json_of, put, rows_of, stance, text_of, typed, typed_with};
+use crate::util::{Ran, assert_has, list_of, number_of, word_of};
 
 /// Trains an editor or a coordinator on windows composed with the given settings.
-fn train_composed(
-    workshop: &Workshop,
-    model: &str,
-    out: &str,
-    compose: &str,
-    more: &[&str],
-) -> Ran {
-    let toml = workshop.path(&format!("{out}.compose.toml"));
-    put(&toml, compose);
-    let (dataset, run) = (workshop.dataset(), workshop.path(out));
-    let small = workshop.path("small.toml");
-    typed_with(
-        "--json train {} {} --out {} --config {} --compose {} --steps 4",
-        &[&model, &dataset, &run, &small, &toml],
-        more,
-    )
-}
-
-fn record(run: &Path) -> Value {
-    json_of(run.join("config.json"))
+fn train_composed(workshop: &Workshop, model: &str, out: &str, compose: &str) {
+    workshop.put(&format!("{out}.compose.toml"), compose);
+    workshop.run(&format!(
+        "train {model} @dataset --out @{out} --config @small.toml --compose @{out}.compose.toml --steps 4"
+    ));
 }
 
 /// A copy of a run with a changed record.
-fn copy_with(run: &Path, copy: &Path, change: impl FnOnce(&mut Value)) {
-    let (from, to) = (run.join("checkpoint/best"), copy.join("checkpoint/best"));
+fn copy_with(workshop: &Workshop, run: &str, copy: &str, change: impl FnOnce(&mut Value)) {
+    let [from, to] = [run, copy].map(|run| workshop.path(run).join("checkpoint/best"));
     fs::create_dir_all(&to).expect("a folder");
-    for file in fs::read_dir(&from).expect("a checkpoint") {
+    for file in fs::read_dir(from).expect("a checkpoint") {
         let file = file.expect("a file");
         fs::copy(file.path(), to.join(file.file_name())).expect("copied");
     }
-    let mut record = record(run);
+    let mut record = workshop.record(run);
     change(&mut record);
-    put(copy.join("config.json"), record.to_string());
+    workshop.put(&format!("{copy}/config.json"), record.to_string());
 }
 
-fn row(folder: &Path) -> EditRow {
-    let rows: Vec<EditRow> = rows_of(folder);
-    rows.into_iter().next().expect("an edit")
+/// The first edit of a folder.
+fn row(workshop: &Workshop, folder: &str) -> EditRow {
+    workshop.rows(folder).remove(0)
 }
 
 #[test]
 fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
     let workshop = Workshop::open();
-    let dataset = workshop.dataset();
     let compose = "anchor = \"translation\"\nfps = 5.0\n";
-    train_composed(&workshop, "motionrefit", "editor", compose, &[]).expect_code(0);
-    let editor = workshop.path("editor");
-    let recorded = &record(&editor)["config"]["compose"]["config"];
-    assert_eq!(
-        (&recorded["anchor"], &recorded["fps"]),
-        (&json!("translation"), &json!(5.0))
-    );
+    train_composed(&workshop, "motionrefit", "editor", compose);
+    let composed = |run: &str| workshop.record(run)["config"]["compose"]["config"].clone();
+    let recorded = composed("editor");
+    assert_eq!(recorded["anchor"], "translation");
+    assert_eq!(recorded["fps"], 5.0);
 
     let clip = workshop.long_clip();
-    let edit = |run: &Path, out: &str| -> (Ran, EditRow) {
-        let out = workshop.path(out);
-        let ran = typed(
-            "--json edit {} --dataset {} --motion {} --text {} --out {}",
-            &[
-                &run,
-                &dataset,
-                &clip.id.as_str(),
-                &"The person is waving.",
-                &out,
-            ],
-        )
-        .expect_code(0);
-        (ran, row(&out))
+    let asked = format!("--motion {} --text 'The person is waving.'", clip.id);
+    let edit = |run: &str, out: &str| -> (Ran, EditRow) {
+        let line = format!("--json edit @{run} --dataset @dataset --out @{out} {asked}");
+        (workshop.run(&line), row(&workshop, out))
     };
-    let (ran, edited) = edit(&editor, "edited");
+    let (ran, edited) = edit("editor", "edited");
     // Windows have 16 frames at 5 fps, and each starts 10 frames after the one before. The last one ends with the clip;
     // a clip shorter than a window takes one window.
     let model_frames = (clip.n_frames - 1 + 3) / 4 + 1;
@@ -90,87 +61,63 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
     assert_eq!(ran.json::<Value>()["times"]["num_windows"], windows);
     assert_eq!((edited.n_frames, edited.fps), (clip.n_frames, 20.0));
     let settings: Value = serde_json::from_str(&edited.settings).expect("an object");
-    assert_eq!(
-        (
-            &settings["window"],
-            &settings["advance"],
-            &settings["fps"],
-            &settings["fit"]
-        ),
-        (&json!(16), &json!(10), &json!(5.0), &json!("exact"))
-    );
+    for (setting, value) in [
+        ("window", json!(16)),
+        ("advance", json!(10)),
+        ("fps", json!(5.0)),
+        ("fit", json!("exact")),
+    ] {
+        assert_eq!(settings[setting], value, "{setting}");
+    }
 
     // The same weights with another anchor get other windows, and give another motion.
-    let other = workshop.path("other-anchor");
-    copy_with(&editor, &other, |record| {
+    copy_with(&workshop, "editor", "other-anchor", |record| {
         record["config"]["compose"]["config"]["anchor"] = json!("pelvis");
     });
-    assert_ne!(edit(&other, "other").1.transl, edited.transl);
+    assert_ne!(edit("other-anchor", "other").1.transl, edited.transl);
     // A record of an earlier version gives the same result.
-    let old = workshop.path("old-record");
-    copy_with(&editor, &old, |record| {
+    copy_with(&workshop, "editor", "old-record", |record| {
         let compose = record["config"]["compose"].take();
         let pair = json!([compose["config"], compose["seed"]]);
         record["config"]["compose"] = json!(pair.to_string());
     });
-    assert_eq!(edit(&old, "old").1.transl, edited.transl);
+    assert_eq!(edit("old-record", "old").1.transl, edited.transl);
     // Invalid settings of the composition are refused.
-    let broken = workshop.path("broken");
-    copy_with(&editor, &broken, |record| {
+    copy_with(&workshop, "editor", "broken", |record| {
         record["config"]["compose"]["config"]["mcm_ratio"] = json!(7.0);
     });
-    let clip_file = workshop.clip();
-    let out = workshop.path("none.bvh");
-    let ask = |run: &Path, more: &[&str]| -> Ran {
-        let mut args = vec![
-            "edit",
-            arg(run),
-            "--motion",
-            arg(&clip_file),
-            "--text",
-            "wave",
-        ];
-        args.extend(more);
-        args.extend(["--out", arg(&out)]);
-        stance(&args)
+    let clip = workshop.clip();
+    let ask = |run: &str| -> Ran {
+        let motion = clip.display();
+        workshop.typed(&format!(
+            "edit @{run} --motion {motion} --text wave --out @none.bvh"
+        ))
     };
-    ask(&broken, &[]).expect_refused("mcm_ratio");
+    ask("broken").expect_refused("mcm_ratio");
 
     // Coordinators trained on other windows are refused.
     for (name, compose, reason) in [
         ("rate", "anchor = \"translation\"\n", "another rate"),
         ("anchor", "fps = 5.0\n", "another point of the body"),
     ] {
-        train_composed(&workshop, "coordinator", name, compose, &[]).expect_code(0);
-        let guide = workshop.path(name);
-        ask(&editor, &["--coordinator", arg(&guide)]).expect_refused(reason);
+        train_composed(&workshop, "coordinator", name, compose);
+        ask(&format!("editor --coordinator @{name}")).expect_refused(reason);
     }
-    let compose = "anchor = \"translation\"\nfps = 5.0\n";
-    train_composed(&workshop, "coordinator", "guide", compose, &[]).expect_code(0);
-    let guide = workshop.path("guide");
-    assert_eq!(
-        record(&guide)["config"]["compose"]["config"]["anchor"],
-        "translation"
-    );
-    ask(&editor, &["--coordinator", arg(&guide)]).expect_code(0);
-}
+    train_composed(&workshop, "coordinator", "guide", compose);
+    assert_eq!(composed("guide")["anchor"], "translation");
+    ask("editor --coordinator @guide").expect_code(0);
 
-#[test]
-fn the_released_preset_composes_as_the_release_does() {
-    let workshop = Workshop::open();
-    let toml = workshop.path("official.toml");
-    let small = text_of(workshop.path("small.toml"));
-    put(&toml, format!("{small}[text]\nencoder = \"learned\"\n"));
+    // The released preset composes as the release does.
+    let small = workshop.text("small.toml");
+    let settings = format!("{small}[text]\nencoder = \"learned\"\n");
+    workshop.put("official.toml", settings);
     let with = |name: &str, compose: &str| {
-        let (dataset, run) = (workshop.dataset(), workshop.path(name));
-        let composed = workshop.path(&format!("{name}.toml"));
-        put(&composed, compose);
-        typed(
-            "train motionrefit {} --out {} --preset official --config {} --compose {} --steps 2",
-            &[&dataset, &run, &toml, &composed],
-        )
-        .expect_code(0);
-        let settings = record(&run)["config"]["compose"]["config"].clone();
+        workshop.put(&format!("{name}.toml"), compose);
+        workshop.run(&format!(
+            "train motionrefit @dataset --out @{name} --preset official --config @official.toml \
+             --compose @{name}.toml --steps 2"
+        ));
+        let settings = workshop.record(name)["config"]["compose"]["config"].clone();
         ["anchor", "range", "slerp"].map(|key| settings[key].as_str().unwrap_or("").to_owned())
     };
     assert_eq!(with("released", ""), ["translation", "scalar", "official"]);
@@ -184,151 +131,88 @@ fn the_released_preset_composes_as_the_release_does() {
 fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     let workshop = Workshop::open();
     workshop.train("motionrefit", "editor", "4").expect_code(0);
-    let (editor, dataset, items) = (
-        workshop.path("editor"),
-        workshop.dataset(),
-        workshop.path("items"),
-    );
-    stance(&["items", arg(&dataset), "--count", "8", "--out", arg(&items)]).expect_code(0);
-    let answer = |run: &Path, out: &str| -> Ran {
-        let out = workshop.path(out);
-        typed("--json edit {} --items {} --out {}", &[&run, &items, &out])
+    workshop.run("items @dataset --count 8 --out @items");
+    let answer = |run: &str, out: &str| -> Ran {
+        workshop.run(&format!("--json edit @{run} --items @items --out @{out}"))
     };
-    let lengths = |out: &str| -> Vec<(i32, i32)> {
-        let folder = Dataset::open(&workshop.path(out)).expect("a table");
-        let asked: Vec<ItemRow> = folder.read(None).expect("rows");
-        let rows: Vec<EditRow> = folder.read(None).expect("rows");
-        rows.iter()
-            .map(|row| {
-                let item = asked
-                    .iter()
-                    .find(|item| item.id == row.id)
-                    .expect("its item");
-                assert_eq!(item.fps, row.fps);
-                (item.source_frames, row.n_frames)
-            })
-            .collect()
+    // Frames of each source and of its edit, which must be as many.
+    let lengths = |out: &str| -> Vec<i32> {
+        let asked: Vec<ItemRow> = workshop.rows(out);
+        let rows: Vec<EditRow> = workshop.rows(out);
+        let rows = rows.iter().map(|row| {
+            let item = asked.iter().find(|item| item.id == row.id);
+            let item = item.expect("its item");
+            assert_eq!((item.fps, item.source_frames), (row.fps, row.n_frames));
+            row.n_frames
+        });
+        rows.collect()
     };
-    let said: Value = answer(&editor, "edits").done();
+    let said: Value = answer("editor", "edits").json();
     assert_eq!(said["num_short"], 0);
     // Splits keep the takes of an action together, so that some actions of the test split are unknown.
-    let asked: Vec<ItemRow> = rows_of(&items);
-    for word in said["unknown_words"].as_array().expect("a list") {
-        let word = word.as_str().expect("a word");
-        assert!(
-            asked
-                .iter()
-                .any(|item| item.instruction.to_lowercase().contains(word)),
-            "{word} is in no instruction"
-        );
+    let asked: Vec<ItemRow> = workshop.rows("items");
+    let texts = asked.iter().map(|item| item.instruction.to_lowercase());
+    let texts: Vec<String> = texts.collect();
+    for word in list_of(&said["unknown_words"]).iter().map(word_of) {
+        let is_asked = texts.iter().any(|text| text.contains(word));
+        assert!(is_asked, "{word} is in no instruction");
     }
     // The report shows the unknown words beside the instruction.
-    let (page, edits) = (workshop.path("page.html"), workshop.path("edits"));
-    let remarks = edits.join("remarks.json");
-    let first = asked[0].instruction.to_lowercase();
-    let word = first
-        .split(|letter: char| !letter.is_alphanumeric())
-        .max_by_key(|word| word.len())
-        .expect("a word");
-    let written = json!({ "num_short": 0, "unknown_words": [word] });
-    put(&remarks, written.to_string());
-    stance(&["report", arg(&edits), "--out", arg(&page)]).expect_code(0);
-    let html = text_of(&page);
-    assert!(html.contains(&format!("never seen in training: {word}")));
-    put(
-        &remarks,
-        json!({ "num_short": 0, "unknown_words": [] }).to_string(),
-    );
-    stance(&["report", arg(&edits), "--out", arg(&page)]).expect_code(0);
-    let html = text_of(&page);
-    assert!(!html.contains("never seen in training"));
+    let words = texts[0].split(|letter: char| !letter.is_alphanumeric());
+    let word = words.max_by_key(|word| word.len()).expect("a word");
+    let page_with = |unknown_words: &[&str]| {
+        let remarks = json!({ "num_short": 0, "unknown_words": unknown_words });
+        workshop.put("edits/remarks.json", remarks.to_string());
+        workshop.run("report @edits --out @page.html");
+        workshop.text("page.html")
+    };
+    let told = format!("never seen in training: {word}");
+    assert_has(&page_with(&[word]), &[&told]);
+    assert!(!page_with(&[]).contains("never seen in training"));
     let found = lengths("edits");
     assert_eq!(found.len(), 8);
-    assert!(
-        found.iter().all(|(source, edit)| source == edit),
-        "{found:?}"
-    );
     // Whole windows end with frame 30, 58, 86 and so on: some of the clips do not.
-    assert!(
-        found.iter().any(|(source, _)| (source - 31) % 28 != 0),
-        "{found:?}"
-    );
+    assert!(found.iter().any(|n| (n - 31) % 28 != 0), "{found:?}");
 
     // A model with longer windows edits shorter motions, and warns how many these are.
-    let toml = workshop.path("long.toml");
-    let small = text_of(workshop.path("small.toml"));
-    put(&toml, format!("window = 28\n{small}"));
-    let more = ["--config", arg(&toml)];
-    let compose = workshop.path("slow.compose.toml");
-    put(&compose, "fps = 5.0\n");
-    let long = workshop.path("long");
-    let mut args = vec!["train", "motionrefit", arg(&dataset), "--out", arg(&long)];
-    args.extend(more);
-    args.extend(["--compose", arg(&compose), "--steps", "4"]);
-    stance(&args).expect_code(0);
-    let ran = answer(&long, "long-edits").expect_code(0);
-    let said: Value = ran.json();
-    let found = lengths("long-edits");
-    assert!(
-        found.iter().all(|(source, edit)| source == edit),
-        "{found:?}"
-    );
+    let small = workshop.text("small.toml");
+    workshop.put("slow", "fps = 5.0\n");
+    let (settings, more) = (format!("window = 28\n{small}"), "--compose @slow --steps 4");
+    workshop.trained("motionrefit", "long", &settings, more);
+    let ran = answer("long", "long-edits");
     // 28 frames at 5 fps reach from frame 0 to 108 at 20 fps.
-    let short = found.iter().filter(|(source, _)| *source <= 105).count();
+    let found = lengths("long-edits");
+    let short = found.iter().filter(|n| **n <= 105).count();
     assert!(
         short > 0,
         "the items have a clip shorter than 5.4 s: {found:?}"
     );
-    assert_eq!(said["num_short"], short);
+    assert_eq!(ran.json::<Value>()["num_short"], short);
     ran.expect_said("shorter than a window");
 
     // An instruction has unknown words, and a range lasts half a second.
     let clip = workshop.clip();
-    let out = workshop.path("said");
-    let ran = typed(
-        "--json edit {} --motion {} --during {} --out {}",
-        &[&editor, &clip, &"20:30 Levitate ultrasonically!", &out],
-    )
-    .expect_code(0);
+    let ran = workshop.run(&format!(
+        "--json edit @editor --motion {} --during '20:30 Levitate ultrasonically!' --out @said",
+        clip.display()
+    ));
     let said: Value = ran.json();
     assert_eq!(said["unknown_words"], json!(["levitate", "ultrasonically"]));
     ran.expect_said("never seen levitate, ultrasonically");
 
     // The published fit needs its network; the rows record that it was used.
-    let refused = |args: &[&str]| stance(args).refusal();
-    let published = [
-        "edit",
-        arg(&editor),
-        "--items",
-        arg(&items),
-        "--fit",
-        "paper",
-        "--out",
-    ];
-    let fitted = workshop.path("fitted");
-    let args: Vec<&str> = published.iter().copied().chain([arg(&fitted)]).collect();
-    assert!(
-        refused(&args).contains("--poses"),
-        "it says what is missing"
+    let fitted = "edit @editor --items @items --fit paper --out @fitted";
+    // It says what is missing.
+    workshop.typed(fitted).expect_refused("--poses");
+    workshop.run("train j2s @dataset --out @poses --steps 4");
+    workshop.run(&format!("{fitted} --poses @poses"));
+    workshop.run("edit @editor --items @items --poses @poses --out @posed");
+    let [edited, posed, fitted] = ["edits", "posed", "fitted"].map(|name| row(&workshop, name));
+    assert_eq!(
+        edited.system,
+        format!("{} (twists of the source)", posed.system)
     );
-    let poses = workshop.path("poses");
-    typed("train j2s {} --out {} --steps 4", &[&dataset, &poses]).expect_code(0);
-    let args: Vec<&str> = args.into_iter().chain(["--poses", arg(&poses)]).collect();
-    stance(&args).expect_code(0);
-    let posed = workshop.path("posed");
-    let args = [
-        "edit",
-        arg(&editor),
-        "--items",
-        arg(&items),
-        "--poses",
-        arg(&poses),
-    ];
-    stance(&[&args[..], &["--out", arg(&posed)]].concat()).expect_code(0);
-    let name = row(&posed).system;
-    assert_eq!(row(&edits).system, format!("{name} (twists of the source)"));
-    let row = row(&fitted);
-    let settings: Value = serde_json::from_str(&row.settings).expect("an object");
+    let settings: Value = serde_json::from_str(&fitted.settings).expect("an object");
     assert_eq!(settings["fit"], "paper");
 }
 
@@ -342,11 +226,7 @@ struct Quality {
 
 impl Quality {
     fn of(scores: &Value, system: &str) -> Self {
-        let of = |metric| {
-            score(scores, system, metric)["mean"]
-                .as_f64()
-                .expect("a number")
-        };
+        let of = |metric| number_of(&score(scores, system, metric)["mean"]);
         Self {
             seam: of("Acceleration at seams (m/s²)"),
             inside: of("inside (m/s²)"),
@@ -359,7 +239,7 @@ impl Quality {
 fn windows_of_a_trained_editor_join() {
     let bench = Bench::open();
     bench.items("asked", &["--count", "24"]);
-    let small = text_of(bench.workshop.path("small.toml"));
+    let small = bench.text("small.toml");
     // Settings of the diffusion of the compared predictions; those of the preset belong to another prediction.
     let plain = "[diffusion]\nnoise = \"white\"\nschedule = \"rescaled\"\nnum_steps = 50\ntemperature = 1.0\nbone_weight = 0.0\ntell_frames = false\n";
     for (run, diffusion) in [
@@ -372,20 +252,15 @@ fn windows_of_a_trained_editor_join() {
             "prediction = \"change\"\nfixed_noise = 0.0\ngenerated_starts = 0.0\noverlap = 0\ncontact_weight = 0.0\n",
         ),
     ] {
-        let settings = bench.workshop.path(&format!("{run}.toml"));
-        put(&settings, format!("{small}{plain}{diffusion}"));
-        let more = ["--config", arg(&settings), "--steps", "400"];
-        bench
-            .workshop
-            .train_with("motionrefit", run, &more)
-            .expect_code(0);
+        let settings = format!("{small}{plain}{diffusion}");
+        bench.trained("motionrefit", run, &settings, "--steps 400");
     }
     let edits = ["joined", "apart"].map(|run| {
         let out = format!("{run}-edits");
         bench.answers(run, "asked", &out, &["--name", run])
     });
     let edits: Vec<&Path> = edits.iter().map(PathBuf::as_path).collect();
-    let scores: Value = bench.eval(&edits, &["--further", "--json"]).done();
+    let scores = bench.scores(&edits, &["--further"]);
     let [real, joined, apart] =
         ["Real Data", "joined", "apart"].map(|system| Quality::of(&scores, system));
     let ratio = |quality: &Quality| quality.seam / quality.inside;

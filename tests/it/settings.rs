@@ -1,101 +1,78 @@
 //! Errors in settings files are reported once, with file, line and column; log lines name their run.
 
 use crate::train::Workshop;
-use crate::util::{arg, put, stance};
+use crate::util::{Folder, assert_has};
 
 #[test]
-fn a_wrong_setting_is_named_once_by_file_line_and_column() {
+fn a_wrong_setting_is_named_once_by_file_line_and_column_and_a_training_by_its_folder() {
     let workshop = Workshop::open();
-    let dataset = workshop.dataset();
-    let (file, out) = (workshop.path("own.toml"), workshop.path("none"));
-    let refused = |text: &str, args: &[&str], place: &str, problem: &str| {
-        put(&file, text);
-        let ran = stance(args).expect_code(1);
-        let expected = format!("{}:{place}: ", file.display());
-        assert!(ran.stderr.contains(&expected), "{expected}\n{}", ran.stderr);
-        assert_eq!(ran.stderr.matches(problem).count(), 1, "{}", ran.stderr);
+    let file = workshop.path("own.toml");
+    let refused = |line: &str, text: &str, place: &str, problem: &str| {
+        workshop.put("own.toml", text);
+        let ran = workshop.typed(line).expect_code(1);
+        ran.expect_said(&format!("{}:{place}: ", file.display()));
+        assert_eq!(ran.stderr.matches(problem).count(), 1, "{ran}");
     };
-    let train = ["train", "motionrefit", arg(&dataset), "--out", arg(&out)];
-    let config = [&train[..], &["--config", arg(&file)]].concat();
-    refused(
-        "batch_size = 16\n[model]\nwidht = 8\nwidth = 32\n",
-        &config,
-        "3:1",
-        "unknown field `widht`",
-    );
-    refused(
-        "batch_size = 16\n  window = \"long\"\n",
-        &config,
-        "2:3",
-        "invalid type: string \"long\"",
-    );
-    let compose = [&train[..], &["--compose", arg(&file)]].concat();
-    refused("fsp = 10\n", &compose, "1:1", "unknown field `fsp`");
+    let train = "train motionrefit @dataset --out @none";
+    let config = format!("{train} --config @own.toml");
+    let model = "batch_size = 16\n[model]\nwidht = 8\nwidth = 32\n";
+    refused(&config, model, "3:1", "unknown field `widht`");
+    let long = "batch_size = 16\n  window = \"long\"\n";
+    refused(&config, long, "2:3", "invalid type: string \"long\"");
+    let compose = format!("{train} --compose @own.toml");
+    refused(&compose, "fsp = 10\n", "1:1", "unknown field `fsp`");
     // Keys with equal names in different sections are distinguished; keys outside of sections are accepted.
-    let run = ["run", "--config", arg(&file)];
-    let base = "sources = [\"corpus\"]\nout = \"made\"\n";
-    refused(
-        &format!("{base}[train]\nsteps = 3\n[encoder]\nsteps = 3\nbatch_size = 8\n"),
-        &run,
-        "4:1",
-        "unknown field `steps`",
-    );
-    refused(
-        &format!("{base}[encoder]\nbatch_size = 8\nsteps = 3\n"),
-        &run,
-        "5:1",
-        "unknown field `steps`",
-    );
-    refused(
-        &format!("{base}presett = \"tiny\"\n"),
-        &run,
-        "3:1",
-        "unknown field `presett`",
-    );
-    refused("sources = 3\n", &run, "1:11", "invalid type: integer `3`");
-    let plan = ["reproduce", arg(&file), "--dry-run"];
-    let base =
+    let run = "sources = [\"corpus\"]\nout = \"made\"\n";
+    let plan =
         "dataset = \"dataset\"\nout = \"made\"\n[items]\ncount = 8\n[[system]]\nname = \"one\"\n";
-    refused(
-        &format!("{base}[system.train.model]\nwidht = 8\n"),
-        &plan,
-        "8:1",
-        "unknown field `widht`",
-    );
-    refused(
-        &format!("{base}nmae = \"two\"\n"),
-        &plan,
-        "7:1",
-        "unknown field `nmae`",
-    );
-    assert!(!out.exists() && !workshop.path("made").exists());
-}
+    for (base, more, place, field) in [
+        (
+            run,
+            "[train]\nsteps = 3\n[encoder]\nsteps = 3\nbatch_size = 8\n",
+            "4:1",
+            "steps",
+        ),
+        (
+            run,
+            "[encoder]\nbatch_size = 8\nsteps = 3\n",
+            "5:1",
+            "steps",
+        ),
+        (run, "presett = \"tiny\"\n", "3:1", "presett"),
+        (plan, "[system.train.model]\nwidht = 8\n", "8:1", "widht"),
+        (plan, "nmae = \"two\"\n", "7:1", "nmae"),
+    ] {
+        let line = match base == run {
+            true => "run --config @own.toml",
+            false => "reproduce @own.toml --dry-run",
+        };
+        let problem = format!("unknown field `{field}`");
+        refused(line, &format!("{base}{more}"), place, &problem);
+    }
+    let line = "run --config @own.toml";
+    refused(line, "sources = 3\n", "1:11", "invalid type: integer `3`");
+    assert!(!workshop.path("none").exists() && !workshop.path("made").exists());
 
-#[test]
-fn the_line_of_a_training_names_its_folder() {
-    let workshop = Workshop::open();
+    // The line of a training names its folder.
     for folder in ["one", "other"] {
         let ran = workshop.train("motionrefit", folder, "3").expect_code(0);
-        let line = format!("train motionrefit in {folder}  3 steps");
-        ran.expect_said(&line);
+        ran.expect_said(&format!("train motionrefit in {folder}  3 steps"));
     }
 }
 
 #[test]
 fn a_split_without_pairs_is_said() {
-    let workshop = Workshop::open();
-    let (sources, list) = (workshop.path("corpus"), workshop.path("splits.csv"));
+    let folder = Folder::of_clips(120);
     let pairs = |lines: &str, name: &str| -> String {
-        put(&list, lines);
-        let dataset = workshop.path(name);
-        let args = ["ingest", arg(&sources), "--out", arg(&dataset)];
-        stance(&[&args[..], &["--splits", arg(&list)]].concat()).expect_code(0);
-        stance(&["pairs", arg(&dataset)]).expect_code(0).stderr
+        folder.put("splits.csv", lines);
+        folder.run(&format!(
+            "ingest @corpus --out @{name} --splits @splits.csv"
+        ));
+        folder.run(&format!("pairs @{name}")).stderr
     };
     let said = pairs("*,train\n", "held-out");
-    assert!(said.contains("the val split has no pairs"), "{said}");
-    assert!(said.contains("--splits"), "{said}");
+    assert_has(&said, &["the val split has no pairs", "--splits"]);
     assert!(!said.contains("the train split"), "{said}");
     let said = pairs("*,val\n", "validation");
-    assert!(said.contains("the train split has no pairs"), "{said}");
+    assert_has(&said, &["the train split has no pairs"]);
 }

@@ -8,7 +8,10 @@ use datasets_spec::record::MotionRow;
 use serde_json::{Value, json};
 
 use crate::grown::{files, ingest, motions, move_files};
-use crate::util::{arg, corpus, files_with_extension, json_of, put, stance, text_of, typed};
+use crate::util::{
+    arg, assert_has, assert_tells, corpus, files_with_extension, json_of, put, stance, text_of,
+    typed,
+};
 
 /// The splits of all clips with one label.
 fn splits(
@@ -17,20 +20,16 @@ fn splits(
 ) -> BTreeMap<String, BTreeSet<Split>> {
     let mut splits: BTreeMap<String, BTreeSet<Split>> = BTreeMap::new();
     for row in motions(dataset) {
-        splits
-            .entry(label(&row).unwrap_or_default())
-            .or_default()
-            .insert(row.split);
+        let of_label = splits.entry(label(&row).unwrap_or_default());
+        of_label.or_default().insert(row.split);
     }
     splits
 }
 
 /// Checks that each label has one split, and that there are several splits.
 fn is_kept_together(splits: &BTreeMap<String, BTreeSet<Split>>) {
-    assert!(
-        splits.values().all(|splits| splits.len() == 1),
-        "{splits:?}"
-    );
+    let is_one = splits.values().all(|splits| splits.len() == 1);
+    assert!(is_one, "{splits:?}");
     let all: BTreeSet<&Split> = splits.values().flatten().collect();
     assert!(all.len() > 1, "{splits:?}");
 }
@@ -62,45 +61,30 @@ fn clips_of_a_subject_share_a_drawn_split_also_when_more_of_them_come() {
     let dataset = dir.path().join("dataset");
     let by = ["--split-by", "subject"];
     let first = ingest(&[&source], &dataset, &by, 0);
-    let stated = |row: &MotionRow| row.subject.clone();
-    let of_subjects = |dataset: &Path| {
-        let mut found = splits(dataset, stated);
+    let of_subjects = || {
+        let mut found = splits(&dataset, |row| row.subject.clone());
         found.remove("");
         found
     };
-    is_kept_together(&of_subjects(&dataset));
-    assert!(
-        first["remarks"].to_string().contains("state no subject"),
-        "{first}"
-    );
+    is_kept_together(&of_subjects());
+    assert_tells(&first["remarks"], "state no subject");
     // Files that are added later belong to another source with other subjects; earlier clips keep their splits.
-    let before = of_subjects(&dataset);
+    let before = of_subjects();
     move_files(&files(&later), &source);
     ingest(&[&source], &dataset, &[], 0);
-    let after = of_subjects(&dataset);
-    assert!(
-        before
-            .iter()
-            .all(|(subject, split)| after[subject] == *split)
-    );
+    let after = of_subjects();
+    assert!(before.iter().all(|(name, split)| after[name] == *split));
     is_kept_together(&after);
-    assert_eq!(motions(&dataset).len(), 120);
-    let lacking = motions(&dataset)
-        .iter()
-        .filter(|row| row.subject.is_none())
-        .count();
-    assert_eq!(lacking, without);
+    let rows = motions(&dataset);
+    assert_eq!(rows.len(), 120);
+    let lacking = rows.iter().filter(|row| row.subject.is_none());
+    assert_eq!(lacking.count(), without);
     let card = text_of(dataset.join("README.md"));
-    assert!(card.contains("drawn by subject"), "{card}");
+    assert_has(&card, &["drawn by subject"]);
     // The dataset's own grouping is kept.
     let other = ingest(&[&source], &dataset, &["--split-by", "action"], 0);
-    assert!(
-        other["remarks"]
-            .to_string()
-            .contains("were drawn by subject"),
-        "{other}"
-    );
-    assert_eq!(of_subjects(&dataset), after);
+    assert_tells(&other["remarks"], "were drawn by subject");
+    assert_eq!(of_subjects(), after);
 }
 
 #[test]
@@ -111,8 +95,6 @@ fn clips_of_an_action_share_a_drawn_split() {
     ingest(&[&source], &dataset, &["--split-by", "action"], 0);
     is_kept_together(&splits(&dataset, |row| row.action.clone()));
     stance(&["verify", arg(&dataset)]).expect_code(0);
-    let said = typed("ingest {} --split-by day --out {}", &[&source, &dataset])
-        .expect_code(2)
-        .stderr;
-    assert!(said.contains("clip, subject, action"), "{said}");
+    let ran = typed("ingest {} --split-by day --out {}", &[&source, &dataset]);
+    ran.expect_code(2).expect_said("clip, subject, action");
 }

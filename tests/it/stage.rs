@@ -15,8 +15,7 @@ use work::{Outcome, Piece, Record};
 use crate::archives::files_below;
 use crate::train::Workshop;
 use crate::util::{
-    Ran, arg, command, corpus, files_with_extension, json_of, put, real_data, root_hash_of,
-    rows_of, stance, text_of, typed, typed_with,
+    Folder, Ran, arg, assert_has, files_with_extension, json_of, put, real_data, root_hash_of,
 };
 use crate::variants::{ANY as ANY_PAIR, SMALL as SMALL_GENERATOR};
 
@@ -26,8 +25,8 @@ const CLIPS: usize = 340;
 /// The document of `stage commit --json`, as a script relies on it.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "part of the contract")]
 struct Committed {
-    #[expect(dead_code, reason = "part of the contract")]
     destination: PathBuf,
     already_committed: bool,
     pieces: u64,
@@ -37,8 +36,18 @@ struct Committed {
     root_hash: String,
     /// Notes of the job on the result.
     #[serde(default)]
-    #[expect(dead_code, reason = "part of the contract")]
     notes: serde_json::Value,
+}
+
+impl Committed {
+    /// The counts of an ingestion, which must add up.
+    fn counts(&self) -> &Counts {
+        let counts = self.accounting.as_ref();
+        let counts = counts.expect("an ingestion has sources");
+        let sum = counts.ingested + counts.quarantined + counts.skipped;
+        assert_eq!(counts.sources, sum);
+        counts
+    }
 }
 
 #[derive(Debug, Deserialize)]
@@ -54,14 +63,11 @@ struct Counts {
 /// The document of `stage plan --json`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "part of the contract")]
 struct Planned {
-    #[expect(dead_code, reason = "part of the contract")]
     job: String,
-    #[expect(dead_code, reason = "part of the contract")]
     plan: Option<PathBuf>,
-    #[expect(dead_code, reason = "part of the contract")]
     destination: PathBuf,
-    #[expect(dead_code, reason = "part of the contract")]
     plan_hash: String,
     pieces: u64,
     items: u64,
@@ -72,39 +78,29 @@ struct Planned {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "part of the contract")]
 struct Sample {
     items: u64,
-    #[expect(dead_code, reason = "part of the contract")]
     secs: f64,
 }
 
 /// The document of `stage status --json`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "part of the contract")]
 struct Status {
     committed: bool,
     pieces: u64,
     done: u64,
     missing: Vec<String>,
     failed: Vec<Record>,
-    #[expect(dead_code, reason = "part of the contract")]
     secs: f64,
 }
 
-fn root_hash(verb: &[&str], out: &Path) -> String {
-    let mut args = vec!["--json"];
-    args.extend(verb);
-    args.extend(["--out", arg(out)]);
-    let done: serde_json::Value = stance(&args).done();
+/// The hash of the result of a job that is not in pieces.
+fn root_hash(folder: &Folder, job: &str, out: &str) -> String {
+    let done: serde_json::Value = folder.json(&format!("{job} --out @{out}"));
     done["root_hash"].as_str().expect("a hash").to_owned()
-}
-
-/// Plans a job into `into`, with the plan in `plan`.
-fn planned(job: &[&str], into: &Path, plan: &Path) -> Planned {
-    let mut args = vec!["--json", "stage", "plan"];
-    args.extend(job);
-    args.extend(["--into", arg(into), "--out", arg(plan)]);
-    stance(&args).done()
 }
 
 fn records(ran: &Ran) -> Vec<Record> {
@@ -114,588 +110,30 @@ fn records(ran: &Ran) -> Vec<Record> {
         .collect()
 }
 
-fn work(plan: &Path, more: &[&str], code: i32) -> Vec<Record> {
-    records(&typed_with("--json stage work {}", &[&plan], more).expect_code(code))
-}
-
-fn commit(plan: &Path, more: &[&str], code: i32) -> Committed {
-    let mut args = vec!["--json", "stage", "commit", arg(plan)];
-    args.extend(more);
-    stance(&args).expect_code(code).json()
-}
-
-fn status(plan: &Path) -> Status {
-    typed("--json stage status {}", &[&plan]).done()
-}
-
-fn pieces(plan: &Path) -> Vec<Piece> {
-    read_rows(&plan.join("pieces.parquet")).expect("a table of pieces")
-}
-
 fn count(records: &[Record], outcome: Outcome) -> usize {
     let records = records.iter();
     records.filter(|record| record.outcome == outcome).count()
 }
 
-fn started(args: &[&str]) -> Child {
-    command(args)
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("stance starts")
+fn failed(records: &[Record]) -> Vec<&Record> {
+    records.iter().filter(|record| !record.is_done()).collect()
 }
 
-/// Makes the pieces of a plan with four processes at once.
-fn by_four(plan: &Path) {
-    let shares = ["0/4", "1/4", "2/4", "3/4"];
-    let workers = shares.map(|share| started(&["stage", "work", arg(plan), "--shard", share]));
-    for mut worker in workers {
-        assert!(worker.wait().expect("a child").success());
-    }
-}
-
-/// Makes the pieces of a job in every way that a scheduler may, and returns the hash of the result: by four
-/// processes of which one is killed, again in another order, and after a file was lost.
-fn root_hash_in_pieces(job: &[&str], into: &Path, plan: &Path) -> String {
-    let made = planned(job, into, plan);
-    let ids: Vec<String> = pieces(plan).into_iter().map(|piece| piece.id).collect();
-    assert_eq!(made.pieces, ids.len() as u64);
-    // Whether the kill comes before, in or after a piece, the result must be the same.
-    let mut killed = started(&["--threads", "1", "stage", "work", arg(plan)]);
-    while files_in(into) == 0 && killed.try_wait().expect("a child").is_none() {
-        std::thread::yield_now();
-    }
-    killed.kill().expect("a child");
-    killed.wait().expect("a child");
-    by_four(plan);
-    let reversed: Vec<&str> = ids.iter().rev().map(String::as_str).collect();
-    let again = work(plan, &["--items", &reversed.join(",")], 0);
-    assert_eq!(count(&again, Outcome::DoneBefore), ids.len());
-    let order: Vec<&str> = again.iter().map(|record| record.piece.as_str()).collect();
-    assert_eq!(order, reversed);
-
-    let lost = again.iter().find(|record| !record.files.is_empty());
-    let lost = lost.expect("a piece with a file");
-    let shard = lost.files[0].path.trim_end_matches(".parquet");
-    let staged = format!("meta/staged/0-{}/{shard}", plan_hash(plan));
-    fs::remove_file(into.join(staged)).expect("a staged file");
-    assert_eq!(status(plan).missing, std::slice::from_ref(&lost.piece));
-    let made = work(plan, &[], 0);
-    assert_eq!(count(&made, Outcome::Done), 1, "only what is lost is made");
-
-    let done = commit(plan, &[], 0);
-    assert!(!done.already_committed && done.failed == 0, "{done:?}");
-    assert_eq!(done.pieces, ids.len() as u64);
-    let again = commit(plan, &[], 0);
-    assert!(again.already_committed && again.root_hash == done.root_hash);
-    // A late worker has nothing to do, and leaves no files.
-    let late = work(plan, &[], 0);
-    assert_eq!(count(&late, Outcome::DoneBefore), ids.len());
-    assert!(status(plan).committed);
-    assert_eq!(
-        fs::read_dir(into.join("meta/staged"))
-            .expect("a folder")
-            .count(),
-        0
-    );
-    assert!(files_with_extension(into, "tmp").is_empty());
-    done.root_hash
-}
-
-fn plan_hash(plan: &Path) -> String {
-    let plan: serde_json::Value = json_of(plan.join("plan.json"));
-    plan["plan_hash"].as_str().expect("a hash").to_owned()
-}
-
-fn files_in(folder: &Path) -> usize {
-    match folder.exists() {
-        true => files_with_extension(folder, "parquet").len(),
-        false => 0,
-    }
-}
-
-/// A corpus with several pieces, and the folder for the results.
-struct Place {
-    dir: tempfile::TempDir,
-}
-
-impl Place {
-    fn new(clips: usize) -> Self {
-        Self { dir: corpus(clips) }
-    }
-
-    fn at(&self, name: &str) -> PathBuf {
-        self.dir.path().join(name)
-    }
-
-    /// Plans the ingestion of the corpus.
-    fn planned(&self) -> [PathBuf; 2] {
-        let [into, plan] = ["dataset", "plan"].map(|name| self.at(name));
-        let source = self.at("corpus");
-        planned(&["ingest", arg(&source)], &into, &plan);
-        [into, plan]
-    }
-}
-
-#[test]
-fn an_ingestion_in_pieces_is_that_of_one_process() {
-    let place = Place::new(CLIPS);
-    let source = place.at("corpus");
-    put(source.join("broken.bvh"), "HIERARCHY\n");
-    let clean = place.at("clean");
-    let ran = stance(&["--json", "ingest", arg(&source), "--out", arg(&clean)]).expect_code(3);
-    let clean: serde_json::Value = ran.json();
-    let job = ["ingest", arg(&source)];
-    let [into, plan] = ["dataset", "plan"].map(|name| place.at(name));
-    let made = planned(&job, &into, &plan);
-    assert_eq!((made.pieces, made.items), (4, CLIPS as u64 + 1));
-    assert!(made.bytes > 0 && made.sample.is_none());
-    assert!(!into.exists(), "a plan touches no dataset");
-    by_four(&plan);
-    let done = commit(&plan, &[], 3);
-    assert_eq!(clean["root_hash"], done.root_hash);
-    let counts = done.accounting.expect("an ingestion has sources");
-    assert_eq!(counts.codes.values().sum::<u64>(), 1);
-    assert_eq!(
-        counts.sources,
-        counts.ingested + counts.quarantined + counts.skipped
-    );
-}
-
-#[test]
-fn pieces_that_are_killed_repeated_and_lost_give_the_same_dataset() {
-    let place = Place::new(CLIPS);
-    let source = place.at("corpus");
-    let verb = ["ingest", arg(&source)];
-    let clean = root_hash(&verb, &place.at("clean"));
-    let [into, plan] = ["dataset", "plan"].map(|name| place.at(name));
-    assert_eq!(root_hash_in_pieces(&verb, &into, &plan), clean);
-}
-
-#[test]
-fn a_dataset_that_grows_in_pieces_is_that_of_one_process() {
-    let place = Place::new(40);
-    let source = place.at("corpus");
-    let (first, second) = (place.at("one"), place.at("two"));
-    for out in [&first, &second] {
-        stance(&["ingest", arg(&source), "--out", arg(out)]).expect_code(0);
-    }
-    // One clip changes, one is removed and one is new, so that shards are written again.
-    let files = files_with_extension(&source, "bvh");
-    let text = text_of(&files[0]);
-    put(&files[1], &text);
-    fs::remove_file(&files[2]).expect("removed");
-    put(source.join("new.bvh"), &text);
-    let verb = ["ingest", arg(&source), "--prune", "--drop-labels"];
-    let clean = root_hash(&verb, &first);
-    let plan = place.at("plan");
-    planned(&verb, &second, &plan);
-    by_four(&plan);
-    assert_eq!(commit(&plan, &[], 0).root_hash, clean);
-}
-
-#[test]
-fn the_real_data_in_pieces_is_that_of_one_process() {
-    let Some(source) = real_data("the_real_data_in_pieces_is_that_of_one_process") else {
-        return;
-    };
-    let dir = tempfile::tempdir().expect("a temporary folder");
-    let at = |name: &str| dir.path().join(name);
-    let clean = stance(&["--json", "ingest", arg(&source), "--out", arg(&at("clean"))]);
-    let code = clean.code;
-    assert!(code == 0 || code == 3, "{}", clean.stderr);
-    let clean: serde_json::Value = clean.json();
-    planned(&["ingest", arg(&source)], &at("dataset"), &at("plan"));
-    by_four(&at("plan"));
-    let done = commit(&at("plan"), &[], code);
-    assert_eq!(clean["root_hash"], done.root_hash);
-    let counts = done.accounting.expect("counts");
-    for (name, count) in [
-        ("ingested", counts.ingested),
-        ("quarantined", counts.quarantined),
-    ] {
-        assert_eq!(clean[name], count, "{name}");
-    }
-}
-
-#[test]
-fn a_commit_of_an_incomplete_plan_is_refused_with_the_command_that_completes_it() {
-    let place = Place::new(12);
-    let [into, plan] = place.planned();
-    let first = &pieces(&plan)[0];
-    work(&plan, &["--items", &first.id], 0);
-    let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(1);
-    let missing = format!(
-        "{} of {} pieces are missing",
-        pieces(&plan).len() - 1,
-        pieces(&plan).len()
-    );
-    ran.expect_said(&missing);
-    let command = format!("stance stage work {}", plan.display());
-    ran.expect_said(&command);
-    assert!(Dataset::open(&into).is_err(), "nothing is committed");
-    let found = status(&plan);
-    assert_eq!((found.done, found.pieces), (1, pieces(&plan).len() as u64));
-    assert!(found.failed.is_empty() && !found.committed);
-    assert_eq!(found.missing.len() as u64, found.pieces - 1);
-}
-
-#[test]
-fn one_of_two_commits_wins_and_the_other_is_told() {
-    let place = Place::new(12);
-    let [into, plan] = place.planned();
-    work(&plan, &[], 0);
-    let lock = Transaction::begin(&into, "the other run").expect("locks");
-    let ran = stance(&["stage", "commit", arg(&plan)]).expect_code(75);
-    ran.expect_said("the other run");
-    drop(lock);
-    let both = [0, 1].map(|_| started(&["stage", "commit", arg(&plan)]));
-    let mut codes = both.map(|mut child| child.wait().expect("a child").code());
-    codes.sort_unstable();
-    // The second commit is locked out, or finds the dataset already committed.
-    assert!(
-        codes == [Some(0), Some(75)] || codes == [Some(0), Some(0)],
-        "{codes:?}"
-    );
-    assert_eq!(Dataset::open(&into).expect("opens").manifest().version, 1);
-}
-
-#[test]
-fn a_plan_is_refused_once_its_destination_has_another_version() {
-    let place = Place::new(12);
-    let [into, plan] = place.planned();
-    let ids = pieces(&plan);
-    work(&plan, &["--items", &ids[0].id], 0);
-    let source = place.at("corpus");
-    stance(&["ingest", arg(&source), "--out", arg(&into), "--fps", "30"]).expect_code(0);
-    let before = root_hash_of(&into);
-    for record in work(&plan, &[], 3) {
-        assert_eq!(record.code.as_deref(), Some("E-PLAN-STALE"));
-    }
-    stance(&["stage", "commit", arg(&plan)]).expect_refused("plan again");
-    assert_eq!(root_hash_of(&into), before);
-}
-
-#[test]
-fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
-    let place = Place::new(CLIPS);
-    let [into, plan] = place.planned();
-    let source = place.at("corpus");
-    let bvh = &files_with_extension(&source, "bvh")[0];
-    let planned_bytes = fs::read(bvh).expect("a file");
-    // The size is the same, so that only the hash differs.
-    let mut changed = planned_bytes.clone();
-    let digit = changed
-        .iter()
-        .rposition(u8::is_ascii_digit)
-        .expect("a digit");
-    changed[digit] = if changed[digit] == b'1' { b'2' } else { b'1' };
-    // An unreadable file may be unchanged: its piece fails and can be made again.
-    fs::remove_file(bvh).expect("removed");
-    std::os::unix::fs::symlink(bvh, bvh).expect("a link to itself");
-    let reasons = work(&plan, &[], 3)
-        .into_iter()
-        .filter_map(|made| made.reason);
-    let reasons: Vec<String> = reasons.collect();
-    assert!(
-        reasons.len() == 1 && reasons[0].contains("make the piece again"),
-        "{reasons:?}"
-    );
-    fs::remove_file(bvh).expect("removed");
-    put(bvh, &changed);
-    let made = work(&plan, &[], 3);
-    let failed: Vec<&Record> = made.iter().filter(|record| !record.is_done()).collect();
-    let [failed] = failed[..] else {
-        panic!("one piece reads the file: {made:?}");
-    };
+/// Asserts that a piece failed because this file changed, and returns what was said.
+fn assert_changed<'a>(failed: &'a Record, file: &Path) -> &'a str {
     assert_eq!(failed.code.as_deref(), Some("E-SOURCE-CHANGED"));
     let reason = failed.reason.as_deref().expect("a reason");
-    assert!(
-        reason.contains("plan again") && reason.contains(arg(bvh)),
-        "{reason}"
-    );
-    assert_eq!(status(&plan).failed.len(), 1);
-    stance(&["stage", "commit", arg(&plan)]).expect_refused("--quarantine-failed");
-
-    let items = pieces(&plan)
-        .into_iter()
-        .find(|piece| piece.id == failed.piece)
-        .expect("a piece of the plan")
-        .items;
-    let done = commit(&plan, &["--quarantine-failed"], 3);
-    let counts = done.accounting.expect("counts");
-    assert_eq!((done.failed, counts.quarantined), (1, items));
-    assert_eq!(counts.codes["E-SOURCE-CHANGED"], items);
-    assert_eq!(
-        counts.sources,
-        counts.ingested + counts.quarantined + counts.skipped
-    );
-    assert_eq!(done.tables["motions"], counts.ingested);
-    let rows: Vec<QuarantineRow> = rows_of(&into);
-    assert!(rows.iter().all(|row| row.reason == reason));
-
-    // Most files of the piece did not cause the failure: the next run reads them.
-    let again = stance(&["--json", "ingest", arg(&source), "--out", arg(&into)]).expect_code(0);
-    let again: serde_json::Value = again.json();
-    assert_eq!(again["ingested"], CLIPS);
+    assert_has(reason, &["plan again", arg(file)]);
+    reason
 }
 
-#[test]
-fn a_label_file_that_is_added_after_planning_fails_the_pieces_that_it_speaks_of() {
-    let place = Place::new(CLIPS);
-    let source = place.at("corpus");
-    let walk = &files_with_extension(&source, "bvh")[0];
-    let sidecar = walk.with_extension("stance.json");
-    let said = fs::read(&sidecar).expect("a sidecar");
-    fs::remove_file(&sidecar).expect("removed");
-    let clean = root_hash(&["ingest", arg(&source)], &place.at("clean"));
-    let [_, plan] = place.planned();
-    let all = pieces(&plan).len();
-    let folder = walk.parent().expect("a folder");
-    // Label files of the motion, of its folder, and of a folder above.
-    for (added, bytes, num_failed) in [
-        (sidecar.clone(), said, 1..=1),
-        (walk.with_extension("txt"), b"a walk\n".to_vec(), 1..=1),
-        (
-            folder.join("captions.csv"),
-            b"name,text\n".to_vec(),
-            1..=all,
-        ),
-        (
-            source.join("stance.toml"),
-            b"style = \"calm\"\n".to_vec(),
-            all..=all,
-        ),
-    ] {
-        put(&added, bytes);
-        let made = work(&plan, &[], 3);
-        let failed: Vec<&Record> = made.iter().filter(|record| !record.is_done()).collect();
-        assert!(num_failed.contains(&failed.len()), "{made:?}");
-        for record in failed {
-            assert_eq!(record.code.as_deref(), Some("E-SOURCE-CHANGED"));
-            let reason = record.reason.as_deref().expect("a reason");
-            assert!(
-                reason.contains("plan again") && reason.contains(arg(&added)),
-                "{reason}"
-            );
-        }
-        fs::remove_file(&added).expect("removed");
-        let staged = place.at("dataset").join("meta/staged");
-        fs::remove_dir_all(staged).expect("removed");
-    }
-    // A file that labels no motion does not stop the run.
-    put(source.join("job-17.out"), "made\n");
-    by_four(&plan);
-    assert_eq!(commit(&plan, &[], 0).root_hash, clean);
-}
-
-#[test]
-fn a_dry_run_counts_a_file_of_many_pieces_once() {
-    let place = Place::new(CLIPS);
-    let [source, into, plan] = ["corpus", "dataset", "plan"].map(|name| place.at(name));
-    put(source.join("stance.toml"), "license = \"CC0-1.0\"\n");
-    let made = planned(&["ingest", arg(&source)], &into, &plan);
-    assert!(made.pieces > 1);
-    let sizes = files_below(&source)
-        .into_values()
-        .map(|bytes| bytes.len() as u64);
-    assert_eq!(made.bytes, sizes.sum::<u64>());
-}
-
-#[test]
-fn a_dry_run_counts_and_writes_nothing() {
-    let place = Place::new(12);
-    let [source, into] = ["corpus", "dataset"].map(|name| place.at(name));
-    let planned: Planned = typed(
-        "--json stage plan ingest {} --into {} --dry-run",
-        &[&source, &into],
-    )
-    .done();
-    assert_eq!(planned.items, 12);
-    assert!(planned.pieces > 0 && planned.bytes > 0);
-    let sample = planned.sample.expect("a sample");
-    assert!(sample.items > 0 && planned.estimated_hours.is_some_and(|hours| hours > 0.0));
-    let names: Vec<_> = fs::read_dir(place.dir.path())
-        .expect("a folder")
-        .map(|entry| entry.expect("an entry").file_name())
-        .collect();
-    assert_eq!(names, ["corpus"]);
-}
-
-/// Kills the process that makes a piece, as the system does when memory runs out.
-#[cfg(target_os = "linux")]
-#[test]
-fn a_piece_whose_process_is_killed_fails_alone() {
-    let place = Place::new(CLIPS);
-    let [into, plan] = place.planned();
-    let largest = pieces(&plan).into_iter().max_by_key(|piece| piece.items);
-    let largest = largest.expect("a piece");
-    let worker = command(&["--json", "stage", "work", arg(&plan), "--isolate"])
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("stance starts");
-    let children = format!("/proc/{0}/task/{0}/children", worker.id());
-    let is_of_piece = |child: &str| {
-        let line = fs::read(format!("/proc/{child}/cmdline")).unwrap_or_default();
-        line.split(|byte| *byte == 0)
-            .any(|word| word == largest.id.as_bytes())
-    };
-    let child = loop {
-        let children = text_of(&children);
-        let mut children = children.split_whitespace();
-        if let Some(child) = children.find(|child| is_of_piece(child)) {
-            break child.to_owned();
-        }
+/// Kills a process once it has begun. Whether that is before, in or after its work, the result must be the same.
+fn kill_once(mut child: Child, has_begun: impl Fn() -> bool) {
+    while !has_begun() && child.try_wait().expect("a child").is_none() {
         std::thread::yield_now();
-    };
-    let killed = std::process::Command::new("kill")
-        .args(["-9", &child])
-        .status();
-    assert!(killed.expect("kill starts").success());
-    let ran = Ran::from(worker.wait_with_output().expect("a child")).expect_code(3);
-    let made = records(&ran);
-    assert_eq!(made.len(), pieces(&plan).len());
-    for record in &made {
-        assert_eq!(record.is_done(), record.piece != largest.id, "{record:?}");
     }
-    let done = commit(&plan, &["--quarantine-failed"], 3);
-    let counts = done.accounting.expect("counts");
-    assert_eq!(
-        counts.codes,
-        BTreeMap::from([("E-CRASH".to_owned(), largest.items)])
-    );
-    assert_eq!(done.tables["motions"], CLIPS as u64 - largest.items);
-    let rows: Vec<QuarantineRow> = rows_of(&into);
-    assert!(rows.iter().all(|row| row.reason.contains("signal 9")));
-}
-
-#[cfg(target_os = "linux")]
-#[test]
-fn a_piece_that_needs_more_memory_than_allowed_fails_and_can_be_made_with_more() {
-    let place = Place::new(12);
-    let [_, plan] = place.planned();
-    let id = pieces(&plan).remove(0).id;
-    let made = work(&plan, &["--items", &id, "--isolate", "--memory", "64MB"], 3);
-    assert_eq!(made[0].code.as_deref(), Some("E-CRASH"), "{made:?}");
-    let made = work(&plan, &["--items", &id, "--isolate", "--memory", "16GB"], 0);
-    assert_eq!(made[0].outcome, Outcome::Done);
-    assert!(status(&plan).failed.is_empty());
-}
-
-#[cfg(target_os = "linux")]
-#[test]
-fn windows_and_triplets_in_pieces_are_those_of_one_process() {
-    let workshop = Workshop::open();
-    let dataset = workshop.dataset();
-    // The windows have three shards, the triplets one.
-    for (name, count) in [
-        ("windows", ["--windows", "9000"]),
-        ("triplets", ["--count", "12"]),
-    ] {
-        let job = [&["triplets", arg(&dataset)][..], &count].concat();
-        let [clean, into, plan] =
-            ["clean", "into", "plan"].map(|folder| workshop.path(&format!("{name}-{folder}")));
-        let clean_hash = root_hash(&job, &clean);
-        assert_eq!(
-            root_hash_in_pieces(&job, &into, &plan),
-            clean_hash,
-            "{name}"
-        );
-        stance(&["verify", arg(&into)]).expect_code(0);
-    }
-    assert_eq!(pieces(&workshop.path("windows-plan")).len(), 3);
-
-    // For this job, a piece that fails is itself quarantined.
-    let [into, plan] = ["failing", "failing-plan"].map(|name| workshop.path(name));
-    planned(
-        &["triplets", arg(&dataset), "--windows", "5000"],
-        &into,
-        &plan,
-    );
-    let [first, second] = [0, 1].map(|number: usize| pieces(&plan)[number].id.clone());
-    work(&plan, &["--items", &first], 0);
-    work(
-        &plan,
-        &["--items", &second, "--isolate", "--memory", "64MB"],
-        3,
-    );
-    let done = commit(&plan, &["--quarantine-failed"], 3);
-    assert_eq!((done.failed, done.tables["windows"]), (1, 4096));
-    let rows: Vec<QuarantineRow> = rows_of(&into);
-    let found: Vec<(&str, &str)> = rows
-        .iter()
-        .map(|row| (row.path.as_str(), row.code.as_str()))
-        .collect();
-    assert_eq!(found, [("windows/train-00001-of-00002", "E-CRASH")]);
-
-    // A changed dataset would give other windows.
-    let [into, plan] = ["late", "late-plan"].map(|name| workshop.path(name));
-    planned(
-        &["triplets", arg(&dataset), "--windows", "100"],
-        &into,
-        &plan,
-    );
-    let source = workshop.path("corpus");
-    fs::remove_file(&files_with_extension(&source, "bvh")[0]).expect("removed");
-    typed(
-        "ingest {} --out {} --prune --drop-labels",
-        &[&source, &dataset],
-    )
-    .expect_code(0);
-    let made = work(&plan, &[], 3);
-    assert_eq!(
-        made[0].code.as_deref(),
-        Some("E-SOURCE-CHANGED"),
-        "{made:?}"
-    );
-}
-
-#[test]
-fn edits_in_pieces_are_those_of_one_process() {
-    let workshop = Workshop::open();
-    workshop.train("motionrefit", "editor", "4").expect_code(0);
-    let [dataset, items, run] = ["dataset", "items", "editor"].map(|name| workshop.path(name));
-    typed(
-        "items {} --out {} --split train --count 70",
-        &[&dataset, &items],
-    )
-    .expect_code(0);
-    let job = ["edit", arg(&run), "--items", arg(&items), "--takes", "2"];
-    let [clean, into, plan] = ["clean", "edits", "plan"].map(|name| workshop.path(name));
-    let clean_hash = root_hash(&job, &clean);
-    assert_eq!(root_hash_in_pieces(&job, &into, &plan), clean_hash);
-    assert!(pieces(&plan).len() >= 2, "a piece for each take at least");
-    let remarks = |folder: &Path| fs::read(folder.join("remarks.json")).expect("remarks");
-    assert_eq!(remarks(&into), remarks(&clean));
-    assert!(into.join("times.json").is_file() == clean.join("times.json").is_file());
-}
-
-#[test]
-fn variants_in_pieces_are_those_of_one_process() {
-    let workshop = Workshop::open();
-    let (settings, texts) = (workshop.path("mld.toml"), workshop.path("texts"));
-    put(&settings, SMALL_GENERATOR);
-    let lines: String = (0..40)
-        .map(|number| format!("a person walks {number} steps\n"))
-        .collect();
-    put(&texts, lines);
-    let small = ["--config", arg(&settings), "--steps", "3"];
-    workshop.train_with("mld", "mld", &small).expect_code(0);
-    let (dataset, run) = (workshop.dataset(), workshop.path("mld"));
-    let job = [
-        "variants",
-        arg(&dataset),
-        "--generator",
-        arg(&run),
-        "--instructions",
-        arg(&texts),
-    ];
-    let job = [&job[..], &["--variants", "2"], &ANY_PAIR].concat();
-    let [clean, into, plan] = ["clean", "into", "plan"].map(|name| workshop.path(name));
-    let clean_hash = root_hash(&job, &clean);
-    assert_eq!(root_hash_in_pieces(&job, &into, &plan), clean_hash);
-    assert_eq!(pieces(&plan).len(), 2, "32 instructions are a batch");
+    child.kill().expect("a child");
+    child.wait().expect("a child");
 }
 
 /// Finds the hidden folder that holds the pieces of an export. It lies beside the export.
@@ -709,11 +147,467 @@ fn pieces_beside(into: &Path) -> Option<PathBuf> {
     })
 }
 
+/// A job in pieces: its results are in `name` of a folder, and its plan is in `name-plan`.
+struct Job<'a> {
+    folder: &'a Folder,
+    into: PathBuf,
+    plan: PathBuf,
+    planned: Planned,
+}
+
+impl<'a> Job<'a> {
+    fn planned(folder: &'a Folder, name: &str, job: &str) -> Self {
+        let line = format!("stage plan {job} --into @{name} --out @{name}-plan");
+        Self {
+            folder,
+            planned: folder.json(&line),
+            into: folder.path(name),
+            plan: folder.path(&format!("{name}-plan")),
+        }
+    }
+
+    /// Plans the ingestion of the corpus.
+    fn ingestion(folder: &'a Folder) -> Self {
+        Self::planned(folder, "dataset", "ingest @corpus")
+    }
+
+    fn typed(&self, line: &str, more: &[&str]) -> Ran {
+        let args = [&[arg(&self.plan)], more].concat();
+        self.folder.typed_with(line, &args)
+    }
+
+    fn started(&self, line: &str, more: &[&str]) -> Child {
+        let mut command = self.folder.command(line);
+        command.arg(&self.plan).args(more);
+        command.stdout(Stdio::null()).stderr(Stdio::null());
+        command.spawn().expect("stance starts")
+    }
+
+    fn work(&self, more: &[&str], code: i32) -> Vec<Record> {
+        records(&self.typed("--json stage work", more).expect_code(code))
+    }
+
+    fn commit(&self, more: &[&str], code: i32) -> Committed {
+        let ran = self.typed("--json stage commit", more);
+        ran.expect_code(code).json()
+    }
+
+    /// Asserts that a commit is refused with this text.
+    fn refused(&self, said: &str) {
+        self.typed("stage commit", &[]).expect_refused(said);
+    }
+
+    fn status(&self) -> Status {
+        self.typed("--json stage status", &[]).done()
+    }
+
+    fn pieces(&self) -> Vec<Piece> {
+        read_rows(&self.plan.join("pieces.parquet")).expect("a table of pieces")
+    }
+
+    fn plan_hash(&self) -> String {
+        let plan: serde_json::Value = json_of(self.plan.join("plan.json"));
+        plan["plan_hash"].as_str().expect("a hash").to_owned()
+    }
+
+    fn quarantined(&self) -> Vec<QuarantineRow> {
+        let dataset = Dataset::open(&self.into).expect("a dataset");
+        dataset.read(None).expect("rows")
+    }
+
+    /// Makes the pieces with four processes at once.
+    fn by_four(&self) {
+        let shares = ["0/4", "1/4", "2/4", "3/4"];
+        let workers = shares.map(|share| self.started("stage work", &["--shard", share]));
+        for mut worker in workers {
+            assert!(worker.wait().expect("a child").success());
+        }
+    }
+
+    /// Asks for pieces that are made already, in another order.
+    fn again_in_reverse(&self) -> Vec<Record> {
+        let ids: Vec<String> = self.pieces().into_iter().map(|piece| piece.id).collect();
+        assert_eq!(self.planned.pieces, ids.len() as u64);
+        let reversed: Vec<&str> = ids.iter().rev().map(String::as_str).collect();
+        let again = self.work(&["--items", &reversed.join(",")], 0);
+        assert_eq!(count(&again, Outcome::DoneBefore), ids.len());
+        let order: Vec<&str> = again.iter().map(|record| record.piece.as_str()).collect();
+        assert_eq!(order, reversed);
+        again
+    }
+
+    /// Commits again after `done`, and works again: nothing is left to do.
+    fn again_after(&self, done: &Committed) {
+        let again = self.commit(&[], 0);
+        assert!(again.already_committed && again.root_hash == done.root_hash);
+        let late = self.work(&[], 0);
+        let done_before = count(&late, Outcome::DoneBefore) as u64;
+        assert_eq!(done_before, self.planned.pieces);
+        assert!(self.status().committed);
+    }
+
+    /// Makes the pieces in every way that a scheduler may: by four processes of which one is killed once it
+    /// `has_begun`, again in another order, and after a file was lost.
+    fn make_in_every_way(&self, has_begun: impl Fn() -> bool) {
+        kill_once(self.started("--threads 1 stage work", &[]), has_begun);
+        self.by_four();
+        let again = self.again_in_reverse();
+
+        let lost = again.iter().find(|record| !record.files.is_empty());
+        let lost = lost.expect("a piece with a file");
+        let shard = lost.files[0].path.trim_end_matches(".parquet");
+        let staged = format!("meta/staged/0-{}/{shard}", self.plan_hash());
+        let home = pieces_beside(&self.into);
+        let home = home.as_ref().unwrap_or(&self.into);
+        fs::remove_file(home.join(staged)).expect("a staged file");
+        assert_eq!(self.status().missing, std::slice::from_ref(&lost.piece));
+        let made = self.work(&[], 0);
+        assert_eq!(count(&made, Outcome::Done), 1, "only what is lost is made");
+    }
+
+    /// Makes the pieces of a dataset in every way, and commits them. The commit ends with `code`.
+    fn in_every_way(&self, code: i32) -> Committed {
+        self.make_in_every_way(|| {
+            self.into.exists() && !files_with_extension(&self.into, "parquet").is_empty()
+        });
+        let done = self.commit(&[], code);
+        assert!(!done.already_committed && done.failed == 0, "{done:?}");
+        assert_eq!(done.pieces, self.planned.pieces);
+        self.again_after(&done);
+        let staged = fs::read_dir(self.into.join("meta/staged"));
+        assert_eq!(staged.expect("a folder").count(), 0);
+        assert!(files_with_extension(&self.into, "tmp").is_empty());
+        done
+    }
+}
+
+#[test]
+fn an_ingestion_in_pieces_that_are_killed_repeated_and_lost_is_that_of_one_process() {
+    let folder = Folder::of_clips(CLIPS);
+    folder.put("corpus/broken.bvh", "HIERARCHY\n");
+    folder.put("corpus/stance.toml", "license = \"CC0-1.0\"\n");
+    let clean = folder.typed("--json ingest @corpus --out @clean");
+    let clean: serde_json::Value = clean.expect_code(3).json();
+    let job = Job::ingestion(&folder);
+    let planned = &job.planned;
+    assert_eq!((planned.pieces, planned.items), (4, CLIPS as u64 + 1));
+    // The settings of the folder belong to all pieces, and are counted once.
+    let files = files_below(&folder.path("corpus")).into_values();
+    let sizes = files.map(|bytes| bytes.len() as u64);
+    assert_eq!(planned.bytes, sizes.sum::<u64>());
+    assert!(planned.sample.is_none());
+    assert!(!job.into.exists(), "a plan touches no dataset");
+    let done = job.in_every_way(3);
+    assert_eq!(clean["root_hash"], done.root_hash);
+    assert_eq!(done.counts().codes.values().sum::<u64>(), 1);
+}
+
+#[test]
+fn a_dataset_that_grows_in_pieces_is_that_of_one_process() {
+    let folder = Folder::of_clips(40);
+    for out in ["one", "two"] {
+        folder.run(&format!("ingest @corpus --out @{out}"));
+    }
+    // One clip changes, one is removed and one is new, so that shards are written again.
+    let files = files_with_extension(&folder.path("corpus"), "bvh");
+    let text = fs::read(&files[0]).expect("a file");
+    put(&files[1], &text);
+    fs::remove_file(&files[2]).expect("removed");
+    folder.put("corpus/new.bvh", &text);
+    let verb = "ingest @corpus --prune --drop-labels";
+    let clean = root_hash(&folder, verb, "one");
+    let job = Job::planned(&folder, "two", verb);
+    job.by_four();
+    assert_eq!(job.commit(&[], 0).root_hash, clean);
+}
+
+#[test]
+fn the_real_data_in_pieces_is_that_of_one_process() {
+    let Some(source) = real_data("the_real_data_in_pieces_is_that_of_one_process") else {
+        return;
+    };
+    let folder = Folder::empty();
+    let ingest = format!("ingest {}", source.display());
+    let clean = folder.typed(&format!("--json {ingest} --out @clean"));
+    let code = clean.code;
+    assert!(code == 0 || code == 3, "{}", clean.stderr);
+    let clean: serde_json::Value = clean.json();
+    let job = Job::planned(&folder, "dataset", &ingest);
+    job.by_four();
+    let done = job.commit(&[], code);
+    assert_eq!(clean["root_hash"], done.root_hash);
+    assert_eq!(clean["ingested"], done.counts().ingested);
+    assert_eq!(clean["quarantined"], done.counts().quarantined);
+}
+
+#[test]
+fn a_plan_is_committed_once_and_when_all_pieces_are_made() {
+    let folder = Folder::of_clips(12);
+    let job = Job::ingestion(&folder);
+    let ids = job.pieces();
+    let one = ["--items", ids[0].id.as_str()];
+    if cfg!(target_os = "linux") {
+        // A piece that needs more memory than allowed fails, and can be made with more.
+        let isolated = |memory, code| {
+            let more = ["--isolate", "--memory", memory];
+            job.work(&[&one[..], &more].concat(), code).remove(0)
+        };
+        let made = isolated("64MB", 3);
+        assert_eq!(made.code.as_deref(), Some("E-CRASH"), "{made:?}");
+        assert_eq!(isolated("16GB", 0).outcome, Outcome::Done);
+    } else {
+        job.work(&one, 0);
+    }
+    let missing = ids.len() - 1;
+    job.refused(&format!("{missing} of {} pieces are missing", ids.len()));
+    job.refused(&format!("stance stage work {}", job.plan.display()));
+    assert!(Dataset::open(&job.into).is_err(), "nothing is committed");
+    let found = job.status();
+    assert_eq!((found.done, found.pieces), (1, ids.len() as u64));
+    assert!(found.failed.is_empty() && !found.committed);
+    assert_eq!(found.missing.len(), missing);
+
+    job.work(&[], 0);
+    let lock = Transaction::begin(&job.into, "the other run").expect("locks");
+    let ran = job.typed("stage commit", &[]).expect_code(75);
+    ran.expect_said("the other run");
+    drop(lock);
+    let both = [0, 1].map(|_| job.started("stage commit", &[]));
+    let mut codes = both.map(|mut child| child.wait().expect("a child").code());
+    codes.sort_unstable();
+    // The second commit is locked out, or finds the dataset already committed.
+    assert!(
+        codes == [Some(0), Some(75)] || codes == [Some(0), Some(0)],
+        "{codes:?}"
+    );
+    let committed = Dataset::open(&job.into).expect("opens");
+    assert_eq!(committed.manifest().version, 1);
+
+    // A plan is refused once its destination has another version.
+    let job = Job::planned(&folder, "stale", "ingest @corpus");
+    job.work(&["--items", &job.pieces()[0].id], 0);
+    folder.run("ingest @corpus --out @stale --fps 30");
+    let before = root_hash_of(&job.into);
+    for record in job.work(&[], 3) {
+        assert_eq!(record.code.as_deref(), Some("E-PLAN-STALE"));
+    }
+    job.refused("plan again");
+    assert_eq!(root_hash_of(&job.into), before);
+}
+
+#[test]
+fn a_piece_whose_source_changed_fails_alone_and_can_be_quarantined() {
+    let folder = Folder::of_clips(CLIPS);
+    let job = Job::ingestion(&folder);
+    let bvh = &files_with_extension(&folder.path("corpus"), "bvh")[0];
+    // The size is the same, so that only the hash differs.
+    let mut changed = fs::read(bvh).expect("a file");
+    let digit = changed.iter().rposition(u8::is_ascii_digit);
+    let digit = digit.expect("a digit");
+    changed[digit] = if changed[digit] == b'1' { b'2' } else { b'1' };
+    // An unreadable file may be unchanged: its piece fails and can be made again.
+    fs::remove_file(bvh).expect("removed");
+    std::os::unix::fs::symlink(bvh, bvh).expect("a link to itself");
+    let made = job.work(&[], 3).into_iter();
+    let reasons: Vec<String> = made.filter_map(|made| made.reason).collect();
+    assert!(
+        reasons.len() == 1 && reasons[0].contains("make the piece again"),
+        "{reasons:?}"
+    );
+    fs::remove_file(bvh).expect("removed");
+    put(bvh, &changed);
+    let made = job.work(&[], 3);
+    let [failed] = failed(&made)[..] else {
+        panic!("one piece reads the file: {made:?}");
+    };
+    let reason = assert_changed(failed, bvh);
+    assert_eq!(job.status().failed.len(), 1);
+    job.refused("--quarantine-failed");
+
+    let pieces = job.pieces();
+    let piece = pieces.iter().find(|piece| piece.id == failed.piece);
+    let items = piece.expect("a piece of the plan").items;
+    let done = job.commit(&["--quarantine-failed"], 3);
+    let counts = done.counts();
+    assert_eq!((done.failed, counts.quarantined), (1, items));
+    assert_eq!(counts.codes["E-SOURCE-CHANGED"], items);
+    assert_eq!(done.tables["motions"], counts.ingested);
+    assert!(job.quarantined().iter().all(|row| row.reason == reason));
+
+    // Most files of the piece did not cause the failure: the next run reads them.
+    let again: serde_json::Value = folder.json("ingest @corpus --out @dataset");
+    assert_eq!(again["ingested"], CLIPS);
+}
+
+#[test]
+fn a_label_file_that_is_added_after_planning_fails_the_pieces_that_it_speaks_of() {
+    let folder = Folder::of_clips(CLIPS);
+    let source = folder.path("corpus");
+    let walk = &files_with_extension(&source, "bvh")[0];
+    let sidecar = walk.with_extension("stance.json");
+    let said = fs::read(&sidecar).expect("a sidecar");
+    fs::remove_file(&sidecar).expect("removed");
+    let clean = root_hash(&folder, "ingest @corpus", "clean");
+    let job = Job::ingestion(&folder);
+    let all = job.pieces().len();
+    let captions = walk.with_file_name("captions.csv");
+    // Label files of the motion, of its folder, and of a folder above.
+    for (added, bytes, num_failed) in [
+        (sidecar, &said[..], 1..=1),
+        (walk.with_extension("txt"), b"a walk\n", 1..=1),
+        (captions, b"name,text\n", 1..=all),
+        (source.join("stance.toml"), b"style = \"calm\"\n", all..=all),
+    ] {
+        put(&added, bytes);
+        let made = job.work(&[], 3);
+        let failed = failed(&made);
+        assert!(num_failed.contains(&failed.len()), "{made:?}");
+        for record in failed {
+            assert_changed(record, &added);
+        }
+        fs::remove_file(&added).expect("removed");
+        fs::remove_dir_all(job.into.join("meta/staged")).expect("removed");
+    }
+    // A file that labels no motion does not stop the run.
+    folder.put("corpus/job-17.out", "made\n");
+    job.by_four();
+    assert_eq!(job.commit(&[], 0).root_hash, clean);
+}
+
+#[test]
+fn a_dry_run_counts_and_writes_nothing() {
+    let folder = Folder::of_clips(40);
+    let planned: Planned = folder.json("stage plan ingest @corpus --into @dataset --dry-run");
+    assert_eq!(planned.items, 40);
+    assert!(planned.pieces > 0 && planned.bytes > 0);
+    let sample = planned.sample.expect("a sample");
+    assert!(sample.items > 0 && planned.estimated_hours.is_some_and(|hours| hours > 0.0));
+    let names: Vec<_> = fs::read_dir(folder.path(""))
+        .expect("a folder")
+        .map(|entry| entry.expect("an entry").file_name())
+        .collect();
+    assert_eq!(names, ["corpus"]);
+
+    folder.run("ingest @corpus --out @dataset");
+    for layout in ["bvh", "webdataset"] {
+        let planned: Planned = folder.json(&format!(
+            "stage plan export @dataset --to {layout} --into @into --dry-run"
+        ));
+        let sample = planned.sample.expect("a sample");
+        assert_eq!((planned.items, sample.items), (40, 16), "{layout}");
+        let into = folder.path("into");
+        assert!(planned.bytes > 0 && !into.exists(), "{layout}");
+    }
+}
+
+/// Kills the process that makes a piece, as the system does when memory runs out.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_piece_whose_process_is_killed_fails_alone() {
+    let folder = Folder::of_clips(CLIPS);
+    let job = Job::ingestion(&folder);
+    let pieces = job.pieces();
+    let largest = pieces.iter().max_by_key(|piece| piece.items);
+    let largest = largest.expect("a piece");
+    let worker = folder
+        .command("--json stage work @dataset-plan --isolate")
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("stance starts");
+    let children = format!("/proc/{0}/task/{0}/children", worker.id());
+    let is_of_piece = |child: &str| {
+        let line = fs::read(format!("/proc/{child}/cmdline")).unwrap_or_default();
+        line.split(|byte| *byte == 0)
+            .any(|word| word == largest.id.as_bytes())
+    };
+    let child = loop {
+        let children = fs::read_to_string(&children).expect("text");
+        let mut children = children.split_whitespace();
+        if let Some(child) = children.find(|child| is_of_piece(child)) {
+            break child.to_owned();
+        }
+        std::thread::yield_now();
+    };
+    let killed = std::process::Command::new("kill")
+        .args(["-9", &child])
+        .status();
+    assert!(killed.expect("kill starts").success());
+    let ran = Ran::from(worker.wait_with_output().expect("a child")).expect_code(3);
+    let made = records(&ran);
+    assert_eq!(made.len(), pieces.len());
+    for record in &made {
+        assert_eq!(record.is_done(), record.piece != largest.id, "{record:?}");
+    }
+    let done = job.commit(&["--quarantine-failed"], 3);
+    let codes = BTreeMap::from([("E-CRASH".to_owned(), largest.items)]);
+    assert_eq!(done.counts().codes, codes);
+    assert_eq!(done.tables["motions"], CLIPS as u64 - largest.items);
+    let rows = job.quarantined();
+    assert!(rows.iter().all(|row| row.reason.contains("signal 9")));
+}
+
+#[test]
+fn windows_triplets_edits_and_variants_in_pieces_are_those_of_one_process() {
+    let workshop = Workshop::open();
+    workshop.train("motionrefit", "editor", "4").expect_code(0);
+    workshop.run("items @dataset --out @items --split train --count 70");
+    workshop.trained("mld", "mld", SMALL_GENERATOR, "--steps 3");
+    let lines = (0..40).map(|number| format!("a person walks {number} steps\n"));
+    workshop.put("texts", lines.collect::<String>());
+    let variants =
+        format!("variants @dataset --generator @mld --instructions @texts --variants 2 {ANY_PAIR}");
+    for (name, job, pieces) in [
+        ("windows", "triplets @dataset --windows 9000", 3..=3),
+        ("triplets", "triplets @dataset --count 12", 1..=12),
+        // A piece for each take at least.
+        ("edits", "edit @editor --items @items --takes 2", 2..=140),
+        // 32 instructions are a batch.
+        ("variants", &variants, 2..=2),
+    ] {
+        let clean = root_hash(&workshop, job, &format!("{name}-clean"));
+        let job = Job::planned(&workshop, name, job);
+        assert_eq!(job.in_every_way(0).root_hash, clean, "{name}");
+        assert!(pieces.contains(&job.planned.pieces), "{name}");
+    }
+    workshop.run("verify @windows");
+    workshop.run("verify @triplets");
+    let remarks = |edits: &str| workshop.text(&format!("{edits}/remarks.json"));
+    assert_eq!(remarks("edits"), remarks("edits-clean"));
+    let is_timed = |edits: &str| workshop.path(edits).join("times.json").is_file();
+    assert_eq!(is_timed("edits"), is_timed("edits-clean"));
+
+    // For windows, a piece that fails is itself quarantined.
+    if cfg!(target_os = "linux") {
+        let job = Job::planned(&workshop, "failing", "triplets @dataset --windows 5000");
+        let ids = job.pieces();
+        job.work(&["--items", &ids[0].id], 0);
+        let second = ids[1].id.as_str();
+        let isolated = ["--items", second, "--isolate", "--memory", "64MB"];
+        job.work(&isolated, 3);
+        let done = job.commit(&["--quarantine-failed"], 3);
+        assert_eq!((done.failed, done.tables["windows"]), (1, 4096));
+        let rows = job.quarantined();
+        let found = rows
+            .iter()
+            .map(|row| (row.path.as_str(), row.code.as_str()));
+        let expected = [("windows/train-00001-of-00002", "E-CRASH")];
+        assert!(found.eq(expected), "{rows:?}");
+    }
+
+    // A changed dataset would give other windows.
+    let job = Job::planned(&workshop, "late", "triplets @dataset --windows 100");
+    fs::remove_file(workshop.clip()).expect("removed");
+    workshop.run("ingest @corpus --out @dataset --prune --drop-labels");
+    let made = job.work(&[], 3).remove(0);
+    let code = made.code.as_deref();
+    assert_eq!(code, Some("E-SOURCE-CHANGED"), "{made:?}");
+}
+
 #[test]
 fn exports_in_pieces_are_those_of_one_process() {
-    let place = Place::new(CLIPS);
-    let [source, dataset] = ["corpus", "dataset"].map(|name| place.at(name));
-    stance(&["ingest", arg(&source), "--out", arg(&dataset)]).expect_code(0);
+    let folder = Folder::of_clips(CLIPS);
+    folder.run("ingest @corpus --out @dataset");
     for (layout, parts) in [
         ("amass", 4),
         ("bvh", 4),
@@ -723,151 +617,88 @@ fn exports_in_pieces_are_those_of_one_process() {
         ("hy-motion", 4),
         ("webdataset", 1),
     ] {
-        let job = ["export", arg(&dataset), "--to", layout];
-        let [clean, into, plan] =
-            ["clean", "into", "plan"].map(|name| place.at(&format!("{layout}-{name}")));
-        stance(&[&job[..], &["--out", arg(&clean)]].concat()).expect_code(0);
-        let made = planned(&job, &into, &plan);
-        assert_eq!((made.pieces, made.items), (parts, CLIPS as u64), "{layout}");
-        assert!(made.bytes > 0, "{layout}");
-        by_four(&plan);
-        let ids: Vec<String> = pieces(&plan).into_iter().map(|piece| piece.id).collect();
-        let reversed: Vec<&str> = ids.iter().rev().map(String::as_str).collect();
-        let again = work(&plan, &["--items", &reversed.join(",")], 0);
-        assert_eq!(count(&again, Outcome::DoneBefore), ids.len(), "{layout}");
+        let export = format!("export @dataset --to {layout}");
+        folder.run(&format!("{export} --out @clean"));
+        let clean = folder.path("clean");
+        let job = Job::planned(&folder, layout, &export);
+        let planned = (job.planned.pieces, job.planned.items);
+        assert_eq!(planned, (parts, CLIPS as u64), "{layout}");
+        assert!(job.planned.bytes > 0, "{layout}");
+        job.by_four();
+        job.again_in_reverse();
+        let into = &job.into;
         assert!(!into.exists(), "{layout}: an export appears whole");
-        let done = commit(&plan, &[], 0);
+        let done = job.commit(&[], 0);
         assert_eq!(done.tables["clips"], CLIPS as u64, "{layout}");
-        assert!(files_below(&into) == files_below(&clean), "{layout}");
-        let again = commit(&plan, &[], 0);
-        assert!(again.already_committed && again.root_hash == done.root_hash);
-        // A late worker has nothing to do, and leaves no files.
-        assert_eq!(
-            count(&work(&plan, &[], 0), Outcome::DoneBefore),
-            ids.len(),
-            "{layout}"
-        );
-        assert_eq!(pieces_beside(&into), None, "{layout}");
+        assert!(files_below(into) == files_below(&clean), "{layout}");
+        job.again_after(&done);
+        assert_eq!(pieces_beside(into), None, "{layout}");
         fs::remove_dir_all(&clean).expect("removed");
-        fs::remove_dir_all(&into).expect("removed");
+        fs::remove_dir_all(into).expect("removed");
     }
 }
 
 #[test]
 fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
-    let place = Place::new(CLIPS);
-    let [source, dataset] = ["corpus", "dataset"].map(|name| place.at(name));
-    stance(&["ingest", arg(&source), "--out", arg(&dataset)]).expect_code(0);
-    let job = ["export", arg(&dataset), "--to", "humanml3d"];
-    let [clean, into, plan] = ["clean", "into", "plan"].map(|name| place.at(name));
-    stance(&[&job[..], &["--out", arg(&clean)]].concat()).expect_code(0);
-    let clean = files_below(&clean);
-    planned(&job, &into, &plan);
+    let folder = Folder::of_clips(CLIPS);
+    folder.run("ingest @corpus --out @dataset");
+    folder.run("export @dataset --to humanml3d --out @clean");
+    let clean = files_below(&folder.path("clean"));
+    let job = Job::planned(&folder, "into", "export @dataset --to humanml3d");
+    let into = &job.into;
 
-    // Whether the kill comes before, in or after a piece, the result must be the same.
-    let staged = format!("meta/staged/0-{}", plan_hash(&plan));
-    let has_begun = || {
-        let made = pieces_beside(&into)?.join(&staged).join("pieces");
-        fs::read_dir(made).ok()?.next()
-    };
-    let mut killed = started(&["--threads", "1", "stage", "work", arg(&plan)]);
-    while has_begun().is_none() && killed.try_wait().expect("a child").is_none() {
-        std::thread::yield_now();
-    }
-    killed.kill().expect("a child");
-    killed.wait().expect("a child");
-    by_four(&plan);
-
-    // A lost file only affects its piece.
-    let home = pieces_beside(&into).expect("a folder of pieces");
-    let record = &work(&plan, &[], 0)[1];
-    let lost = home.join(staged).join(&record.files[0].path);
-    fs::remove_file(lost).expect("a staged file");
-    assert_eq!(status(&plan).missing, std::slice::from_ref(&record.piece));
-    assert_eq!(count(&work(&plan, &[], 0), Outcome::Done), 1);
+    let begun = format!("meta/staged/0-{}/pieces", job.plan_hash());
+    job.make_in_every_way(|| {
+        let begun = pieces_beside(into).and_then(|home| fs::read_dir(home.join(&begun)).ok());
+        begun.is_some_and(|mut made| made.next().is_some())
+    });
+    let home = pieces_beside(into).expect("a folder of pieces");
 
     // A commit that was killed before it published is repeated; files of another run at the destination are not
     // touched.
-    let mut killed = started(&["stage", "commit", arg(&plan)]);
-    while !home.join("result/new_joints").exists() && killed.try_wait().expect("a child").is_none()
-    {
-        std::thread::yield_now();
-    }
-    killed.kill().expect("a child");
-    killed.wait().expect("a child");
+    let killed = job.started("stage commit", &[]);
+    kill_once(killed, || home.join("result/new_joints").exists());
     if !into.exists() {
-        put(into.join("notes.txt"), "mine");
-        stance(&["stage", "commit", arg(&plan)]).expect_refused(arg(&into));
-        fs::remove_dir_all(&into).expect("removed");
+        folder.put("into/notes.txt", "mine");
+        job.refused(arg(into));
+        fs::remove_dir_all(into).expect("removed");
     }
-    let done = commit(&plan, &[], 0);
-    assert!(files_below(&into) == clean);
-    assert_eq!(pieces_beside(&into), None);
+    let done = job.commit(&[], 0);
+    assert!(files_below(into) == clean);
+    assert_eq!(pieces_beside(into), None);
 
     // A commit that was killed after it published counts as done.
     fs::create_dir(&home).expect("a folder");
-    fs::rename(plan.join("committed.json"), home.join("committed.json")).expect("moved");
-    let again = commit(&plan, &[], 0);
-    assert!(again.already_committed && again.root_hash == done.root_hash);
-    assert!(status(&plan).committed);
-    assert_eq!(pieces_beside(&into), None);
-    assert!(files_below(&into) == clean);
-}
-
-#[test]
-fn a_dry_run_of_an_export_makes_a_few_clips() {
-    let place = Place::new(40);
-    let [source, dataset] = ["corpus", "dataset"].map(|name| place.at(name));
-    stance(&["ingest", arg(&source), "--out", arg(&dataset)]).expect_code(0);
-    for layout in ["bvh", "webdataset"] {
-        let into = place.at("into");
-        let planned: Planned = typed(
-            "--json stage plan export {} --to {} --into {} --dry-run",
-            &[&dataset, &layout, &into],
-        )
-        .done();
-        let sample = planned.sample.expect("a sample");
-        assert_eq!((planned.items, sample.items), (40, 16), "{layout}");
-        assert!(planned.bytes > 0 && !into.exists(), "{layout}");
-    }
+    fs::rename(job.plan.join("committed.json"), home.join("committed.json")).expect("moved");
+    job.again_after(&done);
+    assert_eq!(pieces_beside(into), None);
+    assert!(files_below(into) == clean);
 }
 
 #[test]
 fn an_export_of_chosen_clips_in_pieces_is_that_of_one_process() {
-    let place = Place::new(24);
-    let [source, dataset] = ["corpus", "dataset"].map(|name| place.at(name));
-    stance(&["ingest", arg(&source), "--out", arg(&dataset)]).expect_code(0);
-    let job = [
-        "export",
-        arg(&dataset),
-        "--to",
-        "bvh",
-        "--where",
-        "split = 'train'",
-    ];
-    let [clean, into, plan] = ["clean", "into", "plan"].map(|name| place.at(name));
-    stance(&[&job[..], &["--out", arg(&clean)]].concat()).expect_code(0);
-    planned(&job, &into, &plan);
+    let folder = Folder::of_clips(24);
+    folder.run("ingest @corpus --out @dataset");
+    let export = "export @dataset --to bvh --where \"split = 'train'\"";
+    folder.run(&format!("{export} --out @clean"));
+    let job = Job::planned(&folder, "into", export);
     // A damaged file of the dataset fails only the pieces that read it.
-    let shard = files_with_extension(&dataset.join("data/motions"), "parquet");
-    let shard = shard
-        .iter()
-        .find(|path| path.to_string_lossy().contains("train"))
-        .expect("a shard");
+    let shards = files_with_extension(&folder.path("dataset/data/motions"), "parquet");
+    let mut shards = shards.iter();
+    let shard = shards.find(|path| path.to_string_lossy().contains("train"));
+    let shard = shard.expect("a shard");
     let whole = fs::read(shard).expect("a shard");
     let mut damaged = whole.clone();
     let middle = damaged.len() / 2;
     damaged[middle] ^= 1;
     put(shard, damaged);
-    let made = work(&plan, &[], 3);
-    assert_eq!(
-        made[0].code.as_deref(),
-        Some("E-SOURCE-CHANGED"),
-        "{made:?}"
-    );
-    typed("stage commit {} --quarantine-failed", &[&plan]).expect_refused("whole or not at all");
+    let made = job.work(&[], 3).remove(0);
+    let code = made.code.as_deref();
+    assert_eq!(code, Some("E-SOURCE-CHANGED"), "{made:?}");
+    job.typed("stage commit", &["--quarantine-failed"])
+        .expect_refused("whole or not at all");
     put(shard, whole);
-    work(&plan, &[], 0);
-    commit(&plan, &[], 0);
-    assert!(files_below(&into) == files_below(&clean));
+    job.work(&[], 0);
+    job.commit(&[], 0);
+    assert!(files_below(&job.into) == files_below(&folder.path("clean")));
 }

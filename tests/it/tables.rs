@@ -97,7 +97,7 @@ pub(crate) fn tables(text: &str) -> Vec<Table> {
 }
 
 /// The cells of a line, without its first and last bar.
-fn cells(line: &str) -> Vec<String> {
+pub(crate) fn cells(line: &str) -> Vec<String> {
     let line = line.strip_prefix('|').unwrap_or(line);
     let line = line.strip_suffix('|').unwrap_or(line).replace("\\|", "\0");
     let cells = line.split('|');

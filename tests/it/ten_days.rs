@@ -4,19 +4,21 @@
 //! finds only the rows of the newest version. `STANCE_EACH_DAY` names a command that is then run with the dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use datasets_spec::record::{MaskRow, PairRow};
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::{Dataset, Split};
 use serde_json::{Value, json};
 
 use crate::grown::{
-    clips, files, halves, ingest, judge, masks, motions, move_files, refused, verified,
+    clips, files, halves, ingest, judge, masks, motions, move_files, named, ran, refused,
 };
-use crate::sources::{everything, predicted};
-use crate::util::{arg, corpus, files_with_extension, len_of, rows_of, stance, typed};
+use crate::sources::predicted;
+use crate::util::{arg, corpus, everything, len_of, rows_of, stance, typed};
+use crate::versions::only_current_rows_are_found;
 
 /// Copies motions to a folder under the names of other motions of the same format.
 fn copy_twins(names: &[PathBuf], motions: &[PathBuf], from: &Path, to: &Path) {
@@ -54,15 +56,7 @@ impl Days {
         }
         let opened = Dataset::open(dataset).expect("a dataset");
         assert!(opened.manifest().accounting.balances(), "{day}");
-        let tables = opened.manifest().tables.values().flatten();
-        let named: BTreeSet<PathBuf> = tables.map(|file| dataset.join(&file.path)).collect();
-        let in_place = files_with_extension(dataset, "parquet");
-        assert_eq!(
-            in_place.into_iter().collect::<BTreeSet<_>>(),
-            named,
-            "{day}"
-        );
-        verified(dataset);
+        only_current_rows_are_found(dataset, day);
         if let Ok(line) = std::env::var("STANCE_EACH_DAY") {
             let mut words = line.split(' ');
             let mut command = Command::new(words.next().expect("a command"));
@@ -72,20 +66,18 @@ impl Days {
     }
 
     /// Ingests sources. A dry run first predicts every change, and changes nothing.
-    fn grow(&self, sources: &[&Path], more: &[&str]) -> Value {
-        let mut args = vec!["--json", "ingest", "--dry-run", "--out", arg(&self.dataset)];
-        args.extend(sources.iter().map(|source| arg(source)));
-        args.extend(more);
+    fn grow(&self, sources: &[impl AsRef<OsStr>], more: &[&str]) -> Value {
         let before = everything(&self.dataset);
-        let told: Value = stance(&args).done();
+        let dry = [more, &["--dry-run"]].concat();
+        let told: Value = ran(sources, &self.dataset, &dry).done();
         assert_eq!(everything(&self.dataset), before);
         let total = clips(&self.dataset).len();
         let done = ingest(sources, &self.dataset, more, 0);
         predicted(&told, &done);
         let growth = &done["growth"];
         let pruned = len_of(&growth["pruned"]);
-        let new = usize::try_from(growth["new"].as_u64().expect("a count")).expect("few");
-        assert_eq!(clips(&self.dataset).len(), total + new - pruned);
+        let left = clips(&self.dataset).len() + pruned - total;
+        assert_eq!(growth["new"], left);
         done
     }
 
@@ -95,8 +87,9 @@ impl Days {
     }
 
     /// Whether a person labelled a clip.
-    fn is_labelled(&self, id: &datasets_spec::MotionId) -> bool {
-        self.by_people.values().any(|mask| mask.motion_id == *id)
+    fn is_labelled(&self, row: &MotionRow) -> bool {
+        let mut masks = self.by_people.values();
+        masks.any(|mask| mask.motion_id == row.id)
     }
 }
 
@@ -108,7 +101,7 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     ingest(&[&source], &dataset, &[], 0);
     stance(&["pairs", arg(&dataset)]).expect_code(0);
     let mut days = Days {
-        by_people: judge(&dataset, dir.path()),
+        by_people: judge(&dataset),
         splits: BTreeMap::new(),
         dataset: dataset.clone(),
     };
@@ -123,23 +116,18 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     // The takes in a second person's folder have the same names as those of the first person.
     let theirs = dir.path().join("friend/corpus");
     copy_twins(&files(&source)[..4], &files(&more), &source, &theirs);
-    stance(&["ingest", arg(&theirs), "--out", arg(&dataset)]).expect_code(2);
-    let named = format!("friend={}", arg(&theirs));
-    days.grow(&[Path::new(&named)], &[]);
+    ran(&[&theirs], &dataset, &[]).expect_code(2);
+    days.grow(&[named("friend", &theirs)], &[]);
     days.check("a second person");
-    let of_friend = |row: &&datasets_spec::record::MotionRow| row.source_name == "friend";
+    let of_friend = |row: &&MotionRow| row.source_name == "friend";
     assert_eq!(motions(&dataset).iter().filter(of_friend).count(), 4);
     // 6 change a file with labels by people: refused until a flag allows it.
     let rows = motions(&dataset);
-    let row = rows
-        .iter()
-        .find(|row| row.source_path.ends_with(".npz") && days.is_labelled(&row.id));
-    let row = row.expect("a labelled archive");
+    let of_archive = |row: &&MotionRow| row.source_path.ends_with(".npz") && days.is_labelled(row);
+    let row = rows.iter().find(of_archive).expect("a labelled archive");
     let archive = source.join(&row.source_path);
-    let another = later
-        .iter()
-        .rev()
-        .find(|file| file.extension() == archive.extension());
+    let is_archive = |file: &&PathBuf| file.extension() == archive.extension();
+    let another = later.iter().rev().find(is_archive);
     fs::copy(another.expect("another archive"), &archive).expect("copied");
     refused(&[&source, &more], &dataset, &[]);
     days.check("a change refused");
@@ -148,14 +136,11 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     days.check("a file changed");
     // 7 remove a file without labels, 8 rename one with labels.
     let rows = motions(&dataset);
-    let bare = rows
-        .iter()
-        .find(|row| row.source_path.starts_with("more/") && !days.is_labelled(&row.id));
-    fs::remove_file(
-        dir.path()
-            .join(&bare.expect("an unlabelled clip").source_path),
-    )
-    .expect("removed");
+    let of_more = |row: &&MotionRow| row.source_path.starts_with("more/");
+    let mut bare = rows.iter().filter(of_more);
+    let bare = bare.find(|row| !days.is_labelled(row));
+    let bare = &bare.expect("an unlabelled clip").source_path;
+    fs::remove_file(dir.path().join(bare)).expect("removed");
     days.grow(&[&source, &more], &[]);
     days.check("a file is missing");
     days.grow(&[&source, &more], &["--prune"]);
@@ -178,10 +163,9 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     assert_eq!(back["growth"]["kept"], total);
     days.check("the disk is back");
     let rows = motions(&dataset);
-    let row = rows
-        .iter()
-        .find(|row| source.join(&row.source_path).exists() && days.is_labelled(&row.id));
-    let file = source.join(&row.expect("a labelled clip").source_path);
+    let labelled = rows.iter().filter(|row| days.is_labelled(row));
+    let mut files = labelled.map(|row| source.join(&row.source_path));
+    let file = files.find(|file| file.exists()).expect("a labelled clip");
     move_files(&[file], &source.join("renamed"));
     days.grow(&[&source, &more], &[]);
     days.check("a file renamed");
@@ -189,14 +173,14 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     let moved = dir.path().join("archive/corpus");
     fs::create_dir(dir.path().join("archive")).expect("made");
     fs::rename(&source, &moved).expect("moved");
-    stance(&["ingest", arg(&moved), "--out", arg(&dataset)]).expect_code(2);
-    let named = format!("corpus={}", arg(&moved));
-    let same = days.grow(&[Path::new(&named), &more], &[]);
+    ran(&[&moved], &dataset, &[]).expect_code(2);
+    let (moved, more) = (named("corpus", &moved), arg(&more).to_owned());
+    let same = days.grow(&[&moved, &more], &[]);
     assert_eq!(same["already_complete"], true);
     days.check("a folder moved");
     // Somebody removes labelled clips by mistake; a restore brings back the clips and their labels.
     let before = (clips(&dataset), days.version());
-    let row = rows.iter().find(|row| days.is_labelled(&row.id));
+    let row = rows.iter().find(|row| days.is_labelled(row));
     let condition = format!("split = '{}'", row.expect("a labelled clip").split);
     let remove = ["dataset", "remove", arg(&dataset), "--where", &condition];
     stance(&remove).expect_code(1);
@@ -208,7 +192,7 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     stance(&["dataset", "restore", arg(&dataset), "--to", &to]).expect_code(0);
     assert_eq!(clips(&dataset), before.0);
     days.check("restored");
-    let same = days.grow(&[Path::new(&named), &more], &[]);
+    let same = days.grow(&[&moved, &more], &[]);
     assert_eq!(same["growth"]["new"], 0);
     days.check("grown after a restore");
     let compacted: Value = stance(&["--json", "dataset", "compact", arg(&dataset)]).done();
@@ -220,8 +204,8 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     let theirs = theirs.path().join("corpus");
     ingest(&[&theirs], &colleague, &["--seed", "3"], 0);
     let both = dir.path().join("both");
-    let merge = ["dataset", "merge", arg(&dataset), arg(&colleague)];
-    stance(&[&merge[..], &["--out", arg(&both)]].concat()).expect_code(0);
+    let datasets: [&dyn AsRef<OsStr>; 3] = [&dataset, &colleague, &both];
+    typed("dataset merge {} {} --out {}", &datasets).expect_code(0);
     let mut merged = Days {
         dataset: both,
         splits: BTreeMap::new(),
@@ -235,9 +219,6 @@ fn ten_days_end_with_every_label_that_a_person_made() {
     days.check("old versions are gone");
     let pairs: Vec<PairRow> = rows_of(&dataset);
     let ids: BTreeSet<String> = clips(&dataset).into_keys().collect();
-    assert!(
-        pairs
-            .iter()
-            .all(|pair| ids.contains(pair.source_id.as_str()))
-    );
+    let has_source = |pair: &PairRow| ids.contains(pair.source_id.as_str());
+    assert!(pairs.iter().all(has_source));
 }

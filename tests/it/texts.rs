@@ -5,19 +5,13 @@ use std::path::Path;
 
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
-use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::baselines::SMALL_TMED;
 use crate::train::Workshop;
-use crate::util::{Ran, arg, put, stance, text_of, typed};
+use crate::util::{Ran, arg, json_of, npy, put, stance, text_of, typed, typed_with};
 
 const WIDTH: usize = 26;
-
-#[derive(Deserialize)]
-struct Listed {
-    texts: Vec<String>,
-}
 
 /// Vectors of all texts of a dataset: the counts of letters in each text, an encoder that anybody can write.
 pub(crate) struct TextTable<'a> {
@@ -33,10 +27,11 @@ impl<'a> TextTable<'a> {
 
     /// The table with vectors of further texts.
     fn with(workshop: &'a Workshop, more: &[&str]) -> Self {
-        let listed = stance(&["--json", "model", "texts", arg(&workshop.dataset())]).expect_code(0);
-        let Listed { mut texts } = listed.json();
+        let listed: Value = typed("--json model texts {}", &[&workshop.dataset()]).done();
+        let texts = serde_json::from_value(listed["texts"].clone());
+        let mut texts: Vec<String> = texts.expect("a list of texts");
         texts.extend(more.iter().map(|text| (*text).to_owned()));
-        let list = serde_json::json!({ "texts": texts }).to_string();
+        let list = json!({ "texts": texts }).to_string();
         put(workshop.path("texts.json"), list);
         let count = |text: &String, letter: u8| {
             let letters = text.bytes().map(|byte| byte.to_ascii_lowercase());
@@ -61,23 +56,18 @@ impl<'a> TextTable<'a> {
     fn make(&self, name: &str, values: &[f32]) -> Ran {
         let path = |name: &str| self.workshop.path(name);
         let (texts, vectors, out) = (path("texts.json"), path("vectors.npy"), path(name));
-        write_npy(&vectors, values);
-        let made = ["model", "table", arg(&texts), arg(&vectors)];
-        stance(&[&made[..], &["--encoder", "letters", "--out", arg(&out)]].concat())
+        let shape = format!("{}, {WIDTH}", values.len() / WIDTH);
+        let bytes: Vec<u8> = values.iter().copied().flat_map(f32::to_le_bytes).collect();
+        put(&vectors, npy("<f4", &shape, &bytes));
+        let line = "model table {} {} --encoder letters --out {}";
+        typed(line, &[&texts, &vectors, &out])
     }
 }
 
-/// Writes a NumPy file of format 1.0.
-fn write_npy(path: &Path, values: &[f32]) {
-    let rows = values.len() / WIDTH;
-    let shape = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({rows}, {WIDTH}), }}");
-    // Magic, version, length and header together fill a multiple of 64 bytes.
-    let header = format!("{shape:<117}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.as_bytes());
-    bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
-    put(path, bytes);
+/// What the record of a run says of its text encoder.
+fn frozen(workshop: &Workshop, run: &str) -> Value {
+    let record: Value = json_of(workshop.path(run).join("config.json"));
+    record["config"]["text"]["frozen"].clone()
 }
 
 #[test]
@@ -85,8 +75,8 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
     let workshop = Workshop::open();
     let dataset = workshop.dataset();
     let vectors = TextTable::of(&workshop);
-    let lines = stance(&["model", "texts", arg(&dataset)]).expect_code(0);
-    assert_eq!(lines.stdout.lines().collect::<Vec<_>>(), vectors.texts);
+    let lines = stance(&["model", "texts", arg(&dataset)]).printed();
+    assert_eq!(lines.lines().collect::<Vec<_>>(), vectors.texts);
     vectors.write("letters.safetensors", 1.0).expect_code(0);
     let short = vectors.make("short.safetensors", &vectors.values[WIDTH..]);
     short.expect_refused("no row for each");
@@ -106,30 +96,26 @@ fn a_table_of_vectors_goes_from_training_into_editing() {
     let told = ["--config", arg(&alone), "--text-encoder", arg(&table)];
     let tokens = workshop.train_with("tmed", "tmed", &told);
     tokens.expect_refused("TMED reads tokens");
-    let record = text_of(workshop.path("editor/config.json"));
-    let record: Value = serde_json::from_str(&record).expect("JSON");
-    let frozen = &record["config"]["text"]["frozen"];
+    let frozen = frozen(&workshop, "editor");
     assert_eq!(frozen["encoder_hash"], "letters");
     assert_eq!(frozen["width"], WIDTH);
 
     // The run stores the vectors of the dataset's instructions.
     let items = workshop.path("items");
-    let draw = ["items", arg(&dataset), "--split", "val", "--count", "3"];
-    stance(&[&draw[..], &["--out", arg(&items)]].concat()).expect_code(0);
+    let line = "items {} --split val --count 3 --out {}";
+    typed(line, &[&dataset, &items]).expect_code(0);
     let run = workshop.path("editor");
     let clip = workshop.clip();
     let items = ["--items", arg(&items)];
     let spin = ["--motion", arg(&clip), "--text", "Spin twice."];
     let edit = |out: &str, what: &[&str], table: Option<&str>| {
         let (out, table) = (workshop.path(out), table.map(|name| workshop.path(name)));
-        let mut args = vec!["edit", arg(&run), "--out", arg(&out)];
-        args.extend(what);
-        args.extend(table.iter().flat_map(|path| ["--text-encoder", arg(path)]));
-        stance(&args)
+        let table = table.iter().flat_map(|path| ["--text-encoder", arg(path)]);
+        let more = [what, &table.collect::<Vec<_>>()].concat();
+        typed_with("edit {} --out {}", &[&run, &out], &more)
     };
     let refused = |what: &[&str], table: &str, why: &str| {
-        let said = edit("refused", what, Some(table)).refusal();
-        assert!(said.contains(why), "{said}");
+        edit("refused", what, Some(table)).expect_refused(why);
     };
     edit("edits", &items, None).expect_code(0);
     refused(&spin, "letters.safetensors", "\"Spin twice.\"");
@@ -150,17 +136,12 @@ fn write_distilbert(folder: &Path, phase: f32) {
     let special = ["[PAD]", "[UNK]", "[CLS]", "[SEP]"].map(str::to_owned);
     let vocabulary = [&special[..], &letters, &pieces].concat();
     let (square, row) = (vec![WIDTH, WIDTH], vec![WIDTH]);
+    let (words, places) = (vec![vocabulary.len(), WIDTH], vec![32, WIDTH]);
     let mut shapes = vec![
-        (
-            "embeddings.word_embeddings.weight".to_owned(),
-            vec![vocabulary.len(), WIDTH],
-        ),
-        (
-            "embeddings.position_embeddings.weight".to_owned(),
-            vec![32, WIDTH],
-        ),
-        ("embeddings.LayerNorm.weight".to_owned(), vec![WIDTH]),
-        ("embeddings.LayerNorm.bias".to_owned(), vec![WIDTH]),
+        ("embeddings.word_embeddings.weight".to_owned(), words),
+        ("embeddings.position_embeddings.weight".to_owned(), places),
+        ("embeddings.LayerNorm.weight".to_owned(), row.clone()),
+        ("embeddings.LayerNorm.bias".to_owned(), row.clone()),
     ];
     for (part, shape) in [
         ("attention.q_lin", &square),
@@ -173,23 +154,19 @@ fn write_distilbert(folder: &Path, phase: f32) {
         ("output_layer_norm", &row),
     ] {
         shapes.push((format!("transformer.layer.0.{part}.weight"), shape.clone()));
-        shapes.push((format!("transformer.layer.0.{part}.bias"), vec![WIDTH]));
+        shapes.push((format!("transformer.layer.0.{part}.bias"), row.clone()));
     }
-    let data: Vec<Vec<u8>> = shapes
-        .iter()
-        .enumerate()
-        .map(|(place, (_, shape))| {
-            let count: usize = shape.iter().product();
-            let values = (0..count).map(|i| (0.7 * i as f32 + place as f32 + phase).sin());
-            values.flat_map(f32::to_le_bytes).collect()
-        })
-        .collect();
+    let data = shapes.iter().enumerate().map(|(place, (_, shape))| {
+        let count: usize = shape.iter().product();
+        let values = (0..count).map(|i| (0.7 * i as f32 + place as f32 + phase).sin());
+        values.flat_map(f32::to_le_bytes).collect()
+    });
+    let data: Vec<Vec<u8>> = data.collect();
     let views = shapes.iter().zip(&data).map(|((name, shape), data)| {
         let view = TensorView::new(Dtype::F32, shape.clone(), data).expect("fits");
         (name.as_str(), view)
     });
     let weights = safetensors::serialize(views, None).expect("serialises");
-    fs::create_dir_all(folder).expect("made");
     put(folder.join("model.safetensors"), weights);
     put(folder.join("vocab.txt"), vocabulary.join("\n"));
     let config = json!({
@@ -225,11 +202,9 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
     let tokens = format!("text.encoder = \"bert\"\n{SMALL_TMED}");
     train("tmed", &tokens, &told).expect_code(0);
 
-    let hash = |run: &str| {
-        let record = text_of(path(run).join("config.json"));
-        let record: Value = serde_json::from_str(&record).expect("JSON");
-        let hash = &record["config"]["text"]["frozen"]["encoder_hash"];
-        hash.as_str().expect("a hash").to_owned()
+    let hash = |run: &str| -> String {
+        let frozen = frozen(&workshop, run);
+        frozen["encoder_hash"].as_str().expect("a hash").to_owned()
     };
     // The same network gives one vector scaled to a length, and one for each token.
     let (pooled, states) = (hash("motionrefit"), hash("tmed"));
@@ -255,8 +230,7 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
     let edit = |out: &str, told: &[&str]| {
         let out = path(out);
         let spin = ["--motion", arg(&clip), "--text", "Spin twice."];
-        let args = [&["edit", arg(&run), "--out", arg(&out)][..], &spin, told].concat();
-        stance(&args)
+        typed_with("edit {} --out {}", &[&run, &out], &[&spin, told].concat())
     };
     edit("never", &[]).expect_refused("--text-encoder");
     edit("spun", &told).expect_code(0);

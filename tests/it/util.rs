@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use datasets_spec::Dataset;
-use datasets_spec::record::MotionRow;
+use datasets_spec::record::{MotionRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -123,6 +123,73 @@ pub(crate) fn typed_with(line: &str, values: &[&dyn AsRef<OsStr>], more: &[&str]
     ran.expect("stance starts").into()
 }
 
+/// A temporary folder. Command lines name what lies in it by `@name`.
+pub(crate) struct Folder(tempfile::TempDir);
+
+impl Folder {
+    pub(crate) fn empty() -> Self {
+        Self(tempfile::tempdir().expect("a temporary folder"))
+    }
+
+    /// A folder with a small built-in corpus.
+    pub(crate) fn of_clips(clips: usize) -> Self {
+        Self(corpus(clips))
+    }
+
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    pub(crate) fn put(&self, name: &str, bytes: impl AsRef<[u8]>) {
+        put(self.path(name), bytes);
+    }
+
+    pub(crate) fn text(&self, name: &str) -> String {
+        text_of(self.path(name))
+    }
+
+    pub(crate) fn rows<R: Row>(&self, dataset: &str) -> Vec<R> {
+        rows_of(&self.path(dataset))
+    }
+
+    pub(crate) fn dataset_at(&self, name: &str) -> Dataset {
+        Dataset::open(&self.path(name)).expect("a dataset")
+    }
+
+    /// A command line as typed in a shell, in which `@name` is the path of `name` in this folder.
+    pub(crate) fn command(&self, line: &str) -> Command {
+        let mut command = command(&[]);
+        for word in shlex::split(line).expect("closed quotes") {
+            match word.strip_prefix('@') {
+                Some(name) => command.arg(self.path(name)),
+                None => command.arg(word),
+            };
+        }
+        command
+    }
+
+    /// Runs a command line.
+    pub(crate) fn typed(&self, line: &str) -> Ran {
+        self.typed_with(line, &[])
+    }
+
+    /// Runs a command line, with further arguments appended.
+    pub(crate) fn typed_with(&self, line: &str, more: &[&str]) -> Ran {
+        let ran = self.command(line).args(more).output();
+        ran.expect("stance starts").into()
+    }
+
+    /// Runs a command line that succeeds.
+    pub(crate) fn run(&self, line: &str) -> Ran {
+        self.typed(line).expect_code(0)
+    }
+
+    /// The JSON document of a command line that succeeds.
+    pub(crate) fn json<T: DeserializeOwned>(&self, line: &str) -> T {
+        self.typed(&format!("--json {line}")).done()
+    }
+}
+
 /// Panics with the whole text unless it contains all of these parts.
 #[track_caller]
 pub(crate) fn assert_has(text: &str, parts: &[&str]) {
@@ -131,10 +198,28 @@ pub(crate) fn assert_has(text: &str, parts: &[&str]) {
     }
 }
 
+/// The elements of a list.
+#[track_caller]
+pub(crate) fn list_of(list: &Value) -> &[Value] {
+    list.as_array().expect("a list")
+}
+
 /// The number of elements of a list.
 #[track_caller]
 pub(crate) fn len_of(list: &Value) -> usize {
-    list.as_array().expect("a list").len()
+    list_of(list).len()
+}
+
+/// A number of a document.
+#[track_caller]
+pub(crate) fn number_of(value: &Value) -> f64 {
+    value.as_f64().expect("a number")
+}
+
+/// A text of a document.
+#[track_caller]
+pub(crate) fn word_of(value: &Value) -> &str {
+    value.as_str().expect("a text")
 }
 
 /// The name of a file.
@@ -163,6 +248,14 @@ pub(crate) fn text_of(path: impl AsRef<Path>) -> String {
 /// A file of one JSON document.
 pub(crate) fn json_of<T: DeserializeOwned>(path: impl AsRef<Path>) -> T {
     serde_json::from_str(&text_of(path)).expect("JSON")
+}
+
+/// The JSON documents of a text, one a line.
+pub(crate) fn json_lines(text: &str) -> Vec<Value> {
+    let lines = text.lines();
+    lines
+        .map(|line| serde_json::from_str(line).expect("JSON"))
+        .collect()
 }
 
 /// A path as an argument.
@@ -233,4 +326,122 @@ pub(crate) fn files_with_extension(folder: &Path, extension: &str) -> Vec<PathBu
     }
     found.sort();
     found
+}
+
+/// Panics with the whole value unless its JSON contains this text.
+#[track_caller]
+pub(crate) fn assert_tells(value: &Value, text: &str) {
+    assert_has(&value.to_string(), &[text]);
+}
+
+/// Checks paths and codes of all quarantined items of a dataset, and returns the items by their paths.
+#[track_caller]
+pub(crate) fn assert_quarantined(
+    dataset: &Path,
+    expected: &[(&str, &str)],
+) -> BTreeMap<String, QuarantineRow> {
+    let rows: Vec<QuarantineRow> = rows_of(dataset);
+    let found = rows
+        .iter()
+        .map(|row| (row.path.as_str(), row.code.as_str()));
+    let [mut found, mut expected]: [Vec<(&str, &str)>; 2] = [found.collect(), expected.to_vec()];
+    found.sort_unstable();
+    expected.sort_unstable();
+    assert_eq!(found, expected, "{rows:?}");
+    let by_path = rows.into_iter().map(|row| (row.path.clone(), row));
+    by_path.collect()
+}
+
+/// Reasons of the skipped items of a dataset, by their paths.
+pub(crate) fn skipped_of(dataset: &Path) -> BTreeMap<String, String> {
+    let rows = rows_of::<SkippedRow>(dataset).into_iter();
+    rows.map(|row| (row.path, row.reason)).collect()
+}
+
+/// Ingests a source, and returns the document, whose counts add up.
+pub(crate) fn ingest(source: &Path, out: &Path, more: &[&str], code: i32) -> Value {
+    let ran = typed_with("--json ingest {} --out {}", &[&source, &out], more);
+    let done = ran.expect_code(code).json();
+    assert_counted(&done);
+    done
+}
+
+/// All files and folders below a folder, with the bytes of files.
+pub(crate) fn everything(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        let bytes = match path.is_dir() {
+            true => {
+                found.extend(everything(&path));
+                Vec::new()
+            }
+            false => std::fs::read(&path).expect("read"),
+        };
+        found.insert(path, bytes);
+    }
+    found
+}
+
+/// Ingests a source and returns the document of the command.
+#[track_caller]
+pub(crate) fn ingested(source: &Path, out: &Path, more: &[&str]) -> Value {
+    typed_with("--json ingest {} --out {}", &[&source, &out], more).done()
+}
+
+/// A temporary folder with a small built-in corpus, and the dataset of it there.
+pub(crate) fn dataset_of(clips: usize, more: &[&str]) -> (tempfile::TempDir, PathBuf) {
+    let dir = corpus(clips);
+    let dataset = dir.path().join("dataset");
+    ingested(&dir.path().join("corpus"), &dataset, more);
+    (dir, dataset)
+}
+
+/// Exports a folder in a layout and returns the document of the command.
+#[track_caller]
+pub(crate) fn exported(from: &Path, layout: &str, out: &Path, more: &[&str]) -> Value {
+    let line = "--json export {} --to {} --out {}";
+    typed_with(line, &[&from, &layout, &out], more).done()
+}
+
+/// Writes rows into a dataset, in the split that `split` names.
+pub(crate) fn commit<R: Row>(
+    dataset: &Path,
+    rows: &[R],
+    split: fn(&R) -> datasets_spec::Split,
+    plan: &str,
+) {
+    let opened = Dataset::open(dataset).expect("a dataset");
+    let skeleton = opened.skeleton().expect("a skeleton");
+    datasets_spec::dataset::commit_rows(dataset, rows, Some(split), &skeleton, plan, "test")
+        .expect("committed");
+}
+
+/// Flips a bit in the middle of a file.
+pub(crate) fn damage(path: &Path) {
+    let mut bytes = std::fs::read(path).expect("a file");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    put(path, bytes);
+}
+
+/// A text in each element of a list.
+#[track_caller]
+pub(crate) fn texts_in<'a>(list: &'a Value, field: &str) -> Vec<&'a str> {
+    let elements = list_of(list).iter();
+    elements
+        .map(|element| element[field].as_str().expect("a text"))
+        .collect()
+}
+
+/// An array as `numpy.save` writes one (version 1.0 of the format).
+pub(crate) fn npy(descr: &str, shape: &str, numbers: &[u8]) -> Vec<u8> {
+    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    // The data begin at a multiple of 64, after a line feed.
+    let len = (bytes.len() + 2 + header.len() + 1).next_multiple_of(64) - bytes.len() - 2;
+    bytes.extend(u16::try_from(len).expect("short").to_le_bytes());
+    bytes.extend(format!("{header:<width$}\n", width = len - 1).bytes());
+    bytes.extend(numbers);
+    bytes
 }

@@ -2,13 +2,11 @@
 
 use annotate::store::{NewTask, open_sqlite};
 use annotate::wire::{Answer, TaskKind, Verdict};
-use datasets_spec::Dataset;
 use datasets_spec::record::{MotionRow, PairRow};
 use serde_json::Value;
 
 use crate::annotate::bare_task;
 use crate::train::Workshop;
-use crate::util::{arg, put, rows_of, stance, typed};
 
 /// Settings of a generator that is trained in a second.
 pub(crate) const SMALL: &str = "
@@ -32,72 +30,33 @@ pub(crate) const SMALL: &str = "
 ";
 
 /// Bounds that also accept pairs of an untrained network.
-pub(crate) const ANY: [&str; 8] = [
-    "--min-distance",
-    "0",
-    "--max-distance",
-    "1000",
-    "--max-skate",
-    "1000",
-    "--max-drift",
-    "1000",
-];
+pub(crate) const ANY: &str =
+    "--min-distance 0 --max-distance 1000 --max-skate 1000 --max-drift 1000";
 
 #[test]
 fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     let workshop = Workshop::open();
-    let settings = workshop.path("mld.toml");
-    put(&settings, SMALL);
-    let small = ["--config", arg(&settings), "--steps", "3"];
-    workshop.train_with("mld", "mld", &small).expect_code(0);
-
-    let [run, out, again] = ["mld", "candidates", "again"].map(|name| workshop.path(name));
-    let dataset = workshop.dataset();
-    let made = |out: &std::path::Path, more: &[&str]| -> Value {
-        let args = [
-            "--json",
-            "variants",
-            arg(&dataset),
-            "--generator",
-            arg(&run),
-            "--instructions",
-            "captions",
-            "--count",
-            "3",
-            "--out",
-            arg(out),
-        ];
-        stance(&[&args[..], &ANY, more].concat()).done()
+    workshop.trained("mld", "mld", SMALL, "--steps 3");
+    let made = |out: &str| -> Value {
+        workshop.json(&format!(
+            "variants @dataset --generator @mld --instructions captions --count 3 --out @{out} {ANY}"
+        ))
     };
-    let first = made(&out, &[]);
+    let first = made("candidates");
     let count = |of: &Value, name: &str| of["counts"][name].as_u64().expect("a count");
     assert_eq!((count(&first, "bases"), count(&first, "variants")), (3, 48));
-    let left_out = [
-        "broken",
-        "lengths",
-        "identical",
-        "different",
-        "sliding",
-        "drifting",
-        "floating",
-    ];
-    let left_out: u64 = left_out.iter().map(|name| count(&first, name)).sum();
+    let left_out = "broken lengths identical different sliding drifting floating".split(' ');
+    let left_out: u64 = left_out.map(|name| count(&first, name)).sum();
     let kept = count(&first, "kept");
     assert_eq!(kept + left_out, 24, "every pair is counted: {first}");
     assert!(first["latent_std"].as_f64().is_some_and(|std| std > 0.0));
-    stance(&["verify", arg(&out)]).expect_code(0);
+    workshop.run("verify @candidates");
 
-    let folder = Dataset::open(&out).expect("a dataset");
-    let pairs: Vec<PairRow> = folder.read(None).expect("pairs");
-    let motions: Vec<MotionRow> = folder.read(None).expect("motions");
+    let pairs: Vec<PairRow> = workshop.rows("candidates");
+    let motions: Vec<MotionRow> = workshop.rows("candidates");
     assert_eq!((pairs.len() as u64, motions.len()), (kept, 2 * pairs.len()));
     for pair in &pairs {
-        let of = |id| {
-            motions
-                .iter()
-                .find(|row| row.id == id)
-                .expect("a motion of the pair")
-        };
+        let of = |id| motions.iter().find(|row| row.id == id).expect("a motion");
         let (source, target) = (of(pair.source_id.clone()), of(pair.target_id.clone()));
         assert_eq!(source.n_frames, target.n_frames);
         assert_eq!(source.captions[0].text, pair.instruction);
@@ -105,21 +64,22 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     }
 
     // The same command makes nothing again; in another folder it gives the same bytes.
-    let repeated = made(&out, &[]);
+    let repeated = made("candidates");
     assert!(repeated["counts"].is_null() && repeated["root_hash"] == first["root_hash"]);
-    assert_eq!(made(&again, &[])["root_hash"], first["root_hash"]);
-    typed("variants {} --out {}", &[&out, &again]).expect_refused("another dataset");
+    assert_eq!(made("again")["root_hash"], first["root_hash"]);
+    workshop
+        .typed("variants @candidates --out @again")
+        .expect_refused("another dataset");
 
     // Variants that were made elsewhere are motions named base/variant.
-    let paired = workshop.path("paired");
-    let elsewhere = ["--json", "variants", arg(&out), "--out", arg(&paired)];
-    let elsewhere: Value = stance(&[&elsewhere[..], &ANY].concat()).done();
+    let elsewhere: Value = workshop.json(&format!("variants @candidates --out @paired {ANY}"));
     assert_eq!(count(&elsewhere, "variants"), 2 * kept);
     assert_eq!(elsewhere["pairs"], kept);
 
-    stance(&["annotate", arg(&out), "user", "add", "ann"]).expect_code(0);
-    stance(&["annotate", arg(&out), "import"]).expect_code(0);
-    let store = open_sqlite(&out.join("annotate").join("store.sqlite")).expect("a store");
+    workshop.run("annotate @candidates user add ann");
+    workshop.run("annotate @candidates import");
+    let store = workshop.path("candidates/annotate/store.sqlite");
+    let store = open_sqlite(&store).expect("a store");
     let claimed = store.claim(1, TaskKind::Pair, 0, 0).expect("claimed");
     let Ok((detail, _)) = claimed else {
         panic!("the candidates are tasks");
@@ -134,8 +94,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
 
     // Pairs that were all judged unusable are removed from the dataset, and none is made again.
     let import = |store: &str| -> Value {
-        let store = workshop.path(store);
-        typed("--json annotate {} --store {} import", &[&paired, &store]).done()
+        workshop.json(&format!("annotate @paired --store @{store} import"))
     };
     assert_eq!(count(&import("first.sqlite"), "new_tasks"), kept);
     let file = workshop.path("first.sqlite");
@@ -156,9 +115,8 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     });
     let done = store.import(None, judged.collect(), 0).expect("imports");
     assert_eq!(done.filled as u64, kept);
-    stance(&["annotate", arg(&paired), "--store", arg(&file), "export"]).expect_code(0);
-    let left: Vec<PairRow> = rows_of(&paired);
-    assert_eq!(left.len(), 0);
+    workshop.run("annotate @paired --store @first.sqlite export");
+    assert_eq!(workshop.rows::<PairRow>("paired").len(), 0);
     let counts = &import("second.sqlite")["counts"];
     assert!(counts["new_tasks"].is_null(), "{counts}");
 }

@@ -348,15 +348,8 @@ mod tests {
     fn variant(id: &str, motion: &Motion) -> Variant {
         let id = MotionId::parse(id).expect("an id");
         let skeleton = Skeleton::smplx_neutral();
-        let row = generated_row(
-            id,
-            Split::Train,
-            motion,
-            "wave",
-            0.0,
-            ["mld", "0"],
-            &skeleton,
-        );
+        let made = ["mld", "0"];
+        let row = generated_row(id, Split::Train, motion, "wave", 0.0, made, &skeleton);
         Variant {
             row: row.ok(),
             bone_drift_m: 0.0,
@@ -409,14 +402,10 @@ mod tests {
         assert_eq!(made.counts, expected);
         assert_eq!((made.pairs.len(), made.motions.len()), (1, 2));
         let pair = &made.pairs[0];
-        assert_eq!(
-            (pair.source_id.as_str(), pair.target_id.as_str()),
-            ("base/0", "base/1")
-        );
-        assert_eq!(
-            (pair.kind.as_str(), pair.instruction.as_str()),
-            ("fine-grained", "wave")
-        );
+        let ids = [pair.source_id.as_str(), pair.target_id.as_str()];
+        assert_eq!(ids, ["base/0", "base/1"]);
+        let said = [pair.kind.as_str(), pair.instruction.as_str()];
+        assert_eq!(said, ["fine-grained", "wave"]);
     }
 
     #[test]
@@ -427,11 +416,11 @@ mod tests {
         let [group] = groups.as_slice() else {
             panic!("one folder holds two motions");
         };
-        let ids: Vec<&str> = group
+        let rows = group
             .variants
             .iter()
-            .filter_map(|variant| variant.row.as_ref().map(|row| row.id.as_str()))
-            .collect();
+            .filter_map(|variant| variant.row.as_ref());
+        let ids: Vec<&str> = rows.map(|row| row.id.as_str()).collect();
         assert_eq!((group.base.as_str(), ids), ("b", vec!["b/1", "b/2"]));
         assert_eq!(group.text, "wave");
     }

@@ -316,13 +316,10 @@ mod tests {
         let row = 20 * 263;
         assert_eq!(part.features, all.features[5 * row..8 * row]);
         assert_eq!(part.captions, all.captions[5..8]);
+        // An epoch has every clip.
         let mut seen: Vec<&str> = all.captions[..3].to_vec();
         seen.sort_unstable();
-        assert_eq!(
-            seen,
-            ["clip 0", "clip 1", "clip 2"],
-            "an epoch has every clip"
-        );
+        assert_eq!(seen, ["clip 0", "clip 1", "clip 2"]);
         for (index, &length) in all.lengths.iter().enumerate() {
             assert!(length % CROP_UNIT == 0 && (4..=20).contains(&length));
             let rows = &all.features[index * row..][..row];

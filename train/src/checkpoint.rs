@@ -635,12 +635,8 @@ mod tests {
     fn record(width: usize) -> RunRecord<Settings> {
         // The shortest decimal form of this number needs 17 digits.
         let rate = 0.1 + 0.2;
-        RunRecord::new(
-            "test",
-            "hash",
-            &Skeleton::smplx_neutral(),
-            Settings { width, rate },
-        )
+        let settings = Settings { width, rate };
+        RunRecord::new("test", "hash", &Skeleton::smplx_neutral(), settings)
     }
 
     fn files(value: u8) -> Files {
@@ -652,20 +648,24 @@ mod tests {
         let dir = tempfile::tempdir().expect("a folder");
         Run::open(dir.path(), &record(4)).expect("started");
         Run::open(dir.path(), &record(4)).expect("opened again");
-        match Run::open(dir.path(), &record(8)) {
-            Err(Error::OtherRun { field, .. }) => assert_eq!(field, "config.width"),
-            other => panic!("expected a refusal, got {other:?}"),
-        }
+        let other = Run::open(dir.path(), &record(8));
+        assert!(matches!(other, Err(Error::OtherRun { field, .. }) if field == "config.width"));
         let read: RunRecord<Settings> = read_record(dir.path(), "test").expect("read");
         assert_eq!(read.config.width, 4);
         let error = read_record::<Settings>(dir.path(), "tmr").expect_err("another kind");
         assert!(error.to_string().contains("is not a tmr run"), "{error}");
     }
 
-    #[test]
-    fn a_checkpoint_is_replaced_whole_and_survives_a_crash_between_renames() {
+    /// A folder with a run.
+    fn started() -> (tempfile::TempDir, Run) {
         let dir = tempfile::tempdir().expect("a folder");
         let run = Run::open(dir.path(), &record(4)).expect("started");
+        (dir, run)
+    }
+
+    #[test]
+    fn a_checkpoint_is_replaced_whole_and_survives_a_crash_between_renames() {
+        let (dir, run) = started();
         assert!(read(dir.path(), Slot::Last).expect("read").is_none());
         run.write(Slot::Last, &files(1)).expect("written");
         run.write(Slot::Last, &files(2)).expect("written");
@@ -679,8 +679,7 @@ mod tests {
 
     #[test]
     fn a_damaged_checkpoint_is_refused_with_the_reason() {
-        let dir = tempfile::tempdir().expect("a folder");
-        let run = Run::open(dir.path(), &record(4)).expect("started");
+        let (dir, run) = started();
         let path = dir.path().join("checkpoint/last/a.bin");
         for (bytes, reason) in [
             (Some(vec![1; 8]), "8 bytes"),
@@ -692,17 +691,14 @@ mod tests {
                 Some(bytes) => fs::write(&path, bytes).expect("damaged"),
                 None => fs::remove_file(&path).expect("removed"),
             }
-            match read(dir.path(), Slot::Last) {
-                Err(error) => assert!(error.to_string().contains(reason), "{error}"),
-                other => panic!("expected a refusal, got {other:?}"),
-            }
+            let error = read(dir.path(), Slot::Last).expect_err(reason);
+            assert!(error.to_string().contains(reason), "{error}");
         }
     }
 
     #[test]
     fn the_log_is_rewound_to_the_checkpoint() {
-        let dir = tempfile::tempdir().expect("a folder");
-        let run = Run::open(dir.path(), &record(4)).expect("started");
+        let (dir, run) = started();
         run.rewind_log(3).expect("nothing to rewind");
         for step in [2, 4, 6] {
             run.log(&serde_json::json!({ "step": step }))

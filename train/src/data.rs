@@ -390,16 +390,10 @@ mod tests {
             ..sampler(&Counting(3), &vocabulary)
         };
         let batch = sampler.draw(first, num_windows).expect("drawn");
-        let firsts: Vec<f32> = batch
-            .original
-            .chunks_exact(WINDOW_NUMBERS)
-            .map(|window| window[0])
-            .collect();
-        assert_eq!(firsts, expected);
-        let whole = sampler
-            .draw(0, first as usize + num_windows)
-            .expect("drawn");
+        let firsts = batch.original.iter().step_by(WINDOW_NUMBERS).copied();
+        assert_eq!(firsts.collect::<Vec<_>>(), expected);
         let skipped = first as usize;
+        let whole = sampler.draw(0, skipped + num_windows).expect("drawn");
         assert_eq!(batch.noise, whole.noise[skipped * WINDOW_NUMBERS..]);
         assert_eq!(batch.timesteps, whole.timesteps[skipped..]);
         assert_eq!(batch.text_kept, whole.text_kept[skipped..]);
@@ -425,10 +419,7 @@ mod tests {
         for window in batch.noise.chunks_exact(WINDOW_NUMBERS) {
             let (fixed, free) = window.split_at(FIXED_FRAMES * FRAME_WIDTH);
             assert!(fixed.iter().all(|&value| value == 0.0));
-            square += free
-                .iter()
-                .map(|&v| f64::from(v) * f64::from(v))
-                .sum::<f64>();
+            square += free.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>();
         }
         let count = (64 * (16 - FIXED_FRAMES) * FRAME_WIDTH) as f64;
         // The tolerance is four standard deviations of the mean square of this many normal numbers.
@@ -441,10 +432,8 @@ mod tests {
     #[test]
     fn prefetching_keeps_the_order_and_passes_errors_on() {
         std::thread::scope(|scope| {
-            let received: Vec<u64> = prefetch(scope, 3..9, Ok)
-                .into_iter()
-                .map(|value| value.expect("made"))
-                .collect();
+            let received = prefetch(scope, 3..9, Ok).into_iter();
+            let received: Vec<u64> = received.map(|value| value.expect("made")).collect();
             assert_eq!(received, [3, 4, 5, 6, 7, 8]);
             let failing = prefetch(scope, 0..9, |step| {
                 if step == 1 {

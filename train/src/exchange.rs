@@ -509,9 +509,9 @@ mod tests {
         let one = range_of(Value::Float(-3.25), Value::Float(3.5)).expect("read");
         assert_eq!((one.min, one.max), ([-3.25; 3], [3.5; 3]));
         let list = |axes: [f64; 3]| Value::List(axes.map(Value::Float).to_vec());
-        let three = range_of(list([-3.0, 0.0, -2.0]), list([3.0, 2.0, 2.5])).expect("read");
-        assert_eq!(three.min, [-3.0, 0.0, -2.0]);
-        assert_eq!(three.max, [3.0, 2.0, 2.5]);
+        let (min, max) = ([-3.0, 0.0, -2.0], [3.0, 2.0, 2.5]);
+        let three = range_of(list(min), list(max)).expect("read");
+        assert_eq!((three.min, three.max), (min, max));
     }
 
     #[test]

@@ -252,10 +252,8 @@ mod tests {
             ("{", "", "not one"),
         ] {
             let damaged = text.replacen(from, to, 1);
-            match EditHistory::from_json(&damaged) {
-                Err(error) => assert!(error.to_string().contains(reason), "{error}"),
-                Ok(_) => panic!("{to} is accepted"),
-            }
+            let error = EditHistory::from_json(&damaged).expect_err(reason);
+            assert!(error.to_string().contains(reason), "{error}");
         }
     }
 }

@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn own_features_give_the_motion_back() {
+    fn own_features_give_the_motion_back_and_one_pose_is_too_short() {
         let (poses, skeleton) = (poses(), Skeleton::smplx_neutral());
         let source = SourceFeatures::new(poses.clone(), &skeleton).expect("long enough");
         assert_eq!(source.features.len(), poses.len());
@@ -216,17 +216,10 @@ mod tests {
             assert!(wanted.distance(*found) < 1e-4, "{wanted} {found}");
         }
         assert!(misfit.fit_error_m < 1e-4 && misfit.bone_drift_m < 1e-5);
+        let short = SourceFeatures::new(vec![Pose::REST], &skeleton);
+        assert!(matches!(short, Err(FeatureError::TooShort { frames: 1 })));
         let twist = motion.pose(3).rotations[20].angle_between(poses[3].rotations[20]);
         assert!(twist < 1e-3, "{twist}");
-    }
-
-    #[test]
-    fn one_pose_is_too_short() {
-        let skeleton = Skeleton::smplx_neutral();
-        assert!(matches!(
-            SourceFeatures::new(vec![Pose::REST], &skeleton),
-            Err(FeatureError::TooShort { frames: 1 })
-        ));
     }
 
     #[test]

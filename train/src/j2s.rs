@@ -607,21 +607,14 @@ mod tests {
         let (seen, wanted) = sample(&config, 0.0);
         for degrees in [-179.0, -90.0, 30.0, 120.0, 180.0] {
             let (also_seen, also_wanted) = sample(&config, degrees);
-            let pairs = seen
-                .iter()
-                .chain(&wanted)
-                .zip(also_seen.iter().chain(&also_wanted));
-            for (a, b) in pairs {
+            let also = also_seen.iter().chain(&also_wanted);
+            for (a, b) in seen.iter().chain(&wanted).zip(also) {
                 // The tolerance is the rounding of single-precision numbers below 2.
                 assert!((a - b).abs() < 1e-6, "{degrees}: {a} {b}");
             }
             let (left_alone, _) = sample(&as_it_stands, degrees);
-            assert!(
-                left_alone
-                    .iter()
-                    .zip(&seen)
-                    .any(|(a, b)| (a - b).abs() > 0.05)
-            );
+            let mut pairs = left_alone.iter().zip(&seen);
+            assert!(pairs.any(|(a, b)| (a - b).abs() > 0.05));
         }
     }
 

@@ -439,18 +439,15 @@ mod tests {
     fn kept_features_are_the_source_until_the_release() {
         let (estimates, x) = run(20);
         assert_eq!(estimates.len(), 30);
+        let (kept, released) = ([1.0, 5.0, 3.0, 5.0], [5.0; 4]);
         for (timestep, x0) in estimates {
-            let expected = if timestep >= 20 {
-                [1.0, 5.0, 3.0, 5.0]
-            } else {
-                [5.0; 4]
-            };
+            let expected = if timestep >= 20 { kept } else { released };
             assert_eq!(x0, expected, "step {timestep}");
         }
-        assert!(x.iter().all(|value| (value - 5.0).abs() < 1e-5));
-        let (_, x) = run(0);
-        for (value, expected) in x.iter().zip([1.0, 5.0, 3.0, 5.0]) {
-            assert!((value - expected).abs() < 1e-5, "{value} {expected}");
+        for (x, expected) in [(x, released), (run(0).1, kept)] {
+            for (value, expected) in x.iter().zip(expected) {
+                assert!((value - expected).abs() < 1e-5, "{value} {expected}");
+            }
         }
     }
 

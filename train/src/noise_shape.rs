@@ -287,10 +287,8 @@ mod tests {
             shape.apply(&mut noise, FRAME_WIDTH / 3, true);
             for (cells, number) in moments.iter_mut().zip(numbers) {
                 let bone = |frame: usize| {
-                    f64::from(bone_number(
-                        &noise[frame * FRAME_WIDTH..][..FRAME_WIDTH],
-                        number,
-                    ))
+                    let points = &noise[frame * FRAME_WIDTH..][..FRAME_WIDTH];
+                    f64::from(bone_number(points, number))
                 };
                 for (a, row) in cells.iter_mut().enumerate() {
                     for (b, cell) in row.iter_mut().enumerate() {
@@ -308,16 +306,11 @@ mod tests {
                     // has an error of 2 %, once in the fit and once in the noise.
                     let expected = step * (1 + a.min(b)) as f64;
                     let open = 0.1 * step * (1 + a.max(b)) as f64;
-                    assert!(
-                        (cell - expected).abs() < open,
-                        "{number} {a} {b}: {cell} {expected}"
-                    );
+                    let apart = (cell - expected).abs();
+                    assert!(apart < open, "{number} {a} {b}: {cell} {expected}");
                 }
-                let spread = f64::from(spreads[a * FRAME_WIDTH + number]).powi(2);
-                assert!(
-                    (spread / row[a] - 1.0).abs() < 0.1,
-                    "{number} {a}: {spread}"
-                );
+                let spread = f64::from(spreads[a * FRAME_WIDTH + number]).powi(2) / row[a];
+                assert!((spread - 1.0).abs() < 0.1, "{number} {a}: {spread}");
             }
         }
     }
@@ -342,12 +335,7 @@ mod tests {
         shape.apply(&mut narrow, NUM_BODY_JOINTS, false);
         assert_eq!(narrow, narrowed(&noise));
         assert_eq!(shape.spreads(width, false).len(), WINDOW * width);
-    }
-
-    #[test]
-    fn a_shape_that_is_written_is_read_again() {
-        let left = walks(64, scale);
-        let shape = NoiseShape::fit(&left, &left, &left, WINDOW);
+        // A shape that is written is read again.
         let text = serde_json::to_string(&shape).expect("plain numbers");
         let read: NoiseShape = serde_json::from_str(&text).expect("the same");
         assert!(read == shape);

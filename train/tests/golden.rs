@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use burn_store::ModuleSnapshot;
-use datasets_spec::{Fps, Motion, Pose, Seed};
+use datasets_spec::{Fps, Motion, Pose, Seed, Skeleton};
 use glam::DVec3;
 use kinematics::canonical::FIXED_FRAMES;
 use kinematics::normalise::{FRAME_WIDTH, Normalizer};
@@ -115,6 +115,11 @@ impl Golden {
         (tensor.values.clone(), tensor.shape.clone())
     }
 
+    fn points(&self, name: &str) -> Vec<DVec3> {
+        let (values, _) = self.values(name);
+        values.chunks_exact(3).map(DVec3::from_slice).collect()
+    }
+
     fn f32s(&self, name: &str) -> Vec<f32> {
         self.values(name).0.iter().map(|&v| v as f32).collect()
     }
@@ -144,15 +149,17 @@ impl Golden {
 }
 
 fn denoiser() -> Denoiser {
+    denoiser_on(&Device::flex())
+}
+
+fn denoiser_on(device: &Device) -> Denoiser {
     let golden = Golden::read("motionrefit_denoiser");
-    let config = golden.network("dim_model", "dim_feedforward");
-    let mut network = Denoiser::new(
-        &config,
-        PreviousFrames::Inpainted,
-        config.width,
-        FRAME_WIDTH,
-        &Device::flex(),
-    );
+    let config = NetworkConfig {
+        dropout: 0.0,
+        ..golden.network("dim_model", "dim_feedforward")
+    };
+    let previous = PreviousFrames::Inpainted;
+    let mut network = Denoiser::new(&config, previous, config.width, FRAME_WIDTH, device);
     golden.load(&mut network, "weights.");
     network
 }
@@ -179,31 +186,22 @@ fn golden_denoiser() {
     let golden = Golden::read("motionrefit_denoiser");
     let network = denoiser();
     let text = golden.tensor::<2>("in.text");
+    let (timesteps, progress) = (golden.indices("in.t"), golden.f32s("in.prog"));
     let forward = |text: Tensor<2>| {
-        network.forward(
-            golden.tensor("in.x"),
-            &golden.indices("in.t"),
-            text,
-            &golden.f32s("in.prog"),
-            golden.tensor("in.orig"),
-            &Pass::default(),
-        )
+        let (x, original) = (golden.tensor("in.x"), golden.tensor("in.orig"));
+        network.forward(x, &timesteps, text, &progress, original, &Pass::default())
     };
     check(forward(text.clone()), &golden, "out.eps", 2e-5);
     check(forward(text.zeros_like()), &golden, "out.eps_uncond", 2e-5);
     assert_eq!(
-        progress_indices(&golden.f32s("in.prog")),
+        progress_indices(&progress),
         golden.indices("out.prog_index")
     );
     let (_, shape) = golden.values("out.pe");
     let rows: Vec<usize> = (0..shape[0]).collect();
     // The reference computes angles of up to 127 rad in f32.
-    check(
-        sinusoid(&rows, shape[1], &Device::flex()),
-        &golden,
-        "out.pe",
-        2e-5,
-    );
+    let positions = sinusoid(&rows, shape[1], &Device::flex());
+    check(positions, &golden, "out.pe", 2e-5);
 }
 
 #[test]
@@ -211,14 +209,8 @@ fn golden_denoiser_trains_as_it_infers() {
     // The attention with gradients uses separate operations. Without dropout it must agree with the attention without
     // gradients.
     let golden = Golden::read("motionrefit_denoiser");
-    let config = NetworkConfig {
-        dropout: 0.0,
-        ..golden.network("dim_model", "dim_feedforward")
-    };
     let device = Device::flex().autodiff();
-    let previous = PreviousFrames::Inpainted;
-    let mut network = Denoiser::new(&config, previous, config.width, FRAME_WIDTH, &device);
-    golden.load(&mut network, "weights.");
+    let network = denoiser_on(&device);
     let on_device = |values: Tensor<3>| Tensor::<3>::from_data(values.into_data(), &device);
     let eps = network.forward(
         on_device(golden.tensor("in.x")),
@@ -288,17 +280,8 @@ fn golden_denoiser_is_imported_as_an_editor_and_exported_again() {
     let dir = tempfile::tempdir().expect("a folder");
     let run = dir.path().join("run");
     let device = Device::flex();
-    let import = |bytes: Vec<u8>| {
-        let path = Path::new("released.pth");
-        import_editor(
-            &run,
-            &record,
-            &datasets_spec::Skeleton::smplx_neutral(),
-            bytes,
-            path,
-            &device,
-        )
-    };
+    let (skeleton, path) = (Skeleton::smplx_neutral(), Path::new("released.pth"));
+    let import = |bytes: Vec<u8>| import_editor(&run, &record, &skeleton, bytes, path, &device);
     for absent in ["embed_prog_ind.time_embed.0.bias", "out.weight"] {
         let fewer = tensors.iter().filter(|(name, _)| name != absent).cloned();
         let fewer = safetensors::serialize(fewer, None).expect("serialises");
@@ -337,18 +320,13 @@ fn recorded_schedule() -> (Golden, Schedule) {
 }
 
 #[test]
-fn golden_schedule_arrays() {
+fn golden_schedule_arrays_and_steps() {
     let (golden, schedule) = recorded_schedule();
     let others: [Derived; 2] = [
         ("sqrt_recip_alphas_cumprod", |a| a.recip().sqrt()),
         ("sqrt_recipm1_alphas_cumprod", |a| (a.recip() - 1.0).sqrt()),
     ];
     check_arrays(&golden, "out.", &schedule, &others, 1e-12);
-}
-
-#[test]
-fn golden_schedule_steps() {
-    let (golden, schedule) = recorded_schedule();
     let t = golden.indices("in.step.t");
     let x_t = golden.tensor::<3>("in.step.x_t");
     let eps = guide(
@@ -403,14 +381,9 @@ fn golden_training_loss() {
         },
         fps: Fps::STORE,
     };
-    let loss: f32 = objective
-        .loss(
-            &denoiser(),
-            &batch,
-            golden.tensor("in.loss.text"),
-            &Pass::default(),
-        )
-        .into_scalar();
+    let text = golden.tensor("in.loss.text");
+    let loss = objective.loss(&denoiser(), &batch, text, &Pass::default());
+    let loss: f32 = loss.into_scalar();
     // The loss is a mean of about 3,500 terms, each within the tolerance of the network.
     assert!((loss - golden.f32s("out.loss.value")[0]).abs() < 2e-5);
 }
@@ -418,14 +391,12 @@ fn golden_training_loss() {
 fn coordinator(device: &Device) -> Coordinator {
     let golden = Golden::read("motionrefit_coordinator");
     // The file states the sizes except that of the hidden layer, which the weights show.
-    let feed_forward = golden
-        .values("weights.transformer.layers.0.linear1.weight")
-        .1[0];
+    let (_, hidden) = golden.values("weights.transformer.layers.0.linear1.weight");
     let config = NetworkConfig {
         width: golden.size("dim_model"),
         num_layers: golden.size("num_layers"),
         num_heads: golden.size("num_heads"),
-        feed_forward,
+        feed_forward: hidden[0],
         dropout: 0.1,
     };
     let mut network = Coordinator::new(&config, FRAME_WIDTH, device);
@@ -438,27 +409,17 @@ fn golden_coordinator() {
     let golden = Golden::read("motionrefit_coordinator");
     let network = coordinator(&Device::flex());
     let (x, t) = (golden.tensor::<3>("in.x"), golden.indices("in.t"));
-    check(
-        network.probability(x.clone(), &t, &Pass::default()),
-        &golden,
-        "out.prob",
-        2e-6,
-    );
+    let probability = network.probability(x.clone(), &t, &Pass::default());
+    check(probability, &golden, "out.prob", 2e-6);
     let gradient = floats(&network.gradient(x, &t, &Pass::default()));
     for (found, expected) in gradient.iter().zip(golden.f32s("out.grad")) {
-        assert!(
-            (found - expected).abs() <= 1e-6 + 1e-4 * expected.abs(),
-            "{found} {expected}"
-        );
+        let slack = 1e-6 + 1e-4 * expected.abs();
+        assert!((found - expected).abs() <= slack, "{found} {expected}");
     }
-}
 
-#[test]
-fn the_gradient_of_the_coordinator_is_that_of_finite_differences() {
-    let network = coordinator(&Device::flex());
-    let golden = Golden::read("motionrefit_coordinator");
+    // The gradient is that of finite differences.
     let x = golden.tensor::<3>("in.x").narrow(0, 0, 1);
-    let t = &golden.indices("in.t")[..1];
+    let t = &t[..1];
     let shape = x.dims();
     let values = floats(&x);
     let gradient = floats(&network.gradient(x, t, &Pass::default()));
@@ -473,20 +434,13 @@ fn the_gradient_of_the_coordinator_is_that_of_finite_differences() {
             .map(|index| ((index * (7 + seed) + seed) as f32 * 0.731).sin())
             .collect();
         let step = 2e-3f32;
-        let moved = |sign: f32| -> Vec<f32> {
-            values
-                .iter()
-                .zip(&direction)
-                .map(|(value, direction)| value + sign * step * direction)
-                .collect()
+        let moved = |step: f32| -> f64 {
+            let pairs = values.iter().zip(&direction);
+            probability(pairs.map(|(value, way)| value + step * way).collect())
         };
-        let numeric =
-            (probability(moved(1.0)) - probability(moved(-1.0))) / (2.0 * f64::from(step));
-        let analytic: f64 = gradient
-            .iter()
-            .zip(&direction)
-            .map(|(gradient, direction)| f64::from(gradient * direction))
-            .sum();
+        let numeric = (moved(step) - moved(-step)) / (2.0 * f64::from(step));
+        let pairs = gradient.iter().zip(&direction);
+        let analytic: f64 = pairs.map(|(gradient, way)| f64::from(gradient * way)).sum();
         // The tolerance covers the third derivative along the direction, and rounding of the probabilities.
         let slack = 1e-2 * analytic.abs() + 1e-4;
         assert!((numeric - analytic).abs() < slack, "{numeric} {analytic}");
@@ -517,11 +471,17 @@ fn floats<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
 }
 
 /// Guidance as in the released sampler, in the given number of last steps.
-fn released_guidance(num_steps: usize) -> GuidanceConfig {
-    GuidanceConfig {
-        target: GuidanceTarget::PosteriorMean,
-        strength: 1.0,
-        num_steps,
+fn released_guide(network: &Coordinator, num_steps: usize, strength: f64) -> Guide<'_> {
+    let target = GuidanceTarget::PosteriorMean;
+    Guide {
+        network,
+        config: GuidanceConfig {
+            target,
+            strength,
+            num_steps,
+        },
+        clock: &|| 0.0,
+        secs: Cell::new(0.0),
     }
 }
 
@@ -548,15 +508,8 @@ fn check_sampling(case: &str) {
     let metadata = golden.metadata();
     let number = |key: &str| -> f64 { metadata[key].parse().expect("a number") };
     let coordinator = coordinator(&Device::flex());
-    let guide = Guide {
-        network: &coordinator,
-        config: GuidanceConfig {
-            strength: number("cg_alpha"),
-            ..released_guidance(number("cg_diffusion_steps") as usize)
-        },
-        clock: &|| 0.0,
-        secs: Cell::new(0.0),
-    };
+    let guided_steps = number("cg_diffusion_steps") as usize;
+    let guide = released_guide(&coordinator, guided_steps, number("cg_alpha"));
     let mut worst = 0.0f32;
     let numbers = window * width;
     let network = denoiser();
@@ -583,12 +536,8 @@ fn check_sampling(case: &str) {
 }
 
 #[test]
-fn golden_unguided_sampling() {
+fn golden_sampling_with_and_without_guidance() {
     check_sampling("motionrefit_sample_unguided");
-}
-
-#[test]
-fn golden_guided_sampling() {
     check_sampling("motionrefit_sample_guided");
 }
 
@@ -622,10 +571,9 @@ fn golden_guided_step() {
         let gradient = coordinator.gradient(mean.clone(), &[t], &pass);
         close(&gradient, "out.grad");
         let is_guided = t > 0 && t < 5;
-        let guided = if is_guided {
-            mean - gradient.mul_scalar(schedule.posterior_variance[t].sqrt())
-        } else {
-            mean
+        let guided = match is_guided {
+            true => mean - gradient.mul_scalar(schedule.posterior_variance[t].sqrt()),
+            false => mean,
         };
         close(&guided, "out.mean_guided");
         let sample = schedule.add_noise(guided, t, golden.tensor("in.noise"));
@@ -651,13 +599,7 @@ fn golden_autoregressive() {
         min: axes("in.min"),
         max: axes("in.max"),
     };
-    let corners: Vec<DVec3> = golden
-        .values("in.rest_triangle")
-        .0
-        .chunks_exact(3)
-        .map(DVec3::from_slice)
-        .collect();
-    let triangle: [DVec3; 3] = corners.try_into().expect("three corners");
+    let triangle: [DVec3; 3] = golden.points("in.rest_triangle").try_into().expect("three");
     let mut stitcher = Stitcher::new(triangle, GroundTransform::IDENTITY);
     let (texts, text_width) = (golden.f32s("in.text"), golden.values("in.text").1[1]);
     let (heard, progress) = (golden.indices("in.text_index"), golden.f32s("in.prog"));
@@ -665,40 +607,28 @@ fn golden_autoregressive() {
     let device = Device::flex();
     let network = denoiser();
     let coordinator = coordinator(&device);
-    let guide = Guide {
-        network: &coordinator,
-        config: released_guidance(5),
-        clock: &|| 0.0,
-        secs: Cell::new(0.0),
-    };
+    let guide = released_guide(&coordinator, 5, 1.0);
     let expected_fixed = golden.f32s("out.fixed");
     let expected = golden.f32s("out.windows");
     let weights = network.prepared_weights(Arithmetic::default());
     for index in 0..num_windows {
         let original = &original[index * numbers..(index + 1) * numbers];
+        let normalize = |frame: &KeypointFrame| normalizer.normalize(frame);
         let fixed: Vec<f32> = match stitcher.next_fixed() {
-            Some(frames) => frames
-                .iter()
-                .flat_map(|frame| normalizer.normalize(frame))
-                .collect(),
+            Some(frames) => frames.iter().flat_map(normalize).collect(),
             None => original[..FIXED_FRAMES * width].to_vec(),
         };
         let recorded = &expected_fixed[index * fixed.len()..(index + 1) * fixed.len()];
         assert!(max_difference(&fixed, recorded) < 1e-4, "window {index}");
-        let text = heard[index] * text_width;
+        let text = &texts[heard[index] * text_width..][..text_width];
         let tensor = |values: &[f32], frames: usize| -> Tensor<3> {
-            Tensor::from_data(
-                TensorData::new(values.to_vec(), [1, frames, width]),
-                &device,
-            )
+            let values = TensorData::new(values.to_vec(), [1, frames, width]);
+            Tensor::from_data(values, &device)
         };
         let condition = Condition {
             original: tensor(original, window),
             fixed: Some(tensor(&fixed, FIXED_FRAMES)),
-            text: Tensor::from_data(
-                TensorData::new(texts[text..text + text_width].to_vec(), [1, text_width]),
-                &device,
-            ),
+            text: Tensor::from_data(TensorData::new(text.to_vec(), [1, text_width]), &device),
             progress: vec![progress[index]],
         };
         let draws = Draws {
@@ -727,12 +657,8 @@ fn golden_autoregressive() {
         stitcher.push(&frames);
     }
     let merged = stitcher.into_frames();
-    let (recorded, _) = golden.values("out.merged");
-    for (point, recorded) in merged
-        .as_flattened()
-        .iter()
-        .zip(recorded.chunks_exact(3).map(DVec3::from_slice))
-    {
+    let recorded = golden.points("out.merged");
+    for (point, recorded) in merged.as_flattened().iter().zip(recorded) {
         assert!(point.distance(recorded) < 1e-3, "{point} {recorded}");
     }
 }
@@ -741,35 +667,26 @@ fn golden_autoregressive() {
 fn golden_tmr_encoder_decoder() {
     let golden = Golden::read("tmr_encoder_decoder");
     let config = golden.network("latent_dim", "ff_size");
-    let device = Device::flex();
-    let motion_features = golden.size("nfeats_motion");
+    let (device, pass) = (Device::flex(), Pass::default());
+    let [motion, text] = ["motion", "text"].map(|side| {
+        let width = golden.size(&format!("nfeats_{side}"));
+        let mut encoder = SequenceEncoder::new(width, &config, &device);
+        golden.load(&mut encoder, &format!("weights.{side}_encoder."));
+        let lengths = golden.indices(&format!("in.{side}_lengths"));
+        let latent = encoder.forward(golden.tensor(&format!("in.{side}")), &lengths, &pass);
+        check(latent.mu.clone(), &golden, &format!("out.{side}_mu"), 3e-5);
+        check(latent.logvar, &golden, &format!("out.{side}_logvar"), 3e-5);
+        latent.mu
+    });
 
-    let mut encoder = SequenceEncoder::new(motion_features, &config, &device);
-    golden.load(&mut encoder, "weights.motion_encoder.");
-    let lengths = golden.indices("in.motion_lengths");
-    let pass = Pass::default();
-    let motion = encoder.forward(golden.tensor("in.motion"), &lengths, &pass);
-    check(motion.mu.clone(), &golden, "out.motion_mu", 3e-5);
-    check(motion.logvar, &golden, "out.motion_logvar", 3e-5);
-
-    let mut encoder = SequenceEncoder::new(golden.size("nfeats_text"), &config, &device);
-    golden.load(&mut encoder, "weights.text_encoder.");
-    let text_lengths = golden.indices("in.text_lengths");
-    let text = encoder.forward(golden.tensor("in.text"), &text_lengths, &pass);
-    check(text.mu.clone(), &golden, "out.text_mu", 3e-5);
-    check(text.logvar, &golden, "out.text_logvar", 3e-5);
-
-    let mut decoder = SequenceDecoder::new(motion_features, &config, &device);
+    let mut decoder = SequenceDecoder::new(golden.size("nfeats_motion"), &config, &device);
     golden.load(&mut decoder, "weights.motion_decoder.");
+    let lengths = golden.indices("in.motion_lengths");
     let steps = golden.values("in.motion").1[1];
-    let decoded = decoder.forward(motion.mu.clone(), &lengths, steps, &pass);
+    let decoded = decoder.forward(motion.clone(), &lengths, steps, &pass);
     check(decoded, &golden, "out.decoded", 3e-5);
-    check(
-        cosine_similarity(text.mu, motion.mu),
-        &golden,
-        "out.sim",
-        3e-5,
-    );
+    let similarity = cosine_similarity(text, motion);
+    check(similarity, &golden, "out.sim", 3e-5);
 }
 
 #[test]
@@ -781,11 +698,6 @@ fn golden_tmr_is_imported_as_an_encoder_of_motions() {
 
     let golden = Golden::read("tmr_encoder_decoder");
     let width = golden.size("nfeats_motion");
-    let stats = |recipe: FeatureRecipe| FeatureStats {
-        recipe,
-        mean: vec![0.0; width],
-        std: vec![1.0; width],
-    };
     // All three networks in one file, as Lightning stores them; then only the motion encoder.
     for taken in ["weights.", "weights.motion_encoder."] {
         let bytes = golden.weights(taken);
@@ -793,17 +705,14 @@ fn golden_tmr_is_imported_as_an_encoder_of_motions() {
         let run = dir.path().join("run");
         let device = Device::flex();
         let import = |recipe: FeatureRecipe| {
-            let heads = golden.size("num_heads");
+            let stats = FeatureStats {
+                recipe,
+                mean: vec![0.0; width],
+                std: vec![1.0; width],
+            };
+            let (heads, bytes) = (golden.size("num_heads"), bytes.clone());
             let path = Path::new("motion_encoder.pt");
-            import_motion_encoder(
-                &run,
-                heads,
-                stats(recipe),
-                bytes.clone(),
-                path,
-                None,
-                &device,
-            )
+            import_motion_encoder(&run, heads, stats, bytes, path, None, &device)
         };
         let problem = import(FeatureRecipe::MotionFix).expect_err("another recipe");
         assert!(problem.to_string().contains("135"), "{problem}");
@@ -860,30 +769,28 @@ fn golden_tmr_losses() {
         mu: golden.tensor("in.mu_p"),
         logvar: golden.tensor("in.logvar_p"),
     };
-    let kl: f32 = q.kl(&p).into_scalar();
-    let standard: f32 = q.kl(&q.standard()).into_scalar();
-    assert!((kl - golden.f32s("out.kl")[0]).abs() < 1e-5, "{kl}");
-    assert!(
-        (standard - golden.f32s("out.kl_std")[0]).abs() < 1e-5,
-        "{standard}"
-    );
+    for (kl, name) in [(q.kl(&p), "out.kl"), (q.kl(&q.standard()), "out.kl_std")] {
+        let kl: f32 = kl.into_scalar();
+        assert!((kl - golden.f32s(name)[0]).abs() < 1e-5, "{name}: {kl}");
+    }
+}
+
+fn recorded_poses(golden: &Golden) -> Vec<Pose> {
+    let rotations = golden.points("in.rots");
+    let frames = golden.points("in.trans").into_iter().enumerate();
+    let poses = frames.map(|(frame, transl)| Pose {
+        transl,
+        rotations: std::array::from_fn(|joint| {
+            rotation::from_axis_angle(rotations[22 * frame + joint])
+        }),
+    });
+    poses.collect()
 }
 
 #[test]
 fn golden_evaluator_features() {
     let golden = Golden::read("motionfix_features");
-    let (rotations, shape) = golden.values("in.rots");
-    let (translations, _) = golden.values("in.trans");
-    let poses: Vec<Pose> = (0..shape[0])
-        .map(|frame| Pose {
-            transl: DVec3::from_slice(&translations[3 * frame..]),
-            rotations: std::array::from_fn(|joint| {
-                let at = frame * shape[1] + 3 * joint;
-                rotation::from_axis_angle(DVec3::from_slice(&rotations[at..]))
-            }),
-        })
-        .collect();
-    let features = smpl135(&poses);
+    let features = smpl135(&recorded_poses(&golden));
     // The reference multiplies a chain of matrices in f32.
     let difference = max_difference(features.as_flattened(), &golden.f32s("out.evaluator135"));
     assert!(difference < 5e-6, "{difference}");
@@ -894,16 +801,9 @@ fn pose_net(golden: &Golden, preset: J2sPreset) -> PoseNet {
         J2sPreset::Official => ("weights.bn.", 64),
         J2sPreset::Paper => ("weights.ln.", 48),
     };
-    let device = Device::flex();
-    PoseNet::from_safetensors(
-        preset,
-        width,
-        golden.bytes(),
-        prefix,
-        &golden.0.path,
-        &device,
-    )
-    .expect("loads by name")
+    let (bytes, path, device) = (golden.bytes(), &golden.0.path, Device::flex());
+    let net = PoseNet::from_safetensors(preset, width, bytes, prefix, path, &device);
+    net.expect("loads by name")
 }
 
 #[test]
@@ -922,26 +822,21 @@ fn golden_j2s_mlp() {
 
 #[test]
 fn golden_j2s_pipeline() {
-    use datasets_spec::Skeleton;
     use glam::DMat3;
     use kinematics::fit::AdamFit;
     use kinematics::skeleton::{FIT_KEYPOINTS, NUM_JOINTS, NUM_KEYPOINTS};
 
     let golden = Golden::read("j2s_pipeline");
     let net = pose_net(&Golden::read("j2s_mlp"), J2sPreset::Official);
-    let rest: [DVec3; NUM_JOINTS] = {
-        let (values, _) = golden.values("in.rest_joints");
-        let points: Vec<DVec3> = values.chunks_exact(3).map(DVec3::from_slice).collect();
-        points.try_into().expect("55 joints")
-    };
+    let rest: [DVec3; NUM_JOINTS] = golden.points("in.rest_joints").try_into().expect("55");
     let skeleton = Skeleton::new("recorded", rest);
-    let (upsampled, _) = golden.values("out.upsampled");
+    let upsampled = golden.points("out.upsampled");
     let frames: Vec<[DVec3; NUM_KEYPOINTS]> = upsampled
-        .chunks_exact(72)
+        .chunks_exact(24)
         .map(|row| {
             let mut frame = [DVec3::ZERO; NUM_KEYPOINTS];
-            for (&slot, point) in FIT_KEYPOINTS.iter().zip(row.chunks_exact(3)) {
-                frame[slot] = DVec3::from_slice(point);
+            for (&slot, &point) in FIT_KEYPOINTS.iter().zip(row) {
+                frame[slot] = point;
             }
             frame
         })
@@ -952,26 +847,18 @@ fn golden_j2s_pipeline() {
         for (rotation, expected) in pose.rotations.iter().zip(expected.chunks_exact(9)) {
             let found = DMat3::from_quat(*rotation).transpose().to_cols_array();
             for (found, expected) in found.iter().zip(expected) {
-                assert!(
-                    (found - expected).abs() < 1e-4,
-                    "{found}, recorded {expected}"
-                );
+                assert!((found - expected).abs() < 1e-4, "{found} {expected}");
             }
         }
     }
     let fitted = AdamFit::official().fit(&skeleton, &frames, &AdamFit::parameters_of(&first));
-    let (recorded, _) = golden.values("out.final_world_mse");
-    assert!(
-        fitted.mse <= 1.5 * recorded[0],
-        "{} {}",
-        fitted.mse,
-        recorded[0]
-    );
+    let (found, recorded) = (fitted.mse, golden.values("out.final_world_mse").0[0]);
+    assert!(found <= 1.5 * recorded, "{found} {recorded}");
 }
 
 #[test]
 fn a_pose_network_learns_and_is_loaded_again() {
-    use datasets_spec::{Fps, Motion, NoProgress, Skeleton};
+    use datasets_spec::NoProgress;
     use train::Session;
     use train::j2s::{J2sConfig, train_j2s};
 
@@ -1002,14 +889,8 @@ fn a_pose_network_learns_and_is_loaded_again() {
         };
         let run = dir.path().join(format!("{preset:?}"));
         let skeleton = Skeleton::smplx_neutral();
-        let report = train_j2s(
-            &run,
-            &config,
-            [&motion, &motion],
-            &skeleton,
-            "hash",
-            &session,
-        );
+        let motions = [&motion[..], &motion];
+        let report = train_j2s(&run, &config, motions, &skeleton, "hash", &session);
         let report = report.expect("trained");
         assert!(report.loss[1] < 0.8 * report.loss[0], "{:?}", report.loss);
         let by_name = |name: &str| {

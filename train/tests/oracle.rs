@@ -137,13 +137,10 @@ impl Oracle<'_> {
             })
             .collect();
         canonicalise(&mut poses, compose.anchor, self.skeleton);
-        poses
-            .iter()
-            .flat_map(|pose| {
-                self.record
-                    .normalizer
-                    .normalize(&self.skeleton.keypoints(pose))
-            })
+        let normalizer = &self.record.normalizer;
+        let frames = poses.iter().map(|pose| self.skeleton.keypoints(pose));
+        frames
+            .flat_map(|frame| normalizer.normalize(&frame))
             .collect()
     }
 }
@@ -175,20 +172,14 @@ impl WindowModel for Oracle<'_> {
             };
             let clean = window(clean);
             let fixed = fixed.map(window);
+            let mut normal = || request.rng.sample(StandardNormal);
             let x = reverse(
                 &schedule,
                 fixed.as_ref(),
                 None,
                 |_, _| clean.clone(),
                 |mean, _| mean,
-                |_| {
-                    let numbers = 0..frames * FRAME_WIDTH;
-                    window(
-                        numbers
-                            .map(|_| request.rng.sample(StandardNormal))
-                            .collect(),
-                    )
-                },
+                |_| window((0..frames * FRAME_WIDTH).map(|_| normal()).collect()),
                 |_, _| {},
             );
             let numbers: Vec<f32> = x.into_data().try_into_vec_as().expect("floats");
@@ -252,18 +243,13 @@ fn edited(
 /// The largest distance in metres between corresponding keypoints of two motions, for each frame.
 fn misses(found: &Motion, wanted: Walk) -> Vec<f64> {
     let skeleton = Skeleton::smplx_neutral();
-    let wanted = skeleton
-        .motion_keypoints(&wanted.motion(found.len()))
-        .points;
-    let found = skeleton.motion_keypoints(found).points;
-    wanted
-        .iter()
-        .zip(&found)
-        .map(|(wanted, found)| {
-            let pairs = wanted.iter().zip(found);
-            pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
-        })
-        .collect()
+    let [wanted, found] =
+        [&wanted.motion(found.len()), found].map(|motion| skeleton.motion_keypoints(motion).points);
+    let frames = wanted.iter().zip(&found).map(|(wanted, found)| {
+        let pairs = wanted.iter().zip(found);
+        pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
+    });
+    frames.collect()
 }
 
 fn whole(num_frames: usize) -> Vec<TimedInstruction> {
@@ -311,10 +297,8 @@ fn a_start_on_the_original_is_wrong_for_its_two_frames_alone() {
     // model frame.
     let fixed = 2 * (FIXED_FRAMES + 1);
     assert!(misses[0] > 0.05, "{misses:?}");
-    assert!(
-        misses[fixed..].iter().all(|&miss| miss < 1e-3),
-        "{misses:?}"
-    );
+    let is_found = misses[fixed..].iter().all(|&miss| miss < 1e-3);
+    assert!(is_found, "{misses:?}");
 }
 
 /// A range shorter than a window is edited from its first to its last frame. Earlier frames are the original's, and
@@ -330,20 +314,9 @@ fn a_short_range_is_edited_where_it_is() {
     let (to_source, to_target) = (misses(&edited, SOURCE), misses(&edited, ARMS));
     // Frames with odd numbers lie on a spline through four model frames. The oracle jumps to its target, which affects
     // the spline one model frame earlier.
-    assert!(
-        to_source[..37].iter().all(|&miss| miss < 1e-3),
-        "{to_source:?}"
-    );
-    assert!(
-        to_target[42..49].iter().all(|&miss| miss < 1e-3),
-        "{to_target:?}"
-    );
-    assert!(
-        to_source[40..51].iter().all(|&miss| miss > 0.05),
-        "{to_source:?}"
-    );
-    assert!(
-        to_source[66..].iter().all(|&miss| miss < 1e-3),
-        "{to_source:?}"
-    );
+    for near in [&to_source[..37], &to_target[42..49], &to_source[66..]] {
+        assert!(near.iter().all(|&miss| miss < 1e-3), "{near:?}");
+    }
+    let away = &to_source[40..51];
+    assert!(away.iter().all(|&miss| miss > 0.05), "{away:?}");
 }

@@ -33,7 +33,6 @@ pub mod keys {
     pub const UP: &str = "\u{e013}";
     pub const DOWN: &str = "\u{e015}";
     pub const RIGHT: &str = "\u{e014}";
-    pub const PAGE_DOWN: &str = "\u{e00f}";
     pub const DELETE: &str = "\u{e017}";
     pub const F1: &str = "\u{e031}";
     pub const F2: &str = "\u{e032}";
@@ -95,7 +94,7 @@ impl Browser {
         driver.arg("--port=0").stderr(Stdio::null());
         // The driver ends if another process holds the port that it has drawn, and draws another one when it is started
         // again.
-        let mut starts = (0..STARTS).map(|_| Program::try_start(&mut driver, driver_port));
+        let mut starts = (0..STARTS).map(|_| Program::start(&mut driver, driver_port));
         let started = starts.find_map(Result::ok);
         let (driver, port) = started.unwrap_or_else(|| panic!("{driver:?} ended {STARTS} times"));
         let mut args = vec![
@@ -252,6 +251,12 @@ impl Browser {
     /// Waits until there is no matching element.
     pub fn lacks(&self, selector: &str) {
         self.until(selector, &format!("!{}", element(selector)));
+    }
+
+    /// Waits until there is this number of matching elements.
+    pub fn has(&self, selector: &str, number: u64) {
+        let all = format!("document.querySelectorAll({})", json!(selector));
+        self.until(selector, &format!("{all}.length === {number}"));
     }
 
     /// Waits until the text of the first matching element contains these words.
@@ -454,14 +459,13 @@ impl Browser {
     pub fn reaches(&self, selector: &str) -> bool {
         const REGIONS: usize = 6;
         let inside = format!("document.activeElement.closest('{selector}') !== null");
-        let is_inside = || self.value(&inside) == true;
-        (0..REGIONS).any(|_| {
-            let reached = is_inside();
-            if !reached {
-                self.press(&[keys::F6]);
+        for _ in 0..REGIONS {
+            if self.value(&inside) == true {
+                return true;
             }
-            reached
-        }) || is_inside()
+            self.press(&[keys::F6]);
+        }
+        self.value(&inside) == true
     }
 
     /// Saves screenshots of the page in two sizes if ANNOTATE_PICTURES names a folder.

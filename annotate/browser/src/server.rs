@@ -160,7 +160,8 @@ impl Server {
         command.arg("annotate").arg(&self.dataset);
         command.args(["--listen", &listen, "--json", "--host", AFAR]);
         let document = |line: &str| serde_json::from_str::<Value>(line).ok();
-        let (program, shown) = Program::start(&mut command, document);
+        let started = Program::start(&mut command, document);
+        let (program, shown) = started.expect("the server prints its address");
         if let Some(token) = shown["token"].as_str() {
             self.printed_token = token.to_owned();
         }

@@ -36,17 +36,8 @@ pub(crate) fn in_time(mut is_so: impl FnMut() -> bool) -> bool {
 pub(crate) struct Program(Child);
 
 impl Program {
-    /// Starts a program, and waits for a line of its output that `read` can parse.
+    /// Starts a program, and waits for a line of its output that `read` can parse. An error means that there was none.
     pub(crate) fn start<T: Send + 'static>(
-        command: &mut Command,
-        read: impl Fn(&str) -> Option<T> + Send + 'static,
-    ) -> (Self, T) {
-        let started = Self::try_start(command, read);
-        started.unwrap_or_else(|error| panic!("{command:?} said nothing: {error}"))
-    }
-
-    /// As [`Program::start`], with an error if the program says nothing.
-    pub(crate) fn try_start<T: Send + 'static>(
         command: &mut Command,
         read: impl Fn(&str) -> Option<T> + Send + 'static,
     ) -> Result<(Self, T), mpsc::RecvTimeoutError> {

@@ -58,15 +58,10 @@ mod tests {
     #[test]
     fn every_built_file_is_embedded() {
         let dist = concat!(env!("CARGO_MANIFEST_DIR"), "/web/dist");
-        let built: BTreeSet<String> = std::fs::read_dir(dist)
-            .expect("the built front end")
-            .map(|entry| {
-                entry
-                    .expect("an entry")
-                    .file_name()
-                    .to_string_lossy()
-                    .into_owned()
-            })
+        let entries = std::fs::read_dir(dist).expect("the built front end");
+        let names = entries.map(|entry| entry.expect("an entry").file_name());
+        let built: BTreeSet<String> = names
+            .map(|name| name.to_string_lossy().into_owned())
             // The build manifest is used by tests only.
             .filter(|name| name != "manifest.json")
             .collect();

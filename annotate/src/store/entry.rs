@@ -331,11 +331,25 @@ pub(crate) fn read_entry(row: &Row) -> Result<(i64, Entry)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::{MaskAnswer, Style};
+
+    /// Reads a value of an older store, and checks that it is written with the same bytes.
+    fn same<T: DeserializeOwned + Serialize>(stored: &str) -> T {
+        let read: T = serde_json::from_str(stored).expect("a stored value");
+        assert_eq!(super::super::db::json(&read).expect("JSON"), stored);
+        read
+    }
 
     #[test]
-    fn a_task_without_a_stated_edit_type_is_written_as_before_there_were_any() {
-        let stored = r#"{"event":"imported","task":{"key":"pair:1","kind":"pair","source":"a","target":"b","split":"train","bundle":7,"bundle_index":0,"category":null,"hint":"higher","style":null,"priority":0,"shuffle":3,"wanted":1,"gold":null,"extra":null,"accepted":null,"credit":null}}"#;
-        let body: Body = serde_json::from_str(stored).expect("an entry");
-        assert_eq!(super::super::db::json(&body).expect("JSON"), stored);
+    fn what_an_older_store_lacks_is_not_written_either() {
+        // Without the edit type that a source states.
+        same::<Body>(
+            r#"{"event":"imported","task":{"key":"pair:1","kind":"pair","source":"a","target":"b","split":"train","bundle":7,"bundle_index":0,"category":null,"hint":"higher","style":null,"priority":0,"shuffle":3,"wanted":1,"gold":null,"extra":null,"accepted":null,"credit":null}}"#,
+        );
+        let mask: MaskAnswer =
+            same(r#"{"parts":["LEFT_ARM"],"soft":true,"text":"waving","suggestion":null}"#);
+        assert!(mask.range.is_none() && mask.joints.is_empty());
+        let style: Style = same(r##"{"name":"old","text":"Short steps.","colour":"#8f6b00"}"##);
+        assert_eq!(style.guideline, "");
     }
 }

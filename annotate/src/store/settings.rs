@@ -212,41 +212,40 @@ mod tests {
 
     #[test]
     fn settings_are_bounded() {
-        assert!(check(&Settings::default()).is_ok());
-        let good = Style {
-            name: "old".to_owned(),
-            text: "Short steps.".to_owned(),
-            guideline: "Bend the knees.\n\nDo not limp.".to_owned(),
-            colour: Some("#8f6B00".to_owned()),
+        let rule = r#"{"name":"agreed","enabled":true,"accepts":"sampled"}"#;
+        let good = Settings {
+            styles: vec![Style {
+                name: "old".to_owned(),
+                text: "Short steps.".to_owned(),
+                guideline: "Bend the knees.\n\nDo not limp.".to_owned(),
+                colour: Some("#8f6B00".to_owned()),
+            }],
+            rules: vec![serde_json::from_str(rule).expect("a rule")],
+            ..Settings::default()
         };
-        let styles = vec![good];
-        assert!(
-            check(&Settings {
-                styles,
-                ..Settings::default()
-            })
-            .is_ok()
-        );
-        let broken: [fn(&mut Settings); 10] = [
+        assert!(check(&Settings::default()).is_ok() && check(&good).is_ok());
+        let broken: [fn(&mut Settings); 17] = [
             |settings| settings.gold_percent = 101,
             |settings| settings.answers_per_task = 0,
             |settings| settings.lease_minutes = 0,
             |settings| settings.min_masks = 5,
             |settings| settings.edit_type_quota = [(EditType::Speed, MAX_QUOTA + 1)].into(),
             |settings| settings.styles = vec![Style::default()],
-            |settings| settings.styles = vec![Style::named("old"), Style::named("old")],
-            |settings| {
-                settings.styles = vec![Style::named("old")];
-                settings.styles[0].colour = Some("red".to_owned());
-            },
-            |settings| {
-                settings.styles = vec![Style::named("old")];
-                settings.styles[0].guideline = "x".repeat(MAX_GUIDELINE_CHARS + 1);
-            },
+            |settings| settings.styles.push(Style::named("old")),
+            |settings| settings.styles[0].colour = Some("red".to_owned()),
+            |settings| settings.styles[0].guideline = "x".repeat(MAX_GUIDELINE_CHARS + 1),
             |settings| settings.name = " ".to_owned(),
+            |settings| settings.time_zone = "Mars/Olympus".to_owned(),
+            |settings| settings.rules[0].name = "no spaces".to_owned(),
+            |settings| settings.rules[0].review_percent = 101,
+            |settings| settings.rules[0].max_distance = f64::NAN,
+            // People are named for rules of trusted people, and for no others.
+            |settings| settings.rules[0].people = vec![1],
+            |settings| settings.rules[0].accepts = RuleKind::Trusted,
+            |settings| settings.rules.push(settings.rules[0].clone()),
         ];
         for (index, change) in broken.iter().enumerate() {
-            let mut broken = Settings::default();
+            let mut broken = good.clone();
             change(&mut broken);
             assert!(check(&broken).is_err(), "{index}");
         }

@@ -331,40 +331,23 @@ pub(super) fn entries(masks: &[MaskAnswer], extra: Option<&Value>) -> (Value, Va
 mod tests {
     use super::*;
 
-    fn read(masks: Value, texts: Value) -> Vec<(String, String)> {
-        motion(&masks, &texts)
-            .0
-            .masks
-            .into_iter()
-            .map(|mask| (mask.parts.join("+"), mask.text))
-            .collect()
-    }
-
-    fn expected(list: &[(&str, &str)]) -> Vec<(String, String)> {
-        list.iter()
-            .map(|(part, text)| ((*part).to_owned(), (*text).to_owned()))
-            .collect()
-    }
-
     #[test]
     fn every_shape_says_the_same() {
-        let one = expected(&[("LEFT_ARM", "waving")]);
-        for (masks, texts) in [
-            (json!("LEFT_ARM"), json!("waving")),
-            (json!(["left arm"]), json!(["waving"])),
-            (json!([["LEFT_ARM"]]), json!([["waving"]])),
-            (json!({"LEFT_ARM": 1}), json!({"LEFT_ARM": "waving"})),
-            (Value::Null, json!({"LEFT_ARM": ["waving"]})),
+        let one = ["LEFT_ARM: waving"].as_slice();
+        let two = ["LEFT_ARM+HEAD: nodding", "LOWER_BODY: walking"].as_slice();
+        let joined = json!([["LEFT_ARM", "HEAD"], "LOWER_BODY"]);
+        for (masks, texts, expected) in [
+            (json!("LEFT_ARM"), json!("waving"), one),
+            (json!(["left arm"]), json!(["waving"]), one),
+            (json!([["LEFT_ARM"]]), json!([["waving"]]), one),
+            (json!({"LEFT_ARM": 1}), json!({"LEFT_ARM": "waving"}), one),
+            (Value::Null, json!({"LEFT_ARM": ["waving"]}), one),
+            (joined, json!(["nodding", "walking"]), two),
         ] {
-            assert_eq!(read(masks.clone(), texts.clone()), one, "{masks} {texts}");
+            let said = motion(&masks, &texts).0.masks.into_iter();
+            let said = said.map(|mask| format!("{}: {}", mask.parts.join("+"), mask.text));
+            assert_eq!(Vec::from_iter(said), expected, "{masks} {texts}");
         }
-        assert_eq!(
-            read(
-                json!([["LEFT_ARM", "HEAD"], "LOWER_BODY"]),
-                json!(["nodding", "walking"])
-            ),
-            expected(&[("LEFT_ARM+HEAD", "nodding"), ("LOWER_BODY", "walking")])
-        );
     }
 
     #[test]
@@ -397,22 +380,12 @@ mod tests {
             "mask_all": {"a": ["LEFT_ARM", "LEFT_ARM+HEAD"], "b": []},
             "part_annotations": {"a": ["waving", "nodding"], "b": []},
         });
-        let once = parse(&document).expect("an object").motions;
-        let (masks, texts): (Map<_, _>, Map<_, _>) = once
-            .iter()
-            .map(|(id, said)| {
-                let (masks, texts) = entries(&said.masks, said.extra.as_ref());
-                ((id.clone(), masks), (id.clone(), texts))
-            })
-            .unzip();
-        let (masks, texts) = (Value::Object(masks), Value::Object(texts));
-        assert_eq!(
-            (&masks, &texts),
-            (&document["mask_all"], &document["part_annotations"])
-        );
-        let again = parse(&json!({"mask_all": masks, "part_annotations": texts}))
-            .expect("an object")
-            .motions;
-        assert_eq!(once, again);
+        let mut written = json!({ "mask_all": {}, "part_annotations": {} });
+        for (id, said) in parse(&document).expect("an object").motions {
+            let (masks, texts) = entries(&said.masks, said.extra.as_ref());
+            written["mask_all"][&id] = masks;
+            written["part_annotations"][&id] = texts;
+        }
+        assert_eq!(written, document);
     }
 }

@@ -5,7 +5,6 @@ use annotate::wire::{Audit, CapturePlan, Captures, Code, Decision, Me, PlannedCa
 use serde_json::json;
 
 use crate::store::each;
-use crate::styles::label;
 use crate::support::{
     Answered, Client, ROOT, START, Site, bare_motion, bare_task, from_json, style,
 };
@@ -104,41 +103,26 @@ fn put(client: &Client, cells: Vec<PlannedCapture>) -> Answered {
 }
 
 #[test]
-fn an_import_of_the_dataset_brings_takes_and_the_plan_brings_styles() {
-    let site = Site::new();
-    let boss = site.person("boss");
-    let plan = vec![
-        cell("clip10", "proud", 1),
-        cell("clip11", "old", 2),
-        cell("clip11", "limping", 1),
-    ];
-    let planned: Captures = put(&boss, plan).ok();
-    assert_eq!(counts(&planned), [(1, 0, 0), (0, 0, 2), (0, 0, 1)]);
-    label(&site, &["old"]);
-    let after: Captures = boss.get("captures").ok();
-    assert_eq!(counts(&after), [(1, 0, 0), (1, 0, 1), (0, 0, 1)]);
-    let me: Me = site.person("ann").get("me").ok();
-    let styles = me.project.styles;
-    assert!(styles.iter().any(|style| style.name == "limping"));
-}
-
-#[test]
-fn only_an_admin_changes_the_plan_and_a_wrong_one_changes_nothing() {
+fn only_an_admin_changes_the_plan_it_brings_styles_and_a_wrong_one_changes_nothing() {
     let site = Site::new();
     let [ann, eve, boss] = site.people(["ann", "eve", "boss"]);
-    let plan = || vec![cell("clip10", "proud", 1)];
+    let plan = || vec![cell("clip10", "proud", 1), cell("clip11", "limping", 1)];
     let planned: Captures = put(&boss, plan()).ok();
+    assert_eq!(counts(&planned), [(1, 0, 0), (0, 0, 1)]);
+    let me: Me = ann.get("me").ok();
+    let mut styles = me.project.styles.iter();
+    assert!(styles.any(|style| style.name == "limping"));
     for person in [&ann, &eve] {
         let refused = put(person, vec![cell("clip10", "old", 1)]);
         assert_eq!(refused.code(), Code::Forbidden);
     }
     assert_eq!(ann.get("captures").code(), Code::Forbidden);
     for (wrong, field, word) in [
-        (cell("clip10", "proud", 2), "cells.1.motion", "twice"),
-        (cell("clip10", "old", 0), "cells.1.takes", "1 to 1000"),
-        (cell("clip10", "OLD", 1), "cells.1.style", "\"old\""),
-        (cell(" clip10", "old", 1), "cells.1.motion", "space"),
-        (cell("clip10", "", 1), "cells.1.style", "missing"),
+        (cell("clip10", "proud", 2), "cells.2.motion", "twice"),
+        (cell("clip10", "old", 0), "cells.2.takes", "1 to 1000"),
+        (cell("clip10", "OLD", 1), "cells.2.style", "\"old\""),
+        (cell(" clip10", "old", 1), "cells.2.motion", "space"),
+        (cell("clip10", "", 1), "cells.2.style", "missing"),
     ] {
         let problem = put(&boss, [plan(), vec![wrong]].concat()).problem();
         let said = (problem.status, problem.field.as_deref());

@@ -14,8 +14,8 @@ use std::sync::Arc;
 use annotate::store::{Store, TaskDetail, open_sqlite};
 use annotate::transfer::from_dataset;
 use annotate::wire::{
-    Answer, DayWork, Decision, EditType, EventKind, Funnel, Me, NewEvent, NewReview, QuotaRow,
-    ReviewQueue, Role, Rule, RuleKind, Settings, TaskKind, Verdict,
+    Answer, DayWork, Decision, EventKind, Funnel, Me, NewEvent, NewReview, ReviewQueue, Role, Rule,
+    RuleKind, Settings, TaskKind, Verdict,
 };
 use datasets_spec::Seed;
 use rand::RngExt;
@@ -23,8 +23,8 @@ use serde_json::{Value, json};
 
 use crate::store::on_each;
 use crate::support::{
-    DAY, HOUR, MINUTE, START, Site, claim, dataset, decision, event, from_json, masks, pair,
-    review, rule, whole,
+    DAY, HOUR, MINUTE, START, Site, claim, dataset, decision, event_of, from_json, masks, pair,
+    review, rule, tell, whole,
 };
 
 /// Tuesday 2023-11-14, midnight UTC: `START` is in the evening of this day.
@@ -113,36 +113,16 @@ const DOING: [(&str, &str); 8] = [
     ("UPPER_BODY", "leaning slightly forward"),
 ];
 
-/// Instructions, with the parts and the type of the edit.
-const EDITS: [(&str, &str, EditType); 8] = [
-    (
-        "LEFT_ARM",
-        "Raise the left arm higher.",
-        EditType::Amplitude,
-    ),
-    ("RIGHT_ARM", "Swing the right arm faster.", EditType::Speed),
-    (
-        "BOTH_ARMS",
-        "Move both arms with more force.",
-        EditType::Force,
-    ),
-    ("BOTH_LEGS", "Take wider steps.", EditType::Amplitude),
-    ("LOWER_BODY", "Bend the knees deeper.", EditType::Amplitude),
-    (
-        "RIGHT_LEG",
-        "Lift the right foot a moment later.",
-        EditType::Timing,
-    ),
-    (
-        "UPPER_BODY",
-        "Turn the chest to the left.",
-        EditType::Spatial,
-    ),
-    (
-        "BOTH_ARMS",
-        "Keep the hands closer to the body.",
-        EditType::Spatial,
-    ),
+/// Instructions, with the part and the type of the edit.
+const EDITS: [(&str, &str); 8] = [
+    ("LEFT_ARM amplitude", "Raise the left arm higher."),
+    ("RIGHT_ARM speed", "Swing the right arm faster."),
+    ("BOTH_ARMS force", "Move both arms with more force."),
+    ("BOTH_LEGS amplitude", "Take wider steps."),
+    ("LOWER_BODY amplitude", "Bend the knees deeper."),
+    ("RIGHT_LEG timing", "Lift the right foot a moment later."),
+    ("UPPER_BODY spatial", "Turn the chest to the left."),
+    ("BOTH_ARMS spatial", "Keep the hands closer to the body."),
 ];
 
 /// Comments of reviewers who send an answer back.
@@ -242,7 +222,8 @@ impl Team {
                     8 => Verdict::Identical,
                     _ => Verdict::Keep,
                 };
-                let (part, text, edit_type) = EDITS[(number / 20) as usize % EDITS.len()];
+                let (edit, text) = EDITS[(number / 20) as usize % EDITS.len()];
+                let (part, edit_type) = edit.split_once(' ').expect("a part and a type");
                 from_json(if verdict == Verdict::Keep {
                     json!({ "kind": "pair", "verdict": "keep", "parts": [part], "edit_type": edit_type, "text": text })
                 } else {
@@ -275,16 +256,9 @@ impl Team {
             now += (secs * 1000.0) as i64;
             let sent = NewEvent {
                 secs,
-                ..event(
-                    EventKind::Submit,
-                    detail.lease.as_ref().map_or(0, |lease| lease.epoch),
-                    detail.mine.as_ref().map_or(0, |mine| mine.rev),
-                    self.answer(&detail),
-                )
+                ..event_of(&detail, EventKind::Submit, self.answer(&detail))
             };
-            let results = self.store.append(person, detail.task.id, vec![sent], now);
-            let result = &results.expect("takes events")[0];
-            assert_eq!(result.status, 200, "{:?}", result.problem);
+            tell(&self.store, person, detail.task.id, sent, now);
             self.answers += 1;
             self.secs += secs;
         }
@@ -384,20 +358,4 @@ fn the_work_of_a_team_is_counted_once_by_day_and_by_week() {
     on_each("a team", |store| {
         check(Team::new(store, &root, START - 14 * DAY), START);
     });
-}
-
-#[test]
-fn a_quota_of_a_category_is_told_beside_those_of_its_edit_types() {
-    let site = Site::new();
-    site.set(|settings| {
-        settings.quota = 3;
-        settings.category_quota = 5;
-    });
-    let [ann, eve] = site.people(["ann", "eve"]);
-    ann.answer(pair(Verdict::Keep));
-    let rows: Vec<QuotaRow> = eve.get("stats/quota").ok();
-    let [row] = rows.as_slice() else {
-        panic!("{}", json!(rows));
-    };
-    assert_eq!((row.kept, row.wanted, row.category_wanted), (1, 3, 5));
 }

@@ -1,24 +1,30 @@
 //! Hostile input: requests, imports and names.
 
-use std::io::{Read, Write};
-use std::time::Duration;
-
 use annotate::wire::{Code, EventKind, Job, TaskKind, TaskView};
 
-use crate::deployment::connect;
 use crate::support::{Site, event, masks};
 use crate::transfer::finished;
 
 #[test]
-fn texts_are_kept_as_they_are_and_sent_as_data() {
+fn texts_are_kept_as_they_are_unless_they_are_too_long_or_hold_control_characters() {
     let site = Site::new();
     let ann = site.person("ann");
     let view = ann.claim(TaskKind::MaskText);
     let lease = view.lease.as_ref().expect("a lease").epoch;
+    let save = |text: &str| ann.tell(&view, event(EventKind::Draft, lease, 0, masks(text)));
+    let before = site.store.last_seq().expect("a place");
+    for text in ["a\u{0}b", "\u{1b}[2J", &"x".repeat(2001)] {
+        let problem = save(text).problem.expect("a problem");
+        assert_eq!(problem.code, Code::Invalid);
+    }
+    let huge = format!("{{\"events\":\"{}\"}}", "x".repeat(10 << 20));
+    let task = format!("tasks/{}", view.task.id);
+    let refused = ann.call("POST", &format!("{task}/events"), Some(huge.as_bytes()));
+    assert_eq!(refused.code(), Code::TooLarge);
+    assert_eq!(site.store.last_seq().expect("a place"), before);
     let nasty = "<script>alert(1)</script> \u{202e}evil \u{0301}' OR 1=1; DROP TABLE event; --";
-    let sent = ann.tell(&view, event(EventKind::Draft, lease, 0, masks(nasty)));
-    assert_eq!(sent.status, 200);
-    let answered = ann.get(&format!("tasks/{}", view.task.id));
+    assert_eq!(save(nasty).status, 200);
+    let answered = ann.get(&task);
     let mime = answered.header("content-type");
     assert_eq!(mime, Some("application/json"));
     let again: TaskView = answered.ok();
@@ -27,48 +33,13 @@ fn texts_are_kept_as_they_are_and_sent_as_data() {
 }
 
 #[test]
-fn texts_that_are_too_long_or_hold_control_characters_are_refused_and_nothing_is_logged() {
+fn the_page_stands_at_its_folder_and_paths_do_not_climb() {
     let site = Site::new();
-    let ann = site.person("ann");
-    let view = ann.claim(TaskKind::MaskText);
-    let lease = view.lease.as_ref().expect("a lease").epoch;
-    let before = site.store.last_seq().expect("a place");
-    for text in [
-        "x".repeat(2001),
-        "a\u{0}b".to_owned(),
-        "\u{1b}[2J".to_owned(),
-    ] {
-        let draft = event(EventKind::Draft, lease, 0, masks(&text));
-        let problem = ann.tell(&view, draft).problem;
-        assert_eq!(problem.expect("a problem").code, Code::Invalid);
+    for path in ["/", "/app", "/app/", "/app/mask"] {
+        let answered = site.get(path);
+        assert_eq!(answered.status, 200, "{path}");
+        assert!(answered.body.starts_with(b"<!doctype html>"), "{path}");
     }
-    let huge = format!("{{\"events\":\"{}\"}}", "x".repeat(10 << 20));
-    let path = format!("tasks/{}/events", view.task.id);
-    let refused = ann.call("POST", &path, Some(huge.as_bytes()));
-    assert_eq!(refused.code(), Code::TooLarge);
-    assert_eq!(site.store.last_seq().expect("a place"), before);
-}
-
-#[test]
-fn deep_and_broken_json_is_refused() {
-    let site = Site::new();
-    let ann = site.person("ann");
-    let deep = "[".repeat(100_000);
-    for body in [
-        deep.as_bytes(),
-        b"\xff\xfe",
-        b"null",
-        b"{\"kind\":\"mask_text\"} trailing",
-    ] {
-        let refused = ann.call("POST", "queue/next", Some(body));
-        assert_eq!(refused.code(), Code::BadRequest);
-    }
-}
-
-#[test]
-fn paths_do_not_climb() {
-    let site = Site::new();
-    let boss = site.person("boss");
     for path in [
         "/assets/../Cargo.toml",
         "/assets/..%2f..%2fCargo.toml",
@@ -77,6 +48,7 @@ fn paths_do_not_climb() {
     ] {
         assert_eq!(site.get(path).status, 404, "{path}");
     }
+    let boss = site.person("boss");
     for name in ["..%2f..%2fstore.sqlite", "%2fetc%2fpasswd"] {
         let answered = boss.get(&format!("jobs/1/files/{name}"));
         assert_eq!(answered.status, 404, "{name}");
@@ -98,37 +70,6 @@ fn tokens_are_not_taken_from_the_address_or_from_odd_headers() {
     for headers in cases {
         assert_eq!(site.get_with("/api/v1/me", headers).status, 401);
     }
-}
-
-/// The server's response to an incomplete request. The server has to close the connection in time.
-fn answer_to(site: &Site, bytes: &[u8]) -> String {
-    let mut stream = connect(site);
-    stream.write_all(bytes).expect("the server reads");
-    let mut answer = Vec::new();
-    let read = stream.read_to_end(&mut answer);
-    read.expect("it closes the connection");
-    String::from_utf8_lossy(&answer).into_owned()
-}
-
-#[test]
-fn requests_that_never_end_are_given_up() {
-    let site = Site::with_patience(Duration::from_secs(2));
-    let ann = site.person("ann");
-    // Headers without an end.
-    let head = "GET /healthz HTTP/1.1\r\nHost: localhost\r\nX-Slow: ";
-    let answer = answer_to(&site, head.as_bytes());
-    assert!(!answer.contains("200 OK"), "{answer}");
-    // A body shorter than its content length.
-    let body = format!(
-        "POST /api/v1/queue/next HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\
-         Authorization: Bearer {}\r\nContent-Length: 100\r\n\r\n{{",
-        ann.token
-    );
-    let answer = answer_to(&site, body.as_bytes());
-    assert!(answer.starts_with("HTTP/1.1 503"), "{answer}");
-    assert!(answer.contains("\"timeout\""), "{answer}");
-    // Other requests are served during and after an incomplete one.
-    assert_eq!(ann.get("me").status, 200);
 }
 
 #[test]

@@ -1,8 +1,7 @@
 //! Drafts by a language model, with a mock server.
 
-use std::io::{Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpListener;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
 use annotate::drafting;
@@ -17,49 +16,37 @@ use crate::support::{Answered, CLIPS, Client, START, Site};
 struct Fake {
     url: String,
     asked: Arc<Mutex<Vec<String>>>,
-    count: Arc<AtomicUsize>,
 }
 
 fn fake(response: String) -> Fake {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let url = format!("http://{}/v1", listener.local_addr().expect("an address"));
     let asked = Arc::new(Mutex::new(Vec::new()));
-    let count = Arc::new(AtomicUsize::new(0));
-    let (list, counter) = (Arc::clone(&asked), Arc::clone(&count));
+    let list = Arc::clone(&asked);
     std::thread::spawn(move || {
         for stream in listener.incoming() {
-            let mut stream = stream.expect("a connection");
-            let mut text = Vec::new();
-            let mut buffer = [0; 4096];
-            loop {
-                let read = stream.read(&mut buffer).expect("bytes");
-                text.extend(&buffer[..read]);
-                let seen = String::from_utf8_lossy(&text).into_owned();
-                let Some((head, body)) = seen.split_once("\r\n\r\n") else {
-                    continue;
-                };
-                let length = head
-                    .lines()
-                    .find_map(|line| {
-                        line.to_lowercase()
-                            .strip_prefix("content-length: ")
-                            .map(str::to_owned)
-                    })
-                    .and_then(|length| length.parse::<usize>().ok())
-                    .unwrap_or(0);
-                if read == 0 || body.len() >= length {
-                    list.lock().expect("no panic").push(seen);
-                    break;
+            let stream = stream.expect("a connection");
+            let mut reader = BufReader::new(&stream);
+            let (mut text, mut length) = (String::new(), 0);
+            while !text.ends_with("\r\n\r\n") {
+                let begin = text.len();
+                let read = reader.read_line(&mut text).expect("a line");
+                assert!(read > 0, "the request ends: {text}");
+                let line = text[begin..].to_lowercase();
+                if let Some(number) = line.strip_prefix("content-length: ") {
+                    length = number.trim().parse().expect("a length");
                 }
             }
-            counter.fetch_add(1, Ordering::SeqCst);
-            stream.write_all(response.as_bytes()).expect("answers");
+            let mut body = vec![0; length];
+            reader.read_exact(&mut body).expect("a body");
+            text.push_str(&String::from_utf8_lossy(&body));
+            list.lock().expect("no panic").push(text);
+            (&stream).write_all(response.as_bytes()).expect("answers");
         }
     });
-    Fake { url, asked, count }
+    Fake { url, asked }
 }
 
-/// A response of the model with this text.
 fn said(content: &str) -> String {
     let body = json!({
         "choices": [{ "message": { "content": content } }], "usage": { "total_tokens": 42 },
@@ -81,7 +68,7 @@ fn suggest(person: &Client, view: &TaskView, part: &str) -> Answered {
 fn a_draft_is_a_suggestion_kept_apart_and_asked_for_once() {
     let fake = fake(said("\"waving <b>the</b>\n left arm\""));
     let model = Model::new(&fake.url, "tiny", Some("secret-key".to_owned())).expect("a model");
-    let site = Site::with_model(Some(model));
+    let site = Site::with(|config| config.model = Some(model));
     let ann = site.person("ann");
     let me = ann.get("me");
     assert!(!String::from_utf8_lossy(&me.body).contains("secret-key"));
@@ -96,7 +83,7 @@ fn a_draft_is_a_suggestion_kept_apart_and_asked_for_once() {
     let again: Suggestion = suggest(&ann, &view, "LEFT_ARM").ok();
     assert_eq!(again.text, suggestion.text);
     // The same prompt is not sent twice.
-    assert_eq!(fake.count.load(Ordering::SeqCst), 1);
+    assert_eq!(fake.asked.lock().expect("no panic").len(), 1);
     let seen: TaskView = ann.get(&format!("tasks/{}", view.task.id)).ok();
     assert!(seen.mine.is_none(), "a draft is no answer");
     let mut texts = seen.suggestions.iter().map(|known| &known.text);
@@ -113,7 +100,7 @@ fn a_draft_is_a_suggestion_kept_apart_and_asked_for_once() {
 #[test]
 fn a_model_that_fails_blocks_nothing() {
     let check = |url: &str, response: &str| {
-        let site = Site::with_model(Some(model(url)));
+        let site = Site::with(|config| config.model = Some(model(url)));
         let ann = site.person("ann");
         let view = ann.claim(TaskKind::MaskText);
         let refused = suggest(&ann, &view, "LEFT_ARM").code();
@@ -134,18 +121,22 @@ fn a_model_that_fails_blocks_nothing() {
 }
 
 #[test]
-fn drafts_are_asked_for_in_bulk_and_once() {
+fn drafts_are_asked_for_in_bulk_and_once_and_a_model_that_is_gone_is_named() {
     let fake = fake(said("waving the arm"));
-    let model = model(&fake.url);
+    let (gone, model) = (model("http://127.0.0.1:1/v1"), model(&fake.url));
     let site = Site::new();
     let motions = MotionLibrary::open(&site.dataset).expect("motions");
     let store = site.store.as_ref();
-    let ask = |limit: usize| {
+    let ask = |model: &Model, limit: usize| {
         let kind = Some(TaskKind::MaskText);
-        drafting::draft_all(store, &motions, &model, kind, limit, START, &mut |_| {})
-            .expect("drafts")
+        let done = drafting::draft_all(store, &motions, model, kind, limit, START, &mut |_| {});
+        done.expect("drafts")
     };
-    let first = ask(3);
+    let none = ask(&gone, usize::MAX);
+    assert_eq!(none.texts, 0);
+    assert!(none.failures > 0);
+    assert!(none.last_failure.expect("a reason").contains("reached"));
+    let first = ask(&model, 3);
     assert_eq!((first.looked_at, first.failures), (3, 0));
     assert!(first.texts >= 3 - first.without_parts);
     let prompt = fake.asked.lock().expect("no panic")[0].clone();
@@ -161,30 +152,8 @@ fn drafts_are_asked_for_in_bulk_and_once() {
         offered.retain(|draft| draft.source == source);
         assert_eq!((offered.len(), offered[0].text.as_str()), (1, text));
     }
-    let rest = ask(usize::MAX);
+    let rest = ask(&model, usize::MAX);
     assert!(rest.looked_at >= CLIPS - 3, "{rest:?}");
-    let again = ask(usize::MAX);
+    let again = ask(&model, usize::MAX);
     assert_eq!(again.texts, 0, "what has a draft is not asked for again");
-}
-
-#[test]
-fn a_model_that_is_gone_ends_the_drafts_and_is_named() {
-    let model = model("http://127.0.0.1:1/v1");
-    let site = Site::new();
-    let motions = MotionLibrary::open(&site.dataset).expect("motions");
-    let store = site.store.as_ref();
-    let kind = Some(TaskKind::MaskText);
-    let done = drafting::draft_all(
-        store,
-        &motions,
-        &model,
-        kind,
-        usize::MAX,
-        START,
-        &mut |_| {},
-    );
-    let done = done.expect("ends");
-    assert_eq!(done.texts, 0);
-    assert!(done.failures > 0);
-    assert!(done.last_failure.expect("a reason").contains("reached"));
 }

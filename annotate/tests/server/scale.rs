@@ -7,8 +7,7 @@ use annotate::store::{NewTask, PageQuery, TokenUse};
 use annotate::transfer::export;
 use annotate::wire::{
     Answer, BulkAction, BulkDone, BulkRequest, Code, Decision, EventKind, ExportFormat, MyAnswer,
-    ReviewQueue, Role, Rule, RuleKind, Settings, Standing, TaskKind, TaskRow, TaskSort, TaskState,
-    Verdict,
+    ReviewQueue, Role, Rule, RuleKind, Standing, TaskKind, TaskRow, TaskSort, TaskState, Verdict,
 };
 use serde_json::{Value, json};
 
@@ -27,7 +26,6 @@ fn waving() -> Answer {
 }
 
 impl Fixture {
-    /// Accepts rejected pairs by a rule.
     fn accept_rejects(&self) {
         self.rules([rule("rejects", RuleKind::Rejects)]);
     }
@@ -51,12 +49,17 @@ impl Fixture {
         self.mine_of(user, json!({ "limit": 50 })).0
     }
 
+    /// A user's answer to a task.
+    fn own(&self, user: i64, task: i64) -> MyAnswer {
+        let mut all = self.mine(user).into_iter();
+        all.find(|own| own.mine.task == task).expect("an answer")
+    }
+
     fn mine_of(&self, user: i64, query: Value) -> (Vec<MyAnswer>, Option<String>) {
         let answers = self.store.answers_of(user, from_json(query), self.now());
         answers.expect("answers")
     }
 
-    /// The tasks of a filter.
     fn found(&self, filter: Value) -> Vec<i64> {
         let query = PageQuery {
             filter: from_json(filter),
@@ -81,8 +84,10 @@ impl Fixture {
 }
 
 #[test]
-fn unanimous_rejects_are_accepted_as_they_arrive_and_the_log_names_the_rule() {
-    each("rejects", pair_tasks(3), |site| {
+fn rules_accept_rejects_agreed_answers_and_those_of_trusted_people() {
+    let masks = mask_tasks(12).split_off(10);
+    each("rules", [pair_tasks(2), masks].concat(), |site| {
+        // Rejects are accepted as they arrive, and the log names the rule.
         site.accept_rejects();
         let rejected = site.hand_in(site.ann, pair(Verdict::Unnatural));
         assert_eq!(site.state(rejected), TaskState::Accepted);
@@ -95,32 +100,7 @@ fn unanimous_rejects_are_accepted_as_they_arrive_and_the_log_names_the_rule() {
         assert_eq!(log.len(), 1);
         assert_eq!(log[0].body["rule"], "rejects");
         assert_eq!(log[0].actor, None);
-    });
-}
 
-#[test]
-fn answers_that_differ_wait_for_a_reviewer() {
-    each("differ", Vec::new(), |site| {
-        site.set(|settings| settings.answers_per_task = 2);
-        site.rules([Rule {
-            min_answers: 2,
-            ..rule("agreed", RuleKind::Sampled)
-        }]);
-        site.import(pair_tasks(3));
-        let second = |theirs: Verdict| {
-            let task = site.hand_in(site.ann, unclear());
-            assert_eq!(site.state(task), TaskState::Open, "one is not enough");
-            assert_eq!(site.hand_in(site.bob, pair(theirs)), task);
-            site.state(task)
-        };
-        assert_eq!(second(Verdict::Unclear), TaskState::Accepted);
-        assert_eq!(second(Verdict::Unnatural), TaskState::Submitted);
-    });
-}
-
-#[test]
-fn answers_of_trusted_people_need_no_reviewer() {
-    each("trusted", mask_tasks(4), |site| {
         site.rules([Rule {
             people: vec![site.bob],
             ..rule("trusted", RuleKind::Trusted)
@@ -129,6 +109,22 @@ fn answers_of_trusted_people_need_no_reviewer() {
         let his = site.hand_in(site.bob, waving());
         assert_eq!(site.state(hers), TaskState::Submitted);
         assert_eq!(site.state(his), TaskState::Accepted);
+
+        // Answers that differ wait for a reviewer.
+        site.set(|settings| settings.answers_per_task = 2);
+        site.rules([Rule {
+            min_answers: 2,
+            ..rule("agreed", RuleKind::Sampled)
+        }]);
+        site.import(pair_tasks(25).split_off(20));
+        let second = |theirs: Verdict| {
+            let task = site.hand_in(site.ann, unclear());
+            assert_eq!(site.state(task), TaskState::Open, "one is not enough");
+            assert_eq!(site.hand_in(site.bob, pair(theirs)), task);
+            site.state(task)
+        };
+        assert_eq!(second(Verdict::Unclear), TaskState::Accepted);
+        assert_eq!(second(Verdict::Unnatural), TaskState::Submitted);
     });
 }
 
@@ -162,14 +158,11 @@ fn the_share_left_to_reviewers_depends_on_seed_and_task_alone() {
 }
 
 #[test]
-fn rules_are_applied_on_demand_over_what_waits_as_their_preview_says() {
-    each("demand", pair_tasks(12), |site| {
-        for number in 0..12 {
-            let verdict = match number % 3 {
-                0 => Verdict::Keep,
-                _ => Verdict::Unclear,
-            };
-            site.hand_in(site.ann, pair(verdict));
+fn rules_are_applied_on_demand_as_their_preview_says_and_undone_with_all_that_they_accepted() {
+    each("demand", pair_tasks(9), |site| {
+        let kept = site.hand_in(site.ann, pair(Verdict::Keep));
+        for _ in 0..8 {
+            site.hand_in(site.ann, unclear());
         }
         site.accept_rejects();
         let counts = || {
@@ -178,26 +171,16 @@ fn rules_are_applied_on_demand_over_what_waits_as_their_preview_says() {
         };
         assert_eq!(counts(), (0, 8));
         let done = site.store.apply_rules(0, START).expect("applies");
-        assert_eq!((done.looked_at, done.accepted["rejects"]), (12, 8));
+        assert_eq!((done.looked_at, done.accepted["rejects"]), (9, 8));
         assert_eq!(done.next, None);
         assert_eq!(counts(), (8, 0));
         assert_eq!(site.accepted().len(), 8);
-    });
-}
 
-#[test]
-fn undoing_a_rule_takes_its_acceptances_back_together_and_review_and_export_follow() {
-    each("undo_rule", pair_tasks(6), |site| {
-        site.accept_rejects();
-        for _ in 0..5 {
-            site.hand_in(site.ann, unclear());
-        }
-        let kept = site.hand_in(site.ann, pair(Verdict::Keep));
         assert_eq!(site.judge(Decision::Accept), kept);
-        assert_eq!(site.accepted().len(), 6);
+        assert_eq!(site.accepted().len(), 9);
         let undo = |rule: &str| site.store.undo_rule(ROOT, rule, START);
         let undone = undo("rejects").expect("undoes");
-        assert_eq!((undone.reopened, undone.left), (5, 0));
+        assert_eq!((undone.reopened, undone.left), (8, 0));
         assert_eq!(site.accepted().len(), 1, "what a person accepted stays");
         let settings = site.store.settings().expect("settings");
         assert!(!settings.rules[0].enabled, "the next answer waits again");
@@ -206,14 +189,14 @@ fn undoing_a_rule_takes_its_acceptances_back_together_and_review_and_export_foll
         let done = site.decide(task, epoch, Decision::Accept);
         assert_eq!(done, Ok(TaskState::Accepted));
         site.set(|settings| settings.rules[0].enabled = true);
-        assert_eq!(site.applied("rejects"), 4);
+        assert_eq!(site.applied("rejects"), 7);
         assert_eq!(refusal(undo("nothing")), Code::NotFound);
     });
 }
 
 #[test]
-fn a_rule_leaves_alone_what_a_reviewer_sent_back_or_reopened() {
-    each("touched", pair_tasks(2), |site| {
+fn a_rule_leaves_alone_what_was_sent_back_and_its_acceptances_may_be_taken_back_for_a_while() {
+    each("take_back", pair_tasks(3), |site| {
         let returned = site.hand_in(site.ann, unclear());
         assert_eq!(site.judge(Decision::Return), returned);
         site.accept_rejects();
@@ -224,18 +207,12 @@ fn a_rule_leaves_alone_what_a_reviewer_sent_back_or_reopened() {
         assert_eq!(site.state(reopened), TaskState::Accepted);
         site.reopen(reopened);
         assert_eq!(site.applied("rejects"), 0);
-    });
-}
 
-#[test]
-fn an_author_may_take_back_what_a_rule_accepted_for_a_while() {
-    each("take_back", pair_tasks(2), |site| {
         site.set(|settings| settings.take_back_minutes = 10);
-        site.accept_rejects();
         let task = site.hand_in(site.ann, unclear());
         site.wait(MINUTE);
-        let own = &site.mine(site.ann)[0];
-        let stands = (own.standing, own.can_take_back);
+        let own = || site.own(site.ann, task);
+        let stands = (own().standing, own().can_take_back);
         assert_eq!(stands, (Standing::Accepted, true));
         let undone = site.send(site.ann, task, event(EventKind::Undo, 0, 1, None));
         let said = (undone.status, undone.state);
@@ -245,79 +222,31 @@ fn an_author_may_take_back_what_a_rule_accepted_for_a_while() {
         site.submit(site.ann, task, 2, pair(Verdict::Unnatural));
         assert_eq!(site.state(task), TaskState::Accepted);
         site.wait(11 * MINUTE);
-        assert!(!site.mine(site.ann)[0].can_take_back);
+        assert!(!own().can_take_back);
         let refused = site.send(site.ann, task, event(EventKind::Undo, 0, 3, None));
         assert_eq!(problem(&refused), Code::WrongState);
     });
 }
 
 #[test]
-fn rules_are_checked_before_they_are_kept() {
-    each("checked", Vec::new(), |site| {
-        let good = || rule("agreed", RuleKind::Sampled);
-        let (mut named, mut reviewed, mut apart, mut trusting) = (good(), good(), good(), good());
-        named.name = "no spaces".to_owned();
-        reviewed.review_percent = 101;
-        apart.max_distance = f64::NAN;
-        trusting.people = vec![1];
-        let trusted = rule("trusted", RuleKind::Trusted);
-        let broken = [named, reviewed, apart, trusting, trusted];
-        let mut all = Vec::from(broken.map(|rule| vec![rule]));
-        all.push(vec![good(), good()]);
-        for rules in all {
-            let settings = Settings {
-                rules,
-                ..site.store.settings().expect("settings")
-            };
-            let refused = site.store.put_settings(ROOT, settings, START);
-            assert_eq!(refusal(refused), Code::Invalid);
-        }
-    });
-}
-
-#[test]
-fn a_search_finds_texts_and_captions_but_no_names_of_fields() {
-    each("search", mask_tasks(4), |site| {
-        let waving = site.hand_in(site.ann, masks("Waving_50%"));
-        let masked = site.hand_in(site.ann, masks("putting on a mask"));
-        let cases: [(&str, &[i64]); 5] = [
-            ("mask", &[masked]),
-            ("wavinG_50%", &[waving]),
-            ("wavinGx50%", &[]),
-            // Names of a part and of a field are not found.
-            ("left_arm", &[]),
-            ("soft", &[]),
-        ];
-        for (text, expected) in cases {
-            assert_eq!(site.found(json!({ "q": text })), expected, "{text}");
-        }
-        site.judge(Decision::Accept);
-        for (text, expected) in [("kind", 0), ("waving", 1)] {
-            let filter = from_json(json!({ "q": text, "limit": 10 }));
-            let shelf = site.store.shelf(site.bob, filter).expect("a shelf");
-            assert_eq!(shelf.len(), expected, "{text}");
-        }
-    });
-}
-
-#[test]
-fn the_browser_filters_by_everything_a_reviewer_asks_for() {
-    let mut tasks = mask_tasks(3);
+fn the_browser_filters_by_everything_a_reviewer_asks_for_and_searches_texts_alone() {
+    let mut tasks = mask_tasks(4);
     tasks.extend((10..14).map(|number| NewTask {
         category: Some(["walk", "run"][number % 2].to_owned()),
         ..bare_task(number, TaskKind::Pair)
     }));
     each("filters", tasks, |site| {
-        let mask = site.hand_in(site.ann, waving());
+        let mask = site.hand_in(site.ann, masks("Waving_50%"));
+        let other = site.hand_in(site.ann, masks("putting on a mask"));
         let keep = site.hand_in(site.ann, pair(Verdict::Keep));
         site.wait(1);
         let reject = site.hand_in(site.bob, unclear());
         let held = site.take_pair(site.bob);
         let submitted = json!({ "kind": "mask_text", "state": "submitted" });
         let walks = json!({ "category": "walk", "verdict": "keep" });
-        let cases: [(Value, &[i64]); 9] = [
-            (submitted, &[mask]),
-            (json!({ "person": site.ann }), &[mask, keep]),
+        let cases: [(Value, &[i64]); 14] = [
+            (submitted, &[mask, other]),
+            (json!({ "person": site.ann }), &[mask, other, keep]),
             (json!({ "person": site.bob }), &[reject, held]),
             (json!({ "part": "RIGHT_ARM" }), &[keep]),
             (json!({ "edit_type": "amplitude" }), &[keep]),
@@ -325,6 +254,12 @@ fn the_browser_filters_by_everything_a_reviewer_asks_for() {
             (walks, &[keep]),
             (json!({ "min_distance": 0.0 }), &[]),
             (json!({ "task": held }), &[held]),
+            (json!({ "q": "mask" }), &[other]),
+            (json!({ "q": "wavinG_50%" }), &[mask]),
+            (json!({ "q": "wavinGx50%" }), &[]),
+            // Names of a part and of a field are not found.
+            (json!({ "q": "left_arm" }), &[]),
+            (json!({ "q": "soft" }), &[]),
         ];
         for (filter, expected) in cases {
             assert_eq!(site.found(filter.clone()), expected, "{filter}");
@@ -338,6 +273,16 @@ fn the_browser_filters_by_everything_a_reviewer_asks_for() {
             ..PageQuery::default()
         });
         assert_eq!(refusal(refused), Code::Invalid);
+
+        let opened = site.store.review_task(site.eve, mask, site.now());
+        let epoch = opened.expect("a review").lease.epoch;
+        let done = site.decide(mask, epoch, Decision::Accept);
+        assert_eq!(done, Ok(TaskState::Accepted));
+        for (text, expected) in [("kind", 0), ("waving", 1)] {
+            let filter = from_json(json!({ "q": text, "limit": 10 }));
+            let shelf = site.store.shelf(site.eve, filter).expect("a shelf");
+            assert_eq!(shelf.len(), expected, "{text}");
+        }
     });
 }
 
@@ -408,13 +353,9 @@ fn tasks_that_everybody_skipped_are_listed_with_the_reasons() {
             assert_eq!(site.found(json!({ "skipped": "any" })), by_any);
             assert_eq!(site.found(json!({ "skipped": "everybody" })), by_everybody);
         };
-        let annotators_may_log_in = |active| {
+        let enable = |active| {
             for user in [site.ann, site.bob] {
-                let actor = Some(ROOT);
-                let changed = site
-                    .store
-                    .change_user(actor, user, None, Some(active), START);
-                changed.expect("a change");
+                site.enable(user, active);
             }
         };
         let (first, second) = (site.skip(site.ann), site.skip(site.ann));
@@ -433,9 +374,9 @@ fn tasks_that_everybody_skipped_are_listed_with_the_reasons() {
         assert_eq!(site.answer(site.bob, "seen"), second);
         check(&[first, second], &[first]);
         // Without annotators, all users count: eve and the admin are left.
-        annotators_may_log_in(false);
+        enable(false);
         check(&[first, second], &[]);
-        annotators_may_log_in(true);
+        enable(true);
         let dropped = site.decide(first, 0, Decision::Drop);
         assert_eq!(dropped, Ok(TaskState::Dropped));
         assert!(site.found(json!({ "skipped": "everybody" })).is_empty());
@@ -510,7 +451,6 @@ fn a_bulk_action_does_what_its_preview_counted() {
     });
 }
 
-/// Assigns all tasks to a person.
 fn assign(person: i64) -> BulkRequest {
     BulkRequest {
         person: Some(person),
@@ -519,7 +459,7 @@ fn assign(person: i64) -> BulkRequest {
 }
 
 #[test]
-fn an_assigned_task_goes_to_its_person_first() {
+fn an_assigned_task_goes_to_its_person_first_until_the_reservation_ends() {
     each("assign", mask_tasks(5), |site| {
         let others = site.take(site.ann);
         let last = site.found(json!({}))[4];
@@ -536,13 +476,10 @@ fn an_assigned_task_goes_to_its_person_first() {
         assert_eq!(preview.left_alone["held"], 1);
         let refused = site.store.bulk(&site.who(site.eve), assign(999), START);
         assert_eq!(refusal(refused), Code::Invalid);
-    });
-}
-
-#[test]
-fn a_reservation_that_nobody_takes_up_ends() {
-    each("assigned_reserved", mask_tasks(1), |site| {
-        site.bulk(assign(site.bob));
+        // Nobody else gets the other three, until nobody has taken them up for days.
+        site.submit(site.ann, others, 0, waving());
+        site.submit(site.bob, last, 0, waving());
+        assert_eq!(site.bulk(assign(site.bob)).done, 3);
         assert_eq!(site.claim(site.ann), None);
         site.wait(8 * DAY);
         site.take(site.ann);
@@ -560,10 +497,7 @@ fn my_answers_say_where_each_stands() {
         let decisions = [Decision::Return, Decision::Merge, Decision::Accept];
         let [returned, merged, accepted] = decisions.map(|decision| site.judge(decision));
         let waiting = tasks[3];
-        let own = |task: i64| {
-            let mut all = site.mine(site.ann).into_iter();
-            all.find(|own| own.mine.task == task).expect("my answer")
-        };
+        let own = |task: i64| site.own(site.ann, task);
         assert_eq!(own(waiting).standing, Standing::WaitsForReview);
         assert!(own(waiting).can_take_back);
         assert_eq!(own(accepted).standing, Standing::Accepted);
@@ -588,22 +522,6 @@ fn my_answers_say_where_each_stands() {
         assert_eq!(sent_back.len(), 1);
         assert_eq!(sent_back[0].authors, ["ann"]);
         assert_eq!(sent_back[0].state, TaskState::Returned);
-    });
-}
-
-#[test]
-fn an_answer_that_waits_for_a_second_person_says_so() {
-    each("second", Vec::new(), |site| {
-        site.set(|settings| settings.answers_per_task = 2);
-        site.import(mask_tasks(1));
-        let task = site.hand_in(site.ann, waving());
-        let own = site.mine(site.ann).remove(0);
-        assert_eq!(own.standing, Standing::WaitsForOthers);
-        assert!(own.can_take_back);
-        assert_eq!((own.task.wanted, own.task.submitted), (2, 1));
-        assert_eq!(site.hand_in(site.bob, waving()), task);
-        let own = site.mine(site.ann).remove(0);
-        assert_eq!(own.standing, Standing::WaitsForReview);
     });
 }
 
@@ -645,7 +563,7 @@ fn one_researcher_may_accept_their_own_work_and_it_is_marked() {
 }
 
 #[test]
-fn a_changed_number_of_people_applies_to_open_tasks() {
+fn a_changed_number_of_people_applies_to_open_tasks_and_answers_say_for_whom_they_wait() {
     each("retarget", mask_tasks(3), |site| {
         let done = site.hand_in(site.ann, waving());
         let wanted = || [1, 2, 3].map(|task| site.record(task).wanted);
@@ -654,12 +572,17 @@ fn a_changed_number_of_people_applies_to_open_tasks() {
         assert_eq!(wanted(), [1, 2, 2], "task {done} has all its answers");
         let half = site.hand_in(site.ann, waving());
         assert_eq!(site.state(half), TaskState::Open);
+        let own = || site.own(site.ann, half);
+        assert_eq!(own().standing, Standing::WaitsForOthers);
+        assert!(own().can_take_back);
+        assert_eq!((own().task.wanted, own().task.submitted), (2, 1));
         let before = site.last_seq();
         site.set(|settings| settings.min_masks = 1);
         assert_eq!(site.last_seq(), before + 1, "other settings change no task");
         site.set(|settings| settings.answers_per_task = 1);
         assert_eq!(wanted(), [1, 1, 1]);
         assert_eq!(site.state(half), TaskState::Submitted);
+        assert_eq!(own().standing, Standing::WaitsForReview);
     });
 }
 

@@ -16,7 +16,6 @@ fn styled(name: &str) -> Answer {
     }))
 }
 
-/// Names that a person can choose from.
 fn names(person: &Client) -> Vec<String> {
     let me: Me = person.get("me").ok();
     let styles = me.project.styles.into_iter();
@@ -24,7 +23,7 @@ fn names(person: &Client) -> Vec<String> {
 }
 
 /// Adds style pairs with these labels to the dataset of a site, and imports them as the server does at its start.
-pub(crate) fn label(site: &Site, labels: &[&str]) {
+fn label(site: &Site, labels: &[&str]) {
     let mut pairs: Vec<PairRow> = read(&site.dataset);
     let one = pairs.iter().find(|pair| pair.kind == "style");
     let one = one.expect("a style pair").clone();
@@ -71,6 +70,14 @@ fn a_new_style_is_proposed_with_an_answer_and_taken_by_who_accepts_it() {
     site.set(|settings| settings.rules = vec![all]);
     let known = names(&ann);
 
+    // A name that is nearly a known one is refused to its author.
+    let view = ann.claim(TaskKind::Style);
+    let refused = ann.tell(&view, submit(&view, styled("PROUD")));
+    let problem = refused.problem.expect("a refusal");
+    assert_eq!(problem.field.as_deref(), Some("answer.style"));
+    assert!(problem.detail.contains("\"proud\""), "{}", problem.detail);
+    assert!(eve.review().is_none());
+
     // A rule accepts answers with a style of the project, and leaves the others to reviewers.
     ann.answer(styled("masculine"));
     let first = ann.answer(styled("limping"));
@@ -100,30 +107,6 @@ fn a_new_style_is_proposed_with_an_answer_and_taken_by_who_accepts_it() {
 }
 
 #[test]
-fn a_name_that_is_nearly_a_known_one_is_refused_to_its_author() {
-    let site = Site::new();
-    let ann = site.person("ann");
-    let view = ann.claim(TaskKind::Style);
-    let refused = ann.tell(&view, submit(&view, styled("PROUD")));
-    let problem = refused.problem.expect("a refusal");
-    assert_eq!(problem.field.as_deref(), Some("answer.style"));
-    assert!(problem.detail.contains("\"proud\""), "{}", problem.detail);
-    assert!(site.person("eve").review().is_none());
-}
-
-#[test]
-fn settings_of_older_stores_have_names_alone() {
-    let mut stored = serde_json::to_value(Settings::default()).expect("JSON");
-    stored["styles"] = json!(["proud", { "name": "old", "text": "Short steps." }]);
-    let read: Settings = serde_json::from_value(stored).expect("settings");
-    let old = Style {
-        text: "Short steps.".to_owned(),
-        ..Style::named("old")
-    };
-    assert_eq!(read.styles, [Style::named("proud"), old]);
-}
-
-#[test]
 fn guidelines_reach_annotators_and_may_be_long() {
     let site = Site::new();
     let [ann, boss] = site.people(["ann", "boss"]);
@@ -141,12 +124,4 @@ fn guidelines_reach_annotators_and_may_be_long() {
     settings.styles[0].guideline = "x".repeat(annotate::wire::MAX_GUIDELINE_CHARS + 1);
     let refused = boss.put("settings", &settings).problem();
     assert!(refused.detail.contains("guideline"), "{}", refused.detail);
-}
-
-#[test]
-fn a_style_without_a_guideline_is_written_as_before_there_were_any() {
-    let stored = r##"{"name":"old","text":"Short steps.","colour":"#8f6b00"}"##;
-    let style: Style = serde_json::from_str(stored).expect("a style");
-    assert_eq!(style.guideline, "");
-    assert_eq!(serde_json::to_string(&style).expect("JSON"), stored);
 }

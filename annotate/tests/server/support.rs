@@ -3,11 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
-use std::time::Duration;
 
 use annotate::Error;
 use annotate::http::{PATIENCE, Server, ServerConfig, UPLOAD_PATIENCE};
-use annotate::model::Model;
 use annotate::motions::MotionLibrary;
 use annotate::store::{
     KeyRange, MotionRecord, NewTask, ReviewDetail, Store, TaskDetail, TokenUse, open_sqlite,
@@ -35,7 +33,6 @@ pub(crate) const START: i64 = 1_700_000_000_000;
 pub(crate) const MINUTE: i64 = 60_000;
 pub(crate) const HOUR: i64 = 60 * MINUTE;
 pub(crate) const DAY: i64 = 24 * HOUR;
-/// Number of clips of the dataset.
 pub(crate) const CLIPS: usize = 20;
 
 /// 40 frames in which an arm swings; `variant` makes clips differ.
@@ -66,13 +63,11 @@ pub(crate) fn motion_row(id: &str, split: Split, motion: &Motion) -> MotionRow {
     }
 }
 
-/// Commits a table of a dataset.
 pub(crate) fn commit<R: Row>(root: &Path, rows: &[R], split: fn(&R) -> Split, plan: &str) {
     let skeleton = Skeleton::smplx_neutral();
     commit_rows(root, rows, Some(split), &skeleton, plan, "test").expect("a table");
 }
 
-/// The rows of a table of a dataset.
 pub(crate) fn read<R: Row>(root: &Path) -> Vec<R> {
     let dataset = Dataset::open(root).expect("a dataset");
     dataset.read(None).expect("rows")
@@ -156,19 +151,9 @@ pub(crate) struct Site {
 
 impl Site {
     pub(crate) fn new() -> Self {
-        Self::with_model(None)
+        Self::with(|_| {})
     }
 
-    pub(crate) fn with_model(model: Option<Model>) -> Self {
-        Self::with(|config| config.model = model)
-    }
-
-    /// A server with this request timeout.
-    pub(crate) fn with_patience(patience: Duration) -> Self {
-        Self::with(|config| config.patience = patience)
-    }
-
-    /// A server with changed settings.
     pub(crate) fn with(change: impl FnOnce(&mut ServerConfig)) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let root = folder.path().join("dataset");
@@ -210,12 +195,10 @@ impl Site {
         send(&agent(), "POST", &url, &headers, Some(body.as_bytes()))
     }
 
-    /// Adds a user and returns a client for them.
     pub(crate) fn person(&self, name: &str) -> Client {
         person(&self.store, &self.url(""), name, self.clock.now())
     }
 
-    /// Adds users and returns a client for each.
     pub(crate) fn people<const N: usize>(&self, names: [&str; N]) -> [Client; N] {
         names.map(|name| self.person(name))
     }
@@ -243,13 +226,11 @@ pub(crate) fn role(name: &str) -> Role {
     }
 }
 
-/// Adds a user and returns their id.
 pub(crate) fn join(store: &Store, name: &str, role: Role) -> i64 {
     let user = store.add_user(None, name, role, START);
     user.expect("a user").id
 }
 
-/// Adds a user and returns a client for them.
 pub(crate) fn person(store: &Store, base: &str, name: &str, now: i64) -> Client {
     let user = store.add_user(None, name, role(name), now).expect("a user");
     let token = store
@@ -264,7 +245,6 @@ pub(crate) fn person(store: &Store, base: &str, name: &str, now: i64) -> Client 
     }
 }
 
-/// Starts a server on a store.
 pub(crate) fn serve(
     store: &Arc<Store>,
     clock: &Hands,
@@ -315,7 +295,6 @@ pub(crate) fn plain_settings(store: &Store) {
     });
 }
 
-/// Changes settings.
 pub(crate) fn set(store: &Store, change: impl FnOnce(&mut Settings)) {
     let mut settings = store.settings().expect("settings");
     change(&mut settings);
@@ -327,7 +306,6 @@ pub(crate) fn rule(name: &str, accepts: RuleKind) -> Rule {
     from_json(json!({ "name": name, "enabled": true, "accepts": accepts }))
 }
 
-/// The code that an operation is refused with.
 pub(crate) fn refusal<T>(result: Result<T, Error>) -> Code {
     let error = result.err().expect("it is refused");
     error.problem().code
@@ -335,12 +313,10 @@ pub(crate) fn refusal<T>(result: Result<T, Error>) -> Code {
 
 static KEYS: AtomicU64 = AtomicU64::new(0);
 
-/// A new idempotency key.
 pub(crate) fn key() -> String {
     format!("test-key-{}", KEYS.fetch_add(1, Ordering::Relaxed))
 }
 
-/// A response.
 #[derive(Debug)]
 pub(crate) struct Answered {
     pub(crate) status: u16,
@@ -361,11 +337,6 @@ impl Answered {
 
     pub(crate) fn header(&self, name: &str) -> Option<&str> {
         self.headers.get(name)?.to_str().ok()
-    }
-
-    /// The cookie of a session.
-    pub(crate) fn cookie(&self) -> &str {
-        self.header("set-cookie").expect("a cookie")
     }
 
     pub(crate) fn problem(&self) -> Problem {
@@ -393,7 +364,6 @@ impl Answered {
     }
 }
 
-/// Sends a request with these headers.
 pub(crate) fn send(
     agent: &ureq::Agent,
     method: &str,
@@ -422,7 +392,6 @@ pub(crate) fn send(
     }
 }
 
-/// A user with a token.
 pub(crate) struct Client {
     pub(crate) base: String,
     pub(crate) user: User,
@@ -478,7 +447,6 @@ impl Client {
         self.next(kind).task.expect("a task")
     }
 
-    /// Sends an event of a task, and returns its result.
     pub(crate) fn tell(&self, view: &TaskView, event: NewEvent) -> EventResult {
         let path = format!("tasks/{}/events", view.task.id);
         let sent: EventResults = self.post(&path, &json!({ "events": [event] })).ok();
@@ -525,7 +493,6 @@ impl Client {
     }
 }
 
-/// A submit event.
 pub(crate) fn submit(view: &TaskView, answer: Answer) -> NewEvent {
     event(
         EventKind::Submit,
@@ -582,7 +549,6 @@ pub(crate) fn from_json<T: DeserializeOwned>(value: Value) -> T {
     serde_json::from_value(value).expect("all fields")
 }
 
-/// An answer of two masks.
 pub(crate) fn masks(text: &str) -> Answer {
     from_json(json!({ "kind": "mask_text", "masks": [
         { "parts": ["LEFT_ARM"], "text": text },
@@ -615,7 +581,6 @@ pub(crate) fn style() -> Answer {
     )
 }
 
-/// The range of all task keys.
 pub(crate) fn all_keys() -> KeyRange {
     KeyRange {
         after: String::new(),
@@ -631,7 +596,6 @@ pub(crate) fn bare_task(number: usize, kind: TaskKind) -> NewTask {
     }))
 }
 
-/// The motion of [`bare_task`].
 pub(crate) fn bare_motion() -> MotionRecord {
     from_json(json!({
         "hash": "hash", "id": "motion", "split": "train", "frames": 40, "fps": 20.0, "captions": [],
@@ -644,19 +608,20 @@ pub(crate) fn claim(store: &Store, user: i64, kind: TaskKind, now: i64) -> Optio
     claimed.ok().map(|(detail, _)| detail)
 }
 
-/// Sends an event of a claimed task to a store without a server.
-pub(crate) fn tell(
-    store: &Store,
-    user: i64,
+/// An event of a claimed task.
+pub(crate) fn event_of(
     detail: &TaskDetail,
     kind: EventKind,
     answer: impl Into<Option<Answer>>,
-    now: i64,
-) -> EventResult {
+) -> NewEvent {
     let epoch = detail.lease.as_ref().map_or(0, |lease| lease.epoch);
     let rev = detail.mine.as_ref().map_or(0, |mine| mine.rev);
-    let sent = event(kind, epoch, rev, answer);
-    let results = store.append(user, detail.task.id, vec![sent], now);
+    event(kind, epoch, rev, answer)
+}
+
+/// Sends an event to a store without a server, which takes it.
+pub(crate) fn tell(store: &Store, user: i64, task: i64, event: NewEvent, now: i64) -> EventResult {
+    let results = store.append(user, task, vec![event], now);
     let result = results.expect("takes events").remove(0);
     assert_eq!(result.status, 200, "{:?}", result.problem);
     result

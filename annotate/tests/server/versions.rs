@@ -4,10 +4,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use annotate::store::{Store, open_sqlite};
-use annotate::wire::{Answer, EventKind, MaskAnswer, Role, Settings, TaskKind, TaskState};
+use annotate::wire::{Answer, EventKind, MaskAnswer, Role, Settings, Style, TaskKind, TaskState};
 use rusqlite::Connection;
+use serde_json::json;
 
-use crate::support::{START, all_keys, claim, masks, tell, whole};
+use crate::support::{START, all_keys, claim, event_of, masks, tell, whole};
 
 /// Versions with a folder in `tests/stores`.
 const VERSIONS: [i64; 1] = [1];
@@ -80,8 +81,8 @@ fn check_upgraded(store: &Arc<Store>, version: i64) {
     let ann = users[1].id;
     let detail = claim(store, ann, TaskKind::MaskText, START).expect("a returned task");
     assert_eq!(detail.comment.as_deref(), Some("which arm?"));
-    let answer = masks("waving");
-    let result = tell(store, ann, &detail, EventKind::Submit, answer, START);
+    let submit = event_of(&detail, EventKind::Submit, masks("waving"));
+    let result = tell(store, ann, detail.task.id, submit, START);
     assert_eq!(result.state, Some(TaskState::Submitted));
     whole(store);
 }
@@ -199,11 +200,18 @@ fn stored_settings_without_a_field_get_its_default() {
     let path = folder.path().join("store.sqlite");
     drop(open_sqlite(&path).expect("a store"));
     let db = Connection::open(&path).expect("a file");
+    let old = Style {
+        text: "Short steps.".to_owned(),
+        ..Style::named("old")
+    };
     let settings = Settings {
         quota: 7,
+        styles: vec![Style::named("proud"), old],
         ..Settings::default()
     };
     let mut stored = serde_json::to_value(&settings).expect("JSON");
+    // A style may be stored as its name alone.
+    stored["styles"] = json!(["proud", { "name": "old", "text": "Short steps." }]);
     let fields = stored.as_object_mut().expect("an object");
     fields.remove("lease_minutes");
     fields.insert("of_a_newer_version".to_owned(), true.into());

@@ -2,10 +2,13 @@
 //!
 //! `cargo bench --bench kinematics`; one thread. Rates are frames a second.
 
+#[path = "shared/calibration.rs"]
+mod calibration;
+
 use std::hint::black_box;
 
 use divan::Bencher;
-use divan::counter::{BytesCount, ItemsCount};
+use divan::counter::ItemsCount;
 use glam::DVec3;
 use kinematics::fit::{AdamFit, FitOptions, fit_motion};
 use kinematics::rotation::from_axis_angle;
@@ -40,9 +43,8 @@ fn motion(num_frames: usize) -> Motion {
 #[divan::bench]
 fn keypoints(bencher: Bencher) {
     let (motion, skeleton) = (motion(NUM_FRAMES), Skeleton::smplx_neutral());
-    bencher
-        .counter(ItemsCount::new(NUM_FRAMES))
-        .bench_local(|| skeleton.motion_keypoints(black_box(&motion)));
+    let bencher = bencher.counter(ItemsCount::new(NUM_FRAMES));
+    bencher.bench_local(|| skeleton.motion_keypoints(black_box(&motion)));
 }
 
 /// Number of frames in the fit benchmarks: the published fit is slow.
@@ -53,9 +55,8 @@ fn fit_second_order(bencher: Bencher) {
     let (motion, skeleton) = (motion(NUM_FITTED), Skeleton::smplx_neutral());
     let points = skeleton.motion_keypoints(&motion).points;
     let options = FitOptions::default();
-    bencher
-        .counter(ItemsCount::new(NUM_FITTED))
-        .bench_local(|| fit_motion(&skeleton, black_box(&points), Fps::STORE, &options));
+    let bencher = bencher.counter(ItemsCount::new(NUM_FITTED));
+    bencher.bench_local(|| fit_motion(&skeleton, black_box(&points), Fps::STORE, &options));
 }
 
 #[divan::bench]
@@ -64,48 +65,6 @@ fn fit_adam(bencher: Bencher) {
     let points = skeleton.motion_keypoints(&motion).points;
     let start = AdamFit::parameters_of(&vec![Pose::REST; NUM_FITTED]);
     let fit = AdamFit::paper();
-    bencher
-        .counter(ItemsCount::new(NUM_FITTED))
-        .bench_local(|| fit.fit(&skeleton, black_box(&points), &start));
-}
-
-/// Throughput of the machine, measured in the same run.
-mod calibration {
-    use super::*;
-
-    const COPIED: usize = 16 << 20;
-    const SIDE: usize = 512;
-
-    /// Bytes read and written.
-    #[divan::bench]
-    fn copy(bencher: Bencher) {
-        let from = vec![1.0f32; COPIED];
-        let mut to = vec![0.0f32; COPIED];
-        bencher
-            .counter(BytesCount::new(2 * size_of_val(from.as_slice())))
-            .bench_local(|| black_box(&mut to).copy_from_slice(black_box(&from)));
-    }
-
-    /// A plain product of two square matrices, in floating-point operations a second.
-    #[divan::bench]
-    fn matrix_product(bencher: Bencher) {
-        let (a, b) = (vec![1.0f32; SIDE * SIDE], vec![0.5f32; SIDE * SIDE]);
-        let mut product = vec![0.0f32; SIDE * SIDE];
-        bencher
-            .counter(ItemsCount::new(2 * SIDE * SIDE * SIDE))
-            .bench_local(|| {
-                product.fill(0.0);
-                for (row, out) in black_box(&a)
-                    .chunks_exact(SIDE)
-                    .zip(product.chunks_exact_mut(SIDE))
-                {
-                    for (factor, line) in row.iter().zip(black_box(&b).chunks_exact(SIDE)) {
-                        for (sum, value) in out.iter_mut().zip(line) {
-                            *sum += factor * value;
-                        }
-                    }
-                }
-                black_box(&product);
-            });
-    }
+    let bencher = bencher.counter(ItemsCount::new(NUM_FITTED));
+    bencher.bench_local(|| fit.fit(&skeleton, black_box(&points), &start));
 }

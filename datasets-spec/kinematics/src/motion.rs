@@ -311,24 +311,19 @@ mod tests {
 
     #[test]
     fn broken_columns_are_refused_by_name() {
-        let fps = Fps::STORE;
-        let mut pose = vec![[0.0; BODY_POSE_WIDTH]; 3];
-        assert!(matches!(
-            Motion::new(fps, vec![[0.0; 3]; 2], vec![[0.0; 3]; 3], pose.clone()),
-            Err(Error::FrameCount { transl: 2, .. })
-        ));
+        let refused = |transl: usize, root: usize, pose: &[[f32; BODY_POSE_WIDTH]]| {
+            let (transl, root) = (vec![[0.0; 3]; transl], vec![[0.0; 3]; root]);
+            Motion::new(Fps::STORE, transl, root, pose.to_vec()).expect_err("broken")
+        };
+        let mut pose = [[0.0; BODY_POSE_WIDTH]; 3];
+        let error = refused(2, 3, &pose);
+        assert!(matches!(error, Error::FrameCount { transl: 2, .. }));
         pose[1][7] = f32::NAN;
-        assert!(matches!(
-            Motion::new(fps, vec![[0.0; 3]; 3], vec![[0.0; 3]; 3], pose),
-            Err(Error::NotFinite {
-                column: "body_pose",
-                frame: 1
-            })
-        ));
-        assert!(matches!(
-            Motion::new(fps, vec![], vec![], vec![]),
-            Err(Error::NoFrames)
-        ));
+        let Error::NotFinite { column, frame } = refused(3, 3, &pose) else {
+            panic!("a number is not finite");
+        };
+        assert_eq!((column, frame), ("body_pose", 1));
+        assert!(matches!(refused(0, 0, &[]), Error::NoFrames));
     }
 
     #[test]

@@ -374,11 +374,10 @@ mod tests {
 
     #[test]
     fn every_parent_precedes_its_child() {
-        for (child, &parent) in PARENTS.iter().enumerate() {
-            assert!(i64::from(parent) < child as i64);
-        }
-        for (child, &parent) in KEYPOINT_PARENTS.iter().enumerate() {
-            assert!(i64::from(parent) < child as i64);
+        for parents in [&PARENTS[..], &KEYPOINT_PARENTS] {
+            for (child, &parent) in parents.iter().enumerate() {
+                assert!(i64::from(parent) < child as i64);
+            }
         }
     }
 
@@ -407,9 +406,7 @@ mod tests {
         let toes = (skeleton.rest(10).y + skeleton.rest(11).y) / 2.0;
         assert!((skeleton.rest(15).y - toes - 1.5536).abs() < 5e-5);
         assert!(skeleton.rest(1).x > 0.0, "the left is at +x");
-        assert!(
-            skeleton.rest(10).z > skeleton.rest(7).z,
-            "the toes point to +z"
-        );
+        // The toes point to +z.
+        assert!(skeleton.rest(10).z > skeleton.rest(7).z);
     }
 }

@@ -474,10 +474,8 @@ mod tests {
         let missing = answer("NoSuchBucket", "<BucketName>clips</BucketName>");
         let said = sentence(&missing).expect("a sentence");
         assert!(said.starts_with("there is no bucket clips;"), "{said}");
-        assert_eq!(
-            sentence(&answer("SlowDown", "")).as_deref(),
-            Some("the storage answered SlowDown: It is not there")
-        );
+        let said = sentence(&answer("SlowDown", "")).expect("a sentence");
+        assert_eq!(said, "the storage answered SlowDown: It is not there");
         assert_eq!(sentence("connection refused"), None);
     }
 }

@@ -89,25 +89,19 @@ mod tests {
 
     #[test]
     fn urls_name_buckets_and_keys() {
-        let clips = place("s3://clips/set/data/train-0.parquet");
-        assert_eq!(
-            (clips.scheme, clips.root.as_str()),
-            (Scheme::S3, "s3://clips")
-        );
+        let url = "s3://clips/set/data/train-0.parquet";
+        let clips = place(url);
+        assert_eq!(clips.scheme, Scheme::S3);
+        assert_eq!(clips.root.as_str(), "s3://clips");
         assert_eq!(clips.key.as_ref(), "set/data/train-0.parquet");
-        assert_eq!(
-            clips.url(&clips.key),
-            Path::new("s3://clips/set/data/train-0.parquet")
-        );
+        assert_eq!(clips.url(&clips.key), Path::new(url));
         assert_eq!(place("gs://b").key.as_ref(), "");
         assert_eq!(place("az://b/a/").key.as_ref(), "a");
         // Object keys are used as written; paths of HTTP URLs are decoded.
         assert_eq!(place("s3://b/a%20b c#1").key.as_ref(), "a%20b c#1");
         let http = place("http://127.0.0.1:80/a%20b");
-        assert_eq!(
-            (http.authority.as_str(), http.key.as_ref()),
-            ("127.0.0.1:80", "a b")
-        );
+        assert_eq!(http.authority.as_str(), "127.0.0.1:80");
+        assert_eq!(http.key.as_ref(), "a b");
     }
 
     #[test]

@@ -95,10 +95,8 @@ mod tests {
     #[test]
     fn the_environment_names_the_cache_and_its_size() {
         let plain = settings(&[("HOME", "/home/a")]).expect("settings");
-        assert_eq!(
-            plain.cache,
-            Some(("/home/a/.cache/stance".into(), CACHE_SIZE))
-        );
+        let folder = "/home/a/.cache/stance".into();
+        assert_eq!(plain.cache, Some((folder, CACHE_SIZE)));
         let own = [
             ("STANCE_CACHE", "/c"),
             ("STANCE_REMOTE_CACHE_SIZE", "500 MB"),
@@ -109,15 +107,12 @@ mod tests {
         let off =
             settings(&[("HOME", "/home/a"), ("STANCE_REMOTE_CACHE_SIZE", "0")]).expect("settings");
         assert_eq!(off.cache, None);
-        let error = settings(&[("STANCE_REMOTE_CACHE_SIZE", "much")]).expect_err("malformed");
-        assert!(
-            error.to_string().contains("STANCE_REMOTE_CACHE_SIZE"),
-            "{error}"
-        );
-        let error = settings(&[("STANCE_REMOTE_RETRIES", "-1")]).expect_err("malformed");
-        assert!(
-            error.to_string().contains("STANCE_REMOTE_RETRIES"),
-            "{error}"
-        );
+        for (name, value) in [
+            ("STANCE_REMOTE_CACHE_SIZE", "much"),
+            ("STANCE_REMOTE_RETRIES", "-1"),
+        ] {
+            let error = settings(&[(name, value)]).expect_err("malformed");
+            assert!(error.to_string().contains(name), "{error}");
+        }
     }
 }

@@ -182,11 +182,8 @@ fn row(index: usize, frames: usize) -> MotionRow {
             let mut pose = Pose::REST;
             pose.transl.x = noise(frame, 0);
             for (joint, rotation) in pose.rotations.iter_mut().enumerate() {
-                *rotation = kinematics::rotation::from_axis_angle(glam::DVec3::new(
-                    noise(frame, joint + 1),
-                    noise(frame, joint + 101),
-                    noise(frame, joint + 201),
-                ));
+                let vector = [1, 101, 201].map(|shift| noise(frame, joint + shift));
+                *rotation = kinematics::rotation::from_axis_angle(vector.into());
             }
             pose
         })
@@ -194,6 +191,19 @@ fn row(index: usize, frames: usize) -> MotionRow {
     let motion = Motion::from_poses(datasets_spec::Fps::STORE, &poses).expect("valid");
     let id = MotionId::parse(&format!("clip{index}")).expect("valid");
     MotionRow::new(id, Split::Train, &motion)
+}
+
+fn rows(count: usize, frames: usize) -> Vec<MotionRow> {
+    (0..count).map(|index| row(index, frames)).collect()
+}
+
+fn read(dataset: &Dataset) -> Vec<MotionRow> {
+    dataset.read(None).expect("reads")
+}
+
+/// The files of the newest version in the folder that tools search.
+fn in_place(root: &Path) -> Vec<PathBuf> {
+    ByPath.files_below(&root.join("data")).expect("listed")
 }
 
 const NAME: ShardName = ShardName {
@@ -212,6 +222,12 @@ fn write(transaction: &Transaction, rows: &[MotionRow]) -> FileEntry {
     transaction
         .write_shard(&NAME, rows, &facts)
         .expect("writes")
+}
+
+fn put(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = ByPath.create(path)?;
+    file.write_all(bytes)?;
+    file.publish()
 }
 
 fn commit(transaction: Transaction, entry: FileEntry) -> Result<Dataset, Error> {
@@ -233,62 +249,51 @@ fn committed(root: &Path, rows: &[MotionRow]) -> Dataset {
 fn a_dataset_in_a_bucket_is_that_of_a_disk() {
     let (_, root) = bucket("a");
     let dir = tempfile::tempdir().expect("a folder");
-    let rows: Vec<MotionRow> = (0..5).map(|index| row(index, 20)).collect();
+    let rows = rows(5, 20);
     let local = committed(dir.path(), &rows);
     let remote = committed(&root, &rows);
     assert_eq!(remote.manifest(), local.manifest());
-    let opened = Dataset::open(&root).expect("opens");
-    assert_eq!(opened.read::<MotionRow>(None).expect("reads"), rows);
+    assert_eq!(read(&Dataset::open(&root).expect("opens")), rows);
     // The files of a second version have other names, and pruning keeps the files that it needs.
     let second = committed(&root, &rows[..3]);
     assert_eq!(second.manifest().version, 2);
     let pruned = begin(&root).prune(1, false).expect("prunes");
     assert_eq!((pruned.versions, pruned.files), (vec![1], 1));
-    let opened = Dataset::open(&root).expect("opens");
-    assert_eq!(opened.read::<MotionRow>(None).expect("reads"), rows[..3]);
-    let left: Vec<PathBuf> = ByPath.files_below(&root).expect("listed");
-    let names: Vec<&str> = left
-        .iter()
-        .filter_map(|path| path.strip_prefix(&root).ok()?.to_str())
-        .collect();
-    let data = "data/motions/train-00000-of-00001.v2.parquet";
-    assert_eq!(
-        names,
-        ["README.md", "croissant.json", data, "meta/manifest-2.json"]
-    );
+    assert_eq!(read(&Dataset::open(&root).expect("opens")), rows[..3]);
+    let left = ByPath.files_below(&root).expect("listed");
+    let expected = [
+        "README.md",
+        "croissant.json",
+        "data/motions/train-00000-of-00001.v2.parquet",
+        "meta/manifest-2.json",
+    ];
+    assert_eq!(left, expected.map(|name| root.join(name)));
 }
 
 #[test]
 fn who_opened_a_version_goes_on_reading_it_and_the_newest_one_alone_is_in_place() {
     let (_, root) = bucket("h");
-    let rows: Vec<MotionRow> = (0..5).map(|index| row(index, 20)).collect();
+    let rows = rows(5, 20);
     let first = committed(&root, &rows);
     let (path, _) = first.files(MotionRow::TABLE, None).remove(0);
     let opened = ShardReader::open(&path).expect("opens");
     committed(&root, &rows[..2]);
-    assert_eq!(
-        opened.rows_at::<MotionRow>(&[3]).expect("reads"),
-        rows[3..4]
-    );
-    assert_eq!(first.read::<MotionRow>(None).expect("reads"), rows);
+    let one: Vec<MotionRow> = opened.rows_at(&[3]).expect("reads");
+    assert_eq!(one, rows[3..4]);
+    assert_eq!(read(&first), rows);
     let old = Dataset::open_version(&root, 1).expect("whole");
-    assert_eq!(old.read::<MotionRow>(None).expect("reads"), rows);
-    let in_place = ByPath.files_below(&root.join("data")).expect("listed");
-    assert_eq!(in_place.len(), 1, "{in_place:?}");
+    assert_eq!(read(&old), rows);
+    assert_eq!(in_place(&root).len(), 1);
     let restored = begin(&root).restore(old.manifest(), BTreeMap::new(), "p");
     assert_eq!(restored.expect("commits").manifest().version, 3);
-    let newest = Dataset::open(&root).expect("opens");
-    assert_eq!(newest.read::<MotionRow>(None).expect("reads"), rows);
-    assert_eq!(
-        ByPath.files_below(&root.join("data")).expect("listed"),
-        [path]
-    );
+    assert_eq!(read(&Dataset::open(&root).expect("opens")), rows);
+    assert_eq!(in_place(&root), [path]);
 }
 
 #[test]
 fn a_clip_costs_one_request_after_the_footer() {
     let (bucket, root) = bucket("b");
-    let rows: Vec<MotionRow> = (0..60).map(|index| row(index, 400)).collect();
+    let rows = rows(60, 400);
     let dataset = committed(&root, &rows);
     let (path, entry) = dataset.files(MotionRow::TABLE, None).remove(0);
     assert!(entry.bytes > 4 << 20, "larger than what is read of its end");
@@ -298,25 +303,16 @@ fn a_clip_costs_one_request_after_the_footer() {
     assert_eq!(shard.num_rows(), 60);
     assert_eq!(reads(), 1, "a footer with the index of pages");
     for place in [0, 59, 17] {
-        let clip: Vec<FramesRow> = shard.rows_at(&[place]).expect("reads");
-        assert_eq!(
-            clip[0].clone().motion().expect("valid"),
-            rows[place].motion().expect("valid")
-        );
+        let mut clip: Vec<FramesRow> = shard.rows_at(&[place]).expect("reads");
+        let motion = clip.remove(0).motion().expect("valid");
+        assert_eq!(motion, rows[place].motion().expect("valid"));
         assert_eq!(reads(), 1, "clip {place}");
     }
-    assert_eq!(
-        shard.rows_at::<MotionRow>(&[33]).expect("reads"),
-        rows[33..34]
-    );
+    let one: Vec<MotionRow> = shard.rows_at(&[33]).expect("reads");
+    assert_eq!(one, rows[33..34]);
     assert_eq!(reads(), 1, "a row");
-    assert_eq!(
-        shard
-            .column::<MotionRow, MotionId>("id")
-            .expect("reads")
-            .len(),
-        60
-    );
+    let ids = shard.column::<MotionRow, MotionId>("id").expect("reads");
+    assert_eq!(ids.len(), 60);
     assert_eq!(reads(), 1, "a column");
 }
 
@@ -351,8 +347,7 @@ fn of_committers_of_one_version_one_wins() {
     }
     // No file of the first committer was replaced by the other.
     let opened = Dataset::open(&root).expect("opens");
-    let rows = opened.read::<MotionRow>(None).expect("reads");
-    assert_eq!(rows, [row(winners[0], 5)]);
+    assert_eq!(read(&opened), [row(winners[0], 5)]);
 }
 
 #[test]
@@ -406,7 +401,7 @@ fn a_write_whose_answer_is_lost_took_place() {
 #[test]
 fn a_body_that_ends_too_early_is_an_error() {
     let (bucket, root) = bucket("f");
-    let rows: Vec<MotionRow> = (0..5).map(|index| row(index, 200)).collect();
+    let rows = rows(5, 200);
     let dataset = committed(&root, &rows);
     let (path, _) = dataset.files(MotionRow::TABLE, None).remove(0);
     bucket.cuts_bodies.store(true, Ordering::SeqCst);
@@ -421,22 +416,16 @@ fn a_body_that_ends_too_early_is_an_error() {
 fn requests_that_fail_twice_are_made_again_and_those_that_go_on_failing_name_the_cause() {
     let (bucket, root) = bucket("i");
     let path = root.join("README.md");
-    let write = || {
-        let mut file = ByPath.create(&path)?;
-        file.write_all(b"text")?;
-        file.publish()
-    };
+    let write = || put(&path, b"text");
     let fail = |times| bucket.failures.store(times, Ordering::SeqCst);
     fail(2);
     write().expect("written");
     fail(2);
     assert_eq!(ByPath.open_at(&path).expect("opens").size(), 4);
     fail(usize::MAX);
-    for error in [
-        write().expect_err("fails"),
-        ByPath.open_at(&path).map(|_| ()).expect_err("fails"),
-    ] {
-        assert!(error.to_string().contains("the line is dead"), "{error}");
+    for result in [write(), ByPath.open_at(&path).map(|_| ())] {
+        let error = result.expect_err("fails").to_string();
+        assert!(error.contains("the line is dead"), "{error}");
     }
     fail(0);
 }
@@ -465,23 +454,15 @@ fn an_altered_file_is_found_when_it_is_read_whole() {
     let mut bytes = ByPath.read(&path).expect("reads");
     let middle = bytes.len() / 3;
     bytes[middle] ^= 1;
-    let mut file = ByPath.create(&path).expect("begins");
-    file.write_all(&bytes).expect("writes");
-    file.publish().expect("appears");
+    put(&path, &bytes).expect("appears");
     let opened = Dataset::open(&root).expect("the sizes are right");
     let error = opened.read::<QuarantineRow>(None).expect_err("altered");
-    assert_eq!(
-        error.code(),
-        Some(("E-IO", Some(path.display().to_string())))
-    );
-    assert!(
-        format!("{error:?}").contains("BLAKE3 expected"),
-        "{error:?}"
-    );
+    let named = Some(path.display().to_string());
+    assert_eq!(error.code(), Some(("E-IO", named)));
+    let said = format!("{error:?}");
+    assert!(said.contains("BLAKE3 expected"), "{said}");
     // A file of another size is found on opening.
-    let mut file = ByPath.create(&path).expect("begins");
-    file.write_all(&bytes[1..]).expect("writes");
-    file.publish().expect("appears");
+    put(&path, &bytes[1..]).expect("appears");
     assert!(matches!(Dataset::open(&root), Err(Error::Corrupt { .. })));
     assert!(bucket.reads.load(Ordering::SeqCst) > 0);
 }

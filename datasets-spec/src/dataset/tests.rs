@@ -51,11 +51,6 @@ fn row(index: usize) -> MotionRow {
     }
 }
 
-fn rows_at(path: &Path, rows: &[usize]) -> Vec<MotionRow> {
-    let shard = ShardReader::open(path).expect("opens");
-    shard.rows_at(rows).expect("reads")
-}
-
 fn shard(index: usize, of: usize) -> ShardName {
     ShardName {
         table: MotionRow::TABLE,
@@ -97,7 +92,8 @@ fn single_clips_are_read_as_they_were_written() {
                     let clip: Vec<FramesRow> = reader.rows_at(&[at]).expect("read");
                     let motion = clip[0].clone().motion().expect("valid");
                     assert_eq!(motion, rows[at].motion().expect("valid"));
-                    let one: Vec<MotionRow> = rows_at(path, &[at]);
+                    let shard = ShardReader::open(path).expect("opens");
+                    let one: Vec<MotionRow> = shard.rows_at(&[at]).expect("reads");
                     assert_eq!(one[0], rows[at]);
                 }
             });
@@ -107,35 +103,25 @@ fn single_clips_are_read_as_they_were_written() {
 
 #[test]
 fn rows_come_back_bit_for_bit_and_bytes_repeat() {
-    let (a, b) = (
-        tempfile::tempdir().expect("dir"),
-        tempfile::tempdir().expect("dir"),
-    );
+    let [a, b] = [(); 2].map(|()| tempfile::tempdir().expect("dir"));
     let rows: Vec<MotionRow> = (0..300).map(row).collect();
     let first = commit_motions(a.path(), &rows);
     let second = commit_motions(b.path(), &rows);
     assert_eq!(first.manifest().root_hash, second.manifest().root_hash);
-    let read: Vec<MotionRow> = Dataset::open(a.path())
-        .expect("opens")
-        .read(None)
-        .expect("reads");
+    let opened = Dataset::open(a.path()).expect("opens");
+    let read: Vec<MotionRow> = opened.read(None).expect("reads");
     assert_eq!(read, rows);
-    assert_eq!(
-        read[7].motion().expect("valid").content_hash(),
-        rows[7].content_hash
-    );
+    let motion = read[7].motion().expect("valid");
+    assert_eq!(motion.content_hash(), rows[7].content_hash);
 }
 
 #[test]
 fn half_written_files_go_when_the_next_run_begins() {
     let dir = tempfile::tempdir().expect("dir");
     commit_motions(dir.path(), &[row(0)]);
-    let left = [
-        "data/motions/.x",
-        "meta/.manifest-2.json",
-        ".stance/..gitignore",
-    ];
+    let left = "data/motions/.x meta/.manifest-2.json .stance/..gitignore".split(' ');
     let left = left.map(|name| dir.path().join(format!("{name}.0123456789abcdef-1.tmp")));
+    let left: Vec<_> = left.collect();
     let of_a_user = dir.path().join(".notes.tmp");
     fs::create_dir_all(dir.path().join(PRIVATE)).expect("made");
     for path in left.iter().chain([&of_a_user]) {
@@ -144,19 +130,6 @@ fn half_written_files_go_when_the_next_run_begins() {
     drop(Transaction::begin(dir.path(), "t").expect("lock"));
     assert!(left.iter().all(|path| !path.exists()), "{left:?}");
     assert!(of_a_user.is_file());
-}
-
-#[test]
-fn single_rows_are_read_by_their_place() {
-    let dir = tempfile::tempdir().expect("dir");
-    let rows: Vec<MotionRow> = (0..300).map(row).collect();
-    let dataset = commit_motions(dir.path(), &rows);
-    let (path, _) = &dataset.files(MotionRow::TABLE, None)[0];
-    let some: Vec<MotionRow> = rows_at(path, &[299, 0, 257, 0]);
-    assert_eq!(
-        some,
-        [rows[0].clone(), rows[257].clone(), rows[299].clone()]
-    );
 }
 
 #[test]
@@ -194,10 +167,8 @@ fn an_altered_byte_is_found_on_open() {
     let middle = bytes.len() / 3;
     bytes[middle] ^= 1;
     fs::write(&path, bytes).expect("writes");
-    assert!(matches!(
-        Dataset::open(dir.path()),
-        Err(Error::Corrupt { .. })
-    ));
+    let opened = Dataset::open(dir.path());
+    assert!(matches!(opened, Err(Error::Corrupt { .. })));
 }
 
 #[test]
@@ -268,61 +239,38 @@ fn a_commit_removes_what_is_staged_for_earlier_versions_alone() {
 }
 
 #[test]
-fn a_replaced_table_keeps_the_old_version_readable() {
+fn a_replaced_version_stays_readable_and_becomes_the_newest_one_again() {
     let dir = tempfile::tempdir().expect("dir");
-    let old = commit_motions(dir.path(), &[row(0)]);
-    let new = commit_motions(dir.path(), &[row(1), row(2)]);
-    assert_eq!(new.manifest().version, 2);
-    assert_eq!(old.read::<MotionRow>(None).expect("reads"), [row(0)]);
-    assert_eq!(
-        Dataset::open(dir.path())
-            .expect("opens")
-            .read::<MotionRow>(None)
-            .expect("reads")
-            .len(),
-        2
-    );
+    let first = commit_motions(dir.path(), &[row(0)]);
+    let second = commit_motions(dir.path(), &[row(1), row(2)]);
+    assert_eq!(second.manifest().version, 2);
+    let read = |dataset: &Dataset| dataset.read::<MotionRow>(None).expect("reads");
+    let newest = || Dataset::open(dir.path()).expect("opens");
+    assert_eq!(read(&first), [row(0)]);
+    assert_eq!(read(&newest()), [row(1), row(2)]);
     // Each version has its files, the newest one in the folder that tools search, and no other files exist.
-    let names = |folder: &str| -> Vec<String> {
+    let names = |folder: &str| -> Vec<_> {
         let entries = fs::read_dir(dir.path().join(folder)).expect("lists");
         let names = entries.map(|entry| entry.expect("entry").file_name());
-        names
-            .map(|name| name.to_string_lossy().into_owned())
-            .collect()
+        names.collect()
     };
     assert_eq!(names("data/motions"), ["train-00000-of-00001.v2.parquet"]);
     assert_eq!(names("meta/aside/motions"), ["train-00000-of-00001"]);
-}
 
-#[test]
-fn an_older_version_becomes_the_newest_one() {
-    let dir = tempfile::tempdir().expect("dir");
-    let first = commit_motions(dir.path(), &[row(0)]);
-    commit_motions(dir.path(), &[row(1), row(2)]);
     let transaction = Transaction::begin(dir.path(), "test").expect("lock");
     let old = Dataset::open_version(dir.path(), 1).expect("there");
     assert_eq!(old.manifest(), first.manifest());
-    let restored = transaction
-        .restore(old.manifest(), BTreeMap::new(), "p")
-        .expect("commits");
+    let restored = transaction.restore(old.manifest(), BTreeMap::new(), "p");
+    let restored = restored.expect("commits");
     assert_eq!(restored.manifest().version, 3);
     assert_eq!(restored.manifest().root_hash, first.manifest().root_hash);
-    let newest = Dataset::open(dir.path()).expect("opens");
-    assert_eq!(newest.read::<MotionRow>(None).expect("reads"), [row(0)]);
+    assert_eq!(read(&newest()), [row(0)]);
     let place = dir.path().join("data/motions/train-00000-of-00001.parquet");
     assert!(place.exists(), "the file is back in its place");
     let versions = Dataset::versions(dir.path()).expect("a dataset");
-    assert_eq!(
-        versions
-            .iter()
-            .map(|manifest| manifest.version)
-            .collect::<Vec<_>>(),
-        [1, 2, 3]
-    );
-    assert!(matches!(
-        Dataset::open_version(dir.path(), 7),
-        Err(Error::NoVersion { version: 7, .. })
-    ));
+    assert!(versions.iter().map(|version| version.version).eq(1..=3));
+    let missing = Dataset::open_version(dir.path(), 7);
+    assert!(matches!(missing, Err(Error::NoVersion { version: 7, .. })));
 }
 
 #[test]
@@ -391,10 +339,8 @@ fn a_table_that_comes_back_leaves_the_files_of_older_versions_as_they_are() {
             let found = blake3::hash(&ByPath.read(&path).expect("reads"));
             assert_eq!(found.to_hex().as_str(), file.blake3, "{}", file.path);
         }
-        assert_eq!(
-            version.read::<MotionRow>(None).expect("reads"),
-            [row(index)]
-        );
+        let rows: Vec<MotionRow> = version.read(None).expect("reads");
+        assert_eq!(rows, [row(index)]);
     }
 }
 
@@ -412,15 +358,10 @@ fn another_table_in_place_of_the_expected_one_is_an_error() {
 #[test]
 fn folders_that_are_no_dataset_say_so() {
     let dir = tempfile::tempdir().expect("dir");
-    assert!(matches!(
-        Dataset::open(dir.path()),
-        Err(Error::NotADataset { .. })
-    ));
-    let missing = dir.path().join("missing");
-    assert!(matches!(
-        Dataset::open(&missing),
-        Err(Error::NotADataset { .. })
-    ));
+    for folder in [dir.path().to_owned(), dir.path().join("missing")] {
+        let opened = Dataset::open(&folder);
+        assert!(matches!(opened, Err(Error::NotADataset { .. })));
+    }
 }
 
 /// The newest manifest of a dataset with some text replaced.

@@ -90,19 +90,13 @@ pub(crate) mod tests {
         let mut open: Vec<&str> = Vec::new();
         let mut rest = markup;
         while let Some(start) = rest.find('<') {
-            assert!(
-                !rest[..start].contains('>'),
-                "stray > in {:?}",
-                &rest[..start]
-            );
+            let between = &rest[..start];
+            assert!(!between.contains('>'), "stray > in {between:?}");
             let end = start + rest[start..].find('>').expect("a tag ends");
             let tag = &rest[start + 1..end];
             assert!(!tag.contains('<'), "a tag inside <{tag}>");
-            assert_eq!(
-                tag.matches('"').count() % 2,
-                0,
-                "an open attribute in <{tag}>"
-            );
+            let quotes = tag.matches('"').count();
+            assert_eq!(quotes % 2, 0, "an open attribute in <{tag}>");
             rest = &rest[end + 1..];
             if let Some(name) = tag.strip_prefix('/') {
                 assert_eq!(open.pop(), Some(name), "before {:.60}", rest);
@@ -122,10 +116,9 @@ pub(crate) mod tests {
 
     #[test]
     fn markup_in_a_text_is_harmless() {
-        assert_eq!(
-            escaped("<script>\"a\" & 'b'\u{0}</script>\n"),
-            "&lt;script&gt;&quot;a&quot; &amp; &#39;b&#39;&lt;/script&gt; "
-        );
+        let text = escaped("<script>\"a\" & 'b'\u{0}</script>\n");
+        let expected = "&lt;script&gt;&quot;a&quot; &amp; &#39;b&#39;&lt;/script&gt; ";
+        assert_eq!(text, expected);
     }
 
     #[test]

@@ -640,43 +640,33 @@ mod tests {
     use crate::draw::tests::check_nesting;
 
     fn sample(y_scale: Scale, points: Vec<(f64, f64)>) -> Plot {
+        let curve = |name: &str, points| Curve {
+            name: name.to_owned(),
+            points,
+            ..Curve::default()
+        };
+        let val = curve("val \"x\"", vec![(0.0, 0.5), (10.0, 0.25)]);
         Plot {
             title: "Loss <train>".to_owned(),
             x_label: "step".to_owned(),
             y_label: "loss".to_owned(),
             y_scale,
-            curves: vec![
-                Curve {
-                    name: "train".to_owned(),
-                    points,
-                    ..Curve::default()
-                },
-                Curve {
-                    name: "val \"x\"".to_owned(),
-                    points: vec![(0.0, 0.5), (10.0, 0.25)],
-                    ..Curve::default()
-                },
-            ],
+            curves: vec![curve("train", points), val],
             ..Plot::default()
         }
     }
 
     #[test]
     fn a_legend_stands_below_a_title_that_leaves_no_room_beside_it() {
-        let plotted = |title: &str| {
-            plot(&Plot {
+        let long = "A title that is as wide as the whole drawing is, and so leaves no room";
+        // The title and the two names stand side by side, or the title alone.
+        for (title, beside) in [("Loss", 3), (long, 1)] {
+            let svg = plot(&Plot {
                 title: title.to_owned(),
                 ..sample(Scale::Linear, vec![(0.0, 1.0), (10.0, 0.5)])
-            })
-        };
-        let beside = r#"y="16.0""#;
-        assert_eq!(
-            plotted("Loss").matches(beside).count(),
-            3,
-            "title and two names"
-        );
-        let long = "A title that is as wide as the whole drawing is, and so leaves no room";
-        assert_eq!(plotted(long).matches(beside).count(), 1, "the title alone");
+            });
+            assert_eq!(svg.matches(r#"y="16.0""#).count(), beside, "{title}");
+        }
     }
 
     #[test]
@@ -721,19 +711,6 @@ mod tests {
     }
 
     #[test]
-    fn a_plot_is_well_formed_and_escaped() {
-        let points: Vec<(f64, f64)> = (0..100)
-            .map(|i| (f64::from(i), (-f64::from(i) / 20.0).exp()))
-            .collect();
-        for scale in [Scale::Linear, Scale::Log] {
-            let svg = plot(&sample(scale, points.clone()));
-            check_nesting(&svg);
-            assert!(svg.contains("Loss &lt;train&gt;") && svg.contains("val &quot;x&quot;"));
-            assert!(!svg.contains("NaN") && !svg.contains("inf"));
-        }
-    }
-
-    #[test]
     fn intervals_are_drawn_and_names_stand_for_numbers() {
         let mut named = sample(Scale::Linear, vec![(0.0, 3.0), (1.0, 4.0), (2.0, 5.0)]);
         named.x_names = ["off", "on", "<both>"].map(str::to_owned).to_vec();
@@ -751,35 +728,37 @@ mod tests {
 
     #[test]
     fn values_without_a_place_interrupt_the_line() {
-        let points = vec![
-            (0.0, 1.0),
-            (1.0, 0.5),
-            (2.0, f64::NAN),
-            (3.0, 0.2),
-            (4.0, -1.0),
-            (5.0, 0.1),
-        ];
-        let linear = sample(Scale::Linear, points.clone());
-        let axes = Axes::around(&linear).expect("points");
-        assert_eq!(axes.path(&points).matches('M').count(), 2);
-        let log = sample(Scale::Log, points.clone());
-        let axes = Axes::around(&log).expect("points");
-        assert_eq!(axes.path(&points).matches('M').count(), 3);
+        let values = [1.0, 0.5, f64::NAN, 0.2, -1.0, 0.1];
+        let points: Vec<(f64, f64)> =
+            std::iter::zip([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], values).collect();
+        for (scale, lines) in [(Scale::Linear, 2), (Scale::Log, 3)] {
+            let axes = Axes::around(&sample(scale, points.clone())).expect("points");
+            assert_eq!(axes.path(&points).matches('M').count(), lines);
+        }
     }
 
     #[test]
-    fn degenerate_plots_are_still_drawings() {
-        for points in [
-            vec![],
-            vec![(3.0, 2.0)],
-            vec![(0.0, f64::NAN)],
-            vec![(1.0, 5.0), (2.0, 5.0)],
-        ] {
+    fn plots_are_well_formed_and_escaped_even_if_degenerate() {
+        let check = |plotted: &Plot| {
+            let svg = plot(plotted);
+            check_nesting(&svg);
+            assert!(
+                svg.contains("Loss &lt;train&gt;") && !svg.contains("NaN"),
+                "{svg}"
+            );
+            svg
+        };
+        let falling = (0..100).map(|i| (f64::from(i), (-f64::from(i) / 20.0).exp()));
+        let falling: Vec<(f64, f64)> = falling.collect();
+        for scale in [Scale::Linear, Scale::Log] {
+            let svg = check(&sample(scale, falling.clone()));
+            assert!(svg.contains("val &quot;x&quot;") && !svg.contains("inf"));
+        }
+        let flat = vec![(1.0, 5.0), (2.0, 5.0)];
+        for points in [vec![], vec![(3.0, 2.0)], vec![(0.0, f64::NAN)], flat] {
             let mut only = sample(Scale::Log, points);
             only.curves.truncate(1);
-            let svg = plot(&only);
-            check_nesting(&svg);
-            assert!(!svg.contains("NaN"), "{svg}");
+            check(&only);
         }
         check_nesting(&bar_chart(&chart(Vec::new())));
     }

@@ -107,15 +107,12 @@ mod tests {
 
     #[test]
     fn columns_of_a_terminal_are_straight() {
-        let text = grid().text();
         let rule = "─".repeat(20);
-        assert_eq!(
-            text,
-            format!(
-                "Times\n{rule}\nwindow           FPS\n{rule}\n16-frame       24.76\n\
-                 a|b, \"c\" & 5%      9\n{rule}\n"
-            )
+        let expected = format!(
+            "Times\n{rule}\nwindow           FPS\n{rule}\n16-frame       24.76\n\
+             a|b, \"c\" & 5%      9\n{rule}\n"
         );
+        assert_eq!(grid().text(), expected);
     }
 
     #[test]
@@ -132,9 +129,7 @@ mod tests {
              16-frame & 24.76 \\\\\na\\textbar{}b, \"c\" \\& 5\\% & 9 \\\\\n\
              \\bottomrule\n\\end{tabular}\n"
         );
-        assert_eq!(
-            grid.csv(),
-            "window,FPS\n16-frame,24.76\n\"a|b, \"\"c\"\" & 5%\",9\n"
-        );
+        let csv = "window,FPS\n16-frame,24.76\n\"a|b, \"\"c\"\" & 5%\",9\n";
+        assert_eq!(grid.csv(), csv);
     }
 }

@@ -110,11 +110,8 @@ mod tests {
         table.rows[2].system = "a & b \\input{x}".to_owned();
         table.rows[1].cells[2] = None;
         let text = render(&[table]);
-        let rows: Vec<Vec<&str>> = text
-            .lines()
-            .filter_map(|line| line.strip_suffix(" \\\\"))
-            .map(|line| line.split(" & ").collect())
-            .collect();
+        let rows = text.lines().filter_map(|line| line.strip_suffix(" \\\\"));
+        let rows: Vec<Vec<&str>> = rows.map(|line| line.split(" & ").collect()).collect();
         assert_eq!(rows[0][..2], ["Method", "FID $\\downarrow$"]);
         assert_eq!((rows[2][0], rows[2][3]), ("Identity", "--"));
         // TeX does not treat the escaped ampersand of the name as a cell separator.

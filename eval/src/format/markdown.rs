@@ -94,19 +94,13 @@ mod tests {
         table.rows[1].cells[2] = None;
         let labels: Vec<String> = table.columns.iter().map(|column| column.label()).collect();
         let text = render(&[table]);
-        let rows: Vec<Vec<String>> = text
-            .lines()
-            .filter(|line| line.starts_with('|'))
-            .map(cells)
-            .collect();
+        let rows = text.lines().filter(|line| line.starts_with('|'));
+        let rows: Vec<Vec<String>> = rows.map(cells).collect();
         // Header, rule and four systems.
         assert_eq!(rows.len(), 6);
         assert_eq!(rows[0], [vec!["System".to_owned()], labels].concat());
         assert_eq!(rows[1][..2], [":--", "--:"]);
-        assert_eq!(
-            (rows[3][0].as_str(), rows[3][3].as_str()),
-            ("Identity", "–")
-        );
+        assert_eq!([&rows[3][0], &rows[3][3]], ["Identity", "–"]);
         let (recall, rank) = ("**90.00 ±0.90**", "**2.22 ±0.02**");
         let best = [
             "ours\\_100%\\|&lt;b&gt;",

@@ -74,21 +74,20 @@ mod tests {
         let texts = Matrix::from_rows(&[[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]);
         let motions = Matrix::from_rows(&[[0.8, 0.6], [1.0, 0.0], [0.0, 1.0]]);
         let galleries = [vec![0, 1, 2]];
-        let exact = cross_ranks(&texts, &motions, &galleries, |a, b| a == b)
-            .expect("valid")
-            .retrieval();
+        let ranked = |same: fn(usize, usize) -> bool| {
+            let ranks = cross_ranks(&texts, &motions, &galleries, same);
+            ranks.expect("valid").retrieval()
+        };
+        let exact = ranked(|a, b| a == b);
         // The first text is nearest to the motion of the second item, which has the same text.
         assert_eq!(exact.text_to_motion.recall[0], 200.0 / 3.0);
         assert_eq!(exact.text_to_motion.average_rank, 4.0 / 3.0);
         // The two equal texts tie for the first motion.
         assert_eq!(exact.motion_to_text.recall[0], 100.0);
         assert_eq!(exact.motion_to_text.average_rank, 4.0 / 3.0);
-        let same = |a: usize, b: usize| a == b || a.max(b) == 1;
-        let shared = cross_ranks(&texts, &motions, &galleries, same)
-            .expect("valid")
-            .retrieval();
+        let shared = ranked(|a, b| a == b || a.max(b) == 1);
         assert_eq!(shared.text_to_motion.recall[0], 100.0);
-        assert!(cross_ranks(&texts, &motions, &[], same).is_err());
+        assert!(cross_ranks(&texts, &motions, &[], |a, b| a == b).is_err());
     }
 
     /// R-precision of the T2M evaluation: the shares of texts whose motion is among the nearest 1, 2 and 3 of a batch.

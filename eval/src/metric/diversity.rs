@@ -111,19 +111,11 @@ mod tests {
     #[test]
     fn golden_diversity_agrees_with_the_reference() {
         let golden = Golden::read("metrics_t2m");
-        let value = diversity_of_pairs(
-            &golden.matrix("in.div.features"),
-            &golden.indices("in.div.first"),
-            &golden.indices("in.div.second"),
-        )
-        .expect("valid");
-        golden.check_scalar(
-            "diversity",
-            value,
-            golden.scalar("out.div.value"),
-            0.0,
-            1e-9,
-        );
+        let [first, second] = ["in.div.first", "in.div.second"].map(|name| golden.indices(name));
+        let features = golden.matrix("in.div.features");
+        let value = diversity_of_pairs(&features, &first, &second).expect("valid");
+        let expected = golden.scalar("out.div.value");
+        golden.check_scalar("diversity", value, expected, 0.0, 1e-9);
     }
 
     #[test]

@@ -287,46 +287,41 @@ mod tests {
             }
         }
         let gaussian = Gaussian::of_latents(&golden.matrix("in.generic.a")).expect("valid set");
-        for (found, expected) in [
-            (&gaussian.mean[..], golden.numbers("out.generic.mu_a")),
-            (
-                &gaussian.covariance.rows().collect::<Vec<_>>().concat(),
-                golden.numbers("out.generic.cov_a"),
-            ),
-        ] {
+        let covariance = gaussian.covariance.rows().collect::<Vec<_>>().concat();
+        for (found, name) in [(gaussian.mean, "mu_a"), (covariance, "cov_a")] {
+            let expected = golden.numbers(&format!("out.generic.{name}"));
             assert_eq!(found.len(), expected.len());
             for (found, expected) in found.iter().zip(expected) {
-                golden.check_scalar("moments", *found, expected, 1e-12, 1e-12);
+                golden.check_scalar(name, *found, expected, 1e-12, 1e-12);
             }
         }
     }
 
     #[test]
     fn gaussians_with_known_distance() {
+        let of = |[x, y]: [f64; 2], covariance: Matrix| {
+            Gaussian::new(vec![x, y], covariance).expect("valid")
+        };
+        let check = |a: Gaussian, b: Gaussian, expected: f64| {
+            let value = Reference::new(a).distance(&b).expect("same size");
+            assert!((value - expected).abs() < 1e-12, "{value} {expected}");
+        };
         // With commuting covariances the trace term is the sum of (√a - √b)².
         for angle in [0.0, 0.3, 1.2] {
-            let a = Gaussian::new(vec![1.0, -2.0], turned([4.0, 9.0], angle)).expect("valid");
-            let b = Gaussian::new(vec![4.0, 2.0], turned([1.0, 16.0], angle)).expect("valid");
-            let value = Reference::new(a).distance(&b).expect("same size");
-            assert!(
-                (value - (25.0 + 1.0 + 1.0)).abs() < 1e-12,
-                "{angle}: {value}"
-            );
+            let a = of([1.0, -2.0], turned([4.0, 9.0], angle));
+            let b = of([4.0, 2.0], turned([1.0, 16.0], angle));
+            check(a, b, 25.0 + 1.0 + 1.0);
         }
         // For orthogonal principal axes the cross term is zero, so only the traces remain.
-        let a = Gaussian::new(vec![0.0; 2], Matrix::diagonal(&[4.0, 0.0])).expect("valid");
-        let b = Gaussian::new(vec![0.0; 2], Matrix::diagonal(&[0.0, 9.0])).expect("valid");
-        let value = Reference::new(a).distance(&b).expect("same size");
-        assert!((value - 13.0).abs() < 1e-12);
+        let [a, b] = [[4.0, 0.0], [0.0, 9.0]].map(|axes| of([0.0; 2], Matrix::diagonal(&axes)));
+        check(a, b, 13.0);
     }
 
     #[test]
     fn a_shifted_or_scaled_copy_has_the_distance_of_its_moments() {
         let latents = random(60, 8, 1);
-        let (_, covariance) = mean_and_covariance(&latents);
-        let mut shifted = latents.clone();
-        let mut scaled = latents.clone();
-        let (mean, _) = mean_and_covariance(&latents);
+        let (mean, covariance) = mean_and_covariance(&latents);
+        let [mut shifted, mut scaled] = [latents.clone(), latents.clone()];
         for row in 0..latents.num_rows() {
             shifted.row_mut(row)[3] += 2.5;
             for (value, mean) in scaled.row_mut(row).iter_mut().zip(&mean) {
@@ -336,24 +331,17 @@ mod tests {
         let by_shift = fid(&latents, &shifted).expect("valid");
         assert!((by_shift - 6.25).abs() < 1e-10, "{by_shift}");
         // The distance is (1 - 3)² times the trace.
-        let by_scale = fid(&latents, &scaled).expect("valid");
-        assert!(
-            (by_scale - 4.0 * covariance.trace()).abs() < 1e-10,
-            "{by_scale}"
-        );
+        let (by_scale, expected) = (fid(&latents, &scaled), 4.0 * covariance.trace());
+        assert!((by_scale.expect("valid") - expected).abs() < 1e-10);
     }
 
     #[test]
-    fn a_set_is_at_no_distance_from_itself_even_with_few_samples() {
+    fn distances_of_few_rows_are_those_of_many_and_none_from_a_set_to_itself() {
         for (num_rows, num_cols) in [(50, 10), (6, 40), (2, 5)] {
             let latents = random(num_rows, num_cols, 2);
             // The tolerance covers rounding of the trace, about the dimension times the precision.
             assert!(fid(&latents, &latents).expect("valid") < 1e-11);
         }
-    }
-
-    #[test]
-    fn distances_of_few_rows_are_those_of_many() {
         for (num_rows, num_cols) in [(30, 8), (20, 40), (2, 5)] {
             let real = random(num_rows, num_cols, 4);
             let mut others = [random(num_rows + 3, num_cols, 5), random(2, num_cols, 6)];

@@ -140,19 +140,15 @@ mod tests {
     }
 
     #[test]
-    fn one_planted_joint_is_enough_for_a_full_score() {
+    fn a_slide_costs_its_speed_above_the_threshold_and_one_planted_joint_is_enough() {
         let feet = sliding([3.0, 0.0, 3.0, 3.0], 0.02, 20.0);
         assert_eq!(foot_score(&feet, fps(20.0), Floor::At(0.0)), Some(1.0));
-    }
-
-    #[test]
-    fn a_slide_costs_its_speed_above_the_threshold() {
         let feet = sliding([0.575, 1.0, 2.0, 0.9], 0.0, 20.0);
-        let score = foot_score(&feet, fps(20.0), Floor::Lowest).expect("long enough");
-        assert!((score - (-0.5f64).exp()).abs() < 1e-12, "{score}");
         // The same frames played twice as fast slide twice as fast.
-        let score = foot_score(&feet, fps(40.0), Floor::Lowest).expect("long enough");
-        assert!((score - (-1.075f64).exp()).abs() < 1e-12, "{score}");
+        for (rate, excess) in [(20.0, 0.5f64), (40.0, 1.075)] {
+            let score = foot_score(&feet, fps(rate), Floor::Lowest).expect("long enough");
+            assert!((score - (-excess).exp()).abs() < 1e-12, "{score}");
+        }
     }
 
     #[test]
@@ -161,16 +157,12 @@ mod tests {
             let feet = sliding([0.0; 4], height, 20.0);
             let score = foot_score(&feet, fps(20.0), Floor::At(0.0)).expect("long enough");
             assert!((score - (-0.2f64).exp()).abs() < 1e-12, "{score}");
-            assert_eq!(foot_score(&feet, fps(20.0), Floor::Lowest), Some(1.0));
+            // Clips without an interior frame have no score.
+            for (frames, expected) in [(20, Some(1.0)), (3, Some(1.0)), (2, None), (0, None)] {
+                let score = foot_score(&feet[..frames], fps(20.0), Floor::Lowest);
+                assert_eq!(score, expected);
+            }
         }
-    }
-
-    #[test]
-    fn clips_without_an_interior_frame_have_no_score() {
-        let feet = sliding([0.0; 4], 0.0, 20.0);
-        assert_eq!(foot_score(&feet[..2], fps(20.0), Floor::Lowest), None);
-        assert_eq!(foot_score(&[], fps(20.0), Floor::Lowest), None);
-        assert!(foot_score(&feet[..3], fps(20.0), Floor::Lowest).is_some());
     }
 
     proptest! {

@@ -142,26 +142,16 @@ mod tests {
         for (metric, values) in repeats.rows().enumerate() {
             let interval = Interval::of(values);
             golden.check_scalar("mean", interval.mean, means[metric], 0.0, 1e-9);
-            golden.check_scalar(
-                "half width",
-                interval.ci95.unwrap_or(0.0),
-                half_widths[metric],
-                0.0,
-                1e-9,
-            );
+            let half_width = interval.ci95.unwrap_or(0.0);
+            golden.check_scalar("half width", half_width, half_widths[metric], 0.0, 1e-9);
         }
     }
 
     #[test]
     fn two_values_have_a_known_spread_and_equal_ones_none() {
         for values in [&[0.1; 10][..], &[0.1]] {
-            assert_eq!(
-                Interval::of(values),
-                Interval {
-                    mean: 0.1,
-                    ci95: None
-                }
-            );
+            let interval = Interval::of(values);
+            assert_eq!((interval.mean, interval.ci95), (0.1, None));
         }
         let interval = Interval::of(&[1.0, 3.0]);
         assert_eq!(interval.mean, 2.0);
@@ -173,18 +163,16 @@ mod tests {
     fn resamples_spread_around_the_value_and_not_around_their_mean() {
         let interval = Interval::of_resamples(10.0, &[1.0, 3.0], &[]);
         assert_eq!((interval.mean, interval.ci95), (10.0, Some(NORMAL_95)));
-        assert_eq!(
-            Interval::of_resamples(1.0, &[2.0; 5], &[1.0, 3.0]).ci95,
-            None
-        );
-        assert_eq!(Interval::of_resamples(1.0, &[], &[]).ci95, None);
-        // The resamples have variance 1. Three quarters of the repeats' variance of 1/4 are subtracted from it.
-        let repeats = [0.5, -0.5, 0.5, -0.5];
-        let ci95 = Interval::of_resamples(0.0, &[1.0, -1.0], &repeats).ci95;
-        let expected = NORMAL_95 * (1.0 - 0.25 * 0.75f64).sqrt();
-        assert!((ci95.expect("varies") - expected).abs() < 1e-15);
-        // The interval is at least as wide as the variation over repeats.
-        let ci95 = Interval::of_resamples(0.0, &[0.01, -0.01], &repeats).ci95;
-        assert!((ci95.expect("varies") - NORMAL_95 * 0.25).abs() < 1e-15);
+        for (resamples, repeats) in [(&[2.0; 5][..], &[1.0, 3.0][..]), (&[], &[])] {
+            assert_eq!(Interval::of_resamples(1.0, resamples, repeats).ci95, None);
+        }
+        // The resamples have variance 1. Three quarters of the repeats' variance of 1/4 are subtracted from it. The
+        // interval is at least as wide as the variation over repeats.
+        let less = (1.0 - 0.25 * 0.75f64).sqrt();
+        for (size, expected) in [(1.0, less), (0.01, 0.25)] {
+            let repeats = [0.5, -0.5, 0.5, -0.5];
+            let ci95 = Interval::of_resamples(0.0, &[size, -size], &repeats).ci95;
+            assert!((ci95.expect("varies") - NORMAL_95 * expected).abs() < 1e-15);
+        }
     }
 }

@@ -109,19 +109,10 @@ mod tests {
             .map(|block| Matrix::new(num_repeats, width, block.to_vec()))
             .collect();
         assert_eq!(conditions.len(), num_conditions);
-        let value = multimodality_of_pairs(
-            &conditions,
-            &golden.indices("in.mm.first"),
-            &golden.indices("in.mm.second"),
-        )
-        .expect("valid");
-        golden.check_scalar(
-            "multimodality",
-            value,
-            golden.scalar("out.mm.value"),
-            0.0,
-            1e-9,
-        );
+        let [first, second] = ["in.mm.first", "in.mm.second"].map(|name| golden.indices(name));
+        let value = multimodality_of_pairs(&conditions, &first, &second).expect("valid");
+        let expected = golden.scalar("out.mm.value");
+        golden.check_scalar("multimodality", value, expected, 0.0, 1e-9);
     }
 
     #[test]
@@ -146,10 +137,7 @@ mod tests {
 
     #[test]
     fn conditions_that_always_give_the_same_motion_have_none() {
-        let conditions = [
-            Matrix::from_rows(&[[1.0]; 4]),
-            Matrix::from_rows(&[[5.0]; 4]),
-        ];
+        let conditions = [1.0, 5.0].map(|value| Matrix::from_rows(&[[value]; 4]));
         let value = multimodality_of_pairs(&conditions, &[0, 1, 2], &[1, 2, 3]);
         assert_eq!(value.expect("valid"), 0.0);
         assert!(pairs(4, 4, &mut Seed(3).rng(&["mm"])).is_err());
@@ -158,9 +146,7 @@ mod tests {
         let error = multimodality_of_pairs(&broken, &[0], &[1]).expect_err("refused");
         assert_eq!(error.to_string(), "Multimodality: row 1 is not finite");
         let spread = [Matrix::from_rows(&[[0.0], [2.0]])];
-        assert_eq!(
-            multimodality_of_pairs(&spread, &[0], &[1]).expect("valid"),
-            2.0
-        );
+        let value = multimodality_of_pairs(&spread, &[0], &[1]);
+        assert_eq!(value.expect("valid"), 2.0);
     }
 }

@@ -180,24 +180,19 @@ mod tests {
             x: 5.0,
             z: -3.0,
         };
-        let there: Vec<KeypointFrame> = here
-            .iter()
-            .map(|frame| frame.map(|point| moved.apply(point)))
-            .collect();
+        let each = |frames: &[KeypointFrame], to: &dyn Fn(DVec3) -> DVec3| -> Vec<KeypointFrame> {
+            frames.iter().map(|frame| frame.map(to)).collect()
+        };
+        let there = each(&here, &|point| moved.apply(point));
         let error = |found: &[KeypointFrame], expected: &[KeypointFrame]| {
             mean_position_error(&from_start(found), &from_start(expected), NUM_KEYPOINTS)
         };
         assert!(error(&here, &there) < 1e-12);
         // Drift after the first frame counts, and so does height.
-        let mut drifts = there.clone();
-        for frame in &mut drifts[1..] {
-            *frame = frame.map(|point| point + DVec3::X);
-        }
+        let mut drifts = each(&there, &|point| point + DVec3::X);
+        drifts[0] = there[0];
         assert!((error(&drifts, &here) - 19.0 / 20.0).abs() < 1e-12);
-        let raised: Vec<KeypointFrame> = there
-            .iter()
-            .map(|frame| frame.map(|point| point + 0.5 * DVec3::Y))
-            .collect();
+        let raised = each(&there, &|point| point + 0.5 * DVec3::Y);
         assert!((error(&raised, &here) - 0.5).abs() < 1e-12);
     }
 
@@ -268,28 +263,20 @@ mod tests {
     #[test]
     fn errors_inside_and_outside_of_a_mask_make_up_the_error() {
         let near = |found: Option<f64>, expected: f64| {
-            assert!(
-                (found.expect("known") - expected).abs() < 1e-9,
-                "{found:?} {expected}"
-            );
+            let found = found.expect("known");
+            assert!((found - expected).abs() < 1e-9, "{found} {expected}");
         };
         let arm = BodyPart::LeftArm.joints();
         for keypoints in [Keypoints::All, Keypoints::Body] {
             let points = (0..keypoints.count()).map(body_joint);
-            let [wrist, head, inside] = [
-                JointSet::of(&[Joint::LeftWrist.index()]),
-                JointSet::of(&[Joint::Head.index()]),
-                arm,
-            ]
-            .map(|set| points.clone().filter(|&joint| set.contains(joint)).count() as f64);
-            let outside = keypoints.count() as f64 - inside;
+            let [wrist, head] =
+                [Joint::LeftWrist, Joint::Head].map(|joint| JointSet::of(&[joint.index()]));
+            let [wrist, head, inside, all] = [wrist, head, arm, JointSet::ALL]
+                .map(|set| points.clone().filter(|&joint| set.contains(joint)).count() as f64);
             let [whole, within, without] = errors(arm, keypoints);
             near(within, 14.0 * wrist / inside);
-            near(without, 7.0 * head / outside);
-            near(
-                whole,
-                (14.0 * wrist + 7.0 * head) / keypoints.count() as f64,
-            );
+            near(without, 7.0 * head / (all - inside));
+            near(whole, (14.0 * wrist + 7.0 * head) / all);
             let [whole, within, without] = errors(JointSet::ALL, keypoints);
             assert_eq!((whole, without), (within, None));
             let [_, within, without] = errors(JointSet::EMPTY, keypoints);

@@ -242,6 +242,11 @@ mod tests {
 
     fn hostile() -> Report {
         let text = || CANARY.to_owned();
+        let curve = |points| Curve {
+            name: text(),
+            points,
+            ..Curve::default()
+        };
         let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 4]).expect("valid");
         let mut table = sample_table();
         table.task = text();
@@ -283,18 +288,9 @@ mod tests {
                     x_label: text(),
                     y_label: text(),
                     y_scale: Scale::Log,
-                    curves: vec![
-                        Curve {
-                            name: text(),
-                            points: vec![(0.0, 1.0), (1.0, 0.1)],
-                            ..Curve::default()
-                        },
-                        Curve {
-                            name: text(),
-                            points: Vec::new(),
-                            ..Curve::default()
-                        },
-                    ],
+                    curves: [vec![(0.0, 1.0), (1.0, 0.1)], Vec::new()]
+                        .map(curve)
+                        .to_vec(),
                     ..Plot::default()
                 }),
                 Chart::Bars(Bars {
@@ -327,13 +323,18 @@ mod tests {
         markup
     }
 
+    fn check_scripts(html: &str, count: usize) {
+        check_nesting(&without_scripts(html));
+        for tag in ["<script", "</script>"] {
+            assert_eq!(html.matches(tag).count(), count, "{tag}");
+        }
+    }
+
     #[test]
     fn no_text_of_a_report_becomes_markup() {
         let html = hostile().to_html();
-        check_nesting(&without_scripts(&html));
         // The only scripts are the data of the two viewers and the viewer program.
-        assert_eq!(html.matches("<script").count(), 3);
-        assert_eq!(html.matches("</script>").count(), 3);
+        check_scripts(&html, 3);
         assert!(!html.contains("<img"));
         assert!(html.contains("&lt;script&gt;alert(1)&lt;/script&gt;"));
         // A bare quotation mark would end an attribute.
@@ -343,11 +344,9 @@ mod tests {
     #[test]
     fn a_page_refers_to_nothing_outside_itself() {
         for html in [hostile().to_html(), viewer_page(&hostile().strips[0])] {
+            let plain = html.replace("src=x", "");
             for reference in ["src=", "@import", "url("] {
-                assert!(
-                    !html.replace("src=x", "").contains(reference),
-                    "{reference}"
-                );
+                assert!(!plain.contains(reference), "{reference}");
             }
             for part in html.split("href=\"").skip(1) {
                 assert!(part.starts_with('#'), "{:.30}", part);
@@ -364,10 +363,8 @@ mod tests {
     fn a_viewer_alone_has_its_caption_and_marked_joints() {
         let mut strip = hostile().strips.remove(0);
         let html = viewer_page(&strip);
-        check_nesting(&without_scripts(&html));
         // The scripts are the data and the program.
-        assert_eq!(html.matches("<script").count(), 2);
-        assert_eq!(html.matches("</script>").count(), 2);
+        check_scripts(&html, 2);
         assert!(html.contains("<h3 class=\"instruction\"><q>&quot;"));
         assert!(!html.contains("class=\"marked\""));
         strip.caption.clear();
@@ -379,21 +376,15 @@ mod tests {
 
     #[test]
     fn sections_without_content_are_left_out() {
-        let empty = Report {
-            title: "Nothing yet".to_owned(),
-            ..Report::default()
-        }
-        .to_html();
+        let empty = Report::default().to_html();
         check_nesting(&empty);
         assert!(!empty.contains("<section") && !empty.contains("<nav"));
         let full = hostile().to_html();
         assert_eq!(full.matches("<section").count(), 10);
         for section in full.split("<a href=\"#").skip(1) {
             let anchor = section.split('"').next().expect("an anchor");
-            assert!(
-                full.contains(&format!("<section id=\"{anchor}\"")),
-                "{anchor}"
-            );
+            let target = format!("<section id=\"{anchor}\"");
+            assert!(full.contains(&target), "{anchor}");
         }
     }
 
@@ -412,19 +403,15 @@ mod tests {
         }
         .to_html();
         assert_eq!(alone.matches("<section").count(), 1);
-        assert_eq!(alone.matches("<script").count(), 2);
+        check_scripts(&alone, 2);
         assert!(alone.contains(viewer::SCRIPT));
     }
 
     #[test]
-    fn strips_and_viewers_mark_joints_in_the_same_green() {
+    fn the_best_values_are_bold_gaps_are_shown_and_joints_are_marked_in_one_green() {
         let defined = format!("--marked: {};", HALO.to_lowercase());
         assert!(VIEWER_STYLE.contains(&defined));
         assert!(viewer::SCRIPT.contains("\"--marked\""));
-    }
-
-    #[test]
-    fn the_best_values_are_bold_and_gaps_are_shown() {
         let html = hostile().to_html();
         assert!(html.contains("<td class=\"best\">2.222<small>±0.022</small></td>"));
         assert_eq!(html.matches("<td class=\"absent\">").count(), 1);

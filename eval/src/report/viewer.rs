@@ -144,16 +144,14 @@ mod tests {
         };
         let html = section(std::slice::from_ref(&strip));
         assert_eq!(html.matches("</script>").count(), 1);
-        let data = html
-            .split_once("viewer-data\">")
-            .and_then(|(_, rest)| rest.split_once("</script>"))
-            .expect("data")
-            .0;
+        let (_, data) = html.split_once("viewer-data\">").expect("data");
+        let (data, _) = data.split_once("</script>").expect("an end");
         let data: serde_json::Value = serde_json::from_str(data).expect("JSON");
-        assert_eq!(data["items"][0]["caption"], "</script><b>");
-        assert_eq!(data["items"][0]["fps"], 20.0);
-        assert_eq!(data["items"][0]["motions"][0]["marked"], json!([16, 18]));
-        let text = data["items"][0]["motions"][0]["points"].as_str();
+        let item = &data["items"][0];
+        assert_eq!(item["caption"], "</script><b>");
+        assert_eq!(item["fps"], 20.0);
+        assert_eq!(item["motions"][0]["marked"], json!([16, 18]));
+        let text = item["motions"][0]["points"].as_str();
         let bytes = STANDARD.decode(text.expect("text")).expect("base64");
         let expected = &strip.rows[0].keypoints.points;
         let pelvis = expected[0][0];

@@ -76,7 +76,7 @@ pub(crate) fn sample_table() -> Table {
 }
 
 #[test]
-fn the_table_has_the_shape_of_the_papers() {
+fn the_table_has_the_shape_of_the_papers_and_marks_the_best_system() {
     let table = sample_table();
     let labels: Vec<String> = table.columns.iter().map(Column::label).collect();
     assert_eq!(
@@ -85,15 +85,17 @@ fn the_table_has_the_shape_of_the_papers() {
          E2T R@1 ↑ | E2T R@2 ↑ | E2T R@3 ↑ | E2T AvgR ↓"
     );
     let names: Vec<&str> = table.rows.iter().map(|row| row.system.as_str()).collect();
-    assert_eq!(
-        names,
-        [REAL_DATA, IDENTITY, "MotionReFit tiny", "ours_100%|<b>"]
-    );
+    let ours = "ours_100%|<b>";
+    assert_eq!(names, [REAL_DATA, IDENTITY, "MotionReFit tiny", ours]);
     assert_eq!(
         table.head(),
         "semantic: 512 items (29 targets, 400 sources, 61 instructions; ids a1b2c3d4e5f6), \
          1 take, 10 repeats; galleries of 32, seed 0; encoder 0123456789ab (TMR tiny)"
     );
+    // Baselines are never marked.
+    for column in &table.columns {
+        assert_eq!(best(&table, column.metric), [ours], "{}", column.metric);
+    }
 }
 
 #[test]
@@ -109,27 +111,22 @@ fn a_weak_encoder_and_items_without_difference_rank_nothing() {
         });
         scores
     };
-    let cases = [
-        (scores.clone(), judges(None), true),
-        (told_apart(12.0, Some(11.9)), judges(None), true),
-        (told_apart(12.0, None), judges(None), true),
-        (told_apart(12.0, Some(12.0)), judges(None), false),
-        (told_apart(0.0, None), judges(None), false),
-        (
-            told_apart(12.0, Some(1.0)),
-            judges(Some("it guesses")),
-            false,
-        ),
-    ];
-    for (scores, judges, ranks) in cases {
+    let guesses = Some("it guesses");
+    for (scores, weakness, ranks) in [
+        (scores.clone(), None, true),
+        (told_apart(12.0, Some(11.9)), None, true),
+        (told_apart(12.0, None), None, true),
+        (told_apart(12.0, Some(12.0)), None, false),
+        (told_apart(0.0, None), None, false),
+        (told_apart(12.0, Some(1.0)), guesses, false),
+    ] {
+        let judges = judges(weakness);
         let table = Table::from_scores(&scores, &judges, &paper_columns()).remove(0);
         let marks = table.rows.iter().flat_map(|row| row.cells.iter().flatten());
         assert_eq!(marks.filter(|cell| cell.best).count() > 0, ranks);
         assert_eq!(table.unranked.is_none(), ranks, "{:?}", table.unranked);
-        let compares = table
-            .notes
-            .iter()
-            .any(|note| note.contains("Behind the identity"));
+        let mut notes = table.notes.iter();
+        let compares = notes.any(|note| note.contains("Behind the identity"));
         assert_eq!(compares, ranks);
         let standings = standings(&scores, &judges);
         let mut ranked = standings.iter().map(|standing| standing.ranks_systems);
@@ -158,28 +155,14 @@ fn table(scores: &[ScoreRow], columns: &[&'static Metric]) -> Table {
 
 fn best<'a>(table: &'a Table, metric: &Metric) -> Vec<&'a str> {
     let mut columns = table.columns.iter();
-    let index = columns
-        .position(|column| column.metric == metric)
-        .expect("a column");
+    let index = columns.position(|column| column.metric == metric);
+    let index = index.expect("a column");
     table
         .rows
         .iter()
         .filter(|row| row.cells[index].is_some_and(|cell| cell.best))
         .map(|row| row.system.as_str())
         .collect()
-}
-
-#[test]
-fn the_best_system_is_marked_and_baselines_never_are() {
-    let table = sample_table();
-    for column in &table.columns {
-        assert_eq!(
-            best(&table, column.metric),
-            ["ours_100%|<b>"],
-            "{}",
-            column.metric
-        );
-    }
 }
 
 #[test]
@@ -232,10 +215,8 @@ fn a_row_that_does_nothing_is_never_best() {
     assert!(best(&shown, error).is_empty());
     // The identity editor has no fit error. A system that does not edit has the smallest one, but is not best.
     assert_eq!(best(&shown, fit), ["editor"]);
-    assert_eq!(
-        shown.notes[0],
-        "Never marked as best, as all values are those of the identity editor: imported sources."
-    );
+    let unmarked = "Never marked as best, as all values are those of the identity editor: ";
+    assert_eq!(shown.notes[0], format!("{unmarked}imported sources."));
     let marks = standings(&rows, &BTreeMap::new());
     let best_rows: Vec<usize> = (0..rows.len()).filter(|&place| marks[place].best).collect();
     assert_eq!(best_rows, [5]);
@@ -326,17 +307,13 @@ fn closeness_to_real_data_beats_size() {
             score_row(task, "edits too", metric, 53.001),
         ]
     };
-    let best_of = |task| best(&table(&rows(task), &[metric]), metric).join(", ");
+    let best_of = |rows: &[ScoreRow]| best(&table(rows, &[metric]), metric).join(", ");
     // 53.001 prints as 53.00, so both are one away from the real data.
-    assert_eq!(best_of("style"), "edits, edits too");
-    assert_eq!(best_of("fine-grained"), "copies");
-}
-
-#[test]
-fn without_real_data_nothing_is_closest_to_them() {
-    let metric = &DIVERSITY;
-    let scores = [score_row("style", "ours", metric, 30.0)];
-    assert!(best(&table(&scores, &[metric]), metric).is_empty());
+    assert_eq!(best_of(&rows("style")), "edits, edits too");
+    assert_eq!(best_of(&rows("fine-grained")), "copies");
+    // Without real data, nothing is closest to them.
+    let alone = [score_row("style", "ours", &DIVERSITY, 30.0)];
+    assert!(best(&table(&alone, &[&DIVERSITY]), &DIVERSITY).is_empty());
 }
 
 #[test]
@@ -353,18 +330,10 @@ fn tasks_protocols_and_encoders_are_kept_apart() {
         .iter()
         .map(|table| (table.task.as_str(), table.encoder_hash.as_str()))
         .collect();
-    assert_eq!(
-        keys,
-        [
-            (ALL_TASKS, "0123456789abcdef"),
-            ("style", "0123456789abcdef"),
-            ("style", "ff")
-        ]
-    );
-    assert_eq!(
-        tables[0].columns.len(),
-        metric::of_part(Part::Further).len()
-    );
+    let hash = "0123456789abcdef";
+    assert_eq!(keys, [(ALL_TASKS, hash), ("style", hash), ("style", "ff")]);
+    let columns = metric::of_part(Part::Further);
+    assert_eq!(tables[0].columns.len(), columns.len());
     assert!(Table::from_scores(&[], &BTreeMap::new(), &paper_columns()).is_empty());
 }
 

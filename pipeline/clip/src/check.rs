@@ -266,9 +266,16 @@ mod tests {
     }
 
     fn flags(motion: &Motion) -> u32 {
-        check(motion, &Skeleton::smplx_neutral())
-            .expect("passes")
-            .flags
+        let quality = check(motion, &Skeleton::smplx_neutral());
+        quality.expect("passes").flags
+    }
+
+    /// Displaces frames.
+    fn shift(motion: &mut Motion, frames: Range<usize>, by: [f32; 3]) {
+        for frame in frames {
+            let [x, y, z] = motion.transl()[frame];
+            motion.set_transl(frame, [x + by[0], y + by[1], z + by[2]]);
+        }
     }
 
     #[test]
@@ -287,18 +294,13 @@ mod tests {
         assert_eq!(flags(&sliding(Fps::STORE, 0.1, 19)), FLAG_VERY_SHORT);
         let lifted = |height: f32| {
             let mut motion = sliding(Fps::STORE, 0.1, 41);
-            for frame in 0..motion.len() {
-                let [x, y, z] = motion.transl()[frame];
-                motion.set_transl(frame, [x, y + height, z]);
-            }
+            shift(&mut motion, 0..41, [0.0, height, 0.0]);
             motion
         };
         assert_eq!(flags(&lifted(0.3)), FLAG_NO_CONTACT);
         assert_eq!(flags(&lifted(-0.06)), FLAG_FLOOR_PENETRATION);
-        assert_eq!(
-            flags(&sliding(Fps::STORE, 15.0, 41)),
-            FLAG_FOOT_SKATE | FLAG_FAST
-        );
+        let fast = flags(&sliding(Fps::STORE, 15.0, 41));
+        assert_eq!(fast, FLAG_FOOT_SKATE | FLAG_FAST);
     }
 
     #[test]
@@ -315,17 +317,12 @@ mod tests {
     fn what_jumps_is_kept_or_trimmed_where_that_is_asked_for() {
         let skeleton = Skeleton::smplx_neutral();
         let mut motion = sliding(Fps::STORE, 0.1, 50);
-        for frame in 20..50 {
-            let [x, y, z] = motion.transl()[frame];
-            motion.set_transl(frame, [x + 5.0, y, z]);
-        }
+        shift(&mut motion, 20..50, [5.0, 0.0, 0.0]);
         let judge = |teleports| check_with(motion.clone(), &skeleton, teleports);
-        assert_eq!(
-            judge(Teleports::Quarantine)
-                .map(|_| ())
-                .expect_err("100 m/s"),
-            check(&motion, &skeleton).expect_err("100 m/s")
-        );
+        let rejected = judge(Teleports::Quarantine)
+            .map(|_| ())
+            .expect_err("100 m/s");
+        assert_eq!(rejected, check(&motion, &skeleton).expect_err("100 m/s"));
         let (kept, quality, range) = judge(Teleports::Keep).expect("kept");
         assert_eq!((kept.len(), range), (50, None));
         assert!(quality.flags & FLAG_TELEPORT != 0 && quality.max_speed > 99.0);
@@ -341,10 +338,7 @@ mod tests {
         let apart = |jumps: &[usize], frames: usize| {
             let mut motion = sliding(Fps::STORE, 0.1, frames);
             for &jump in jumps {
-                for frame in jump..frames {
-                    let [x, y, z] = motion.transl()[frame];
-                    motion.set_transl(frame, [x + 5.0, y, z]);
-                }
+                shift(&mut motion, jump..frames, [5.0, 0.0, 0.0]);
             }
             starts_apart(&motion, &skeleton)
         };

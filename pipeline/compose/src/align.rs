@@ -181,12 +181,8 @@ mod tests {
         assert_eq!((found.len(), found.fps()), (90, Fps::STORE));
         let mean_apart = |motion: &Motion| {
             let (a, b) = (postures(motion, &skeleton), postures(&fast, &skeleton));
-            let sum: f64 = a
-                .iter()
-                .zip(&b)
-                .map(|(a, b)| (apart(a, b) / 22.0).sqrt())
-                .sum();
-            sum / a.len() as f64
+            let distances = a.iter().zip(&b).map(|(a, b)| (apart(a, b) / 22.0).sqrt());
+            distances.sum::<f64>() / a.len() as f64
         };
         let cropped = slow.crop(0..90).expect("longer");
         // The joints of the fixture move at about 1 m/s, a frame is a twentieth of a second.

@@ -119,26 +119,22 @@ mod tests {
             FRAMES,
         )
         .prop_map(|frames| {
-            Motion::new(
-                Fps::STORE,
-                frames.iter().map(|f| [f[0], f[1], f[2]]).collect(),
-                frames.iter().map(|f| [f[3], f[4], f[5]]).collect(),
-                frames
-                    .iter()
-                    .map(|f| std::array::from_fn(|i| f[6 + i]))
-                    .collect(),
-            )
-            .expect("valid")
+            let [transl, root] = [0, 3].map(|at: usize| {
+                let vectors = frames.iter().map(|f| [f[at], f[at + 1], f[at + 2]]);
+                vectors.collect()
+            });
+            let body = frames.iter().map(|f| std::array::from_fn(|i| f[6 + i]));
+            Motion::new(Fps::STORE, transl, root, body.collect()).expect("valid")
         })
     }
 
     fn mask() -> impl Strategy<Value = BlendMask> {
         prop::collection::vec(0..3u8, NUM_BODY_JOINTS).prop_map(|codes| {
-            let of = |code| {
-                Joint::ALL
-                    .into_iter()
+            let of = |code| -> JointSet {
+                let joints = Joint::ALL.into_iter();
+                joints
                     .filter(|joint| codes[joint.index()] == code)
-                    .collect::<JointSet>()
+                    .collect()
             };
             BlendMask::new(of(2), of(1)).expect("disjoint")
         })
@@ -183,10 +179,8 @@ mod tests {
             // With `alpha` 1, a soft pelvis gets the target's orientation but keeps the source's translation.
             let whole = blend(mask, 1.0);
             for joint in mask.soft().iter() {
-                prop_assert_eq!(
-                    whole.axis_angle(0, joint.index()),
-                    target.axis_angle(0, joint.index())
-                );
+                let joint = joint.index();
+                prop_assert_eq!(whole.axis_angle(0, joint), target.axis_angle(0, joint));
             }
         }
 
@@ -236,14 +230,10 @@ mod tests {
             |frames, fps| Motion::from_poses(fps, &vec![Pose::REST; frames]).expect("valid");
         let mask = BodyPart::LeftArm.mask();
         for (frames, fps) in [(4, Fps::STORE), (5, Fps::MODEL)] {
+            let (source, target) = (still(5, Fps::STORE), still(frames, fps));
+            let blended = blend_motion(&source, &target, mask, 0.5, SlerpRule::Exact);
             assert!(matches!(
-                blend_motion(
-                    &still(5, Fps::STORE),
-                    &still(frames, fps),
-                    mask,
-                    0.5,
-                    SlerpRule::Exact
-                ),
+                blended,
                 Err(Error::OutOfStep {
                     source_frames: 5,
                     ..

@@ -174,29 +174,24 @@ mod tests {
             kept: 250,
         };
         let at = |secs| SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(secs);
-        for (name, secs) in [("a", 1), ("b", 2), ("c", 3), ("added", 0)] {
-            let path = cache.file(name);
+        for (name, secs) in [
+            ("a.frames", 1),
+            ("b.frames", 2),
+            ("c.frames", 3),
+            ("added.frames", 0),
+            ("killed.part", 2),
+        ] {
+            let path = folder.path().join(name);
             fs::write(&path, [0; 100]).expect("written");
             let file = File::options().append(true).open(&path).expect("opens");
             file.set_modified(at(secs)).expect("set");
         }
-        let killed = folder.path().join("killed.part");
-        fs::write(&killed, [0; 100]).expect("written");
-        let file = File::options().append(true).open(&killed).expect("opens");
-        file.set_modified(at(2)).expect("set");
         FrameCache::touch(&cache.file("a"));
         fs::write(folder.path().join("other.txt"), [0; 100]).expect("written");
         cache.remove_others(&cache.file("added"));
-        let mut left: Vec<String> = fs::read_dir(folder.path())
-            .expect("listed")
-            .map(|entry| {
-                entry
-                    .expect("an entry")
-                    .file_name()
-                    .to_string_lossy()
-                    .into_owned()
-            })
-            .collect();
+        let listed = fs::read_dir(folder.path()).expect("listed");
+        let names = listed.map(|entry| entry.expect("an entry").file_name());
+        let mut left: Vec<OsString> = names.collect();
         left.sort();
         assert_eq!(left, ["a.frames", "added.frames", "other.txt"]);
     }

@@ -249,9 +249,7 @@ mod tests {
     fn caption(text: &str) -> Caption {
         Caption {
             text: text.to_owned(),
-            tokens: String::new(),
-            from_s: 0.0,
-            to_s: 0.0,
+            ..Caption::default()
         }
     }
 
@@ -276,12 +274,9 @@ mod tests {
             ("mimic", "mimics", "mimicking"),
             ("fly", "flies", "flying"),
         ] {
-            assert_eq!(
-                VERBS.finite.get(finite).map(String::as_str),
-                Some(gerund),
-                "{bare}"
-            );
-            assert_eq!(VERBS.bare.get(bare).map(String::as_str), Some(gerund));
+            for (forms, form) in [(&VERBS.finite, finite), (&VERBS.bare, bare)] {
+                assert_eq!(forms.get(form).map(String::as_str), Some(gerund));
+            }
         }
     }
 
@@ -317,11 +312,8 @@ mod tests {
                 "doing four slow forward steps in circles",
             ),
         ] {
-            assert_eq!(
-                of_text(text),
-                Some(Described::Doing(expected.to_owned())),
-                "{text}"
-            );
+            let expected = Described::Doing(expected.to_owned());
+            assert_eq!(of_text(text), Some(expected), "{text}");
         }
     }
 
@@ -351,17 +343,12 @@ mod tests {
             "A person walks. He turns",
             "A dance",
         ] {
-            assert_eq!(
-                of_text(text),
-                Some(Described::AsSaid(text.to_owned())),
-                "{text}"
-            );
+            let expected = Described::AsSaid(text.to_owned());
+            assert_eq!(of_text(text), Some(expected), "{text}");
         }
         let said = Described::AsSaid("someone who is drunk walks home".to_owned());
-        assert_eq!(
-            said.instruction(BodyPart::LeftArm),
-            "Someone who is drunk walks home with their left arm."
-        );
+        let text = "Someone who is drunk walks home with their left arm.";
+        assert_eq!(said.instruction(BodyPart::LeftArm), text);
     }
 
     #[test]
@@ -375,10 +362,8 @@ mod tests {
         assert_eq!(described(&captions, None), doing("standing"));
         assert_eq!(described(&[part], Some("kick")), doing("sitting"));
         assert_eq!(described(&[], Some("kick")), doing("kicking"));
-        assert_eq!(
-            described(&[], Some("raise-up_hand")),
-            doing("raising up hand")
-        );
+        let label = Some("raise-up_hand");
+        assert_eq!(described(&[], label), doing("raising up hand"));
         assert_eq!(described(&[caption(" ")], None), None);
         assert_eq!(described(&[], None), None);
     }

@@ -410,10 +410,8 @@ mod tests {
     fn a_window_spans_31_stored_frames_and_advances_28() {
         let config = ComposeConfig::default();
         let stride = config.stride(Fps::STORE).expect("a multiple");
-        assert_eq!(
-            (stride, config.span(stride), config.advance(stride)),
-            (2, 31, 28)
-        );
+        assert_eq!(stride, 2);
+        assert_eq!((config.span(stride), config.advance(stride)), (31, 28));
         let odd = Fps::new(25.0).expect("valid");
         assert!(matches!(config.stride(odd), Err(Error::Stride { .. })));
     }

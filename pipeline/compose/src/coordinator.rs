@@ -119,12 +119,9 @@ mod tests {
         let library = fixture::library(Split::Train, 9);
         let stream = fixture::stream(library, config, 5).expect("a stream");
         let mut batch = CoordinatorBatch::default();
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .expect("a pool")
-            .install(|| stream.fill_coordinator(2, first, count, &mut batch))
-            .expect("in memory");
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        let fill = || stream.fill_coordinator(2, first, count, &mut batch);
+        pool.expect("a pool").install(fill).expect("in memory");
         batch
     }
 

@@ -158,9 +158,8 @@ mod tests {
     fn different_keys_shuffle_differently() {
         let order = |key| {
             let shuffle = Shuffle::new(100, key);
-            (0..100)
-                .map(|place| shuffle.at(place))
-                .collect::<Vec<u64>>()
+            let places = (0..100).map(|place| shuffle.at(place));
+            places.collect::<Vec<u64>>()
         };
         assert_ne!(order(1), order(2));
         assert_ne!(order(1), (0..100).collect::<Vec<u64>>());

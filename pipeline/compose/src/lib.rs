@@ -55,5 +55,13 @@ pub use triplet::Triplet;
 mod fixture {
     pub(crate) use testkit::*;
 
+    use crate::ComposeConfig;
     pub(crate) use crate::library::{library, library_of, stream};
+
+    /// The default settings with a change.
+    pub(crate) fn config(change: impl FnOnce(&mut ComposeConfig)) -> ComposeConfig {
+        let mut config = ComposeConfig::default();
+        change(&mut config);
+        config
+    }
 }

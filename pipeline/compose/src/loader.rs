@@ -281,18 +281,15 @@ mod tests {
         let stream = fixture::stream(library, config, 2).expect("a stream");
         let mut whole = WindowBatch::default();
         let mut rows = Vec::new();
-        stream
-            .for_each_recorded(0..count as u64, |row, batch, at| {
-                let window = stream.window_len();
-                whole
-                    .original
-                    .extend(&batch.original[at * window..][..window]);
-                whole.edited.extend(&batch.edited[at * window..][..window]);
-                whole.progress.push(row.progress);
-                whole.instructions.push(row.instruction.clone());
-                rows.push(row);
-            })
-            .expect("in memory");
+        let recorded = stream.for_each_recorded(0..count as u64, |row, batch, at| {
+            let range = at * stream.window_len()..(at + 1) * stream.window_len();
+            whole.original.extend(&batch.original[range.clone()]);
+            whole.edited.extend(&batch.edited[range]);
+            whole.progress.push(row.progress);
+            whole.instructions.push(row.instruction.clone());
+            rows.push(row);
+        });
+        recorded.expect("in memory");
         let dir = tempfile::tempdir().expect("a folder");
         let dataset = fixture::commit(dir.path(), &rows, |row| row.split, "plan");
         (dir, dataset, whole)
@@ -317,10 +314,11 @@ mod tests {
     /// The windows as sorted byte strings, to compare contents independent of order.
     fn contents(batch: &WindowBatch) -> Vec<(Vec<u32>, String)> {
         let window = batch.edited.len() / batch.progress.len();
-        let mut all: Vec<(Vec<u32>, String)> = batch
+        let sides = batch
             .original
             .chunks(window)
-            .zip(batch.edited.chunks(window))
+            .zip(batch.edited.chunks(window));
+        let mut all: Vec<(Vec<u32>, String)> = sides
             .zip(&batch.instructions)
             .map(|((original, edited), text)| {
                 let bits = original.iter().chain(edited).map(|value| value.to_bits());
@@ -357,12 +355,9 @@ mod tests {
     fn a_split_without_windows_is_named() {
         let (_dir, dataset, _) = recorded(3);
         let missing = WindowLoader::open(&dataset, Split::Val, ReadOrder::Sequential);
-        assert!(matches!(
-            missing,
-            Err(Error::NoWindows {
-                split: Split::Val,
-                ..
-            })
-        ));
+        let Err(Error::NoWindows { split, .. }) = missing else {
+            panic!("{missing:?}");
+        };
+        assert_eq!(split, Split::Val);
     }
 }

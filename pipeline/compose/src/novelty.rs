@@ -292,12 +292,10 @@ mod tests {
         assert_eq!(style("walk-a2", "walk-proud"), Some(Novelty::Combination));
         assert_eq!(style("hop", "hop-proud"), Some(Novelty::Action));
         let fine = |source, text| of(source, "walk-long", text, EditKind::FineGrained);
-        assert_eq!(fine("walk-b", "Take longer steps."), Some(Novelty::Retake));
-        assert_eq!(
-            fine("kick-b", "Take longer steps."),
-            Some(Novelty::Combination)
-        );
-        assert_eq!(fine("hop", "Take longer steps."), Some(Novelty::Action));
+        let longer = |source| fine(source, "Take longer steps.");
+        assert_eq!(longer("walk-b"), Some(Novelty::Retake));
+        assert_eq!(longer("kick-b"), Some(Novelty::Combination));
+        assert_eq!(longer("hop"), Some(Novelty::Action));
         assert_eq!(fine("walk-b", "Take a bow."), Some(Novelty::Unshown));
     }
 

@@ -171,7 +171,7 @@ fn speed(motion: &Motion, skeleton: &Skeleton) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ComposeConfig, EditKind, fixture};
+    use crate::{ComposeConfig, fixture};
 
     fn stream(config: ComposeConfig) -> Stream {
         let (motions, masks) = fixture::rows(Split::Train, 9);
@@ -183,18 +183,12 @@ mod tests {
     #[test]
     fn pairs_are_masks_times_partners() {
         let stats = stream(ComposeConfig::default()).stats();
-        assert_eq!(
-            (stats.base, stats.annotated[EditKind::Semantic.as_str()]),
-            (9, 5)
-        );
+        assert_eq!((stats.base, stats.annotated["semantic"]), (9, 5));
         // Five masks meet eight others each; a pair meets seven in two halves.
         assert_eq!(stats.distinct_pairs["semantic"], 40);
         assert_eq!(stats.distinct_pairs["style"], 14);
         assert_eq!(stats.distinct_pairs.values().sum::<u64>(), 54);
-        let fixed = ComposeConfig {
-            fixed_pairs: true,
-            ..ComposeConfig::default()
-        };
+        let fixed = fixture::config(|config| config.fixed_pairs = true);
         assert_eq!(stream(fixed).stats().distinct_pairs["semantic"], 5);
     }
 
@@ -205,22 +199,11 @@ mod tests {
         let stats = triplet_stats(&triplets, &Skeleton::smplx_neutral());
         assert_eq!(stats.alphas.iter().sum::<usize>(), 40);
         assert_eq!(stats.masks.values().sum::<usize>(), 40);
-        assert_eq!(
-            stats
-                .instructions
-                .iter()
-                .map(|entry| entry.1)
-                .sum::<usize>(),
-            40
-        );
+        let instructions = stats.instructions.iter().map(|entry| entry.1);
+        assert_eq!(instructions.sum::<usize>(), 40);
         assert!(stats.instructions.is_sorted_by(|a, b| a.1 >= b.1));
-        assert!(
-            stats
-                .mean_speed
-                .iter()
-                .zip(stats.max_speed)
-                .all(|(mean, max)| *mean < max)
-        );
+        let mut speeds = stats.mean_speed.iter().zip(stats.max_speed);
+        assert!(speeds.all(|(mean, max)| *mean < max));
         let sheet = stream.sample_for_sheet(5).expect("in memory");
         assert_eq!(sheet.len(), 5);
         assert!(sheet.iter().any(|triplet| !triplet.mask.soft().is_empty()));

@@ -323,6 +323,7 @@ impl Triplet {
 mod tests {
     use std::sync::Arc;
 
+    use datasets_spec::record::{MaskRow, MotionRow, PairRow};
     use proptest::prelude::*;
 
     use super::*;
@@ -330,28 +331,20 @@ mod tests {
 
     const CLIPS: usize = 9;
 
-    fn stream(config: ComposeConfig) -> Stream {
+    fn stream(change: impl FnOnce(&mut ComposeConfig)) -> Stream {
         let library = fixture::library(Split::Train, CLIPS);
-        fixture::stream(library, config, 5).expect("a stream")
+        fixture::stream(library, fixture::config(change), 5).expect("a stream")
     }
 
-    #[test]
-    fn a_triplet_is_explained_bit_for_bit_by_another_stream() {
-        for fixed_pairs in [false, true] {
-            let config = ComposeConfig {
-                fixed_pairs,
-                ..ComposeConfig::default()
-            };
-            let (recorded, later) = (stream(config.clone()), stream(config));
-            for item in 0..recorded.epoch_len() {
-                let triplet = recorded.triplet(2, item).expect("in memory");
-                assert_eq!(later.explain(&triplet.id).expect("its own id"), triplet);
-                assert_eq!(
-                    later.explain(&triplet.id).expect("its own id").to_row(),
-                    triplet.to_row()
-                );
-            }
-        }
+    fn id(text: &str) -> MotionId {
+        MotionId::parse(text).expect("valid")
+    }
+
+    /// The kind of error that the rows of a library cause.
+    fn refused(library: Result<Library, Error>) -> String {
+        let error = format!("{:?}", library.expect_err("broken"));
+        let kind = error.split([' ', '(']).next();
+        kind.expect("a name").to_owned()
     }
 
     proptest! {
@@ -388,11 +381,7 @@ mod tests {
     #[test]
     fn clips_meet_other_partners_in_every_epoch_unless_pairs_are_fixed() {
         for fixed_pairs in [false, true] {
-            let config = ComposeConfig {
-                fixed_pairs,
-                ..ComposeConfig::default()
-            };
-            let stream = stream(config);
+            let stream = stream(|config| config.fixed_pairs = fixed_pairs);
             let mut told = 0;
             for number in 0..stream.num_clips() {
                 let clip = |epoch| stream.clip(epoch, number).expect("in memory");
@@ -412,11 +401,10 @@ mod tests {
         let pairs = [fixture::pair_row("style", Split::Train, 5, 6)];
         let library = Arc::new(fixture::library_of(Split::Train, &motions, &masks, &pairs));
         for fixed_pairs in [false, true] {
-            let config = ComposeConfig {
-                kinds: vec![EditKind::Style],
-                fixed_pairs,
-                ..ComposeConfig::default()
-            };
+            let config = fixture::config(|config| {
+                config.kinds = vec![EditKind::Style];
+                config.fixed_pairs = fixed_pairs;
+            });
             let stream = fixture::stream(Arc::clone(&library), config, 8).expect("a stream");
             let motion_of = |id: &MotionId| {
                 let row = motions.iter().find(|row| row.id == *id).expect("a clip");
@@ -455,39 +443,27 @@ mod tests {
     #[test]
     fn pairs_with_motions_of_other_splits_are_refused() {
         let (motions, _) = fixture::rows(Split::Train, CLIPS);
-        let train = fixture::pair_row("style", Split::Train, 1, 2);
-        let library = |split, pair: &datasets_spec::record::PairRow| {
-            Library::new(split, &motions, &[], std::slice::from_ref(pair))
+        let library = |change: fn(&mut PairRow)| {
+            let mut pair = fixture::pair_row("style", Split::Train, 1, 2);
+            change(&mut pair);
+            Library::new(Split::Train, &motions, &[], &[pair])
         };
-        assert!(library(Split::Train, &train).is_ok());
-        let test = fixture::pair_row("style", Split::Test, 1, 2);
-        assert!(matches!(
-            library(Split::Train, &test),
-            Err(Error::OtherSplit { .. })
-        ));
-        let mut foreign = train.clone();
-        foreign.target_id = MotionId::parse("clip-of-test").expect("valid");
-        assert!(matches!(
-            library(Split::Train, &foreign),
-            Err(Error::UnknownMotion { .. })
-        ));
-        let mut unsaid = train.clone();
-        unsaid.style = None;
-        assert!(matches!(
-            library(Split::Train, &unsaid),
-            Err(Error::EmptyText { .. })
-        ));
-        let mut odd = train;
-        odd.kind = "regen".to_owned();
-        assert!(matches!(
-            library(Split::Train, &odd),
-            Err(Error::PairKind { .. })
-        ));
+        assert!(library(|_| ()).is_ok());
+        type Change = fn(&mut PairRow);
+        let changes: [(Change, &str); 4] = [
+            (|pair| pair.split = Split::Test, "OtherSplit"),
+            (|pair| pair.target_id = id("clip-of-test"), "UnknownMotion"),
+            (|pair| pair.style = None, "EmptyText"),
+            (|pair| pair.kind = "regen".to_owned(), "PairKind"),
+        ];
+        for (change, expected) in changes {
+            assert_eq!(refused(library(change)), expected);
+        }
     }
 
     #[test]
     fn ids_of_other_streams_are_refused() {
-        let stream = stream(ComposeConfig::default());
+        let stream = stream(|_| ());
         for id in [
             "",
             "train",
@@ -498,24 +474,19 @@ mod tests {
             "train-style-0-1",
             "train-semantic-0-x",
         ] {
-            assert!(
-                matches!(stream.explain(id), Err(Error::TripletId { .. })),
-                "{id:?}"
-            );
+            let explained = stream.explain(id);
+            assert!(matches!(explained, Err(Error::TripletId { .. })), "{id:?}");
         }
     }
 
     /// The stream of one annotated clip of 135 frames whose mask holds for frames 50 to 90.
-    fn ranged(config: ComposeConfig) -> (Stream, Motion) {
+    fn ranged(fixed_pairs: bool) -> (Stream, Motion) {
         let (motions, mut masks) = fixture::rows(Split::Train, CLIPS);
-        let mask = masks
-            .iter_mut()
-            .find(|mask| mask.motion_id.as_str() == "clip8");
-        let mask = mask.expect("every second clip has one");
-        (mask.start, mask.end) = (Some(50), Some(90));
-        let masks = [mask.clone()];
+        masks.retain(|mask| mask.motion_id.as_str() == "clip8");
+        (masks[0].start, masks[0].end) = (Some(50), Some(90));
         let target = motions[8].motion().expect("valid");
         let library = fixture::library_of(Split::Train, &motions, &masks, &[]);
+        let config = fixture::config(|config| config.fixed_pairs = fixed_pairs);
         let stream = fixture::stream(library, config, 5);
         (stream.expect("a stream"), target)
     }
@@ -523,10 +494,7 @@ mod tests {
     #[test]
     fn a_mask_with_a_range_edits_the_frames_of_its_range_alone() {
         for fixed_pairs in [false, true] {
-            let (stream, target) = ranged(ComposeConfig {
-                fixed_pairs,
-                ..ComposeConfig::default()
-            });
+            let (stream, target) = ranged(fixed_pairs);
             let mut lengths = std::collections::BTreeSet::new();
             for epoch in 0..40 {
                 let triplet = stream.clip(epoch, 0).expect("in memory");
@@ -541,16 +509,11 @@ mod tests {
                 let is_part = frames > edited.len();
                 assert_eq!(bounds.0.is_some() && bounds.1.is_some(), is_part);
                 let taken = target.crop(start..start + frames).expect("inside");
-                let pose = |motion: &Motion, frame: usize| {
-                    let joints = 0..22;
-                    joints
-                        .map(|joint| motion.axis_angle(frame, joint))
-                        .collect::<Vec<_>>()
-                };
+                let (edit, original) = (&triplet.edited, &triplet.original);
                 for frame in (0..frames).filter(|frame| !edited.contains(frame)) {
-                    assert_eq!(pose(&triplet.edited, frame), pose(&triplet.original, frame));
-                    let transl = [&triplet.edited, &triplet.original].map(|m| m.transl()[frame]);
-                    assert_eq!(transl[0], transl[1]);
+                    assert_eq!(edit.transl()[frame], original.transl()[frame]);
+                    assert_eq!(edit.global_orient()[frame], original.global_orient()[frame]);
+                    assert_eq!(edit.body_pose()[frame], original.body_pose()[frame]);
                 }
                 // The middle of the range is the target's.
                 let middle = edited.start + edited.len() / 2;
@@ -571,26 +534,17 @@ mod tests {
     #[test]
     fn windows_of_a_mask_with_a_range_lie_in_it() {
         // The shortest range is as long as a window.
-        assert_eq!(
-            datasets_spec::record::MaskRow::SHORTEST as usize,
-            fixture::SPAN
-        );
+        assert_eq!(MaskRow::SHORTEST as usize, fixture::SPAN);
         for fixed_pairs in [false, true] {
-            let (stream, _) = ranged(ComposeConfig {
-                fixed_pairs,
-                ..ComposeConfig::default()
-            });
+            let (stream, _) = ranged(fixed_pairs);
             // 40 frames hold one window of 31.
             assert_eq!(stream.epoch_len(), 1);
             let mut batch = crate::WindowBatch::default();
             for epoch in 0..20 {
                 stream.fill(epoch, 0, 1, &mut batch).expect("in memory");
                 // The window starts at one of the first ten frames of the range.
-                assert!(
-                    (0.0..0.25).contains(&batch.progress[0]),
-                    "{}",
-                    batch.progress[0]
-                );
+                let progress = batch.progress[0];
+                assert!((0.0..0.25).contains(&progress), "{progress}");
             }
         }
     }
@@ -625,19 +579,18 @@ mod tests {
 
     #[test]
     fn the_two_sides_differ_in_the_mask_alone() {
-        let stream = stream(ComposeConfig::default());
+        let stream = stream(|_| ());
         for item in 0..stream.epoch_len() {
             let triplet = stream.triplet(0, item).expect("in memory");
             let (before, after) = (&triplet.original, &triplet.edited);
             assert_eq!((before.len(), before.fps()), (after.len(), after.fps()));
-            for joint in 0..22 {
-                if !triplet.mask.hard().contains(joint) && !triplet.mask.soft().contains(joint) {
-                    for frame in 0..before.len() {
-                        assert_eq!(
-                            before.axis_angle(frame, joint),
-                            after.axis_angle(frame, joint)
-                        );
-                    }
+            let outside = |joint: &usize| {
+                !triplet.mask.hard().contains(*joint) && !triplet.mask.soft().contains(*joint)
+            };
+            for joint in (0..22).filter(outside) {
+                for frame in 0..before.len() {
+                    let [a, b] = [before, after].map(|motion| motion.axis_angle(frame, joint));
+                    assert_eq!(a, b);
                 }
             }
         }
@@ -645,8 +598,7 @@ mod tests {
 
     #[test]
     fn a_row_gives_the_motions_back() {
-        let triplet = stream(ComposeConfig::default()).triplet(0, 0);
-        let triplet = triplet.expect("in memory");
+        let triplet = stream(|_| ()).triplet(0, 0).expect("in memory");
         let row = triplet.to_row();
         assert_eq!(row.original().expect("valid"), triplet.original);
         assert_eq!(row.edited().expect("valid"), triplet.edited);
@@ -657,77 +609,52 @@ mod tests {
     fn no_row_of_another_split_gets_in() {
         let (motions, masks) = fixture::rows(Split::Train, 4);
         let (test_motions, test_masks) = fixture::rows(Split::Test, 4);
-        assert!(matches!(
-            Library::new(Split::Test, &motions, &[], &[]),
+        let named = |library: Result<Library, Error>| match library {
             Err(Error::OtherSplit {
-                table: "motions",
-                expected: Split::Test,
-                ..
-            })
-        ));
-        assert!(matches!(
-            Library::new(Split::Train, &motions, &test_masks, &[]),
-            Err(Error::OtherSplit { table: "masks", .. })
-        ));
+                table, expected, ..
+            }) => (table, expected),
+            other => panic!("{other:?}"),
+        };
+        let foreign = Library::new(Split::Test, &motions, &[], &[]);
+        assert_eq!(named(foreign), ("motions", Split::Test));
+        let foreign = Library::new(Split::Train, &motions, &test_masks, &[]);
+        assert_eq!(named(foreign), ("masks", Split::Train));
         let mixed = [motions.clone(), test_motions.clone()].concat();
         assert!(Library::new(Split::Train, &mixed, &masks, &[]).is_err());
         let library = Library::new(Split::Test, &test_motions, &test_masks, &[]);
-        assert!(matches!(
-            library
-                .expect("one split")
-                .fit_normalizer(&ComposeConfig::default()),
-            Err(Error::NotTrain(Split::Test))
-        ));
+        let fitted = library.expect("one split");
+        let fitted = fitted.fit_normalizer(&ComposeConfig::default());
+        assert!(matches!(fitted, Err(Error::NotTrain(Split::Test))));
     }
 
     #[test]
     fn broken_rows_are_named() {
         let (motions, masks) = fixture::rows(Split::Train, 2);
-        let with_motion = |change: &dyn Fn(&mut datasets_spec::record::MotionRow)| {
-            let mut motions = motions.clone();
-            change(&mut motions[1]);
-            Library::new(Split::Train, &motions, &masks, &[]).expect_err("broken")
-        };
-        let with_mask = |change: &dyn Fn(&mut datasets_spec::record::MaskRow)| {
-            let mut masks = masks.clone();
-            change(&mut masks[0]);
-            Library::new(Split::Train, &motions, &masks, &[]).expect_err("broken")
-        };
-        let id = |text: &str| MotionId::parse(text).expect("valid");
-        assert!(matches!(
-            with_motion(&|row| row.skeleton = "male".to_owned()),
-            Error::OtherSkeleton { .. }
-        ));
-        assert!(matches!(
-            with_motion(&|row| row.fps = 30.0),
-            Error::OtherRate { .. }
-        ));
-        assert!(matches!(
-            with_motion(&|row| row.id = id("clip0")),
-            Error::Duplicate { .. }
-        ));
-        assert!(matches!(
-            with_motion(&|row| row.transl[3][1] = f32::NAN),
-            Error::Motion { motion, .. } if motion == id("clip1")
-        ));
-        assert!(matches!(
-            with_mask(&|row| row.motion_id = id("other")),
-            Error::UnknownMotion { .. }
-        ));
-        assert!(matches!(
-            with_mask(&|row| row.text = " ".to_owned()),
-            Error::EmptyText { .. }
-        ));
-        assert!(matches!(
-            with_mask(&|row| row.hard_joints = vec!["tail".to_owned()]),
-            Error::Mask { .. }
-        ));
-        assert!(matches!(
-            with_mask(&|row| {
-                row.hard_joints.clear();
-                row.soft_joints.clear();
-            }),
-            Error::EmptyMask(_)
-        ));
+        type Change = fn(&mut MotionRow, &mut MaskRow);
+        let changes: [(Change, &str); 8] = [
+            (|row, _| row.skeleton = "male".to_owned(), "OtherSkeleton"),
+            (|row, _| row.fps = 30.0, "OtherRate"),
+            (|row, _| row.id = id("clip0"), "Duplicate"),
+            (|row, _| row.transl[3][1] = f32::NAN, "Motion"),
+            (|_, mask| mask.motion_id = id("other"), "UnknownMotion"),
+            (|_, mask| mask.text = " ".to_owned(), "EmptyText"),
+            (|_, mask| mask.hard_joints = vec!["tail".to_owned()], "Mask"),
+            (
+                |_, mask| {
+                    mask.hard_joints.clear();
+                    mask.soft_joints.clear();
+                },
+                "EmptyMask",
+            ),
+        ];
+        for (change, expected) in changes {
+            let (mut motions, mut masks) = (motions.clone(), masks.clone());
+            change(&mut motions[1], &mut masks[0]);
+            let library = Library::new(Split::Train, &motions, &masks, &[]);
+            if let Err(Error::Motion { motion, .. }) = &library {
+                assert_eq!(*motion, id("clip1"));
+            }
+            assert_eq!(refused(library), expected);
+        }
     }
 }

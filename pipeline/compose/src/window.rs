@@ -588,6 +588,15 @@ mod tests {
             .collect()
     }
 
+    /// The mask of every part, of nothing, of everything, and of two parts.
+    fn masks() -> impl Iterator<Item = BlendMask> {
+        BodyPart::ALL.map(BodyPart::mask).into_iter().chain([
+            BlendMask::EMPTY,
+            BlendMask::FULL,
+            BlendMask::of_parts(&[BodyPart::LowerBody, BodyPart::LeftArm]),
+        ])
+    }
+
     fn check_close(got: &[f32], expected: &[f32]) {
         assert_eq!(got.len(), expected.len());
         for (got, expected) in got.iter().zip(expected) {
@@ -607,28 +616,18 @@ mod tests {
             row
         });
         let stored: Vec<StoredFrame> = stored.collect();
-        let mut frames = Vec::new();
-        Frame::prepare(
-            &stored,
-            FrameParts::ALL,
-            &Skeleton::smplx_neutral(),
-            &mut frames,
-        );
+        let (skeleton, mut frames) = (Skeleton::smplx_neutral(), Vec::new());
+        Frame::prepare(&stored, FrameParts::ALL, &skeleton, &mut frames);
         frames
     }
 
     #[test]
     fn windows_agree_with_the_contract() {
         let skeleton = Skeleton::smplx_neutral();
-        let masks = BodyPart::ALL.map(BodyPart::mask).into_iter().chain([
-            BlendMask::EMPTY,
-            BlendMask::FULL,
-            BlendMask::of_parts(&[BodyPart::LowerBody, BodyPart::LeftArm]),
-        ]);
         let source = fixture::wandering("source", 70);
         let target = fixture::wandering("target", 64);
         // A window of 40 frames needs more than one block of lanes.
-        for (mask, window) in masks.flat_map(|mask| [(mask, WINDOW_FRAMES), (mask, 40)]) {
+        for (mask, window) in masks().flat_map(|mask| [(mask, WINDOW_FRAMES), (mask, 40)]) {
             let stride = if window == WINDOW_FRAMES { 2 } else { 1 };
             for anchor in [Anchor::Pelvis, Anchor::Translation] {
                 let (source_start, target_start, alpha) = (11, 4, 0.3f32);
@@ -649,13 +648,8 @@ mod tests {
                 composer.original(&from, &mut out);
                 check_close(&out, &reference(sources, anchor, &skeleton));
                 let to = framed(&target, target_start, window, stride);
-                composer.blended(
-                    &from,
-                    &to,
-                    &BlendPlan::new(mask, SlerpRule::Exact),
-                    alpha,
-                    &mut out,
-                );
+                let plan = BlendPlan::new(mask, SlerpRule::Exact);
+                composer.blended(&from, &to, &plan, alpha, &mut out);
                 check_close(&out, &reference(blended, anchor, &skeleton));
             }
         }
@@ -668,36 +662,27 @@ mod tests {
             rotations: [[f32::NAN; QUAT]; NUM_BODY_JOINTS],
         };
         let whole = framed(motion, 0, WINDOW_FRAMES, 1);
-        let only = |frame: Frame| Frame {
-            points: if parts.points {
-                frame.points
-            } else {
-                UNKNOWN.points
-            },
-            rotations: std::array::from_fn(|joint| match parts.rotations[joint] {
-                true => frame.rotations[joint],
-                false => UNKNOWN.rotations[joint],
-            }),
+        let only = |mut frame: Frame| {
+            if !parts.points {
+                frame.points = UNKNOWN.points;
+            }
+            for joint in (0..NUM_BODY_JOINTS).filter(|joint| !parts.rotations[*joint]) {
+                frame.rotations[joint] = UNKNOWN.rotations[joint];
+            }
+            frame
         };
         whole.into_iter().map(only).collect()
     }
 
     #[test]
     fn a_window_needs_no_more_than_the_parts_it_names() {
-        let masks = BodyPart::ALL.map(BodyPart::mask).into_iter().chain([
-            BlendMask::EMPTY,
-            BlendMask::FULL,
-            BlendMask::of_parts(&[BodyPart::LowerBody, BodyPart::LeftArm]),
-        ]);
         let composer = Composer::new(&Skeleton::smplx_neutral(), Anchor::Pelvis, &RANGE);
         let [source, target] = ["source", "target"].map(|name| fixture::wandering(name, 40));
-        let mut window = [vec![0.0; WINDOW_FRAMES * FRAME_WIDTH], Vec::new()];
-        window[1] = window[0].clone();
-        let [whole, parts] = &mut window;
+        let [whole, parts] = &mut [(); 2].map(|()| vec![0.0; WINDOW_FRAMES * FRAME_WIDTH]);
         composer.original(&known(&source, FrameParts::ALL), whole);
         composer.original(&known(&source, PARTS_OF_ORIGINAL), parts);
         assert_eq!(whole, parts);
-        for mask in masks {
+        for mask in masks() {
             let plan = BlendPlan::new(mask, SlerpRule::Exact);
             for (out, [from, to]) in [
                 (&mut *whole, [FrameParts::ALL; 2]),
@@ -712,16 +697,10 @@ mod tests {
 
     #[test]
     fn only_what_a_mask_touches_is_computed() {
-        assert!(
-            BlendPlan::new(BlendMask::EMPTY, SlerpRule::Exact)
-                .points
-                .is_empty()
-        );
-        assert!(
-            BlendPlan::new(BlendMask::FULL, SlerpRule::Exact)
-                .points
-                .is_empty()
-        );
+        for mask in [BlendMask::EMPTY, BlendMask::FULL] {
+            let plan = BlendPlan::new(mask, SlerpRule::Exact);
+            assert!(plan.points.is_empty(), "{mask:?}");
+        }
         // Shoulder, elbow, wrist and two knuckles, reached by way of spine and collar.
         let plan = BlendPlan::new(BodyPart::LeftArm.mask(), SlerpRule::Exact);
         assert_eq!(plan.points, [16, 18, 20, 24, 25]);

@@ -476,9 +476,8 @@ mod tests {
             assert!(samples.iter().all(|sample| sample.place.y >= 0.0));
         }
         let stand = feet.each_ref().map(|foot| foot.at(7.0).place);
-        assert!(
-            (stand[0] - stand[1] - DVec3::X * 0.16).length() < 1e-9,
-            "they end side by side"
-        );
+        // They end side by side.
+        let off = stand[0] - stand[1] - DVec3::X * 0.16;
+        assert!(off.length() < 1e-9, "{off}");
     }
 }

@@ -360,11 +360,8 @@ mod tests {
                 let times = |joint: Joint, metres: f64| {
                     let height = |frame: usize| points[frame][joint as usize].y;
                     let is_away = |frame| (height(frame) - height(0)) / metres > 1.0;
-                    let mut frames = 1..points.len();
-                    frames
-                        .by_ref()
-                        .filter(|at| is_away(*at) && !is_away(at - 1))
-                        .count()
+                    let starts = |at: &usize| is_away(*at) && !is_away(at - 1);
+                    (1..points.len()).filter(starts).count()
                 };
                 let hands = [Joint::LeftWrist, Joint::RightWrist].map(|hand| times(hand, 0.6));
                 let found = match question.action {
@@ -372,13 +369,8 @@ mod tests {
                     Action::Kick => times(Joint::LeftAnkle, 0.4) + times(Joint::RightAnkle, 0.4),
                     _ => hands[0].max(hands[1]),
                 };
-                assert_eq!(
-                    Some(found),
-                    asked.times,
-                    "{} {}",
-                    question.instruction,
-                    question.take
-                );
+                let (words, take) = (&question.instruction, &question.take);
+                assert_eq!(Some(found), asked.times, "{words} {take}");
             }
         }
     }

@@ -1,6 +1,6 @@
 //! Tests of the corpus as a whole.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::record::{MotionRow, PairRow};
 use datasets_spec::{Joint, NoProgress};
@@ -13,27 +13,19 @@ use super::*;
 /// Actions with a flight phase, to which no foot score applies.
 const AIRBORNE: [&str; 4] = ["run", "jog", "jump", "hop"];
 
+fn least(values: impl Iterator<Item = f64>) -> f64 {
+    values.fold(f64::INFINITY, f64::min)
+}
+
 /// The foot score of DIMOS at 20 fps with the lowest foot joint on the floor: how still and how
 /// low the stillest and the lowest of ankles and toes are.
 fn foot_score(points: &[[glam::DVec3; 28]]) -> f64 {
-    let feet: Vec<_> = points
-        .iter()
-        .step_by(3)
-        .map(|p| [p[7], p[8], p[10], p[11]])
-        .collect();
-    let floor = feet
-        .iter()
-        .flatten()
-        .map(|p| p.y)
-        .fold(f64::INFINITY, f64::min);
+    let frames = points.iter().step_by(3);
+    let feet: Vec<_> = frames.map(|p| [p[7], p[8], p[10], p[11]]).collect();
+    let floor = least(feet.iter().flatten().map(|p| p.y));
     let scores = feet.windows(3).map(|frames| {
-        let speed = (0..4)
-            .map(|foot| 10.0 * (frames[2][foot] - frames[0][foot]).length())
-            .fold(f64::INFINITY, f64::min);
-        let height = frames[1]
-            .iter()
-            .map(|p| p.y - floor)
-            .fold(f64::INFINITY, f64::min);
+        let speed = least((0..4).map(|foot| 10.0 * frames[2][foot].distance(frames[0][foot])));
+        let height = least(frames[1].iter().map(|p| p.y - floor));
         (-(speed - 0.075).max(0.0)).exp() * (-(height.abs() - 0.05).max(0.0)).exp()
     });
     scores.sum::<f64>() / (feet.len() - 2) as f64
@@ -50,29 +42,21 @@ fn performers_differ_less_than_styles_and_the_first_plays_styles_as_described() 
             assert_eq!(performer, Performer::of_take(take + 1));
             performer.plays(neutral, Seed(seed))
         });
-        for played in [second, third] {
+        for (tempo, amplitude) in [second, third].map(|played| (played.tempo, played.amplitude)) {
             // Old and angry people move at .74 and 1.22 of the neutral tempo.
-            assert!((0.86..0.95).contains(&played.tempo) || (1.05..1.16).contains(&played.tempo));
-            assert!(
-                (played.amplitude - 1.0).abs() > 0.09 && (0.79..1.26).contains(&played.amplitude)
-            );
+            assert!((0.86..0.95).contains(&tempo) || (1.05..1.16).contains(&tempo));
+            assert!((amplitude - 1.0).abs() > 0.09 && (0.79..1.26).contains(&amplitude));
         }
         assert_ne!(second.tempo, third.tempo);
     }
     let names = [0, 1, 2, 3, 4].map(|take| Performer::of_take(take).name());
     assert_eq!(names[0], names[1]);
-    assert_eq!(
-        names
-            .iter()
-            .collect::<std::collections::BTreeSet<_>>()
-            .len(),
-        3
-    );
+    assert_eq!(BTreeSet::from(names).len(), 3);
 }
 
 #[test]
 fn splits_hold_out_families_a_performer_and_a_style_of_each_action() {
-    type Cells = std::collections::BTreeSet<(String, String)>;
+    type Cells = BTreeSet<(String, String)>;
     let mut cells: BTreeMap<Split, Cells> = BTreeMap::new();
     let mut counts: BTreeMap<Split, usize> = BTreeMap::new();
     for index in 0..HELD_OUT_CLIPS {
@@ -86,11 +70,9 @@ fn splits_hold_out_families_a_performer_and_a_style_of_each_action() {
             assert_ne!(split, Split::Train, "{}", clip_name(action, style, take));
         }
     }
-    let actions = |split: Split| -> std::collections::BTreeSet<&str> {
-        cells[&split]
-            .iter()
-            .map(|(action, _)| action.as_str())
-            .collect()
+    let actions = |split: Split| -> BTreeSet<&str> {
+        let cells = cells[&split].iter();
+        cells.map(|(action, _)| action.as_str()).collect()
     };
     let trained = actions(Split::Train);
     assert_eq!(trained.len(), 20);
@@ -98,11 +80,9 @@ fn splits_hold_out_families_a_performer_and_a_style_of_each_action() {
     assert_eq!(unseen, ["bow", "hop", "jump", "pick-up"]);
     // Every training action has clips of five of six styles in the training split, including neutral.
     for action in &trained {
-        let styles: Vec<&str> = cells[&Split::Train]
-            .iter()
-            .filter(|(other, _)| other == action)
-            .map(|(_, style)| style.as_str())
-            .collect();
+        let cells = cells[&Split::Train].iter();
+        let cells = cells.filter(|(other, _)| other == action);
+        let styles: Vec<&str> = cells.map(|(_, style)| style.as_str()).collect();
         assert_eq!(styles.len(), 5, "{action}");
         assert!(styles.contains(&"neutral"), "{action}");
     }
@@ -161,48 +141,27 @@ fn every_action_in_every_style_moves_like_a_body() {
         for pose in clip.motion.poses() {
             for (limb, joint) in legs.iter().chain(&arms).zip([4, 5, 18, 19]) {
                 let bend = limb.bend_of(pose.rotations[joint]);
-                assert!(
-                    (0.0..2.7).contains(&bend),
-                    "{name} bends joint {joint} by {bend}"
-                );
+                assert!((0.0..2.7).contains(&bend), "{name}: {joint} by {bend}");
             }
         }
         for (frame, pair) in points.windows(2).enumerate() {
             for (joint, (from, to)) in pair[0].iter().zip(&pair[1]).enumerate() {
                 let speed = (*to - *from).length() * CORPUS_FPS;
-                assert!(
-                    speed < 12.0,
-                    "{name}: joint {joint} at {speed} m/s in frame {frame}"
-                );
+                assert!(speed < 12.0, "{name}: {joint} at {speed} m/s in {frame}");
             }
         }
-        let lowest = points
-            .iter()
-            .flatten()
-            .map(|p| p.y)
-            .fold(f64::INFINITY, f64::min);
+        let lowest = least(points.iter().flatten().map(|p| p.y));
         // Motions are stored in single precision, a few tenths of a micrometre at this size.
-        assert!(
-            (-1e-5..0.01).contains(&lowest),
-            "{name} is {lowest} m above the floor"
-        );
-        let apart = points
-            .iter()
-            .map(|p| (p[7] - p[8]).length())
-            .fold(f64::INFINITY, f64::min);
+        assert!((-1e-5..0.01).contains(&lowest), "{name}: {lowest} m");
+        let apart = least(points.iter().map(|p| p[7].distance(p[8])));
         assert!(apart > 0.05, "{name} steps on its own foot");
-        scores
-            .entry(action_of(name))
-            .or_default()
-            .push(foot_score(&points));
+        let of_action = scores.entry(action_of(name)).or_default();
+        of_action.push(foot_score(&points));
     }
     for (action, scores) in &scores {
         let mean = scores.iter().sum::<f64>() / scores.len() as f64;
-        let needed = if AIRBORNE.contains(action) {
-            0.80
-        } else {
-            0.97
-        };
+        let is_airborne = AIRBORNE.contains(action);
+        let needed = if is_airborne { 0.80 } else { 0.97 };
         assert!(mean >= needed, "{action} scores {mean}");
     }
     let all: Vec<f64> = scores.into_values().flatten().collect();
@@ -216,11 +175,7 @@ fn action_of(name: &str) -> &str {
 /// Mean over the frames of a clip.
 fn mean(motion: &Motion, of: impl Fn(&[glam::DVec3; 28], usize) -> f64) -> f64 {
     let points = Skeleton::smplx_neutral().motion_keypoints(motion).points;
-    let sum: f64 = points
-        .iter()
-        .enumerate()
-        .map(|(frame, p)| of(p, frame))
-        .sum();
+    let sum: f64 = (0..).zip(&points).map(|(frame, p)| of(p, frame)).sum();
     sum / points.len() as f64
 }
 
@@ -251,7 +206,7 @@ fn an_adjusted_clip_is_its_neutral_one_with_the_change_that_is_named() {
         adjusted: Adjustment::ALL.len(),
         ..options(CLIPS_PER_TAKE)
     };
-    let mut found = std::collections::BTreeSet::new();
+    let mut found = BTreeSet::new();
     let mut small = Vec::new();
     for index in 0..CLIPS_PER_TAKE {
         let original = clip(index, &options);
@@ -262,15 +217,9 @@ fn an_adjusted_clip_is_its_neutral_one_with_the_change_that_is_named() {
             let name = &clip.name;
             let (of, adjustment) = name.split_once("_adjusted-").expect("a name in parts");
             assert_eq!(of, original.name);
-            assert_eq!(
-                clip.motion.len(),
-                original.motion.len(),
-                "{name} is in step"
-            );
-            assert_eq!(
-                clip.sidecar.style, None,
-                "{name} is neither neutral nor a style"
-            );
+            assert_eq!(clip.motion.len(), original.motion.len(), "{name}");
+            // It is neither neutral nor a style.
+            assert_eq!(clip.sidecar.style, None, "{name}");
             assert_eq!(clip.sidecar.action, original.sidecar.action);
             let [before, after] = [&original, &clip].map(|clip| measured(adjustment, &clip.motion));
             let change = after - before;
@@ -311,11 +260,8 @@ fn adjusted_clips_depend_on_seed_and_index_alone() {
 fn the_hand_that_is_named_is_the_hand_that_waves() {
     let skeleton = Skeleton::smplx_neutral();
     for (action, waving, resting) in [(Action::WaveLeft, 20, 21), (Action::WaveRight, 21, 20)] {
-        let at = Action::ALL
-            .iter()
-            .position(|&other| other == action)
-            .expect("listed");
-        let clip = clip(at * style::ALL.len(), &options(1));
+        let at = Action::ALL.iter().position(|&other| other == action);
+        let clip = clip(at.expect("listed") * style::ALL.len(), &options(1));
         let points = skeleton.motion_keypoints(&clip.motion).points;
         let highest = |joint: usize| points.iter().map(|p| p[joint].y).fold(0.0, f64::max);
         let shoulder = points[0][16].y;
@@ -348,17 +294,15 @@ fn a_clip_depends_on_seed_and_index_alone() {
         ..options(8)
     };
     assert_ne!(reference.motion, clip(7, &other).motion);
-    assert_ne!(
-        reference.motion,
-        clip(7 + CLIPS_PER_TAKE, &options(8)).motion
-    );
+    let next = clip(7 + CLIPS_PER_TAKE, &options(8));
+    assert_ne!(reference.motion, next.motion);
 }
 
 #[test]
 fn names_are_unique_and_both_formats_get_half_of_everything() {
     let clips = CorpusOptions::default().clips;
     let mut amass: BTreeMap<&str, i32> = BTreeMap::new();
-    let mut names = std::collections::BTreeSet::new();
+    let mut names = BTreeSet::new();
     for index in 0..clips {
         let (action, style, take) = cast(index);
         assert!(names.insert((action.name(), style.name, take)));
@@ -393,31 +337,19 @@ fn the_bytes_do_not_depend_on_the_threads_and_can_be_read() {
     let options = options(14);
     let write = |threads: usize| {
         let dir = tempfile::tempdir().expect("temporary folder");
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .expect("a pool");
-        let summary = pool
-            .install(|| write_corpus(dir.path(), &options, &NoProgress))
-            .expect("written");
-        (files(dir.path()), summary)
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        let pool = pool.build().expect("a pool");
+        let summary = pool.install(|| write_corpus(dir.path(), &options, &NoProgress));
+        (files(dir.path()), summary.expect("written"))
     };
     let (files, summary) = write(1);
     assert_eq!((&files, summary), (&write(5).0, summary));
     assert_eq!((summary.clips, summary.adjusted), (14, 6));
     assert_eq!((summary.amass, summary.bvh), (12, 8));
-    assert_eq!(
-        files.len(),
-        41,
-        "every clip has a sidecar, and all have one list"
-    );
-    assert_eq!(
-        summary.bytes,
-        files
-            .values()
-            .map(|content| content.len() as u64)
-            .sum::<u64>()
-    );
+    // Every clip has a sidecar, and all have one list.
+    assert_eq!(files.len(), 41);
+    let bytes = files.values().map(|content| content.len() as u64);
+    assert_eq!(summary.bytes, bytes.sum::<u64>());
     for index in 0..options.clips {
         let clip = clip(index, &options);
         let path = clip_path(index, &clip);
@@ -469,12 +401,8 @@ fn the_list_names_clips_by_their_ids_and_no_line_is_refused() {
     for row in &motions {
         of_action.entry(&row.action).or_default().push(row.split);
     }
-    assert!(
-        of_action
-            .values()
-            .all(|splits| splits.windows(2).all(|two| two[0] == two[1])),
-        "{of_action:?}"
-    );
+    let is_one = |splits: &Vec<Split>| splits.windows(2).all(|two| two[0] == two[1]);
+    assert!(of_action.values().all(is_one), "{of_action:?}");
 }
 
 #[test]

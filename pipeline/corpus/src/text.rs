@@ -171,13 +171,8 @@ mod tests {
                     }
                     for part in &parts {
                         assert!(named.contains(&part.part.as_str()));
-                        assert!(
-                            part.text
-                                .split(' ')
-                                .next()
-                                .expect("a word")
-                                .ends_with("ing")
-                        );
+                        let word = part.text.split(' ').next().expect("a word");
+                        assert!(word.ends_with("ing"), "{word}");
                         assert!(!part.text.contains(['{', '}']));
                     }
                 }
@@ -191,17 +186,10 @@ mod tests {
             side: Side::Left,
             count: 2,
         };
-        let (captions, parts) = describe(
-            Action::WaveLeft,
-            "neutral",
-            facts,
-            &mut Seed(2).rng(&["text"]),
-        );
+        let mut rng = Seed(2).rng(&["text"]);
+        let (captions, parts) = describe(Action::WaveLeft, "neutral", facts, &mut rng);
         assert!(captions.iter().all(|caption| caption.text.contains("left")));
-        assert!(
-            parts
-                .iter()
-                .any(|part| part.part == "LEFT_ARM" && part.text == "waving")
-        );
+        let is_wave = |part: &PartCaption| part.part == "LEFT_ARM" && part.text == "waving";
+        assert!(parts.iter().any(is_wave));
     }
 }

@@ -78,10 +78,8 @@ mod tests {
         let skeleton = Skeleton::smplx_neutral();
         let mut poses = standing(5.0, 10);
         let shift = put_on_floor(&mut poses, Fps::STORE, &skeleton);
-        assert!(
-            (shift - (1.286751747 - 5.0)).abs() < 1e-9,
-            "the right foot is the lowest joint"
-        );
+        // The right foot is the lowest joint.
+        assert!((shift - (1.286751747 - 5.0)).abs() < 1e-9);
         assert!(skeleton.keypoints(&poses[0])[11].y.abs() < 1e-12);
     }
 

@@ -225,18 +225,16 @@ mod tests {
     fn joints(recorded: &Recorded, key: &str) -> Vec<Joints> {
         let tensor = recorded.get(key);
         assert!(tensor.shape.ends_with(&[NUM_BODY_JOINTS, 3]), "{key}");
-        tensor
-            .values
-            .chunks_exact(3 * NUM_BODY_JOINTS)
-            .map(|frame| std::array::from_fn(|joint| DVec3::from_slice(&frame[3 * joint..])))
-            .collect()
+        let frames = tensor.values.chunks_exact(3 * NUM_BODY_JOINTS);
+        let joints =
+            |frame: &[f64]| std::array::from_fn(|joint| DVec3::from_slice(&frame[3 * joint..]));
+        frames.map(joints).collect()
     }
 
     fn features(recorded: &Recorded, key: &str) -> Vec<Features> {
-        let values = &recorded.get(key).values;
-        values
-            .chunks_exact(HUMANML3D_WIDTH)
-            .map(|frame| std::array::from_fn(|column| frame[column] as f32))
+        let (rows, _) = recorded.get(key).values.as_chunks::<HUMANML3D_WIDTH>();
+        rows.iter()
+            .map(|row| row.map(|value| value as f32))
             .collect()
     }
 
@@ -277,13 +275,12 @@ mod tests {
     fn largest_distance(a: &[Joints], b: &[Joints]) -> f64 {
         assert_eq!(a.len(), b.len());
         let pairs = a.iter().flatten().zip(b.iter().flatten());
-        pairs.fold(0.0, |largest, (a, b)| {
-            largest.max((*a - *b).abs().max_element())
-        })
+        let apart = pairs.map(|(a, b)| (*a - *b).abs().max_element());
+        apart.fold(0.0, f64::max)
     }
 
     #[test]
-    fn golden_humanml3d_processing_follows_the_notebook() {
+    fn golden_humanml3d_processing_and_features_follow_the_notebook() {
         for case in CASES {
             let recorded = read(case);
             let source = joints(&recorded, "in.joints");
@@ -296,15 +293,6 @@ mod tests {
             let expected = joints(&recorded, "out.global_positions");
             let difference = largest_distance(&processed, &expected);
             assert!(difference < 1e-5, "{case}: {difference}");
-        }
-    }
-
-    #[test]
-    fn golden_humanml3d_features_follow_the_notebook() {
-        for case in CASES {
-            let recorded = read(case);
-            let source = joints(&recorded, "in.joints");
-            let processed = process_joints(&source, &bones(&recorded)).expect("a clip");
             let found = features_of_processed(&processed);
             let expected = features(&recorded, "out.features");
             assert_eq!(found.len(), expected.len(), "{case}");
@@ -313,10 +301,8 @@ mod tests {
                     for column in range {
                         let difference = (found[column] - expected[column]).abs();
                         let tolerance = if column < 259 { 2e-5 } else { 0.0 };
-                        assert!(
-                            difference <= tolerance,
-                            "{case}: {name}, column {column} of frame {frame}: {difference}"
-                        );
+                        let place = format!("{case}: {name}, column {column} of frame {frame}");
+                        assert!(difference <= tolerance, "{place}: {difference}");
                     }
                 }
             }
@@ -395,16 +381,12 @@ mod tests {
         let joints = published(&folder, "new_joints/012314.npy");
         let (points, _) = joints.values.as_chunks::<3>();
         let (frames, _) = points.as_chunks::<NUM_BODY_JOINTS>();
-        let joints: Vec<Joints> = frames
-            .iter()
-            .map(|frame| frame.map(DVec3::from_array))
-            .collect();
+        let joints = frames.iter().map(|frame| frame.map(DVec3::from_array));
+        let joints: Vec<Joints> = joints.collect();
         let features = published(&folder, "new_joint_vecs/012314.npy");
         let (rows, _) = features.values.as_chunks::<HUMANML3D_WIDTH>();
-        let features: Vec<Features> = rows
-            .iter()
-            .map(|row| row.map(|value| value as f32))
-            .collect();
+        let rows = rows.iter().map(|row| row.map(|value| value as f32));
+        let features: Vec<Features> = rows.collect();
         let difference = largest_distance(&recover_joints(&features), &joints);
         assert!(difference < 1e-5, "{difference}");
 
@@ -454,10 +436,8 @@ mod tests {
                 2..40,
             ),
         ) {
-            let mut joints: Vec<Joints> = frames
-                .iter()
-                .map(|frame| frame.map(DVec3::from_array))
-                .collect();
+            let joints = frames.iter().map(|frame| frame.map(DVec3::from_array));
+            let mut joints: Vec<Joints> = joints.collect();
             // If a body turns around between two frames, the published half-angle loses the turn. Wide hips and
             // shoulders keep these bodies facing the front.
             let wide = [(1, 20.0), (2, -20.0), (13, 20.0), (14, -20.0), (16, 60.0), (17, -60.0)];
@@ -485,14 +465,10 @@ mod tests {
         let recorded = read("humanml3d_random0");
         let source = joints(&recorded, "in.joints");
         let turn = DQuat::from_rotation_y(1.1);
-        let moved: Vec<Joints> = source
-            .iter()
-            .map(|frame| frame.map(|point| turn * point + DVec3::new(3.0, 0.4, -2.0)))
-            .collect();
-        let (here, there) = (
-            features_of_joints(&source).expect("a clip"),
-            features_of_joints(&moved).expect("a clip"),
-        );
+        let moved = |point: DVec3| turn * point + DVec3::new(3.0, 0.4, -2.0);
+        let moved: Vec<Joints> = source.iter().map(|frame| frame.map(moved)).collect();
+        let [here, there] =
+            [&source, &moved].map(|joints| features_of_joints(joints).expect("a clip"));
         for (a, b) in here.iter().flatten().zip(there.iter().flatten()) {
             // Coordinates of a few metres in f64 leave about 1e-15; the features are f32.
             assert!((a - b).abs() < 1e-6, "{a} and {b}");
@@ -503,20 +479,14 @@ mod tests {
     fn what_has_no_direction_is_an_error_that_names_it() {
         let recorded = read("humanml3d_random0");
         let mut source = joints(&recorded, "in.joints");
-        assert_eq!(
-            features_of_joints(&source[..1]),
-            Err(FeatureError::TooShort { frames: 1 })
-        );
+        let error = |source: &[Joints]| features_of_joints(source).expect_err("no direction");
+        assert_eq!(error(&source[..1]), FeatureError::TooShort { frames: 1 });
         source[4][7] = source[4][4];
-        assert_eq!(
-            features_of_joints(&source),
-            Err(FeatureError::NoDirection { joint: 7, frame: 4 })
-        );
+        let (joint, frame) = (7, 4);
+        assert_eq!(error(&source), FeatureError::NoDirection { joint, frame });
         source[2][9].y = f64::NAN;
-        assert_eq!(
-            features_of_joints(&source),
-            Err(FeatureError::NoDirection { joint: 9, frame: 2 })
-        );
+        let (joint, frame) = (9, 2);
+        assert_eq!(error(&source), FeatureError::NoDirection { joint, frame });
     }
 
     #[test]
@@ -560,13 +530,9 @@ mod tests {
     fn assert_rotations_are_sound(features: &[Features]) {
         for frame in features {
             for column in frame[67..193].chunks_exact(6) {
-                let [first, second] = [0, 3].map(|at| {
-                    DVec3::new(
-                        column[at].into(),
-                        column[at + 1].into(),
-                        column[at + 2].into(),
-                    )
-                });
+                let (first, second) = column.split_at(3);
+                let [first, second] =
+                    [first, second].map(|part| glam::Vec3::from_slice(part).as_dvec3());
                 // Products of a few numbers in f32.
                 assert!((first.length() - 1.0).abs() < 1e-5, "{first}");
                 assert!((second.length() - 1.0).abs() < 1e-5, "{second}");

@@ -345,17 +345,9 @@ mod tests {
         let expected = frames(&recorded, "out.recovered_joints");
         let apart = largest_distance(&recover_joints(&features), &expected);
         assert!(apart < 1e-5, "{apart}");
-        let expected = poses(
-            &recorded,
-            "out.recovered_axis_angle",
-            "out.recovered_transl",
-        );
-        assert_near(
-            &recover_poses(&features, DVec3::ZERO),
-            &expected,
-            1e-5,
-            1e-5,
-        );
+        let (angles, transl) = ("out.recovered_axis_angle", "out.recovered_transl");
+        let found = recover_poses(&features, DVec3::ZERO);
+        assert_near(&found, &poses(&recorded, angles, transl), 1e-5, 1e-5);
     }
 
     /// A body at rest that walks on a circle of this radius in metres and turns by `turn` in each frame.
@@ -392,11 +384,8 @@ mod tests {
                     for (column, expected) in expected.iter().enumerate() {
                         let apart = f64::from(row[at + column]) - expected;
                         // Stored translations of a few metres have 24 bits.
-                        assert!(
-                            apart.abs() < 2e-6,
-                            "{} of frame {frame}: {apart}",
-                            at + column
-                        );
+                        let column = at + column;
+                        assert!(apart.abs() < 2e-6, "{column} of frame {frame}: {apart}");
                     }
                 };
                 near(0, if frame == 0 { &[0.0, 0.0] } else { &step });

@@ -162,20 +162,15 @@ mod tests {
         let code = |bytes: &[u8]| read(bytes).expect_err("rejected").code;
         for (name, bytes) in (0..NUM_DUMPS).map(dump) {
             let code = code(&bytes[..bytes.len() / 2]);
-            assert!(
-                ["E-PICKLE-TRUNCATED", "E-PICKLE-UNPACK"].contains(&code),
-                "{name}: {code}"
-            );
+            let known = ["E-PICKLE-TRUNCATED", "E-PICKLE-UNPACK"];
+            assert!(known.contains(&code), "{name}: {code}");
         }
         assert_eq!(code(b"ZF0x1234"), "E-JOBLIB-OLD");
         assert_eq!(code(b"x\x9cnonsense"), "E-PICKLE-UNPACK");
         let rejected = read(b"cjoblib.numpy_pickle\nZNDArrayWrapper\n.").expect_err("old");
         assert_eq!(rejected.code, "E-PICKLE-REFUSED");
-        assert!(
-            rejected.reason.contains("beside the dump"),
-            "{}",
-            rejected.reason
-        );
+        let reason = rejected.reason;
+        assert!(reason.contains("beside the dump"), "{reason}");
         // Outside a dump no bytes follow a wrapper.
         let (_, plain) = dump(0);
         let rejected = crate::read(&plain).expect_err("a wrapper");

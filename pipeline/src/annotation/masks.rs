@@ -307,13 +307,14 @@ mod tests {
 
     const WHOLE_BODY: [usize; 5] = [3, 1, 2, 16, 17];
 
-    fn parts(rows: &[MotionRow], id: &str) -> Vec<String> {
+    fn masks_of(rows: &[MotionRow]) -> Result<Vec<MaskRow>, Error> {
         automatic_masks(rows, &Skeleton::smplx_neutral(), &MaskConfig::default())
-            .expect("valid rows")
-            .into_iter()
-            .filter(|mask| mask.motion_id.as_str() == id)
-            .flat_map(|mask| mask.parts)
-            .collect()
+    }
+
+    fn parts(rows: &[MotionRow], id: &str) -> Vec<String> {
+        let masks = masks_of(rows).expect("valid rows").into_iter();
+        let masks = masks.filter(|mask| mask.motion_id.as_str() == id);
+        masks.flat_map(|mask| mask.parts).collect()
     }
 
     #[test]
@@ -342,62 +343,45 @@ mod tests {
             swinging("lively", Split::Train, &WHOLE_BODY),
             swinging("clip", Split::Test, &[16]),
         ];
-        let masks = automatic_masks(&rows, &Skeleton::smplx_neutral(), &MaskConfig::default())
-            .expect("valid rows");
+        let masks = masks_of(&rows).expect("valid rows");
         let mask = masks.last().expect("a mask");
         assert_eq!(mask.id, "clip#LEFT_ARM");
         assert_eq!(mask.split, Split::Test);
-        assert_eq!(
-            mask.hard_joints,
-            ["left_shoulder", "left_elbow", "left_wrist"]
-        );
+        let hard = ["left_shoulder", "left_elbow", "left_wrist"];
+        assert_eq!(mask.hard_joints, hard);
         assert_eq!(mask.soft_joints, ["left_collar"]);
         assert_eq!(mask.text, "The person is waving with their left arm.");
-        assert_eq!(
-            (mask.text_origin.as_str(), mask.author.as_str()),
-            (AUTOMATIC, AUTHOR)
-        );
+        let of = (mask.text_origin.as_str(), mask.author.as_str());
+        assert_eq!(of, (AUTOMATIC, AUTHOR));
     }
 
     #[test]
     fn what_the_source_says_of_a_part_is_kept() {
         let mut row = swinging("clip", Split::Train, &[16]);
-        row.part_captions = vec![
-            PartCaption {
-                part: "LEFT_ARM".to_owned(),
-                text: "throwing a ball.".to_owned(),
-            },
-            PartCaption {
-                part: "LOWER_BODY".to_owned(),
-                text: "standing still".to_owned(),
-            },
-        ];
-        let skeleton = Skeleton::smplx_neutral();
+        row.part_captions = [
+            ("LEFT_ARM", "throwing a ball."),
+            ("LOWER_BODY", "standing still"),
+        ]
+        .map(|(part, text)| PartCaption {
+            part: part.to_owned(),
+            text: text.to_owned(),
+        })
+        .into();
         let rows = [swinging("lively", Split::Train, &WHOLE_BODY), row.clone()];
-        let masks = automatic_masks(&rows, &skeleton, &MaskConfig::default()).expect("valid");
-        let texts: Vec<(&str, &str)> = masks
-            .iter()
-            .filter(|mask| mask.motion_id == row.id)
-            .map(|mask| (mask.text.as_str(), mask.text_origin.as_str()))
-            .collect();
+        let masks = masks_of(&rows).expect("valid").into_iter();
+        let masks = masks.filter(|mask| mask.motion_id == row.id);
+        let texts: Vec<(String, String)> =
+            masks.map(|mask| (mask.text, mask.text_origin)).collect();
+        let expected = [
+            "The person is standing still with their lower body.",
+            "The person is throwing a ball with their left arm.",
+        ];
         assert_eq!(
             texts,
-            [
-                (
-                    "The person is standing still with their lower body.",
-                    IMPORTED
-                ),
-                (
-                    "The person is throwing a ball with their left arm.",
-                    IMPORTED
-                ),
-            ]
+            expected.map(|text| (text.to_owned(), IMPORTED.to_owned()))
         );
         row.part_captions[0].part = "TAIL".to_owned();
-        assert!(matches!(
-            automatic_masks(&[row], &skeleton, &MaskConfig::default()),
-            Err(Error::Part { .. })
-        ));
+        assert!(matches!(masks_of(&[row]), Err(Error::Part { .. })));
     }
 
     #[test]
@@ -408,14 +392,7 @@ mod tests {
         let without = parts(std::slice::from_ref(&lively), "lively");
         assert_eq!(parts(&[lively, frantic.clone()], "lively"), without);
         assert_eq!(without, ["UPPER_BODY", "LOWER_BODY"]);
-        assert!(matches!(
-            automatic_masks(
-                &[frantic],
-                &Skeleton::smplx_neutral(),
-                &MaskConfig::default()
-            ),
-            Err(Error::NoTrainMotions)
-        ));
+        assert!(matches!(masks_of(&[frantic]), Err(Error::NoTrainMotions)));
     }
 
     #[test]

@@ -247,29 +247,21 @@ mod tests {
     fn another_rate_is_brought_to_that_of_the_item() {
         let (item, skeleton) = (item(0), Skeleton::smplx_neutral());
         let motion = wandering("answer", 41);
-        let fast = datasets_spec::Resample::Exact
-            .apply(&motion, Fps::new(60.0).expect("a rate"))
-            .expect("valid");
+        let recorded = Recorded::of_motion(&motion);
+        let fast = datasets_spec::Resample::Exact.apply(&motion, Fps::new(60.0).expect("a rate"));
+        let fast = fast.expect("valid");
         let back = Recorded::of_motion(&fast).motion(&item, &skeleton, &options());
         let back = back.expect("valid");
         assert_eq!((back.fps(), back.len()), (Fps::STORE, 41));
-        for (a, b) in back
-            .transl()
-            .iter()
-            .flatten()
-            .zip(motion.transl().iter().flatten())
-        {
-            assert!(
-                (a - b).abs() < 1e-5,
-                "every third frame is one of the motion"
-            );
+        // Every third frame is one of the motion.
+        let (back, motion) = (back.transl().as_flattened(), motion.transl().as_flattened());
+        for (a, b) in back.iter().zip(motion) {
+            assert!((a - b).abs() < 1e-5, "{a} and {b}");
         }
-        let mut rateless = Recorded::of_motion(&motion);
+        let mut rateless = recorded;
         rateless.fps = None;
         let refused = rateless.motion(&item, &skeleton, &options());
-        assert_eq!(
-            refused.map_err(|rejected| rejected.code),
-            Err("E-ANSWER-FPS")
-        );
+        let code = refused.map_err(|rejected| rejected.code);
+        assert_eq!(code, Err("E-ANSWER-FPS"));
     }
 }

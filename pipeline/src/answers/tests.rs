@@ -25,10 +25,8 @@ use pickle::{Array as PickleArray, Value};
 pub(super) fn item(number: usize) -> ItemRow {
     let name = format!("clip{number}");
     let id = MotionId::parse(&name).expect("valid");
-    let (source, target) = (
-        wandering(&name, 40),
-        wandering(&format!("{name} edited"), 36),
-    );
+    let (source, target) = (name.clone(), format!("{name} edited"));
+    let (source, target) = (wandering(&source, 40), wandering(&target, 36));
     let mut row = ItemRow {
         task: "semantic".to_owned(),
         instruction: format!("wave {number} times"),
@@ -86,33 +84,36 @@ fn apart(a: &Motion, b: &Motion) -> f64 {
     pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
 }
 
-fn store_npz(motion: &Motion, fps: f64) -> Vec<u8> {
-    let wide = |values: &[f32]| -> Vec<f64> { values.iter().map(|&v| f64::from(v)).collect() };
-    let frames = motion.len();
+fn store_npz(motion: &Motion) -> Vec<u8> {
+    let column = |shape: &[usize], values: &[f32]| {
+        let values: Vec<f64> = values.iter().map(|&value| f64::from(value)).collect();
+        npy_f8(&[&[motion.len()][..], shape].concat(), &values)
+    };
     npz(&[
-        (
-            "transl",
-            npy_f8(&[frames, 3], &wide(motion.transl().as_flattened())),
-        ),
+        ("transl", column(&[3], motion.transl().as_flattened())),
         (
             "global_orient",
-            npy_f8(&[frames, 3], &wide(motion.global_orient().as_flattened())),
+            column(&[3], motion.global_orient().as_flattened()),
         ),
         (
             "body_pose",
-            npy_f8(&[frames, 21, 3], &wide(motion.body_pose().as_flattened())),
+            column(&[21, 3], motion.body_pose().as_flattened()),
         ),
-        ("fps", npy_f8(&[], &[fps])),
+        ("fps", npy_f8(&[], &[20.0])),
     ])
 }
 
+/// Puts an answer to an item into a folder.
+fn put_answer(folder: &Path, item: &ItemRow) {
+    let name = format!("{}.npz", item.id);
+    put(folder, &name, store_npz(&wandering(&item.id, 30)));
+}
+
+const OBJECT: &str = "{'descr': '|O', 'fortran_order': False, 'shape': (), }";
+
 /// Bytes that `numpy.save` writes for a dictionary: an array of one pickled object.
 fn npy_of(value: Value) -> Vec<u8> {
-    let pickled = pickle::encode(&Value::List(vec![value]));
-    npy(
-        "{'descr': '|O', 'fortran_order': False, 'shape': (), }",
-        &pickled,
-    )
+    npy(OBJECT, &pickle::encode(&Value::List(vec![value])))
 }
 
 /// The motion in MotionFix's frame: z up, turned and moved.
@@ -132,9 +133,8 @@ fn motionfix_pose(motion: &Motion) -> Value {
         let rows = pose.rotations.map(|rotation| {
             kinematics::rotation::to_six_d_rows(DMat3::from_quat(rotation)).map(|v| v as f32)
         });
-        let transl = pose.transl.as_vec3().to_array();
-        transl
-            .into_iter()
+        let numbers = pose.transl.as_vec3().to_array().into_iter();
+        numbers
             .chain(rows.into_iter().flatten())
             .collect::<Vec<f32>>()
     });
@@ -144,29 +144,16 @@ fn motionfix_pose(motion: &Motion) -> Value {
 
 fn motionfix_rots(motion: &Motion) -> Value {
     let poses = motionfix_poses(motion);
-    let vector = |rotation: DQuat| {
-        kinematics::rotation::to_axis_angle(rotation)
-            .as_vec3()
-            .to_array()
+    let vector = |rotation: DQuat| kinematics::rotation::to_axis_angle(rotation).as_vec3();
+    let rots = poses.iter().flat_map(|pose| pose.rotations.map(vector));
+    let trans = poses.iter().map(|pose| pose.transl.as_vec3());
+    let array = |shape: &[usize], values: Vec<glam::Vec3>| {
+        let numbers = values.into_iter().flat_map(|vector| vector.to_array());
+        Value::Array(Arc::new(PickleArray::from_f32(shape, numbers)))
     };
-    let rots = poses
-        .iter()
-        .flat_map(|pose| pose.rotations.map(vector).into_iter().flatten());
-    let trans = poses
-        .iter()
-        .flat_map(|pose| pose.transl.as_vec3().to_array());
-    let array = |shape: &[usize], values: Vec<f32>| {
-        Value::Array(Arc::new(PickleArray::from_f32(shape, values)))
-    };
-    Value::Dict(vec![
-        (
-            Value::text("rots"),
-            array(&[motion.len(), 22, 3], rots.collect()),
-        ),
-        (
-            Value::text("trans"),
-            array(&[motion.len(), 3], trans.collect()),
-        ),
+    Value::dict([
+        ("rots", array(&[motion.len(), 22, 3], rots.collect())),
+        ("trans", array(&[motion.len(), 3], trans.collect())),
     ])
 }
 
@@ -176,9 +163,9 @@ fn placed(motion: &Motion, item: &ItemRow) -> Motion {
         place: Some(Place::Source),
         ..options()
     };
-    Recorded::of_motion(motion)
-        .motion(item, &Skeleton::smplx_neutral(), &in_place)
-        .expect("valid")
+    let recorded = Recorded::of_motion(motion);
+    let placed = recorded.motion(item, &Skeleton::smplx_neutral(), &in_place);
+    placed.expect("valid")
 }
 
 #[test]
@@ -189,14 +176,11 @@ fn every_format_brings_the_motion_back_within_its_precision() {
     let name = |number: usize, ending: &str| format!("{}{ending}", items[number].id);
     let amass = formats::write::amass::encode(&motion(0), &skeleton).expect("encoded");
     put(dir.path(), &name(0, ".npz"), amass);
-    put(dir.path(), &name(1, ".npz"), store_npz(&motion(1), 20.0));
+    put(dir.path(), &name(1, ".npz"), store_npz(&motion(1)));
     let third = npy_of(motionfix_pose(&at_30(&motion(2))));
     put(dir.path(), &name(2, ".npy"), third);
-    put(
-        dir.path(),
-        &name(3, ".npy"),
-        npy_of(motionfix_rots(&at_30(&motion(3)))),
-    );
+    let fourth = npy_of(motionfix_rots(&at_30(&motion(3))));
+    put(dir.path(), &name(3, ".npy"), fourth);
     let joints = features::humanml3d::joints_of_motion(&motion(4), &features::smpl_body(&skeleton));
     let features = features::humanml3d::features_of_joints(&joints).expect("a clip");
     let wide: Vec<f64> = features.iter().flatten().map(|&v| f64::from(v)).collect();
@@ -211,11 +195,8 @@ fn every_format_brings_the_motion_back_within_its_precision() {
     // Tolerance: rotated to z up and back in double precision, stored in single, which is half a micrometre below ten
     // metres.
     assert!(apart(&got[0], &motion(0)) < 1e-5);
-    assert_eq!(
-        got[0].body_pose(),
-        motion(0).body_pose(),
-        "copied bit by bit"
-    );
+    // Local rotations are copied bit by bit.
+    assert_eq!(got[0].body_pose(), motion(0).body_pose());
     assert_eq!(got[1], motion(1));
     for number in [2, 3] {
         let expected = Resample::Exact.apply(&at_30(&motion(number)), Fps::STORE);
@@ -239,9 +220,8 @@ fn every_format_brings_the_motion_back_within_its_precision() {
 }
 
 fn at_30(motion: &Motion) -> Motion {
-    Resample::Exact
-        .apply(motion, Fps::new(30.0).expect("a rate"))
-        .expect("valid")
+    let fps = Fps::new(30.0).expect("a rate");
+    Resample::Exact.apply(motion, fps).expect("valid")
 }
 
 fn code_of<'a>(report: &'a AnswerReport, name: &str) -> &'a Refusal {
@@ -255,13 +235,12 @@ fn hostile_files_are_refused_one_by_one_and_the_rest_goes_on() {
     let dir = dir();
     let id = |number: usize| items[number].id.as_str();
     let name = |number: usize, ending: &str| format!("{}{ending}", items[number].id);
-    let good = |number: usize| store_npz(&wandering(&format!("answer {number}"), 30), 20.0);
+    let good = |number: usize| store_npz(&wandering(&format!("answer {number}"), 30));
     put(dir.path(), &name(0, ".npz"), good(0));
     let whole = good(1);
     put(dir.path(), &name(1, ".npz"), &whole[..whole.len() / 2]);
     let system = b"cos\nsystem\n(S'touch owned'\ntR.";
-    let header = "{'descr': '|O', 'fortran_order': False, 'shape': (), }";
-    put(dir.path(), &name(2, ".npy"), npy(header, system));
+    put(dir.path(), &name(2, ".npy"), npy(OBJECT, system));
     let mut narrow = clip_members(4, 165);
     narrow[0].1 = npy_f8(&[4, 66], &[0.0; 4 * 66]);
     narrow[1].1 = npy_f8(&[3, 3], &[0.0; 9]);
@@ -274,38 +253,31 @@ fn hostile_files_are_refused_one_by_one_and_the_rest_goes_on() {
     put(dir.path(), &name(5, ".npz"), good(5));
     put(dir.path(), &name(5, "_stageii.npz"), good(6));
     put(dir.path(), "nobody.npz", good(7));
-    put(
-        dir.path(),
-        &name(6, ".npy"),
-        npy_f8(&[30, 262], &[0.0; 30 * 262]),
-    );
+    let other = npy_f8(&[30, 262], &[0.0; 30 * 262]);
+    put(dir.path(), &name(6, ".npy"), other);
     put(dir.path(), &name(7, ".pkl"), b"\x80\x04}.");
     put(dir.path(), "notes.txt", "mine");
 
     let answers = answers(dir.path(), &items, &options());
     let report = &answers.report;
     let refused = |number: usize| code_of(report, id(number));
-    assert_eq!(refused(1).code, "E-NPZ-TRUNCATED");
+    for (number, code, words) in [
+        (1, "E-NPZ-TRUNCATED", ""),
+        (2, "E-PICKLE-REFUSED", "os.system"),
+        (3, "E-AMASS-SHAPE", ""),
+        (4, "E-NOT-FINITE", "frame 1"),
+        (5, "E-ITEM-DUPLICATE", ""),
+        (6, "E-HML-SHAPE", ""),
+        (7, "E-ANSWER-KEYS", ""),
+    ] {
+        let found = refused(number);
+        assert_eq!(found.code, code, "{number}");
+        assert!(found.reason.contains(words), "{number}: {}", found.reason);
+    }
     assert!(refused(1).byte_offset.is_some());
-    assert_eq!(refused(2).code, "E-PICKLE-REFUSED");
-    assert!(
-        refused(2).reason.contains("os.system"),
-        "{}",
-        refused(2).reason
-    );
     // Offset of the name in the file, not in the pickle after the header.
     assert!(refused(2).byte_offset.expect("a place") >= 64);
-    assert_eq!(refused(3).code, "E-AMASS-SHAPE");
-    assert_eq!(refused(4).code, "E-NOT-FINITE");
-    assert!(
-        refused(4).reason.contains("frame 1"),
-        "{}",
-        refused(4).reason
-    );
-    assert_eq!(refused(5).code, "E-ITEM-DUPLICATE");
     assert_eq!(code_of(report, "nobody").code, "E-ITEM-UNKNOWN");
-    assert_eq!(refused(6).code, "E-HML-SHAPE");
-    assert_eq!(refused(7).code, "E-ANSWER-KEYS");
     assert_eq!(report.passed_over.len(), 1);
     assert_eq!((report.found, report.imported, report.answered), (11, 1, 1));
     assert_eq!(answers.rows[0].id, items[0].id);
@@ -322,18 +294,15 @@ fn takes_are_told_apart_by_their_seed_and_two_imports_are_two_systems() {
         for take in 0..2 {
             let motion = wandering(&format!("take {}", take + shift), 30);
             let name = format!("{id}-{}.npz", 40 + take);
-            put(folder.path(), &name, store_npz(&motion, 20.0));
+            put(folder.path(), &name, store_npz(&motion));
         }
     }
     let [a, b] = [&first, &second].map(|folder| answers(folder.path(), &items, &options()));
     let seeds: Vec<u64> = a.rows.iter().map(|row| row.seed).collect();
     assert_eq!((seeds, a.report.answered), (vec![40, 41], 1));
     assert_eq!(a.report.missing, [items[1].id.clone()]);
-    assert!(
-        a.rows
-            .iter()
-            .all(|row| row.checkpoint_hash == a.report.checkpoint_hash)
-    );
+    let hash = &a.report.checkpoint_hash;
+    assert!(a.rows.iter().all(|row| row.checkpoint_hash == *hash));
     assert_ne!(a.report.checkpoint_hash, b.report.checkpoint_hash);
     let again = answers(first.path(), &items, &options());
     assert_eq!(again.rows, a.rows);
@@ -355,28 +324,20 @@ fn motionfix_items_go_by_the_number_of_their_pair() {
     let mut items = items(2);
     for (number, item) in items.iter_mut().enumerate() {
         item.task = "motionfix".to_owned();
-        item.source_id =
-            MotionId::parse(&format!("motionfix/00013{number}-source")).expect("valid");
+        let id = format!("motionfix/00013{number}-source");
+        item.source_id = MotionId::parse(&id).expect("valid");
         item.id = item.content_id();
     }
     let dir = dir();
-    put(
-        dir.path(),
-        "000131.npy",
-        npy_of(motionfix_pose(&wandering("answer", 40))),
-    );
-    put(
-        dir.path(),
-        "000131_source.npy",
-        npy_of(motionfix_pose(&wandering("answer", 40))),
-    );
+    for name in ["000131.npy", "000131_source.npy"] {
+        let answer = npy_of(motionfix_pose(&wandering("answer", 40)));
+        put(dir.path(), name, answer);
+    }
     let answers = answers(dir.path(), &items, &options());
     assert_eq!(answers.rows.len(), 1);
     assert_eq!(answers.rows[0].id, items[1].id);
-    assert_eq!(
-        code_of(&answers.report, "000131_source").code,
-        "E-ITEM-UNKNOWN"
-    );
+    let source = code_of(&answers.report, "000131_source");
+    assert_eq!(source.code, "E-ITEM-UNKNOWN");
 }
 
 /// Columns of the same frames in the formats of different writers.
@@ -477,9 +438,7 @@ fn parquet(columns: Vec<(&str, ArrayRef)>) -> Vec<u8> {
 #[test]
 fn tables_of_any_writer_keep_their_bits() {
     let items = items(2);
-    let motions: Vec<Motion> = (0..2)
-        .map(|n| wandering(&format!("answer {n}"), 30 + n))
-        .collect();
+    let motions = [0, 1].map(|n| wandering(&format!("answer {n}"), 30 + n));
     let names: Vec<&str> = items.iter().map(|item| item.id.as_str()).collect();
     for writer in [Writer::Nested, Writer::Large, Writer::Flat, Writer::Fixed] {
         let mut columns = motion_columns(&motions, writer);
@@ -503,19 +462,11 @@ fn rows_of_a_table_are_refused_one_by_one() {
     let motion = wandering("answer", 30);
     let names: Vec<&str> = items.iter().map(|item| item.id.as_str()).collect();
     let names = [names[0], names[1], names[2], "nobody", names[3], names[3]];
-    let mut broken = motion.clone();
-    broken = Motion::new(
-        broken.fps(),
-        broken.transl()[..29].to_vec(),
-        broken.global_orient()[..29].to_vec(),
-        broken.body_pose()[..29].to_vec(),
-    )
-    .expect("valid");
     let motions = vec![motion.clone(); 6];
     let mut columns = motion_columns(&motions, Writer::Flat);
     // The second row lacks a frame in one column, and the third has a NaN.
     let mut transl: Vec<Vec<[f32; 3]>> = vec![motion.transl().to_vec(); 6];
-    transl[1] = broken.transl().to_vec();
+    transl[1].truncate(29);
     transl[2][7][1] = f32::NAN;
     let frames: Vec<&[[f32; 3]]> = transl.iter().map(Vec::as_slice).collect();
     columns[0].1 = column(&frames, Writer::Flat);
@@ -525,10 +476,8 @@ fn rows_of_a_table_are_refused_one_by_one() {
     let bytes = parquet(columns.clone());
     put(dir.path(), "answers.parquet", &bytes);
     let done = answers(dir.path(), &items, &options());
-    let codes: Vec<(&str, &str)> = done
-        .report
-        .refused
-        .iter()
+    let refused = done.report.refused.iter();
+    let codes: Vec<_> = refused
         .map(|refusal| (refusal.name.as_str(), refusal.code))
         .collect();
     let expected = [
@@ -547,18 +496,16 @@ fn rows_of_a_table_are_refused_one_by_one() {
         answers(dir.path(), &items, &options()).report.refused[0].code
     };
     let without = |name: &str| -> Vec<(&'static str, ArrayRef)> {
-        columns
-            .iter()
-            .filter(|column| column.0 != name)
-            .cloned()
-            .collect()
+        let columns = columns.iter().filter(|column| column.0 != name);
+        columns.cloned().collect()
     };
-    assert_eq!(whole_file(&parquet(without("item"))), "E-TABLE-COLUMNS");
-    assert_eq!(
-        whole_file(&parquet(without("body_pose"))),
-        "E-TABLE-COLUMNS"
-    );
-    assert_eq!(whole_file(&parquet(without("fps"))), "E-ANSWER-FPS");
+    for (name, code) in [
+        ("item", "E-TABLE-COLUMNS"),
+        ("body_pose", "E-TABLE-COLUMNS"),
+        ("fps", "E-ANSWER-FPS"),
+    ] {
+        assert_eq!(whole_file(&parquet(without(name))), code, "{name}");
+    }
     assert_eq!(whole_file(&bytes[..bytes.len() / 2]), "E-TABLE-FORMAT");
     assert_eq!(whole_file(b"PAR1"), "E-TABLE-FORMAT");
     let mut misnamed = without("transl");
@@ -587,17 +534,15 @@ fn the_folder_is_one_that_passes_its_checks() {
     let items = items(3);
     let dir = dir();
     for item in &items[..2] {
-        let name = format!("{}.npz", item.id);
-        put(dir.path(), &name, store_npz(&wandering(&item.id, 30), 20.0));
+        put_answer(dir.path(), item);
     }
     put(dir.path(), "nobody.npz", "no archive");
     let answers = answers(dir.path(), &items, &options());
     let out = self::dir();
     let skeleton = Skeleton::smplx_neutral();
     let commit = || {
-        answers
-            .commit(out.path(), &items, &skeleton, "the test")
-            .expect("committed")
+        let committed = answers.commit(out.path(), &items, &skeleton, "the test");
+        committed.expect("committed")
     };
     let dataset = commit();
     assert_eq!(dataset.read::<ItemRow>(None).expect("reads"), items);
@@ -612,13 +557,10 @@ fn the_folder_is_one_that_passes_its_checks() {
     // A dataset of motions is never replaced.
     let dataset = self::dir();
     let rows = [testkit::motion_row("a", Split::Train, &wandering("a", 30))];
-    datasets_spec::dataset::commit_rows(dataset.path(), &rows, None, &skeleton, "p", "the test")
-        .expect("committed");
+    testkit::commit(dataset.path(), &rows, |row| row.split, "p");
     let refused = answers.commit(dataset.path(), &items, &skeleton, "the test");
-    assert!(matches!(
-        refused,
-        Err(Error::Work(work::Error::Occupied { .. }))
-    ));
+    let refused = refused.expect_err("a dataset of motions");
+    assert!(matches!(refused, Error::Work(work::Error::Occupied { .. })));
 }
 
 #[test]
@@ -656,26 +598,19 @@ fn what_is_wrong_with_a_folder_of_edits_is_found() {
     let (items, skeleton) = (items(2), Skeleton::smplx_neutral());
     let files = dir();
     for item in &items {
-        let name = format!("{}.npz", item.id);
-        put(
-            files.path(),
-            &name,
-            store_npz(&wandering(&item.id, 30), 20.0),
-        );
+        put_answer(files.path(), item);
     }
     let sound = answers(files.path(), &items, &options());
     let findings = |change: fn(&mut Answers, &mut Vec<ItemRow>)| -> Vec<(Check, String)> {
         let (mut answers, mut items) = (sound.clone(), items.clone());
         change(&mut answers, &mut items);
         let out = dir();
-        answers
-            .commit(out.path(), &items, &skeleton, "the test")
-            .expect("committed");
+        let committed = answers.commit(out.path(), &items, &skeleton, "the test");
+        committed.expect("committed");
         let done = verify(out.path(), &NoProgress).expect("a dataset");
         let findings = done.findings.into_iter();
-        findings
-            .map(|Finding { check, item, .. }| (check, item))
-            .collect()
+        let findings = findings.map(|Finding { check, item, .. }| (check, item));
+        findings.collect()
     };
     let (item, edit) = (
         |index: usize| items[index].id.clone(),

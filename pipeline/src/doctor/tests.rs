@@ -1,16 +1,8 @@
 use datasets_spec::NoProgress;
-use testkit::clip_members;
-use testkit::npy_f8;
-use testkit::npz;
+use testkit::{clip_members, npy_f8, npz, put as write};
 
 use super::findings::ReleaseFindings;
 use super::*;
-
-fn write(folder: &Path, name: &str, bytes: &[u8]) {
-    let path = folder.join(name);
-    fs::create_dir_all(path.parent().expect("a folder")).expect("made");
-    fs::write(path, bytes).expect("written");
-}
 
 fn examined(root: &Path, index: Option<&Path>) -> Diagnosis {
     let options = ReadOptions::default();
@@ -22,15 +14,12 @@ fn a_humanml3d_folder_tells_what_it_lacks_both_ways() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let root = folder.path();
     let vector = npy_f8(&[3, 263], &[0.0; 3 * 263]);
-    write(root, "h/new_joint_vecs/000001.npy", &vector);
+    write(root, "h/new_joint_vecs/000001.npy", vector);
     write(root, "h/texts/000001.txt", b"a man walks#a/DET#0.0#0.0\n");
     write(root, "h/texts/000002.txt", b"a man runs#a/DET#0.0#0.0\n");
     write(root, "h/train.txt", b"000001\n000002\n000003\n");
-    write(
-        root,
-        "h/new_joints/000004.npy",
-        &npy_f8(&[3, 22, 3], &[0.0; 198]),
-    );
+    let joints = npy_f8(&[3, 22, 3], &[0.0; 198]);
+    write(root, "h/new_joints/000004.npy", joints);
     let diagnosis = examined(root, None);
     let found = &diagnosis.sources[0].humanml3d[0];
     assert_eq!((found.vectors, found.joints, found.texts), (1, 1, 2));
@@ -38,10 +27,8 @@ fn a_humanml3d_folder_tells_what_it_lacks_both_ways() {
     assert_eq!(found.motions_without_text, 1, "000004");
     assert_eq!(found.motions_without_split, 1, "000004");
     let list = &found.lists[0];
-    assert_eq!(
-        (list.ids, list.without_motion, list.without_text),
-        (3, 2, 1)
-    );
+    let counts = (list.ids, list.without_motion, list.without_text);
+    assert_eq!(counts, (3, 2, 1));
     assert_eq!(list.examples, ["000002", "000003"]);
     assert_eq!(diagnosis.estimate.clips, 2);
     assert!(diagnosis.to_string().contains("2 of 3 ids of h/train.txt"));
@@ -51,11 +38,8 @@ fn a_humanml3d_folder_tells_what_it_lacks_both_ways() {
 fn the_index_names_the_archive_of_every_missing_subset() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let root = folder.path();
-    write(
-        root,
-        "amass/KIT/3/kick_stageii.npz",
-        &npz(&clip_members(40, 165)),
-    );
+    let kick = npz(&clip_members(40, 165));
+    write(root, "amass/KIT/3/kick_stageii.npz", kick);
     let index = root.join("list.csv");
     write(
         root,
@@ -69,11 +53,9 @@ fn the_index_names_the_archive_of_every_missing_subset() {
     let found = diagnosis.index.as_ref().expect("given");
     assert_eq!((found.rows, found.humanact12, found.found), (3, 1, 1));
     let text = diagnosis.to_string();
-    assert!(
-        text.contains("fetch PosePrior.tar.bz2 (SMPL-H G)"),
-        "{text}"
-    );
-    assert!(text.contains("KIT is SMPL-X G"), "{text}");
+    for said in ["fetch PosePrior.tar.bz2 (SMPL-H G)", "KIT is SMPL-X G"] {
+        assert!(text.contains(said), "{text}");
+    }
     // 40 frames at 120 fps are 6.67 at 20 fps.
     assert_eq!(diagnosis.estimate.frames, 7);
 }
@@ -82,14 +64,11 @@ fn the_index_names_the_archive_of_every_missing_subset() {
 fn releases_tell_which_parts_are_there_and_pointers_are_counted() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let root = folder.path();
-    write(root, "dataset/base_motion/000000.pkl", &[0; 276]);
+    write(root, "dataset/base_motion/000000.pkl", [0u8; 276]);
     write(root, "dataset/regen/mask_all.json", b"{}");
     write(root, "mf/motionfix_val.pth.tar", b"\x80\x03");
-    write(
-        root,
-        "dataset/style_transfer/000009_proud.pkl",
-        b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n",
-    );
+    let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n";
+    write(root, "dataset/style_transfer/000009_proud.pkl", pointer);
     let diagnosis = examined(root, None);
     let source = &diagnosis.sources[0];
     assert_eq!(source.lfs_pointers, 1);
@@ -116,20 +95,13 @@ fn the_real_files_are_all_counted_once() {
     let source = &diagnosis.sources[0];
     let files: u64 = source.kinds.iter().map(|kind| kind.files).sum();
     assert_eq!(files, source.files);
-    let lists: BTreeMap<&str, u64> = source.humanml3d[0]
-        .lists
-        .iter()
-        .map(|list| (list.file.as_str(), list.without_motion))
-        .collect();
-    assert_eq!(
-        lists["humanml3d/all.txt"], 29_227,
-        "one clip of all is there"
-    );
+    let mut lists = source.humanml3d[0].lists.iter();
+    let all = lists.find(|list| list.file == "humanml3d/all.txt");
+    // One clip of all is there.
+    assert_eq!(all.expect("there").without_motion, 29_227);
     let index = diagnosis.index.as_ref().expect("found");
-    assert_eq!(
-        (index.rows, index.humanact12, index.found),
-        (14_616, 1_191, 0)
-    );
+    let counts = (index.rows, index.humanact12, index.found);
+    assert_eq!(counts, (14_616, 1_191, 0));
     assert_eq!(index.subsets.len(), 17, "subsets with clips");
     assert!(index.subsets.iter().all(|subset| subset.archive.is_some()));
 }

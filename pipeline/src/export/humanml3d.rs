@@ -253,11 +253,8 @@ mod tests {
     fn points(path: &Path) -> Vec<DVec3> {
         let bytes = fs::read(path).expect("written");
         let array = read_numbers("joints", &bytes).expect("an array");
-        array
-            .values
-            .chunks_exact(3)
-            .map(DVec3::from_slice)
-            .collect()
+        let values = array.values.chunks_exact(3);
+        values.map(DVec3::from_slice).collect()
     }
 
     fn read(path: PathBuf) -> String {
@@ -273,11 +270,8 @@ mod tests {
         let motion = Motion::from_poses(Fps::STORE, &walk(60)).expect("valid");
         let bytes = formats::write::amass::encode(&motion, &skeleton).expect("encoded");
         fs::write(at("in/KIT/walk_poses.npz"), bytes).expect("written");
-        fs::write(
-            at("in/KIT/walk_poses.txt"),
-            "a man walks#a/DET man/NOUN walk/VERB#0.0#0.0\nhe walks, fast##0.5#1.5\n",
-        )
-        .expect("written");
+        let captions = "a man walks#a/DET man/NOUN walk/VERB#0.0#0.0\nhe walks, fast##0.5#1.5\n";
+        fs::write(at("in/KIT/walk_poses.txt"), captions).expect("written");
         let first = ingested(&at("in"), &at("first"));
         let clips = Clips::all(&first);
         let done = export(&clips, Layout::HumanMl3d, &at("out"), &NoProgress).expect("written");
@@ -294,15 +288,11 @@ mod tests {
             // Tolerance of positions in f32, where the root is a sum of 60 velocities.
             assert!((*stored - *processed).length() < 1e-5);
         }
-        assert_eq!(
-            read(at("out/ids.csv")),
-            "name,id,left_out,license\n000000,KIT/walk_poses,,\n"
-        );
-        assert_eq!(
-            read(at("out/texts/000000.txt")),
-            "a man walks#a/DET man/NOUN walk/VERB#0.0#0.0\n\
-             he walks, fast#he/OTHER walks/OTHER fast/OTHER#0.5#1.5\n"
-        );
+        let ids = "name,id,left_out,license\n000000,KIT/walk_poses,,\n";
+        assert_eq!(read(at("out/ids.csv")), ids);
+        let texts = "a man walks#a/DET man/NOUN walk/VERB#0.0#0.0\n\
+                     he walks, fast#he/OTHER walks/OTHER fast/OTHER#0.5#1.5\n";
+        assert_eq!(read(at("out/texts/000000.txt")), texts);
         assert_eq!(read(at("out/all.txt")), "000000\n");
 
         let again = ingested(&at("out"), &at("again"));
@@ -313,13 +303,9 @@ mod tests {
         assert_eq!(after.captions[0], before.captions[0]);
         let joints = joints_of_motion(&after.motion().expect("valid"), &body);
         let back = process_joints(&joints, &UNIFORM_BONES).expect("long enough");
-        let apart = back
-            .as_flattened()
-            .iter()
-            .zip(processed.as_flattened())
-            .map(|(a, b)| a.distance(*b))
-            .sum::<f64>()
-            / back.as_flattened().len() as f64;
+        let back = back.as_flattened();
+        let apart = back.iter().zip(processed.as_flattened());
+        let apart = apart.map(|(a, b)| a.distance(*b)).sum::<f64>() / back.len() as f64;
         // The pelvis and the chest have one rotation for three bones each.
         assert!(apart < 0.02, "{apart}");
     }
@@ -340,10 +326,8 @@ mod tests {
         let dataset = ingested(&at("in"), &at("first"));
         let names = names(&Clips::all(&dataset)).expect("read");
         assert_eq!(names["M000001"], "M000001");
-        assert_eq!(
-            names["walk"], "000002",
-            "000000 is taken, M000001 is another's mirror"
-        );
+        // 000000 is taken, and M000001 is another's mirror.
+        assert_eq!(names["walk"], "000002");
         let clips = Clips::all(&dataset);
         let done = export(&clips, Layout::HumanMl3d, &at("out"), &NoProgress).expect("written");
         assert_eq!(done.clips, 4);

@@ -465,10 +465,8 @@ mod tests {
         let dir = tempfile::tempdir().expect("temporary folder");
         let dataset = commit(&dir.path().join("dataset"), &rows, |row| row.split, "plan");
         let out = dir.path().join("out");
-        assert_eq!(
-            write(&Clips::all(&dataset), &out, &NoProgress).expect("written"),
-            Exported::of(2)
-        );
+        let written = write(&Clips::all(&dataset), &out, &NoProgress);
+        assert_eq!(written.expect("written"), Exported::of(2));
 
         let data = table(&out.join("data/chunk-000/file-000.parquet"));
         assert_eq!(data.num_rows(), 50);

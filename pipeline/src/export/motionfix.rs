@@ -423,26 +423,29 @@ mod tests {
         ingested_with(&options, source, out)
     }
 
+    fn exported(dataset: &Dataset, out: &Path) -> Result<Exported, Error> {
+        export(&Clips::all(dataset), Layout::MotionFix, out, &NoProgress)
+    }
+
     /// A dump of two pairs, one of which has no words.
     fn dump() -> Vec<u8> {
         let skeleton = Skeleton::smplx_neutral();
         let side = |frames: usize| {
             let motion = Motion::from_poses(features::released_fps(), &walk(frames));
             let motion = motion.expect("valid");
-            Parameters::of(&motion, &skeleton)
-                .expect("at its rate")
-                .value([0.0, 2.0])
+            let side = Parameters::of(&motion, &skeleton);
+            side.expect("at its rate").value([0.0, 2.0])
         };
         let pair = |text: &str| {
-            Value::Dict(vec![
-                (Value::text("motion_source"), side(60)),
-                (Value::text("motion_target"), side(45)),
-                (Value::text("text"), Value::text(text)),
+            Value::dict([
+                ("motion_source", side(60)),
+                ("motion_target", side(45)),
+                ("text", Value::text(text)),
             ])
         };
-        pickle::encode(&Value::Dict(vec![
-            (Value::text("000136"), pair("raise your arm")),
-            (Value::text("000007"), pair("")),
+        pickle::encode(&Value::dict([
+            ("000136", pair("raise your arm")),
+            ("000007", pair("")),
         ]))
     }
 
@@ -451,19 +454,11 @@ mod tests {
         let dir = tempfile::tempdir().expect("temporary folder");
         let at = |name: &str| dir.path().join(name);
         put(dir.path(), "in/motionfix.pth.tar", dump());
-        put(
-            dir.path(),
-            "in/splits.json",
-            r#"{"val": ["000136"], "train": ["000007"]}"#,
-        );
+        let splits = r#"{"val": ["000136"], "train": ["000007"]}"#;
+        put(dir.path(), "in/splits.json", splits);
         let first = ingested(&at("in"), &at("first"));
-        let done = export(
-            &Clips::all(&first),
-            Layout::MotionFix,
-            &at("out"),
-            &NoProgress,
-        );
-        assert_eq!(done.expect("exported").clips, 1);
+        let done = exported(&first, &at("out")).expect("exported");
+        assert_eq!(done.clips, 1);
         let read = |name: &str| std::fs::read(at("out").join(name)).expect("written");
         let splits = String::from_utf8(read("splits.json")).expect("text");
         let splits: serde_json::Value = serde_json::from_str(&splits).expect("JSON");
@@ -510,13 +505,9 @@ mod tests {
         let bytes = formats::write::amass::encode(&motion, &Skeleton::smplx_neutral());
         put(dir.path(), "in/walk_poses.npz", bytes.expect("encoded"));
         let dataset = ingested(&at("in"), &at("first"));
-        let refused = export(
-            &Clips::all(&dataset),
-            Layout::MotionFix,
-            &at("out"),
-            &NoProgress,
-        );
-        let refused = refused.expect_err("no pairs").to_string();
+        let refused = exported(&dataset, &at("out"))
+            .expect_err("no pairs")
+            .to_string();
         assert!(refused.contains("neither recorded triplets"), "{refused}");
         assert!(!at("out").exists());
     }

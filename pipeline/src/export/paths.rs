@@ -88,10 +88,8 @@ mod tests {
         }
         let long = "é".repeat(125);
         let short = safe_path(&format!("a/{long}"));
-        assert!(
-            short.len() <= 2 + MAX_NAME && short.starts_with("a/é"),
-            "{short}"
-        );
+        assert!(short.len() <= 2 + MAX_NAME, "{short}");
+        assert!(short.starts_with("a/é"), "{short}");
         assert_ne!(short, safe_path(&format!("a/{long}x")));
         assert!(is_shortened(&long) && !is_shortened("a/b"));
         for (id, ending, stem) in [

@@ -193,14 +193,11 @@ mod tests {
     fn depend_on(changed: &str, others: &[&str]) -> Vec<&'static str> {
         let inputs = |content: &str| {
             let source = |file: &&str| {
+                let is_changed = *file == changed;
+                let content = if is_changed { content } else { "as it was" };
                 let source = Source {
                     of: 0,
-                    hash: Ok(if *file == changed {
-                        content
-                    } else {
-                        "as it was"
-                    }
-                    .to_owned()),
+                    hash: Ok(content.to_owned()),
                     damaged_at: None,
                     head: Vec::new(),
                     bytes: 0,

@@ -638,9 +638,8 @@ mod tests {
         large.set_len(MAX_FILE_LEN + 1).expect("enlarged");
         let files = Files::new(["large.glb", "gone.glb"].map(place).into());
         let code = |name| {
-            keys_of(gltf::FORMAT, &files, name, &ReadOptions::default())
-                .expect_err("no keys")
-                .code
+            let keys = keys_of(gltf::FORMAT, &files, name, &ReadOptions::default());
+            keys.expect_err("no keys").code
         };
         assert_eq!(code("large.glb"), "E-TOO-LARGE");
         assert_eq!(code("gone.glb"), "E-IO");

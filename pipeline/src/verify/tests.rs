@@ -12,11 +12,8 @@ fn dataset(root: &Path, rows: &[MotionRow]) -> Dataset {
     let transaction = Transaction::begin(root, "the test").expect("begins");
     let mut files = Vec::new();
     for split in Split::ALL {
-        let rows: Vec<MotionRow> = rows
-            .iter()
-            .filter(|row| row.split == split)
-            .cloned()
-            .collect();
+        let rows = rows.iter().filter(|row| row.split == split);
+        let rows: Vec<MotionRow> = rows.cloned().collect();
         let name = ShardName {
             table: MotionRow::TABLE,
             split: Some(split),
@@ -25,12 +22,11 @@ fn dataset(root: &Path, rows: &[MotionRow]) -> Dataset {
         };
         files.push(transaction.write_shard(&name, &rows, &[]).expect("written"));
     }
-    transaction
-        .commit(Commit {
-            tables: BTreeMap::from([(MotionRow::TABLE.to_owned(), files)]),
-            ..Commit::default()
-        })
-        .expect("committed")
+    let commit = Commit {
+        tables: BTreeMap::from([(MotionRow::TABLE.to_owned(), files)]),
+        ..Commit::default()
+    };
+    transaction.commit(commit).expect("committed")
 }
 
 fn row(id: &str, split: Split) -> MotionRow {

@@ -84,11 +84,8 @@ pub fn rows(split: Split, num_clips: usize) -> (Vec<MotionRow>, Vec<MaskRow>) {
         row.action = Some(["wave", "kick"][clip % 2].to_owned());
         motions.push(row);
         if clip % 2 == 0 {
-            masks.push(mask_row(
-                &id,
-                split,
-                BodyPart::ALL[clip / 2 % BodyPart::ALL.len()],
-            ));
+            let part = BodyPart::ALL[clip / 2 % BodyPart::ALL.len()];
+            masks.push(mask_row(&id, split, part));
         }
     }
     (motions, masks)
@@ -119,14 +116,9 @@ pub fn walk(num_frames: usize) -> Vec<Pose> {
         .map(|frame| {
             let phase = 0.25 * frame as f64;
             let (sin, cos) = phase.sin_cos();
-            let mut pose = Pose {
-                transl: DVec3::new(
-                    0.02 * cos,
-                    1.2 + 0.02 * (2.0 * phase).sin(),
-                    0.03 * frame as f64,
-                ),
-                ..Pose::REST
-            };
+            let mut pose = Pose::REST;
+            let height = 1.2 + 0.02 * (2.0 * phase).sin();
+            pose.transl = DVec3::new(0.02 * cos, height, 0.03 * frame as f64);
             let mut set = |joint: usize, x: f64, y: f64, z: f64| {
                 pose.rotations[joint] = from_axis_angle(DVec3::new(x, y, z));
             };

@@ -42,11 +42,11 @@ pub fn dictionary(motion: &Motion) -> Value {
 
 /// The dictionary of a fine-grained pair of the release.
 pub fn adjustment(source: &Motion, target: &Motion, part: &str, text: &str) -> Value {
-    Value::Dict(vec![
-        (Value::text("src"), dictionary(source)),
-        (Value::text("tgt"), dictionary(target)),
-        (Value::text("body_part"), Value::text(part)),
-        (Value::text("text"), Value::text(text)),
+    Value::dict([
+        ("src", dictionary(source)),
+        ("tgt", dictionary(target)),
+        ("body_part", Value::text(part)),
+        ("text", Value::text(text)),
     ])
 }
 
@@ -65,28 +65,18 @@ pub fn write_release(folder: &Path) {
     }
     let proud = encode(&dictionary(&swinging(5, 30)));
     put(folder, "style_transfer/000009_proud.pkl", proud);
-    let pair = adjustment(
-        &swinging(6, 30),
-        &swinging(7, 30),
-        "LEFT_ARM",
-        "raise it higher",
-    );
-    put(
-        folder,
-        "adjustment/paired_data_seed0_15_batch0_id3.pkl",
-        encode(&pair),
-    );
+    let (source, target) = (swinging(6, 30), swinging(7, 30));
+    let pair = encode(&adjustment(&source, &target, "LEFT_ARM", "raise it higher"));
+    let file = "adjustment/paired_data_seed0_15_batch0_id3.pkl";
+    put(folder, file, pair);
     let masks = r#"{"000009": ["LEFT_ARM", "LOWER_BODY"], "M000009": "UPPER_BODY"}"#;
     put(folder, "regen/mask_all.json", masks);
     let texts = r#"{"9": ["waving", "kneeling"], "014625": "stretching"}"#;
     put(folder, "regen/part_annotations.json", texts);
     put(folder, "split/base_motion/val.txt", "000010\n");
     put(folder, "split/base_motion/test.txt", "");
-    put(
-        folder,
-        "split/style_transfer/test.json",
-        r#"["000009_proud.pkl"]"#,
-    );
+    let styles = r#"["000009_proud.pkl"]"#;
+    put(folder, "split/style_transfer/test.json", styles);
     let adjustments = r#"[["paired_data_seed0_15_batch0_id3.pkl"]]"#;
     put(folder, "split/adjustment/val.json", adjustments);
     put(folder, "README.md", "the release");
@@ -95,23 +85,15 @@ pub fn write_release(folder: &Path) {
 /// Members of a clip of `frames` frames and `width` pose columns in which everything differs.
 pub fn clip_members(frames: usize, width: usize) -> Vec<(&'static str, Vec<u8>)> {
     let values = |count: usize, scale: f64| -> Vec<f64> {
-        (0..count)
-            .map(|i| scale * ((i * 37 % 101) as f64 / 101.0 - 0.5))
-            .collect()
+        let value = |i: usize| scale * ((i * 37 % 101) as f64 / 101.0 - 0.5);
+        (0..count).map(value).collect()
     };
+    let poses = npy_f8(&[frames, width], &values(frames * width, 1.0));
+    let gender = "{'descr': '|S4', 'fortran_order': False, 'shape': (), }";
     vec![
-        (
-            "poses",
-            npy_f8(&[frames, width], &values(frames * width, 1.0)),
-        ),
+        ("poses", poses),
         ("trans", npy_f8(&[frames, 3], &values(frames * 3, 0.1))),
         ("mocap_framerate", npy_f8(&[], &[120.000_045_776])),
-        (
-            "gender",
-            npy(
-                "{'descr': '|S4', 'fortran_order': False, 'shape': (), }",
-                b"male",
-            ),
-        ),
+        ("gender", npy(gender, b"male")),
     ]
 }

@@ -178,10 +178,8 @@ mod tests {
         };
         let printed = plan_lines(&cells.iter().map(state).collect::<Vec<_>>());
         assert_eq!(parse(printed.as_bytes()).expect("a plan"), cells);
-        assert_eq!(
-            printed.lines().nth(2),
-            Some("\"jump, high\",\"so \"\"old\"\"\",1")
-        );
+        let third = "\"jump, high\",\"so \"\"old\"\"\",1";
+        assert_eq!(printed.lines().nth(2), Some(third));
     }
 
     #[test]

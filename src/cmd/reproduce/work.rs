@@ -283,10 +283,8 @@ mod tests {
         };
         let mut before = training.clone();
         before.settings_of_preset["mirrored_ratio"] = serde_json::json!(0.0);
-        assert_eq!(
-            name_of(&training, "data"),
-            name_of(&training.clone(), "data")
-        );
-        assert_ne!(name_of(&training, "data"), name_of(&before, "data"));
+        let name = |training: &Training| name_of(training, "data");
+        assert_eq!(name(&training), name(&training.clone()));
+        assert_ne!(name(&training), name(&before));
     }
 }

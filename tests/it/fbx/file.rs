@@ -30,6 +30,16 @@ pub(super) fn record(name: &'static str, values: Vec<Value>, children: Vec<Recor
     }
 }
 
+/// A node with one value.
+pub(super) fn leaf(name: &'static str, value: Value) -> Record {
+    record(name, vec![value], Vec::new())
+}
+
+/// A node with children alone.
+pub(super) fn group(name: &'static str, children: Vec<Record>) -> Record {
+    record(name, Vec::new(), children)
+}
+
 pub(super) fn text(text: &str) -> Value {
     Value::Text(text.to_owned())
 }
@@ -52,25 +62,21 @@ pub(super) fn ascii(records: &[Record]) -> Vec<u8> {
         let _ = write!(text, "{indent}{}:", record.name);
         for (number, value) in record.values.iter().enumerate() {
             text.push_str(if number == 0 { " " } else { ", " });
-            let _ = match value {
+            let list = |words: Vec<String>| {
+                let (count, words) = (words.len(), words.join(","));
+                format!("*{count} {{\n{indent}\ta: {words}\n{indent}}}")
+            };
+            text.push_str(&match value {
                 // In text, the class of an object precedes its name; in binary files it follows.
                 Value::Text(value) => match value.split_once("\0\u{1}") {
-                    Some((name, class)) => write!(text, "\"{class}::{name}\""),
-                    None => write!(text, "\"{value}\""),
+                    Some((name, class)) => format!("\"{class}::{name}\""),
+                    None => format!("\"{value}\""),
                 },
-                Value::Long(value) => write!(text, "{value}"),
-                Value::Real(value) => write!(text, "{value:?}"),
-                Value::Longs(values) => {
-                    let words: Vec<String> = values.iter().map(i64::to_string).collect();
-                    let (count, words) = (values.len(), words.join(","));
-                    write!(text, "*{count} {{\n{indent}\ta: {words}\n{indent}}}")
-                }
-                Value::Floats(values) => {
-                    let words: Vec<String> = values.iter().map(f32::to_string).collect();
-                    let (count, words) = (values.len(), words.join(","));
-                    write!(text, "*{count} {{\n{indent}\ta: {words}\n{indent}}}")
-                }
-            };
+                Value::Long(value) => value.to_string(),
+                Value::Real(value) => format!("{value:?}"),
+                Value::Longs(values) => list(values.iter().map(i64::to_string).collect()),
+                Value::Floats(values) => list(values.iter().map(f32::to_string).collect()),
+            });
         }
         if !record.children.is_empty() {
             text.push_str(" {\n");
@@ -97,29 +103,22 @@ pub(super) fn binary(records: &[Record]) -> Vec<u8> {
         bytes.extend(record.name.as_bytes());
         let values_at = bytes.len();
         for value in &record.values {
-            match value {
+            bytes.extend(match value {
                 Value::Text(value) => {
-                    bytes.push(b'S');
-                    bytes.extend((value.len() as u32).to_le_bytes());
-                    bytes.extend(value.as_bytes());
+                    let length = (value.len() as u32).to_le_bytes();
+                    [&b"S"[..], &length, value.as_bytes()].concat()
                 }
-                Value::Long(value) => {
-                    bytes.push(b'L');
-                    bytes.extend(value.to_le_bytes());
-                }
-                Value::Real(value) => {
-                    bytes.push(b'D');
-                    bytes.extend(value.to_le_bytes());
-                }
+                Value::Long(value) => [&b"L"[..], &value.to_le_bytes()].concat(),
+                Value::Real(value) => [&b"D"[..], &value.to_le_bytes()].concat(),
                 Value::Longs(values) => {
-                    let content: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-                    array(b'l', values.len(), &content, bytes);
+                    let content = values.iter().flat_map(|value| value.to_le_bytes());
+                    array(b"l", values.len(), &content.collect::<Vec<u8>>())
                 }
                 Value::Floats(values) => {
-                    let content: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-                    array(b'f', values.len(), &content, bytes);
+                    let content = values.iter().flat_map(|value| value.to_le_bytes());
+                    array(b"f", values.len(), &content.collect::<Vec<u8>>())
                 }
-            }
+            });
         }
         let values_len = bytes.len() - values_at;
         if !record.children.is_empty() {
@@ -134,12 +133,9 @@ pub(super) fn binary(records: &[Record]) -> Vec<u8> {
             bytes[at..at + 4].copy_from_slice(&(*number as u32).to_le_bytes());
         }
     }
-    fn array(kind: u8, count: usize, content: &[u8], bytes: &mut Vec<u8>) {
-        bytes.push(kind);
-        for number in [count, 0, content.len()] {
-            bytes.extend((number as u32).to_le_bytes());
-        }
-        bytes.extend(content);
+    fn array(kind: &[u8], count: usize, content: &[u8]) -> Vec<u8> {
+        let numbers = [count, 0, content.len()].map(|number| (number as u32).to_le_bytes());
+        [kind, numbers.as_flattened(), content].concat()
     }
     let mut bytes = b"Kaydara FBX Binary  \0\x1a\0".to_vec();
     bytes.extend(7400u32.to_le_bytes());

@@ -10,26 +10,14 @@ use kinematics::skeleton::{FIT_KEYPOINTS, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_
 
 use super::{Golden, quaternion, row_major};
 
-/// The rest skeleton a case was recorded with.
-fn recorded_skeleton(golden: &Golden) -> Skeleton {
-    let rest = golden.get("in.rest_joints").points();
-    let rest: [DVec3; NUM_JOINTS] = rest.try_into().expect("55 rest joints");
-    Skeleton::new("recorded", rest)
-}
-
 #[test]
 fn golden_smplx_fk() {
     let golden = Golden::load("smplx_fk");
-    let parents: Vec<i8> = golden
-        .get("in.parents")
-        .integers()
-        .iter()
-        .map(|&p| p as i8)
-        .collect();
-    assert_eq!(parents, kinematics::skeleton::PARENTS);
+    let parents = golden.get("in.parents").integers();
+    assert_eq!(parents, kinematics::skeleton::PARENTS.map(i64::from));
     let poses = golden.get("in.pose").points();
     let transl = golden.get("in.transl").points();
-    let skeleton = recorded_skeleton(&golden);
+    let skeleton = golden.skeleton();
 
     let mut keypoints = Vec::new();
     let mut fit_joints = Vec::new();
@@ -60,31 +48,15 @@ fn golden_smplx_fk() {
     }
     golden.check("out.keypoints28", &flat(&keypoints), 2e-6);
     golden.check("out.joints24", &flat(&fit_joints), 2e-6);
-    assert_eq!(
-        golden.get("in.sel28").integers(),
-        KEYPOINT_JOINTS.map(|j| j as i64)
-    );
-    assert_eq!(
-        golden.get("in.to24").integers(),
-        FIT_KEYPOINTS.map(|j| j as i64)
-    );
-}
+    let (points, fitted) = (golden.get("in.sel28"), golden.get("in.to24"));
+    assert_eq!(points.integers(), KEYPOINT_JOINTS.map(|j| j as i64));
+    assert_eq!(fitted.integers(), FIT_KEYPOINTS.map(|j| j as i64));
 
-#[test]
-fn golden_rest_skeleton() {
-    let golden = Golden::load("smplx_fk");
-    let skeleton = Skeleton::smplx_neutral();
-    for (joint, recorded) in golden
-        .get("in.rest_joints")
-        .points()
-        .into_iter()
-        .enumerate()
-    {
+    let recorded = golden.get("in.rest_joints").points().into_iter();
+    for (joint, recorded) in recorded.enumerate() {
         // Both are the f32 table printed in decimal.
-        assert!(
-            (skeleton.rest(joint) - recorded).length() < 1e-7,
-            "joint {joint}"
-        );
+        let distance = (Skeleton::smplx_neutral().rest(joint) - recorded).length();
+        assert!(distance < 1e-7, "joint {joint}");
     }
 }
 
@@ -92,30 +64,20 @@ fn golden_rest_skeleton() {
 fn golden_rotation_conversions() {
     let golden = Golden::load("rotation_conversions");
     let vectors = golden.get("in.axis_angle").points();
-    let quaternions: Vec<DQuat> = vectors
-        .iter()
-        .map(|&v| rotation::from_axis_angle(v))
-        .collect();
-    let matrices: Vec<f64> = quaternions
-        .iter()
-        .flat_map(|&q| row_major(DMat3::from_quat(q)))
-        .collect();
+    let quaternions = vectors.iter().map(|&v| rotation::from_axis_angle(v));
+    let quaternions: Vec<DQuat> = quaternions.collect();
+    let rotations: Vec<DMat3> = quaternions.iter().map(|&q| DMat3::from_quat(q)).collect();
+    let matrices: Vec<f64> = rotations.iter().flat_map(|&m| row_major(m)).collect();
     golden.check("out.matrix", &matrices, 2e-6);
     golden.check("out.matrix_scipy", &matrices, 1e-12);
-    let six_d: Vec<f64> = quaternions
-        .iter()
-        .flat_map(|&q| rotation::to_six_d_rows(DMat3::from_quat(q)))
-        .collect();
+    let six_d = rotations.iter().flat_map(|&m| rotation::to_six_d_rows(m));
+    let six_d: Vec<f64> = six_d.collect();
     golden.check("out.sixd_from_aa", &six_d, 2e-6);
     for (recorded, q) in golden.get("out.quat").rows(4).zip(&quaternions) {
         assert!(rotation::angle_between(quaternion(recorded).normalize(), *q) < 4e-6);
     }
-    for (recorded, q) in golden
-        .get("out.aa_back")
-        .points()
-        .into_iter()
-        .zip(&quaternions)
-    {
+    let recorded = golden.get("out.aa_back").points();
+    for (recorded, q) in recorded.into_iter().zip(&quaternions) {
         let back = rotation::to_axis_angle(*q);
         assert!(rotation::angle_between(rotation::from_axis_angle(back), *q) < 1e-12);
         // Compared as rotations: the vector is not unique near pi.
@@ -129,23 +91,15 @@ fn golden_rotation_conversions() {
         .collect();
     let flat: Vec<f64> = decoded.iter().flat_map(|&m| row_major(m)).collect();
     golden.check("out.matrix_from_sixd", &flat, 2e-6);
-    for (recorded, m) in golden
-        .get("out.aa_from_sixd")
-        .points()
-        .into_iter()
-        .zip(&decoded)
-    {
+    let recorded = golden.get("out.aa_from_sixd").points();
+    for (recorded, m) in recorded.into_iter().zip(&decoded) {
         let q = DQuat::from_mat3(m);
         assert!(rotation::angle_between(rotation::from_axis_angle(recorded), q) < 4e-6);
     }
     for (recorded, m) in golden.get("out.euler_zxy").rows(3).zip(&decoded) {
-        let difference = (rotation::yaw(*m) - recorded[2]).sin().abs();
-        assert!(
-            difference < 2e-6,
-            "yaw {} recorded {}",
-            rotation::yaw(*m),
-            recorded[2]
-        );
+        let yaw = rotation::yaw(*m);
+        let difference = (yaw - recorded[2]).sin().abs();
+        assert!(difference < 2e-6, "yaw {yaw} recorded {}", recorded[2]);
     }
 }
 
@@ -188,7 +142,7 @@ fn golden_slerp() {
 #[test]
 fn golden_motionrefit_windows() {
     let golden = Golden::load("motionrefit_windows");
-    let skeleton = recorded_skeleton(&golden);
+    let skeleton = golden.skeleton();
     let transl = golden.get("in.transl").points();
     let orient = golden.get("in.global_orient").points();
     let body = golden.get("in.body_pose").points();
@@ -226,11 +180,7 @@ fn golden_motionrefit_windows() {
 #[test]
 fn golden_motionrefit_kabsch() {
     let golden = Golden::load("motionrefit_kabsch");
-    let rest: [DVec3; 3] = golden
-        .get("in.rest_triangle")
-        .points()
-        .try_into()
-        .expect("a triangle");
+    let rest: [DVec3; 3] = golden.points("in.rest_triangle");
     let points = golden.get("in.points").points();
     let rotations: Vec<&[f64]> = golden.get("out.R").rows(9).collect();
     let shifts = golden.get("out.t").points();
@@ -262,33 +212,23 @@ fn golden_motionrefit_kabsch() {
 fn golden_motionrefit_merge() {
     let golden = Golden::load("motionrefit_merge");
     let axis = |key: &str| -> [f64; 3] {
-        golden
-            .get(key)
-            .values
-            .clone()
-            .try_into()
-            .expect("three axes")
+        let values = golden.get(key).values.clone();
+        values.try_into().expect("three axes")
     };
     let normalizer = Normalizer {
         min: axis("in.min"),
         max: axis("in.max"),
     };
-    let triangle: [DVec3; 3] = golden
-        .get("in.rest_triangle")
-        .points()
-        .try_into()
-        .expect("a triangle");
+    let triangle: [DVec3; 3] = golden.points("in.rest_triangle");
     let window = golden.get("in.sampled").shape[1];
     let windows = |key: &str| -> Vec<Vec<KeypointFrame>> {
-        golden
-            .get(key)
-            .rows(window * FRAME_WIDTH)
+        let frame =
+            |frame: &[f32]| normalizer.denormalize(&NormalizedFrame::from_model_units(frame));
+        let windows = golden.get(key).rows(window * FRAME_WIDTH);
+        windows
             .map(|window| {
-                let frames: Vec<f32> = window.iter().map(|&v| v as f32).collect();
-                frames
-                    .chunks_exact(FRAME_WIDTH)
-                    .map(|frame| normalizer.denormalize(&NormalizedFrame::from_model_units(frame)))
-                    .collect()
+                let values: Vec<f32> = window.iter().map(|&v| v as f32).collect();
+                values.chunks_exact(FRAME_WIDTH).map(frame).collect()
             })
             .collect()
     };

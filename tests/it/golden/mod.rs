@@ -10,6 +10,7 @@ mod recorded;
 
 use std::path::Path;
 
+use datasets_spec::Skeleton;
 use glam::{DMat3, DQuat, DVec3};
 use recorded::{Recorded, Tensor};
 
@@ -25,36 +26,31 @@ impl Golden {
         self.0.get(key)
     }
 
+    /// The points of a tensor that holds `N` of them.
+    fn points<const N: usize>(&self, key: &str) -> [DVec3; N] {
+        let points = self.get(key).points();
+        points.try_into().expect("as many points")
+    }
+
+    /// The rest skeleton that a case was recorded with.
+    fn skeleton(&self) -> Skeleton {
+        Skeleton::new("recorded", self.points("in.rest_joints"))
+    }
+
     /// Panics unless every value is within `tolerance` of the recorded one.
     fn check(&self, key: &str, got: &[f64], tolerance: f64) {
         let expected = &self.get(key).values;
-        assert_eq!(
-            got.len(),
-            expected.len(),
-            "{}: {key} has another size",
-            self.0.path.display()
-        );
-        let worst = got
-            .iter()
-            .zip(expected)
-            .map(|(a, b)| (a - b).abs())
-            .enumerate()
-            .fold((0, 0.0), |worst, (i, d)| {
-                if d > worst.1 || d.is_nan() {
-                    (i, d)
-                } else {
-                    worst
-                }
-            });
-        assert!(
-            worst.1 <= tolerance,
-            "{}: {key}[{}] is {} off (got {}, recorded {}), tolerance {tolerance}",
-            self.0.path.display(),
-            worst.0,
-            worst.1,
-            got[worst.0],
-            expected[worst.0],
-        );
+        assert_eq!(got.len(), expected.len(), "the size of {key}");
+        let differences = got.iter().zip(expected).map(|(a, b)| (a - b).abs());
+        for (at, difference) in differences.enumerate() {
+            assert!(
+                difference <= tolerance,
+                "{}: {key}[{at}] is {difference} off (got {}, recorded {}), tolerance {tolerance}",
+                self.0.path.display(),
+                got[at],
+                expected[at],
+            );
+        }
     }
 }
 

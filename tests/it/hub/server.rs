@@ -41,6 +41,8 @@ pub(crate) struct Call {
 /// Contents of the hub, and its simulated failures.
 #[derive(Default)]
 pub(crate) struct State {
+    /// Addresses of the hub and of its storage.
+    addresses: [String; 2],
     /// Commits of each repo, the oldest first.
     repos: BTreeMap<String, Vec<Files>>,
     private: BTreeSet<String>,
@@ -98,15 +100,17 @@ impl Hub {
     pub(crate) fn open() -> Self {
         let state = Arc::<Mutex<State>>::default();
         let bound = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port"));
-        let addresses = bound
-            .each_ref()
-            .map(|it| format!("http://{}", it.local_addr().expect("bound")));
+        let addresses = bound.each_ref().map(|listener| {
+            let address = listener.local_addr().expect("bound");
+            format!("http://{address}")
+        });
+        state.lock().expect("no thread yet").addresses = addresses.clone();
         for (is_storage, listener) in [false, true].into_iter().zip(bound) {
-            let (state, addresses) = (Arc::clone(&state), addresses.clone());
+            let state = Arc::clone(&state);
             std::thread::spawn(move || {
                 for stream in listener.incoming().flatten() {
                     // Ignore clients that hang up.
-                    let _answered = answer(stream, &state, &addresses, is_storage);
+                    let _answered = answer(stream, &state, is_storage);
                 }
             });
         }
@@ -131,15 +135,8 @@ impl Hub {
     /// Runs the command with this hub and a token.
     pub(crate) fn run(&self, token: Option<&str>, args: &[&str]) -> Ran {
         let mut command = command(args);
-        for name in [
-            "HF_TOKEN",
-            "HF_TOKEN_PATH",
-            "HTTPS_PROXY",
-            "https_proxy",
-            "ALL_PROXY",
-            "all_proxy",
-        ] {
-            command.env_remove(name);
+        for name in ["https_proxy", "all_proxy", "hf_token", "hf_token_path"] {
+            command.env_remove(name).env_remove(name.to_uppercase());
         }
         command
             .env("HF_ENDPOINT", &self.address)
@@ -151,20 +148,21 @@ impl Hub {
     }
 }
 
-struct Request {
-    method: String,
-    target: String,
+pub(crate) struct Request {
+    pub(crate) method: String,
+    pub(crate) target: String,
     token: Option<String>,
-    from: usize,
+    /// The first byte and the last one that are wanted, with a hyphen between them.
+    pub(crate) range: Option<String>,
     body: Vec<u8>,
 }
 
 impl Request {
-    fn read(stream: &TcpStream) -> std::io::Result<Self> {
+    pub(crate) fn read(stream: &TcpStream) -> std::io::Result<Self> {
         let mut reader = BufReader::new(stream.try_clone()?);
         let mut first = String::new();
         reader.read_line(&mut first)?;
-        let (mut token, mut from, mut length) = (None, 0, 0);
+        let (mut token, mut range, mut length) = (None, None, 0);
         loop {
             let mut line = String::new();
             reader.read_line(&mut line)?;
@@ -175,10 +173,7 @@ impl Request {
             match name.to_lowercase().as_str() {
                 "authorization" => token = Some(value.replace("Bearer ", "")),
                 "content-length" => length = value.parse().unwrap_or(0),
-                "range" => {
-                    let start = value.trim_start_matches("bytes=").trim_end_matches('-');
-                    from = start.parse().unwrap_or(0);
-                }
+                "range" => range = Some(value.replace("bytes=", "")),
                 _ => {}
             }
         }
@@ -189,9 +184,15 @@ impl Request {
             method: words.next().unwrap_or_default(),
             target: words.next().unwrap_or_default(),
             token,
-            from,
+            range,
             body,
         })
+    }
+
+    /// The first byte that is wanted.
+    fn start(&self) -> usize {
+        let range = self.range.as_deref().unwrap_or_default();
+        range.trim_end_matches('-').parse().unwrap_or(0)
     }
 
     fn json(&self) -> Value {
@@ -201,7 +202,8 @@ impl Request {
 
 struct Reply {
     status: &'static str,
-    headers: Vec<String>,
+    /// A header line, if there is one beside those of every reply.
+    header: String,
     body: Vec<u8>,
 }
 
@@ -209,7 +211,7 @@ impl Reply {
     fn new(status: &'static str, body: impl Into<Vec<u8>>) -> Self {
         Self {
             status,
-            headers: Vec::new(),
+            header: String::new(),
             body: body.into(),
         }
     }
@@ -220,7 +222,7 @@ impl Reply {
 
     fn refused(status: &'static str, code: &str, problem: &str) -> Self {
         Self {
-            headers: vec![format!("X-Error-Code: {code}")],
+            header: format!("X-Error-Code: {code}\r\n"),
             ..Self::new(status, json!({ "error": problem }).to_string())
         }
     }
@@ -231,19 +233,14 @@ impl Reply {
         if from > 0 {
             let (last, all) = (bytes.len() - 1, bytes.len());
             reply.status = "206 Partial Content";
-            reply.headers = vec![format!("Content-Range: bytes {from}-{last}/{all}")];
+            reply.header = format!("Content-Range: bytes {from}-{last}/{all}\r\n");
         }
         reply
     }
 }
 
-/// Answers one request. Addresses are those of the hub and of its storage.
-fn answer(
-    mut stream: TcpStream,
-    state: &Mutex<State>,
-    addresses: &[String; 2],
-    is_storage: bool,
-) -> std::io::Result<()> {
+/// Answers one request.
+fn answer(mut stream: TcpStream, state: &Mutex<State>, is_storage: bool) -> std::io::Result<()> {
     let request = Request::read(&stream)?;
     let mut state = state.lock().expect("no thread panicked");
     state.calls.push(Call {
@@ -253,7 +250,7 @@ fn answer(
     });
     let reply = match is_storage {
         true => stored(&request, &mut state),
-        false => Some(called(&request, &mut state, addresses)),
+        false => Some(called(&request, &mut state)),
     };
     // Without a reply the connection is closed.
     let Some(reply) = reply else {
@@ -261,14 +258,17 @@ fn answer(
     };
     let cut = state.cut.filter(|_| is_storage).unwrap_or(usize::MAX);
     drop(state);
-    let mut head = format!("HTTP/1.1 {}\r\n", reply.status);
-    for header in &reply.headers {
-        head += &format!("{header}\r\n");
-    }
-    let length = reply.body.len();
-    head += &format!("Content-Length: {length}\r\nConnection: close\r\n\r\n");
+    let Reply {
+        status,
+        header,
+        body,
+    } = reply;
+    let length = body.len();
+    let head = format!(
+        "HTTP/1.1 {status}\r\n{header}Content-Length: {length}\r\nConnection: close\r\n\r\n"
+    );
     stream.write_all(head.as_bytes())?;
-    stream.write_all(&reply.body[..length.min(cut)])
+    stream.write_all(&body[..length.min(cut)])
 }
 
 /// The storage: objects and parts of them by their SHA-256.
@@ -279,20 +279,16 @@ fn stored(request: &Request, state: &mut State) -> Option<Reply> {
             if let Some(left) = &mut state.puts_left {
                 *left = left.checked_sub(1)?;
             }
+            let (oid, body) = ((*oid).to_owned(), request.body.clone());
             match part {
                 [number] => {
                     let number = number.parse().expect("a number");
-                    let key = ((*oid).to_owned(), number);
-                    state.parts.insert(key, request.body.clone());
+                    state.parts.insert((oid, number), body);
                 }
-                _ => drop(
-                    state
-                        .objects
-                        .insert((*oid).to_owned(), request.body.clone()),
-                ),
+                _ => drop(state.objects.insert(oid, body)),
             }
             Some(Reply {
-                headers: vec!["ETag: \"of-this\"".to_owned()],
+                header: "ETag: \"of-this\"\r\n".to_owned(),
                 ..Reply::new("200 OK", "")
             })
         }
@@ -301,14 +297,14 @@ fn stored(request: &Request, state: &mut State) -> Option<Reply> {
             if state.is_tampered {
                 bytes[0] ^= 1;
             }
-            Some(Reply::bytes(&bytes, request.from))
+            Some(Reply::bytes(&bytes, request.start()))
         }
         _ => Some(Reply::new("404 Not Found", "")),
     }
 }
 
 /// Response of the hub's API to a request.
-fn called(request: &Request, state: &mut State, addresses: &[String; 2]) -> Reply {
+fn called(request: &Request, state: &mut State) -> Reply {
     if request.token.as_deref().is_some_and(|token| token != TOKEN) {
         let problem = "Invalid credentials in Authorization header";
         return Reply::refused("401 Unauthorized", "", problem);
@@ -316,10 +312,7 @@ fn called(request: &Request, state: &mut State, addresses: &[String; 2]) -> Repl
     if request.token.is_none() && request.method != "GET" {
         return Reply::refused("401 Unauthorized", "", "a token is needed");
     }
-    let (path, query) = request
-        .target
-        .split_once('?')
-        .unwrap_or((request.target.as_str(), ""));
+    let path = request.target.split('?').next().unwrap_or_default();
     let parts: Vec<&str> = path.split('/').skip(1).collect();
     match (request.method.as_str(), parts.as_slice()) {
         ("POST", ["api", "repos", "create"]) => create(&request.json(), state),
@@ -331,15 +324,13 @@ fn called(request: &Request, state: &mut State, addresses: &[String; 2]) -> Repl
             }
             match *what {
                 "revision" => revision(&repo, of, state),
-                "tree" => tree(request, &repo, query, state, addresses),
+                "tree" => tree(request, &repo, state),
                 "preupload" => preupload(&request.json()),
                 "commit" => commit(&request.body, &repo, state),
                 _ => Reply::new("404 Not Found", ""),
             }
         }
-        ("POST", [.., "info", "lfs", "objects", "batch"]) => {
-            batch(&request.json(), state, addresses)
-        }
+        ("POST", [.., "info", "lfs", "objects", "batch"]) => batch(&request.json(), state),
         ("POST", ["verify"]) => {
             let asked = request.json();
             let object = state.objects.get(asked["oid"].as_str().unwrap_or_default());
@@ -351,11 +342,11 @@ fn called(request: &Request, state: &mut State, addresses: &[String; 2]) -> Repl
         ("POST", ["complete"]) => complete(&request.json(), state),
         ("GET", ["datasets", owner, name, "resolve", _, path @ ..]) => {
             let repo = format!("datasets/{owner}/{name}");
-            resolve(request, &repo, &path.join("/"), state, addresses)
+            resolve(request, &repo, &path.join("/"), state)
         }
         ("GET", [owner, name, "resolve", _, path @ ..]) => {
             let repo = format!("models/{owner}/{name}");
-            resolve(request, &repo, &path.join("/"), state, addresses)
+            resolve(request, &repo, &path.join("/"), state)
         }
         _ => Reply::new("404 Not Found", ""),
     }
@@ -363,12 +354,8 @@ fn called(request: &Request, state: &mut State, addresses: &[String; 2]) -> Repl
 
 fn create(asked: &Value, state: &mut State) -> Reply {
     let word = |field: &str| asked[field].as_str().unwrap_or_default().to_owned();
-    let repo = format!(
-        "{}s/{}/{}",
-        word("type"),
-        word("organization"),
-        word("name")
-    );
+    let [kind, owner, name] = ["type", "organization", "name"].map(word);
+    let repo = format!("{kind}s/{owner}/{name}");
     if state.repos.contains_key(&repo) {
         return Reply::refused("409 Conflict", "", "it exists");
     }
@@ -395,10 +382,8 @@ fn revision(repo: &str, revision: &str, state: &State) -> Reply {
 
 fn git_name(bytes: &[u8]) -> String {
     let head = format!("blob {}\0", bytes.len());
-    hex(&Sha1::new()
-        .chain_update(head)
-        .chain_update(bytes)
-        .finalize())
+    let hash = Sha1::new().chain_update(head).chain_update(bytes);
+    hex(&hash.finalize())
 }
 
 fn hex(bytes: &[u8]) -> String {
@@ -406,15 +391,9 @@ fn hex(bytes: &[u8]) -> String {
 }
 
 /// A page of the files of the newest commit.
-fn tree(
-    request: &Request,
-    repo: &str,
-    query: &str,
-    state: &State,
-    addresses: &[String; 2],
-) -> Reply {
+fn tree(request: &Request, repo: &str, state: &State) -> Reply {
     let files = state.repos[repo].last().expect("a commit");
-    let start = query.split("cursor=").nth(1);
+    let start = request.target.split("cursor=").nth(1);
     let start: usize = start.map_or(0, |start| start.parse().expect("a number"));
     let page = files.iter().skip(start).take(PAGE);
     let mut entries: Vec<Value> = page
@@ -424,13 +403,9 @@ fn tree(
             }
             Stored::Large(oid) => {
                 let size = state.objects[oid].len();
-                json!({
-                    "type": "file",
-                    "path": path,
-                    "size": size,
-                    "oid": git_name(b"a pointer"),
-                    "lfs": { "oid": oid, "size": size, "pointerSize": 130 },
-                })
+                let lfs = json!({ "oid": oid, "size": size, "pointerSize": 130 });
+                let name = git_name(b"a pointer");
+                json!({ "type": "file", "path": path, "size": size, "oid": name, "lfs": lfs })
             }
         })
         .collect();
@@ -438,10 +413,9 @@ fn tree(
     let mut reply = Reply::json(&entries.into());
     if files.len() > start + PAGE {
         let path = request.target.split('?').next().unwrap_or_default();
-        let (address, next) = (&addresses[0], start + PAGE);
-        reply.headers = vec![format!(
-            "Link: <{address}{path}?recursive=true&cursor={next}>; rel=\"next\""
-        )];
+        let (address, next) = (&state.addresses[0], start + PAGE);
+        let url = format!("{address}{path}?recursive=true&cursor={next}");
+        reply.header = format!("Link: <{url}>; rel=\"next\"\r\n");
     }
     reply
 }
@@ -462,7 +436,8 @@ fn preupload(asked: &Value) -> Reply {
     Reply::json(&json!({ "files": Vec::from_iter(modes) }))
 }
 
-fn batch(asked: &Value, state: &State, [hub, storage]: &[String; 2]) -> Reply {
+fn batch(asked: &Value, state: &State) -> Reply {
+    let [hub, storage] = &state.addresses;
     let objects = asked["objects"].as_array().expect("objects").iter();
     let answers = objects.map(|object| {
         let oid = object["oid"].as_str().expect("an oid");
@@ -540,19 +515,13 @@ fn commit(lines: &[u8], repo: &str, state: &mut State) -> Reply {
     Reply::json(&json!({ "commitOid": name, "commitUrl": format!("{repo}/commit/{name}") }))
 }
 
-fn resolve(
-    request: &Request,
-    repo: &str,
-    path: &str,
-    state: &State,
-    addresses: &[String; 2],
-) -> Reply {
+fn resolve(request: &Request, repo: &str, path: &str, state: &State) -> Reply {
     let is_hidden = request.token.is_none() && state.private.contains(repo);
     let files = state.repos.get(repo).filter(|_| !is_hidden);
     match files.and_then(|commits| commits.last()?.get(path)) {
-        Some(Stored::Regular(bytes)) => Reply::bytes(bytes, request.from),
+        Some(Stored::Regular(bytes)) => Reply::bytes(bytes, request.start()),
         Some(Stored::Large(oid)) => Reply {
-            headers: vec![format!("Location: {}/get/{oid}", addresses[1])],
+            header: format!("Location: {}/get/{oid}\r\n", state.addresses[1]),
             ..Reply::new("302 Found", "")
         },
         None => Reply::new("404 Not Found", ""),

@@ -502,11 +502,9 @@ mod tests {
             x = -9.0 + f64::from(index + 1) * step;
             if index % 97 == 0 {
                 let (value, derivative) = gelu(x as f32);
+                let wrong = f64::from(derivative) - below - x * bell(x);
                 assert!((f64::from(value) - x * below).abs() < 1e-6, "{x}");
-                assert!(
-                    (f64::from(derivative) - below - x * bell(x)).abs() < 1e-6,
-                    "{x}"
-                );
+                assert!(wrong.abs() < 1e-6, "{x}");
             }
         }
     }
@@ -522,26 +520,19 @@ mod tests {
         let kept = |mask: &[f32]| mask.iter().filter(|&&factor| factor > 0.0).count();
         for key in [7, 8, 1 << 32, 7 << 32 | 9] {
             let mask = draw(key);
-            assert!(
-                mask.iter()
-                    .all(|&f| f == 0.0 || (f - 1.0 / 0.9).abs() < 1e-6)
-            );
+            let is_factor = |f: &f32| *f == 0.0 || (f - 1.0 / 0.9).abs() < 1e-6;
+            assert!(mask.iter().all(is_factor));
             // The tolerance is five standard deviations of the number of kept values.
             assert!((kept(&mask) as f64 - 90_000.0).abs() < 5.0 * 95.0, "{key}");
             if key != 7 {
                 // Independent masks agree at a share of 0.9^2 + 0.1^2 of the positions.
-                let equal = mask.iter().zip(&first).filter(|(a, b)| a == b).count();
-                assert!(
-                    (equal as f64 - 82_000.0).abs() < 5.0 * 122.0,
-                    "{key} {equal}"
-                );
+                let equal = mask.iter().zip(&first).filter(|(a, b)| a == b).count() as f64;
+                assert!((equal - 82_000.0).abs() < 5.0 * 122.0, "{key} {equal}");
             }
         }
         // Neighbours are dropped together as often as independent values would be.
-        let pairs = first
-            .windows(2)
-            .filter(|pair| pair[0] + pair[1] == 0.0)
-            .count();
-        assert!((pairs as f64 - 1_000.0).abs() < 5.0 * 35.0, "{pairs}");
+        let pairs = first.windows(2).filter(|pair| pair[0] + pair[1] == 0.0);
+        let pairs = pairs.count() as f64;
+        assert!((pairs - 1_000.0).abs() < 5.0 * 35.0, "{pairs}");
     }
 }

@@ -99,11 +99,8 @@ mod tests {
     fn a_file_begins_as_those_of_tensorflow_do() {
         let head = head();
         // Every TensorFlow file begins with length 24 and its CRC; the time and the version follow.
-        assert_eq!(
-            head[..12],
-            [24, 0, 0, 0, 0, 0, 0, 0, 0xa3, 0x7f, 0x4b, 0x22]
-        );
-        assert_eq!(head[12], 0x09);
+        assert_eq!(head[..8], 24u64.to_le_bytes());
+        assert_eq!(head[8..13], [0xa3, 0x7f, 0x4b, 0x22, 0x09]);
         assert_eq!(head[21..36], *b"\x1a\x0dbrain.Event:2");
         assert_eq!(head.len(), 12 + 24 + 4);
     }
@@ -113,11 +110,8 @@ mod tests {
         let event = of_line(&json!({ "step": 300, "loss": 0.5, "is_best": true }));
         let message = &event[12..event.len() - 4];
         let summary = b"\x0a\x0b\x0a\x04loss\x15\x00\x00\x00\x3f";
-        let expected = [
-            b"\x09\0\0\0\0\0\0\0\0\x10\xac\x02\x2a".as_slice(),
-            &[summary.len() as u8],
-            summary,
-        ];
+        let begin = b"\x09\0\0\0\0\0\0\0\0\x10\xac\x02\x2a".as_slice();
+        let expected = [begin, &[summary.len() as u8], summary];
         assert_eq!(message, expected.concat());
         assert!(of_line(&json!("no object")).is_empty());
     }

@@ -509,10 +509,8 @@ mod tests {
             let config = TrainConfig::preset(preset);
             config.check().expect("usable");
             let text = serde_json::to_string(&config).expect("serialises");
-            assert_eq!(
-                serde_json::from_str::<TrainConfig>(&text).expect("parses"),
-                config
-            );
+            let read: TrainConfig = serde_json::from_str(&text).expect("parses");
+            assert_eq!(read, config);
         }
     }
 
@@ -565,22 +563,13 @@ mod tests {
         expected.run.length.steps = 7;
         expected.run.optimizer.ema_decay = Some(0.5);
         assert_eq!(overlay(&preset, &own).expect("known settings"), expected);
+        let other = json!({ "batchsize": 8 });
+        let wrong = json!({ "batch_size": 8, "model": { "width": 32, "num_heads": "two" } });
+        let nested = json!({ "model": { "sizes": {} }, "window": 8 });
         for (own, keys, reason) in [
-            (
-                json!({ "batchsize": 8 }),
-                &["batchsize"][..],
-                "unknown field `batchsize`",
-            ),
-            (
-                json!({ "batch_size": 8, "model": { "width": 32, "num_heads": "two" } }),
-                &["model", "num_heads"],
-                "invalid type",
-            ),
-            (
-                json!({ "model": { "sizes": {} }, "window": 8 }),
-                &[],
-                "unknown field `sizes`",
-            ),
+            (other, &["batchsize"][..], "unknown field `batchsize`"),
+            (wrong, &["model", "num_heads"], "invalid type"),
+            (nested, &[], "unknown field `sizes`"),
         ] {
             let problem = overlay(&preset, &own).expect_err("unknown");
             assert_eq!(problem.keys, keys);
@@ -601,10 +590,7 @@ mod tests {
 
     #[test]
     fn impossible_sizes_are_refused_by_name() {
-        let (mut odd, mut empty) = (
-            TrainConfig::preset(Preset::Tiny),
-            TrainConfig::preset(Preset::Tiny),
-        );
+        let [mut odd, mut empty] = [(); 2].map(|()| TrainConfig::preset(Preset::Tiny));
         odd.model.width = 98;
         empty.run.batch_size = 0;
         for (config, name) in [(odd, "model.width"), (empty, "batch_size")] {

@@ -58,11 +58,8 @@ mod tests {
     fn every_model_is_found_by_its_name() {
         for kind in MODELS {
             let found = model(kind.name).expect("registered");
-            assert_eq!(
-                found.about, kind.about,
-                "two models are called {}",
-                kind.name
-            );
+            let name = kind.name;
+            assert_eq!(found.about, kind.about, "two models are called {name}");
         }
         assert!(model("unknown").is_none());
     }

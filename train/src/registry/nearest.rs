@@ -291,10 +291,7 @@ mod tests {
         assert_eq!(closest("as an old one"), texts[2]);
         // Without common words, the first instruction is returned.
         assert_eq!(closest("jump"), texts[0]);
-        assert!(
-            Instructions::of(std::iter::empty())
-                .closest("jump")
-                .is_none()
-        );
+        let none = Instructions::of(std::iter::empty());
+        assert!(none.closest("jump").is_none());
     }
 }

@@ -302,33 +302,25 @@ pub(crate) mod tests {
     #[test]
     fn merges_are_applied_to_words_in_lower_case() {
         let tokenizer = small();
+        let encode = |text, context| tokenizer.encode(text, context).expect("encoded");
         // The vocabulary has 512 bytes, then the merges in order, then start and end.
         let (arm, left, up, start, end) = (513, 516, 517, 518, 519);
         assert_eq!(tokenizer.num_tokens(), 520);
-        assert_eq!(
-            tokenizer.encode(" LEFT  arm\nup ", 77).expect("encoded"),
-            [start, left, arm, up, end]
-        );
+        let upper = encode(" LEFT  arm\nup ", 77);
+        assert_eq!(upper, [start, left, arm, up, end]);
         // A single letter is its byte as the end of a word: 256 plus the byte's position in the vocabulary.
         let a = 256 + i32::from(b'a' - b'!');
-        assert_eq!(tokenizer.encode("a", 77).expect("encoded"), [start, a, end]);
-        assert_eq!(tokenizer.encode("", 77).expect("encoded"), [start, end]);
+        assert_eq!(encode("a", 77), [start, a, end]);
+        assert_eq!(encode("", 77), [start, end]);
         // The end token is kept if the text is truncated.
-        assert_eq!(
-            tokenizer.encode("arm arm arm arm", 4).expect("encoded"),
-            [start, arm, arm, end]
-        );
-        let batch = tokenizer
-            .encode_batch(&["up", "left arm"], 77)
-            .expect("encoded");
+        assert_eq!(encode("arm arm arm arm", 4), [start, arm, arm, end]);
+        // Special tokens cannot be spelt out.
+        let ids = encode("<|endoftext|> up", 77);
+        assert_eq!(ids.iter().filter(|&&id| id == end).count(), 1);
+        let batch = tokenizer.encode_batch(&["up", "left arm"], 77);
+        let batch = batch.expect("encoded");
         assert_eq!(batch.width, 4);
         assert_eq!(batch.ids, [start, up, end, 0, start, left, arm, end]);
-    }
-
-    #[test]
-    fn special_tokens_cannot_be_spelt_out() {
-        let ids = small().encode("<|endoftext|> up", 77).expect("encoded");
-        assert_eq!(ids.iter().filter(|&&id| id == 519).count(), 1);
     }
 
     #[test]
@@ -350,13 +342,8 @@ pub(crate) mod tests {
         let other = MERGES.replace("u p</w>", "u n</w>");
         let other = ClipTokenizer::parse(other.as_bytes(), path).expect("valid");
         assert_ne!(hash(&other), hash(&small()));
-        for broken in [
-            &b"{\"model\": 1}"[..],
-            b"",
-            &packed[..20],
-            b"#version\nab\n",
-            &[0xff; 9],
-        ] {
+        let cut = &packed[..20];
+        for broken in [cut, b"{\"model\": 1}", b"", b"#version\nab\n", &[0xff; 9]] {
             let error = ClipTokenizer::parse(broken, path).expect_err("broken");
             assert!(error.to_string().contains("is no tokenizer"), "{error}");
         }

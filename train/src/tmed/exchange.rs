@@ -160,19 +160,11 @@ mod tests {
             read_released_statistics(&bytes, Path::new("memory"))
         };
         let read = file(&groups).expect("read");
-        let at = |index: usize| (read.mean[index], read.std[index]);
-        let starts = [0, 3, 9, 15, 141, 206].map(at);
-        assert_eq!(
-            starts,
-            [
-                (1.0, 11.0),
-                (2.0, 12.0),
-                (3.0, 13.0),
-                (4.0, 14.0),
-                (5.0, 15.0),
-                (5.0, 15.0)
-            ]
-        );
+        let starts = [0, 3, 9, 15, 141, 206];
+        let means = starts.map(|index| read.mean[index]);
+        assert_eq!(means, [1.0, 2.0, 3.0, 4.0, 5.0, 5.0]);
+        let stds = starts.map(|index| read.std[index]);
+        assert_eq!(stds, [11.0, 12.0, 13.0, 14.0, 15.0, 15.0]);
         groups.pop();
         assert!(file(&groups).is_err());
     }

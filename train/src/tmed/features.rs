@@ -252,27 +252,35 @@ mod tests {
         Motion::from_poses(Fps::STORE, &poses).expect("finite")
     }
 
+    fn features(motion: &Motion, fps: Fps, max_frames: usize) -> Vec<FeatureFrame> {
+        let skeleton = Skeleton::smplx_neutral();
+        features_of_motion(motion, fps, max_frames, &skeleton).expect("resampled")
+    }
+
+    fn check_near(found: &[FeatureFrame], expected: &[FeatureFrame], tolerance: f32) {
+        assert_eq!(found.len(), expected.len());
+        for (a, b) in found.iter().flatten().zip(expected.iter().flatten()) {
+            assert!((a - b).abs() < tolerance, "{a} {b}");
+        }
+    }
+
     #[test]
     fn features_of_a_motion_give_it_back() {
         let motion = motion();
-        let skeleton = Skeleton::smplx_neutral();
-        let features =
-            features_of_motion(&motion, Fps::STORE, 1_000, &skeleton).expect("resampled");
-        assert_eq!(features.len(), motion.len());
-        let back = poses_from(&features, &motion.pose(0));
+        let all = features(&motion, Fps::STORE, 1_000);
+        assert_eq!(all.len(), motion.len());
+        let back = poses_from(&all, &motion.pose(0));
         for (back, pose) in back.iter().zip(motion.poses()) {
             assert!((back.transl - pose.transl).length() < 1e-5);
             for (back, rotation) in back.rotations.iter().zip(&pose.rotations) {
                 assert!(back.angle_between(*rotation) < 1e-3);
             }
         }
-        let first = features_of_motion(&motion, Fps::STORE, 7, &skeleton).expect("resampled");
-        assert_eq!(first, features[..7]);
+        assert_eq!(features(&motion, Fps::STORE, 7), all[..7]);
     }
 
     #[test]
     fn features_do_not_depend_on_place_and_heading() {
-        let skeleton = Skeleton::smplx_neutral();
         let turn = DQuat::from_rotation_y(1.3);
         let here = motion();
         let there: Vec<Pose> = here
@@ -285,25 +293,14 @@ mod tests {
             })
             .collect();
         let there = Motion::from_poses(Fps::STORE, &there).expect("finite");
-        let of = |motion: &Motion| {
-            features_of_motion(motion, Fps::new(30.0).expect("a rate"), 1_000, &skeleton)
-        };
-        let pairs = of(&here)
-            .expect("resampled")
-            .into_iter()
-            .zip(of(&there).expect("resampled"));
-        for (a, b) in pairs {
-            for (a, b) in a.iter().zip(b) {
-                assert!((a - b).abs() < 1e-4, "{a} {b}");
-            }
-        }
+        let fps = Fps::new(30.0).expect("a rate");
+        let [here, there] = [here, there].map(|motion| features(&motion, fps, 1_000));
+        check_near(&here, &there, 1e-4);
     }
 
     #[test]
     fn moments_of_parts_merge_to_those_of_the_whole() {
-        let motion = motion();
-        let frames = features_of_motion(&motion, Fps::STORE, 1_000, &Skeleton::smplx_neutral())
-            .expect("resampled");
+        let frames = features(&motion(), Fps::STORE, 1_000);
         let moments = |frames: &[FeatureFrame]| {
             Moments::of(NUM_FEATURES, frames.iter().map(|frame| frame.as_slice()))
         };
@@ -323,8 +320,6 @@ mod tests {
         // A normalised feature has a standard deviation of one half.
         assert!((spread / frames.len() as f32 - 0.25).abs() < 0.01);
         whole.restore(&mut back);
-        for (a, b) in back.iter().flatten().zip(frames.iter().flatten()) {
-            assert!((a - b).abs() < 1e-5);
-        }
+        check_near(&back, &frames, 1e-5);
     }
 }

@@ -52,10 +52,8 @@ pub(super) fn check_array(golden: &Golden, name: &str, values: &[f64], tolerance
     let (expected, _) = golden.values(name);
     assert_eq!(values.len(), expected.len(), "{name}");
     for (value, expected) in values.iter().zip(&expected) {
-        assert!(
-            (value - expected).abs() <= tolerance * expected.abs(),
-            "{name}: {value} {expected}"
-        );
+        let is_near = (value - expected).abs() <= tolerance * expected.abs();
+        assert!(is_near, "{name}: {value} {expected}");
     }
 }
 
@@ -93,35 +91,23 @@ fn golden_tmed_schedule_arrays() {
 }
 
 #[test]
-fn golden_mdm_schedule_arrays() {
-    let Some(golden) = Golden::find("mdm_diffusion") else {
-        return;
-    };
-    let steps = golden.values("out.betas").1[0];
-    let schedule = Schedule::cosine(steps).expect("steps");
-    check_gaussian(&golden, "out.", &schedule);
-}
-
-#[test]
-fn golden_mdm_reverse_step_and_noising() {
+fn golden_mdm_schedule_arrays_reverse_step_and_noising() {
     let Some(golden) = Golden::find("mdm_diffusion") else {
         return;
     };
     let schedule = Schedule::cosine(golden.values("out.betas").1[0]).expect("steps");
+    check_gaussian(&golden, "out.", &schedule);
     let timesteps = golden.indices("in.t");
     let noise = sequence(&golden, "in.noise");
     let noisy = schedule.q_sample(sequence(&golden, "in.source"), &timesteps, noise.clone());
     check(recorded(noisy), &golden, "out.q_sample", 5e-5);
-    let (x0, x_t) = (
-        sequence(&golden, "out.inpaint.x0"),
-        sequence(&golden, "in.x_t"),
-    );
+    let [x0, x_t] = ["out.inpaint.x0", "in.x_t"].map(|name| sequence(&golden, name));
     let mean = schedule.posterior_mean(x0.clone(), x_t.clone(), &timesteps);
     check(recorded(mean), &golden, "out.inpaint.mean", 5e-5);
-    let variance: Vec<f32> = timesteps
+    let variance = timesteps
         .iter()
-        .map(|&t| schedule.posterior_variance[t] as f32)
-        .collect();
+        .map(|&t| schedule.posterior_variance[t] as f32);
+    let variance: Vec<f32> = variance.collect();
     let rows = timesteps.len();
     let variance = Tensor::<1>::from_data(TensorData::new(variance, [rows]), &x0.device());
     check(variance, &golden, "out.inpaint.variance", 1e-7);

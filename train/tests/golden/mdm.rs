@@ -71,12 +71,8 @@ fn golden_mdm_denoiser() {
     let (x, timesteps) = (sequence(&golden, "in.x"), golden.indices("in.t"));
     let [with_text, without_text] = predictions(&golden, &x, &timesteps);
     check(recorded(with_text.clone()), &golden, "out.x0", 5e-5);
-    check(
-        recorded(without_text.clone()),
-        &golden,
-        "out.x0_uncond",
-        5e-5,
-    );
+    let plain = recorded(without_text.clone());
+    check(plain, &golden, "out.x0_uncond", 5e-5);
     let weight = golden.values("in.scale").0[0];
     let guided = guide(with_text, without_text, weight);
     check(recorded(guided), &golden, "out.x0_cfg", 5e-5);
@@ -98,10 +94,12 @@ fn golden_mdm_inpainting() {
     let (x_t, timesteps) = (sequence(&golden, "in.x_t"), golden.indices("in.t"));
     let [with_text, without_text] = predictions(&denoiser, &x_t, &timesteps);
     let x0 = guide(with_text, without_text, denoiser.values("in.scale").0[0]);
-    let lower_body = feature_mask(JointSet::of(&[0, 1, 2, 4, 5, 7, 8, 10, 11]));
-    let kept: Vec<f32> = lower_body
-        .map(|is_kept| f32::from(u8::from(is_kept)))
-        .to_vec();
+    let lower = JointSet::of(&[0, 1, 2, 4, 5, 7, 8, 10, 11]);
+    let mask = |joints: JointSet| feature_mask(joints).map(|is_in| f32::from(u8::from(is_in)));
+    let [kept, upper] =
+        [lower, JointSet::ALL.difference(lower)].map(|joints| mask(joints).to_vec());
+    assert_eq!(kept, golden.f32s("out.mask_lower_body"));
+    assert_eq!(upper, golden.f32s("out.mask_upper_body"));
     let width = kept.len();
     let kept = Tensor::from_data(TensorData::new(kept, [1, 1, width]), &x0.device());
     let source = sequence(&golden, "in.source");
@@ -113,31 +111,8 @@ fn golden_mdm_inpainting() {
     let stepped = reverse_steps(&schedule, [&x_t, &x0, &noise], &timesteps);
     check(stepped, &golden, "out.plain.sample", 5e-5);
 
-    let lengths = denoiser.indices("in.lengths");
-    check(
-        masked_l2(source, x_t, &lengths),
-        &golden,
-        "out.masked_l2",
-        5e-5,
-    );
-}
-
-#[test]
-fn golden_mdm_feature_masks() {
-    let Some(golden) = Golden::find("mdm_diffusion") else {
-        return;
-    };
-    let marked = |name: &str| -> Vec<bool> {
-        golden
-            .indices(name)
-            .into_iter()
-            .map(|value| value == 1)
-            .collect()
-    };
-    let lower = JointSet::of(&[0, 1, 2, 4, 5, 7, 8, 10, 11]);
-    assert_eq!(feature_mask(lower).to_vec(), marked("out.mask_lower_body"));
-    let upper = feature_mask(JointSet::ALL.difference(lower));
-    assert_eq!(upper.to_vec(), marked("out.mask_upper_body"));
+    let loss = masked_l2(source, x_t, &denoiser.indices("in.lengths"));
+    check(loss, &golden, "out.masked_l2", 5e-5);
 }
 
 #[test]
@@ -156,42 +131,33 @@ fn golden_mdm_is_imported_as_an_editor() {
     let device = Device::flex();
     let imported = |args: &str, run: &Path| {
         let args: MdmArgs = serde_json::from_str(args).expect("arguments");
-        let fitted = (
-            FeatureStats {
-                recipe: FeatureRecipe::HumanMl3d,
-                mean: vec![0.0; FeatureRecipe::HumanMl3d.width()],
-                std: vec![1.0; FeatureRecipe::HumanMl3d.width()],
-            },
-            TextRecord::Frozen {
-                encoder_hash: "clip".to_owned(),
-                width: golden.size("clip_dim"),
-            },
-        );
-        let heads = golden.size("num_heads");
+        let recipe = FeatureRecipe::HumanMl3d;
+        let stats = FeatureStats {
+            recipe,
+            mean: vec![0.0; recipe.width()],
+            std: vec![1.0; recipe.width()],
+        };
+        let text = TextRecord::Frozen {
+            encoder_hash: "clip".to_owned(),
+            width: golden.size("clip_dim"),
+        };
+        let (heads, bytes) = (golden.size("num_heads"), bytes.clone());
         let path = Path::new("model.pt");
-        import_mdm(run, &args, heads, fitted, bytes.clone(), path, &device)
+        import_mdm(run, &args, heads, (stats, text), bytes, path, &device)
     };
     // The file of the released 1,000-step model lacks these keys; the 50-step model masks frames.
-    for (args, start, release) in [
-        ("{}", 999, 20),
-        (
-            r#"{"diffusion_steps": 50, "mask_frames": true, "lr": 1e-4}"#,
-            49,
-            1,
-        ),
-    ] {
+    let newer = r#"{"diffusion_steps": 50, "mask_frames": true, "lr": 1e-4}"#;
+    for (args, start, release) in [("{}", 999, 20), (newer, 49, 1)] {
         let dir = tempfile::tempdir().expect("a folder");
         imported(args, dir.path()).expect("imported");
         let source = SystemSource::best(dir.path(), TextEncoderSource::default());
         let skeleton = datasets_spec::Skeleton::smplx_neutral();
         let config = EditConfig::default();
         let system = open_system(&source, &config, &skeleton, &device).expect("an editor");
-        let settings: serde_json::Value =
-            serde_json::from_str(&system.identity().settings).expect("a document");
-        assert_eq!(
-            (&settings["start"], &settings["release"]),
-            (&start.into(), &release.into())
-        );
+        let settings = &system.identity().settings;
+        let settings: serde_json::Value = serde_json::from_str(settings).expect("a document");
+        assert_eq!(settings["start"], start);
+        assert_eq!(settings["release"], release);
         assert_eq!(settings["guidance"], 2.5);
     }
     let dir = tempfile::tempdir().expect("a folder");

@@ -84,17 +84,13 @@ fn golden_mld_schedule() {
 
     let denoiser = denoiser(&network);
     let single = |name: &str| golden.tensor::<3>(name).squeeze_dim::<2>(1);
-    let mut trace = Vec::new();
+    let (mut trace, pass) = (Vec::new(), Pass::default());
     ddim.sample(
         single("in.init"),
         |z, timestep| {
-            let predict =
-                |text| denoiser.forward(z.clone(), &[timestep], single(text), &Pass::default());
-            Ok(guide(
-                predict("in.text_cond"),
-                predict("in.text_uncond"),
-                7.5,
-            ))
+            let [with_text, without_text] = ["in.text_cond", "in.text_uncond"]
+                .map(|text| denoiser.forward(z.clone(), &[timestep], single(text), &pass));
+            Ok(guide(with_text, without_text, 7.5))
         },
         |z| trace.push(z.clone().unsqueeze_dim::<3>(0)),
     )

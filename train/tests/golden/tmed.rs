@@ -4,9 +4,8 @@ use std::cell::Cell;
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor};
-use datasets_spec::Pose;
 use glam::{DQuat, DVec3};
-use kinematics::rotation::{from_axis_angle, from_six_d_rows};
+use kinematics::rotation::from_six_d_rows;
 use safetensors::SafeTensors;
 use train::config::Preset;
 use train::fit::TextRecord;
@@ -22,7 +21,7 @@ use train::tmed::features::{
 use train::tmed::{TmedConfig, branches, group_loss, guided, import_tmed};
 
 use super::gaussian::step_counts;
-use super::{Golden, check, floats, max_difference};
+use super::{Golden, check, floats, max_difference, recorded_poses};
 
 fn network(golden: &Golden) -> Tmed {
     let config = golden.network("latent_dim", "ff_size");
@@ -58,7 +57,7 @@ fn condition(golden: &Golden) -> Condition {
 }
 
 #[test]
-fn golden_tmed_denoiser() {
+fn golden_tmed_denoiser_and_guidance() {
     let Some(golden) = Golden::find("tmed_denoiser") else {
         return;
     };
@@ -88,15 +87,27 @@ fn golden_tmed_denoiser() {
         ..whole
     };
     check(forward(&cut), &golden, "out.x0", 5e-5);
+
+    let frames = lengths(&golden, "in.guide.target_mask");
+    for weights in golden.between("out.guided_t", "") {
+        let name = format!("out.guided_t{weights}");
+        let (text, source) = weights.split_once("_m").expect("two weights");
+        let [text, source] = [text, source].map(|weight| weight.parse().expect("a number"));
+        let condition = guided_condition(&golden, text, source);
+        let x = golden.tensor("in.guide.x");
+        let all = branches(text, source);
+        let pass = Pass::default();
+        let found = guided(&network, &all, &condition, &x, &frames, 150, &pass);
+        check(found, &golden, &name, 2e-4);
+    }
 }
 
 /// The condition of the guided row, repeated for each branch. For branches without a source, the released code uses
 /// zeros.
 fn guided_condition(golden: &Golden, text: f64, source: f64) -> Condition {
-    let asked: [Tensor<3>; 2] =
-        ["in.guide.text_uncond", "in.guide.text_cond"].map(|name| golden.tensor(name));
-    let asked_lengths = ["in.guide.text_uncond_mask", "in.guide.text_cond_mask"]
-        .map(|name| lengths(golden, name)[0]);
+    let names = ["in.guide.text_uncond", "in.guide.text_cond"];
+    let asked: [Tensor<3>; 2] = names.map(|name| golden.tensor(name));
+    let asked_lengths = names.map(|name| lengths(golden, &format!("{name}_mask"))[0]);
     let given = golden.tensor::<3>("in.guide.source").swap_dims(0, 1);
     let seen = lengths(golden, "in.guide.source_mask")[0];
     let [_, frames, _] = given.dims();
@@ -116,26 +127,6 @@ fn guided_condition(golden: &Golden, text: f64, source: f64) -> Condition {
             text: asked[0].dims()[1],
             source: vec![frames; all.len()],
         },
-    }
-}
-
-#[test]
-fn golden_tmed_guidance() {
-    let Some(golden) = Golden::find("tmed_denoiser") else {
-        return;
-    };
-    let network = network(&golden);
-    let frames = lengths(&golden, "in.guide.target_mask");
-    for weights in golden.between("out.guided_t", "") {
-        let name = format!("out.guided_t{weights}");
-        let (text, source) = weights.split_once("_m").expect("two weights");
-        let [text, source] = [text, source].map(|weight| weight.parse().expect("a number"));
-        let condition = guided_condition(&golden, text, source);
-        let x = golden.tensor("in.guide.x");
-        let all = branches(text, source);
-        let pass = Pass::default();
-        let found = guided(&network, &all, &condition, &x, &frames, 150, &pass);
-        check(found, &golden, &name, 2e-4);
     }
 }
 
@@ -188,33 +179,17 @@ fn golden_tmed_loss() {
     check(groups, &golden, "out.loss.per_group", 1e-5);
 }
 
-/// Reads rows of recorded features.
-fn feature_rows(golden: &Golden, name: &str) -> Vec<FeatureFrame> {
-    golden.f32s(name).as_chunks::<NUM_FEATURES>().0.to_vec()
-}
-
 #[test]
 fn golden_tmed_features() {
     let golden = Golden::read("motionfix_features");
-    let (rotations, shape) = golden.values("in.rots");
-    let (translations, _) = golden.values("in.trans");
-    let (points, _) = golden.values("in.joint_positions");
-    let vector = |values: &[f64]| DVec3::new(values[0], values[1], values[2]);
-    let poses: Vec<Pose> = (0..shape[0])
-        .map(|frame| Pose {
-            transl: vector(&translations[3 * frame..]),
-            rotations: std::array::from_fn(|joint| {
-                from_axis_angle(vector(&rotations[66 * frame + 3 * joint..]))
-            }),
-        })
-        .collect();
-    let joints: Vec<[DVec3; 22]> = (0..shape[0])
-        .map(|frame| std::array::from_fn(|joint| vector(&points[66 * frame + 3 * joint..])))
-        .collect();
-    let mut features = features_of_poses(&poses, &joints);
-    let expected = feature_rows(&golden, "out.features207");
-    let difference = max_difference(features.as_flattened(), expected.as_flattened());
-    assert!(difference <= 5e-6, "{difference}");
+    let points = golden.points("in.joint_positions");
+    let joints = points.as_chunks::<22>().0;
+    let check_features = |features: &[FeatureFrame], name: &str| {
+        let difference = max_difference(features.as_flattened(), &golden.f32s(name));
+        assert!(difference <= 5e-6, "{name}: {difference}");
+    };
+    let mut features = features_of_poses(&recorded_poses(&golden), joints);
+    check_features(&features, "out.features207");
 
     let names = [
         "body_transl_delta_pelv",
@@ -238,17 +213,15 @@ fn golden_tmed_features() {
         std: column("std"),
     };
     statistics.normalize(&mut features);
-    let expected = feature_rows(&golden, "out.features207_norm");
-    let difference = max_difference(features.as_flattened(), expected.as_flattened());
-    assert!(difference <= 5e-6, "{difference}");
+    check_features(&features, "out.features207_norm");
 
     // The reference starts at the mean of the translations, with heading 0.
     statistics.restore(&mut features);
-    let start = golden.values("in.stats.body_transl.mean").0;
-    let poses = poses_of_features(&features, DQuat::IDENTITY, vector(&start));
+    let start = golden.points("in.stats.body_transl.mean")[0];
+    let poses = poses_of_features(&features, DQuat::IDENTITY, start);
     let (expected, shape) = golden.values("out.recovered135");
     for (pose, row) in poses.iter().zip(expected.chunks_exact(shape[1])) {
-        let apart = pose.transl - vector(row);
+        let apart = pose.transl - DVec3::from_slice(row);
         assert!(apart.abs().max_element() <= 5e-5, "{apart}");
         for (rotation, six) in pose.rotations.iter().zip(row[3..].chunks_exact(6)) {
             let six: [f64; 6] = std::array::from_fn(|index| six[index]);
@@ -285,14 +258,12 @@ fn golden_tmed_is_imported_as_an_editor() {
         let (heads, path) = (golden.size("num_heads"), Path::new("last.ckpt"));
         import_tmed(&run, heads, (statistics, text), bytes, path, &device)
     };
-    let fewer: Vec<_> = tensors
-        .iter()
-        .filter(|(name, _)| name != "pose_proj_out.bias")
-        .cloned()
-        .collect();
+    let lost = "pose_proj_out.bias";
+    let fewer = tensors.iter().filter(|(name, _)| name != lost).cloned();
+    let fewer: Vec<_> = fewer.collect();
     let problem = import(&fewer).expect_err("a tensor is missing").to_string();
     assert!(
-        problem.ends_with("pose_proj_out.bias is missing"),
+        problem.ends_with(&format!("{lost} is missing")),
         "{problem}"
     );
     let more = tensors[0].1.clone();

@@ -16,7 +16,7 @@ use train::text::source::TextEncoderSource;
 use super::*;
 
 /// Walks with several speeds; every second one has raised arms.
-pub(super) fn clips(count: usize) -> Vec<CaptionedClip> {
+fn clips(count: usize) -> Vec<CaptionedClip> {
     (0..count)
         .map(|index| {
             let mut motion = walk(41, 0.3 + 0.2 * index as f64, index as f64);
@@ -40,13 +40,7 @@ pub(super) fn clips(count: usize) -> Vec<CaptionedClip> {
 
 fn config(num_steps: u64) -> MdmConfig {
     let mut config = MdmConfig::preset(Preset::Tiny);
-    config.model = NetworkConfig {
-        width: 64,
-        num_layers: 1,
-        num_heads: 4,
-        feed_forward: 64,
-        dropout: 0.0,
-    };
+    config.model = network_of(64, 1);
     config.diffusion_steps = 10;
     config.max_frames = 40;
     config.run.batch_size = 4;
@@ -84,8 +78,24 @@ fn trained(
     })
 }
 
-pub(super) fn features(motion: &Motion) -> Vec<Features> {
-    features_of_joints(&joints_of_motion(motion, &smpl_body(&SKELETON))).expect("long enough")
+/// The numbers of all frames of the clips, as a network receives them.
+pub(super) fn normalised() -> Vec<f32> {
+    let body = smpl_body(&SKELETON);
+    let features = |clip: &CaptionedClip| -> Vec<Features> {
+        features_of_joints(&joints_of_motion(&clip.motion, &body)).expect("long enough")
+    };
+    let all: Vec<Vec<Features>> = clips(6).iter().map(features).collect();
+    let mut statistics = Statistics::default();
+    for clip in &all {
+        statistics.take(clip);
+    }
+    let (mean, std) = (statistics.mean(), statistics.std_by(&GROUPS));
+    let frames = all.iter().flatten();
+    frames
+        .flat_map(|frame| {
+            (0..frame.len()).map(|column| (frame[column] - mean[column]) / std[column].max(1e-3))
+        })
+        .collect()
 }
 
 #[test]
@@ -96,25 +106,11 @@ fn the_first_loss_of_mdm_is_that_of_an_untrained_network() {
     let stop = AtomicBool::new(false);
     let report = trained(dir.path(), &config, &NoProgress, &stop);
 
-    let all: Vec<Vec<Features>> = clips(6).iter().map(|clip| features(&clip.motion)).collect();
-    let mut statistics = Statistics::default();
-    for clip in &all {
-        statistics.take(clip);
-    }
-    let (mean, std) = (statistics.mean(), statistics.std_by(&GROUPS));
-    let squares: Vec<f64> = all
-        .iter()
-        .flatten()
-        .flat_map(|frame| {
-            (0..frame.len()).map(|column| {
-                let value = (frame[column] - mean[column]) / std[column].max(1e-3);
-                f64::from(value * value)
-            })
-        })
-        .collect();
+    let numbers = normalised();
+    let squares = numbers.iter().map(|value| f64::from(value * value));
     // The output layer maps tokens of unit variance by weights of variance 1/3 over the width, and the prediction is
     // independent of the motion. All clips have the same length.
-    let expected = squares.iter().sum::<f64>() / squares.len() as f64 + 1.0 / 3.0;
+    let expected = squares.sum::<f64>() / numbers.len() as f64 + 1.0 / 3.0;
     let found = report.best_val_loss.expect("validated");
     assert!((found / expected - 1.0).abs() < 0.1, "{found} {expected}");
 }
@@ -159,22 +155,12 @@ fn one_batch_of_mdm_is_overfitted() {
 fn an_interrupted_run_of_mdm_ends_as_an_uninterrupted_one() {
     let mut config = config(9);
     config.model.dropout = 0.1;
-    let stop = AtomicBool::new(false);
-    let whole = tempfile::tempdir().expect("a folder");
-    trained(whole.path(), &config, &NoProgress, &stop);
-    let parts = tempfile::tempdir().expect("a folder");
-    let interrupt = StopAfter {
-        stop: &stop,
-        steps: AtomicU64::new(5),
-    };
-    let report = trained(parts.path(), &config, &interrupt, &stop);
-    assert!(!report.is_complete && report.steps == 5);
-    stop.store(false, Ordering::Relaxed);
-    let report = trained(parts.path(), &config, &NoProgress, &stop);
-    assert!(report.is_complete);
-    assert_eq!(logged_losses(parts.path()), logged_losses(whole.path()));
     let files = ["last/mdm.safetensors", "last/text.safetensors"];
-    check_same(parts.path(), whole.path(), &files);
+    let (_, reports) = check_continued(&[5, 100], &files, |run, progress, stop| {
+        trained(run, &config, progress, stop)
+    });
+    assert!(!reports[0].is_complete && reports[0].steps == 5);
+    assert!(reports[1].is_complete);
 }
 
 #[test]
@@ -193,23 +179,17 @@ fn mdm_bp_changes_only_the_joints_it_is_told_to() {
         let named = format!("MDM-BP (release {release})");
         assert!(*name == "MDM-BP" || *name == named, "{name}");
         let motions: Vec<Motion> = ids.iter().map(|id| walk(23 + id.len(), 1.0, 0.3)).collect();
-        let instructions: Vec<_> = motions
-            .iter()
-            .map(|motion| [whole("raise", motion)])
-            .collect();
-        let requests: Vec<EditRequest<'_>> = ids
-            .iter()
-            .zip(&motions)
-            .zip(&instructions)
-            .map(|((id, motion), instructions)| EditRequest {
-                id,
-                motion,
-                instructions,
-                fps,
-                joints,
-                frames: None,
-            })
-            .collect();
+        let whole = motions.iter().map(|motion| [whole("raise", motion)]);
+        let instructions: Vec<_> = whole.collect();
+        let requests = (0..ids.len()).map(|index| EditRequest {
+            id: ids[index],
+            motion: &motions[index],
+            instructions: &instructions[index],
+            fps,
+            joints,
+            frames: None,
+        });
+        let requests: Vec<EditRequest<'_>> = requests.collect();
         let made = quietly(|session| system.edit(&requests, Seed(1), session));
         let (made, _) = made.expect("edits");
         made.into_iter().map(|(motion, _)| motion).collect()
@@ -218,16 +198,12 @@ fn mdm_bp_changes_only_the_joints_it_is_told_to() {
         let source = joints_of_motion(&walk(motion.len(), 1.0, 0.3), &SKELETON);
         let found = joints_of_motion(motion, &SKELETON);
         let pairs = source.iter().zip(&found);
-        pairs
-            .map(|(a, b)| a[joint].distance(b[joint]))
-            .fold(0.0, f64::max)
+        let away = pairs.map(|(a, b)| a[joint].distance(b[joint]));
+        away.fold(0.0, f64::max)
     };
     let arm = JointSet::of(&[16, 18, 20]);
     let together = edited(0, arm, Fps::STORE, &["a", "bb"]);
-    assert_eq!(
-        together.iter().map(Motion::len).collect::<Vec<_>>(),
-        [24, 25]
-    );
+    assert_eq!([together[0].len(), together[1].len()], [24, 25]);
     for joint in (0..NUM_BODY_JOINTS).filter(|&joint| !arm.contains(joint)) {
         // Features have single precision, and rounding errors of velocities add up.
         assert!(moved(&together[0], joint) < 1e-3, "joint {joint}");

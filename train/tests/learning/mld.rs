@@ -1,23 +1,16 @@
 //! MLD learns, continues, and makes variants.
 
 use burn::tensor::TensorData;
-use features::Statistics;
-use features::humanml3d::{Features, GROUPS};
+use features::humanml3d::Features;
 use train::mld::{Base, Generator, LatentNoise, MldConfig, train_mld};
 use train::model::mld::{LatentDenoiser, MotionVae};
 
-use super::mdm::{clips, features, trained_by};
+use super::mdm::{normalised, trained_by};
 use super::*;
 
 fn config(steps: [u64; 2]) -> MldConfig {
     let mut config = MldConfig::preset(Preset::Tiny);
-    let model = NetworkConfig {
-        width: 128,
-        num_layers: 3,
-        num_heads: 4,
-        feed_forward: 64,
-        dropout: 0.0,
-    };
+    let model = network_of(128, 3);
     (config.model, config.autoencoder.model) = (model, model);
     config.autoencoder.max_frames = 40;
     config.diffusion_steps = 40;
@@ -61,37 +54,19 @@ fn the_first_losses_of_mld_are_those_of_untrained_networks() {
     config.run.optimizer.learning_rate = 0.0;
     trained(dir.path(), &config, &NoProgress, &AtomicBool::new(false));
 
-    let all: Vec<Vec<Features>> = clips(6).iter().map(|clip| features(&clip.motion)).collect();
-    let mut statistics = Statistics::default();
-    for clip in &all {
-        statistics.take(clip);
-    }
-    let (mean, std) = (statistics.mean(), statistics.std_by(&GROUPS));
+    let numbers = normalised();
     let mut rng = Seed(1).rng(&["predictions"]);
     // The output layer maps tokens of unit variance by weights of variance 1/3 over the width.
-    let losses: Vec<f64> = all
-        .iter()
-        .flatten()
-        .flat_map(|frame| {
-            let differences: Vec<f64> = (0..frame.len())
-                .map(|column| {
-                    let value = (frame[column] - mean[column]) / std[column].max(1e-3);
-                    let predicted: f64 = rng.sample(StandardNormal);
-                    f64::from(value) - (1.0f64 / 3.0).sqrt() * predicted
-                })
-                .collect();
-            differences
-        })
-        .map(|difference| {
-            let size = difference.abs();
-            if size < 1.0 {
-                0.5 * size * size
-            } else {
-                size - 0.5
-            }
-        })
-        .collect();
-    let expected = losses.iter().sum::<f64>() / losses.len() as f64;
+    let losses = numbers.iter().map(|&value| {
+        let predicted: f64 = rng.sample(StandardNormal);
+        let size = (f64::from(value) - (1.0f64 / 3.0).sqrt() * predicted).abs();
+        if size < 1.0 {
+            0.5 * size * size
+        } else {
+            size - 0.5
+        }
+    });
+    let expected = losses.sum::<f64>() / numbers.len() as f64;
     let found = best_loss(&dir.path().join("autoencoder"));
     assert!((found / expected - 1.0).abs() < 0.1, "{found} {expected}");
     // The denoiser ends in a layer norm, so noise and prediction both have unit variance, and they are independent.
@@ -135,42 +110,27 @@ fn one_batch_of_mld_is_overfitted() {
 fn an_interrupted_run_of_mld_ends_as_an_uninterrupted_one() {
     let mut config = config([4, 6]);
     (config.model.dropout, config.autoencoder.model.dropout) = (0.1, 0.1);
-    let stop = AtomicBool::new(false);
-    let whole = tempfile::tempdir().expect("a folder");
-    trained(whole.path(), &config, &NoProgress, &stop);
-    let parts = tempfile::tempdir().expect("a folder");
     // The first stop is after two steps of the autoencoder. The second is after its other two steps and three of the
     // diffusion; the first two steps are counted again.
-    for (steps, done) in [(2, 2), (2 + 2 + 3, 3)] {
-        let interrupt = StopAfter {
-            stop: &stop,
-            steps: AtomicU64::new(steps),
-        };
-        let report = trained(parts.path(), &config, &interrupt, &stop);
+    let stops = [2, 2 + 2 + 3, 100];
+    let files = ["last/denoiser.safetensors", "last/ema-text.safetensors"];
+    let (dirs, reports) = check_continued(&stops, &files, |run, progress, stop| {
+        trained(run, &config, progress, stop)
+    });
+    for (report, done) in reports.iter().zip([2, 3]) {
         assert!(!report.is_complete && report.steps == done, "{report:?}");
-        stop.store(false, Ordering::Relaxed);
     }
-    assert!(trained(parts.path(), &config, &NoProgress, &stop).is_complete);
-    for part in ["", "autoencoder"] {
-        let [whole, parts] = [&whole, &parts].map(|dir| dir.path().join(part));
-        assert_eq!(logged_losses(&parts), logged_losses(&whole));
-        let files = match part {
-            "" => &["last/denoiser.safetensors", "last/ema-text.safetensors"][..],
-            _ => &["last/autoencoder.safetensors"],
-        };
-        check_same(&parts, &whole, files);
-    }
+    assert!(reports[2].is_complete);
+    let [whole, parts] = dirs.each_ref().map(|dir| dir.path().join("autoencoder"));
+    assert_eq!(logged_losses(&parts), logged_losses(&whole));
+    check_same(&parts, &whole, &["last/autoencoder.safetensors"]);
 }
 
 #[test]
 fn variants_of_a_base_differ_by_their_noise_alone() {
     let dir = tempfile::tempdir().expect("a folder");
-    trained(
-        dir.path(),
-        &config([4, 4]),
-        &NoProgress,
-        &AtomicBool::new(false),
-    );
+    let config = config([4, 4]);
+    trained(dir.path(), &config, &NoProgress, &AtomicBool::new(false));
     let generator = Generator::load(dir.path(), &Device::flex()).expect("loads");
     assert_eq!(generator.frames(), [16, 40]);
     let bases: Vec<Base> = [("a", "walk", 20), ("b", "walk with raised arms", 33)]
@@ -192,12 +152,8 @@ fn variants_of_a_base_differ_by_their_noise_alone() {
     };
     assert!(apart(&all[0][0], &all[0][1]) > 1e-3 && apart(&all[0][1], &all[0][2]) > 1e-3);
     // The tolerance covers sums in another order, because the batch is smaller.
-    assert!(
-        apart(
-            &all[1][2],
-            &made(&bases[1..], LatentNoise::Absolute(0.1))[0][2]
-        ) < 1e-3
-    );
+    let alone = made(&bases[1..], LatentNoise::Absolute(0.1));
+    assert!(apart(&all[1][2], &alone[0][2]) < 1e-3);
     let same = made(&bases, LatentNoise::Absolute(0.0));
     assert!(apart(&same[0][0], &same[0][2]) < 1e-6);
     let share = 0.1 / f64::from(generator.latent_std());

@@ -51,13 +51,8 @@ impl ClipSource for Arms {
 
 fn config(num_steps: u64) -> TmedConfig {
     let mut config = TmedConfig::preset(Preset::Tiny);
-    config.model = NetworkConfig {
-        width: 32,
-        num_layers: 1,
-        num_heads: 4,
-        feed_forward: 64,
-        dropout: 0.1,
-    };
+    config.model = network_of(32, 1);
+    config.model.dropout = 0.1;
     config.data = ClipData::Pairs;
     config.diffusion.num_steps = 10;
     config.val_clips = 10;
@@ -71,7 +66,12 @@ fn config(num_steps: u64) -> TmedConfig {
     config
 }
 
-fn train(run: &Path, config: &TmedConfig, progress: &dyn Progress, stop: &AtomicBool) {
+fn train(
+    run: &Path,
+    config: &TmedConfig,
+    progress: &dyn Progress,
+    stop: &AtomicBool,
+) -> TrainReport {
     let corpus = TmedCorpus {
         train: &Arms,
         val: &Arms,
@@ -84,7 +84,7 @@ fn train(run: &Path, config: &TmedConfig, progress: &dyn Progress, stop: &Atomic
     watched(progress, stop, |session| {
         train_tmed(run, config, corpus, session)
     })
-    .expect("trains");
+    .expect("trains")
 }
 
 /// A batch of random clips with different lengths.
@@ -113,13 +113,8 @@ fn vocabulary() -> Vocabulary {
 }
 
 fn network(width: usize, num_tokens: usize) -> TmedModel {
-    let network = NetworkConfig {
-        width,
-        num_layers: 1,
-        num_heads: 4,
-        feed_forward: 2 * width,
-        dropout: 0.0,
-    };
+    let mut network = network_of(width, 1);
+    network.feed_forward = 2 * width;
     let text = TextSource::Learned(num_tokens);
     let device = Device::flex().autodiff();
     let model = TmedModel::new(&network, text, NUM_FEATURES, &device);
@@ -136,14 +131,8 @@ fn the_first_loss_of_tmed_is_that_of_an_untrained_network() {
     let schedule = Schedule::cosine(300).expect("steps");
     let config = TmedConfig::preset(Preset::Paper);
     let device = Device::flex().autodiff();
-    let first = loss(
-        &model,
-        &batch,
-        &config,
-        &schedule,
-        &device,
-        &Pass::default(),
-    );
+    let pass = Pass::default();
+    let first = loss(&model, &batch, &config, &schedule, &device, &pass);
     let first: f32 = first.into_scalar();
     // The output layer maps tokens of unit variance by weights of variance 1/3 over the width. The tolerance is wide
     // because a group of three features weighs as much as one of 126, and tokens are similar.
@@ -171,45 +160,30 @@ fn one_batch_is_overfitted_by_tmed() {
 #[test]
 fn tmed_is_continued_exactly() {
     let config = config(14);
-    let whole = tempfile::tempdir().expect("a folder");
-    let never = AtomicBool::new(false);
-    train(whole.path(), &config, &NoProgress, &never);
-    let parts = tempfile::tempdir().expect("a folder");
-    for steps in [7, 100] {
-        let stop = AtomicBool::new(false);
-        let progress = StopAfter {
-            stop: &stop,
-            steps: AtomicU64::new(steps + steps_done(parts.path())),
-        };
-        train(parts.path(), &config, &progress, &stop);
-    }
-    assert_eq!(logged_losses(parts.path()), logged_losses(whole.path()));
     let files = [
         "last/denoiser.safetensors",
         "last/words.safetensors",
         "last/ema-denoiser.safetensors",
         "best/denoiser.safetensors",
     ];
-    check_same(whole.path(), parts.path(), &files);
+    check_continued(&[7, 100], &files, |run, progress, stop| {
+        train(run, &config, progress, stop)
+    });
 }
 
 fn edited(system: &dyn EditSystem, asked: &[(&Motion, &str, Option<usize>)]) -> Vec<Motion> {
-    let instructions: Vec<_> = asked
-        .iter()
-        .map(|(motion, text, _)| [whole(text, motion)])
-        .collect();
-    let requests: Vec<EditRequest<'_>> = asked
-        .iter()
-        .zip(&instructions)
-        .map(|(&(motion, text, frames), instructions)| EditRequest {
-            id: text,
-            motion,
-            instructions,
-            fps: motion.fps(),
-            joints: JointSet::EMPTY,
-            frames,
-        })
-        .collect();
+    let instructions = asked.iter().map(|(motion, text, _)| [whole(text, motion)]);
+    let instructions: Vec<_> = instructions.collect();
+    let pairs = asked.iter().zip(&instructions);
+    let requests = pairs.map(|(&(motion, text, frames), instructions)| EditRequest {
+        id: text,
+        motion,
+        instructions,
+        fps: motion.fps(),
+        joints: JointSet::EMPTY,
+        frames,
+    });
+    let requests: Vec<EditRequest<'_>> = requests.collect();
     let made = quietly(|session| system.edit(&requests, Seed(5), session)).expect("edits");
     made.0.into_iter().map(|(motion, _)| motion).collect()
 }

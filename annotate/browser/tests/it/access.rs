@@ -3,6 +3,7 @@
 use annotate_browser::{Dataset, keys};
 use serde_json::json;
 
+use crate::pictures::{SCREENS, address};
 use crate::steps::{CUT, Desk};
 
 /// Controls without an accessible name.
@@ -47,8 +48,21 @@ fn at_a_mask(arguments: &[&str]) -> Desk {
 }
 
 #[test]
-fn every_page_has_names_contrast_and_one_main_part() {
-    check_pages(&Desk::admin(Dataset::fresh(), &[]), "light");
+fn every_page_has_names_contrast_and_one_main_part_and_nothing_is_cut_or_covered() {
+    const COVERED: &str = "[...document.querySelectorAll('.toast')].filter((toast) => { const box = toast.getBoundingClientRect(); \
+        return [...document.querySelectorAll('.strips, .transport')].some((other) => { const under = other.getBoundingClientRect(); \
+            return box.bottom > under.top && box.top < under.bottom && box.right > under.left && box.left < under.right; }); }).length";
+    let desk = Desk::admin(Dataset::fresh(), &[]);
+    check_pages(&desk, "light");
+    for page in ["app/mask", "app/pair", "app/style"] {
+        desk.go(page);
+        desk.task();
+        assert_eq!(desk.value(CUT), json!([]), "{page}");
+        // An incomplete answer shows a message.
+        desk.control(&[keys::ENTER]);
+        desk.shows(".toast");
+        assert_eq!(desk.value(COVERED), json!(0), "{page}");
+    }
 }
 
 #[test]
@@ -76,7 +90,9 @@ fn playback_waits_for_people_who_want_less_motion() {
 }
 
 #[test]
-fn tab_leaves_the_stage_and_parts_and_screens_have_keys() {
+fn the_focus_goes_round_nothing_holds_it_and_parts_and_screens_have_keys() {
+    const REGION: &str =
+        "['nav', '.panel', '.viewer'].find((own) => document.activeElement.closest(own))";
     let desk = at_a_mask(&[]);
     desk.focuses(".stage");
     desk.press(&[keys::TAB]);
@@ -89,67 +105,6 @@ fn tab_leaves_the_stage_and_parts_and_screens_have_keys() {
     let label = label.as_str().expect("a label");
     assert!(label.contains("left arm:"), "{label}");
     assert!(label.contains(" s;") || label.contains("still"), "{label}");
-    for (key, shown) in [("3", ".work.pair"), ("0", ".tasks"), ("1", ".queue")] {
-        desk.shift(&[key]);
-        desk.shows(shown);
-    }
-}
-
-#[test]
-fn nothing_is_cut_and_messages_cover_no_strip() {
-    const COVERED: &str = "[...document.querySelectorAll('.toast')].filter((toast) => { const box = toast.getBoundingClientRect(); \
-        return [...document.querySelectorAll('.strips, .transport')].some((other) => { const under = other.getBoundingClientRect(); \
-            return box.bottom > under.top && box.top < under.bottom && box.right > under.left && box.left < under.right; }); }).length";
-    let desk = Desk::admin(Dataset::fresh(), &[]);
-    for page in ["app/mask", "app/pair", "app/style"] {
-        desk.go(page);
-        desk.task();
-        assert_eq!(desk.value(CUT), json!([]), "{page}");
-        // An incomplete answer shows a message.
-        desk.control(&[keys::ENTER]);
-        desk.shows(".toast");
-        assert_eq!(desk.value(COVERED), json!(0), "{page}");
-    }
-}
-
-/// Checks names, contrast and the frame of every page.
-fn check_pages(desk: &Desk, theme: &str) {
-    for (page, shown) in [
-        ("app/home", ".queue"),
-        ("app/mask", ".mask-card textarea"),
-        ("app/pair", ".verdicts"),
-        ("app/style", ".verdicts"),
-        ("app/guide", ".guide"),
-        ("app/practice", ".page.practice .queue"),
-        ("app/mine", ".work.mine .shelf-list"),
-        ("app/shelf", ".panel"),
-        ("app/review", "#main h1, .candidates"),
-        ("app/tasks", ".list-row[data-task]"),
-        ("app/task/1", "task-record .facts"),
-        ("app/rules", ".dashboard .note"),
-        ("app/decisions", "decision-list table"),
-        ("app/dashboard", ".dashboard table"),
-        ("app/admin", ".numbers"),
-    ] {
-        desk.page(page, shown);
-        for (what, found) in [("without a name", NAMELESS), ("faint", FAINT)] {
-            assert_eq!(desk.value(found), json!([]), "{page}, {theme}: {what}");
-        }
-        let parts = desk.value(
-            "({ main: document.querySelectorAll('main').length, lang: document.documentElement.lang, title: document.title !== '', \
-               wide: [document.documentElement, document.querySelector('main')].some((part) => part.scrollWidth > part.clientWidth) })",
-        );
-        let expected = json!({ "main": 1, "lang": "en", "title": true, "wide": false });
-        assert_eq!(parts, expected, "{page}");
-    }
-}
-
-#[test]
-fn the_focus_goes_round_and_nothing_holds_it() {
-    const REGION: &str =
-        "['nav', '.panel', '.viewer'].find((own) => document.activeElement.closest(own))";
-    let desk = at_a_mask(&[]);
-    desk.focuses(".stage");
     let mut seen = Vec::new();
     for _ in 0..3 {
         desk.press(&[keys::F6]);
@@ -170,13 +125,30 @@ fn the_focus_goes_round_and_nothing_holds_it() {
     desk.focuses("textarea");
     desk.press(&[keys::ESCAPE]);
     desk.focuses(".stage");
-}
-
-#[test]
-fn after_a_click_the_keys_go_on_working() {
-    let desk = at_a_mask(&[]);
+    // After a click the keys go on working.
     desk.click_with_mouse(".cameras button");
     desk.focuses(".stage");
     desk.press(&["4"]);
     desk.shows("[data-part=LEFT_ARM][aria-pressed=true]");
+    for (key, shown) in [("3", ".work.pair"), ("0", ".tasks"), ("1", ".queue")] {
+        desk.shift(&[key]);
+        desk.shows(shown);
+    }
+}
+
+/// Checks names, contrast and the frame of every page.
+fn check_pages(desk: &Desk, theme: &str) {
+    for (name, shown, _) in SCREENS {
+        let page = address(name);
+        desk.page(&page, shown);
+        for (what, found) in [("without a name", NAMELESS), ("faint", FAINT)] {
+            assert_eq!(desk.value(found), json!([]), "{page}, {theme}: {what}");
+        }
+        let parts = desk.value(
+            "({ main: document.querySelectorAll('main').length, lang: document.documentElement.lang, title: document.title !== '', \
+               wide: [document.documentElement, document.querySelector('main')].some((part) => part.scrollWidth > part.clientWidth) })",
+        );
+        let expected = json!({ "main": 1, "lang": "en", "title": true, "wide": false });
+        assert_eq!(parts, expected, "{page}");
+    }
 }

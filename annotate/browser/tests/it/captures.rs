@@ -26,10 +26,7 @@ fn a_guideline_goes_from_the_admin_to_the_annotator_and_the_dashboard_shows_the_
     ] });
     desk.ask("boss", "PUT", "captures", plan);
     desk.go("app/dashboard");
-    desk.until(
-        "the matrix",
-        "document.querySelectorAll('[data-figures=captures] .matrix tbody tr').length === 2",
-    );
+    desk.has("[data-figures=captures] .matrix tbody tr", 2);
     let words = ["1 of 3 takes are here", "no motion of this id"];
     desk.reads("[data-figures=captures]", &words);
     desk.is(

@@ -1,9 +1,9 @@
 //! Dashboard figures and decisions, as owners and reviewers see them.
 
-use annotate_browser::{Browser, keys};
+use annotate_browser::Browser;
 use serde_json::{Value, json};
 
-use crate::steps::{Desk, two_masks};
+use crate::steps::{Desk, kept};
 
 /// A server with two annotators and a reviewer, and a browser on its login page.
 fn office(answers_per_task: u32) -> Desk {
@@ -15,10 +15,6 @@ fn office(answers_per_task: u32) -> Desk {
 /// Answers the next pair for a person, and returns the task.
 fn answer(desk: &Desk, name: &str, text: &str) -> i64 {
     desk.submit(name, &desk.claim(name, "pair"), kept(text))
-}
-
-fn kept(text: &str) -> Value {
-    json!({ "kind": "pair", "verdict": "keep", "parts": ["LEFT_ARM"], "edit_type": "amplitude", "text": text })
 }
 
 fn disagreement() -> Value {
@@ -117,23 +113,4 @@ fn a_reviewer_follows_what_was_sent_back() {
     assert_eq!(back[0][5], "answered again, waits for review", "{back:?}");
     desk.press_button("[aria-label='Kind of decision']", "Dropped");
     desk.says("decision-list td", "You have decided nothing");
-}
-
-#[test]
-fn a_reviewer_sees_what_annotators_were_offered() {
-    let desk = office(1);
-    let view = desk.claim("ann", "mask_text");
-    let offered = view["suggestions"].as_array().expect("suggestions").len();
-    assert!(offered > 0, "{view}");
-    desk.submit("ann", &view, two_masks("Wave.", "LEFT_ARM"));
-    enter(&desk);
-    desk.page("app/review", ".offered");
-    desk.task();
-    assert_eq!(desk.count(".offered li"), offered as u64);
-    // Every dialog of this page can be cancelled without a decision.
-    for key in ["r", keys::DELETE] {
-        desk.press(&[key]);
-        desk.press_button("dialog", "Cancel");
-        desk.lacks("dialog[open]");
-    }
 }

@@ -3,18 +3,7 @@
 use annotate_browser::keys;
 use serde_json::{Value, json};
 
-use crate::steps::Desk;
-
-fn known(verdict: &str) -> Value {
-    let kept = verdict == "keep";
-    json!({
-        "kind": "pair",
-        "verdict": verdict,
-        "parts": if kept { json!(["LEFT_ARM"]) } else { json!([]) },
-        "edit_type": if kept { json!("amplitude") } else { Value::Null },
-        "text": if kept { "Raise the left arm higher." } else { "" },
-    })
-}
+use crate::steps::{Desk, kept};
 
 /// Has the reviewer decide about the next pair that waits for review, and returns it.
 fn review(desk: &Desk, decision: &str, comment: &str) -> i64 {
@@ -27,8 +16,9 @@ fn review(desk: &Desk, decision: &str, comment: &str) -> i64 {
 fn project() -> (Desk, i64) {
     let desk = Desk::of(&["ann", "bob", "eve", "boss"]);
     desk.set(json!({ "overlap_percent": 0 }));
-    let copies = ["unclear", "keep"].map(|verdict| {
-        let answered = desk.submit("bob", &desk.claim("bob", "pair"), known(verdict));
+    let unclear = json!({ "kind": "pair", "verdict": "unclear" });
+    let copies = [unclear, kept("Raise the left arm higher.")].map(|known| {
+        let answered = desk.submit("bob", &desk.claim("bob", "pair"), known);
         let task = review(&desk, "accept", "");
         assert_eq!(answered, task);
         let path = format!("tasks/{task}/practice");
@@ -119,37 +109,17 @@ fn practises(desk: &Desk, rejected: i64) {
     desk.shows(".practice-note[data-standing=passed]");
     desk.picture("qualified");
     desk.press(&[keys::ENTER]);
-    desk.until(
-        "real work",
-        "document.querySelector('.work.pair[data-task]') && !document.querySelector('.practice-note')",
-    );
+    desk.shows(".work.pair[data-task]");
+    desk.lacks(".practice-note");
 }
 
-/// Hands in ten pairs by keyboard, one of them with the guide open.
+/// Hands in ten pairs by keyboard.
 fn ten_tasks(desk: &Desk) -> Vec<i64> {
     let mut done = Vec::new();
     let mut task = desk.task();
     while done.len() < 10 {
         match done.len() {
-            3 => {
-                desk.write(&["4", "e", "t"], "raise the ");
-                desk.press(&[keys::F4]);
-                desk.shows(".guide-beside p");
-                desk.focuses("textarea");
-                desk.type_text("left arm");
-                desk.until(
-                    "the text goes on",
-                    "document.querySelector('.pair-editor textarea').value === 'raise the left arm'",
-                );
-                desk.picture("guide-beside");
-                desk.control(&[keys::ENTER]);
-            }
-            4 => {
-                desk.shows(".guide-beside");
-                desk.press(&[keys::F4]);
-                desk.lacks(".guide-beside");
-                desk.keep();
-            }
+            3 | 4 => desk.keep(),
             number => desk.press(&[["x", "u", "i"][number % 3]]),
         }
         done.push(task);
@@ -177,10 +147,8 @@ fn a_new_annotator_practises_works_fixes_what_came_back_and_finds_her_answers() 
     // Show only returned answers.
     desk.focus(".work.mine select");
     desk.press(&["r"]);
-    desk.until(
-        "one answer",
-        "document.querySelectorAll('.shelf-item').length === 1 && document.querySelector('.answer-details .returned-note')",
-    );
+    desk.has(".shelf-item", 1);
+    desk.shows(".answer-details .returned-note");
     let note = ["look at the hips"];
     desk.reads(".answer-details .returned-note", &note);
     desk.tab_to("Fix it");

@@ -29,6 +29,7 @@ fn the_guide_opens_beside_the_work_and_takes_no_focus() {
     );
     assert_eq!(desk.task(), task);
     assert_eq!(desk.value(CUT), json!([]), "nothing is cut");
+    desk.picture("guide-beside");
     // The button leaves the focus in the text as well.
     desk.click_with_mouse(".guide-button");
     desk.lacks(".guide-beside");

@@ -2,12 +2,12 @@
 //! server. Started by `annotate/browser/run`.
 
 mod access;
+mod by_touch;
 mod captures;
 mod dashboard;
 mod drafts;
 mod first_day;
 mod guide;
-mod hour;
 mod masks;
 mod nothing_lost;
 mod pairs;

@@ -1,7 +1,7 @@
 //! Pairs in bundles, and style pairs.
 
 use annotate_browser::keys;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::steps::Desk;
 
@@ -14,14 +14,9 @@ fn a_bundle_of_eight_with_three_rejects() {
         desk.press(&["x"]);
         task = desk.next_task(task);
     }
-    let bundle = desk.get(&format!("tasks/{task}"));
-    let bundle = bundle["task"]["bundle"]["tasks"]
-        .as_array()
-        .expect("a bundle");
-    let tasks: Vec<i64> = bundle
-        .iter()
-        .filter_map(|item| item["task"].as_i64())
-        .collect();
+    let bundle = desk.get(&format!("tasks/{task}"))["task"]["bundle"]["tasks"].take();
+    let bundle = bundle.as_array().expect("a bundle").iter();
+    let tasks: Vec<i64> = bundle.filter_map(|item| item["task"].as_i64()).collect();
     assert_eq!(tasks.len(), 8);
     let rejects = [("x", "unnatural"), ("u", "unclear"), ("i", "identical")];
     let keep = ("", "keep");
@@ -49,26 +44,11 @@ fn a_bundle_of_eight_with_three_rejects() {
 }
 
 #[test]
-fn a_verdict_is_taken_back_at_once() {
-    let desk = Desk::at("app/pair");
-    let task = desk.task();
-    desk.press(&["x"]);
-    desk.next_task(task);
-    desk.shows(".toast-action");
-    desk.control(&["z"]);
-    desk.shows(&format!(".work[data-task=\"{task}\"]"));
-    assert_ne!(desk.mine(task)["state"], "submitted");
-    desk.keep();
-    desk.next_task(task);
-    assert_eq!(desk.mine(task)["answer"]["verdict"], "keep");
-}
-
-#[test]
-fn views_of_a_pair_share_the_frame() {
+fn views_of_a_pair_share_the_frame_and_a_verdict_is_taken_back_at_once() {
     const FRAME: &str = "document.querySelector('.stage').dataset.frame";
     const TOGETHER: &str = "document.querySelector('.stage').dataset.together";
     let desk = Desk::at("app/pair");
-    desk.task();
+    let task = desk.task();
     desk.press(&["d"]);
     let frame = desk.value(FRAME);
     let caption = json!(desk.text_of(".stage-caption"));
@@ -87,6 +67,16 @@ fn views_of_a_pair_share_the_frame() {
     desk.until("the ghost is moved", &format!("{TOGETHER} === 'true'"));
     desk.press(&["r"]);
     desk.until("the ghost is back", &format!("{TOGETHER} === 'false'"));
+
+    desk.press(&["x"]);
+    desk.next_task(task);
+    desk.shows(".toast-action");
+    desk.control(&["z"]);
+    desk.shows(&format!(".work[data-task=\"{task}\"]"));
+    assert_ne!(desk.mine(task)["state"], "submitted");
+    desk.keep();
+    desk.next_task(task);
+    assert_eq!(desk.mine(task)["answer"]["verdict"], "keep");
 }
 
 #[test]
@@ -107,10 +97,11 @@ fn phrases_fit_the_kind_of_pair() {
 }
 
 #[test]
-fn a_style_pair_is_done_by_keyboard_and_aligned_for_viewing_alone() {
-    let desk = Desk::at("app/style");
+fn a_style_pair_is_done_by_keyboard_and_a_typed_style_joins_the_list_once_accepted() {
+    let mut desk = Desk::at("app/style");
     let task = desk.task();
-    let before = motions(&desk, task);
+    let motions = || desk.get(&format!("tasks/{task}"))["task"]["motions"].take();
+    let before = motions();
     desk.press(&["l"]);
     desk.shows(".toast");
     desk.write(&["c", "o", "o", "o", "t"], "Walk in a proud way.");
@@ -122,12 +113,8 @@ fn a_style_pair_is_done_by_keyboard_and_aligned_for_viewing_alone() {
     let parts = json!(["UPPER_BODY", "LOWER_BODY"]);
     assert_eq!(revision["answer"]["parts"], parts);
     assert!(revision["answer"]["style"].is_string());
-    assert_eq!(motions(&desk, task), before, "what is stored is as it was");
-}
+    assert_eq!(motions(), before, "they are aligned for viewing alone");
 
-#[test]
-fn a_style_that_is_not_listed_is_typed_and_joins_the_list_once_accepted() {
-    let mut desk = Desk::at("app/style");
     let listed = "[...document.querySelectorAll('#styles-of-project option')].some((own) => own.value === 'limping')";
     let mut task = desk.task();
     // The first pair that needs only one answer, so that it can be reviewed at once.
@@ -140,10 +127,8 @@ fn a_style_that_is_not_listed_is_typed_and_joins_the_list_once_accepted() {
     desk.type_text("limping");
     desk.shows("[data-new-style]");
     desk.picture("style-new");
-    desk.write(
-        &[keys::ESCAPE, "o", "o", "o", "t"],
-        "Limp with the left leg.",
-    );
+    let keep = [keys::ESCAPE, "o", "o", "o", "t"];
+    desk.write(&keep, "Limp with the left leg.");
     desk.control(&[keys::ENTER]);
     desk.next_task(task);
     assert_eq!(desk.mine(task)["answer"]["style"], "limping");
@@ -153,8 +138,4 @@ fn a_style_that_is_not_listed_is_typed_and_joins_the_list_once_accepted() {
     desk.decide(request, "accept", "");
     desk.go("app/style");
     desk.until("it is listed", listed);
-}
-
-fn motions(desk: &Desk, task: i64) -> Value {
-    desk.get(&format!("tasks/{task}"))["task"]["motions"].take()
 }

@@ -24,16 +24,13 @@ fn a_team_is_added_from_lines_and_each_link_logs_one_person_in() {
     let users = desk.get("users");
     let taken = users[0]["name"].as_str().expect("a name");
     type_lines(&desk, &format!("cleo\n{taken}\ndora,captain"));
-    desk.until(
-        "a problem by line",
-        "document.querySelectorAll('newcomers-form tbody .trouble').length === 2",
-    );
+    desk.has("newcomers-form tbody .trouble", 2);
     let known = "there is a user of this name already";
     desk.reads("newcomers-form table", &[known, "“captain” is no role"]);
     desk.is(&format!("{ADD}.disabled"), true);
     type_lines(&desk, "cleo\ndora,reviewer\n");
     desk.press_button(FORM, "Add 2 people");
-    desk.until("their links", &format!("{LINKS}.length === 2"));
+    desk.has("newcomers-form input.link", 2);
     let links = desk.value(LINKS);
     desk.reads(FORM, &["shown only now"]);
     let people =

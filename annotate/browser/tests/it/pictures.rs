@@ -8,8 +8,8 @@ use serde_json::json;
 
 use crate::steps::Desk;
 
-/// Each screen, a selector that matches once it is drawn, and the role that opens it.
-const SCREENS: [(&str, &str, &str); 17] = [
+/// Each page, a selector that matches once it is drawn, and the role that opens it.
+pub(crate) const SCREENS: [(&str, &str, &str); 15] = [
     ("home", ".queue", "annotator"),
     ("mask", ".mask-card textarea", "annotator"),
     ("pair", ".verdicts", "annotator"),
@@ -25,9 +25,18 @@ const SCREENS: [(&str, &str, &str); 17] = [
     ("rules", ".dashboard .note", "admin"),
     ("dashboard", ".dashboard table", "reviewer"),
     ("admin", ".numbers", "admin"),
-    ("login", "#token", ""),
-    ("keys", ".key-sheet", "annotator"),
 ];
+
+/// Screens that are no pages of their own.
+const OTHERS: [(&str, &str, &str); 2] =
+    [("login", "#token", ""), ("keys", ".key-sheet", "annotator")];
+
+pub(crate) fn address(name: &str) -> String {
+    match name {
+        "task" => "app/task/1".to_owned(),
+        name => format!("app/{name}"),
+    }
+}
 
 /// Controls outside the visible area, and parts wider than their frame.
 const CUT: &str = "[...document.querySelectorAll('button, a, input, select, textarea, .chip')] \
@@ -52,7 +61,7 @@ fn every_screen_fits_in_both_sizes_and_themes() {
         let roles = ["annotator", "reviewer", "admin"];
         let tokens = BTreeMap::from(roles.map(|role| (role, token_of(&desk, role))));
         let mut as_who = "";
-        for (name, shown, role) in SCREENS {
+        for (name, shown, role) in SCREENS.into_iter().chain(OTHERS) {
             if role != as_who {
                 desk.request("DELETE", "session", None);
                 if let Some(token) = tokens.get(role) {
@@ -78,9 +87,8 @@ fn open(desk: &Desk, name: &str, shown: &str) {
             desk.page("app/home", ".queue");
             desk.press(&["?"]);
         }
-        "task" => desk.go("app/task/1"),
         "review" => desk.go(&review(desk)),
-        name => desk.go(&format!("app/{name}")),
+        name => desk.go(&address(name)),
     }
     desk.shows(shown);
     if matches!(name, "mask" | "pair" | "style" | "review") && desk.count(".work") > 0 {

@@ -5,7 +5,6 @@ use annotate_browser::{Browser, Graphics, keys, report_page};
 /// The viewer at the top of the page, and the viewer of all items.
 const VIEWERS: [&str; 2] = ["opening-viewer", "viewer"];
 
-/// The frame that a viewer shows.
 fn frame(viewer: &str) -> String {
     format!("Number(document.querySelector('#{viewer} canvas').dataset.frame)")
 }

@@ -55,14 +55,6 @@ impl Bench {
 }
 
 #[test]
-fn an_answer_is_accepted_with_one_key() {
-    let bench = Bench::with_answer(WAVE);
-    assert_eq!(bench.task(), bench.answered);
-    bench.press(&["a"]);
-    bench.decided("accepted");
-}
-
-#[test]
 fn an_answer_goes_back_with_a_comment_to_its_author() {
     let bench = Bench::with_answer(WAVE);
     bench.task();
@@ -150,9 +142,19 @@ fn an_answer_is_read_and_accepted_on_a_telephone() {
 }
 
 #[test]
-fn an_answer_is_merged_and_edited() {
+fn an_answer_is_merged_and_edited_beside_what_its_author_was_offered() {
     let bench = Bench::with_answer(WAVE);
     bench.task();
+    let offered = bench.view()["suggestions"].as_array().map(Vec::len);
+    assert!(offered > Some(0), "{offered:?}");
+    bench.shows(".offered");
+    assert_eq!(Some(bench.count(".offered li") as usize), offered);
+    // Every dialog of this page can be cancelled without a decision.
+    for key in ["r", keys::DELETE] {
+        bench.press(&[key]);
+        bench.press_button("dialog", "Cancel");
+        bench.lacks("dialog[open]");
+    }
     bench.press(&["m"]);
     bench.shows(".merge-box:not([hidden]) .mask-card");
     bench.press(&["5"]);
@@ -164,23 +166,22 @@ fn an_answer_is_merged_and_edited() {
 }
 
 #[test]
-fn hostile_text_stays_text_on_every_page() {
+fn an_answer_is_accepted_with_one_key_and_hostile_text_stays_text_on_every_page() {
     let bench = Bench::with_answer(HOSTILE);
-    bench.task();
+    assert_eq!(bench.task(), bench.answered);
     bench.reads(".candidates", &[HOSTILE]);
     bench.press(&["a"]);
-    bench.says(".toast", "accepted");
+    bench.decided("accepted");
     let record = format!("app/task/{}", bench.answered);
     for (page, shown) in [
         ("app/tasks", ".list-row[data-task]"),
         (record.as_str(), "task-record .candidate"),
-        ("app/shelf", ".shelf-item"),
         ("app/dashboard", ".dashboard table"),
         ("app/home", ".queue"),
+        ("app/shelf", ".shelf-item"),
     ] {
         bench.page(page, shown);
         bench.check_canary(page, 0);
     }
-    bench.page("app/shelf", ".shelf-item");
     bench.reads(".shelf-item", &["<script>"]);
 }

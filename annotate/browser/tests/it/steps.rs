@@ -52,7 +52,6 @@ impl Desk {
         desk
     }
 
-    /// Opens a page as an annotator.
     pub(crate) fn at(path: &str) -> Self {
         let desk = Self::of(&["ann", "boss"]);
         desk.enter("ann", path);
@@ -72,7 +71,6 @@ impl Desk {
         }
     }
 
-    /// Adds a person.
     pub(crate) fn join(&mut self, name: &'static str) {
         let token = self.dataset.add_user(name, role(name));
         self.tokens.insert(name, token);
@@ -87,12 +85,10 @@ impl Desk {
         self.log_in(&self.server, self.token(name), path);
     }
 
-    /// Opens a page of the server.
     pub(crate) fn go(&self, path: &str) {
         self.open(&self.server.page(path));
     }
 
-    /// Opens a page of the server, and waits for an element of it.
     pub(crate) fn page(&self, path: &str, shown: &str) {
         self.go(path);
         self.shows(shown);
@@ -106,7 +102,6 @@ impl Desk {
         reply["body"].take()
     }
 
-    /// Changes settings.
     pub(crate) fn set(&self, change: Value) {
         let settings = self.ask("boss", "GET", "settings", Value::Null);
         self.ask("boss", "PUT", "settings", with(settings, change));
@@ -218,4 +213,9 @@ pub(crate) fn two_masks(first: &str, part: &str) -> Value {
             { "parts": ["LOWER_BODY"], "soft": true, "text": "Bend the knees." },
         ],
     })
+}
+
+/// An answer that keeps a pair.
+pub(crate) fn kept(text: &str) -> Value {
+    json!({ "kind": "pair", "verdict": "keep", "parts": ["LEFT_ARM"], "edit_type": "amplitude", "text": text })
 }

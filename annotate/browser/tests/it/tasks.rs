@@ -15,7 +15,6 @@ impl Desk {
         office
     }
 
-    /// Answers the next mask task as ann.
     fn answer(&self, text: &str) -> i64 {
         let view = self.claim("ann", "mask_text");
         self.submit("ann", &view, two_masks(text, "LEFT_ARM"))
@@ -30,7 +29,6 @@ impl Desk {
         self.get("audit?limit=1")["entries"][0]["seq"].take()
     }
 
-    /// The id of ann.
     fn ann(&self) -> String {
         let people = self.get("stats/people");
         let mut people = people.as_array().expect("people").iter();
@@ -38,7 +36,6 @@ impl Desk {
         ann.expect("ann")["user"]["id"].to_string()
     }
 
-    /// Waits until a list is loaded.
     fn listed(&self) {
         self.says(".count", "task");
     }
@@ -354,25 +351,8 @@ fn a_record_shows_the_story_of_a_task_and_acts_on_it() {
 }
 
 #[test]
-fn ones_own_acceptance_is_marked_in_browser_and_record() {
+fn what_nobody_is_left_for_is_listed_with_the_reasons_and_ones_own_acceptance_is_marked() {
     let mut office = Desk::office(Dataset::fresh());
-    office.set(json!({ "solo": true }));
-    office.join("solo");
-    let view = office.claim("solo", "mask_text");
-    let task = office.submit("solo", &view, two_masks("Wave.", "LEFT_ARM"));
-    office.log_out();
-    office.enter("solo", &format!("app/review/{task}"));
-    assert_eq!(office.task(), task);
-    office.press(&["a"]);
-    office.record_says("accepted by its own author");
-    office.list("?state=accepted");
-    office.counts(1);
-    office.reads(".list-row", &["by its own author"]);
-}
-
-#[test]
-fn what_nobody_is_left_for_is_listed_with_the_reasons_and_dropped() {
-    let office = Desk::office(Dataset::fresh());
     let view = office.claim("ann", "mask_text");
     let reason = json!({ "reason": "cannot_tell" });
     let task = office.send("ann", &view, "skip", reason);
@@ -391,4 +371,17 @@ fn what_nobody_is_left_for_is_listed_with_the_reasons_and_dropped() {
     office.record_says("dropped");
     office.list("?skipped=everybody");
     office.counts(0);
+
+    office.set(json!({ "solo": true }));
+    office.join("solo");
+    let view = office.claim("solo", "mask_text");
+    let task = office.submit("solo", &view, two_masks("Wave.", "LEFT_ARM"));
+    office.log_out();
+    office.enter("solo", &format!("app/review/{task}"));
+    assert_eq!(office.task(), task);
+    office.press(&["a"]);
+    office.record_says("accepted by its own author");
+    office.list("?state=accepted");
+    office.counts(1);
+    office.reads(".list-row", &["by its own author"]);
 }

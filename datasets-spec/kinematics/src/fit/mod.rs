@@ -15,7 +15,7 @@ mod options;
 mod start;
 mod step;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod tree;
 
 use body::Fitter;

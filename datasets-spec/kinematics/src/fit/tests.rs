@@ -9,11 +9,11 @@ use super::*;
 use crate::rotation::{angle_between, from_axis_angle};
 use crate::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS, parent_of};
 
-fn vector(size: f64) -> impl Strategy<Value = DVec3> {
+pub(crate) fn vector(size: f64) -> impl Strategy<Value = DVec3> {
     prop::array::uniform3(-size..size).prop_map(DVec3::from_array)
 }
 
-fn pose(size: f64) -> impl Strategy<Value = Pose> {
+pub(crate) fn pose(size: f64) -> impl Strategy<Value = Pose> {
     (
         vector(3.0),
         prop::collection::vec(vector(size), NUM_BODY_JOINTS),
@@ -33,27 +33,20 @@ fn noisy(points: &KeypointFrame, sigma_m: f64, seed: u64) -> KeypointFrame {
 }
 
 fn furthest(a: &KeypointFrame, b: &KeypointFrame) -> f64 {
-    a.iter()
-        .zip(b)
-        .fold(0.0, |most, (a, b)| most.max(a.distance(*b)))
+    let distances = a.iter().zip(b).map(|(a, b)| a.distance(*b));
+    distances.fold(0.0, f64::max)
 }
 
 proptest! {
     #[test]
-    fn keypoints_of_any_pose_are_recovered(pose in pose(3.0)) {
+    fn keypoints_of_any_pose_are_recovered_from_any_start(pose in pose(3.0), start in pose(3.0)) {
         let skeleton = Skeleton::smplx_neutral();
         let target = skeleton.keypoints(&pose);
-        let fit = fit_pose(&skeleton, &target, None, &FitOptions::default());
-        prop_assert!(furthest(&skeleton.keypoints(&fit.pose), &target) < 1e-6);
-        prop_assert!(fit.error_m < 1e-6);
-    }
-
-    #[test]
-    fn any_start_leads_to_the_target(pose in pose(3.0), start in pose(3.0)) {
-        let skeleton = Skeleton::smplx_neutral();
-        let target = skeleton.keypoints(&pose);
-        let fit = fit_pose(&skeleton, &target, Some(&start), &FitOptions::default());
-        prop_assert!(furthest(&skeleton.keypoints(&fit.pose), &target) < 1e-6);
+        for start in [None, Some(&start)] {
+            let fit = fit_pose(&skeleton, &target, start, &FitOptions::default());
+            prop_assert!(furthest(&skeleton.keypoints(&fit.pose), &target) < 1e-6);
+            prop_assert!(fit.error_m < 1e-6);
+        }
     }
 
     #[test]
@@ -154,9 +147,8 @@ fn a_step_minimises_the_damped_linear_model() {
     let mut rng = Pcg64::seed_from_u64(3);
     let mut pose = Pose::REST;
     for rotation in &mut pose.rotations {
-        *rotation = from_axis_angle(DVec3::from_array(std::array::from_fn(|_| {
-            rng.random_range(-1.0..1.0)
-        })));
+        let vector = [(); 3].map(|()| rng.random_range(-1.0..1.0));
+        *rotation = from_axis_angle(DVec3::from_array(vector));
     }
     let target = noisy(&skeleton.keypoints(&Pose::REST), 0.05, 4);
     let body = fitter.body_of(&pose);
@@ -180,10 +172,8 @@ fn a_step_minimises_the_damped_linear_model() {
     let best = moved(&step);
     for coordinate in 0..3 * (NUM_BODY_JOINTS + 1) {
         for sign in [-1.0, 1.0] {
-            let mut other = Step {
-                shift: step.shift,
-                turns: step.turns,
-            };
+            let (shift, turns) = (step.shift, step.turns);
+            let mut other = Step { shift, turns };
             let target = match coordinate / 3 {
                 0 => &mut other.shift,
                 joint => &mut other.turns[joint - 1],
@@ -197,20 +187,19 @@ fn a_step_minimises_the_damped_linear_model() {
 #[test]
 fn points_off_the_body_do_not_flip_joints_and_points_on_it_are_met() {
     let skeleton = Skeleton::smplx_neutral();
-    let poses: Vec<Pose> = (0..40)
+    let exact: Vec<KeypointFrame> = (0..40)
         .map(|frame| {
             let mut pose = Pose::REST;
             pose.rotations[16] = from_axis_angle(DVec3::Z * (0.02 * f64::from(frame)));
-            pose
+            skeleton.keypoints(&pose)
         })
         .collect();
-    let exact: Vec<KeypointFrame> = poses.iter().map(|pose| skeleton.keypoints(pose)).collect();
     // Noise of 4 cm, as in generated points, on eyes and knuckles that are 3 to 8 cm apart.
-    let trembling: Vec<KeypointFrame> = (0..)
+    let trembling = (0..)
         .zip(&exact)
-        .map(|(seed, points)| noisy(points, 0.04, seed))
-        .collect();
-    let twists = vec![Pose::REST; poses.len()];
+        .map(|(seed, points)| noisy(points, 0.04, seed));
+    let trembling: Vec<KeypointFrame> = trembling.collect();
+    let twists = vec![Pose::REST; exact.len()];
     let fitted = |frames: &[KeypointFrame], continuity| {
         let options = FitOptions {
             continuity,
@@ -227,12 +216,9 @@ fn points_off_the_body_do_not_flip_joints_and_points_on_it_are_met() {
         steps.fold(0.0, f64::max)
     };
     let (free, held) = (fitted(&trembling, 0.0), fitted(&trembling, 25.0));
-    assert!(
-        largest(&free) > 1.5,
-        "without it something flips: {}",
-        largest(&free)
-    );
-    assert!(largest(&held) < 0.8, "{}", largest(&held));
+    let (free, held) = (largest(&free), largest(&held));
+    assert!(free > 1.5, "without it something flips: {free}");
+    assert!(held < 0.8, "{held}");
     let error = fitted(&exact, 25.0).error_m.into_iter().fold(0.0, f64::max);
     // The tolerance of the fit.
     assert!(error < 1e-5, "{error}");
@@ -250,10 +236,8 @@ fn smoothing_draws_a_motion_to_its_past() {
         };
         let fitted = fit_motion(&skeleton, &frames, Fps::STORE, &options).expect("finite");
         let poses: Vec<Pose> = fitted.motion.poses();
-        poses
-            .windows(2)
-            .map(|pair| angle_between(pair[0].rotations[16], pair[1].rotations[16]))
-            .sum::<f64>()
+        let turn = |pair: &[Pose]| angle_between(pair[0].rotations[16], pair[1].rotations[16]);
+        poses.windows(2).map(turn).sum::<f64>()
     };
     assert!(wobble(1e-2) < 0.5 * wobble(0.0));
 }
@@ -264,15 +248,10 @@ fn a_missing_frame_is_named() {
     let mut frames = vec![skeleton.keypoints(&Pose::REST); 3];
     frames[2][5].y = f64::NAN;
     let options = FitOptions::default();
-    assert!(matches!(
-        fit_motion(&skeleton, &frames, Fps::STORE, &options),
-        Err(Error::NotFinite {
-            column: "keypoints",
-            frame: 2
-        })
-    ));
-    assert!(matches!(
-        fit_motion(&skeleton, &[], Fps::STORE, &options),
-        Err(Error::NoFrames)
-    ));
+    let fitted = |frames: &[KeypointFrame]| fit_motion(&skeleton, frames, Fps::STORE, &options);
+    let Err(Error::NotFinite { column, frame }) = fitted(&frames) else {
+        panic!("a keypoint is not finite");
+    };
+    assert_eq!((column, frame), ("keypoints", 2));
+    assert!(matches!(fitted(&[]), Err(Error::NoFrames)));
 }

@@ -301,11 +301,9 @@ mod tests {
         assert_eq!(angle_of(0.0, 0.0), 0.0);
         assert_eq!(angle_of(0.0, 1.0), 0.0);
         assert_eq!(angle_of(1.0, 0.0), std::f64::consts::FRAC_PI_2);
-        assert_eq!(quaternion([0.0; 3]), [0.0, 0.0, 0.0, 1.0]);
-        assert_eq!(rotation_vector([0.0, 0.0, 0.0, 1.0]), [0.0; 3]);
-        assert_eq!(
-            slerp([0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0], 0.3),
-            [0.0, 0.0, 0.0, 1.0]
-        );
+        let none = [0.0, 0.0, 0.0, 1.0];
+        assert_eq!(quaternion([0.0; 3]), none);
+        assert_eq!(rotation_vector(none), [0.0; 3]);
+        assert_eq!(slerp(none, none, 0.3), none);
     }
 }

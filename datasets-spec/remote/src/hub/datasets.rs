@@ -69,11 +69,10 @@ mod tests {
             dataset_path(Some(&cache), &place)
         };
         let meta = repo.join("snapshots/abc/meta");
-        assert_eq!(path("hf://datasets/lab/clips/meta").expect("there"), meta);
-        assert_eq!(
-            path("hf://datasets/lab/clips@abc/meta").expect("there"),
-            meta
-        );
+        for revision in ["", "@abc"] {
+            let url = format!("hf://datasets/lab/clips{revision}/meta");
+            assert_eq!(path(&url).expect("there"), meta);
+        }
         for (url, reason) in [
             (
                 "hf://datasets/lab/other",

@@ -87,10 +87,8 @@ fn answer(
     }
     let mut words = first.split(' ');
     let (method, path) = (words.next().unwrap_or(""), words.next().unwrap_or(""));
-    let entry = format!(
-        "{method} {path} {}",
-        range.map_or(String::new(), |r| r.to_string())
-    );
+    let from = range.map_or(String::new(), |from| from.to_string());
+    let entry = format!("{method} {path} {from}");
     log.lock().expect("whole").push(entry.trim_end().to_owned());
 
     let name = path.rsplit('/').next().unwrap_or_default();
@@ -99,48 +97,30 @@ fn answer(
             b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\nConnection: close\r\n\r\n",
         );
     };
-    let is_large = served.etag.len() == 64;
-    let elsewhere = path.starts_with("/elsewhere/");
-    let len = served.content.len();
-    let mut head = String::new();
-    let mut body: &[u8] = &[];
-    if !elsewhere {
-        head.push_str("HTTP/1.1 302 Found\r\nContent-Length: 0\r\n");
-        head.push_str(&format!("X-Repo-Commit: {COMMIT}\r\n"));
-        if is_large {
-            let etag = &served.etag;
-            head.push_str(&format!(
-                "X-Linked-Etag: \"{etag}\"\r\nX-Linked-Size: {len}\r\n"
-            ));
-        }
-        // Large files lie on another server, so their place is a whole address.
-        let host = stream.local_addr()?;
-        let host = if is_large {
-            format!("http://{host}")
-        } else {
-            String::new()
+    let (etag, len) = (&served.etag, served.content.len());
+    let (head, body) = if path.starts_with("/elsewhere/") {
+        let from = range.filter(|_| served.ranges);
+        let body = &served.content[from.unwrap_or(0)..];
+        let (status, last, left) = ("206 Partial Content", len - 1, body.len());
+        let status = match from {
+            Some(from) => format!("{status}\r\nContent-Range: bytes {from}-{last}/{len}"),
+            None => "200 OK".to_owned(),
         };
-        head.push_str(&format!("Location: {host}/elsewhere/{name}\r\n"));
+        let head = format!("{status}\r\nContent-Length: {left}\r\nETag: W/\"{etag}\"");
+        (head, body)
     } else {
-        body = &served.content;
-        match range.filter(|_| served.ranges) {
-            Some(from) => {
-                body = &body[from..];
-                head.push_str("HTTP/1.1 206 Partial Content\r\n");
-                head.push_str(&format!(
-                    "Content-Range: bytes {from}-{}/{len}\r\n",
-                    len - 1
-                ));
-            }
-            None => head.push_str("HTTP/1.1 200 OK\r\n"),
-        }
-        head.push_str(&format!("Content-Length: {}\r\n", body.len()));
-        head.push_str(&format!(
-            "ETag: W/\"{}\"\r\nX-Repo-Commit: {COMMIT}\r\n",
-            served.etag
-        ));
-    }
-    head.push_str("Connection: close\r\n\r\n");
+        // Large files lie on another server, so their place is a whole address.
+        let place = match etag.len() {
+            64 => format!(
+                "X-Linked-Etag: \"{etag}\"\r\nX-Linked-Size: {len}\r\nLocation: http://{}",
+                stream.local_addr()?
+            ),
+            _ => "Location: ".to_owned(),
+        };
+        let head = format!("302 Found\r\nContent-Length: 0\r\n{place}/elsewhere/{name}");
+        (head, &[][..])
+    };
+    let head = format!("HTTP/1.1 {head}\r\nX-Repo-Commit: {COMMIT}\r\nConnection: close\r\n\r\n");
     stream.write_all(head.as_bytes())?;
     if method == "GET" {
         let cut = served.cut.unwrap_or(body.len()).min(body.len());
@@ -169,6 +149,15 @@ fn fetched(cache: &HubCache, hub: &Hub, file: &str) -> PathBuf {
 
 fn fetch(cache: &HubCache, hub: &Hub, file: &str) -> Result<Option<PathBuf>, Error> {
     cache.fetch(hub, REPO, file, &mut |_, _| {})
+}
+
+/// A partial file that an earlier run left behind.
+fn put_part(cache: &HubCache, served: &Served, bytes: &[u8]) -> PathBuf {
+    let blobs = cache.folder(REPO).join("blobs");
+    fs::create_dir_all(&blobs).expect("created");
+    let part = blobs.join(format!("{}.incomplete", served.etag));
+    fs::write(&part, bytes).expect("written");
+    part
 }
 
 #[test]
@@ -209,12 +198,7 @@ fn an_interrupted_download_goes_on_where_it_stopped() {
         cut: Some(400),
         ..Served::large(&weights)
     };
-    // A partial file that an earlier run left behind.
-    let blobs = cache.folder(REPO).join("blobs");
-    fs::create_dir_all(&blobs).expect("created");
-    let part = blobs.join(format!("{}.incomplete", served.etag));
-    fs::write(&part, &weights[..100]).expect("written");
-
+    let part = put_part(&cache, &served, &weights[..100]);
     let (hub, log) = serve_model(served);
     let path = fetched(&cache, &hub, "model.safetensors");
     assert_eq!(read_checked(&path).expect("whole"), weights);
@@ -235,9 +219,7 @@ fn a_server_that_cannot_continue_starts_over() {
         ranges: false,
         ..Served::large(&weights)
     };
-    let blobs = cache.folder(REPO).join("blobs");
-    fs::create_dir_all(&blobs).expect("created");
-    fs::write(blobs.join(format!("{}.incomplete", served.etag)), [7; 300]).expect("written");
+    put_part(&cache, &served, &[7; 300]);
     let (hub, _) = serve_model(served);
     let path = fetched(&cache, &hub, "model.safetensors");
     assert_eq!(read_checked(&path).expect("whole"), weights);
@@ -250,12 +232,7 @@ fn a_server_that_brings_nothing_more_is_an_error_and_the_part_is_kept() {
         cut: Some(0),
         ..Served::large(&content(1000))
     };
-    let part = cache
-        .folder(REPO)
-        .join("blobs")
-        .join(format!("{}.incomplete", served.etag));
-    fs::create_dir_all(part.parent().expect("a folder")).expect("created");
-    fs::write(&part, &content(1000)[..10]).expect("written");
+    let part = put_part(&cache, &served, &content(1000)[..10]);
     let (hub, _) = serve_model(served);
     let error = fetch(&cache, &hub, "model.safetensors").expect_err("cut off");
     assert!(error.to_string().starts_with("cannot download"), "{error}");
@@ -323,9 +300,6 @@ fn the_environment_names_the_cache() {
         assert_eq!(cache(&all[from..]), Some(HubCache::new(root)));
     }
     assert_eq!(cache(&[("HF_HOME", "")]), None);
-    let folder = HubCache::new("hub").folder("openai/clip-vit-base-patch32");
-    assert_eq!(
-        folder,
-        Path::new("hub/models--openai--clip-vit-base-patch32")
-    );
+    let folder = HubCache::new("hub").folder("openai/clip");
+    assert_eq!(folder, Path::new("hub/models--openai--clip"));
 }

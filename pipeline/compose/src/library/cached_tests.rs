@@ -22,23 +22,13 @@ use crate::{
 fn committed(root: &Path, motions: &[MotionRow], masks: &[MaskRow], pairs: &[PairRow]) -> Dataset {
     let skeleton = Skeleton::smplx_neutral();
     let transaction = Transaction::begin(root, "test").expect("begins");
-    let tables = [
-        (
-            MotionRow::TABLE,
-            transaction.write_rows(motions, Some(|row: &MotionRow| row.split), &skeleton, ""),
-        ),
-        (
-            MaskRow::TABLE,
-            transaction.write_rows(masks, Some(|row: &MaskRow| row.split), &skeleton, ""),
-        ),
-        (
-            PairRow::TABLE,
-            transaction.write_rows(pairs, Some(|row: &PairRow| row.split), &skeleton, ""),
-        ),
-    ];
-    let tables = tables.map(|(table, files)| (table.to_owned(), files.expect("written")));
+    let motions = transaction.write_rows(motions, Some(|row: &MotionRow| row.split), &skeleton, "");
+    let masks = transaction.write_rows(masks, Some(|row: &MaskRow| row.split), &skeleton, "");
+    let pairs = transaction.write_rows(pairs, Some(|row: &PairRow| row.split), &skeleton, "");
+    let names = [MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE].map(str::to_owned);
+    let files = [motions, masks, pairs].map(|files| files.expect("written"));
     let commit = Commit {
-        tables: tables.into(),
+        tables: names.into_iter().zip(files).collect(),
         skeleton,
         ..Commit::default()
     };
@@ -122,6 +112,7 @@ fn composed(library: &Arc<Library>, config: &ComposeConfig, seed: u64) -> Compos
         let (text, motions) = library.pair(pair).expect("read");
         (text.to_owned(), motions)
     });
+    let clips = (0..stream.num_clips()).map(|number| stream.clip(0, number).expect("read"));
     let shown = Shown::default();
     let drawn = draw_items(library, &items, &shown, Seed(seed)).expect("items");
     Composed {
@@ -130,9 +121,7 @@ fn composed(library: &Arc<Library>, config: &ComposeConfig, seed: u64) -> Compos
         segments,
         taken: taken.collect(),
         triplets,
-        clips: (0..stream.num_clips())
-            .map(|number| stream.clip(0, number).expect("read"))
-            .collect(),
+        clips: clips.collect(),
         sheet: stream.sample_for_sheet(4).expect("read"),
         pairs: pairs.collect(),
         items: drawn.rows(0..drawn.len()).expect("read"),
@@ -190,24 +179,19 @@ fn few_motions_are_in_memory_while_the_file_is_written() {
     for num_clips in [300, 3_000] {
         let read = AtomicUsize::new(0);
         let mut most = 0;
-        let file = FrameFile::open(
-            &cache(folder.path()),
-            &format!("{num_clips} clips"),
-            3 * num_clips as u64,
-            Fps::STORE,
-            |writer| {
-                writer.extend(&vec![3; num_clips], |clips| {
-                    read.fetch_add(clips.len(), Ordering::Relaxed);
-                    Ok(vec![motion.clone(); clips.len()])
-                })?;
-                most = writer.most_at_once();
-                Ok(())
-            },
-        )
-        .expect("written");
+        let (cache, key) = (cache(folder.path()), format!("{num_clips} clips"));
+        let frames = 3 * num_clips as u64;
+        let file = FrameFile::open(&cache, &key, frames, Fps::STORE, |writer| {
+            writer.extend(&vec![3; num_clips], |clips| {
+                read.fetch_add(clips.len(), Ordering::Relaxed);
+                Ok(vec![motion.clone(); clips.len()])
+            })?;
+            most = writer.most_at_once();
+            Ok(())
+        });
         assert_eq!(read.into_inner(), num_clips, "each clip is decoded once");
         assert!(most <= 256, "{most} of {num_clips}");
-        let last = file.motion(3 * (num_clips as u64 - 1), 3);
+        let last = file.expect("written").motion(frames - 3, 3);
         assert_eq!(last.expect("read"), motion);
     }
 }
@@ -216,18 +200,13 @@ fn few_motions_are_in_memory_while_the_file_is_written() {
 fn long_clips_are_decoded_a_few_at_a_time() {
     let folder = tempfile::tempdir().expect("a folder");
     let motion = fixture::wandering("long", 20_000);
-    FrameFile::open(
-        &cache(folder.path()),
-        "long",
-        80_000,
-        Fps::STORE,
-        |writer| {
-            writer.extend(&[20_000; 4], |clips| Ok(vec![motion.clone(); clips.len()]))?;
-            assert_eq!(writer.most_at_once(), 1);
-            Ok(())
-        },
-    )
-    .expect("written");
+    let cache = cache(folder.path());
+    let written = FrameFile::open(&cache, "long", 80_000, Fps::STORE, |writer| {
+        writer.extend(&[20_000; 4], |clips| Ok(vec![motion.clone(); clips.len()]))?;
+        assert_eq!(writer.most_at_once(), 1);
+        Ok(())
+    });
+    written.expect("written");
 }
 
 #[test]
@@ -280,12 +259,7 @@ fn a_row_that_states_another_length_is_refused() {
     motions[1].n_frames += 1;
     let dataset = committed(&folder.path().join("dataset"), &motions, &masks, &[]);
     let read = Library::read(&dataset, Split::Train, &cache(folder.path()));
-    assert!(matches!(
-        read,
-        Err(Error::Length { motion, .. }) if motion == motions[1].id
-    ));
-    assert!(
-        frame_files(folder.path()).is_empty(),
-        "nothing unfinished stays"
-    );
+    assert!(matches!(read, Err(Error::Length { motion, .. }) if motion == motions[1].id));
+    let unfinished = frame_files(folder.path());
+    assert!(unfinished.is_empty(), "{unfinished:?}");
 }

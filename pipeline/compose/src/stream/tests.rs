@@ -3,12 +3,19 @@ use kinematics::canonical::WINDOW_FRAMES;
 use kinematics::normalise::NormalizedFrame;
 
 use super::*;
-use crate::{BaseFilter, ItemTask, fixture};
+use crate::{ItemTask, fixture};
 
 const CLIPS: usize = 9;
 
-fn stream(config: ComposeConfig) -> Stream {
-    fixture::stream(fixture::library(Split::Train, CLIPS), config, 5).expect("a stream")
+fn stream(change: impl FnOnce(&mut ComposeConfig)) -> Stream {
+    let library = fixture::library(Split::Train, CLIPS);
+    fixture::stream(library, fixture::config(change), 5).expect("a stream")
+}
+
+/// What is drawn for every item of some epochs.
+fn pairings(stream: &Stream, epochs: u64) -> impl Iterator<Item = Pairing> {
+    let items = (0..epochs).flat_map(move |epoch| (0..stream.epoch_len()).map(move |i| (epoch, i)));
+    items.map(move |(epoch, item)| stream.pairing(epoch, item))
 }
 
 fn epoch(stream: &Stream, epoch: u64) -> WindowBatch {
@@ -19,29 +26,21 @@ fn epoch(stream: &Stream, epoch: u64) -> WindowBatch {
 }
 
 #[test]
-fn any_number_of_threads_gives_the_same_bytes() {
-    let stream = stream(ComposeConfig::default());
-    let batches = [1, 2, 7].map(|threads| {
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .expect("a pool")
-            .install(|| epoch(&stream, 3))
-    });
-    assert!(batches[0].original.iter().all(|v| v.is_finite()));
-    assert!(batches[1..].iter().all(|batch| *batch == batches[0]));
-}
-
-#[test]
-fn an_epoch_in_pieces_is_the_same_epoch_and_the_next_one_differs() {
-    let stream = stream(ComposeConfig::default());
-    let whole = epoch(&stream, 0);
+fn neither_threads_nor_pieces_change_an_epoch_and_the_next_one_differs() {
+    let stream = stream(|_| ());
+    let whole = epoch(&stream, 3);
+    assert!(whole.original.iter().all(|v| v.is_finite()));
+    for threads in [1, 2, 7] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        let on_threads = pool.build().expect("a pool").install(|| epoch(&stream, 3));
+        assert!(on_threads == whole, "{threads} threads");
+    }
     let mut piece = WindowBatch::default();
-    stream.fill(0, 3, 4, &mut piece).expect("in memory");
+    stream.fill(3, 3, 4, &mut piece).expect("in memory");
     let window = WINDOW_FRAMES * FRAME_WIDTH;
     assert_eq!(piece.edited, whole.edited[3 * window..7 * window]);
     assert_eq!(piece.instructions, whole.instructions[3..7]);
-    assert_ne!(epoch(&stream, 1).original, whole.original);
+    assert_ne!(epoch(&stream, 4).original, whole.original);
 }
 
 #[test]
@@ -51,20 +50,21 @@ fn the_order_of_the_rows_does_not_matter() {
     masks.reverse();
     let library = fixture::library_of(Split::Train, &motions, &masks, &[]);
     let reversed = fixture::stream(library, ComposeConfig::default(), 5).expect("a stream");
-    assert_eq!(
-        epoch(&reversed, 0),
-        epoch(&stream(ComposeConfig::default()), 0)
-    );
+    assert_eq!(epoch(&reversed, 0), epoch(&stream(|_| ()), 0));
 }
 
 #[test]
-fn an_epoch_visits_every_window_of_every_annotated_motion() {
-    let stream = stream(ComposeConfig::default());
+fn an_epoch_visits_every_window_and_most_coordinates_lie_in_the_range() {
+    let stream = stream(|_| ());
     // Lengths 31, 57, 83, 109, 135 in advances of 28: 1, 1, 2, 3 and 4 windows.
     assert_eq!(stream.epoch_len(), 11);
-    let progress = epoch(&stream, 0).progress;
-    assert!(progress.iter().all(|p| (0.0..1.0).contains(p)));
-    assert!(progress.iter().any(|p| *p > 0.5));
+    let batch = epoch(&stream, 0);
+    assert!(batch.progress.iter().all(|p| (0.0..1.0).contains(p)));
+    assert!(batch.progress.iter().any(|p| *p > 0.5));
+    let inside = batch.original.iter().filter(|v| v.abs() <= 1.0).count();
+    // The range keeps 95 % of the coordinates of each axis; these windows are drawn, not the
+    // ones it was fitted on.
+    assert!(inside as f64 > 0.9 * batch.original.len() as f64);
 }
 
 #[test]
@@ -92,21 +92,9 @@ fn both_windows_stand_at_the_origin_and_face_forward() {
 }
 
 #[test]
-fn most_of_the_training_data_lies_in_the_range() {
-    let batch = epoch(&stream(ComposeConfig::default()), 0);
-    let inside = batch.original.iter().filter(|v| v.abs() <= 1.0).count();
-    // The range keeps 95 % of the coordinates of each axis; these windows are drawn, not the
-    // ones it was fitted on.
-    assert!(inside as f64 > 0.9 * batch.original.len() as f64);
-}
-
-#[test]
 fn fixed_pairs_keep_their_partner_and_new_ones_change() {
     let partners = |fixed_pairs| {
-        let stream = stream(ComposeConfig {
-            fixed_pairs,
-            ..ComposeConfig::default()
-        });
+        let stream = stream(|config| config.fixed_pairs = fixed_pairs);
         (0..6)
             .map(|epoch| {
                 let mut pairs: Vec<(Subject, Option<usize>, u64)> = (0..stream.epoch_len())
@@ -134,28 +122,19 @@ fn a_motion_never_meets_its_own_mirror_image() {
     motions.push(mirrored);
     let library = fixture::library_of(Split::Train, &motions, &masks, &[]);
     let stream = fixture::stream(library, ComposeConfig::default(), 1).expect("a stream");
-    for epoch in 0..50 {
-        for item in 0..stream.epoch_len() {
-            let pairing = stream.pairing(epoch, item);
-            let partner = pairing.partner.expect("a semantic edit");
-            assert!(stream.library.may_meet(partner, pairing.subject));
-        }
+    for pairing in pairings(&stream, 50) {
+        let partner = pairing.partner.expect("a semantic edit");
+        assert!(stream.library.may_meet(partner, pairing.subject));
     }
-    let alone = &motions[..1];
-    let library = fixture::library_of(Split::Train, alone, &masks[..1], &[]);
-    assert!(matches!(
-        fixture::stream(library, ComposeConfig::default(), 1),
-        Err(Error::NoPartner(motion)) if motion.as_str() == "clip0"
-    ));
+    let library = fixture::library_of(Split::Train, &motions[..1], &masks[..1], &[]);
+    let alone = fixture::stream(library, ComposeConfig::default(), 1);
+    assert!(matches!(alone, Err(Error::NoPartner(motion)) if motion.as_str() == "clip0"));
 }
 
 #[test]
 fn a_mirrored_window_is_the_same_window_with_left_and_right_exchanged() {
     let all = |mirrored_ratio| {
-        let stream = stream(ComposeConfig {
-            mirrored_ratio,
-            ..ComposeConfig::default()
-        });
+        let stream = stream(|config| config.mirrored_ratio = mirrored_ratio);
         let batch = epoch(&stream, 0);
         let texts = stream.instructions();
         assert!(batch.instructions.iter().all(|text| texts.contains(text)));
@@ -187,24 +166,15 @@ fn a_mirrored_window_is_the_same_window_with_left_and_right_exchanged() {
         }
     }
     assert!((1..2 * plain.progress.len()).contains(&num_mirrored));
-    let stream = stream(ComposeConfig {
-        mirrored_ratio: 0.5,
-        ..ComposeConfig::default()
-    });
+    let stream = stream(|config| config.mirrored_ratio = 0.5);
     assert!(matches!(stream.triplet(0, 0), Err(Error::MirroredClip)));
 }
 
 #[test]
 fn the_ratio_limits_the_partners() {
-    let config = ComposeConfig {
-        mcm_ratio: 0.3,
-        ..ComposeConfig::default()
-    };
-    let stream = stream(config);
-    let mut partners: Vec<Option<usize>> = (0..40)
-        .flat_map(|epoch| (0..stream.epoch_len()).map(move |item| (epoch, item)))
-        .map(|(epoch, item)| stream.pairing(epoch, item).partner)
-        .collect();
+    let stream = stream(|config| config.mcm_ratio = 0.3);
+    let partners = pairings(&stream, 40).map(|pairing| pairing.partner);
+    let mut partners: Vec<Option<usize>> = partners.collect();
     partners.sort_unstable();
     partners.dedup();
     assert_eq!(partners.len(), 3, "0.3 of {CLIPS} clips, rounded up");
@@ -216,54 +186,37 @@ fn the_base_can_be_limited_to_kinds_of_source() {
     for (number, row) in motions.iter_mut().enumerate() {
         row.source = ["humanml3d", "bvh", "amass"][number % 3].to_owned();
     }
-    let stream = |sources: &[&str], mcm_ratio| {
+    let stream = |sources: &[&str]| {
         let library = fixture::library_of(Split::Train, &motions, &masks, &[]);
-        let config = ComposeConfig {
-            base: BaseFilter {
-                sources: sources.iter().map(|&name| name.to_owned()).collect(),
-            },
-            mcm_ratio,
-            ..ComposeConfig::default()
-        };
+        let sources = sources.iter().map(|&name| name.to_owned()).collect();
+        let config = fixture::config(|config| config.base.sources = sources);
         fixture::stream(library, config, 5)
     };
-    let limited = stream(&["humanml3d", "nothing"], 1.0).expect("three clips");
-    for epoch in 0..10 {
-        for item in 0..limited.epoch_len() {
-            let partner = limited.pairing(epoch, item).partner.expect("semantic");
-            assert_eq!(&*limited.library.clip(partner).source, "humanml3d");
-        }
+    let limited = stream(&["humanml3d", "nothing"]).expect("three clips");
+    for pairing in pairings(&limited, 10) {
+        let partner = pairing.partner.expect("semantic");
+        assert_eq!(&*limited.library.clip(partner).source, "humanml3d");
     }
-    assert_eq!(
-        limited.epoch_len(),
-        stream(&[], 1.0).expect("all clips").epoch_len(),
-        "targets are of any source"
-    );
-    assert!(matches!(
-        stream(&["nothing"], 1.0),
-        Err(Error::BaseSources { found, .. }) if found == ["amass", "bvh", "humanml3d"]
-    ));
+    let all = stream(&[]).expect("all clips").epoch_len();
+    assert_eq!(limited.epoch_len(), all, "targets are of any source");
+    let none = stream(&["nothing"]);
+    let kinds = ["amass", "bvh", "humanml3d"];
+    assert!(matches!(none, Err(Error::BaseSources { found, .. }) if found == kinds));
 }
 
-fn pair_stream(config: ComposeConfig, same_motion: bool) -> Stream {
+/// The stream of a library that has a style pair of clip 5 and the target.
+fn pair_stream(target: usize, change: impl FnOnce(&mut ComposeConfig)) -> Stream {
     let (motions, masks) = fixture::rows(Split::Train, CLIPS);
-    let target = if same_motion { 5 } else { 6 };
     let pairs = [("style", 5, target), ("fine-grained", 7, 8)]
         .map(|(kind, source, target)| fixture::pair_row(kind, Split::Train, source, target));
     let library = fixture::library_of(Split::Train, &motions, &masks, &pairs);
-    fixture::stream(library, config, 5).expect("a stream")
+    fixture::stream(library, fixture::config(change), 5).expect("a stream")
 }
 
 #[test]
 fn one_donor_is_under_both_windows_of_a_pair() {
     // The pair consists of a motion and itself: whatever is drawn, both windows must be equal.
-    let stream = pair_stream(
-        ComposeConfig {
-            kinds: vec![EditKind::Style],
-            ..ComposeConfig::default()
-        },
-        true,
-    );
+    let stream = pair_stream(5, |config| config.kinds = vec![EditKind::Style]);
     for epoch_number in 0..20 {
         let batch = epoch(&stream, epoch_number);
         assert_eq!(batch.original, batch.edited);
@@ -278,44 +231,31 @@ fn one_donor_is_under_both_windows_of_a_pair() {
 #[test]
 fn kinds_and_undonored_ratio_can_be_chosen() {
     let kinds_of = |kinds: Vec<EditKind>| {
-        let config = ComposeConfig {
-            kinds,
-            ..ComposeConfig::default()
-        };
-        let stream = pair_stream(config, false);
-        let mut found: Vec<EditKind> = (0..stream.epoch_len())
-            .map(|item| stream.kind(0, item))
-            .collect();
+        let stream = pair_stream(6, |config| config.kinds = kinds);
+        let items = 0..stream.epoch_len();
+        let mut found: Vec<EditKind> = items.map(|item| stream.kind(0, item)).collect();
         found.sort_unstable();
         found.dedup();
         found
     };
     assert_eq!(kinds_of(EditKind::ALL.to_vec()), EditKind::ALL);
-    assert_eq!(
-        kinds_of(vec![EditKind::FineGrained]),
-        [EditKind::FineGrained]
-    );
+    let fine = vec![EditKind::FineGrained];
+    assert_eq!(kinds_of(fine.clone()), fine);
     for undonored_ratio in [0.0, 0.5, 1.0] {
-        let config = ComposeConfig {
-            kinds: vec![EditKind::Style, EditKind::FineGrained],
-            undonored_ratio: Some(undonored_ratio),
-            ..ComposeConfig::default()
-        };
-        let stream = pair_stream(config, false);
-        let items = (0..60).flat_map(|epoch| (0..stream.epoch_len()).map(move |i| (epoch, i)));
+        let stream = pair_stream(6, |config| {
+            config.kinds = vec![EditKind::Style, EditKind::FineGrained];
+            config.undonored_ratio = Some(undonored_ratio);
+        });
         let (mut plain, mut count) = (0, 0);
-        for (epoch, item) in items {
-            let pairing = stream.pairing(epoch, item);
+        for pairing in pairings(&stream, 60) {
             assert_eq!(pairing.partner.is_none(), pairing.half.is_none());
             plain += u32::from(pairing.partner.is_none());
             count += 1;
         }
         // Six standard deviations of some 200 fair draws.
         let share = f64::from(plain) / f64::from(count);
-        assert!(
-            (share - undonored_ratio).abs() <= 0.25,
-            "{share} of {undonored_ratio}"
-        );
+        let off = (share - undonored_ratio).abs();
+        assert!(off <= 0.25, "{share} of {undonored_ratio}");
         assert!(undonored_ratio == 0.5 || share == undonored_ratio);
     }
 }
@@ -335,16 +275,13 @@ fn pairs_of_motionfix_stay_as_captured_unless_a_ratio_is_given() {
         (Some(1.0), [0.0, 0.0]),
     ] {
         let library = fixture::library_of(Split::Train, &motions, &masks, &pairs);
-        let config = ComposeConfig {
-            kinds: vec![EditKind::FineGrained],
-            undonored_ratio,
-            ..ComposeConfig::default()
-        };
+        let config = fixture::config(|config| {
+            config.kinds = vec![EditKind::FineGrained];
+            config.undonored_ratio = undonored_ratio;
+        });
         let stream = fixture::stream(library, config, 5).expect("a stream");
-        let items = (0..20).flat_map(|epoch| (0..stream.epoch_len()).map(move |i| (epoch, i)));
         let mut composed = [(0, 0); 2];
-        for (epoch, item) in items {
-            let pairing = stream.pairing(epoch, item);
+        for pairing in pairings(&stream, 20) {
             let is_motionfix = stream.library.task_of(pairing.subject) == ItemTask::MotionFix;
             let (count, of) = &mut composed[usize::from(!is_motionfix)];
             *count += u32::from(pairing.partner.is_some());
@@ -357,20 +294,14 @@ fn pairs_of_motionfix_stay_as_captured_unless_a_ratio_is_given() {
 
 #[test]
 fn paraphrases_are_drawn_and_templates_filled_in() {
-    let mut config = ComposeConfig {
-        kinds: vec![EditKind::Style],
-        ..ComposeConfig::default()
-    };
-    let said = "Replace a person with an old look";
-    config
-        .phrases
-        .paraphrases
-        .insert(said.to_owned(), vec!["Walk like a grandparent.".to_owned()]);
-    config
-        .phrases
-        .of_parts
-        .push("With their {part}: {instruction}!".to_owned());
-    let stream = pair_stream(config, false);
+    let stream = pair_stream(6, |config| {
+        config.kinds = vec![EditKind::Style];
+        let said = "Replace a person with an old look".to_owned();
+        let other = vec!["Walk like a grandparent.".to_owned()];
+        config.phrases.paraphrases.insert(said, other);
+        let template = "With their {part}: {instruction}!".to_owned();
+        config.phrases.of_parts.push(template);
+    });
     let expected = stream.instructions();
     // Two texts, two templates, two halves.
     assert_eq!(expected.len(), 8, "{expected:?}");
@@ -386,12 +317,10 @@ fn paraphrases_are_drawn_and_templates_filled_in() {
 #[test]
 fn a_warped_pair_lasts_as_long_as_its_target() {
     let stream = |alignment| {
-        let config = ComposeConfig {
-            kinds: vec![EditKind::FineGrained],
-            alignment,
-            ..ComposeConfig::default()
-        };
-        pair_stream(config, false)
+        pair_stream(6, |config| {
+            config.kinds = vec![EditKind::FineGrained];
+            config.alignment = alignment;
+        })
     };
     use crate::Alignment::{None, TimeWarp};
     let frames = |stream: &Stream| stream.library.frames_of(Subject::Pair(0));
@@ -409,11 +338,7 @@ fn a_warped_pair_lasts_as_long_as_its_target() {
 
 #[test]
 fn fixed_pairs_take_whole_parts_from_the_middle() {
-    let config = ComposeConfig {
-        fixed_pairs: true,
-        ..ComposeConfig::default()
-    };
-    let stream = pair_stream(config, false);
+    let stream = pair_stream(6, |config| config.fixed_pairs = true);
     for item in 0..stream.epoch_len() {
         let triplet = stream.triplet(0, item).expect("in memory");
         assert!(triplet.mask.soft().is_empty());
@@ -433,8 +358,9 @@ fn a_split_without_long_masks_is_refused() {
     let rows = [motions, vec![row]].concat();
     let mask = fixture::mask_row("short", Split::Train, BodyPart::LeftArm);
     let library = fixture::library_of(Split::Train, &rows, &[mask], &[]);
+    let refused = fixture::stream(library, ComposeConfig::default(), 1);
     assert!(matches!(
-        fixture::stream(library, ComposeConfig::default(), 1),
+        refused,
         Err(Error::NoItem {
             frames: fixture::SPAN,
             ..

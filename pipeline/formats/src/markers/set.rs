@@ -345,14 +345,10 @@ mod tests {
             assert_eq!(named(name).labels().count(), size, "{name}");
         }
         assert_eq!(marker_sets().len(), FILES.len());
-        let (left, right) = (
-            named("cmu-41").placement("LKNE").expect("known"),
-            named("cmu-41").placement("rkne").expect("known"),
-        );
-        assert_eq!(
-            (left.joint, right.joint),
-            (Joint::LeftKnee, Joint::RightKnee)
-        );
+        let [left, right] =
+            ["LKNE", "rkne"].map(|label| named("cmu-41").placement(label).expect("known"));
+        assert_eq!(left.joint, Joint::LeftKnee);
+        assert_eq!(right.joint, Joint::RightKnee);
         assert_eq!(left.mirrored(), right);
         let short = named("helen-hayes-c3d").placement("RSHA");
         assert_eq!(short, named("helen-hayes").placement("R.Shank"));
@@ -367,11 +363,8 @@ mod tests {
         // A capture of the CMU set has most labels of Plug-in Gait.
         let of = |labels: &BTreeSet<String>| {
             let found = nearest(labels, None).expect("found");
-            (
-                found.set.name.clone(),
-                found.missing.len(),
-                found.is_whole(),
-            )
+            let name = found.set.name.clone();
+            (name, found.missing.len(), found.is_whole())
         };
         assert_eq!(of(&bare(named("cmu-41"), 0)), ("cmu-41".into(), 0, true));
         let gait = bare(named("plug-in-gait"), 3);
@@ -379,10 +372,8 @@ mod tests {
         let half = bare(named("vicon-front-waist-53"), 30);
         assert!(!of(&half).2);
         assert!(nearest(&BTreeSet::from(["M1".to_owned()]), None).is_none());
-        let own = MarkerSet::parse(
-            r#"{"name": "own", "markers": {"LKNE": "LKNE", "RKNE": "RKNE", "C7": "C7"}}"#,
-        )
-        .expect("valid");
+        let own = r#"{"name": "own", "markers": {"LKNE": "LKNE", "RKNE": "RKNE", "C7": "C7"}}"#;
+        let own = MarkerSet::parse(own).expect("valid");
         let found = nearest(&bare(named("cmu-41"), 0), Some(&own)).expect("found");
         assert_eq!(found.set.name, "own");
     }
@@ -400,41 +391,33 @@ mod tests {
         assert_eq!(set.placement("RHAND"), named("cmu-41").placement("RFIN"));
         assert_eq!(set.labels().count(), 3);
         assert_eq!(set.at_rest.len(), 2);
-        let legs = MarkerSet::parse(
-            r#"{"name": "legs", "like": "plug-in-gait-lower-body", "at_rest": ["trunk"]}"#,
-        )
-        .expect("valid");
+        let legs = r#"{"name": "legs", "like": "plug-in-gait-lower-body", "at_rest": ["trunk"]}"#;
+        let legs = MarkerSet::parse(legs).expect("valid");
         assert_eq!(legs.labels().count(), 16);
         assert_ne!(legs.hash(), set.hash());
     }
 
     #[test]
     fn what_is_no_set_says_what_is_wrong() {
-        for (text, words) in [
-            ("[]", "marker set is JSON"),
-            (r#"{"name": "a", "joints": {}}"#, "marker set is JSON"),
-            (
-                r#"{"name": "a", "markers": {"M": 3}}"#,
-                "marker set is JSON",
-            ),
-            (r#"{"name": "a", "markers": {}}"#, "no markers"),
-            (r#"{"name": "a", "like": "b"}"#, "none of cmu-41"),
-            (r#"{"name": "a", "markers": {"M": "XYZ"}}"#, "where XYZ is"),
-            (
-                r#"{"name": "a", "markers": {"M": {"joint": "tail", "offset": [0, 0, 0]}}}"#,
-                "on tail",
-            ),
-            (
-                r#"{"name": "a", "markers": {"M": {"joint": "head", "offset": [0, 90, 0]}}}"#,
-                "90 m from head",
-            ),
-            (
-                r#"{"name": "a", "markers": {"*KNE": "*KNE", "RKNE": "RKNE"}}"#,
-                "names RKNE twice",
-            ),
-        ] {
+        let refused = |text: &str, words: &str| {
             let error = MarkerSet::parse(text).expect_err(text);
             assert!(error.to_string().contains(words), "{text}: {error}");
+        };
+        refused("[]", "marker set is JSON");
+        refused(r#"{"name": "a", "joints": {}}"#, "marker set is JSON");
+        refused(r#"{"name": "a", "like": "b"}"#, "none of cmu-41");
+        for (markers, words) in [
+            ("{}", "no markers"),
+            (r#"{"M": 3}"#, "marker set is JSON"),
+            (r#"{"M": "XYZ"}"#, "where XYZ is"),
+            (r#"{"*KNE": "*KNE", "RKNE": "RKNE"}"#, "names RKNE twice"),
+        ] {
+            refused(&format!(r#"{{"name": "a", "markers": {markers}}}"#), words);
+        }
+        for (joint, height, words) in [("tail", 0, "on tail"), ("head", 90, "90 m from head")] {
+            let place = format!(r#"{{"joint": "{joint}", "offset": [0, {height}, 0]}}"#);
+            let set = format!(r#"{{"name": "a", "markers": {{"M": {place}}}}}"#);
+            refused(&set, words);
         }
     }
 }

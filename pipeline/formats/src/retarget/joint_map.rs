@@ -403,14 +403,9 @@ mod tests {
     #[test]
     fn dialects_are_told_apart_by_their_names() {
         for map in JOINT_MAPS.iter() {
-            let joints: Vec<(String, usize)> = map
-                .source_names()
-                .map(|name| (format!("rig:{name}"), 0))
-                .collect();
-            let joints: Vec<(&str, usize)> = joints
-                .iter()
-                .map(|(name, parent)| (name.as_str(), *parent))
-                .collect();
+            let names = map.source_names().map(|name| format!("rig:{name}"));
+            let names: Vec<String> = names.collect();
+            let joints: Vec<(&str, usize)> = names.iter().map(|name| (name.as_str(), 0)).collect();
             let mapping = find(&skeleton(&joints)).unwrap_or_else(|_| panic!("{}", map.name()));
             assert_eq!(mapping.name, map.name());
             assert_eq!(mapping.absent().len(), 22 - joints.len());
@@ -449,13 +444,12 @@ mod tests {
 
     #[test]
     fn a_foot_of_another_name_is_still_found() {
-        let lafan1 = JOINT_MAPS
-            .iter()
-            .find(|map| map.name() == "lafan1")
-            .expect("known");
-        let joints: Vec<(&str, usize)> = Joint::ALL
+        let mut maps = JOINT_MAPS.iter();
+        let lafan1 = maps.find(|map| map.name() == "lafan1").expect("known");
+        let names = Joint::ALL
             .into_iter()
-            .filter_map(|joint| lafan1.source_name(joint))
+            .filter_map(|joint| lafan1.source_name(joint));
+        let joints: Vec<(&str, usize)> = names
             .map(|name| (if name == "LeftToe" { "LeftToes" } else { name }, 0))
             .collect();
         let mapping = find(&skeleton(&joints)).expect("a body");

@@ -166,11 +166,9 @@ mod tests {
 
     #[test]
     fn a_map_is_read_with_all_its_fields() {
-        let map = UserMap::parse(
-            r#"{"name": "rig", "joints": {"pelvis": "root", "left_hip": "thigh.L"},
-                "unit": 0.01, "up": "-z", "rest": "first-frame"}"#,
-        )
-        .expect("valid");
+        let map = r#"{"name": "rig", "joints": {"pelvis": "root", "left_hip": "thigh.L"},
+                      "unit": 0.01, "up": "-z", "rest": "first-frame"}"#;
+        let map = UserMap::parse(map).expect("valid");
         assert_eq!(map.name(), "rig");
         assert_eq!(map.source_name(Joint::LeftHip), Some("thigh.L"));
         assert_eq!(map.source_name(Joint::RightHip), None);
@@ -183,24 +181,17 @@ mod tests {
 
     #[test]
     fn what_is_no_map_says_what_is_wrong() {
+        let error = UserMap::parse("[]").expect_err("a list").to_string();
+        assert!(error.contains("joint map is JSON"), "{error}");
         for (text, words) in [
-            ("[]", "joint map is JSON"),
-            (
-                r#"{"name": "a", "joints": {}, "scale": 2}"#,
-                "joint map is JSON",
-            ),
-            (
-                r#"{"name": "a", "joints": {}, "up": "w"}"#,
-                "joint map is JSON",
-            ),
-            (r#"{"name": "a", "joints": {"tail": "t"}}"#, "names tail"),
-            (
-                r#"{"name": "a", "joints": {"head": "t", "neck": "t"}}"#,
-                "gives t to two joints",
-            ),
-            (r#"{"name": "a", "joints": {}, "unit": -1}"#, "unit of -1 m"),
+            (r#"{}, "scale": 2"#, "joint map is JSON"),
+            (r#"{}, "up": "w""#, "joint map is JSON"),
+            (r#"{"tail": "t"}"#, "names tail"),
+            (r#"{"head": "t", "neck": "t"}"#, "gives t to two joints"),
+            (r#"{}, "unit": -1"#, "unit of -1 m"),
         ] {
-            let error = UserMap::parse(text).expect_err(text);
+            let map = format!(r#"{{"name": "a", "joints": {text}}}"#);
+            let error = UserMap::parse(&map).expect_err(text);
             assert!(error.to_string().contains(words), "{text}: {error}");
         }
     }

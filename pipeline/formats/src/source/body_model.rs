@@ -480,23 +480,15 @@ pub(crate) mod tests {
         let neutral = Skeleton::smplx_neutral();
         let count = joints.len();
         let shift = DVec3::new(0.01, -0.02, 0.03);
-        let vertices: Vec<f64> = joints
-            .iter()
-            .flat_map(|&joint| {
-                let at = neutral.rest(joint);
-                [at - shift, at + shift]
-            })
-            .flat_map(|vertex| vertex.to_array())
-            .collect();
+        let pairs = joints.iter().map(|&joint| neutral.rest(joint));
+        let vertices = pairs.flat_map(|at| [at - shift, at + shift]);
+        let vertices: Vec<f64> = vertices.flat_map(|vertex| vertex.to_array()).collect();
         let mut weights = vec![0.0; count * 2 * count];
         for joint in 0..count {
             weights[joint * 2 * count + 2 * joint..][..2].fill(0.5);
         }
-        let tree: Vec<f64> = parents
-            .iter()
-            .copied()
-            .chain((0..count).map(|joint| joint as f64))
-            .collect();
+        let own: Vec<f64> = (0..count).map(|joint| joint as f64).collect();
+        let tree = [parents, &own].concat();
         vec![
             ("J_regressor", npy_f8(&[count, 2 * count], &weights)),
             ("v_template", npy_f8(&[2 * count, 3], &vertices)),
@@ -541,9 +533,8 @@ pub(crate) mod tests {
         let (stem, hash) = read.name().rsplit_once('-').expect("a name and a hash");
         assert_eq!((stem, hash.len()), ("smplx_neutral", HASH_DIGITS));
 
-        let flat: Vec<f64> = (0..NUM_JOINTS)
-            .flat_map(|joint| neutral.rest(joint).to_array())
-            .collect();
+        let flat = (0..NUM_JOINTS).flat_map(|joint| neutral.rest(joint).to_array());
+        let flat: Vec<f64> = flat.collect();
         let joints = skeleton("J_male.npy", &npy_f8(&[NUM_JOINTS, 3], &flat)).expect("joints");
         assert_eq!(joints.rest(54), neutral.rest(54));
     }
@@ -553,13 +544,12 @@ pub(crate) mod tests {
         let folder = tempfile::tempdir().expect("temporary folder");
         let num_vertices = 2 * NUM_JOINTS;
         let shapes = |lift: f64| -> Vec<f64> {
-            (0..num_vertices * 3 * 2)
-                .map(|at| {
-                    let (vertex, axis, beta) = (at / 6, at / 2 % 3, at % 2);
-                    let is_head = vertex / 2 == HEAD && axis == 1 && beta == 0;
-                    if is_head { lift } else { 0.0 }
-                })
-                .collect()
+            let of = |at: usize| {
+                let (vertex, axis, beta) = (at / 6, at / 2 % 3, at % 2);
+                let is_head = vertex / 2 == HEAD && axis == 1 && beta == 0;
+                if is_head { lift } else { 0.0 }
+            };
+            (0..num_vertices * 3 * 2).map(of).collect()
         };
         for (path, lift) in [("male/model.npz", 0.05), ("SMPLX_FEMALE.npz", -0.02)] {
             let mut members = smplx();
@@ -588,15 +578,11 @@ pub(crate) mod tests {
             (Some("neutral"), &[1.0], -0.02),
             (None, &[0.5], -0.01),
         ] {
-            assert!(
-                (head_of(gender, betas) - lift).abs() < 1e-12,
-                "{gender:?} {betas:?}"
-            );
+            let lifted = head_of(gender, betas);
+            assert!((lifted - lift).abs() < 1e-12, "{gender:?} {betas:?}");
         }
-        assert!(
-            subjects.body(true, None, &[]).is_none(),
-            "SMPL-H parameters"
-        );
+        let other = subjects.body(true, None, &[]);
+        assert!(other.is_none(), "SMPL-H parameters");
         let again = Subjects::read(folder.path()).expect("two models");
         assert_eq!(format!("{subjects:?}"), format!("{again:?}"));
         fs::remove_file(folder.path().join("male/model.npz")).expect("removed");
@@ -608,22 +594,16 @@ pub(crate) mod tests {
     fn an_smplh_model_is_completed_with_the_face_of_the_neutral_body() {
         let neutral = Skeleton::smplx_neutral();
         let joints: Vec<usize> = (0..22).chain(25..NUM_JOINTS).collect();
-        let parents: Vec<f64> = joints
-            .iter()
-            .map(|&joint| {
-                let parent = PARENTS[joint];
-                joints
-                    .iter()
-                    .position(|&j| j as i64 == i64::from(parent))
-                    .map_or(-1.0, |at| at as f64)
-            })
-            .collect();
+        let parent_of = |&joint: &usize| {
+            let parent = i64::from(PARENTS[joint]);
+            let found = joints.iter().position(|&other| other as i64 == parent);
+            found.map_or(-1.0, |at| at as f64)
+        };
+        let parents: Vec<f64> = joints.iter().map(parent_of).collect();
         let read = skeleton("model.npz", &npz(&model(&joints, &parents))).expect("a model");
         for joint in 0..NUM_JOINTS {
-            assert!(
-                (read.rest(joint) - neutral.rest(joint)).length() < 1e-12,
-                "{joint}"
-            );
+            let off = (read.rest(joint) - neutral.rest(joint)).length();
+            assert!(off < 1e-12, "{joint}");
         }
     }
 
@@ -638,14 +618,9 @@ pub(crate) mod tests {
             }
             npz(&members)
         };
-        let sparse = npy(
-            "{'descr': '|O', 'fortran_order': False, 'shape': (), }",
-            b"\x80\x03.",
-        );
-        assert_eq!(
-            code("m.npz", &with("J_regressor", sparse)),
-            "E-PICKLE-REFUSED"
-        );
+        let objects = "{'descr': '|O', 'fortran_order': False, 'shape': (), }";
+        let sparse = with("J_regressor", npy(objects, b"\x80\x03."));
+        assert_eq!(code("m.npz", &sparse), "E-PICKLE-REFUSED");
         assert_eq!(code("m.pkl", b"\x80\x03."), "E-PICKLE-REFUSED");
         let other = npy_f8(&[7, 3], &[0.0; 21]);
         assert_eq!(code("m.npz", &with("v_template", other)), "E-BODY-SHAPE");

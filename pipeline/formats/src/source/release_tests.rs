@@ -113,6 +113,24 @@ pub(crate) fn assert_same_places(found: &Motion, expected: &Motion, metres: f64)
     }
 }
 
+/// A text with some words replaced by others.
+pub(crate) fn changed(text: &str, changes: &[(&str, &str)]) -> String {
+    let text = text.to_owned();
+    changes
+        .iter()
+        .fold(text, |text, &(from, to)| text.replace(from, to))
+}
+
+/// The files that a release takes motions from or passes over, sorted.
+pub(super) fn files_named(release: &dyn Release) -> Vec<&str> {
+    let contents = release.contents();
+    let taken = contents.entries.iter().map(|entry| entry.file.as_str());
+    let passed_over = contents.passed_over.iter().map(|(file, _)| file.as_str());
+    let mut named: Vec<&str> = taken.chain(passed_over).collect();
+    named.sort_unstable();
+    named
+}
+
 /// Bytes with some of them changed.
 pub(crate) fn edited(bytes: &[u8], edits: Vec<(Index, u8)>) -> Vec<u8> {
     let mut edited = bytes.to_vec();

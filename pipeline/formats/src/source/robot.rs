@@ -163,26 +163,21 @@ mod tests {
             ("local_body_pos", Value::None),
             ("link_body_list", Value::None),
         ]);
-        let Outcome::Skipped { reason } = read(&gmr) else {
-            panic!("a robot");
+        let skipped = |value: &Value| match read(value) {
+            Outcome::Skipped { reason } => reason,
+            outcome => panic!("{outcome:?}"),
         };
-        assert!(
-            reason.starts_with("motion of a robot of 29 joints in 5 frames, as GMR writes it"),
-            "{reason}"
-        );
-        let library = Value::dict([(
-            "walk",
-            Value::dict([("dof", array(&[5, 23])), ("root_rot", array(&[5, 4]))]),
-        )]);
-        let Outcome::Skipped { reason } = read(&library) else {
-            panic!("a robot");
-        };
+        let reason = skipped(&gmr);
+        let words = "motion of a robot of 29 joints in 5 frames, as GMR writes it";
+        assert!(reason.starts_with(words), "{reason}");
+        let robot = Value::dict([("dof", array(&[5, 23])), ("root_rot", array(&[5, 4]))]);
+        let reason = skipped(&Value::dict([("walk", robot)]));
         assert!(reason.contains("1 motions"), "{reason}");
         let other = read(&Value::dict([("dof_pos", array(&[5, 29]))]));
-        assert!(
-            matches!(&other, Outcome::Rejected(rejected) if rejected.code == "E-STANCE-KEYS"),
-            "{other:?}"
-        );
+        let Outcome::Rejected(rejected) = other else {
+            panic!("{other:?}");
+        };
+        assert_eq!(rejected.code, "E-STANCE-KEYS");
     }
 
     #[test]

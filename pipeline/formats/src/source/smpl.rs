@@ -160,20 +160,16 @@ mod tests {
             body: vec![[0.25; BODY_POSE_WIDTH]; 2],
             trans: vec![[1.0, 2.0, 3.0], [1.01, 2.0, 3.0]],
         };
-        let motion = parameters
-            .turned(y_up_from_z_up(), Fps::STORE, &skeleton)
-            .expect("finite");
+        let motion = parameters.turned(y_up_from_z_up(), Fps::STORE, &skeleton);
+        let motion = motion.expect("finite");
         assert_eq!(motion.body_pose(), parameters.body);
         let upright = from_axis_angle(DVec3::from_array(motion.global_orient()[0].map(f64::from)));
         assert!(upright.angle_between(DQuat::IDENTITY) < 1e-6, "faces +z");
         let keypoints = [0, 1].map(|frame| skeleton.keypoints(&motion.pose(frame)));
         let moved = keypoints[1][0] - keypoints[0][0];
         assert!((moved - DVec3::X * 0.01).length() < 1e-6);
-        let lowest = [7, 8, 10, 11]
-            .iter()
-            .fold(f64::INFINITY, |low, &joint: &usize| {
-                low.min(keypoints[0][joint].y)
-            });
+        let heights = [7, 8, 10, 11].map(|joint: usize| keypoints[0][joint].y);
+        let lowest = heights.into_iter().fold(f64::INFINITY, f64::min);
         // The floor is rounded with the translation to single precision.
         assert!(lowest.abs() < 1e-6, "{lowest}");
     }
@@ -187,9 +183,6 @@ mod tests {
         };
         parameters.root[1][2] = f32::NAN;
         let turned = parameters.turned(DQuat::IDENTITY, Fps::STORE, &Skeleton::smplx_neutral());
-        assert_eq!(
-            turned.err().map(|rejected| rejected.code),
-            Some("E-NOT-FINITE")
-        );
+        assert_eq!(turned.expect_err("not finite").code, "E-NOT-FINITE");
     }
 }

@@ -203,14 +203,10 @@ mod tests {
         }
         assert_eq!(member(&bytes, "mocap_framerate").1, [20.0]);
         let (_, poses) = member(&bytes, "poses");
-        assert!(
-            (poses[156 + 65] - 0.5).abs() < 1e-7,
-            "the right wrist turns about z"
-        );
-        assert!(
-            poses[156 + 66..].iter().all(|&v| v == 0.0),
-            "hands are flat"
-        );
+        let wrist = poses[156 + 65];
+        assert!((wrist - 0.5).abs() < 1e-7, "the right wrist turns about z");
+        let mut hands = poses[156 + 66..].iter();
+        assert!(hands.all(|&v| v == 0.0), "hands are flat");
     }
 
     #[test]
@@ -237,14 +233,9 @@ mod tests {
         let bytes = encode(&motion, &skeleton).expect("encoded");
         let (_, poses) = member(&bytes, "poses");
         let root = kinematics::rotation::from_axis_angle(DVec3::from_slice(&poses));
-        assert!(
-            (root * DVec3::Y - DVec3::Z).length() < 1e-9,
-            "the head is up"
-        );
-        assert!(
-            (root * DVec3::Z - DVec3::NEG_Y).length() < 1e-9,
-            "the body faces -y"
-        );
+        // The head is up, and the body faces -y.
+        assert!((root * DVec3::Y - DVec3::Z).length() < 1e-9);
+        assert!((root * DVec3::Z - DVec3::NEG_Y).length() < 1e-9);
     }
 
     #[test]

@@ -147,10 +147,9 @@ mod tests {
     #[test]
     fn every_body_joint_is_written_once_below_its_parent() {
         for joint in Joint::ALL {
-            let at = HIERARCHY
-                .iter()
-                .position(|(.., found)| *found == Some(joint))
-                .expect("present");
+            let mut slots = HIERARCHY.iter();
+            let at = slots.position(|(.., found)| *found == Some(joint));
+            let at = at.expect("present");
             // Skip the zero-length joints between a joint and its parent.
             let mut above = HIERARCHY[at].1;
             while HIERARCHY[above].2.is_none() {
@@ -170,15 +169,11 @@ mod tests {
     fn the_file_has_as_many_numbers_as_it_says() {
         let motion = Motion::from_poses(Fps::STORE, &[Pose::REST; 7]).expect("valid");
         let text = encode(&motion, &Skeleton::smplx_neutral());
-        let channels: usize = text
-            .lines()
-            .filter_map(|line| line.trim().strip_prefix("CHANNELS "))
-            .map(|line| {
-                line.split(' ')
-                    .next()
-                    .and_then(|n| n.parse::<usize>().ok())
-                    .expect("a number")
-            })
+        let lines = text.lines().map(str::trim);
+        let channels = lines.filter_map(|line| line.strip_prefix("CHANNELS "));
+        let counts = channels.map(|line| line.split(' ').next().expect("a number"));
+        let channels: usize = counts
+            .map(|count| count.parse::<usize>().expect("a number"))
             .sum();
         assert_eq!(channels, 3 + 3 * HIERARCHY.len());
         assert_eq!(text.matches('{').count(), text.matches('}').count());
@@ -189,15 +184,13 @@ mod tests {
         assert!(text.contains("Frames: 7\n"));
         assert_eq!(rows.lines().count(), 7);
         for row in rows.lines() {
-            let numbers: Vec<f64> = row
+            let numbers = row
                 .split(' ')
-                .map(|number| number.parse().expect("a number"))
-                .collect();
+                .map(|number| number.parse().expect("a number"));
+            let numbers: Vec<f64> = numbers.collect();
             assert_eq!(numbers.len(), channels);
-            assert!(
-                numbers[3..].iter().all(|&angle| angle == 0.0),
-                "the T-pose is zero"
-            );
+            let mut angles = numbers[3..].iter();
+            assert!(angles.all(|&angle| angle == 0.0), "the T-pose is zero");
         }
     }
 

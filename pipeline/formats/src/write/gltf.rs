@@ -399,30 +399,18 @@ mod tests {
         let mesh = file.meshes().next().expect("a mesh");
         let primitive = mesh.primitives().next().expect("a primitive");
         let reader = primitive.reader(|_| Some(blob));
-        let positions: Vec<Vec3> = reader
-            .read_positions()
-            .expect("positions")
-            .map(Vec3::from_array)
-            .collect();
-        let normals: Vec<Vec3> = reader
-            .read_normals()
-            .expect("normals")
-            .map(Vec3::from_array)
-            .collect();
-        let indices: Vec<usize> = reader
-            .read_indices()
-            .expect("indices")
-            .into_u32()
-            .map(|index| index as usize)
-            .collect();
+        let positions = reader.read_positions().expect("positions");
+        let positions: Vec<Vec3> = positions.map(Vec3::from_array).collect();
+        let normals = reader.read_normals().expect("normals");
+        let normals: Vec<Vec3> = normals.map(Vec3::from_array).collect();
+        let indices = reader.read_indices().expect("indices").into_u32();
+        let indices: Vec<usize> = indices.map(|index| index as usize).collect();
         for triangle in indices.chunks_exact(3) {
             let [a, b, c] = [triangle[0], triangle[1], triangle[2]];
             let facing = (positions[b] - positions[a]).cross(positions[c] - positions[a]);
             assert!(facing.length() > 0.0, "no triangle is degenerate");
-            assert!(
-                facing.dot(normals[a] + normals[b] + normals[c]) > 0.0,
-                "faces turn outwards"
-            );
+            let outwards = facing.dot(normals[a] + normals[b] + normals[c]);
+            assert!(outwards > 0.0, "faces turn outwards");
         }
         let animation = file.animations().next().expect("an animation");
         assert_eq!(animation.channels().count(), NUM_BODY_JOINTS + 1);

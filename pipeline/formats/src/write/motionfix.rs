@@ -152,10 +152,7 @@ mod tests {
         assert_eq!((found.rots.len(), found.trans[0]), (89, [0.0; 3]));
         for joints in &found.joint_positions {
             let head = joints[15][2] - joints[0][2];
-            assert!(
-                (0.4..0.8).contains(&head),
-                "the head is {head} m above the pelvis"
-            );
+            assert!((0.4..0.8).contains(&head), "{head} m above the pelvis");
         }
         let value = found.value([0.5, 3.0]);
         for (key, shape) in [

@@ -359,33 +359,22 @@ mod tests {
             one,two\n\
             000011,000011,same,x\n";
         let made = PairList::parse(text.as_bytes()).pairs(&motions(), &[]);
-        let said: Vec<(&str, &str, &str)> = made
-            .rows
-            .iter()
+        let rows = made.rows.iter();
+        let said: Vec<[&str; 3]> = rows
             .map(|row| {
-                (
+                [
                     row.source_id.as_str(),
                     row.target_id.as_str(),
-                    row.instruction.as_str(),
-                )
+                    &row.instruction,
+                ]
             })
             .collect();
-        assert_eq!(
-            said,
-            [
-                ("000009", "mine/000009_old", "Walk, as if old"),
-                (
-                    "000011",
-                    "mine/walk, slowly",
-                    "Replace a person with a slow look"
-                ),
-            ]
-        );
-        let refused: Vec<(u64, &str)> = made
-            .refused
-            .iter()
-            .map(|refused| (refused.line, refused.reason.as_str()))
-            .collect();
+        let slow = "Replace a person with a slow look";
+        let expected = [
+            ["000009", "mine/000009_old", "Walk, as if old"],
+            ["000011", "mine/walk, slowly", slow],
+        ];
+        assert_eq!(said, expected);
         let expected = [
             (5, "is in test and 000011 in train"),
             (6, "no motion of the dataset has the id \"nobody\""),
@@ -394,10 +383,10 @@ mod tests {
             (9, "it has 2 fields"),
             (10, "its own original"),
         ];
-        assert_eq!(refused.len(), expected.len(), "{refused:?}");
-        for ((line, reason), (number, part)) in refused.into_iter().zip(expected) {
-            assert_eq!(line, number);
-            assert!(reason.contains(part), "{line}: {reason}");
+        assert_eq!(made.refused.len(), expected.len(), "{:?}", made.refused);
+        for (refused, (line, part)) in made.refused.iter().zip(expected) {
+            assert_eq!(refused.line, line);
+            assert!(refused.reason.contains(part), "{line}: {}", refused.reason);
         }
     }
 
@@ -412,18 +401,14 @@ mod tests {
             panic!("{:?}", made.rows)
         };
         assert_eq!(adjusted.id, "csv/000009+mine/000009_old");
-        assert_eq!(
-            (adjusted.kind.as_str(), &adjusted.style),
-            ("fine-grained", &None)
-        );
+        assert_eq!(adjusted.kind, "fine-grained");
+        assert_eq!(adjusted.style, None);
         assert_eq!(adjusted.parts, ["TORSO", "HEAD"]);
         assert_eq!(adjusted.instruction, "Lean forward more.");
         let types = [adjusted, slow].map(|row| row.edit_type.as_deref());
         assert_eq!(types, [Some("amplitude"), None]);
-        assert_eq!(
-            (slow.kind.as_str(), slow.style.as_deref()),
-            ("style", Some("slow"))
-        );
+        assert_eq!(slow.kind, "style");
+        assert_eq!(slow.style.as_deref(), Some("slow"));
         assert!(slow.parts.is_empty());
         for row in &made.rows {
             compose::check_pair(row).expect("the composer takes it");
@@ -459,12 +444,9 @@ mod tests {
     fn a_list_of_style_pairs_is_stored_as_before_it_had_kinds() {
         let list = PairList::parse(b"a,b,old,x");
         let stored = serde_json::to_string(&list).expect("plain text");
-        assert!(
-            !["kind", "parts", "edit_type"]
-                .iter()
-                .any(|name| stored.contains(name)),
-            "{stored}"
-        );
+        for name in ["kind", "parts", "edit_type"] {
+            assert!(!stored.contains(name), "{stored}");
+        }
         let read: PairList = serde_json::from_str(&stored).expect("its own form");
         assert_eq!(read, list);
     }

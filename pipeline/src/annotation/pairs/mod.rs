@@ -205,9 +205,8 @@ mod tests {
         ];
         let plain = PairConfig::default();
         let pairs = style_pairs(&motions, &plain, Seed(1));
-        let found: Vec<(&str, &str)> = pairs
-            .rows
-            .iter()
+        let rows = pairs.rows.iter();
+        let found: Vec<_> = rows
             .map(|pair| (pair.source_id.as_str(), pair.target_id.as_str()))
             .collect();
         assert_eq!(found[0], ("run-1", "run-angry"));
@@ -215,10 +214,8 @@ mod tests {
         assert_eq!(found.len(), 2);
         let alone: Vec<&str> = pairs.alone.iter().map(MotionId::as_str).collect();
         assert_eq!(alone, ["run-old", "walk-old-test"], "no pair across splits");
-        assert_eq!(
-            pairs.rows[0].instruction,
-            "Replace a person with an angry look"
-        );
+        let text = "Replace a person with an angry look";
+        assert_eq!(pairs.rows[0].instruction, text);
         assert_eq!(pairs.rows[0].split, test);
 
         let both = PairConfig {
@@ -246,10 +243,8 @@ mod tests {
         let found = style_pairs(&motions, &PairConfig::default(), Seed(1)).rows;
         assert_eq!(found.len(), 4);
         for pair in &found {
-            assert_eq!(
-                pair.source_id.as_str().replace("neutral", "Old"),
-                pair.target_id.as_str()
-            );
+            let source = pair.source_id.as_str().replace("neutral", "Old");
+            assert_eq!(source, pair.target_id.as_str());
         }
         let many = PairConfig {
             per_motion: 3,
@@ -257,11 +252,8 @@ mod tests {
         };
         let found = style_pairs(&motions, &many, Seed(1)).rows;
         assert_eq!(found.len(), 12);
-        assert_eq!(
-            found[0].source_id.as_str(),
-            "1neutral",
-            "its own take first"
-        );
+        // Its own take comes first.
+        assert_eq!(found[0].source_id.as_str(), "1neutral");
     }
 
     #[test]
@@ -280,13 +272,9 @@ mod tests {
         ] {
             assert_eq!(group(file, style) == original, is_same, "{file}");
         }
-        assert_ne!(
-            style_group("bn/a_001.bvh", "run", "old"),
-            style_group("bn/a_001.bvh", "walk", "old")
-        );
-        assert_eq!(
-            (take("a/b2/walk.bvh"), take("x_12_take03b.bvh")),
-            ("", "03")
-        );
+        let of_action = |action: &str| style_group("bn/a_001.bvh", action, "old");
+        assert_ne!(of_action("run"), of_action("walk"));
+        let takes = ["a/b2/walk.bvh", "x_12_take03b.bvh"].map(take);
+        assert_eq!(takes, ["", "03"]);
     }
 }

@@ -22,16 +22,12 @@ fn kept(dataset: &Dataset) -> Kept {
     let motions = dataset.read::<MotionRow>(None).expect("readable");
     let pairs = dataset.read::<PairRow>(None).expect("readable");
     let masks = dataset.read::<MaskRow>(None).expect("readable");
+    let motion = |row: MotionRow| {
+        let labels = (row.mirrored_of, row.style, row.captions);
+        format!("{} {} {labels:?} {}", row.id, row.split, row.content_hash)
+    };
     Kept {
-        motions: motions
-            .into_iter()
-            .map(|row| {
-                format!(
-                    "{} {} {:?} {:?} {:?} {}",
-                    row.id, row.split, row.mirrored_of, row.style, row.captions, row.content_hash
-                )
-            })
-            .collect(),
+        motions: motions.into_iter().map(motion).collect(),
         pairs: pairs.into_iter().map(|row| format!("{row:?}")).collect(),
         masks: masks.into_iter().map(|row| format!("{row:?}")).collect(),
     }
@@ -51,10 +47,8 @@ fn an_exported_release_comes_back_bit_for_bit() {
     write_release(&dir.path().join("release"));
     let dataset = ingested(&dir.path().join("release"), &dir.path().join("dataset"));
     let before = kept(&dataset);
-    assert_eq!(
-        (before.motions.len(), before.pairs.len(), before.masks.len()),
-        (7, 2, 3)
-    );
+    let counts = (before.motions.len(), before.pairs.len(), before.masks.len());
+    assert_eq!(counts, (7, 2, 3));
     let again = exported_again(&dataset, dir.path());
     assert_eq!(kept(&again), before);
     let out = dir.path().join("exported");
@@ -71,10 +65,8 @@ fn an_exported_release_comes_back_bit_for_bit() {
     let val = fs::read_to_string(out.join("split/base_motion/val.txt")).expect("there");
     assert_eq!(val, "000010\n");
     let test = fs::read_to_string(out.join("split/style_transfer/test.json")).expect("there");
-    assert_eq!(
-        serde_json::from_str::<Vec<String>>(&test).expect("a list"),
-        ["000009_proud"]
-    );
+    let test: Vec<String> = serde_json::from_str(&test).expect("a list");
+    assert_eq!(test, ["000009_proud"]);
 }
 
 #[test]
@@ -107,16 +99,13 @@ fn motions_that_humanml3d_does_not_know_keep_their_ids_and_pairs() {
     let id = |name: &str| MotionId::parse(name).expect("an id");
     let pair = |kind: &str, source: &str, target: &str, style: Option<&str>| PairRow {
         id: format!("{source}+{target}"),
-        split: Split::Test,
         source: "corpus".to_owned(),
-        kind: kind.to_owned(),
         source_id: id(source),
         target_id: id(target),
         style: style.map(str::to_owned),
         parts: vec!["HEAD".to_owned()],
         instruction: format!("as {target}"),
-        edit_type: None,
-        accepted_by: None,
+        ..testkit::pair_row(kind, Split::Test, 0, 0)
     };
     let pairs = [
         pair("fine-grained", "cmu/a", "x/d_1", None),
@@ -126,18 +115,12 @@ fn motions_that_humanml3d_does_not_know_keep_their_ids_and_pairs() {
     rows[6].style = Some("very/old".to_owned());
     let mask = MaskRow {
         id: "m".to_owned(),
-        motion_id: id("x/d_1"),
-        split: Split::Test,
         parts: vec!["LEFT_ARM".to_owned(), "HEAD".to_owned()],
         hard_joints: Vec::new(),
         soft_joints: Vec::new(),
-        start: None,
-        end: None,
-        mask_def_version: datasets_spec::MASK_DEF_VERSION,
         text: "nodding".to_owned(),
-        text_origin: "human".to_owned(),
         author: String::new(),
-        accepted_by: None,
+        ..testkit::mask_row("x/d_1", Split::Test, BodyPart::Head)
     };
     let root = dir.path().join("other");
     commit(&root, &rows, |row: &MotionRow| row.split, "1");

@@ -185,12 +185,10 @@ mod tests {
             assert_eq!(name(old), name(new), "{old}");
         }
         assert_ne!(name("KIT/3/a_poses.npz"), name("KIT/4/a_poses.npz"));
-        assert_eq!(Recording::of(Path::new("somewhere/a_poses.npz")), None);
-        assert_eq!(
-            Recording::of(Path::new("KIT.npz")),
-            None,
-            "a file is no folder"
-        );
+        // A file is no folder.
+        for path in ["somewhere/a_poses.npz", "KIT.npz"] {
+            assert_eq!(Recording::of(Path::new(path)), None, "{path}");
+        }
     }
 
     #[test]
@@ -209,14 +207,9 @@ mod tests {
 
     #[test]
     fn wrong_rates_are_known_by_folder_and_by_name() {
-        assert_eq!(
-            true_fps(Path::new("BMLhandball/S01/x_poses.npz")),
-            Some(240.0)
-        );
-        assert_eq!(
-            true_fps(Path::new("SSM_synced/20160930_50032/x_poses.npz")),
-            Some(59.0)
-        );
-        assert_eq!(true_fps(Path::new("KIT/3/BMLhandball_poses.npz")), None);
+        let fps = |path: &str| true_fps(Path::new(path));
+        assert_eq!(fps("BMLhandball/S01/x_poses.npz"), Some(240.0));
+        assert_eq!(fps("SSM_synced/20160930_50032/x_poses.npz"), Some(59.0));
+        assert_eq!(fps("KIT/3/BMLhandball_poses.npz"), None);
     }
 }

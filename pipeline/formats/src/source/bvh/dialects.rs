@@ -318,6 +318,12 @@ fn read_text(text: &str) -> Result<SourceClip, Rejected> {
     super::read(&mut text.as_bytes(), text.len(), &ReadOptions::default())
 }
 
+/// A motion that is written for a rig and read.
+fn carried(rig: &RigText, poses: &[Pose]) -> SourceClip {
+    let text = rig.write(poses, &Skeleton::smplx_neutral());
+    read_text(&text).expect("a body")
+}
+
 /// The limb bones have the directions of the poses, to within an angle in radians.
 fn assert_same_limbs(clip: &SourceClip, poses: &[Pose], radians: f64) {
     let skeleton = Skeleton::smplx_neutral();
@@ -326,21 +332,17 @@ fn assert_same_limbs(clip: &SourceClip, poses: &[Pose], radians: f64) {
         for (joint, child) in [(1, 4), (4, 7), (16, 18), (18, 20), (17, 19), (19, 21)] {
             let bone = |points: &[DVec3]| (points[child] - points[joint]).normalize();
             let angle = bone(&found).angle_between(bone(&expected));
-            assert!(
-                angle < radians,
-                "bone {joint}-{child} is off by {angle} rad"
-            );
+            assert!(angle < radians, "bone {joint}-{child}: {angle} rad");
         }
     }
 }
 
 #[test]
 fn a_soma_file_gives_the_motion_it_was_made_of() {
-    let skeleton = Skeleton::smplx_neutral();
     let poses = walk(60);
     let rig = RigText::soma();
     assert_eq!(rig.joints.len(), 1 + 77);
-    let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
+    let clip = carried(&rig, &poses);
     assert_same_motion(&clip, &poses);
     assert_notes(&clip, "skeleton map soma");
     assert_notes(&clip, "joint frames from the T-pose of SOMA");
@@ -357,7 +359,7 @@ fn the_joints_of_a_known_soma_pose_lie_where_they_should() {
     pose.rotations[16] = DQuat::from_rotation_z(-std::f64::consts::FRAC_PI_2);
     pose.rotations[19] = DQuat::from_rotation_z(-std::f64::consts::FRAC_PI_2);
     let poses = vec![pose; 3];
-    let clip = read_text(&RigText::soma().write(&poses, &skeleton)).expect("a body");
+    let clip = carried(&RigText::soma(), &poses);
     let points = skeleton.motion_keypoints(&clip.motion).points;
     let along = |from: usize, to: usize| (points[1][to] - points[1][from]).normalize();
     let bone = |from: usize, to: usize| (skeleton.rest(to) - skeleton.rest(from)).normalize();
@@ -368,11 +370,8 @@ fn the_joints_of_a_known_soma_pose_lie_where_they_should() {
         (17, 19, bone(17, 19)),
         (19, 21, down * bone(19, 21)),
     ] {
-        assert!(
-            along(from, to).distance(expected) < 1e-3,
-            "{from}: {} instead of {expected}",
-            along(from, to)
-        );
+        let found = along(from, to);
+        assert!(found.distance(expected) < 1e-3, "{from}: {found}");
     }
     // The arms of the body at rest deviate from x by 18 degrees.
     assert!(along(16, 18).dot(DVec3::NEG_Y) > 0.9);
@@ -431,18 +430,13 @@ fn a_published_frame_is_a_person_who_stands_with_hanging_arms() {
     let clip = read_text(&text).expect("a body");
     let points = &skeleton.motion_keypoints(&clip.motion).points[0];
     let along = |from: usize, to: usize| (points[to] - points[from]).normalize();
-    assert!(
-        along(0, 15).dot(DVec3::Y) > 0.97,
-        "the head is over the pelvis"
-    );
+    // The head is over the pelvis, the legs stand, and the arms hang.
+    assert!(along(0, 15).dot(DVec3::Y) > 0.97);
     for (hip, ankle) in [(1, 7), (2, 8)] {
-        assert!(along(hip, ankle).dot(DVec3::NEG_Y) > 0.98, "the legs stand");
+        assert!(along(hip, ankle).dot(DVec3::NEG_Y) > 0.98);
     }
     for (shoulder, wrist) in [(16, 20), (17, 21)] {
-        assert!(
-            along(shoulder, wrist).dot(DVec3::NEG_Y) > 0.8,
-            "the arms hang"
-        );
+        assert!(along(shoulder, wrist).dot(DVec3::NEG_Y) > 0.8);
     }
     let front = along(2, 1).cross(DVec3::Y);
     assert!(front.dot(DVec3::Z) > 0.95, "faces +z: {front}");
@@ -465,7 +459,7 @@ fn soma_rigs_with_a_standing_zero_pose_are_read_by_it() {
     zero.rotations[16] = DQuat::from_rotation_z(-0.785);
     zero.rotations[17] = DQuat::from_rotation_z(0.785);
     rig.zero = Some(zero);
-    let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
+    let clip = carried(&rig, &poses);
     assert_notes(&clip, "skeleton map soma");
     assert_notes(&clip, "joint frames from the zero pose");
     for (found, expected) in clip.motion.poses().iter().zip(&poses) {
@@ -487,7 +481,7 @@ fn rest_rotations_beside_offsets_are_soma_s_alone() {
     let poses = walk(20);
     let mut rig = RigText::soma();
     rig.six_numbers = true;
-    let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
+    let clip = carried(&rig, &poses);
     assert_same_motion(&clip, &poses);
     let mut other = RigText::nokov();
     other.six_numbers = true;
@@ -495,23 +489,19 @@ fn rest_rotations_beside_offsets_are_soma_s_alone() {
     let rejected = read_text(&text).expect_err("ambiguous");
     assert_refused(&rejected, "E-BVH-SYNTAX", "six numbers");
     let at = rejected.byte_offset.expect("a place") as usize;
-    assert!(
-        text[at..].starts_with("0.0 -76.1"),
-        "{}",
-        &text[at..at + 20]
-    );
+    let place = &text[at..at + 20];
+    assert!(place.starts_with("0.0 -76.1"), "{place}");
 }
 
 #[test]
 fn snapmogen_xsens_and_nokov_files_give_the_motion_they_were_made_of() {
-    let skeleton = Skeleton::smplx_neutral();
     let poses = walk(40);
     for (rig, map) in [
         (RigText::snapmogen(), "snapmogen"),
         (RigText::xsens(), "xsens"),
         (RigText::nokov(), "mixamo"),
     ] {
-        let clip = read_text(&rig.write(&poses, &skeleton)).expect(map);
+        let clip = carried(&rig, &poses);
         assert_same_motion(&clip, &poses);
         assert_notes(&clip, &format!("skeleton map {map}"));
         assert_notes(&clip, "joint frames from the zero pose");
@@ -521,7 +511,6 @@ fn snapmogen_xsens_and_nokov_files_give_the_motion_they_were_made_of() {
 /// The 3ds Max preset of MVN: arms parallel to the body in the zero pose.
 #[test]
 fn xsens_files_may_rest_with_hanging_arms() {
-    let skeleton = Skeleton::smplx_neutral();
     let poses = walk(40);
     let mut rig = RigText::xsens();
     let mut zero = Pose::REST;
@@ -529,7 +518,7 @@ fn xsens_files_may_rest_with_hanging_arms() {
     zero.rotations[16] = DQuat::from_rotation_z(-std::f64::consts::FRAC_PI_2);
     zero.rotations[17] = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
     rig.zero = Some(zero);
-    let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
+    let clip = carried(&rig, &poses);
     assert_notes(&clip, "joint frames from the zero pose");
     assert_same_limbs(&clip, &poses, 0.06);
 }
@@ -538,13 +527,12 @@ fn xsens_files_may_rest_with_hanging_arms() {
 /// person's.
 #[test]
 fn nokov_files_with_bones_along_x_are_aligned_by_their_motion() {
-    let skeleton = Skeleton::smplx_neutral();
     let poses = walk(120);
     let mut rig = RigText::nokov();
     for joint in &mut rig.joints {
         joint.frame = DQuat::from_rotation_z(0.5 * joint.body as f64) * DQuat::from_rotation_y(1.3);
     }
-    let clip = read_text(&rig.write(&poses, &skeleton)).expect("a body");
+    let clip = carried(&rig, &poses);
     assert_says(&clip, "from the motion");
     assert_same_limbs(&clip, &poses, 1e-5);
 }

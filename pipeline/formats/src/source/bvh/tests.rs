@@ -5,7 +5,7 @@ use super::cursor::parse_number;
 use super::rig::{BLOCK, LocalBlock, half_angle_sin_cos};
 use super::*;
 use crate::retarget::Rig;
-use crate::source::release_tests::{assert_contains, edited};
+use crate::source::release_tests::{assert_contains, changed, edited};
 use clip::Rejected;
 
 const SMALL: &str = "HIERARCHY\nROOT Base\n{\n\tOFFSET 0 0 0\n\
@@ -47,17 +47,9 @@ fn long_files_are_read_piece_by_piece_as_if_whole() {
     assert_eq!(bvh.num_frames, FRAMES);
     for frame in 0..FRAMES {
         let turn = (frame % 360) as f64;
-        let expected = [
-            frame as f64 + 0.25,
-            1.0,
-            2.0,
-            turn,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0625,
-        ];
+        let mut expected = [0.0; 9];
+        expected[..4].copy_from_slice(&[frame as f64 + 0.25, 1.0, 2.0, turn]);
+        expected[8] = 0.0625;
         assert_eq!(bvh.frame(frame), expected);
     }
     // Rows without line breaks between them are separated by their number of values.
@@ -78,10 +70,8 @@ fn rows_that_differ_from_the_header_are_read_leniently() {
     for (frames, kept) in [(1, 1), (2, 2), (3, 2)] {
         let text = SMALL.replace("Frames: 2", &format!("Frames: {frames}"));
         let bvh = read(&text).expect("whole rows");
-        assert_eq!(
-            (bvh.num_frames, bvh.stated_frames, bvh.num_rows),
-            (kept, frames, 2)
-        );
+        let counts = (bvh.num_frames, bvh.stated_frames, bvh.num_rows);
+        assert_eq!(counts, (kept, frames, 2));
     }
     let odd = SMALL.replace("Frames: 2", "Frames: 3") + "0 1\n";
     assert_eq!(read(&odd).expect_err("a broken row").code, "E-BVH-FRAMES");
@@ -94,61 +84,34 @@ fn dialects_read_the_same() {
     let plain = parse(SMALL).expect("plain");
     assert_eq!((plain.num_frames, plain.fps().get()), (2, 30.0));
     assert_eq!(plain.joints[1].end_site, Some(DVec3::Z * 30.0));
-    for (what, text) in [
-        ("CRLF", SMALL.replace('\n', "\r\n")),
-        ("CR", SMALL.replace('\n', "\r")),
-        ("byte order mark", format!("\u{feff}{SMALL}")),
-        (
-            "tab after the colon",
-            SMALL.replace("Frames: ", "Frames:\t"),
-        ),
-        (
-            "blank before the colon",
-            SMALL.replace("Frames: ", "Frames : "),
-        ),
-        (
-            "no blank at all",
-            SMALL
-                .replace("Frames: ", "Frames:")
-                .replace("Time: ", "Time:"),
-        ),
-        (
-            "lower case",
-            SMALL
-                .replace("MOTION", "motion")
-                .replace("OFFSET", "offset"),
-        ),
-        ("no leading zero", SMALL.replace("0.0333333", ".0333333")),
-        (
-            "scientific",
-            SMALL
-                .replace("0.0333333", "3.33333e-2")
-                .replace("90", "9.0E+1"),
-        ),
+    for (what, changes) in [
+        ("CRLF", &[("\n", "\r\n")][..]),
+        ("CR", &[("\n", "\r")]),
+        ("byte order mark", &[("HIERARCHY", "\u{feff}HIERARCHY")]),
+        ("tab after the colon", &[("Frames: ", "Frames:\t")]),
+        ("blank before the colon", &[("Frames: ", "Frames : ")]),
+        ("no blank", &[("Frames: ", "Frames:"), ("Time: ", "Time:")]),
+        ("lower case", &[("MOTION", "motion"), ("OFFSET", "offset")]),
+        ("no leading zero", &[("0.0333333", ".0333333")]),
+        ("powers", &[("0.0333333", "3.33333e-2"), ("90", "9.0E+1")]),
         (
             "trailing blanks",
-            format!("{}   \n\n\t\n", SMALL.replace("0 0\n", "0 0 \t\n")),
+            &[
+                ("0 0\n", "0 0 \t\n"),
+                ("90 0 0 0 0 0 \t\n", "90 0 0 0 0 0 \t\n   \n\n\t\n"),
+            ],
         ),
-        (
-            "brace on the line",
-            SMALL
-                .replace("Base\n{", "Base {")
-                .replace("End\n\t{", "End {"),
-        ),
-        ("wrapped rows", SMALL.replace("0 1 2 0 0 0", "0 1 2\n0 0 0")),
+        ("brace", &[("Base\n{", "Base {"), ("End\n\t{", "End {")]),
+        ("wrapped rows", &[("0 1 2 0 0 0", "0 1 2\n0 0 0")]),
     ] {
+        let text = changed(SMALL, changes);
         assert_eq!(parse(&text), Ok(plain.clone()), "{what}");
     }
     let no_end_site = SMALL.replace("\t\tEnd Site\n\t\t{\n\t\t\tOFFSET 0 0 30\n\t\t}\n", "");
-    assert_eq!(
-        parse(&no_end_site).expect("no end site").joints[1].end_site,
-        None
-    );
-    let named = SMALL.replace("ROOT Base", "ROOT mixamorig:Left Arm  ");
-    assert_eq!(
-        parse(&named).expect("name").joints[0].name,
-        "mixamorig:Left Arm"
-    );
+    let no_end_site = parse(&no_end_site).expect("no end site");
+    assert_eq!(no_end_site.joints[1].end_site, None);
+    let named = parse(&SMALL.replace("ROOT Base", "ROOT mixamorig:Left Arm  "));
+    assert_eq!(named.expect("name").joints[0].name, "mixamorig:Left Arm");
 }
 
 #[test]
@@ -198,11 +161,8 @@ fn what_is_wrong_is_rejected_with_its_place() {
         ("0 1 3 90", "0 1 inf 90", "E-BVH-NUMBER", "inf 90 0"),
         ("0 1 3 90", "0 1 1e400 90", "E-BVH-NUMBER", "1e400 90"),
     ] {
-        assert_eq!(
-            rejection(&SMALL.replace(from, to)),
-            (code, place.to_owned()),
-            "{to}"
-        );
+        let found = rejection(&SMALL.replace(from, to));
+        assert_eq!(found, (code, place.to_owned()), "{to}");
     }
     let frames = parse(&SMALL.replace("Frames: 2", "Frames: 5")).expect_err("5 rows promised");
     assert_contains(&frames.reason, "found 2 rows of motion, expected 5");

@@ -121,10 +121,8 @@ mod tests {
             .map(|(line, name, _)| (*line, name.as_str()))
             .collect();
         assert_eq!(used, [(Some(2), "walk"), (Some(4), "walk")]);
-        assert_eq!(
-            content.clips[1].2.captions[0].caption.text,
-            "a person turns, slowly"
-        );
+        let caption = &content.clips[1].2.captions[0].caption;
+        assert_eq!(caption.text, "a person turns, slowly");
         let expected = [
             "note",
             "line 5: from_s",
@@ -132,13 +130,9 @@ mod tests {
             "line 7: it names no clip",
             "line 8: it has 7",
         ];
-        assert_eq!(
-            content.problems.len(),
-            expected.len(),
-            "{:?}",
-            content.problems
-        );
-        for (problem, part) in content.problems.iter().zip(expected) {
+        let problems = &content.problems;
+        assert_eq!(problems.len(), expected.len(), "{problems:?}");
+        for (problem, part) in problems.iter().zip(expected) {
             assert!(problem.contains(part), "{part}: {problem}");
         }
     }
@@ -147,10 +141,7 @@ mod tests {
     fn a_file_of_another_kind_is_named_and_not_used() {
         let content = parse(b"file,caption\nwalk,a person walks\n");
         assert!(content.clips.is_empty());
-        assert!(
-            content.problems[0].contains("no column clip"),
-            "{:?}",
-            content.problems
-        );
+        let problem = &content.problems[0];
+        assert!(problem.contains("no column clip"), "{problem}");
     }
 }

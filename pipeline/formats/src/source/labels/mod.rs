@@ -267,39 +267,31 @@ mod tests {
     }
 
     fn texts(captions: &[datasets_spec::table::Caption]) -> Vec<&str> {
-        captions
-            .iter()
-            .map(|caption| caption.text.as_str())
-            .collect()
+        let texts = captions.iter().map(|caption| caption.text.as_str());
+        texts.collect()
     }
 
     #[test]
     fn bandai_namco_names_give_labels_and_one_made_caption() {
-        for (stem, action, style, text) in [
+        for (stem, text) in [
             (
-                "dataset-1_walk-left_not-confident_001",
-                "walk-left",
-                "not-confident",
-                "a person walks left in a not confident style",
+                "1_walk-left_not-confident_001",
+                "walks left in a not confident style",
             ),
             (
-                "dataset-2_raise-up-both-hands_elderly_003",
-                "raise-up-both-hands",
-                "elderly",
-                "a person raises up both hands in an elderly style",
+                "2_raise-up-both-hands_elderly_003",
+                "raises up both hands in an elderly style",
             ),
-            (
-                "dataset-1_dash_sad_001",
-                "dash",
-                "sad",
-                "a person dashes in a sad style",
-            ),
+            ("1_dash_sad_001", "dashes in a sad style"),
         ] {
+            let words: Vec<&str> = stem.split('_').collect();
+            let (action, style) = (words[1], words[2]);
+            let (stem, text) = (format!("dataset-{stem}"), format!("a person {text}"));
             let around = ClipLabels::default();
             let clip = labelled(&format!("x/{stem}.bvh"), &|_| None, &around);
             assert_eq!(clip.action.as_deref(), Some(action));
             assert_eq!(clip.style.as_deref(), Some(style));
-            assert_eq!(texts(&clip.made_captions), [text]);
+            assert_eq!(texts(&clip.made_captions), [&text]);
             assert!(clip.captions.is_empty() && clip.notes.is_empty());
             // A caption file with the same text adds no caption: its author copied the rule's text.
             let again = format!("{text}\n");
@@ -327,11 +319,8 @@ mod tests {
                 _ => None,
             }
         };
-        let clip = labelled(
-            "dataset-1_walk_sad_001.bvh",
-            &beside,
-            &ClipLabels::default(),
-        );
+        let path = "dataset-1_walk_sad_001.bvh";
+        let clip = labelled(path, &beside, &ClipLabels::default());
         assert_eq!(clip.action.as_deref(), Some("walk"));
         assert!(clip.notes[0].contains("dataset-1_run"), "{:?}", clip.notes);
     }
@@ -366,10 +355,8 @@ mod tests {
         assert_eq!(clip.subject.as_deref(), Some("bert"));
         assert_eq!(clip.action.as_deref(), Some("wave"));
         assert_eq!(clip.part_captions[0].part, "LEFT_ARM");
-        assert_eq!(
-            texts(&clip.captions),
-            ["a man waves", "he stops", "a man greets"]
-        );
+        let expected = ["a man waves", "he stops", "a man greets"];
+        assert_eq!(texts(&clip.captions), expected);
         assert_eq!((clip.captions[1].from_s, clip.captions[1].to_s), (1.0, 2.0));
         let stated = stated(Path::new("clip.bvh"), Some(&full), &around, None);
         assert_eq!(stated.split, Some(Split::Test));
@@ -387,10 +374,7 @@ mod tests {
             (r#"{"lisence": "CC0-1.0"}"#, "lisence"),
             (r#"{"captions": [{"txt": "a man waves"}]}"#, "txt"),
             (r#"{"captions": [3]}"#, "a text, or a table"),
-            (
-                r#"{"parts": [{"part": "TAIL", "text": "wagging"}]}"#,
-                "TAIL",
-            ),
+            (r#"{"parts": [{"part": "TAIL", "text": "x"}]}"#, "TAIL"),
             ("{", "EOF"),
         ] {
             let beside =

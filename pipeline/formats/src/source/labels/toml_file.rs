@@ -104,11 +104,9 @@ mod tests {
         }
         assert_eq!(content.clips[1].2.captions.len(), 1);
         let content = parse("captions = [");
-        assert_eq!(content.problems.len(), 1);
-        assert!(
-            !content.problems[0].contains('\n'),
-            "{:?}",
-            content.problems
-        );
+        let [problem] = &content.problems[..] else {
+            panic!("{:?}", content.problems);
+        };
+        assert!(!problem.contains('\n'), "{problem}");
     }
 }

@@ -69,29 +69,15 @@ fn dumps_and_lists_become_pairs() {
     for packed in [false, true] {
         let dir = tempfile::tempdir().expect("temporary folder");
         let raise = "raise your left arm";
-        put_dump(
-            dir.path(),
-            "data/motionfix.pth.tar",
-            &[("000136", pair(25, raise)), ("000002", pair(20, "slower"))],
-            packed,
-        );
-        put_dump(
-            dir.path(),
-            "data/motionfix_test.pth.tar",
-            &[("000002", pair(20, "slower")), ("000007", pair(20, "jump"))],
-            packed,
-        );
-        put_dump(
-            dir.path(),
-            "data/motionfix_val.pth.tar",
-            &[("000136", pair(25, raise))],
-            packed,
-        );
-        put(
-            dir.path(),
-            "data/splits.json",
-            r#"{"train": ["000136"], "test": ["000002"]}"#,
-        );
+        let put_dump = |name: &str, pairs: &[(&str, Value)]| {
+            put_dump(dir.path(), &format!("data/{name}.pth.tar"), pairs, packed);
+        };
+        let (up, slower) = (("000136", pair(25, raise)), ("000002", pair(20, "slower")));
+        put_dump("motionfix", &[up.clone(), slower.clone()]);
+        put_dump("motionfix_test", &[slower, ("000007", pair(20, "jump"))]);
+        put_dump("motionfix_val", &[up]);
+        let splits = r#"{"train": ["000136"], "test": ["000002"]}"#;
+        put(dir.path(), "data/splits.json", splits);
         let labels = format!(r#"{{"{raise}": "Answer: left arm\nneck"}}"#);
         put(dir.path(), "deps/gpt/edit/gpt-labels_full.json", labels);
         let files = files_under(dir.path());
@@ -114,12 +100,8 @@ fn dumps_and_lists_become_pairs() {
             })
         });
         assert_eq!(planned, expected.collect::<Vec<_>>());
-        let passed: Vec<&str> = release
-            .contents()
-            .passed_over
-            .iter()
-            .map(|(file, _)| file.as_str())
-            .collect();
+        let passed_over = release.contents().passed_over.iter();
+        let passed: Vec<&str> = passed_over.map(|(file, _)| file.as_str()).collect();
         let expected = [
             "deps/gpt/edit/gpt-labels_full.json",
             "data/splits.json",
@@ -127,11 +109,8 @@ fn dumps_and_lists_become_pairs() {
         ];
         assert_eq!(passed, expected);
 
-        assert_eq!(
-            release.contents().remarks.len(),
-            1,
-            "000007 has the split of its dump"
-        );
+        // 000007 has the split of its dump.
+        assert_eq!(release.contents().remarks.len(), 1);
         let unlisted = clip_of(&*release, &files, "motionfix/000007-target");
         assert_says(&unlisted, "its dump");
 
@@ -154,12 +133,8 @@ fn dumps_and_lists_become_pairs() {
 #[test]
 fn motions_stand_upright_on_the_floor_of_the_store() {
     let dir = tempfile::tempdir().expect("temporary folder");
-    put_dump(
-        dir.path(),
-        "motionfix.pth.tar",
-        &[("1", pair(10, ""))],
-        false,
-    );
+    let pairs = [("1", pair(10, ""))];
+    put_dump(dir.path(), "motionfix.pth.tar", &pairs, false);
     let files = files_under(dir.path());
     let release = only_release(&files);
     let options = ReadOptions::default();
@@ -178,17 +153,12 @@ fn motions_stand_upright_on_the_floor_of_the_store() {
         let moved = motion.transl()[1][0] - motion.transl()[0][0];
         assert!((moved - 0.01).abs() < 1e-6, "x stays x, {moved}");
     }
-    let groups: Vec<(Option<Split>, Option<&str>)> = release
-        .contents()
-        .entries
-        .iter()
+    // A pair is not torn apart.
+    let entries = release.contents().entries.iter();
+    let groups: Vec<_> = entries
         .map(|entry| (entry.split, entry.group.as_deref()))
         .collect();
-    assert_eq!(
-        groups,
-        [(None, Some("000001")); 2],
-        "a pair is not torn apart"
-    );
+    assert_eq!(groups, [(None, Some("000001")); 2]);
 }
 
 #[test]
@@ -201,10 +171,8 @@ fn broken_pairs_and_dumps_are_on_record() {
     }
     put_dump(dir.path(), "motionfix.pth.tar", &[("000001", broken)], true);
     put("motionfix_a.pth.tar", b"cos\nsystem\n(S'true'\ntR.");
-    put(
-        "motionfix_b.pth.tar",
-        b"version https://git-lfs.github.com/spec/v1\noid\n",
-    );
+    let pointer = b"version https://git-lfs.github.com/spec/v1\noid\n";
+    put("motionfix_b.pth.tar", pointer);
     put("motionfix_c.pth.tar", b"\x80\x04].");
     put("splits.json", b"[");
     let files = files_under(dir.path());
@@ -216,11 +184,8 @@ fn broken_pairs_and_dumps_are_on_record() {
         "E-MOTIONFIX-KEYS",
     ];
     assert_eq!(codes(&*release), expected);
-    let read = release.read(
-        &files,
-        &release.contents().entries[0],
-        &ReadOptions::default(),
-    );
+    let entry = &release.contents().entries[0];
+    let read = release.read(&files, entry, &ReadOptions::default());
     assert_eq!(read.expect_err("no motion").code, "E-MOTIONFIX-KEYS");
 }
 

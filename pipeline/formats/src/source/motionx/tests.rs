@@ -1,4 +1,3 @@
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use datasets_spec::{Skeleton, Split};
@@ -8,7 +7,9 @@ use proptest::prelude::*;
 use testkit::{npy, npy_f8};
 
 use super::*;
-use crate::source::release_tests::{assert_contains, assert_says, edited, files_of, planned};
+use crate::source::release_tests::{
+    assert_refused, assert_says, edited, files_of, planned, why_passed_over,
+};
 use crate::source::{ReadOptions, Recognised, recognise};
 use clip::Rejected;
 
@@ -46,10 +47,8 @@ fn the_columns_are_the_root_the_body_and_the_translation() {
     let elbow = from_axis_angle(DVec3::NEG_Y * std::f64::consts::FRAC_PI_2);
     assert!(angle_between(pose.rotations[18], elbow) < 1e-6);
     for joint in (1..22).filter(|joint| *joint != 18) {
-        assert!(
-            angle_between(pose.rotations[joint], DQuat::IDENTITY) < 1e-6,
-            "{joint}"
-        );
+        let off = angle_between(pose.rotations[joint], DQuat::IDENTITY);
+        assert!(off < 1e-6, "{joint}");
     }
     assert!((pose.transl.x - 0.02).abs() < 1e-6 && (pose.transl.z + 2.0).abs() < 1e-6);
     let points = skeleton.keypoints(&pose);
@@ -73,14 +72,9 @@ fn arrays_are_recognised_by_their_shape() {
         Recognised::NotMotion { .. } => None,
     };
     assert_eq!(format("a/000001.npy", &file(2)[..256]), Some("motion-x"));
-    assert_eq!(
-        format("a/000001.npy", &npy_f8(&[2, 263], &[0.0; 526])),
-        Some("humanml3d")
-    );
-    assert_eq!(
-        format("a/000001.npy", &npy_f8(&[2, 321], &[0.0; 642])),
-        None
-    );
+    let other = |width: usize| npy_f8(&[2, width], &vec![0.0; 2 * width]);
+    assert_eq!(format("a/000001.npy", &other(263)), Some("humanml3d"));
+    assert_eq!(format("a/000001.npy", &other(321)), None);
     assert_eq!(format("a/000001.bin", &file(2)), None);
 }
 
@@ -92,16 +86,15 @@ fn what_is_wrong_is_rejected_with_its_place() {
     let at = start + 8 * (322 + 5);
     nan[at..at + 8].copy_from_slice(&f64::NAN.to_le_bytes());
     let rejected = read(&nan).expect_err("not finite");
-    assert_eq!(
-        (rejected.code, rejected.byte_offset),
-        ("E-NOT-FINITE", Some(at as u64))
-    );
-    assert_contains(&rejected.reason, "frame 1, column 5");
+    assert_refused(&rejected, "E-NOT-FINITE", "frame 1, column 5");
+    assert_eq!(rejected.byte_offset, Some(at as u64));
     // Faces are not used, whatever they contain.
     let mut face = good.clone();
     let at = start + 8 * 200;
     face[at..at + 8].copy_from_slice(&f64::NAN.to_le_bytes());
     assert!(read(&face).is_ok());
+    let objects = "{'descr': '|O', 'fortran_order': False, 'shape': (2, 322), }\n";
+    let pointer = b"version https://git-lfs.github.com/spec/v1\n".to_vec();
     for (bytes, code) in [
         (good[..good.len() - 5].to_vec(), "E-NPY-SHAPE"),
         (good[..40].to_vec(), "E-NPY-HEADER"),
@@ -109,17 +102,8 @@ fn what_is_wrong_is_rejected_with_its_place() {
         (npy_f8(&[2, 2, 322], &[0.0; 1288]), "E-MOTIONX-SHAPE"),
         (file(1), "E-TOO-SHORT"),
         (npy_f8(&[0, 322], &[]), "E-TOO-SHORT"),
-        (
-            npy(
-                "{'descr': '|O', 'fortran_order': False, 'shape': (2, 322), }\n",
-                b"\x80\x04N.",
-            ),
-            "E-PICKLE-REFUSED",
-        ),
-        (
-            b"version https://git-lfs.github.com/spec/v1\n".to_vec(),
-            "E-LFS-POINTER",
-        ),
+        (npy(objects, b"\x80\x04N."), "E-PICKLE-REFUSED"),
+        (pointer, "E-LFS-POINTER"),
     ] {
         assert_eq!(read(&bytes).expect_err(code).code, code);
     }
@@ -186,20 +170,12 @@ fn a_release_has_captions_splits_and_mirrored_copies() {
     assert!(read(1).expect("a clip").captions.is_empty());
     assert_eq!(read(2).expect("a clip").captions[0].text, "a person waves");
     assert_eq!(read(3).expect_err("cut off").code, "E-NPY-SHAPE");
-    let passed_over: BTreeMap<&str, &str> = contents
-        .passed_over
-        .iter()
-        .map(|(file, reason)| (file.as_str(), reason.as_str()))
-        .collect();
-    assert_eq!(
-        passed_over["x/face_motion_data/smplx_322/humanml/000003.npy"],
-        "facial expressions of Motion-X, no body"
-    );
-    assert_eq!(
-        passed_over["x/texts/semantic_labels/dance/gone.txt"],
-        "captions without a motion"
-    );
-    assert_eq!(passed_over.len(), 1 + 3 + 2, "{passed_over:?}");
+    let why = |file: &str| why_passed_over(&*found[0], file);
+    let face = why("x/face_motion_data/smplx_322/humanml/000003.npy");
+    assert_eq!(face, "facial expressions of Motion-X, no body");
+    let gone = why("x/texts/semantic_labels/dance/gone.txt");
+    assert_eq!(gone, "captions without a motion");
+    assert_eq!(contents.passed_over.len(), 1 + 3 + 2);
 }
 
 #[test]
@@ -212,10 +188,8 @@ fn the_folders_of_motion_x_plus_plus_are_read_too() {
     let found = (FORMAT.find)(&files);
     let contents = found[0].contents();
     assert_eq!(contents.entries[0].id, "animation/a");
-    let clip = found[0]
-        .read(&files, &contents.entries[0], &ReadOptions::default())
-        .expect("a clip");
-    assert_eq!(clip.captions[0].text, "a figure jumps");
+    let clip = found[0].read(&files, &contents.entries[0], &ReadOptions::default());
+    assert_eq!(clip.expect("a clip").captions[0].text, "a figure jumps");
 }
 
 proptest! {

@@ -9,7 +9,7 @@ use testkit::{npy, npy_f8};
 
 use super::*;
 use crate::source::Recognised;
-use crate::source::release_tests::{assert_says, clip_of, edited, files_of, planned};
+use crate::source::release_tests::{assert_says, clip_of, edited, files_named, files_of, planned};
 
 fn vector() -> Vec<u8> {
     let motion = Motion::from_poses(released_fps(), &walk(40)).expect("valid");
@@ -57,12 +57,8 @@ fn folders_of_both_layouts_are_found_and_every_file_is_accounted_for() {
     assert_eq!(planned(hml.as_ref()), expected);
     let expected = [("set/part_1/a b", Some(Split::Val), None)];
     assert_eq!(planned(mm.as_ref()), expected);
-    let mut named: Vec<&str> = Vec::new();
-    for contents in [hml.contents(), mm.contents()] {
-        named.extend(contents.entries.iter().map(|entry| entry.file.as_str()));
-        named.extend(contents.passed_over.iter().map(|(file, _)| file.as_str()));
-    }
-    named.push("other/motion_data/1.npy");
+    let others = vec!["other/motion_data/1.npy"];
+    let mut named = [files_named(hml.as_ref()), files_named(mm.as_ref()), others].concat();
     named.sort_unstable();
     assert_eq!(named, files.all().collect::<Vec<_>>());
 
@@ -73,11 +69,8 @@ fn folders_of_both_layouts_are_found_and_every_file_is_accounted_for() {
     assert_eq!(clip.captions[1].tokens, "he/PRON");
     assert_says(&clip, "train, test");
     let clip = clip_of(mm.as_ref(), &files, "set/part_1/a b");
-    let texts: Vec<&str> = clip
-        .captions
-        .iter()
-        .map(|said| said.text.as_str())
-        .collect();
+    let texts = clip.captions.iter().map(|said| said.text.as_str());
+    let texts: Vec<&str> = texts.collect();
     assert_eq!(texts, ["A person walks.", "Someone moves, forward."]);
 }
 

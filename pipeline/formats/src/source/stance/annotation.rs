@@ -202,11 +202,8 @@ mod tests {
             (json!(["left arm"]), json!({"LEFT_ARM": ["waving"]})),
             (Value::Null, json!({"LEFT_ARM": "waving"})),
         ] {
-            assert_eq!(
-                annotated(masks.clone(), texts.clone()),
-                one,
-                "{masks} {texts}"
-            );
+            let found = annotated(masks.clone(), texts.clone());
+            assert_eq!(found, one, "{masks} {texts}");
         }
         let two = pairs(&[("LEFT_ARM", "waving"), ("LOWER_BODY", "kneeling")]);
         for texts in [
@@ -216,17 +213,13 @@ mod tests {
         ] {
             assert_eq!(annotated(json!(["LEFT_ARM", "LOWER_BODY"]), texts), two);
         }
-        assert_eq!(
-            annotated(json!("LEFT_ARM"), json!(["waving", "greeting"])),
-            pairs(&[("LEFT_ARM", "waving"), ("LEFT_ARM", "greeting")])
-        );
-        assert_eq!(
-            annotated(
-                json!([["LEFT_ARM", "HEAD"], "RIGHT_ARM"]),
-                json!(["nodding", ""])
-            ),
-            pairs(&[("LEFT_ARM+HEAD", "nodding"), ("RIGHT_ARM", "")])
-        );
+        let found = annotated(json!("LEFT_ARM"), json!(["waving", "greeting"]));
+        let expected = [("LEFT_ARM", "waving"), ("LEFT_ARM", "greeting")];
+        assert_eq!(found, pairs(&expected));
+        let masks = json!([["LEFT_ARM", "HEAD"], "RIGHT_ARM"]);
+        let found = annotated(masks, json!(["nodding", ""]));
+        let expected = [("LEFT_ARM+HEAD", "nodding"), ("RIGHT_ARM", "")];
+        assert_eq!(found, pairs(&expected));
     }
 
     #[test]
@@ -236,18 +229,14 @@ mod tests {
         let odd = Annotation::new(&json!(["TAIL", "HEAD", "TORSO"]), &json!(["wagging"]));
         assert_eq!(odd.masks.len(), 2);
         assert_eq!(odd.notes.len(), 2, "{:?}", odd.notes);
-        assert_eq!(
-            Annotation::new(&json!(7), &json!(true)),
-            Annotation::default()
-        );
+        let none = Annotation::new(&json!(7), &json!(true));
+        assert_eq!(none, Annotation::default());
     }
 
     #[test]
     fn keys_are_found_with_or_without_zeros_and_mirrored_ones_by_both_names() {
-        let annotations = Annotations::new(
-            &json!({"9": "HEAD", "M000009": "LEFT_ARM", "014626.pkl": "TORSO"}),
-            &Value::Null,
-        );
+        let masks = json!({"9": "HEAD", "M000009": "LEFT_ARM", "014626.pkl": "TORSO"});
+        let annotations = Annotations::new(&masks, &Value::Null);
         let ids: Vec<&str> = annotations.by_id.keys().map(String::as_str).collect();
         assert_eq!(ids, ["000009", "M000009", "M000010"]);
     }

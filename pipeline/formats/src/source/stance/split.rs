@@ -153,9 +153,7 @@ mod tests {
         let mut lists = Lists::default();
         assert_eq!(lists.of("a"), None);
         lists.take_json(Split::Test, &json!(["x/a.pkl"]));
-        assert_eq!(
-            (lists.of("a"), lists.of("b")),
-            (Some(Split::Test), Some(Split::Train))
-        );
+        let found = (lists.of("a"), lists.of("b"));
+        assert_eq!(found, (Some(Split::Test), Some(Split::Train)));
     }
 }
