@@ -266,7 +266,7 @@ fn what_cannot_stand_in_one_table_is_refused() {
     assert_has(&refused, &[&rows[3].id, "stance items"]);
     let verified = bench.typed("verify @forged").expect_code(1);
     assert_has(&verified.to_string(), &[&rows[3].id]);
-    // Rows that need no system are scored from the items only.
+    // The real data and the identity editor are scored without edits.
     let scores: Value = bench.json("eval --items @items --encoder @encoder --weak-judge");
     score(&scores, "Identity", "Position error (cm)");
 }

@@ -135,7 +135,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     let answer = |run: &str, out: &str| -> Ran {
         workshop.run(&format!("--json edit @{run} --items @items --out @{out}"))
     };
-    // Frames of each source and of its edit, which must be as many.
+    // Numbers of frames of the sources. Each edit must have as many as its source.
     let lengths = |out: &str| -> Vec<i32> {
         let asked: Vec<ItemRow> = workshop.rows(out);
         let rows: Vec<EditRow> = workshop.rows(out);

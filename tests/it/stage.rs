@@ -236,7 +236,7 @@ impl<'a> Job<'a> {
         again
     }
 
-    /// Commits again after `done`, and works again: nothing is left to do.
+    /// Another commit and more work after `done` change nothing.
     fn again_after(&self, done: &Committed) {
         let again = self.commit(&[], 0);
         assert!(again.already_committed && again.root_hash == done.root_hash);

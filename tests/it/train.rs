@@ -217,8 +217,8 @@ fn a_seed_in_a_file_counts_unless_one_is_given_and_fixed_pairs_are_validated_as_
         }
     }
 
-    // Weights that do not change identify the validation windows. A residual would not: its units are fitted to the
-    // training windows, which differ.
+    // The weights stay as they are, so equal validation losses mean equal validation windows. The network predicts the
+    // change, because the units of a residual would be fitted to the training windows, which differ.
     let still = format!(
         "{SMALL}\n[optimizer]\nlearning_rate = 0.0\n\n[diffusion]\nnoise = \"white\"\nprediction = \"change\"\n"
     );

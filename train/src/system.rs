@@ -597,6 +597,24 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_warning_names_some_of_many_unknown_words() {
+        let line = |count: usize| {
+            let unknown_words = (0..count).map(|word| format!("w{word:02}")).collect();
+            let remarks = Remarks {
+                unknown_words,
+                ..Remarks::default()
+            };
+            remarks.lines().concat()
+        };
+        assert!(line(12).contains("w10, w11: it cannot"), "{}", line(12));
+        assert!(
+            line(15).contains("w11 and 3 more words: it"),
+            "{}",
+            line(15)
+        );
+    }
+
+    #[test]
     fn settings_that_differ_stand_in_the_name() {
         let named = |slot, settings: &[(&str, Setting)]| {
             named_with("MotionReFit tiny".to_owned(), slot, settings)

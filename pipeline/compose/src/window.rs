@@ -588,7 +588,7 @@ mod tests {
             .collect()
     }
 
-    /// The mask of every part, of nothing, of everything, and of two parts.
+    /// Masks of each body part, of no joint, of all joints, and of two parts.
     fn masks() -> impl Iterator<Item = BlendMask> {
         BodyPart::ALL.map(BodyPart::mask).into_iter().chain([
             BlendMask::EMPTY,

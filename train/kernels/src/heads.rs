@@ -56,8 +56,8 @@ fn by_halves(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 
     lanes[0]
 }
 
-/// Softmax weights below this share of the largest become zero. Hundreds of them are less than the rounding error of
-/// their sum. Their products with gradients would be subnormal numbers, which slow down matrix products ten times.
+/// Softmax weights below this share of the largest become zero: even hundreds of them are below the rounding error of
+/// the sum. Times a gradient they would be subnormal numbers, with which a matrix product takes ten times as long.
 const LEAST_SHARE: f32 = 1e-10;
 
 /// Replaces the attention scores of one query by their softmax. The first `length` numbers are scores; the rest only
