@@ -51,7 +51,11 @@ fn judged_masks_survive_a_file_that_is_added() {
 
 #[test]
 fn a_source_that_is_added_changes_no_id_and_no_split() {
-    let (dir, source, more, dataset) = begun_with_half(24);
+    let (dir, source, more) = halves(24);
+    let dataset = dir.path().join("dataset");
+    // It speaks of the clips of this source alone, whichever sources are given beside it.
+    put(&source.join("LICENSE"), "Free to use.\n");
+    ingest(&[&source], &dataset, &[], 0);
     let before = clips(&dataset);
     let grown = ingest(&[&source, &more], &dataset, &[], 0);
     assert_eq!(grown["growth"]["kept"], before.len());

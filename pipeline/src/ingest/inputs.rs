@@ -26,58 +26,64 @@ const ENDS_OF_LABELS: [&str; 2] = [".json", ".txt"];
 /// without.
 ///
 /// A file without a motion may label the motion with its name. Files that are not labels may be read by any motion of
-/// their folder; files in a folder without motions belong to the next folder above that has motions.
+/// their folder; files in a folder without motions belong to the next folder above that has motions. A file is never an
+/// input of a motion from another source: only the names of sources put them below each other.
 pub(super) fn files_of_single<'a>(
     motions: &BTreeSet<&'a str>,
     others: &BTreeSet<&'a str>,
+    sources: &BTreeMap<String, Source>,
 ) -> BTreeMap<&'a str, Vec<&'a str>> {
-    let mut stems: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    let source_of = |file: &str| sources.get(file).map(|source| source.of);
+    let mut stems: BTreeMap<_, BTreeSet<&str>> = BTreeMap::new();
     for file in motions {
         let (folder, name) = split_name(file);
+        let folder = (source_of(file), folder);
         stems.entry(folder).or_default().insert(stem(name));
     }
-    let mut of_stem: BTreeMap<(&str, &str), Vec<&str>> = BTreeMap::new();
-    let mut of_folder: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
-    let mut below: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    let mut of_stem: BTreeMap<_, Vec<&str>> = BTreeMap::new();
+    let mut of_folder: BTreeMap<_, Vec<&str>> = BTreeMap::new();
+    let mut below: BTreeMap<_, Vec<&str>> = BTreeMap::new();
     for file in others {
         let (folder, name) = split_name(file);
+        let source = source_of(file);
         let lower = name.to_lowercase();
         if SPEAK_OF_ALL_BELOW
             .iter()
             .any(|begin| lower.starts_with(begin))
         {
-            below.entry(folder).or_default().push(file);
+            below.entry((source, folder)).or_default().push(file);
             continue;
         }
-        let own = stems.get(folder).and_then(|stems| {
+        let beside = stems.get(&(source, folder));
+        let own = beside.and_then(|stems| {
             let dots = name.match_indices('.').rev();
             dots.map(|(dot, _)| &name[..dot])
                 .find(|stem| stems.contains(stem))
         });
-        let is_label =
-            stems.contains_key(folder) && ENDS_OF_LABELS.iter().any(|end| lower.ends_with(end));
+        let is_label = beside.is_some() && ENDS_OF_LABELS.iter().any(|end| lower.ends_with(end));
         if let Some(own) = own {
-            of_stem.entry((folder, own)).or_default().push(file);
+            let motion = (source, folder, own);
+            of_stem.entry(motion).or_default().push(file);
         } else if is_label {
             // Labels of a motion that does not exist.
-        } else if let Some(folder) = above(folder).find(|folder| stems.contains_key(folder)) {
-            of_folder.entry(folder).or_default().push(file);
+        } else {
+            let mut folders = above(folder).map(|folder| (source, folder));
+            if let Some(folder) = folders.find(|folder| stems.contains_key(folder)) {
+                of_folder.entry(folder).or_default().push(file);
+            }
         }
     }
     motions
         .iter()
         .map(|file| {
             let (folder, name) = split_name(file);
-            let around = above(folder).filter_map(|folder| below.get(folder));
+            let source = source_of(file);
+            let own = of_stem.get(&(source, folder, stem(name)));
+            let of_folder = of_folder.get(&(source, folder));
+            let around = above(folder).filter_map(|folder| below.get(&(source, folder)));
             let files = std::iter::once(*file)
-                .chain(
-                    of_stem
-                        .get(&(folder, stem(name)))
-                        .into_iter()
-                        .flatten()
-                        .copied(),
-                )
-                .chain(of_folder.get(folder).into_iter().flatten().copied())
+                .chain(own.into_iter().flatten().copied())
+                .chain(of_folder.into_iter().flatten().copied())
                 .chain(around.flatten().copied());
             (*file, files.collect())
         })
@@ -90,7 +96,7 @@ pub(super) fn of_single_files<'a>(
     others: &BTreeSet<&'a str>,
     sources: &BTreeMap<String, Source>,
 ) -> BTreeMap<&'a str, String> {
-    let files = files_of_single(motions, others).into_iter();
+    let files = files_of_single(motions, others, sources).into_iter();
     files
         .map(|(motion, files)| (motion, hash(files.into_iter(), sources)))
         .collect()
@@ -187,7 +193,7 @@ fn hash<'a>(files: impl Iterator<Item = &'a str>, sources: &BTreeMap<String, Sou
 mod tests {
     use super::*;
 
-    const MOTIONS: [&str; 3] = ["a/walk.bvh", "a/run.bvh", "b/walk.bvh"];
+    const MOTIONS: [&str; 4] = ["a/walk.bvh", "a/run.bvh", "b/walk.bvh", "other/walk.bvh"];
 
     /// Files with motions whose inputs change when `changed` does.
     fn depend_on(changed: &str, others: &[&str]) -> Vec<&'static str> {
@@ -196,7 +202,7 @@ mod tests {
                 let is_changed = *file == changed;
                 let content = if is_changed { content } else { "as it was" };
                 let source = Source {
-                    of: 0,
+                    of: usize::from(file.starts_with("other/")),
                     hash: Ok(content.to_owned()),
                     damaged_at: None,
                     head: Vec::new(),
@@ -220,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_speaks_of_its_namesake_its_folder_or_all_below() {
+    fn a_file_speaks_of_its_namesake_its_folder_or_all_below_in_its_source() {
         let others = [
             "a/walk.stance.json",
             "a/walk.txt",
@@ -230,6 +236,7 @@ mod tests {
             "stance.toml",
             "b/README.md",
             "notes/list.txt",
+            "other/README.md",
         ];
         for (changed, expected) in [
             ("a/walk.bvh", vec!["a/walk.bvh"]),
@@ -241,6 +248,7 @@ mod tests {
             ("b/README.md", vec!["b/walk.bvh"]),
             ("stance.toml", vec!["a/run.bvh", "a/walk.bvh", "b/walk.bvh"]),
             ("notes/list.txt", vec![]),
+            ("other/README.md", vec!["other/walk.bvh"]),
         ] {
             assert_eq!(depend_on(changed, &others), expected, "{changed}");
         }

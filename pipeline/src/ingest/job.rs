@@ -86,7 +86,7 @@ impl Plan {
         let numbers: BTreeMap<&str, u32> =
             self.sources.keys().map(String::as_str).zip(0..).collect();
         let (motions, others) = self.single_files();
-        let single = inputs::files_of_single(&motions, &others);
+        let single = inputs::files_of_single(&motions, &others, &self.sources);
         let releases: Vec<_> = self
             .releases
             .iter()
