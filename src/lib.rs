@@ -34,8 +34,14 @@ pub fn run(words: impl IntoIterator<Item = OsString>, itself: Itself<'_>) -> u8 
     let words: Vec<OsString> = words.into_iter().collect();
     let code = run_words(&words, itself);
     // A Rust program flushes stdout at exit; Python does not flush this buffer.
-    report::flush();
-    code
+    let Err(error) = report::flush() else {
+        return code;
+    };
+    report::error(&error);
+    match code {
+        0 => Exit::of_error(&error).code(),
+        code => code,
+    }
 }
 
 fn run_words(words: &[OsString], itself: Itself<'_>) -> u8 {
@@ -54,8 +60,7 @@ fn run_words(words: &[OsString], itself: Itself<'_>) -> u8 {
             if has_json && error.use_stderr() {
                 report::failure(&Failure::of_usage(&error));
             }
-            // A closed pipe is not an error.
-            let _printed = error.print();
+            report::usage(&error);
             return match error.use_stderr() {
                 true => Exit::Usage.code(),
                 false => Exit::Done.code(),

@@ -5,7 +5,8 @@
 )]
 
 use std::borrow::Cow;
-use std::io::Write;
+use std::io::{self, ErrorKind, Write};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use datasets_spec::manifest::Accounting;
 use serde::Serialize;
@@ -13,11 +14,25 @@ use serde_json::Value;
 
 use crate::failure::Failure;
 
+/// Why a result could not be written. [`flush`] returns it at the end of the command, so that work goes on until then.
+static UNWRITTEN: Mutex<Option<io::Error>> = Mutex::new(None);
+
 /// Prints a result for people.
 pub(crate) fn text(text: &str) {
-    let mut stdout = std::io::stdout().lock();
-    // A closed pipe, as behind `| head`, is not an error.
-    let _written = writeln!(stdout, "{}", printable(text.trim_end()));
+    if let Err(error) = writeln!(io::stdout().lock(), "{}", printable(text.trim_end())) {
+        unwritten().get_or_insert(error);
+    }
+}
+
+/// Prints a help text or the version to stdout, or an error of the command line to stderr.
+pub(crate) fn usage(error: &clap::Error) {
+    if let (Err(unprinted), false) = (error.print(), error.use_stderr()) {
+        unwritten().get_or_insert(unprinted);
+    }
+}
+
+fn unwritten() -> MutexGuard<'static, Option<io::Error>> {
+    UNWRITTEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Prints a result for programs: one JSON document.
@@ -85,9 +100,17 @@ pub(crate) fn columns(rows: &[Vec<String>], is_right: impl Fn(usize) -> bool) ->
 }
 
 /// Flushes the buffer of stdout.
-pub(crate) fn flush() {
-    // A closed pipe is not an error here either.
-    let _flushed = std::io::stdout().flush();
+///
+/// # Errors
+/// Something that was printed could not be written. A closed pipe, as behind `| head`, is no error.
+pub(crate) fn flush() -> anyhow::Result<()> {
+    let flushed = io::stdout().flush();
+    match unwritten().take().or(flushed.err()) {
+        Some(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(anyhow::Error::new(error).context("cannot write the result to standard output"))
+        }
+        _ => Ok(()),
+    }
 }
 
 pub(crate) fn note(text: &str) {

@@ -7,7 +7,7 @@ use eval::metric;
 use formats::source::FORMATS;
 use train::registry::MODELS;
 
-use crate::util::{arg, assert_has, put, stance, text_of, typed};
+use crate::util::{arg, assert_has, command, put, stance, text_of, typed};
 
 /// The verbs of this version; scripts rely on them.
 const VERBS: &str = "demo run build corpus doctor ingest inspect verify dataset stats query export annotate masks pairs \
@@ -37,6 +37,33 @@ fn usage_errors_exit_with_2() {
     ] {
         typed(line, &[]).expect_code(2);
     }
+}
+
+/// `/dev/full` is a device that refuses every write.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_result_that_cannot_be_written_is_an_error() {
+    for line in [
+        ["--version"].as_slice(),
+        &["train", "--help"],
+        &["corpus", "--json"],
+    ] {
+        let full = fs::File::options().write(true).open("/dev/full");
+        let mut command = command(line);
+        let ran = command.stdout(full.expect("the device")).output();
+        let ran = ran.expect("it ran");
+        assert_eq!(ran.status.code(), Some(1), "{line:?}");
+        let said = String::from_utf8_lossy(&ran.stderr);
+        assert_has(
+            &said,
+            &["error: cannot write the result to standard output: "],
+        );
+    }
+    // A closed pipe, as behind `| head`, is no error.
+    let (reader, writer) = std::io::pipe().expect("a pipe");
+    drop(reader);
+    let ran = command(&["train", "--help"]).stdout(writer).output();
+    assert_eq!(ran.expect("it ran").status.code(), Some(0));
 }
 
 #[test]
