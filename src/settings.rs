@@ -1,5 +1,6 @@
 //! Files of settings: TOML in, values out.
 
+use std::error::Error;
 use std::path::Path;
 
 use serde::Serialize;
@@ -34,25 +35,37 @@ fn place(text: &str, path: &Path, byte: usize) -> String {
     format!("{}:{line}:{column}", path.display())
 }
 
-/// Puts file, line and column before an error about a setting ([`SettingError`]) of a file. If several places of the
-/// file have its keys, only the file is named.
+/// Puts file, line and column before an error about a setting of a file: an unknown one or one of another type
+/// ([`SettingError`]), or one out of range. If several places of the file have its keys, only the file is named.
 pub(crate) fn at(path: &Path, error: anyhow::Error) -> anyhow::Error {
-    let setting = error
-        .chain()
-        .find_map(|cause| cause.downcast_ref::<SettingError>());
-    let Some(SettingError { keys, .. }) = setting else {
+    let Some(keys) = error.chain().find_map(keys_of) else {
         return error;
     };
     let text = std::fs::read_to_string(path).unwrap_or_default();
     let mut found = Vec::new();
     if let (Ok(document), false) = (DeTable::parse(&text), keys.is_empty()) {
-        find(document.get_ref(), keys, &mut found);
+        find(document.get_ref(), &keys, &mut found);
     }
     let place = match found[..] {
         [byte] => place(&text, path, byte),
+        // An option of the command line, or the preset, is out of range.
+        [] if !error.chain().any(|cause| cause.is::<SettingError>()) => return error,
         _ => path.display().to_string(),
     };
     error.context(place)
+}
+
+/// The path of keys to the setting that an error is about.
+fn keys_of(cause: &(dyn Error + 'static)) -> Option<Vec<String>> {
+    if let Some(SettingError { keys, .. }) = cause.downcast_ref() {
+        return Some(keys.clone());
+    }
+    let field = match (cause.downcast_ref(), cause.downcast_ref()) {
+        (Some(train::Error::Config { field, .. }), _) => field,
+        (_, Some(compose::Error::Config { key, .. })) => key,
+        _ => return None,
+    };
+    Some(field.split('.').map(str::to_owned).collect())
 }
 
 /// Finds a path of keys starting at any table of a document: the byte offsets of the last key.

@@ -75,8 +75,15 @@ impl ComposeArgs {
     /// The settings of a preset, with some overridden by those of a file.
     pub(crate) fn over(&self, preset: &ComposeConfig) -> anyhow::Result<ComposeConfig> {
         let mut config = match &self.compose {
-            Some(path) => overlay(preset, &settings::read::<Value>(path)?)
-                .map_err(|error| settings::at(path, error.into()))?,
+            Some(path) => {
+                let own = settings::read::<Value>(path)?;
+                let config = overlay(preset, &own).map_err(anyhow::Error::new);
+                let checked = config.and_then(|config| {
+                    config.check()?;
+                    Ok(config)
+                });
+                checked.map_err(|error| settings::at(path, error))?
+            }
             None => preset.clone(),
         };
         if let Some(path) = &self.phrases {

@@ -19,7 +19,12 @@ fn a_wrong_setting_is_named_once_by_file_line_and_column_and_a_training_by_its_f
     refused(&config, model, "3:1", "unknown field `widht`");
     let long = "batch_size = 16\n  window = \"long\"\n";
     refused(&config, long, "2:3", "invalid type: string \"long\"");
+    // Values out of range are found by what checks the whole configuration.
+    let model = "batch_size = 16\n[model]\n width = 98\n";
+    refused(&config, model, "3:2", "setting model.width is not usable");
     let compose = format!("{train} --compose @own.toml");
+    let problem = "setting undonored_ratio must be between 0 and 1, got 2";
+    refused(&compose, "\nundonored_ratio = 2.0\n", "2:1", problem);
     refused(&compose, "fsp = 10\n", "1:1", "unknown field `fsp`");
     // Keys with equal names in different sections are distinguished; keys outside of sections are accepted.
     let run = "sources = [\"corpus\"]\nout = \"made\"\n";
