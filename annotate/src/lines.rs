@@ -8,7 +8,7 @@ use datasets_spec::record::MaskRow;
 use datasets_spec::{BlendMask, BodyPart, JointSet, MASK_DEF_VERSION, MotionId, Split};
 use serde::{Deserialize, Serialize};
 
-use crate::mask::{check_choices, check_range, choices, mask_of, mask_of_joints};
+use crate::mask::{check_choices, check_range, choices, mask_of};
 use crate::wire::JointChoice;
 
 /// Decision of a person about a draft.
@@ -50,7 +50,7 @@ struct Judgement {
 impl Judgement {
     /// The line of a mask that nobody has edited.
     fn of(mask: &MaskRow) -> Result<Self, datasets_spec::Error> {
-        let joints = mask_of_joints(&mask.hard_joints, &mask.soft_joints)?;
+        let joints = BlendMask::of_names(&mask.hard_joints, &mask.soft_joints)?;
         Ok(Self {
             mask: mask.id.clone(),
             motion: mask.motion_id.to_string(),

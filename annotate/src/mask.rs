@@ -61,17 +61,6 @@ pub(crate) fn choices(parts: &[String], soft: bool, mask: BlendMask) -> Vec<Join
         .collect()
 }
 
-/// The mask of a row's joints. Every joint must be known, and none may be both hard and soft.
-pub(crate) fn mask_of_joints(
-    hard: &[String],
-    soft: &[String],
-) -> Result<BlendMask, datasets_spec::Error> {
-    BlendMask::new(
-        JointSet::try_from(hard.to_vec())?,
-        JointSet::try_from(soft.to_vec())?,
-    )
-}
-
 /// Whether the soft ring is on, and the joint choices that turn the mask of some parts into `mask`; as few choices as
 /// possible.
 pub(crate) fn entered(parts: &[String], mask: BlendMask) -> (bool, Vec<JointChoice>) {
@@ -253,7 +242,7 @@ mod tests {
             ["left_collar", "left_shoulder", "left_elbow"]
         );
         assert_eq!(mask.soft().names(), ["neck"]);
-        let row = mask_of_joints(&mask.hard().names(), &mask.soft().names()).expect("joints");
+        let row = BlendMask::of_names(&mask.hard().names(), &mask.soft().names()).expect("joints");
         let (soft, found) = entered(&arm, row);
         assert_eq!(mask_of(&arm, soft, &found), mask);
         for (soft, choices) in [(true, 0), (false, 0), (true, 1)] {

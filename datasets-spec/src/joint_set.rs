@@ -288,6 +288,14 @@ impl BlendMask {
         }
     }
 
+    /// A mask by the names of its joints, as in a mask row.
+    ///
+    /// # Errors
+    /// A name is unknown, or a joint is in both lists.
+    pub fn of_names(hard: &[String], soft: &[String]) -> Result<Self, Error> {
+        Self::new(hard.to_vec().try_into()?, soft.to_vec().try_into()?)
+    }
+
     /// Several parts at once. A joint that is hard in one of them is hard.
     pub fn of_parts(parts: &[BodyPart]) -> Self {
         let hard = parts

@@ -7,13 +7,13 @@ use datasets_spec::record::{
     CAPTION_BY_RULE, ExportedLabels, MaskRow, MotionRow, PairRow, range_of,
 };
 use datasets_spec::table::{Caption, Row, read_column};
-use datasets_spec::{Dataset, MotionId, Split};
+use datasets_spec::{BlendMask, Dataset, MotionId, Split};
 use serde::Serialize;
 use tables::Condition;
 
 use crate::Error;
 use crate::answer::{Fields, completion};
-use crate::mask::{entered, mask_of_joints};
+use crate::mask::entered;
 use crate::store::{Credit, Imported, Millis, MotionRecord, NewSuggestion, NewTask, Store};
 use crate::wire::{
     Answer, BUNDLE, Code, EditType, MaskAnswer, SuggestionSource, TaskKind, Verdict,
@@ -554,7 +554,7 @@ pub(super) fn entered_mask(
     (start, end): (Option<i32>, Option<i32>),
     text: &str,
 ) -> Result<MaskAnswer, datasets_spec::Error> {
-    let (soft, joints) = entered(parts, mask_of_joints(hard, soft)?);
+    let (soft, joints) = entered(parts, BlendMask::of_names(hard, soft)?);
     range_of(start, end)?;
     Ok(MaskAnswer {
         soft,

@@ -6,9 +6,7 @@ use std::sync::Arc;
 use clip::Outcome;
 use compose::{SlerpRule, blend_motion};
 use datasets_spec::record::HUMANML3D_WIDTH;
-use datasets_spec::{
-    BlendMask, BodyPart, Fps, Joint, JointSet, Motion as Inner, Pose, Resample, Skeleton,
-};
+use datasets_spec::{BlendMask, BodyPart, Fps, Motion as Inner, Pose, Resample, Skeleton};
 use features::{
     humanml3d, hy_motion, motion_of_features, motion_of_joints, representation_272, smpl_body,
 };
@@ -424,20 +422,6 @@ pub(crate) fn points<const K: usize>(
     Ok(points.as_chunks::<K>().0.to_vec())
 }
 
-/// Parses names of joints.
-pub(crate) fn joint_set(names: &[String]) -> Result<JointSet, Failure> {
-    let one = |name: &String| {
-        Joint::ALL
-            .into_iter()
-            .find(|joint| joint.name() == name)
-            .ok_or_else(|| {
-                let known = Joint::ALL.map(Joint::name).join(", ");
-                Failure::new(format!("unknown joint {name:?}; known: {known}"))
-            })
-    };
-    names.iter().map(one).collect()
-}
-
 /// Blends two motions of equal length and rate: hard joints from `target`, soft ones interpolated, the rest from
 /// `source`. The mask is `parts`, or the joints `hard` and `soft`.
 #[pyfunction]
@@ -462,12 +446,10 @@ pub(crate) fn blend(
                     .collect::<Result<_, Failure>>()?;
                 BlendMask::of_parts(&parts)
             }
-            (None, hard, soft) if hard.is_some() || soft.is_some() => {
-                let joints = |names: &Option<Vec<String>>| {
-                    names.as_deref().map_or(Ok(JointSet::EMPTY), joint_set)
-                };
-                BlendMask::new(joints(hard)?, joints(soft)?)?
-            }
+            (None, hard, soft) if hard.is_some() || soft.is_some() => BlendMask::of_names(
+                hard.as_deref().unwrap_or_default(),
+                soft.as_deref().unwrap_or_default(),
+            )?,
             _ => {
                 return Err(Failure::new(
                     "name the mask: parts=[…] such as LEFT_ARM, or hard=[…] and soft=[…] by joint names",

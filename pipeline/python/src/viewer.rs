@@ -1,12 +1,12 @@
 //! Motions in the viewer of reports.
 
-use datasets_spec::Resample;
+use datasets_spec::{JointSet, Resample};
 use eval::draw::strip::Row;
 use eval::report::{self, Strip};
 use pyo3::prelude::*;
 
 use crate::error::Failure;
-use crate::motion::{Motion, joint_set};
+use crate::motion::Motion;
 use crate::work;
 
 /// A page with one or more motions side by side on the clock of the first, under their labels. `joints` are marked in
@@ -22,7 +22,7 @@ pub(crate) fn viewer_page(
     let copied = |motion: &PyRef<'_, Motion>| Motion::of(motion.inner.clone(), &motion.skeleton);
     let motions: Vec<Motion> = motions.iter().map(copied).collect();
     work::quick(py, || {
-        let marked = joint_set(&joints)?;
+        let marked = JointSet::try_from(joints)?;
         let first = motions
             .first()
             .ok_or_else(|| Failure::new("there is no motion to show"))?;

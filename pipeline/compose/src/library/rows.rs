@@ -293,10 +293,8 @@ fn halves_of(parts: &[BodyPart]) -> Vec<BodyPart> {
 
 /// The blend mask of a row; its text must not be empty.
 fn blend_of_mask(row: &MaskRow) -> Result<BlendMask, Error> {
-    let joints = |names: &[String]| JointSet::try_from(names.to_vec());
-    let mask = joints(&row.hard_joints)
-        .and_then(|hard| BlendMask::new(hard, joints(&row.soft_joints)?))
-        .map_err(|source| unusable(row, source))?;
+    let mask = BlendMask::of_names(&row.hard_joints, &row.soft_joints);
+    let mask = mask.map_err(|source| unusable(row, source))?;
     if mask.is_empty() {
         return Err(Error::EmptyMask(row.id.clone()));
     }
