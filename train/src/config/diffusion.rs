@@ -30,8 +30,7 @@ pub enum FixedFrames {
 /// Target of the network.
 ///
 /// # Source
-/// The paper leaves it open: Eq. 2 reads as the noise, Eq. 4 as the clean window. The released code
-/// predicts the noise.
+/// The paper leaves it open: Eq. 2 suggests the noise, Eq. 4 the clean window. The released code predicts the noise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Prediction {

@@ -69,8 +69,8 @@ pub struct NetworkConfig {
 
 impl NetworkConfig {
     /// Estimates how many samples of `tokens` tokens a training step can compute at once in `memory` bytes; at least
-    /// one. Counted are the values that layers keep for the backward pass, and for each weight the weight itself, its
-    /// gradient and the two moments of AdamW.
+    /// one. The estimate counts the values that layers keep for the backward pass, and for each weight the weight
+    /// itself, its gradient and the two moments of AdamW.
     pub fn samples_in(&self, memory: u64, tokens: usize) -> usize {
         const BYTES: u64 = 4;
         let [width, hidden, layers] =
@@ -151,7 +151,7 @@ impl TextConfig {
         }
     }
 
-    /// Checks the settings of a model that reads tokens or one vector.
+    /// Checks the settings of a model that can read token states as well as one vector for each text.
     pub(crate) fn check(&self) -> Result<(), Error> {
         ensure(
             self.vectors.is_none() || self.encoder == TextEncoder::Bert,
@@ -495,7 +495,7 @@ mod tests {
     fn micro_batches_grow_with_memory() {
         const GB: u64 = 1_000_000_000;
         let model = TrainConfig::preset(Preset::Paper).model;
-        // A window of 17 tokens needs 5.9 MB, and the weights 0.3 GB.
+        // A window of 17 tokens needs 5.8 MB, and the weights 0.3 GB.
         let samples = |memory| model.samples_in(memory, 17);
         assert_eq!(samples(0), 1);
         assert!((250..350).contains(&samples(2 * GB)), "{}", samples(2 * GB));
