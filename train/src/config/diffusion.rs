@@ -141,7 +141,7 @@ pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PreviousFrames {
-    /// The frames are noisy like all other frames of the window (released code).
+    /// They are embedded like all other frames of the window (released code).
     Inpainted,
     /// A two-layer network encodes each previous frame into the token at its position (paper, Sec. 5.1; our reading is
     /// that these tokens replace those of the frames).

@@ -35,7 +35,8 @@ impl<N: Networks> Networks for Conditioned<N> {
 }
 
 impl<N: Module> Conditioned<N> {
-    /// Builds a network for the width of its text vectors. A learned encoder makes vectors of width `width`.
+    /// Builds the text encoder, and a network for the width of its vectors. Those of a learned encoder have `width`
+    /// numbers.
     pub fn new(
         text: TextSource,
         width: usize,
@@ -52,7 +53,7 @@ impl<N: Module> Conditioned<N> {
     /// The vectors of a batch of texts.
     ///
     /// # Shapes
-    /// `rows` texts give `[B, text_width]`.
+    /// `[rows, text_width]`
     ///
     /// # Panics
     /// If words are given to a model without a learned encoder.

@@ -294,7 +294,7 @@ impl Backward<Flex, 13> for LayerBackward {
     }
 }
 
-/// Gradients of a block: of its two weights if requested, of the first one's bias, and of the norm.
+/// Gradients of a block: of its two weights if requested, of the first weight's bias, and of the norm.
 struct BlockGrads {
     weights: [Option<Buffer>; 2],
     bias: Vec<f32>,
@@ -445,7 +445,8 @@ impl LayerState {
         })
     }
 
-    /// The two factors whose product is the gradient of the operand of a weight.
+    /// The two factors whose product is the gradient of the values that a weight multiplied. `grad` is the gradient of
+    /// the result.
     fn back<'a>(&'a self, grad: &'a [f32], weight: usize) -> (Matrix<'a>, Matrix<'a>) {
         (
             Matrix::new(grad, grad.len() / self.rows()),
