@@ -477,8 +477,8 @@ pub(crate) fn take(files: &mut Files, name: &str, run_dir: &Path) -> Result<Vec<
     })
 }
 
-/// Hash of a checkpoint's weights, used by editors and tables: BLAKE3 of the configuration and the weight files,
-/// hexadecimal.
+/// Hash of a checkpoint's weights, as editors and tables record it: BLAKE3 of the configuration and the weight files
+/// without [`EMA_PREFIX`], hexadecimal.
 fn weights_hash<C: Serialize>(config: &C, files: &Files) -> String {
     let mut hasher = blake3::Hasher::new();
     let config = serde_json::to_vec(config).expect("a configuration that was read can be written");

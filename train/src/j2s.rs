@@ -504,7 +504,8 @@ pub fn solve(
         Refinement::None => first,
         Refinement::Adam(fit) => {
             let start: Vec<Parameters> = AdamFit::parameters_of(&first);
-            // A frame's descent does not depend on its neighbours, except through the guard of the root.
+            // Frames are fitted independently. Their number only scales the gradient, which Adam cancels up to its
+            // epsilon.
             let fitted: Vec<Vec<Pose>> = frames
                 .par_chunks(16)
                 .zip(start.par_chunks(16))
