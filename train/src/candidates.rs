@@ -27,7 +27,7 @@ pub struct VariantConfig {
     pub max_distance_m: f64,
     /// Maximum mean speed of planted feet in m/s.
     pub max_foot_skate: f32,
-    /// Maximum mean difference of bones from the body's bone lengths in metres.
+    /// Maximum mean difference between a motion's bone lengths and the body's, in metres.
     pub max_bone_drift_m: f32,
 }
 
@@ -48,7 +48,7 @@ impl Default for VariantConfig {
 pub struct Variant {
     /// Row of the variant; none if the motion failed the checks of [`generated_row`].
     pub row: Option<MotionRow>,
-    /// Mean difference of the variant's bones from the body's bone lengths in metres; 0 if not known.
+    /// Mean difference between the variant's bone lengths and the body's, in metres; 0 if not known.
     pub bone_drift_m: f32,
 }
 

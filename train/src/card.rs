@@ -31,7 +31,7 @@ pub struct About<'a> {
     pub licenses: &'a BTreeMap<String, u64>,
     /// Root hash of the dataset, if it is known.
     pub root_hash: Option<&'a str>,
-    /// Report on an encoder's own retrieval, one string per line.
+    /// Report on the retrieval of a model that is an encoder, one string per line; otherwise empty.
     pub judge: &'a [String],
     /// Scores of the model's edits.
     pub scores: &'a [Score],
@@ -42,7 +42,7 @@ pub struct About<'a> {
 pub struct Score {
     /// Name of the system.
     pub system: String,
-    /// Items of the score: `all`, those of one task, or those of one novelty to the training split.
+    /// Items of the score: `all`, those of one task, or those of one level of novelty.
     pub task: String,
     /// Name of the metric, with its unit.
     pub metric: String,

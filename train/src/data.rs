@@ -20,7 +20,7 @@ use crate::noise_shape::NoiseShape;
 use crate::text::table::EmbeddingTable;
 use crate::vocabulary::{Vocabulary, padded_rows};
 
-/// Number of finished batches that wait for the trainer at most.
+/// Maximum number of finished batches that wait for the trainer.
 const PREFETCHED_BATCHES: usize = 2;
 
 /// A stream of training windows with random access: item `i` of an epoch is always the same. Items are edits, or the
@@ -309,8 +309,8 @@ fn check_shape(
     Ok(())
 }
 
-/// Makes values on a separate thread, a few ahead of the receiver. The thread ends after the last value, on a failure,
-/// or when the receiver is dropped.
+/// Makes the value of each step on a separate thread, a few steps ahead of the receiver. The thread ends after the last
+/// value, on a failure, or when the receiver is dropped.
 pub(crate) fn prefetch<'scope, T: Send + 'scope>(
     scope: &'scope Scope<'scope, '_>,
     steps: Range<u64>,

@@ -262,8 +262,8 @@ impl Products {
 }
 
 /// Tests a device within seconds: a sum, a product, a softmax, a gradient, and the forward and backward pass of a
-/// transformer layer. Some backends and drivers compute wrong numbers without an error; this crate's README lists the
-/// known ones. Returns the precision of the device's products.
+/// transformer layer. Some backends and drivers compute wrong numbers without an error; `docs/gpu.md` lists the known
+/// ones. Returns the precision of the device's products.
 ///
 /// # Errors
 /// A description of what is wrong.

@@ -85,7 +85,7 @@ impl Schedule {
 /// gives the prediction with text.
 ///
 /// # Shapes
-/// Any, the same.
+/// All tensors have the same shape.
 ///
 /// # Source
 /// Released code; the paper's `(1 + w) eps - w eps'` is this with `weight = 1 + w`.

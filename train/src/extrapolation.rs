@@ -162,7 +162,7 @@ pub struct Basis {
     pub(crate) shaped: Option<ShapedBasis>,
 }
 
-/// Mean and scale of bones, and the noise's spread; for shaped noise.
+/// For shaped noise: mean and scale of bones, and standard deviation of the noise.
 #[derive(Clone, Debug)]
 pub(crate) struct ShapedBasis {
     /// Mean of each bone coordinate of edited windows, `[1, 1, D]`.

@@ -119,8 +119,8 @@ impl SystemIdentity {
     }
 }
 
-/// Name of a system with the settings that differ from those usual for its preset, such as `MotionReFit tiny (guidance
-/// 3)`. So two systems with different settings never share a name.
+/// Name of a system, followed by the settings that differ from those usual for its preset, such as `MotionReFit tiny
+/// (guidance 3)`. So two systems with different settings never share a name.
 pub(crate) fn named_with(name: String, slot: Slot, settings: &[(&str, Setting)]) -> String {
     let checkpoint = (slot != Slot::Best).then(|| format!("checkpoint {}", slot.name()));
     let changed = settings.iter().filter_map(|(what, setting)| match setting {

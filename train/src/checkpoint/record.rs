@@ -112,7 +112,7 @@ fn config_of(run_dir: &Path) -> Result<String, Error> {
     Ok(fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?)
 }
 
-/// The fields of `config.json` that are read without its configuration.
+/// The fields of `config.json` that are read without the model's configuration.
 #[derive(Deserialize)]
 struct Header {
     #[serde(default)]

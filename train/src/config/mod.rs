@@ -187,7 +187,7 @@ pub enum BertVectors {
     States,
 }
 
-/// How texts are split into words, which are mapped to numbers.
+/// Settings of a vocabulary, which maps the words of texts to token ids.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WordsConfig {
@@ -258,12 +258,12 @@ impl TrainConfig {
     /// uses temperature 0.5. At temperature 1, edits are more diverse but farther from their targets. The fixed frames
     /// are shown nearly clean, as the editor shows them; their slight noise teaches the network to correct its own
     /// errors from window to window. Two fifths of the windows have no fixed frames, because the first window of an
-    /// edit has none. The instruction is added to every frame. Gates mix three bones (the original's, a linear
-    /// extrapolation and the network's own), so that the narrow network need not reproduce unchanged parts. Windows
-    /// overlap by four frames. The loss on bones weighs an arm as much as the path of the root, and the loss on
-    /// contacts penalises feet that slide where they should rest. Guidance by the text is off, because an amplified
-    /// change overshoots. Guidance by the coordinator is weak: strong guidance moves edits away from their targets,
-    /// which are composed motions too.
+    /// edit has none. The instruction is added to every frame. Gates mix the original's bone, a linear extrapolation,
+    /// the network's own bone and an estimate from the noisy window, so that the narrow network need not reproduce
+    /// unchanged parts. Windows overlap by four frames. The loss on bones weighs an arm as much as the path of the
+    /// root, and the loss on contacts penalises feet that slide where they should rest. Guidance by the text is off,
+    /// because an amplified change overshoots. Guidance by the coordinator is weak: strong guidance moves edits away
+    /// from their targets, which are composed motions too.
     pub fn preset(preset: Preset) -> Self {
         match preset {
             Preset::Paper => Self::paper(),

@@ -17,8 +17,8 @@ use super::weights::from_safetensors_named;
 use crate::Error;
 use crate::vocabulary::TokenBatch;
 
-/// Renaming rules between our tensor names and those of Hugging Face's `CLIPTextModelWithProjection`, which `CLIPModel`
-/// also uses.
+/// Patterns in the tensor names of Hugging Face's `CLIPTextModelWithProjection`, which `CLIPModel` also uses, and their
+/// replacements in our names.
 const RENAMES: [(&str, &str); 3] = [
     (r"^text_model\.embeddings\.", ""),
     (r"^text_model\.encoder\.", ""),

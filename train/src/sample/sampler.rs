@@ -53,7 +53,7 @@ impl Guide<'_> {
             return None;
         }
         let begun = (self.clock)();
-        // The network is told that a clean window is at step 0, whose noise has a standard deviation of about 0.01.
+        // The network is told that a clean window is at step 0, which has the least noise.
         let seen_as = match target {
             GuidanceTarget::CleanPrediction => 0,
             GuidanceTarget::PosteriorMean => timestep,
