@@ -59,8 +59,7 @@ impl<N: Module> Conditioned<N> {
     /// If words are given to a model without a learned encoder.
     pub fn text_vectors(&self, texts: &TextBatch, rows: usize, device: &Device) -> Tensor<2> {
         let vectors = text_vectors(self.text.as_ref(), texts, rows, device);
-        // The learned encoder's output is scaled for a denoiser that divides text vectors by this number; the
-        // networks that call this do not.
+        // The learned encoder scales its output for a denoiser that divides it again; these networks do not.
         match &self.text {
             Some(_) => vectors.div_scalar(TEXT_DIVISOR),
             None => vectors,
