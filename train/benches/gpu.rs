@@ -1,5 +1,5 @@
-//! Times of the paper's denoiser on a device: training steps, guided sampling, and the share of time that a run waits
-//! for data. `train/benches/gpu.sh` runs it; results are JSON lines on stdout.
+//! Times of the paper's denoiser on a device: training steps and guided sampling. `train/benches/gpu.sh` runs it;
+//! results are JSON lines on stdout.
 //!
 //! `cargo bench --features wgpu --bench gpu -- wgpu` names the device; `--peak TFLOPS` gives its peak f32 throughput,
 //! `--bf16` multiplies in bfloat16, and `--quick` runs every measurement once with a small batch.

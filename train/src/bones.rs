@@ -1,14 +1,15 @@
-//! Converts keypoints to bones and back: the pelvis, and each other point as a vector from its parent.
+//! Converts keypoints to bones and back. Bones are the position of the pelvis, and a vector from each parent to its
+//! child.
 
 use burn::tensor::{Device, Tensor};
 use kinematics::skeleton::parent_of;
 
 use crate::model::position::Tables;
 
-/// Number of coordinates of the pelvis. They come first in a frame, both of points and of bones.
+/// Number of coordinates of the pelvis, which come first in a frame of keypoints and in a frame of bones.
 pub(crate) const ROOT_NUMBERS: usize = 3;
 
-/// Coordinate `number` of a frame of bones: the keypoint minus its parent. The pelvis keeps its position.
+/// Coordinate `number` of the bones of a frame of keypoints: the keypoint minus its parent; the pelvis is unchanged.
 pub(crate) fn bone_number(frame: &[f32], number: usize) -> f32 {
     if number < ROOT_NUMBERS {
         frame[number]
@@ -22,11 +23,10 @@ pub(crate) fn parent_number(number: usize) -> usize {
     3 * parent_of(number / 3) + number % 3
 }
 
-/// The linear maps from the keypoints of a frame to bones, and back. Bones are the pelvis, and vectors from each parent
-/// to its child.
+/// The linear maps from the keypoints of a frame to its bones, and back.
 ///
 /// # Shapes
-/// Both `[3 keypoints, 3 keypoints]`. A frame is a row vector and is multiplied from the left ([`mapped`]).
+/// Both `[3 keypoints, 3 keypoints]`, to be multiplied by frames as row vectors ([`mapped`]).
 pub(crate) fn bones(keypoints: usize, device: &Device) -> [Tensor<2>; 2] {
     static TO_BONES: Tables = Tables::new(to_bones);
     static TO_POINTS: Tables = Tables::new(to_points);

@@ -27,7 +27,7 @@ pub struct VariantConfig {
     pub max_distance_m: f64,
     /// Maximum mean speed of planted feet in m/s.
     pub max_foot_skate: f32,
-    /// Maximum mean difference of bones from the body's bone lengths in metres.
+    /// Maximum mean difference between a motion's bone lengths and the body's, in metres.
     pub max_bone_drift_m: f32,
 }
 
@@ -48,7 +48,7 @@ impl Default for VariantConfig {
 pub struct Variant {
     /// Row of the variant; none if the motion failed the checks of [`generated_row`].
     pub row: Option<MotionRow>,
-    /// Mean difference of the variant's bones from the body's bone lengths in metres; 0 if not known.
+    /// Mean difference between the variant's bone lengths and the body's, in metres; 0 if not known.
     pub bone_drift_m: f32,
 }
 
@@ -66,7 +66,7 @@ pub struct VariantGroup {
 /// Counts of the variants by outcome. Each pair is counted once, by the first bound that it breaks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VariantCounts {
-    /// Number of motions that variants were made of.
+    /// Number of groups of variants.
     pub bases: usize,
     /// Number of variants.
     pub variants: usize,
@@ -282,8 +282,8 @@ fn distance_m(a: &[Joints], b: &[Joints]) -> f64 {
     (sum / (a.len() * NUM_BODY_JOINTS).max(1) as f64).sqrt()
 }
 
-/// Commits candidate pairs and their motions as a dataset, with the motions that failed. `facts` states how the pairs
-/// were made.
+/// Commits candidate pairs and their motions as a dataset. `quarantine` lists the motions that failed; `facts` states
+/// how the pairs were made.
 ///
 /// # Errors
 /// The folder cannot be written.
@@ -326,7 +326,7 @@ mod tests {
 
     use super::*;
 
-    /// A standing body that raises an arm by an angle while its feet move at a speed in m/s.
+    /// A standing body that raises an arm at `angle` rad/s while it slides sideways at `speed` m/s.
     fn motion(angle: f64, speed: f64, frames: usize) -> Motion {
         let skeleton = Skeleton::smplx_neutral();
         let rest: Vec<Joints> = skeleton.points_of_poses(&[Pose::REST]);

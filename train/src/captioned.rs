@@ -156,14 +156,14 @@ pub(crate) struct CropSampler<'a> {
     pub(crate) seed: Seed,
 }
 
-/// Lengths of crops are multiples of this number of frames.
+/// The lengths of random crops are multiples of this number of frames.
 const CROP_UNIT: usize = 4;
 
 impl<'a> CropSampler<'a> {
     /// The samples `first..first + count` of the run; the numbering continues across epochs.
     ///
-    /// A crop's length is that of its clip, rounded down to a multiple of four frames. In a third of the cases it is
-    /// four frames shorter.
+    /// A crop is as long as its clip, at most `max_frames`, rounded down to a multiple of four frames. In a third of
+    /// the cases it is four frames shorter.
     ///
     /// # Source
     /// `Text2MotionDatasetV2` of HumanML3D, which MDM and MLD use.
@@ -201,15 +201,15 @@ impl<'a> CropSampler<'a> {
         self.crops(&crops)
     }
 
-    /// All clips in batches of `size`, each from its first frame and with its first caption.
+    /// All clips in batches of `size`, each cut to its first `max_frames` frames, with its first caption.
     pub(crate) fn whole(&self, size: usize) -> Vec<Crops<'a>> {
         let frames = self.clips.iter().map(|clip| clip.rows.len());
         let crops = Crop::firsts(frames, self.max_frames);
         crops.chunks(size).map(|crops| self.crops(crops)).collect()
     }
 
-    /// The batches of [`CropSampler::whole`], each with the index of its first clip, and with diffusion steps spread
-    /// evenly, which makes validations comparable.
+    /// The batches of [`CropSampler::whole`], each with the index of its first clip and a diffusion step for each clip.
+    /// The steps are spread evenly over the schedule, so that validations are comparable.
     pub(crate) fn validation(
         &self,
         size: usize,
@@ -263,7 +263,8 @@ pub(crate) struct Crop {
 }
 
 impl Crop {
-    /// All clips, cropped from their first frame to the given numbers of frames, with their first captions.
+    /// A crop of each clip from its first frame, of at most `longest` frames, with the first caption. `frames` gives
+    /// the lengths of the clips.
     pub(crate) fn firsts(frames: impl Iterator<Item = usize>, longest: usize) -> Vec<Self> {
         let crop = |(clip, frames): (usize, usize)| Self {
             clip,
@@ -316,7 +317,7 @@ mod tests {
         let row = 20 * 263;
         assert_eq!(part.features, all.features[5 * row..8 * row]);
         assert_eq!(part.captions, all.captions[5..8]);
-        // An epoch has every clip.
+        // An epoch has every clip once.
         let mut seen: Vec<&str> = all.captions[..3].to_vec();
         seen.sort_unstable();
         assert_eq!(seen, ["clip 0", "clip 1", "clip 2"]);

@@ -11,7 +11,7 @@ use crate::registry;
 
 /// Name of the card's file.
 pub const FILE: &str = "README.md";
-/// Maximum length of a list of settings that is written out. Longer lists are fitted values, such as means and
+/// Lists of settings that are longer than this are not written out. They are fitted values, such as means and
 /// vocabularies.
 const MAX_LIST_LEN: usize = 16;
 /// BibTeX entry of the method, as in `CITATION.cff`.
@@ -31,7 +31,7 @@ pub struct About<'a> {
     pub licenses: &'a BTreeMap<String, u64>,
     /// Root hash of the dataset, if it is known.
     pub root_hash: Option<&'a str>,
-    /// Report on an encoder's own retrieval, one string per line.
+    /// Report on the retrieval of a model that is an encoder, one string per line; otherwise empty.
     pub judge: &'a [String],
     /// Scores of the model's edits.
     pub scores: &'a [Score],
@@ -42,7 +42,7 @@ pub struct About<'a> {
 pub struct Score {
     /// Name of the system.
     pub system: String,
-    /// Task of the items: `all`, a task, or a novelty.
+    /// Items of the score: `all`, those of one task, or those of one level of novelty.
     pub task: String,
     /// Name of the metric, with its unit.
     pub metric: String,
@@ -99,7 +99,7 @@ pub fn text(record: &RunRecord<Value>, about: &About<'_>) -> String {
     text
 }
 
-/// The model's licence; the hub allows only one.
+/// The model's licence. The hub allows only one, so it is `other` if the data has several or none.
 fn license(licenses: &BTreeMap<String, u64>) -> String {
     let mut names = hub_names(licenses).into_iter();
     let first = names.next();

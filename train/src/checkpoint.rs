@@ -90,7 +90,7 @@ pub type Files = BTreeMap<String, Vec<u8>>;
 pub struct Start<'a> {
     /// The run folder.
     pub run: &'a Path,
-    /// Whether an existing run continues with changed settings, if these may change.
+    /// Whether an existing run continues with changed settings. Only settings of its length and speed may change.
     pub extend: bool,
     /// Run folder whose weights a new run starts from. The new run also keeps the parts fitted to that run's training
     /// split, such as the normaliser.
@@ -145,8 +145,8 @@ impl Start<'_> {
     }
 }
 
-/// Settings that `extend` may change, without the name of their section. They affect the length and speed of a run, not
-/// the network or the data.
+/// Settings that `extend` may change, without the prefix `config.` or `config.train.`. They affect the length and speed
+/// of a run, not the network or the data.
 const EXTENDABLE: [&str; 11] = [
     "keep_epochs",
     "length.epochs",
@@ -186,13 +186,13 @@ pub struct Run {
     dir: PathBuf,
     /// Folder and files of the weights to start from.
     init: Option<(PathBuf, Files)>,
-    /// The record of the extended run, kept until the extension is certain to succeed.
+    /// New record and lineage of an extended run. [`Run::settle`] writes them once the extension is certain to succeed.
     extended: Option<(Value, Vec<Ancestor>)>,
 }
 
 impl Run {
-    /// Starts a run, or reopens the folder's run. A reopened run must have the same record; if it is to be extended,
-    /// settings that may change may differ.
+    /// Starts a run, or reopens the folder's run. A reopened run must have the same record, except for the settings
+    /// that [`Start::extend`] may change.
     ///
     /// # Errors
     /// The folder holds another run, or cannot be read or written.
@@ -254,7 +254,7 @@ impl Run {
             let reason = format!("it is a run of {}", kind["kind"]);
             return Err(Error::not_a_run(dir, &record.kind, reason));
         }
-        // Settings missing in a record of an earlier version get the value that that version used.
+        // A setting that an earlier version did not record gets the value that this version used.
         let recorded: RunRecord<C> = parse_record(recorded).map_err(json)?;
         let mut differences = differences(&to_value(&recorded).map_err(json)?, &asked);
         if recorded.skeleton_hash.is_none() {
@@ -298,7 +298,7 @@ impl Run {
         }
     }
 
-    /// The initial weights and their folder, if the run has no checkpoint yet.
+    /// The weights to start from and their run folder; none if the run was opened without [`Start::init`].
     pub(crate) fn init(&self) -> Option<(&Path, Files)> {
         let (dir, files) = self.init.as_ref()?;
         Some((dir, files.clone()))
@@ -455,7 +455,7 @@ impl<C: Serialize> Opened<C> {
     }
 }
 
-/// Reads a checkpoint of a run of one kind, for a model that is used and not trained further.
+/// Reads a checkpoint of a run of the given kind, for a model that is used, not trained.
 pub(crate) fn open_for_use<C: Serialize + DeserializeOwned>(
     run_dir: &Path,
     slot: Slot,
@@ -477,8 +477,8 @@ pub(crate) fn take(files: &mut Files, name: &str, run_dir: &Path) -> Result<Vec<
     })
 }
 
-/// Hash of a checkpoint's weights, used by editors and tables: BLAKE3 of the configuration and the weight files,
-/// hexadecimal.
+/// Hash of a checkpoint's weights, as editors and tables record it: BLAKE3 of the configuration and the weight files
+/// without [`EMA_PREFIX`], hexadecimal.
 fn weights_hash<C: Serialize>(config: &C, files: &Files) -> String {
     let mut hasher = blake3::Hasher::new();
     let config = serde_json::to_vec(config).expect("a configuration that was read can be written");
@@ -493,7 +493,7 @@ fn weights_hash<C: Serialize>(config: &C, files: &Files) -> String {
     hasher.finalize().to_hex().to_string()
 }
 
-/// The step of a checkpoint; 0 if it is not recorded.
+/// The step that a checkpoint's state records under `field`; 0 if it records none.
 fn step_of(files: &Files, field: &str) -> u64 {
     files
         .get(STATE)
@@ -541,7 +541,7 @@ fn check_beginning(dir: &Path, recorded: &[Ancestor], past: &[Ancestor]) -> Resu
     })
 }
 
-/// Checks that a run that was started from another run's weights now has weights of its own.
+/// Checks that a run that was started from another run's weights has a checkpoint of its own.
 fn check_needs_no_init<C>(dir: &Path, recorded: &RunRecord<C>) -> Result<(), Error> {
     let mut lineage = recorded.lineage.iter();
     if let Some(begun) = lineage.find(|ancestor| ancestor.by == Inheritance::Init)

@@ -52,8 +52,8 @@ pub struct CoordinatorConfig {
     /// Number of keypoints in a frame; it must equal that of the guided editor.
     #[serde(default = "all_keypoints", skip_serializing_if = "is_all_keypoints")]
     pub keypoints: usize,
-    /// Share of training windows that are mirrored if the composer's settings mirror none. A mirrored motion is as
-    /// natural, and a mirrored blend as composed, as the window itself.
+    /// Share of training windows that are mirrored if the composer's settings mirror none. Mirroring does not change
+    /// whether a window is natural or composed.
     #[serde(default, skip_serializing_if = "is_default")]
     pub mirrored_ratio: f64,
     /// Number of windows in a validation.
@@ -102,8 +102,6 @@ impl CoordinatorConfig {
                     },
                     Preset::Paper | Preset::Official => editor.run.optimizer,
                 },
-                // The paper does not state the number of steps. The released coordinators stopped after 55,000 to
-                // 68,000 steps.
                 length: RunLength::of_steps(if is_tiny { 6_000 } else { 68_000 }),
                 keep_epochs: 0,
                 ..editor.run
@@ -199,8 +197,8 @@ impl CoordinatorRecord {
 /// finite, or a file cannot be written.
 ///
 /// # Source
-/// Paper, Sec. 5.2 and App. B.4: binary classification of unmodified segments and of composed ones, with the noise
-/// of the last 20 diffusion steps.
+/// Paper, Sec. 5.2 and App. B.4: binary classification of unmodified and composed segments, with the noise of the last
+/// 20 diffusion steps.
 pub fn train_coordinator<'a>(
     start: impl Into<Start<'a>>,
     config: &CoordinatorConfig,
@@ -368,7 +366,8 @@ impl TrainedCoordinator {
         &self.hash
     }
 
-    /// The share of a motion's windows classified as composed, in [0, 1]. The windows are laid out as those of an edit.
+    /// The share of a motion's windows classified as composed, in [0, 1]. Consecutive windows share the fixed frames,
+    /// as in an edit.
     ///
     /// # Errors
     /// The motion is shorter than a window.

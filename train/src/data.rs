@@ -20,11 +20,11 @@ use crate::noise_shape::NoiseShape;
 use crate::text::table::EmbeddingTable;
 use crate::vocabulary::{Vocabulary, padded_rows};
 
-/// Number of batches prepared ahead of the trainer: one in transfer and one ready.
+/// Maximum number of finished batches that wait for the trainer.
 const PREFETCHED_BATCHES: usize = 2;
 
-/// A stream of training windows with random access: item `i` of an epoch does not depend on the caller or on earlier
-/// calls. Items are edits, or the coordinator's training segments.
+/// A stream of training windows with random access: item `i` of an epoch is always the same. Items are edits, or the
+/// coordinator's training segments.
 pub trait WindowSource<B = WindowBatch>: Sync {
     /// Number of items in an epoch.
     fn epoch_len(&self) -> u64;
@@ -149,11 +149,11 @@ pub struct NoisyBatch {
     pub original: Vec<f32>,
     /// Normalised edited windows, `[B, W, D]`.
     pub edited: Vec<f32>,
-    /// Standard normal noise, `[B, W, D]`; zero on fixed frames that are shown without noise.
+    /// Standard normal or shaped noise, `[B, W, D]`; zero on fixed frames that are shown without noise.
     pub noise: Vec<f32>,
     /// Diffusion step of each window, `[B]`.
     pub timesteps: Vec<usize>,
-    /// Position of each window in its edited motion, `[B]`.
+    /// Start of each window in its edited motion, as a fraction of the motion's length, `[B]`.
     pub progress: Vec<f32>,
     /// Instructions.
     pub texts: TextBatch,
@@ -180,8 +180,8 @@ impl NoisyBatch {
 pub(crate) enum Timesteps {
     /// Uniformly at random, independently for each window.
     Random,
-    /// Spread evenly over the schedule, for this number of windows from the first one on. This makes validations of
-    /// different runs comparable.
+    /// Spread evenly over the schedule, among this number of consecutive windows. This makes validations of different
+    /// runs comparable.
     Spread(usize),
 }
 
@@ -234,7 +234,7 @@ impl WindowSampler<'_> {
                 } else {
                     1.0
                 };
-                // If the setting is unused, no number is drawn, so that earlier runs stay reproducible.
+                // If `generated_starts` is 0, no number is drawn, so that earlier runs stay reproducible.
                 let is_start =
                     self.generated_starts > 0.0 && rng.random_bool(self.generated_starts);
                 let first = if is_start || self.fixed_noise > 0.0 {
@@ -309,8 +309,8 @@ fn check_shape(
     Ok(())
 }
 
-/// Makes values on a separate thread, a few ahead of the receiver. The thread ends after the last value, on a failure,
-/// or when the receiver is dropped.
+/// Makes the value of each step on a separate thread, a few steps ahead of the receiver. The thread ends after the last
+/// value, on a failure, or when the receiver is dropped.
 pub(crate) fn prefetch<'scope, T: Send + 'scope>(
     scope: &'scope Scope<'scope, '_>,
     steps: Range<u64>,

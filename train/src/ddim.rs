@@ -23,7 +23,7 @@ pub struct Ddim {
 }
 
 impl Ddim {
-    /// Spreads `num_steps` steps over those of a schedule.
+    /// Spreads `num_steps` sampling steps over the steps of a schedule.
     ///
     /// # Errors
     /// `num_steps` is 0, or more than half the number of steps of the schedule.
@@ -45,8 +45,8 @@ impl Ddim {
         &self.timesteps
     }
 
-    /// Computes the sample after a denoising step from the predicted noise. The last step ends at the noise level of
-    /// step 0.
+    /// Denoising step: computes the next sample from the predicted noise `eps`. The last step ends at the noise level
+    /// of step 0.
     ///
     /// # Shapes
     /// Both tensors have the same shape, which is that of the result.

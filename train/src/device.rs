@@ -26,7 +26,7 @@ pub enum DeviceName {
     Ndarray,
     /// `cuda`: NVIDIA cards.
     Cuda,
-    /// `wgpu`: the cards of the first kind found, except software drivers.
+    /// `wgpu`: cards of the first [`Adapter`] kind that is found, except software drivers.
     Wgpu,
     /// `wgpu:KIND`: cards of one kind.
     WgpuKind(Adapter),
@@ -111,7 +111,8 @@ pub struct FoundDevice {
 /// Opens `count` devices, and tests each of them unless it is the processor.
 ///
 /// # Errors
-/// The program was built without the backend, there are fewer devices, or a device computes wrong numbers.
+/// The program was built without the backend, there are fewer devices, or a device computes wrong numbers or products
+/// in bf16.
 pub fn open(name: DeviceName, count: usize) -> Result<Vec<Device>, Error> {
     let fails = |problem: String| Error::Refused(format!("device {name} {problem}"));
     let devices = match name {
@@ -206,9 +207,9 @@ impl Products {
     }
 
     /// Finds the precision of a product `[M, N]` of `a` `[M, K]` and `b` `[K, N]`. A precision matches if the result
-    /// equals the product of rounded or truncated factors, up to the error of the sums. Otherwise, for hardware that
-    /// rounds in another way, a precision matches if the error of each term is at most `2u + u^2`, where `u` is the
-    /// precision's largest rounding error.
+    /// equals the product of rounded or truncated factors, up to the error of the sums. For hardware that rounds in
+    /// another way, a precision matches if the error of each number is at most `2u + u^2` times the sum of its terms'
+    /// magnitudes, where `u` is [`Products::rounding`].
     ///
     /// # Errors
     /// No precision matches; the error names the first wrong number.
@@ -219,7 +220,7 @@ impl Products {
         if found.len() != expected {
             return Err(wrong_count(WHAT, found.len(), expected));
         }
-        // Sums have single precision, and may be truncated too.
+        // Sums have single precision, and may be truncated instead of rounded.
         let sums = inner as f64 * 2f64.powi(-22);
         // The first number whose error exceeds a share of the sum of its terms' magnitudes.
         let miss = |round: &dyn Fn(f32) -> f32, share: f64| {
@@ -261,8 +262,8 @@ impl Products {
 }
 
 /// Tests a device within seconds: a sum, a product, a softmax, a gradient, and the forward and backward pass of a
-/// transformer layer. Some backends and drivers compute wrong numbers without an error; this crate's README lists the
-/// known ones. Returns the precision of the device's products.
+/// transformer layer. Some backends and drivers compute wrong numbers without an error; `docs/gpu.md` lists the known
+/// ones. Returns the precision of the device's products.
 ///
 /// # Errors
 /// A description of what is wrong.
@@ -336,7 +337,7 @@ fn layer(device: &Device) -> Result<Vec<(&'static str, Vec<f32>)>, String> {
     Ok(found)
 }
 
-/// Compares numbers; the tolerance is relative to the largest number.
+/// Compares numbers; the tolerance is relative to the largest expected magnitude, or to 1 if that is larger.
 fn compare(what: &str, found: &[f32], expected: &[f32], tolerance: f32) -> Result<(), String> {
     let unit = expected
         .iter()
@@ -555,7 +556,7 @@ mod tests {
         let transposed: Vec<f32> = (0..rows * columns)
             .map(|index| right[index % rows * columns + index / rows])
             .collect();
-        // A result whose last column block was not written.
+        // A result whose last number was not written.
         let mut stale = right.clone();
         stale[rows * columns - 1] = right[0];
         for wrong in [transposed, stale, vec![0.0; rows * columns]] {

@@ -45,8 +45,8 @@ impl Schedule {
             Prediction::Change => predicted + original.clone(),
             Prediction::Gated => {
                 let (guess, spread) = basis.guess(x_t);
-                // For bones, the guess is mapped like the points. The spread needs no mapping, because it is the same
-                // for all numbers of a frame.
+                // The guess is mapped to bones like the points. The spread is the same for all numbers of a frame, so
+                // it needs no mapping.
                 let [batch, window, numbers] = original.dims();
                 let keypoints = numbers / 3;
                 let made = predicted.clone().narrow(2, 0, numbers);
@@ -69,7 +69,8 @@ impl Schedule {
                 let carried = mapped(guess.clone(), to_bones.clone()) * gate(1);
                 let mut mixed = kept + carried + made * gate(2);
                 if basis.shaped.is_some() {
-                    // If the noise has the data's covariance, this share of the remainder is its best linear estimate.
+                    // If the noise has the data's covariance, the best linear estimate of the clean remainder is the
+                    // noisy remainder times the factor of the signal.
                     let (signal, _) = self.mixture(timesteps);
                     let rest = x_t.clone() - original.clone() - guess;
                     mixed = mixed + signal.times(mapped(rest, to_bones)) * gate(3);
@@ -84,7 +85,7 @@ impl Schedule {
 /// gives the prediction with text.
 ///
 /// # Shapes
-/// Any, the same.
+/// All tensors have the same shape.
 ///
 /// # Source
 /// Released code; the paper's `(1 + w) eps - w eps'` is this with `weight = 1 + w`.
@@ -139,7 +140,7 @@ const FEET: [Joint; 4] = [
 /// Speed in m/s below which a foot is at rest; also the unit of the contact loss.
 const REST_SPEED: f64 = 0.1;
 
-/// Unit of the loss on bones in metres: half the distance that a hand moves in a gesture.
+/// Unit of the loss on bones in metres: about half the distance that a hand moves in a gesture.
 const BONE_UNIT: f64 = 0.1;
 
 /// Windows of a batch on a device, `[B, W, D]`.
@@ -172,7 +173,7 @@ impl Windows {
 /// The training objective of the denoiser.
 #[derive(Clone, Copy, Debug)]
 pub struct Objective<'a> {
-    /// Noise added to windows.
+    /// Noise schedule.
     pub schedule: &'a Schedule,
     /// Linear guess for predictions that are relative to it; none for other predictions.
     pub extrapolation: Option<&'a Extrapolation>,
@@ -247,8 +248,8 @@ impl Objective<'_> {
         loss
     }
 
-    /// Prediction and target as the loss compares them: unchanged, or for gated predictions the change divided by the
-    /// residual's `spread`.
+    /// Prediction and target as the loss compares them. For gated predictions these are the predicted and the true
+    /// change of the original, divided by the residual's `spread`.
     fn compared(
         &self,
         predicted: Tensor<3>,
@@ -344,7 +345,7 @@ impl Objective<'_> {
 
     /// The contact loss: the speed in `clean`, in units of [`REST_SPEED`], of ankles and feet that are slower than
     /// [`REST_SPEED`] in `wanted`. The mean is over all feet and all steps that end in a generated frame. Moving feet
-    /// count as zero, so a window's weight grows with its contacts.
+    /// count as zero, so a window's weight grows with its contacts. Noisy windows weigh less.
     ///
     /// # Shapes
     /// Both `[B, W, D]`, clean windows; the result is one number.

@@ -36,8 +36,8 @@ struct MotionRefitSystem {
 }
 
 /// Weight of a pose network's rotations in the fit, in m^2/rad^2. It affects the joints of head and hands, whose points
-/// lie centimetres apart, but hardly those of limbs. Chosen from 1e-4 to 3e-2 by E2T AvgR on edited clips of the
-/// Bandai-Namco set's test split, so that results on that split are biased by it.
+/// lie centimetres apart, but hardly those of limbs. Of values from 1e-4 to 3e-2, it gave the best E2T AvgR on edited
+/// clips of the Bandai-Namco set's test split, so results on that split are biased.
 const NETWORK_PRIOR: f64 = 0.01;
 
 pub(crate) fn open(
@@ -101,8 +101,8 @@ fn settings(editor: &Editor, config: &EditConfig) -> EditSettings {
     }
 }
 
-/// Default name of the system in result tables: preset size, composer settings that differ from the preset, whether a
-/// coordinator is used, and settings of this edit that differ from the usual ones.
+/// Default name of the system in result tables. It states whether the network has the size of preset `tiny`, composer
+/// settings that differ from the preset, whether a coordinator is used, and settings of this edit that are unusual.
 fn system_name(editor: &Editor, slot: Slot, settings: &EditSettings) -> String {
     let record = &editor.record().config;
     let (model, compose) = (record.train.model, &record.compose.config);
@@ -289,7 +289,8 @@ impl EditSystem for MotionRefitSystem {
     }
 }
 
-/// Mean distances between generated points and the fitted body, and between their bone lengths and the skeleton's.
+/// The mean distance of generated points from the fitted body, and the mean difference of their bone lengths from the
+/// skeleton's.
 fn misfit(frames: &[KeypointFrame], error_m: &[f64], skeleton: &Skeleton) -> Misfit {
     let bones = 1..NUM_KEYPOINTS;
     let lengths: Vec<f64> = bones
@@ -310,8 +311,8 @@ fn misfit(frames: &[KeypointFrame], error_m: &[f64], skeleton: &Skeleton) -> Mis
     }
 }
 
-/// Weight in 1/rad^2 that draws the rotations of the exact fit towards the previous frame, in proportion to the
-/// distance of the points from the body. It assumes that rotations change by a fifth of a radian per frame.
+/// Weight in 1/rad^2 that draws the rotations of the exact fit towards the previous frame
+/// ([`FitOptions::continuity`]). It assumes that rotations change by a fifth of a radian per frame.
 const CONTINUITY: f64 = 25.0;
 
 /// Settings of the fit of SMPL-X parameters to generated keypoints.

@@ -64,7 +64,7 @@ pub enum Error {
     OtherRun {
         /// The run folder.
         path: PathBuf,
-        /// First part of the recorded configuration that differs.
+        /// First field of the recorded configuration that differs.
         field: String,
         /// What to do next.
         remedy: &'static str,

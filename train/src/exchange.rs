@@ -96,7 +96,7 @@ pub fn import_coordinator(
     write_imported(run_dir, skeleton, record, &network)
 }
 
-/// Makes a run folder from a kind with its record, and a network as its best checkpoint.
+/// Makes a run folder from the record of a kind of model, with `network` as its best checkpoint.
 pub(crate) fn write_imported<C: Serialize + DeserializeOwned>(
     run_dir: &Path,
     skeleton: &Skeleton,

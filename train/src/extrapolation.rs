@@ -10,8 +10,8 @@ use crate::config::NoiseKind;
 use crate::noise_shape::{LEAST_SPREAD, NoiseShape};
 use crate::transfer::send;
 
-/// The best linear prediction of a window's change from the change of its fixed frames. One matrix, fitted to training
-/// windows, is used for all coordinates.
+/// The best linear prediction of a window's change (edited minus original) from the change of its fixed frames. One
+/// matrix, fitted to training windows, is used for all coordinates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Extrapolation {
@@ -117,7 +117,7 @@ impl Extrapolation {
         self.shape.as_ref()
     }
 
-    /// The gains and spreads of each window on a device. Windows without fixed frames have their own.
+    /// The gains and spreads of each window on a device. Windows without fixed frames have gains of zero.
     ///
     /// # Shapes
     /// `is_start` `[B]`; the results `[B, W, 2]` and `[B, W, 1]`.
@@ -151,7 +151,7 @@ impl Extrapolation {
     }
 }
 
-/// Inputs besides the noisy window that a prediction is relative to.
+/// What a prediction is relative to, besides the noisy window.
 #[derive(Clone, Debug)]
 pub struct Basis {
     /// Normalised original windows, `[B, W, D]`.
@@ -162,7 +162,7 @@ pub struct Basis {
     pub(crate) shaped: Option<ShapedBasis>,
 }
 
-/// Mean and scale of bones, and the noise's spread; for shaped noise.
+/// For shaped noise: mean and scale of bones, and standard deviation of the noise.
 #[derive(Clone, Debug)]
 pub(crate) struct ShapedBasis {
     /// Mean of each bone coordinate of edited windows, `[1, 1, D]`.
@@ -174,9 +174,8 @@ pub(crate) struct ShapedBasis {
 }
 
 impl Basis {
-    /// Builds the inputs that a prediction is relative to, from normalised original windows, `[B, W, D]`. `is_start`
-    /// marks windows without fixed frames, `[B]`. `extrapolation` is required for predictions relative to a linear
-    /// guess.
+    /// Builds the basis from normalised original windows, `[B, W, D]`. `is_start` marks windows without fixed frames,
+    /// `[B]`. `extrapolation` is required for predictions relative to a linear guess.
     pub fn new(
         original: Tensor<3>,
         is_start: &[bool],
@@ -219,8 +218,8 @@ impl Basis {
         (mapped(windows, to_bones) - mean.clone()) * scale.clone()
     }
 
-    /// Mean of the shaped noise: the linear guess, for windows whose fixed frames are clean. White noise has mean zero,
-    /// so the result is none.
+    /// Mean of the shaped noise: the original plus the guessed change, for windows whose fixed frames are clean. `None`
+    /// for white noise, whose mean is zero.
     pub fn centre(&self, windows: &Tensor<3>) -> Option<Tensor<3>> {
         self.shaped
             .as_ref()

@@ -21,8 +21,8 @@ pub const FEATURE_WIDTH: usize = 135;
 pub type FeatureFrame = [f32; FEATURE_WIDTH];
 
 /// The features of consecutive frames: `[translation since the previous frame, in the previous frame's root coordinates
-/// | 21 body rotations | root rotation]`. Rotations are the first two rows of their matrix. The first frame has no
-/// translation.
+/// | 21 body rotations | root rotation]`. Rotations are the first two rows of their matrix. The first frame's
+/// translation is zero.
 ///
 /// # Source
 /// The 135 features of the MotionFix evaluator (`algorithms` section 15), which uses z up and 30 fps.
@@ -164,7 +164,7 @@ impl Prepared {
     }
 }
 
-/// Rotates poses from y up to z up. What faced +z then faces -y, which is heading 0.
+/// Rotates poses from y up to z up. A body that faced +z then faces -y, which is heading 0.
 fn stand_on_z(poses: &mut [Pose]) {
     let turn = DQuat::from_rotation_x(FRAC_PI_2);
     for pose in poses {

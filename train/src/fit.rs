@@ -26,7 +26,7 @@ use crate::{Error, Session};
 
 pub(crate) const KIND: &str = "motionrefit";
 
-/// Number of windows to which the linear prediction is fitted; each gives 84 samples for a 2 by 2 matrix.
+/// Number of windows to which the linear prediction is fitted. Each gives 84 samples, one for each coordinate.
 const EXTRAPOLATED_WINDOWS: usize = 4_096;
 
 /// Training data of the editor.
@@ -215,7 +215,7 @@ impl TextRecord {
 /// Trains the editor, or continues the training of the run folder.
 ///
 /// An interrupted run continues exactly: weights, optimiser, data, noise and learning rate are those of an
-/// uninterrupted run. A run that starts from another run's weights keeps that run's vocabulary.
+/// uninterrupted run. A run that starts from another run's weights keeps that run's vocabulary and extrapolation.
 ///
 /// # Errors
 /// The settings are unusable, the folder holds another run or a damaged checkpoint, the source of

@@ -24,7 +24,7 @@ const LEG: [usize; 2] = [5, 8];
 /// features and the foot contacts are computed from pelvis and legs.
 ///
 /// # Source
-/// `humanml_utils.py` of MDM, whose lower-body mask this equals for pelvis and legs.
+/// `humanml_utils.py` of MDM. For pelvis and legs, this mask equals its mask of the lower body.
 pub fn feature_mask(joints: JointSet) -> [bool; HUMANML3D_WIDTH] {
     const POSITIONS: usize = 4;
     const ROTATIONS: usize = 67;
@@ -120,8 +120,8 @@ impl SourceFeatures {
     }
 
     /// Converts features to a motion at 20 fps that starts where the source does. Also returns the distances between
-    /// their points and the fitted body. The motion has the source's bone lengths, and its twists where joints do not
-    /// determine them.
+    /// their points and the fitted body. The motion has the source's bone lengths, and the source's twists of bones,
+    /// which joints do not determine.
     ///
     /// # Errors
     /// There are more features than poses of the source, or a number is not finite.
@@ -148,7 +148,7 @@ impl SourceFeatures {
             .iter()
             .enumerate()
             .map(|(frame, points)| {
-                // Keypoints other than body joints have no weight.
+                // Keypoints other than body joints have no weight in the fit.
                 let mut target = [turn * (points[0] * scale) + shift; NUM_KEYPOINTS];
                 for joint in 1..NUM_BODY_JOINTS {
                     let direction = (points[joint] - points[parent_of(joint)])

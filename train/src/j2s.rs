@@ -63,8 +63,7 @@ pub struct J2sConfig {
     pub preset: J2sPreset,
     /// Width of its hidden layers.
     pub width: usize,
-    /// Standard deviation in metres of the noise on training points, because the network is applied to
-    /// generated points.
+    /// Standard deviation in metres of the noise on training points. It prepares the network for generated points.
     pub noise_m: f64,
     /// Whether a body is rotated about the vertical until its hips face +z before it is passed to the network. The
     /// network then never gets a root rotation near 180 degrees, where the axis-angle vector jumps.
@@ -162,7 +161,7 @@ pub struct J2sReport {
     /// Whether the run reached its last step.
     #[serde(skip)]
     pub is_complete: bool,
-    /// Mean loss over the first and over the last twentieth of the steps.
+    /// Mean loss up to the first line of the metrics file, and of its last line; NaN if there is none.
     pub loss: [f64; 2],
     /// Errors of the network alone and of the fits that follow it.
     #[serde(rename = "ways")]
@@ -505,7 +504,8 @@ pub fn solve(
         Refinement::None => first,
         Refinement::Adam(fit) => {
             let start: Vec<Parameters> = AdamFit::parameters_of(&first);
-            // A frame's descent does not depend on its neighbours, except through the guard of the root.
+            // Frames are fitted independently. Their number only scales the gradient, which Adam cancels up to its
+            // epsilon.
             let fitted: Vec<Vec<Pose>> = frames
                 .par_chunks(16)
                 .zip(start.par_chunks(16))

@@ -30,7 +30,7 @@ use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
 use crate::{Error, Session};
 
-/// Number of last steps in which no body part is kept, and number of all steps, in the published schedule.
+/// The published schedule: no body part is kept in the last 20 of 1,000 steps.
 const PUBLISHED_RELEASE: [usize; 2] = [20, 1_000];
 
 struct MdmBpSystem {

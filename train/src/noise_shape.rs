@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::bones::{ROOT_NUMBERS, bone_number, parent_number};
 
-/// Lower bound of a standard deviation in model units, also for frames whose change is extrapolated. It is a few
-/// millimetres, the noise of motion capture.
+/// Lower bound of standard deviations in model units, here and in [`crate::extrapolation`]. It is a few millimetres,
+/// the noise of motion capture.
 pub(crate) const LEAST_SPREAD: f64 = 2e-3;
 
 /// Lower bound of the standard deviation that a bone is divided by for the network, in model units. Bones of the trunk

@@ -22,7 +22,7 @@ pub struct Session<'a> {
     pub progress: &'a dyn Progress,
     /// Once set, the run writes a checkpoint and ends after the current step.
     pub stop: &'a AtomicBool,
-    /// Returns the time since a fixed moment. It is used only for reported speeds.
+    /// Returns the time since a fixed moment. It is used only for reported times and speeds.
     pub clock: &'a (dyn Fn() -> Duration + Sync),
 }
 

@@ -42,9 +42,9 @@ pub trait EditSystem: Send {
     /// The text encoder is missing or cannot encode a text.
     fn prepare(&mut self, texts: &[String], session: &Session<'_>) -> Result<(), Error>;
 
-    /// Edits motions. The result of a request depends on the seed and the request, not on the other
-    /// requests. Gives one motion per request, with the length of its original or the requested one, its deviation from
-    /// generated points, and the times of the stages.
+    /// Edits motions. Returns one motion per request, with its deviation from the generated points, and the times of
+    /// the stages. A motion has the length of its original or the requested one. It depends on the seed and its
+    /// request, not on the other requests.
     ///
     /// # Errors
     /// A request is malformed, a generated motion is not finite, or the session is stopped.
@@ -119,8 +119,8 @@ impl SystemIdentity {
     }
 }
 
-/// Name of a system with the settings that differ from those usual for its preset, such as `MotionReFit tiny (guidance
-/// 3)`. So two systems with different settings never share a name.
+/// Name of a system, followed by the settings that differ from those usual for its preset, such as `MotionReFit tiny
+/// (guidance 3)`. So two systems with different settings never share a name.
 pub(crate) fn named_with(name: String, slot: Slot, settings: &[(&str, Setting)]) -> String {
     let checkpoint = (slot != Slot::Best).then(|| format!("checkpoint {}", slot.name()));
     let changed = settings.iter().filter_map(|(what, setting)| match setting {
@@ -336,7 +336,7 @@ pub(crate) fn in_groups<K: Ord, T>(
     Ok(made.into_iter().map(|(_, result)| result).collect())
 }
 
-/// A list entry with one instruction for all frames of a motion.
+/// One instruction for all frames of a motion.
 pub fn whole(text: &str, motion: &Motion) -> TimedInstruction {
     TimedInstruction {
         frames: 0..motion.len(),

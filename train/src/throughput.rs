@@ -30,9 +30,10 @@ pub fn network(preset: Preset, device: &Device) -> Denoiser {
     draw(network, Seed(1)).expect("every layer has a rule")
 }
 
-/// Trains the network of preset `paper` or `official` (those without additions) for at least this long, in steps of
-/// `rows` windows. A step is: batch to the device, forward pass, loss, backward pass, AdamW. A value is read from the
-/// device after 1, 2, 4, ... further steps. Returns the number of timed steps and their duration in seconds.
+/// Trains the network of preset `paper` or `official` (those without our additions) for at least `least`, in steps of
+/// `rows` windows. A step sends the batch to the device, and computes the loss, the gradients and AdamW. A value is
+/// read from the device after 1, 2, 4, ... further steps. Returns the number of timed steps and their duration in
+/// seconds.
 ///
 /// # Errors
 /// The loss is not finite, or the device fails.

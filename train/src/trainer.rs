@@ -52,7 +52,7 @@ pub struct TrainReport {
     pub best_step: u64,
     /// Training samples per second in this session, without validations and checkpoints.
     pub samples_per_sec: f64,
-    /// Share of this time spent waiting for data.
+    /// Share of the training time in this session that was spent waiting for data.
     pub data_wait_share: f64,
 }
 

@@ -1,7 +1,7 @@
 //! Sends numbers to devices and reads them back. All reads of this crate are here, so that they can be counted.
 //!
 //! A GPU computes asynchronously. A read waits until the GPU has finished all queued operations, and then the GPU is
-//! idle until the program queues more. So nothing is read within a step of training or sampling. The README of this
+//! idle until the program queues more. So nothing is read within a step of training or sampling. `docs/gpu.md` of this
 //! crate lists the remaining reads.
 
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -145,7 +145,7 @@ fn load(folder: &Path) -> Result<BertEncoder, Error> {
     BertEncoder::load(&BertFiles::in_folder(folder)?, &Device::flex())
 }
 
-/// Checks that an error says why.
+/// Checks that the result is an error whose message contains `why`.
 fn refused<T>(result: Result<T, Error>, why: &str) {
     let error = result.err().expect("refused").to_string();
     assert!(error.contains(why), "{error}");

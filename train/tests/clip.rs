@@ -41,7 +41,7 @@ fn metadata(golden: &Recorded) -> HashMap<String, String> {
     header.metadata().clone().expect("metadata")
 }
 
-/// Checks that an error says why.
+/// Checks that the result is an error whose message contains `why`.
 fn refused<T>(result: Result<T, Error>, why: &str) {
     let error = result.err().expect("refused").to_string();
     assert!(error.contains(why), "{error}");
@@ -209,7 +209,7 @@ const VISION: &str = "vision_model.encoder.layers.0.self_attn.q_proj.weight";
 /// Shapes and values of tensors by name.
 type Weights = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
-/// Weights of a network under Hugging Face's names, with a tensor of a vision tower and one of neither.
+/// Weights of a network under Hugging Face's names, with a tensor of a vision tower and one of neither tower.
 fn tiny_weights(seed: u64) -> Weights {
     let network =
         draw(ClipText::new(&tiny_config(), &Device::flex()), Seed(seed)).expect("known layers");

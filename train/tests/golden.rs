@@ -76,7 +76,7 @@ impl Golden {
         std::fs::read(&self.0.path).expect("the file was read before")
     }
 
-    /// The tensors whose names begin with `prefix`, without it, as a file.
+    /// A safetensors file with the tensors whose names begin with `prefix`, which is removed from the names.
     fn weights(&self, prefix: &str) -> Vec<u8> {
         let recorded = self.bytes();
         let reference = SafeTensors::deserialize(&recorded).expect("a safetensors file");

@@ -144,7 +144,7 @@ fn small_config(num_steps: u64) -> TrainConfig {
     config
 }
 
-/// The same settings for predicting the plain change. Its loss can fall to what the text leaves undetermined, while a
+/// The same settings for predicting the plain change. The text determines it, so its loss can fall far, while a
 /// residual is largely unpredictable.
 fn change_config(num_steps: u64) -> TrainConfig {
     let mut config = small_config(num_steps);
@@ -432,7 +432,7 @@ fn gates_are_learned_and_loaded_and_never_exported_in_part() {
     let mut config = change_config(1);
     config.diffusion.tell_frames = true;
     train(told.path(), &config, &waves(16));
-    // The released network has neither.
+    // The released network has neither gates nor `tell_frames`.
     for (run, why) in [(&dir, "gate"), (&told, "tell_frames")] {
         let out = tempfile::tempdir().expect("a folder");
         refused(export(run.path(), Slot::Best, out.path()), why);
@@ -600,7 +600,7 @@ fn a_model_listens_to_a_frozen_encoder_of_another_width() {
     refused(edit("wave"), r#"lacks 1 texts, such as "wave""#);
 }
 
-/// Checks that an error says why.
+/// Checks that the result is an error whose message contains `why`.
 fn refused<T>(result: Result<T, Error>, why: &str) {
     let error = result.err().expect("refused").to_string();
     assert!(error.contains(why), "{error}");
@@ -805,7 +805,7 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
         edited(&editor, items, settings).expect("edits").0
     };
     let together = edit(&items, &settings);
-    // 61 frames at 20 fps are 31 frames at 10 fps: windows start at 0 and 14, and one at 15 ends with the motion.
+    // 61 frames at 20 fps are 31 frames at 10 fps: windows start at 0 and 10, and one at 15 ends with the motion.
     let lengths: Vec<usize> = together.iter().map(Vec::len).collect();
     assert_eq!(lengths, [31, WINDOW_FRAMES, 47]);
     assert_eq!(edit(&items, &settings), together);
@@ -815,7 +815,7 @@ fn edits_repeat_by_seed_and_do_not_feel_their_neighbours() {
         pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
     };
     let alone = edit(&items[2..], &settings);
-    // Matrix products of a smaller batch may be summed in another order. The f32 rounding, over 50 steps of three
+    // Matrix products of a smaller batch may be summed in another order. The f32 rounding, over 20 steps of five
     // windows, stays below a tenth of a millimetre.
     assert!(difference(&alone[0], &together[2]) < 1e-4);
     let other = EditSettings {
@@ -1000,7 +1000,7 @@ fn windows_without_an_instruction_stay_as_they_were() {
     // The third window is edited: it adds frames 30 to 43. Earlier frames differ only by f32 rounding.
     assert!(away[..30].iter().all(|&away| away < 1e-5), "{away:?}");
     assert!(away[30..44].iter().any(|&away| away > 0.05), "{away:?}");
-    // After some frames every body has its own shape again, wherever the edit ended.
+    // Some frames after the edit, the body has its original shape again, wherever the edit ended.
     let arm = |points: &KeypointFrame| points[20].distance(points[21]);
     for (frame, points) in edited[0].iter().enumerate().skip(50) {
         let (found, was) = (arm(points), arm(&original.points[2 * frame]));

@@ -302,7 +302,7 @@ fn a_start_on_the_original_is_wrong_for_its_two_frames_alone() {
 }
 
 /// A range shorter than a window is edited from its first to its last frame. Earlier frames are the original's, and
-/// later frames return to the original within a third of a second.
+/// later frames return to the original within 0.7 s.
 #[test]
 fn a_short_range_is_edited_where_it_is() {
     let record = record(16, Fps::MODEL, Anchor::Pelvis, 0.25);

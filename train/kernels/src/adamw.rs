@@ -1,7 +1,7 @@
 //! AdamW in one pass over memory.
 //!
-//! If a step is composed of tensor operations, it reads or writes arrays of the model's size fifteen times, too large
-//! for any cache. That takes a tenth of a training step.
+//! A step composed of tensor operations reads or writes fifteen arrays of the model's size, which fit into no cache.
+//! That takes a tenth of a training step.
 
 use kinematics::simd::lanes::{Kernel, dispatch};
 use rayon::prelude::*;

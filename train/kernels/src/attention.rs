@@ -15,8 +15,7 @@ const LONG: usize = 64;
 /// Number of rows of a small product that are computed together.
 const ROWS: usize = 4;
 
-/// A small matrix padded to whole blocks: rows to fours, columns to [`LANES`]. The padding is zero or never
-/// read.
+/// A small matrix, padded to a multiple of [`ROWS`] rows and of [`LANES`] columns. The padding is zero or never read.
 struct Small {
     values: Vec<f32>,
     stride: usize,
@@ -152,7 +151,6 @@ fn forward_short(
                 values.copy(part(2));
                 scores.multiply(&queries, &keys, head);
                 for query in 0..length {
-                    // Columns beyond the keys count as padding, so that all blocks are whole.
                     let scores = scores.row_mut(query);
                     soften(scores, length, scale, padding);
                     let scores = &mut scores[..length];
@@ -331,7 +329,7 @@ mod tests {
                 count: 3,
                 padding: None,
             };
-            // The scores of a query differ by up to a hundred, so softmax weights are as small as numbers get.
+            // The scores of a query differ by up to a hundred, so the smallest exponentials are close to subnormal.
             let joint: Vec<f32> = (numbers(length * 3 * 24, 0.37).into_iter())
                 .map(|number| 6.0 * number)
                 .collect();

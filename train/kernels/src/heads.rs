@@ -57,7 +57,7 @@ fn by_halves(values: &[f32], start: f32, join: impl Fn(f32, f32) -> f32) -> f32 
 }
 
 /// Softmax weights below this share of the largest become zero: even hundreds of them are below the rounding error of
-/// the sum. Times a gradient they would be subnormal numbers, with which a matrix product takes ten times as long.
+/// the sum. Multiplied by a gradient, they could be subnormal, which makes a matrix product ten times slower.
 const LEAST_SHARE: f32 = 1e-10;
 
 /// Replaces the attention scores of one query by their softmax. The first `length` numbers are scores; the rest only

@@ -15,7 +15,7 @@ pub mod rows;
 
 /// Runs `work` on a pool thread, so that its nested parallel loops do not wake another thread for each split. Called
 /// from any other thread, each split would block that thread, which on a virtual machine costs as much as a small
-/// product. `work` must not take locks: while its thread waits for a part, it may run another such work.
+/// product. `work` must not take locks: while its thread waits for a part, it may run another task of the pool.
 pub fn on_workers<R: Send>(work: impl FnOnce() -> R + Send) -> R {
     rayon::scope(|_| work())
 }

@@ -160,7 +160,7 @@ pub fn add_bias(rows: &mut [f32], bias: &[f32]) {
         });
 }
 
-/// Sums of the columns of rows.
+/// The sum of each column.
 pub fn column_sums(rows: &[f32], width: usize) -> Vec<f32> {
     let parts: Vec<Vec<f32>> = rows
         .par_chunks(TASK_ROWS * width)
@@ -434,8 +434,8 @@ impl Kernel for NormGradRows<'_> {
     }
 }
 
-/// The backward pass of [`residual_norm`]: `grad` becomes the gradient of the residual, and `branch` that of the
-/// branch. Without dropout the two are equal, and `branch` is not written.
+/// The backward pass of [`residual_norm`]: `grad`, the gradient of `out`, becomes the gradient of the residual, and
+/// `branch` that of the branch. Without dropout the two are equal, and `branch` is not written.
 pub fn residual_norm_backward(
     grad: &mut [f32],
     normalised: &[f32],

@@ -42,7 +42,7 @@ pub struct RunRecord<C> {
     /// BLAKE3 of that skeleton's rest positions; none in runs of earlier versions, which recorded only the name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skeleton_hash: Option<String>,
-    /// Lineage of the weights, oldest first; empty for a run trained without interruption or initial weights.
+    /// Lineage of the weights, oldest first; empty for a run that was neither extended nor started from other weights.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lineage: Vec<Ancestor>,
     /// The resolved configuration, and parts fitted to the training split.
@@ -53,11 +53,11 @@ pub struct RunRecord<C> {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ancestor {
-    /// How the weights are used.
+    /// How the run took over the weights.
     pub by: Inheritance,
     /// Hash of the weights: BLAKE3, hexadecimal.
     pub weights: String,
-    /// Training step of the weights, counted in their own run; 0 if they were not trained here.
+    /// Training step of the weights in their own run; 0 if that run records none, as imported runs do.
     pub step: u64,
     /// Settings that changed: name, value before and value after.
     pub changed: BTreeMap<String, [Value; 2]>,
@@ -112,7 +112,7 @@ fn config_of(run_dir: &Path) -> Result<String, Error> {
     Ok(fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?)
 }
 
-/// The fields of `config.json` that are read without its configuration.
+/// The fields of `config.json` that are read without the model's configuration.
 #[derive(Deserialize)]
 struct Header {
     #[serde(default)]

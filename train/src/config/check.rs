@@ -46,7 +46,7 @@ pub(crate) fn check_lengths(min_frames: usize, max_frames: usize) -> Result<(), 
     ensure(min_frames <= max_frames, "max_frames", problem)
 }
 
-/// Checks that windows of `found` numbers have the number of frames that a model is trained on.
+/// Checks that a window of `found` numbers has `frames` frames.
 pub(crate) fn check_windows(frames: usize, found: usize) -> Result<(), Error> {
     let windows = found / FRAME_WIDTH;
     let problem = format!("it is {frames} frames, and the windows to train on have {windows}");

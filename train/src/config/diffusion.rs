@@ -30,8 +30,7 @@ pub enum FixedFrames {
 /// Target of the network.
 ///
 /// # Source
-/// The paper leaves it open: Eq. 2 reads as the noise, Eq. 4 as the clean window. The released code
-/// predicts the noise.
+/// The paper leaves it open: Eq. 2 suggests the noise, Eq. 4 the clean window. The released code predicts the noise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Prediction {
@@ -39,13 +38,13 @@ pub enum Prediction {
     Noise,
     /// The clean window.
     Clean,
-    /// The clean window minus the original one. Both are canonical, so if an edit leaves most of the body unchanged,
-    /// the difference is mostly zero. A narrow network learns it far sooner (our addition).
+    /// The clean window minus the original one, both in canonical coordinates. If an edit leaves most of the body
+    /// unchanged, the difference is mostly zero. A narrow network learns it far sooner (our addition).
     Change,
-    /// Bones, as vectors from joint to joint, each a gated sum of three parts: the original's bone, the change
-    /// extrapolated from the fixed frames, and a bone predicted by the network. Gates are between 0 and 1. So a narrow
-    /// network copies or replaces bones by predicting gates, without reproducing the numbers of the original (our
-    /// addition). Errors are divided by the standard deviation of the residual of the
+    /// Bones, as vectors from joint to joint. Each is a gated sum of the original's bone, the change extrapolated from
+    /// the fixed frames, a bone predicted by the network and, with shaped noise, an estimate from the noisy window.
+    /// Gates are between 0 and 1. So a narrow network copies or replaces bones by predicting gates, without reproducing
+    /// the numbers of the original (our addition). Errors are divided by the standard deviation of the residual of the
     /// [extrapolation](crate::extrapolation::Extrapolation) in each frame. The frames after the fixed ones are almost
     /// determined by them, and this scaling gives them the same weight as others, so that windows join smoothly (the
     /// scaling is that of Karras et al. 2022, Sec. 5, per frame instead of per noise level).
@@ -142,7 +141,7 @@ pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PreviousFrames {
-    /// The frames are noisy like all other frames of the window (released code).
+    /// They are embedded like all other frames of the window (released code).
     Inpainted,
     /// A two-layer network encodes each previous frame into the token at its position (paper, Sec. 5.1; our reading is
     /// that these tokens replace those of the frames).

@@ -69,8 +69,8 @@ pub struct NetworkConfig {
 
 impl NetworkConfig {
     /// Estimates how many samples of `tokens` tokens a training step can compute at once in `memory` bytes; at least
-    /// one. Counted are the values that layers keep for the backward pass, and for each weight the weight itself, its
-    /// gradient and the two moments of AdamW.
+    /// one. The estimate counts the values that layers keep for the backward pass, and for each weight the weight
+    /// itself, its gradient and the two moments of AdamW.
     pub fn samples_in(&self, memory: u64, tokens: usize) -> usize {
         const BYTES: u64 = 4;
         let [width, hidden, layers] =
@@ -151,7 +151,7 @@ impl TextConfig {
         }
     }
 
-    /// Checks the settings of a model that reads tokens or one vector.
+    /// Checks the settings of a model that can read token states as well as one vector for each text.
     pub(crate) fn check(&self) -> Result<(), Error> {
         ensure(
             self.vectors.is_none() || self.encoder == TextEncoder::Bert,
@@ -187,7 +187,7 @@ pub enum BertVectors {
     States,
 }
 
-/// How texts are split into words, which are mapped to numbers.
+/// Settings of a vocabulary, which maps the words of texts to token ids.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WordsConfig {
@@ -258,12 +258,12 @@ impl TrainConfig {
     /// uses temperature 0.5. At temperature 1, edits are more diverse but farther from their targets. The fixed frames
     /// are shown nearly clean, as the editor shows them; their slight noise teaches the network to correct its own
     /// errors from window to window. Two fifths of the windows have no fixed frames, because the first window of an
-    /// edit has none. The instruction is added to every frame. Gates mix three bones (the original's, a linear
-    /// extrapolation and the network's own), so that the narrow network need not reproduce unchanged parts. Windows
-    /// overlap by four frames. The loss on bones weighs an arm as much as the path of the root, and the loss on
-    /// contacts penalises feet that slide where they should rest. Guidance by the text is off, because an amplified
-    /// change overshoots. Guidance by the coordinator is weak: strong guidance moves edits away from their targets,
-    /// which are composed motions too.
+    /// edit has none. The instruction is added to every frame. Gates mix the original's bone, a linear extrapolation,
+    /// the network's own bone and an estimate from the noisy window, so that the narrow network need not reproduce
+    /// unchanged parts. Windows overlap by four frames. The loss on bones weighs an arm as much as the path of the
+    /// root, and the loss on contacts penalises feet that slide where they should rest. Guidance by the text is off,
+    /// because an amplified change overshoots. Guidance by the coordinator is weak: strong guidance moves edits away
+    /// from their targets, which are composed motions too.
     pub fn preset(preset: Preset) -> Self {
         match preset {
             Preset::Paper => Self::paper(),
@@ -495,7 +495,7 @@ mod tests {
     fn micro_batches_grow_with_memory() {
         const GB: u64 = 1_000_000_000;
         let model = TrainConfig::preset(Preset::Paper).model;
-        // A window of 17 tokens needs 5.9 MB, and the weights 0.3 GB.
+        // A window of 17 tokens needs 5.8 MB, and the weights 0.3 GB.
         let samples = |memory| model.samples_in(memory, 17);
         assert_eq!(samples(0), 1);
         assert!((250..350).contains(&samples(2 * GB)), "{}", samples(2 * GB));

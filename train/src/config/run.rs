@@ -106,7 +106,7 @@ impl RunSettings {
 
 /// Length of a run: a number of epochs, limited by a number of steps.
 ///
-/// An epoch visits every window of every annotated motion and of every pair once.
+/// An epoch is one pass over the training data: all windows of annotated motions and pairs, or all clips.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunLength {
@@ -165,7 +165,7 @@ pub struct OptimizerConfig {
 pub enum Decay {
     /// A constant rate.
     Constant,
-    /// Linear decay to zero at the last step.
+    /// Linear decay from the first step, to zero after the last.
     Linear,
 }
 

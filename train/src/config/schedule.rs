@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ScheduleName {
-    /// The released schedule: the variances of 1000 steps, resampled to the number of steps. With 100 steps the
-    /// noisiest training sample keeps 60 % of its signal, although sampling starts from pure noise (`algorithms`
-    /// section 5).
+    /// The released schedule: the first and last variance are those of 1,000 steps, whatever the number of steps. With
+    /// 100 steps the noisiest training sample keeps 60 % of its signal, although sampling starts from pure noise
+    /// (`algorithms` section 5).
     Official,
     /// Variances scaled by 1000 / steps, so that the last step is almost pure noise.
     Rescaled,

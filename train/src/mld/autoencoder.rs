@@ -145,7 +145,7 @@ pub(super) fn latent_noise(seed: Seed, first: u64, count: usize, width: usize) -
 pub(super) struct Autoencoder {
     pub(super) network: MotionVae,
     pub(super) stats: FeatureStats,
-    /// Length of the longest training motion, in frames.
+    /// Maximum length of training crops, in frames.
     pub(super) max_frames: usize,
     pub(super) hash: String,
 }

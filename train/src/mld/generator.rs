@@ -24,7 +24,7 @@ use crate::text::table::EmbeddingTable;
 use crate::transfer::{read, send};
 use crate::{Error, Session};
 
-/// A base motion to generate.
+/// A motion to generate variants of.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Base {
     /// Id of the base motion. Together with the seed it determines the noise.

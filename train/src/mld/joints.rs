@@ -26,7 +26,7 @@ pub fn recovered_joints(features: Tensor<3>) -> Tensor<3> {
             z * cosine + x * sine,
         )
     };
-    // The root moves by the velocity of the previous frame, in its own heading.
+    // The root moves by the previous frame's velocity, rotated to the heading of its own frame.
     let before = sums(frames, |from, to| from + 1 == to, &device).expand([batch, frames, frames]);
     let (x, z) = turned(before.clone().matmul(column(1)), before.matmul(column(2)));
     let until = sums(frames, |from, to| from <= to, &device).expand([batch, frames, frames]);

@@ -17,8 +17,8 @@ use super::weights::from_safetensors_named;
 use crate::Error;
 use crate::vocabulary::TokenBatch;
 
-/// Renaming rules between our tensor names and those of Hugging Face's `CLIPTextModelWithProjection`, which `CLIPModel`
-/// also uses.
+/// Patterns in the tensor names of Hugging Face's `CLIPTextModelWithProjection`, which `CLIPModel` also uses, and their
+/// replacements in our names.
 const RENAMES: [(&str, &str); 3] = [
     (r"^text_model\.embeddings\.", ""),
     (r"^text_model\.encoder\.", ""),
@@ -28,8 +28,8 @@ const RENAMES: [(&str, &str); 3] = [
 /// Prefixes of the text tower's tensors; files may also contain the vision tower.
 const TEXT_TOWER: [&str; 2] = ["text_model.", "text_projection."];
 
-/// End token in configurations that were written before the real one was recorded. For it, the reference uses the
-/// largest token number of a row, which is the end token of CLIP's vocabulary.
+/// End token in older configurations, which did not record the real one. The reference then takes the largest token
+/// number of a row, which is the end token of CLIP's vocabulary.
 const LEGACY_END_TOKEN: usize = 2;
 
 /// Factor in the sigmoid of CLIP's approximation of GELU.

@@ -35,7 +35,8 @@ impl<N: Networks> Networks for Conditioned<N> {
 }
 
 impl<N: Module> Conditioned<N> {
-    /// Builds a network for the width of its text vectors. A learned encoder makes vectors of width `width`.
+    /// Builds the text encoder, and a network for the width of its vectors. Those of a learned encoder have `width`
+    /// numbers.
     pub fn new(
         text: TextSource,
         width: usize,
@@ -52,13 +53,13 @@ impl<N: Module> Conditioned<N> {
     /// The vectors of a batch of texts.
     ///
     /// # Shapes
-    /// `rows` texts give `[B, text_width]`.
+    /// `[rows, text_width]`
     ///
     /// # Panics
     /// If words are given to a model without a learned encoder.
     pub fn text_vectors(&self, texts: &TextBatch, rows: usize, device: &Device) -> Tensor<2> {
         let vectors = text_vectors(self.text.as_ref(), texts, rows, device);
-        // The learned encoder's output is scaled for a denoiser that divides text vectors by this number.
+        // The learned encoder scales its output for a denoiser that divides it again; these networks do not.
         match &self.text {
             Some(_) => vectors.div_scalar(TEXT_DIVISOR),
             None => vectors,

@@ -37,7 +37,7 @@ impl Networks for Coordinator {
 }
 
 impl Coordinator {
-    /// Builds the network for frames of `frame_width` numbers; all keypoints have 84.
+    /// Builds the network for frames of `frame_width` numbers: 84 for all keypoints.
     pub fn new(config: &NetworkConfig, frame_width: usize, device: &Device) -> Self {
         let linear = |from, to| LinearConfig::new(from, to).init(device);
         Self {
@@ -55,7 +55,7 @@ impl Coordinator {
     /// The logit of the probability that each window was composed.
     ///
     /// # Shapes
-    /// `x` `[B, W, 84]`, `timesteps` `[B]`; the result `[B, 1]`.
+    /// `x` `[B, W, frame_width]`, `timesteps` `[B]`; the result `[B, 1]`.
     pub fn logits(&self, x: Tensor<3>, timesteps: &[usize], pass: &Pass) -> Tensor<2> {
         let [_, window, _] = x.dims();
         let device = x.device();
@@ -84,8 +84,7 @@ impl Coordinator {
     /// The gradient of the probability of each window with respect to that window.
     ///
     /// # Shapes
-    /// `x` and the result `[B, W, 84]`, on a device without automatic differentiation; `timesteps`
-    /// `[B]`.
+    /// `x` and the result `[B, W, frame_width]`, on a device without automatic differentiation; `timesteps` `[B]`.
     pub fn gradient(&self, x: Tensor<3>, timesteps: &[usize], pass: &Pass) -> Tensor<3> {
         let device = x.device();
         let x = Tensor::<3>::from_inner(x).require_grad();

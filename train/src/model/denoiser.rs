@@ -52,7 +52,7 @@ impl TwoLayers {
     }
 }
 
-/// The noise predictor: a transformer over one condition token and the frames of a window.
+/// A transformer over one condition token and the frames of a noisy window.
 ///
 /// # Source
 /// Paper, Sec. 5.1; the layout and the scales are those of the released code (`algorithms` section 6). The previous two
@@ -82,7 +82,7 @@ impl Networks for Denoiser {
 }
 
 impl Denoiser {
-    /// Builds the network for text vectors of `text_width` numbers and frames of `frame_width`; all keypoints have 84.
+    /// Builds the network for text vectors of `text_width` numbers and frames of `frame_width`: 84 for all keypoints.
     /// If the text vectors have another width than the network, a layer maps them; neither publication has such a
     /// layer.
     pub fn new(
@@ -111,7 +111,7 @@ impl Denoiser {
         }
     }
 
-    /// Sets that the condition is added to every frame, in addition to its own token.
+    /// Returns the denoiser with the condition added to every frame, in addition to its own token.
     #[must_use]
     pub fn telling_frames(mut self) -> Self {
         self.tells_frames = true;
@@ -153,11 +153,11 @@ impl Denoiser {
         frame_width
     }
 
-    /// Predicts the noise in `x`.
+    /// Computes the [prediction](crate::config::Prediction) for noisy windows `x`.
     ///
     /// # Shapes
-    /// `x`, `original` and the result `[B, W, frame_width]`; `timesteps` and `progress` `[B]`; `text` `[B,
-    /// text_width]`, where a row of zeros means no text.
+    /// `x`, `original` and the result `[B, W, frame_width]`, the result followed by the gates of each frame, if any;
+    /// `timesteps` and `progress` `[B]`; `text` `[B, text_width]`, where a row of zeros means no text.
     pub fn forward(
         &self,
         x: Tensor<3>,
@@ -260,10 +260,10 @@ pub struct PreparedDenoiser<'a> {
 }
 
 impl PreparedDenoiser<'_> {
-    /// Predicts the noise in `x` at one diffusion step, as [`Denoiser::forward`] does.
+    /// As [`Denoiser::forward`], at one diffusion step.
     ///
     /// # Shapes
-    /// `x` and the result `[B, W, 84]`.
+    /// As [`Denoiser::forward`].
     pub fn forward(&self, x: Tensor<3>, timestep: usize) -> Tensor<3> {
         let [_, window, _] = x.dims();
         let [_, width] = self.condition.dims();

@@ -90,7 +90,7 @@ struct Masks {
 
 impl Masks {
     fn new(prob: f64, key: u64) -> Self {
-        // The keys of the masks differ in both halves. The constant is derived from the golden ratio.
+        // The keys of the masks differ in both 32-bit halves. The constant is derived from the golden ratio.
         let mask = |part: u64| {
             let key = key.wrapping_add((part + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
             Mask::new(prob, key)
@@ -294,7 +294,7 @@ impl Backward<Flex, 13> for LayerBackward {
     }
 }
 
-/// Gradients of a block: of its two weights if requested, of the first one's bias, and of the norm.
+/// Gradients of a block: of its two weights if requested, of the first weight's bias, and of the norm.
 struct BlockGrads {
     weights: [Option<Buffer>; 2],
     bias: Vec<f32>,
@@ -445,7 +445,8 @@ impl LayerState {
         })
     }
 
-    /// The two factors whose product is the gradient of the operand of a weight.
+    /// The two factors whose product is the gradient of the values that a weight multiplied. `grad` is the gradient of
+    /// the result.
     fn back<'a>(&'a self, grad: &'a [f32], weight: usize) -> (Matrix<'a>, Matrix<'a>) {
         (
             Matrix::new(grad, grad.len() / self.rows()),
@@ -469,7 +470,7 @@ fn branch_buffer(mask: Mask, count: usize) -> Vec<f32> {
 
 /// Applies a layer whose tensors are all on the processor; none if one is not.
 ///
-/// `draw_key` is called for a key if `prob` is above zero.
+/// `draw_key` draws the key of the dropout masks; it is called only if `prob` is above zero.
 ///
 /// # Shapes
 /// `x` and the result `[B, T, d]`; `padding` `[B * T]`.

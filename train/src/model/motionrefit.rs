@@ -59,7 +59,7 @@ impl Networks for MotionRefit {
 }
 
 impl MotionRefit {
-    /// Builds the networks for frames of `frame_width` numbers; all keypoints have 84.
+    /// Builds the networks for frames of `frame_width` numbers: 84 for all keypoints.
     pub fn new(
         config: &NetworkConfig,
         diffusion: &DiffusionConfig,

@@ -43,7 +43,7 @@ pub fn has_bf16(device: &Device) -> bool {
     device.supports_dtype(DType::BF16)
 }
 
-/// A pass through a network; several passes of a training step may share it.
+/// Arithmetic and dropout masks of a pass through networks. Several networks of a training step may share it.
 #[derive(Debug, Default)]
 pub struct Pass {
     arithmetic: Arithmetic,
@@ -206,7 +206,7 @@ mod tests {
         let x = || Tensor::<2>::from_data(numbers.clone(), &device);
         let dropped = || match bf16 {
             false => read(pass.drop_out(&DropoutConfig::new(0.25).init(), x())),
-            // On this backend the device draws the mask, without the seed.
+            // In bfloat16 the kernels are off, and burn draws the mask without the seed.
             true => Vec::new(),
         };
         [read(pass.linear(&layer, x())), dropped(), dropped()]
@@ -218,7 +218,7 @@ mod tests {
         let [single, half] = [&alone[0][0], &alone[1][0]];
         assert_ne!(single, half, "nothing was rounded");
         for (single, half) in single.iter().zip(half) {
-            // The sum of forty products of factors below one, each rounded to eight bits.
+            // The tolerance is the error of a sum of forty products of factors below one, each rounded to eight bits.
             assert!((single - half).abs() < 0.1, "{single} {half}");
         }
         assert_ne!(alone[0][1], alone[0][2], "the masks of a pass differ");

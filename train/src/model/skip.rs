@@ -8,8 +8,8 @@ use super::pass::Pass;
 use super::transformer::{DecoderLayer, EncoderLayer, Padding};
 use crate::config::NetworkConfig;
 
-/// Layers with skip connections: each layer of the second half gets the output of its counterpart in the first half,
-/// the first of the second half that of the last of the first, and so on. A final norm follows.
+/// Layers with skip connections: each layer of the second half also gets the output of its mirror image in the first
+/// half, the last layer that of the first, and so on. A final norm follows.
 ///
 /// # Source
 /// MLD, `operator/cross_attention.py`, after the U-ViT of Bao et al. 2023.
@@ -61,7 +61,7 @@ impl SkipLayers<EncoderLayer> {
     }
 
     /// # Shapes
-    /// `x` and the result `[B, T, d]`; `padding` that of `B` rows of `T` tokens.
+    /// `x` and the result `[B, T, d]`; `padding` has `B` rows of `T` tokens.
     pub(super) fn encode(&self, x: Tensor<3>, padding: Option<&Padding>, pass: &Pass) -> Tensor<3> {
         self.forward(x, |layer, x| layer.forward(x, padding, pass))
     }
@@ -76,7 +76,7 @@ impl SkipLayers<DecoderLayer> {
     }
 
     /// # Shapes
-    /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` that of `B` rows of `T` tokens.
+    /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` has `B` rows of `T` tokens.
     pub(super) fn decode(
         &self,
         x: Tensor<3>,

@@ -50,7 +50,7 @@ impl LearnedText {
         let device = self.embedding.weight.val().device();
         let ids = token_tensor(tokens, &device);
         let kept = ids.clone().not_equal_scalar(PADDING).float();
-        // A row of only padding is averaged over one (empty) position.
+        // A row of only padding counts as one position, so that nothing is divided by zero.
         let count = kept.clone().sum_dim(1).clamp_min(1.0);
 
         let words = self.embedding.forward(ids);

@@ -55,7 +55,7 @@ pub struct Condition {
 pub struct Places {
     /// Number of positions reserved for a text, whatever its length.
     pub text: usize,
-    /// Number of source frames after which the separator and the target follow, `[B]`.
+    /// Number of positions reserved for each source, `[B]`. The separator and the target follow.
     pub source: Vec<usize>,
 }
 

@@ -320,7 +320,7 @@ impl Encoder {
     }
 }
 
-/// The weights of an encoder at the time of the call, prepared for many passes if kernels are used.
+/// A copy of an encoder's weights, prepared for many passes if kernels are used.
 #[derive(Debug)]
 pub struct PreparedWeights {
     encoder: Option<PreparedEncoder>,
@@ -361,7 +361,7 @@ impl DecoderLayer {
     }
 
     /// # Shapes
-    /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` that of `B` rows of `T` tokens.
+    /// `x` and the result `[B, T, d]`; `memory` `[B, 1, d]`; `padding` has `B` rows of `T` tokens.
     pub(super) fn forward(
         &self,
         x: Tensor<3>,

@@ -131,7 +131,7 @@ pub fn from_safetensors_named<M: Module>(
         return Ok(());
     };
     // The store reports our names, but errors must name the tensors as the file does. The extra renaming rules work in
-    // one direction only.
+    // one direction only, so with them the store's error is returned.
     let expected = if names.is_empty() {
         shapes(&to_safetensors(network, path)?, "", path)?
     } else {
@@ -193,7 +193,7 @@ pub trait Networks: Module + ModuleDisplay {
     }
 }
 
-/// An optional network.
+/// An optional network: without one, there are no files.
 impl<N: Networks> Networks for Option<N> {
     const FILE: &'static str = N::FILE;
 

@@ -104,10 +104,11 @@ impl Editor {
         Ok(())
     }
 
-    /// Gives the editor a coordinator, which then guides its last steps.
+    /// Gives the editor a coordinator, which then guides its last diffusion steps.
     ///
     /// # Errors
-    /// The coordinator was trained with another diffusion, window length, set of keypoints or normaliser.
+    /// The coordinator was trained with another diffusion, window length, set of keypoints, frame rate, anchor or
+    /// normaliser.
     pub fn with_coordinator(mut self, coordinator: TrainedCoordinator) -> Result<Self, Error> {
         let theirs = &coordinator.record().config;
         let ours = &self.record.config;
@@ -159,7 +160,7 @@ impl Editor {
     /// on their parent joints.
     ///
     /// An item's noise depends on the seed and its id, and rows of a batch are independent. So a result does not depend
-    /// on the other items. The device is that of the editor.
+    /// on the other items. The editor's device is used, not that of the session.
     ///
     /// # Errors
     /// As [`edit_windows`], or a text has no vector.

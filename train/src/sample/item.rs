@@ -443,7 +443,7 @@ mod tests {
             let middle = frames[frame][0];
             let before = middle - catmull_rom(&frames, frame - 1, 1.0 - STEP)[0];
             let after = catmull_rom(&frames, frame, STEP)[0] - middle;
-            // For points in the unit cube, second derivatives are at most 40.
+            // For coordinates in [-1, 1], second derivatives are at most 40.
             prop_assert!((after - before).length() / STEP < 40.0 * 2.0 * STEP);
         }
     }

@@ -16,13 +16,14 @@ use crate::transfer::send;
 /// Number of values drawn and transferred at once: 16 MB. Most batches need one or two such blocks.
 const BLOCK: usize = 1 << 22;
 
-/// Standard normal noise for a batch of sequences, one step after another. Each sequence has its own generator.
+/// Noise for a batch of sequences, one step after another: standard normal, unless it is scaled or shaped. Each
+/// sequence has its own generator.
 pub(crate) struct Noise<'a> {
     rngs: Vec<&'a mut Rng>,
     /// Number of frames in a sequence, and of values in a frame.
     shape: [usize; 2],
     scale: f32,
-    /// Covariance of the noise, and whether it is that for windows without fixed frames; none for white noise.
+    /// Covariance of the noise, and whether the windows have no fixed frames; none for white noise.
     covariance: Option<(&'a NoiseShape, bool)>,
     device: &'a Device,
     left: usize,

@@ -16,13 +16,13 @@ use crate::schedule::Schedule;
 /// Conditions of a batch of windows to generate.
 #[derive(Clone, Debug)]
 pub struct Condition {
-    /// Normalised original windows, `[B, W, 84]`.
+    /// Normalised original windows, `[B, W, D]`; `D` is 84, or 66 for the body joints alone.
     pub original: Tensor<3>,
-    /// Normalised first frames, `[B, 2, 84]`; none if these frames are generated too.
+    /// Normalised first frames, `[B, 2, D]`; none if these frames are generated too.
     pub fixed: Option<Tensor<3>>,
     /// Text vectors, `[B, d]`.
     pub text: Tensor<2>,
-    /// Position of each window in its motion, `[B]`.
+    /// Position of each window within the range of its instruction, in [0, 1], `[B]`.
     pub progress: Vec<f32>,
 }
 
@@ -53,7 +53,7 @@ impl Guide<'_> {
             return None;
         }
         let begun = (self.clock)();
-        // The network is told that a clean window is at step 0, whose noise has a standard deviation of about 0.01.
+        // The network is told that a clean window is at step 0, which has the least noise.
         let seen_as = match target {
             GuidanceTarget::CleanPrediction => 0,
             GuidanceTarget::PosteriorMean => timestep,
@@ -94,7 +94,7 @@ impl Sampler<'_> {
         self.guidance != 1.0
     }
 
-    /// Generates a batch of windows, `[B, W, 84]`.
+    /// Generates a batch of windows, `[B, W, D]`.
     ///
     /// `noise` is called first for the start (`None`), then for every reverse step in order; `on_step` is given each
     /// result. The fixed frames are restored, unscaled, at the start and after every step. The predictions with and
@@ -166,7 +166,7 @@ impl<'a> Sampling<'a> {
         }
     }
 
-    /// Estimates the clean windows from noisy ones, `[B, W, 84]`.
+    /// Estimates the clean windows from noisy ones, `[B, W, D]`.
     fn estimate(&self, x: &Tensor<3>, timestep: usize) -> Tensor<3> {
         let Self { sampler, batch, .. } = self;
         let input = if sampler.is_guided() {
@@ -225,7 +225,7 @@ fn twice(x: &Tensor<3>) -> Tensor<3> {
     Tensor::cat(vec![x.clone(), x.clone()], 0)
 }
 
-/// Runs the reverse process from pure noise, `[B, W, 84]`. `estimate` estimates the clean windows from noisy ones, and
+/// Runs the reverse process from pure noise, `[B, W, D]`. `estimate` estimates the clean windows from noisy ones, and
 /// `nudge` moves the mean of a posterior. The noise has mean `centre`, or zero. `noise` and `on_step` are those of
 /// [`Sampler::sample`].
 pub fn reverse(

@@ -40,7 +40,7 @@ pub(crate) const MLD: ModelKind = ModelKind {
         let mut config = request.settings(&MldConfig::preset(request.preset))?;
         request.change(&mut config.autoencoder.run);
         request.change(&mut config.run);
-        // The encoder and the decoder of motions have twice the layers, so a sample counts twice the tokens.
+        // The autoencoder has an encoder and a decoder of this size, so a sample counts twice the tokens.
         let autoencoder = &mut config.autoencoder;
         let tokens = 2 * (2 + autoencoder.max_frames);
         request.split(&mut autoencoder.run, &autoencoder.model, tokens);

@@ -22,7 +22,7 @@ use crate::compose::ComposeRecord;
 use crate::text::source::EMBEDDINGS;
 use crate::text::table::EmbeddingTable;
 
-/// Tables that models without text input depend on.
+/// Tables that models depend on if they are trained on motions and captions, without composed edits.
 const MOTIONS: [&str; 1] = [MotionRow::TABLE];
 
 /// Composed windows of the training and the validation split, with the same normaliser.
@@ -34,9 +34,9 @@ struct Streams {
 }
 
 impl Streams {
-    /// Opens the streams of a dataset for windows of `window` frames. If the composer's settings set another window,
-    /// that one is used, and the model refuses it if it does not fit. The normaliser is fitted to the training split if
-    /// none is given.
+    /// Opens the streams of a dataset for windows of `window` frames. If the composer's settings set a window other
+    /// than [`WINDOW_FRAMES`], that one is used, and the model refuses it if it does not fit. The normaliser is fitted
+    /// to the training split if none is given.
     fn open(
         dataset: &Dataset,
         compose: &ComposeConfig,

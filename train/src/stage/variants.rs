@@ -82,8 +82,8 @@ pub struct VariantReport {
 /// Makes variants of instructions with a trained generator, pairs them and commits the candidates as a
 /// dataset. A dataset made by the same plan is kept.
 ///
-/// A motion's id states the seed, the batch and the index of the base motion in the batch. Captions keep the split of
-/// their clip; the split of other texts is drawn at random.
+/// A motion's id states the seed, the batch, the index of the base motion in the batch, and the number of the variant.
+/// Captions keep the split of their clip; the split of other texts is drawn at random.
 ///
 /// # Errors
 /// The generator or the dataset cannot be loaded, there are no instructions, a text cannot be encoded, a generated
@@ -279,7 +279,7 @@ pub(crate) fn made_before(out: &Path, plan: &str) -> Result<Option<Dataset>, Err
     }
 }
 
-/// A text; and the number of frames at 20 fps and the split of the clip that it describes, if it is a caption.
+/// A text. For a caption, also the number of frames at 20 fps and the split of its clip.
 type Instruction = (String, Option<(usize, Split)>);
 
 fn bases(

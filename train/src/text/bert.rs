@@ -83,7 +83,7 @@ impl BertFiles {
         Ok(names)
     }
 
-    /// BLAKE3 of the encoder's files, in hexadecimal.
+    /// BLAKE3 of the encoder's files without its description and licence, in hexadecimal.
     ///
     /// # Errors
     /// A file cannot be read.
@@ -332,8 +332,8 @@ impl BertEncoder {
     }
 }
 
-/// Texts with more tokens than the folder's limit are truncated, as in sentence-transformers (`max_seq_length` of
-/// `sentence_bert_config.json`, otherwise the number of the network's positions).
+/// Longer texts are truncated, as in sentence-transformers: to `max_seq_length` of `sentence_bert_config.json` or
+/// `model_max_length` of `tokenizer_config.json`, at most the number of the network's positions.
 ///
 /// # Source
 /// Pooled vectors are those of `SentenceTransformer.encode`, states are `last_hidden_state` of the network.

@@ -199,7 +199,7 @@ impl BertConfig {
     }
 }
 
-/// BERT or DistilBERT without heads, for inference: a post-norm transformer in which every token attends to all others.
+/// BERT or DistilBERT without heads, for inference: a post-norm transformer in which every token attends to all tokens.
 ///
 /// # Source
 /// Devlin et al. 2019, Sec. 3, and Sanh et al. 2019; parameters are those of Hugging Face's `BertModel` and

@@ -118,7 +118,7 @@ impl ClipFiles {
         };
         Ok(Self {
             weights: first("weights", &WEIGHTS)?,
-            // The list of merges is equivalent; it is the fallback if the vocabulary is missing.
+            // Only `tokenizer.json` is fetched. The lists of merges, which are equivalent, are for folders without it.
             tokenizer: first("tokenizer", &TOKENIZERS[..1])?,
         })
     }

@@ -13,7 +13,7 @@ use crate::config::{BertVectors, TextConfig, TextEncoder};
 use crate::model::denoiser::TEXT_DIVISOR;
 use crate::{Error, Session};
 
-/// Table of the run's training instructions, in the run folder.
+/// Name of the table with the vectors of a run's texts, in the run folder.
 pub(crate) const EMBEDDINGS: &str = "embeddings.safetensors";
 
 /// Where a frozen text encoder is loaded from.
@@ -88,7 +88,7 @@ impl TextEncoderSource {
             .exists()
             .then(|| EmbeddingTable::load(&path))
             .transpose()?;
-        // The given folder may belong to CLIP or BERT for another model of the same command.
+        // A folder holds CLIP or BERT, given for another model of the same command.
         let given = self.given.as_ref().filter(|given| !given.is_dir());
         let table = given.map(|path| EmbeddingTable::load(path)).transpose()?;
         let texts = texts.iter().map(String::as_str);

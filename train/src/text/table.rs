@@ -187,7 +187,7 @@ impl EmbeddingTable {
         Err(Error::not_embedded(&missing))
     }
 
-    /// BLAKE3 of the texts and vectors; a run records it as the identity of its training texts.
+    /// BLAKE3 of the texts and vectors, as the file records it.
     pub fn hash(&self) -> String {
         self.content_hash(&self.texts_document())
     }

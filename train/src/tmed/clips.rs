@@ -16,7 +16,7 @@ use crate::error::motion_error;
 use crate::features::Moments;
 use crate::sample::noise::normal;
 
-/// Number of clips of both splits from which statistics are computed; more clips hardly change them.
+/// Maximum number of clips of a split from which statistics are computed; more clips hardly change them.
 const STATISTICS_CLIPS: u64 = 4_096;
 
 /// A motion, an instruction, and the edited motion, which may have another length.
@@ -76,7 +76,7 @@ impl ClipSource for CapturedPairs {
     }
 }
 
-/// Mean and standard deviation of the features of all motions of clips.
+/// Mean and standard deviation of the features of the motions before and after the edit.
 pub(crate) fn statistics(
     sources: &[&dyn ClipSource],
     fps: Fps,

@@ -16,7 +16,7 @@ use crate::gaussian::{Respacing, SampleSteps};
 pub struct TmedConfig {
     /// Sizes of the transformer.
     pub model: NetworkConfig,
-    /// Text encoder: the tokens of CLIP ViT-L/14, or learned word vectors.
+    /// Text encoder: the tokens of CLIP ViT-L/14 or of BERT, or learned word vectors.
     pub text: TextConfig,
     /// Training data.
     pub data: ClipData,

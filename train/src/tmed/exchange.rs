@@ -19,8 +19,8 @@ use crate::model::weights::{from_safetensors, to_safetensors};
 const UNUSED: [&str; 2] = ["feat_comb_coeff", "first_pose_proj."];
 
 /// Makes a run folder of a TMED trained elsewhere, with the released settings. Sizes are read from the tensors, except
-/// for the number of attention heads. `statistics` normalised the features, and `text` is the frozen text encoder, CLIP
-/// ViT-L/14.
+/// for the number of attention heads. The features are normalised by `statistics`, and `text` is the frozen text
+/// encoder, CLIP ViT-L/14.
 ///
 /// `weights` is a safetensors file under the released names.
 ///

@@ -24,7 +24,7 @@ pub(super) struct ClipBatch {
     pub(super) lengths: Vec<usize>,
     pub(super) steps: usize,
     pub(super) tokens: TokenBatch,
-    /// Whether two captions of the batch are equal, `[B * B]`.
+    /// Whether the captions of two different rows are equal, `[B * B]`.
     pub(super) same_text: Vec<bool>,
     /// Standard normal noise for the text and the motion latents, `[2, B, d]`.
     pub(super) noise: Vec<f32>,
@@ -76,7 +76,7 @@ pub(super) struct ClipSampler<'a> {
 
 impl ClipSampler<'_> {
     /// The batch of a step: the next clips in the epoch's order, with one caption and one crop each. All crops of a
-    /// step have the same drawn length, which keeps padding small.
+    /// step have the same drawn maximum length, which keeps padding small.
     pub(super) fn draw(&self, step: u64) -> ClipBatch {
         let batch_size = self.config.run.batch_size.min(self.clips.len());
         let num_batches = (self.clips.len() / batch_size) as u64;

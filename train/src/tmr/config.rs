@@ -28,7 +28,7 @@ pub struct TmrConfig {
     pub frame_stride: usize,
     /// Minimum length of a training crop, in frames of the encoder.
     pub min_frames: usize,
-    /// Maximum length of a training crop, in frames of the encoder. Later frames of a longer motion are ignored.
+    /// Maximum length of a training crop, in frames of the encoder. Later frames of a motion to encode are ignored.
     pub max_frames: usize,
     /// Weights of the terms of the loss.
     pub weights: LossWeights,

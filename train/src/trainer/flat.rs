@@ -86,7 +86,7 @@ impl Flat {
         put.gradients
     }
 
-    /// Returns a copy of the model with these weights.
+    /// Returns the model with these weights.
     pub(super) fn put_into<M: Module>(&self, copy: M) -> M {
         struct Put<'a> {
             from: &'a Flat,

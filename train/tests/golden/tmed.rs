@@ -282,7 +282,7 @@ fn golden_tmed_is_imported_as_an_editor() {
     assert_eq!(system.guidance(), official.diffusion.guidance);
 }
 
-/// The number of parameters of the published size equals the sum over its parts.
+/// The expected number is the sum of the parameters of all layers.
 #[test]
 fn the_official_network_has_the_published_size() {
     use burn::module::Module;
