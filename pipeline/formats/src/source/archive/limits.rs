@@ -40,7 +40,7 @@ impl Budget {
 
     /// Counts a member.
     ///
-    /// # Errors
+    /// The error says which limit the member exceeds.
     /// The limit that the member exceeds.
     pub(super) fn take(&mut self, bytes: u64) -> Result<(), String> {
         self.members += 1;
