@@ -50,8 +50,8 @@ pub struct Format {
     pub capture: Option<ReadCapture>,
     /// Refuses a large file from its headers, before all of it is read.
     pub refuse_large: fn(Reader) -> Option<Rejected>,
-    /// Reads a file that holds one motion in pieces, for formats whose files are much larger than their motions. None,
-    /// without reading anything, if the format reads files whole.
+    /// Reads a file of one motion in pieces, for formats whose files are much larger than their motions. The number is
+    /// the file's size in bytes. `None`, without reading anything, if the format reads files whole.
     pub read_in_pieces: fn(&mut dyn Read, usize, &ReadOptions) -> Option<Outcome>,
     /// The releases among the files, each found by its layout.
     pub(super) find: fn(&Files) -> Vec<Box<dyn Release>>,

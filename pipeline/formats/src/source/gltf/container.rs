@@ -13,7 +13,7 @@ use gltf::json;
 use crate::source::head::UTF8_BOM;
 use clip::{Rejected, rejected};
 
-/// The bytes of a buffer, or why it has none.
+/// The bytes of a buffer, or the reason why it has none.
 pub(super) type Buffer<'a> = Result<Cow<'a, [u8]>, Rejected>;
 
 pub(super) fn part(bytes: &[u8], offset: u64, len: u64) -> Option<&[u8]> {
