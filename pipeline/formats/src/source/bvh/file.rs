@@ -180,7 +180,7 @@ impl<'a> Pieces<'a> {
         }
     }
 
-    /// The next whole lines with their offset, and at the end of the file the remaining text; then none.
+    /// The next whole lines with their byte offset; at the end of the file the remaining text, and then `None`.
     fn lines(&mut self) -> Result<Option<(usize, &[u8])>, Rejected> {
         loop {
             self.forget_used();

@@ -34,8 +34,8 @@ impl Rig for BvhFile {
         usize::from(self.starts_with_zero_pose())..self.num_frames
     }
 
-    /// The zero pose: every rotation is zero. A joint with position channels is placed at the mean of their values.
-    /// Then the T-pose of a known rig whose zero pose is no standing person.
+    /// The zero pose, in which every rotation is zero and a joint with position channels is at their mean; then, for a
+    /// rig of SOMA, its T-pose.
     fn rests(&self) -> Vec<Rest> {
         let mut bones: Vec<Placed> = Vec::with_capacity(self.joints.len());
         for joint in &self.joints {

@@ -33,7 +33,7 @@ pub(super) struct Performance<'a> {
 }
 
 impl<'a> Performance<'a> {
-    /// Reads an animation of the skeleton; none if it has no curve of a bone.
+    /// Reads an animation of the skeleton; `None` if it has no curve of a bone.
     pub(super) fn of(
         skeleton: &'a Skeleton,
         document: &Document,

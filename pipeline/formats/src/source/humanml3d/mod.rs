@@ -29,7 +29,7 @@ pub(crate) use layout::{LISTS, List, lists_above, parse_list};
 pub use layout::{Layout, layouts};
 pub(crate) use splits::Splits;
 
-/// Recognises a motion in a single npy array by its shape, or says why it is none.
+/// Recognises a motion in a single npy array by its shape; the error says why it is none.
 fn recognise_array(head: &[u8]) -> Result<(), String> {
     let Ok(shape) = Header::peek_shape("array", head) else {
         // The reader reports what is wrong with it.

@@ -12,7 +12,7 @@ use crate::source::options::ReadOptions;
 use clip::check::FLAG_FPS_DOUBTFUL;
 use clip::{Rejected, RotationSource, SourceClip, rejected};
 
-/// Frames that a crop may lack at its end without a note: rounding a rate can cost one.
+/// Number of frames that a crop may lack at its end without a note: rounding a rate can cost one.
 const END_TOLERANCE: usize = 1;
 
 /// A crop of a recording that is among the files.

@@ -24,7 +24,7 @@ struct LabelIndices {
 }
 
 impl BandaiNamcoLabel {
-    /// The labels in a file name.
+    /// The labels in a file name; `None` if the name is not of this form.
     pub(super) fn named(stem: &str) -> Option<Self> {
         let mut fields = stem.split('_');
         let number = fields.next()?.strip_prefix("dataset-")?;
@@ -62,7 +62,7 @@ impl BandaiNamcoLabel {
         Some(Self { note, ..label })
     }
 
-    /// A sentence made from the labels, because text-guided work needs a text for every clip.
+    /// A sentence made from the labels, because models that are guided by text need a text for every clip.
     pub(super) fn caption(&self) -> Caption {
         let mut words = self.action.split('-');
         let verb = third_person(words.next().unwrap_or_default());
