@@ -15,7 +15,7 @@ use clip::{Rejected, RotationSource, SourceClip, rejected};
 /// Columns of a frame: root 3, body 63, hands 90, jaw 3, expression 50, shape of the face 100, translation 3,
 /// betas 10.
 pub(super) const WIDTH: usize = 322;
-/// Columns of root and body, and the first column of the translation.
+/// Number of columns of root and body, and the first column of the translation.
 const POSE_WIDTH: usize = 3 + BODY_POSE_WIDTH;
 const TRANSLATION_AT: usize = 309;
 /// Frames per second of all motions: [`released_fps`] as a constant.

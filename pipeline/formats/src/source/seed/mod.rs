@@ -187,7 +187,7 @@ impl SeedFolder {
         }
     }
 
-    /// Notes whether all rows of a table were read, some, or none.
+    /// Lists a table as read with the motions, or as rejected if some of its rows could not be used.
     fn account(&mut self, file: &str, read: Result<Option<Rejected>, Rejected>) {
         match read {
             Ok(None) => {
@@ -199,7 +199,7 @@ impl SeedFolder {
     }
 }
 
-/// The newest of some tables. Versions are in the names; Parquet is read before CSV.
+/// The newest of some tables. Versions are in the names; Parquet is preferred to CSV.
 fn newest<'a>(tables: &[&'a str]) -> Option<&'a str> {
     tables.iter().copied().max_by_key(|file| {
         let name = file_name(file);
