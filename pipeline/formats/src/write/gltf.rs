@@ -52,7 +52,7 @@ pub fn encode(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
     pack(document.to_string().into_bytes(), file.bytes)
 }
 
-/// The joints, then the body.
+/// The nodes of the joints, then that of the body's mesh.
 fn nodes(skeleton: &Skeleton) -> Vec<Value> {
     let mut nodes: Vec<Value> = (0..NUM_BODY_JOINTS)
         .map(|joint| {
@@ -82,7 +82,7 @@ fn inverse_bind(rest: DVec3) -> [f32; 16] {
 
 /// Packs JSON and binary data as a GLB.
 fn pack(text: Vec<u8>, binary: Vec<u8>) -> io::Result<Vec<u8>> {
-    /// Bytes of headers and padding, at most.
+    /// Upper bound for the bytes of headers and padding.
     const OVERHEAD: usize = 64;
     let length = text.len() + binary.len();
     if u32::try_from(length + OVERHEAD).is_err() {
@@ -235,8 +235,8 @@ impl Builder {
     }
 }
 
-/// A joint's rotations as quaternions `[L * 4]`. Signs are chosen for continuity, because some viewers
-/// interpolate components linearly.
+/// A joint's rotations as quaternions `[L * 4]`. Signs are chosen so that neighbours are near each other, because some
+/// viewers interpolate components linearly.
 fn joint_rotations(motion: &Motion, joint: usize) -> Vec<f32> {
     let mut previous = DQuat::IDENTITY;
     (0..motion.len())
@@ -304,7 +304,7 @@ struct Mesh {
     triangles: Vec<[u16; 3]>,
 }
 
-/// Vertices in a ring of a capsule, and rings in each half.
+/// Number of vertices in a ring of a capsule, and of rings in each half.
 const AROUND: u16 = 12;
 const RINGS: u16 = 4;
 
