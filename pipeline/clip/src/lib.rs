@@ -215,8 +215,7 @@ impl SourceClip {
     }
 }
 
-/// A file of labels, or a part of one, that could not be used. The motions it describes are ingested
-/// without it.
+/// A file of labels, or a part of one, that could not be used. The motions it describes are ingested without it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct LabelProblem {
     /// Path of the file relative to the ingested root.

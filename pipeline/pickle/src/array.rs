@@ -99,8 +99,7 @@ impl ItemType {
 /// An array in row-major order.
 ///
 /// # Shapes
-/// `shape` is empty for a scalar; `data` holds the items in little-endian bytes, the last index
-/// running fastest.
+/// `shape` is empty for a scalar; `data` holds the items in little-endian bytes, the last index running fastest.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Array {
     dtype: Dtype,

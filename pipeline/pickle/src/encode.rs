@@ -8,7 +8,7 @@ use crate::value::Value;
 /// The oldest protocol with lengths of 64 bits; Python 3.4 and later read it.
 const PROTOCOL: u8 = 4;
 
-/// Encodes a value as a pickle that Python reads back with `pickle.load`. Arrays need NumPy of any version there.
+/// Encodes a value as a pickle that Python reads back with `pickle.load`. Arrays need NumPy, of any version.
 pub fn encode(value: &Value) -> Vec<u8> {
     let mut out = vec![0x80, PROTOCOL];
     put(&mut out, value);

@@ -31,8 +31,7 @@ pub struct Array {
 }
 
 impl Header {
-    /// Parses the header of an array and checks it against the length of `bytes`. `name` names the
-    /// array in messages.
+    /// Parses the header of an array and checks it against the length of `bytes`. `name` names the array in messages.
     ///
     /// # Errors
     /// `E-PICKLE-REFUSED` for objects, `E-NPY-SHAPE` if the shape does not fit the bytes, `E-NPY-DTYPE` for types that

@@ -43,8 +43,7 @@ impl Global {
     /// Finds a name in the list.
     ///
     /// # Source
-    /// The names that NumPy 1 and 2, PyTorch's `torch/_utils.py` and joblib's `numpy_pickle.py`
-    /// write.
+    /// The names that NumPy 1 and 2, PyTorch's `torch/_utils.py` and joblib's `numpy_pickle.py` write.
     pub(crate) fn find(module: &str, name: &str) -> Option<Self> {
         let numpy_core = module
             .strip_prefix("numpy.core")

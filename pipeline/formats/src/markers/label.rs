@@ -5,8 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::set::{MarkerSet, bare_label, marker_sets};
 use crate::source::unique_keys;
 
-/// Whether a point is a model output and not a marker: an angle, a force, or an axis of a segment such as
-/// `LFEA`.
+/// Whether a point is a model output and not a marker: an angle, a force, or an axis of a segment such as `LFEA`.
 pub fn is_model_output(label: &str) -> bool {
     const QUANTITIES: [&str; 6] = ["ANGLE", "POWER", "FORCE", "MOMENT", "GRF", "CENTREOFMASS"];
     const SEGMENTS: [&str; 10] = [
@@ -44,7 +43,7 @@ pub(super) struct Subject {
 
 /// Key of the motion whose labels name no subject, if other labels of the capture do.
 const UNNAMED: &str = "unnamed";
-/// Minimum known labels of a person; a named subject with `MIN_MARKERS` labels of any kind counts as a person too.
+/// Minimum number of known labels of a person; a named subject with `MIN_MARKERS` labels of any kind counts as a person too.
 /// Others are objects.
 const MIN_KNOWN: usize = 6;
 const MIN_MARKERS: usize = 12;
@@ -113,7 +112,7 @@ impl Subjects {
     }
 }
 
-/// Keys of the motions in a capture with these labels: its subjects if it has several, else none.
+/// Keys of the motions in a capture with these labels: its subjects if it has several, else no keys.
 pub(crate) fn keys(labels: &[String], own: Option<&MarkerSet>) -> Vec<String> {
     Subjects::of(labels, own).keys()
 }

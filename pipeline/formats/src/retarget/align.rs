@@ -1,9 +1,8 @@
 //! The constant rotation between a joint's frame in the source and in the body.
 //!
-//! Each mapped joint has one rotation `A` with `body = source * A`, both global. If the source's rest pose
-//! is a standing person, `A` follows from geometry ([`by_rest_pose`]). Other sources choose joint frames
-//! freely, often with every bone along x, and their zero pose is arbitrary; then `A` is estimated from the
-//! motion ([`by_motion`]).
+//! Each mapped joint has one rotation `A` with `body = source * A`, both global. If the source's rest pose is a
+//! standing person, `A` follows from geometry ([`by_rest_pose`]). Other sources choose joint frames freely, often with
+//! every bone along x, and their zero pose is arbitrary; then `A` is estimated from the motion ([`by_motion`]).
 
 use std::f64::consts::FRAC_PI_2;
 use std::iter::StepBy;
@@ -380,8 +379,7 @@ impl<'a> Estimate<'a> {
             };
         }
         if track.is_mapped(end) {
-            // Wrists are on average in line with the forearm; ankles with the shin, unless the soles
-            // determine them.
+            // Wrists are on average in line with the forearm; ankles with the shin, unless the soles determine them.
             self.alignment[end] = self.in_line_with(middle, end);
         }
     }
@@ -482,11 +480,10 @@ fn axes(first: DVec3, second: DVec3) -> DQuat {
     DQuat::from_mat3(&DMat3::from_cols(x, z.cross(x), z))
 }
 
-/// The chordal mean of weighted rotations, and the sum of the weights; the identity for none.
+/// The chordal mean of weighted rotations, and the sum of the weights; the identity without rotations.
 ///
-/// It is the eigenvector of the largest eigenvalue of the weighted sum of `q q^T`, for which a
-/// quaternion and its negative count the same. Squaring the matrix ten times raises the ratio of
-/// its eigenvalues to the power 1024.
+/// It is the eigenvector of the largest eigenvalue of the weighted sum of `q q^T`, for which a quaternion and its
+/// negative count the same. Squaring the matrix ten times raises the ratio of its eigenvalues to the power 1024.
 fn mean_rotation(rotations: impl Iterator<Item = (DQuat, f64)>) -> (DQuat, f64) {
     const SQUARINGS: usize = 10;
     let mut sum = DMat4::ZERO;

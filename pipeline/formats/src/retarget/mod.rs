@@ -1,8 +1,7 @@
 //! Retargeting a motion from another skeleton to the body.
 //!
-//! Rotations are mapped by a constant rotation per joint. The pelvis follows the midpoint of the source's
-//! hips, scaled by the ratio of leg lengths, so that planted feet stay planted. Other bone lengths of the
-//! source have no effect.
+//! Rotations are mapped by a constant rotation per joint. The pelvis follows the midpoint of the source's hips, scaled
+//! by the ratio of leg lengths, so that planted feet stay planted. Other bone lengths of the source have no effect.
 
 mod align;
 mod confidence;

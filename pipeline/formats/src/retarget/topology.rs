@@ -5,8 +5,7 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::rig::{Bone, Placed};
 
-/// Limit on the children of a bone. The hips and chest of a body have three to six; every pair of them is
-/// tried.
+/// Limit on the children of a bone. The hips and chest of a body have three to six; every pair of them is tried.
 const MAX_CHILDREN: usize = 16;
 /// Minimum number of bones of a leg (hip, knee, ankle) and of an arm (shoulder, elbow, wrist).
 const MIN_LEG: usize = 3;

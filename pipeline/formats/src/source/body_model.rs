@@ -47,8 +47,7 @@ const HASH_DIGITS: usize = 8;
 /// The file cannot be read, is pickled, or is no such model.
 ///
 /// # Source
-/// Key names and shapes: the model files of vchoutas/smplx and of AMASS, and the `J_male.npy` of
-/// the MotionReFit demo.
+/// Key names and shapes: the model files of vchoutas/smplx and of AMASS, and the `J_male.npy` of the MotionReFit demo.
 pub fn read_skeleton(path: &Path) -> Result<Skeleton, Error> {
     let joints = read_joints(path)?
         .and_then(complete)

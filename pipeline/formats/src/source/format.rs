@@ -118,7 +118,7 @@ impl Format {
         self.keys.map_or_else(Vec::new, |keys| keys(bytes, options))
     }
 
-    /// The subject that a key of [`Format::keys`] names; `None` for formats whose keys are not subjects.
+    /// The subject that a key of `keys` names; `None` for formats whose keys are not subjects.
     pub fn subject_of(self, key: &str) -> Option<&str> {
         self.capture.and_then(|_| markers::subject_of(key))
     }

@@ -261,8 +261,7 @@ struct Limb {
     radius: f64,
 }
 
-/// Joint, SMPL-X joint at the other end and radius in metres of each capsule: rounded girths of an
-/// average body.
+/// Joint, SMPL-X joint at the other end and radius in metres of each capsule: rounded girths of an average body.
 const LIMBS: [(usize, usize, f64); 19] = [
     (0, 1, 0.09),
     (0, 2, 0.09),
@@ -284,8 +283,7 @@ const LIMBS: [(usize, usize, f64); 19] = [
     (18, 20, 0.038),
     (19, 21, 0.038),
 ];
-/// Limbs without a joint at their end (chest, head, toes, hands): joint, offset of the end and radius
-/// in metres.
+/// Limbs without a joint at their end (chest, head, toes, hands): joint, offset of the end and radius in metres.
 const ENDS: [(usize, DVec3, f64); 6] = [
     (9, DVec3::new(0.0, 0.06, -0.01), 0.12),
     (15, DVec3::new(0.0, 0.09, 0.02), 0.09),

@@ -10,8 +10,7 @@ pub struct Subset {
     pub name: &'static str,
     /// Names its folder had in other releases.
     pub former_names: &'static [&'static str],
-    /// Frames at 20 fps that HumanML3D drops from the start of its recordings, which begin with a
-    /// calibration pose.
+    /// Frames at 20 fps that HumanML3D drops from the start of its recordings, which begin with a calibration pose.
     pub lead_in_frames: usize,
 }
 

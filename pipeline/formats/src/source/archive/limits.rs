@@ -40,8 +40,8 @@ impl Budget {
 
     /// Counts a member.
     ///
-    /// The error says which limit the member exceeds.
-    /// The limit that the member exceeds.
+    /// # Errors
+    /// The member exceeds a limit, which the error names.
     pub(super) fn take(&mut self, bytes: u64) -> Result<(), String> {
         self.members += 1;
         if self.members > self.max_members {

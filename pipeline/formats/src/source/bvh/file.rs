@@ -122,7 +122,7 @@ struct Pieces<'a> {
     text: Vec<u8>,
     /// Number of bytes of `text` that were returned.
     used: usize,
-    /// Bytes after `used` known to contain no line end.
+    /// Number of bytes after `used` that contain no line end.
     searched: usize,
     /// Offset of `text` in the file; the end of the file, once there are no more lines.
     offset: usize,

@@ -133,11 +133,9 @@ fn parse_channels(cursor: &mut Cursor) -> Result<Vec<Channel>, Rejected> {
 /// Meaning of one column of the motion for its joint, with its axis: 0 for x, 1 for y, 2 for z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channel {
-    /// A coordinate in the parent's frame, in the file's unit. It replaces that coordinate of the
-    /// offset.
+    /// A coordinate in the parent's frame, in the file's unit. It replaces that coordinate of the offset.
     Position(usize),
-    /// A rotation about an axis, in degrees. Rotations apply in the order of their columns: the
-    /// first is the outermost.
+    /// A rotation about an axis, in degrees. Rotations apply in the order of their columns: the first is the outermost.
     Rotation(usize),
 }
 

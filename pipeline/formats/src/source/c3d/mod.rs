@@ -1,8 +1,7 @@
 //! The C3D reader: marker positions of an optical capture, in the number formats of Intel, DEC and MIPS processors.
 //!
-//! A C3D file consists of blocks of 512 bytes: a header, a section of parameters and the frames. They
-//! often contradict each other: the parameters take precedence over the header, and the length of the
-//! file over both.
+//! A C3D file consists of blocks of 512 bytes: a header, a section of parameters and the frames. They often contradict
+//! each other: the parameters take precedence over the header, and the length of the file over both.
 //!
 //! # Source
 //! The C3D user guide of c3d.org; formats of the VAX as DEC documents them.

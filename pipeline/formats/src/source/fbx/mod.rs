@@ -194,7 +194,7 @@ fn skeletons(scene: &Scene) -> Vec<Skeleton> {
     grouped(&nodes, &parents, &empty)
 }
 
-/// Groups the bones into skeletons by their topmost node.
+/// Groups the bones into skeletons by their topmost bone.
 fn grouped(nodes: &[&Node], parents: &[Option<usize>], bones: &[bool]) -> Vec<Skeleton> {
     let mut of_root: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for node in (0..nodes.len()).filter(|node| bones[*node]) {

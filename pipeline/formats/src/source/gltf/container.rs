@@ -1,8 +1,7 @@
 //! The container of a glTF file: the chunks of a GLB, and the bytes of each buffer.
 //!
-//! `gltf::Glb` is not used: its errors carry no byte offset, it subtracts the header from a stated
-//! length without checking it, and it refuses a file whose second chunk is of an unknown kind, which
-//! the specification says to skip.
+//! `gltf::Glb` is not used: its errors carry no byte offset, it subtracts the header from a stated length without
+//! checking it, and it refuses a file whose second chunk is of an unknown kind, which the specification says to skip.
 
 use std::borrow::Cow;
 

@@ -16,8 +16,7 @@ use super::skeleton::Skeleton;
 use crate::retarget::{Bone, Placed, Rest, Rig};
 use clip::{Rejected, rejected};
 
-/// Limits on the keys read from one animation and on the frames sampled. Both allow an hour of a
-/// whole body at 60 fps.
+/// Limits on the keys read from one animation and on the frames sampled. Both allow an hour of a whole body at 60 fps.
 const MAX_KEYS: usize = 20_000_000;
 const MAX_FRAMES: usize = 1_000_000;
 

@@ -88,7 +88,7 @@ pub(crate) fn check_length(num_frames: usize) -> Result<(), Rejected> {
 /// The joints of an array `[T, 22, 3]`, or of a single frame `[22, 3]`, in metres.
 ///
 /// # Errors
-/// As [`features`].
+/// As [`features()`].
 pub fn joints(array: &Array) -> Result<Vec<[DVec3; NUM_BODY_JOINTS]>, Rejected> {
     let num_frames = match array.shape[..] {
         [num_frames, NUM_BODY_JOINTS, 3] => num_frames,

@@ -96,8 +96,7 @@ fn root_and_folder(folder: &str) -> (&str, &str) {
 }
 
 impl Layout {
-    /// Finds lists, statistics and the crop list in the folder or the nearest one above that has
-    /// them.
+    /// Finds lists, statistics and the crop list in the folder or the nearest one above that has them.
     fn find_companions(&mut self, files: &Files) {
         let root = self.root.clone();
         let nearest = |name: &str| nearest(files, &root, name);

@@ -1,5 +1,4 @@
-//! HumanML3D folders: 263-d vectors, joints, captions, split lists and the crop list, whole or in
-//! part.
+//! HumanML3D folders: 263-d vectors, joints, captions, split lists and the crop list, whole or in part.
 
 mod array;
 mod folder;

@@ -51,8 +51,7 @@ impl Crop {
     }
 }
 
-/// HumanML3D's rotation of AMASS, `(x, y, z)` to `(-x, z, y)`: z up to y up, and half a turn about the
-/// vertical.
+/// HumanML3D's rotation of AMASS, `(x, y, z)` to `(-x, z, y)`: z up to y up, and half a turn about the vertical.
 fn humanml3d_turn() -> DQuat {
     let axes = DMat3::from_cols(DVec3::NEG_X, DVec3::Z, DVec3::Y);
     DQuat::from_mat3(&axes)

@@ -8,9 +8,8 @@ use crate::sidecar::caption;
 /// The labels of a Bandai-Namco clip.
 ///
 /// # Source
-/// Bandai-Namco Research Motiondataset: files are named `dataset-{N}_{action}_{style}_{take}`, and
-/// a `.json` of the same stem holds both labels as 0-based line numbers of
-/// `cfg/content_label.txt` and `cfg/style_label.txt`.
+/// Bandai-Namco Research Motiondataset: files are named `dataset-{N}_{action}_{style}_{take}`, and a `.json` of the
+/// same stem holds both labels as 0-based line numbers of `cfg/content_label.txt` and `cfg/style_label.txt`.
 pub(super) struct BandaiNamcoLabel {
     pub action: String,
     pub style: String,

@@ -11,8 +11,7 @@ use crate::source::release_tests::{
 use pickle::encode;
 use testkit::put;
 
-/// A motion of the release: standing, z up, turned by 45 degrees about the vertical and moving
-/// along x.
+/// A motion of the release: standing, z up, turned by 45 degrees about the vertical and moving along x.
 fn motion(frames: usize, split_rotations: bool) -> Value {
     let upright = glam::DQuat::from_rotation_z(std::f64::consts::FRAC_PI_4)
         * glam::DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2);

@@ -12,8 +12,7 @@ use crate::source::humanml3d::check_length;
 use crate::source::smpl::Parameters;
 use clip::{Rejected, RotationSource, SourceClip, rejected};
 
-/// Columns of a frame: root 3, body 63, hands 90, jaw 3, expression 50, shape of the face 100, translation 3,
-/// betas 10.
+/// Columns of a frame: root 3, body 63, hands 90, jaw 3, expression 50, shape of the face 100, translation 3, betas 10.
 pub(super) const WIDTH: usize = 322;
 /// Number of columns of root and body, and the first column of the translation.
 const POSE_WIDTH: usize = 3 + BODY_POSE_WIDTH;

@@ -45,8 +45,7 @@ const METADATA: &str = "seed_metadata";
 const TEMPORAL: &str = "temporal_labels";
 /// The folder of the tables.
 const METADATA_FOLDER: &str = "metadata/";
-/// The folder of BVH files whose skeleton is each actor's own. The same motions are in another folder on one
-/// skeleton.
+/// The folder of BVH files whose skeleton is each actor's own. The same motions are in another folder on one skeleton.
 const PROPORTIONAL: &str = "soma_proportional";
 /// The folder of body shapes and of the rig.
 const SHAPES: &str = "soma_shapes/";
@@ -59,7 +58,7 @@ struct SeedFolder {
     contents: Contents,
     motions: BTreeMap<String, Described>,
     timelines: BTreeMap<String, Timeline>,
-    /// The files that the temporal labels are from.
+    /// The file that the temporal labels are from.
     labels_from: String,
 }
 

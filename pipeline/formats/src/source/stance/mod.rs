@@ -1,9 +1,8 @@
 //! The STANCE release: base motions, body-part annotations, style transfers and fine-grained
 //! adjustments, in its present layout and under the path names of its earlier revision.
 //!
-//! A folder is a release if it holds a pickle under `base_motion`, `style_transfer` or `adjustment`, at
-//! any depth. Motions are not moved: they are y up already, and the two motions of an adjustment share
-//! world coordinates.
+//! A folder is a release if it holds a pickle under `base_motion`, `style_transfer` or `adjustment`, at any depth.
+//! Motions are not moved: they are y up already, and the two motions of an adjustment share world coordinates.
 
 mod annotation;
 mod labels;

@@ -201,7 +201,7 @@ mod tests {
         let record = Record::new("d1", "body");
         let text = serde_json::to_vec(&record).expect("JSON");
         assert!(matches!(parse(&text), Ok(Parsed::Record(read)) if read.dataset == "d1"));
-        // A file of an earlier version may be named as one of the fields.
+        // In an earlier version, the file of a motion may be named `format`, like one of the fields.
         let older = br#"{"base_motion/1": {"id": "a", "split": "test"}, "format": {"id": "b", "split": "val"}}"#;
         assert!(matches!(parse(older), Ok(Parsed::Motions(motions)) if motions.len() == 2));
         for (text, said) in [
