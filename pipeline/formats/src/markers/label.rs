@@ -43,8 +43,8 @@ pub(super) struct Subject {
 
 /// Key of the motion whose labels name no subject, if other labels of the capture do.
 const UNNAMED: &str = "unnamed";
-/// Minimum number of known labels of a person; a named subject with `MIN_MARKERS` labels of any kind counts as a person too.
-/// Others are objects.
+/// Minimum number of known labels of a person. A named subject with `MIN_MARKERS` labels of any kind counts as a person
+/// too. Others are objects.
 const MIN_KNOWN: usize = 6;
 const MIN_MARKERS: usize = 12;
 

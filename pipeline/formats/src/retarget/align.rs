@@ -480,7 +480,7 @@ fn axes(first: DVec3, second: DVec3) -> DQuat {
     DQuat::from_mat3(&DMat3::from_cols(x, z.cross(x), z))
 }
 
-/// The chordal mean of weighted rotations, and the sum of the weights; the identity without rotations.
+/// The chordal mean of weighted rotations, and the sum of the weights; the identity if there are no rotations.
 ///
 /// It is the eigenvector of the largest eigenvalue of the weighted sum of `q q^T`, for which a quaternion and its
 /// negative count the same. Squaring the matrix ten times raises the ratio of its eigenvalues to the power 1024.

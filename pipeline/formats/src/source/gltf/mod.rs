@@ -34,7 +34,7 @@ pub fn keys(bytes: &[u8]) -> Vec<String> {
 ///
 /// # Errors
 /// `E-GLTF-CHUNK`, `E-GLTF-SYNTAX`, `E-GLTF-NODES`, `E-GLTF-KEY`, `E-GLTF-URI`, `E-GLTF-BUFFER`, `E-GLTF-ACCESSOR`,
-/// `E-GLTF-TIME`, `E-GLTF-LIMIT`, `E-NOT-FINITE`, and `E-GLTF-SKELETON` if the skeleton is not a body.
+/// `E-GLTF-TIME`, `E-GLTF-LIMIT`, `E-NOT-FINITE`, `E-UNIT`, and `E-GLTF-SKELETON` if the skeleton is not a body.
 pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, Rejected> {
     let document = Document::parse(bytes)?;
     let tree = Tree::of(&document.root.nodes)?;

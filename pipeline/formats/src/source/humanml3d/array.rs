@@ -25,7 +25,7 @@ pub(super) const TOO_SHORT: &str = "E-TOO-SHORT";
 /// `[T, 263]`, or `[T, 22, 3]` in metres, y up.
 ///
 /// # Errors
-/// Those of [`npy`], `E-HML-SHAPE`, `E-HML-FINITE`, `E-HML-FIT` or `E-TOO-SHORT`.
+/// Those of [`npy`], `E-LFS-POINTER`, `E-HML-SHAPE`, `E-HML-FINITE`, `E-HML-FIT` or `E-TOO-SHORT`.
 pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
     refuse_pointer(bytes)?;
     let array = npy::read_numbers("array", bytes)?;

@@ -26,7 +26,7 @@ pub(super) const FPS: f64 = 30.0;
 /// `[T, 322]`, rotation vectors in radians, metres, y up.
 ///
 /// # Errors
-/// Those of [`npy`], `E-MOTIONX-SHAPE`, `E-NOT-FINITE` or `E-TOO-SHORT`.
+/// Those of [`npy`], `E-LFS-POINTER`, `E-MOTIONX-SHAPE`, `E-NOT-FINITE` or `E-TOO-SHORT`.
 pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
     refuse_pointer(bytes)?;
     let header = npy::Header::parse("array", bytes)?;
