@@ -131,7 +131,7 @@ impl BodyModel {
         Ok(Self { joints, shapes })
     }
 
-    /// The rest skeleton of a subject. Betas beyond the model's and beyond the tenth are ignored, as HumanML3D does.
+    /// The rest skeleton of a subject. Betas beyond the model's and beyond the tenth are ignored, as in HumanML3D.
     pub fn skeleton(&self, name: &str, betas: &[f64]) -> Skeleton {
         let joints: Vec<DVec3> = (0..self.joints.len())
             .map(|joint| {
