@@ -46,9 +46,9 @@ const FEET: [usize; 2] = [10, 11];
 
 /// Checks a motion.
 ///
-/// `max_speed` is the highest speed of any of the 22 body joints. `foot_skate` is the mean
-/// horizontal speed of the foot joints, weighted by `2 - 2^(h / 2.5 cm)` with `h` their height: a foot
-/// that swings close to the floor counts little, a foot above 2.5 cm does not count. Both are in m/s.
+/// `max_speed` is the highest speed of any of the 22 body joints. `foot_skate` is the mean horizontal speed of the foot
+/// joints, weighted by `2 - 2^(h / 2.5 cm)`, with `h` the greater of a foot's heights in the two frames of a step: a
+/// foot that swings close to the floor counts little, a foot above 2.5 cm does not count. Both are in m/s.
 ///
 /// # Errors
 /// `E-TOO-SHORT` for fewer than 2 frames, `E-TELEPORT` for speeds above 20 m/s.
@@ -67,7 +67,7 @@ pub fn check(motion: &Motion, skeleton: &Skeleton) -> Result<Quality, Rejected> 
 /// Like [`check`], with the given handling of jumps. Returns the kept motion, and its frame range if it was trimmed.
 ///
 /// # Errors
-/// As [`check`]; `E-TELEPORT` also if nothing is left of a trimmed motion.
+/// As [`check`]; `E-TELEPORT` also if a trimmed motion has fewer than 2 frames.
 pub fn check_with(
     motion: Motion,
     skeleton: &Skeleton,
@@ -99,7 +99,7 @@ pub fn check_with(
 /// Whether the first frame is a pose apart from the motion: the step to the second frame is a teleport, and the next
 /// step is not. Captures may begin with a T-pose.
 pub fn starts_apart(motion: &Motion, skeleton: &Skeleton) -> bool {
-    /// Number of frames examined: the separate frame, and the minimum of two frames of a motion.
+    /// Number of frames examined: the first one, and the two that a motion needs.
     const LOOKED_AT: usize = 1 + MIN_FRAMES;
     if motion.len() < LOOKED_AT {
         return false;
@@ -115,7 +115,7 @@ fn is_teleport(before: &Joints, joints: &Joints, fps: f64) -> bool {
         .any(|joint| (joints[joint] - before[joint]).length() * fps > TELEPORT_SPEED)
 }
 
-/// The longest run of frames without a teleport; of several, the first.
+/// The longest run of frames without a teleport; the first of equally long ones.
 fn longest_calm_stretch(motion: &Motion, skeleton: &Skeleton) -> Range<usize> {
     let fps = motion.fps().get();
     let mut longest = 0..0;
@@ -270,7 +270,6 @@ mod tests {
         quality.expect("passes").flags
     }
 
-    /// Displaces frames.
     fn shift(motion: &mut Motion, frames: Range<usize>, by: [f32; 3]) {
         for frame in frames {
             let [x, y, z] = motion.transl()[frame];

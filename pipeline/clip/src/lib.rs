@@ -1,4 +1,4 @@
-//! The result of a reader: a motion, or the reason why there is none.
+//! The result of reading a motion file: a motion, or the reason why there is none.
 
 pub mod check;
 
@@ -17,7 +17,7 @@ pub enum RotationSource {
     Native,
     /// Stored in the file for another skeleton.
     Retargeted,
-    /// Fitted to positions.
+    /// Fitted to positions of joints or markers.
     Fitted,
 }
 
@@ -31,7 +31,7 @@ impl RotationSource {
         }
     }
 
-    /// The origin with this name; native if the name is unknown.
+    /// The origin with this name; [`RotationSource::Native`] if the name is unknown.
     pub fn of_name(name: &str) -> Self {
         let all = [Self::Retargeted, Self::Fitted];
         let found = all.into_iter().find(|source| source.as_str() == name);
@@ -42,15 +42,15 @@ impl RotationSource {
 /// A clip as read from one file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SourceClip {
-    /// The motion: SMPL-X parameters, y up, metres, floor at y = 0. At the file's own rate, or at
-    /// that of `ReadOptions::rate`.
+    /// The motion: SMPL-X parameters, y up, metres, floor at y = 0. Its rate is the file's, or `ReadOptions::rate`.
     pub motion: Motion,
     /// The rate of the file.
     pub source_fps: Fps,
     /// Origin of its rotations.
     pub rotation_source: RotationSource,
     /// Mean distance in metres between the joints of the motion and those of the file, scaled to this body's bone
-    /// lengths; none for native rotations of a file without joints.
+    /// lengths. If the motion is solved from markers, the mean of [`Markers::fit_residuals`]. `None` for native
+    /// rotations of a file without joints.
     pub fit_error_m: Option<f32>,
     /// Frames of the file that the motion was made from.
     pub source_frames: Range<usize>,
@@ -70,7 +70,7 @@ pub struct SourceClip {
     pub license: Option<String>,
     /// Labels from files beside the motion that could not be used.
     pub label_problems: Vec<LabelProblem>,
-    /// Decisions a reader may want to check, such as the unit that was assumed.
+    /// Decisions that a user may want to check, such as the unit that was assumed.
     pub notes: Vec<String>,
     /// Quality flags that only the reader can see, such as [`crate::check::FLAG_CAPTION_OUTSIDE`].
     pub flags: u32,
@@ -82,7 +82,7 @@ pub struct SourceClip {
     pub masks: Vec<SourceMask>,
     /// The HumanML3D features that the motion was made from, a row per frame.
     pub features: Option<Vec<[f32; HUMANML3D_WIDTH]>>,
-    /// The body for computing features, if it is not the store's.
+    /// The body for computing features; `None` if it is that of the dataset.
     pub body: Option<Skeleton>,
 }
 
@@ -133,7 +133,8 @@ impl SourceClip {
     /// Narrows source frames, captions, masks and features to a part of the motion, and leaves the motion as it is.
     /// `kept` counts in steps of `step` frames of [`SourceClip::motion`].
     ///
-    /// Captions with a time and masks with a range move along; one that covers only removed frames becomes a note.
+    /// Captions with a time and masks with a range are shifted. A caption without a kept frame becomes a note, as does
+    /// a mask with too few ([`SourceClip::move_masks`]). Features are dropped unless `step` is 1.
     pub fn narrow(&mut self, kept: &Range<usize>, step: f64) {
         let Some(last) = kept.clone().next_back() else {
             return;
@@ -185,9 +186,9 @@ impl SourceClip {
         });
     }
 
-    /// Moves the ranges of masks when the motion is cut or resampled. `place` maps a frame of the old motion to one of
-    /// the new motion, which has `len` frames. A mask whose range gets shorter than [`MaskRow::SHORTEST`] is dropped
-    /// and becomes a note.
+    /// Shifts the ranges of masks when the motion is cut or resampled. `place` maps a frame of the old motion to one of
+    /// the new motion, which has `len` frames. A mask whose new range is shorter than [`MaskRow::SHORTEST`] becomes a
+    /// note.
     pub fn move_masks(&mut self, len: usize, place: impl Fn(f64) -> f64) {
         let end_of_motion = i32::try_from(len).unwrap_or(i32::MAX);
         let moved = |frame: &mut i32| {
@@ -214,8 +215,7 @@ impl SourceClip {
     }
 }
 
-/// A file of labels, or a part of one, that could not be used. The motions it describes are ingested
-/// without it.
+/// A file of labels, or a part of one, that could not be used. The motions it describes are ingested without it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct LabelProblem {
     /// Path of the file relative to the ingested root.
@@ -244,10 +244,10 @@ pub struct Markers {
     pub positions: Vec<[f32; 3]>,
     /// Reconstruction residuals in metres, `[T * M]`; negative where a marker was not seen.
     pub residuals: Vec<f32>,
-    /// The known set the labels belong to.
+    /// Name of the marker set that the labels belong to.
     pub set: Option<String>,
-    /// Root-mean-square distance in metres between the markers seen in a frame and those of the
-    /// solved body, `[T]`; empty until a body is solved.
+    /// Root-mean-square distance in metres between the markers seen in a frame and those of the solved body, `[T]`;
+    /// negative for an interpolated frame. Empty until a body is solved.
     pub fit_residuals: Vec<f32>,
 }
 
@@ -256,11 +256,11 @@ pub struct Markers {
 pub struct EditOf {
     /// Id of the motion before the edit.
     pub source_id: String,
-    /// semantic, style or fine-grained.
+    /// `semantic`, `style` or `fine-grained`; empty if a dataset has another kind.
     pub kind: &'static str,
     /// Style of the edit.
     pub style: Option<String>,
-    /// Body parts that the edit changes, as stated.
+    /// Body parts that the edit changes, as the source states them.
     pub parts: Vec<BodyPart>,
     /// Instruction of the edit; empty if the source has none.
     pub instruction: String,
@@ -280,7 +280,7 @@ pub struct SourceMask {
 }
 
 impl EditOf {
-    /// The edit of a pair of a dataset.
+    /// The edit that a row of a dataset's table `pairs` describes.
     pub fn of_row(row: PairRow) -> Self {
         let kinds = ["style", "fine-grained", "semantic"];
         Self {
@@ -298,7 +298,7 @@ impl EditOf {
 }
 
 impl SourceMask {
-    /// A mask of a dataset.
+    /// The mask that a row of a dataset's table `masks` describes.
     pub fn of_row(row: MaskRow) -> Self {
         Self {
             parts: parts_of(&row.parts),
@@ -315,14 +315,14 @@ fn parts_of(names: &[String]) -> Vec<BodyPart> {
 /// Result of reading a motion: a clip, or the reason for rejecting it.
 pub type ReadClip = Result<SourceClip, Rejected>;
 
-/// Outcome of a source item.
+/// Outcome of reading a source item.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
     /// A clip.
     Clip(Box<SourceClip>),
     /// Not a motion, although it looked like one.
     Skipped {
-        /// Reason.
+        /// Why the item is skipped.
         reason: String,
     },
     /// A motion that cannot be used.
@@ -403,7 +403,7 @@ impl Rejected {
     }
 }
 
-/// Code, reason and place.
+/// Writes code, reason and, if known, byte offset.
 impl fmt::Display for Rejected {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} {}", self.code, self.reason)?;
@@ -429,7 +429,7 @@ const MAX_RESAMPLED_FRAMES: f64 = 4e6;
 /// Refuses to resample a clip to more frames than fit into memory.
 ///
 /// # Errors
-/// `E-TOO-LARGE`.
+/// `E-TOO-LARGE` if resampling would make more than 4 million frames.
 pub fn check_resampled(num_frames: usize, from: Fps, to: Fps) -> Result<(), Rejected> {
     let resampled = num_frames as f64 / from.get() * to.get();
     if to <= from || resampled <= MAX_RESAMPLED_FRAMES {

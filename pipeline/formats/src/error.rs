@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use datasets_spec::Code;
 
-/// An error that names the file or folder it happened to.
+/// An error with the path of the file or folder that it concerns.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -55,7 +55,7 @@ pub enum Error {
 }
 
 impl Error {
-    /// The code of the error, and the item it happened to.
+    /// The code of the error, and the path that it concerns.
     pub fn code(&self) -> Option<Code> {
         let (code, path) = match self {
             Self::Spec(error) => return error.code(),

@@ -17,10 +17,11 @@ use parquet::arrow::arrow_reader::{
 
 use clip::{Rejected, rejected};
 
-/// Limit on the nesting of lists: frames of joints of axes nest three deep.
+/// Limit on the nesting of lists. A list of frames, each a list of joints, each a list of coordinates, nests three
+/// deep.
 pub const MAX_DEPTH: usize = 4;
 
-/// A foreign file, opened.
+/// An opened foreign Parquet file.
 pub struct ForeignTable {
     bytes: Bytes,
     metadata: ArrowReaderMetadata,
@@ -29,7 +30,8 @@ pub struct ForeignTable {
 /// Opens a file and decodes it with `decode`.
 ///
 /// # Errors
-/// `E-LFS-POINTER`, `E-TABLE-FORMAT` if the bytes are not a readable Parquet file, and errors of `decode`.
+/// `E-LFS-POINTER` for a Git LFS pointer, `E-TABLE-FORMAT` if the bytes are no readable Parquet file, and errors of
+/// `decode`.
 pub fn read<T>(
     bytes: Vec<u8>,
     decode: impl FnOnce(&ForeignTable) -> Result<T, Rejected> + std::panic::UnwindSafe,
@@ -111,7 +113,7 @@ impl ForeignTable {
     }
 }
 
-/// The text of a row in a string column, dictionary-encoded or not; none if the row is null.
+/// The text of a row in a string column, dictionary-encoded or not; `None` if the row is null.
 ///
 /// # Errors
 /// The column is not text; the error is its type.
@@ -140,7 +142,7 @@ pub fn is_list(data_type: &DataType) -> bool {
     )
 }
 
-/// The values of a list column and the range of a row; none for other columns.
+/// The items of all rows of a list column, and the range of the given row; `None` for other columns.
 pub fn list(values: &ArrayRef, row: usize) -> Option<(ArrayRef, std::ops::Range<usize>)> {
     Some(match values.data_type() {
         DataType::List(_) => {
@@ -166,10 +168,11 @@ pub fn list(values: &ArrayRef, row: usize) -> Option<(ArrayRef, std::ops::Range<
     })
 }
 
-/// Appends the numbers of a value, which may be nested up to [`MAX_DEPTH`] lists deep.
+/// Appends the numbers of a value, which may be a list of up to [`MAX_DEPTH`] levels. `depth` is the number of lists
+/// that contain the value: 0 for a row of a column.
 ///
 /// # Errors
-/// A nested value is missing or not a number, or the lists nest too deep.
+/// A value is missing or not a number, or the lists nest too deep.
 pub fn numbers(
     values: &ArrayRef,
     row: usize,

@@ -1,9 +1,10 @@
 //! Files of motions: readers, writers, retargeting and marker solving.
 //!
-//! [`source`] reads foreign formats, [`retarget`] poses them on the SMPL-X skeleton, and [`markers`] fits
-//! bodies to captured markers. [`mod@write`] is the inverse of the readers.
+//! [`source`] reads foreign formats, [`retarget`] poses them on the SMPL-X skeleton, and [`markers`] fits bodies to
+//! captured markers. [`mod@write`] writes motions to some of these formats.
 //!
-//! A file that gives no motion is a [`Rejected`](clip::Rejected) with a code and a reason, never a panic.
+//! Reading a file without a usable motion returns a [`Rejected`](clip::Rejected) with a code and a reason, and never
+//! panics.
 
 pub mod csv_lines;
 mod error;

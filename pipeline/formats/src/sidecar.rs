@@ -34,12 +34,12 @@ pub struct Sidecar {
     pub license: Option<String>,
 }
 
-/// The content of a file of labels.
+/// The content of a label file.
 #[derive(Default)]
 pub(crate) struct Content {
     /// Labels of all clips of the folder.
     pub(crate) all: Sidecar,
-    /// Labels of some clips: line number if there is one, name or pattern, and the labels.
+    /// Labels of single clips: line number if known, name or pattern, and the labels.
     pub(crate) clips: Vec<(Option<u64>, String, Sidecar)>,
     /// Parts of the file that cannot be used.
     pub(crate) problems: Vec<String>,
@@ -50,7 +50,7 @@ impl Sidecar {
     pub const SUFFIX: &'static str = ".stance.json";
 }
 
-/// A caption of a label file: a plain text, or an object with a text and any of the other fields.
+/// A caption of a label file: a plain text, or an object with the field `text` and any of the others.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LabelCaption {
     /// The caption; its times are 0 if it describes the whole clip.
@@ -111,7 +111,7 @@ struct Fields {
 }
 
 impl<'de> Deserialize<'de> for LabelCaption {
-    /// A text or a table. An untagged enum would not say which field is wrong.
+    /// Accepts a text or a table. An untagged enum would not say which field is wrong.
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct Visitor;
 

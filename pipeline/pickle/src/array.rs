@@ -3,7 +3,7 @@
 use std::fmt;
 use std::sync::Arc;
 
-/// Maximum dimensions of an array, as in NumPy.
+/// Maximum number of dimensions of an array, as in NumPy 2.
 pub(crate) const MAX_DIMENSIONS: usize = 64;
 
 /// Type of an array's items.
@@ -24,7 +24,7 @@ pub enum Dtype {
 }
 
 impl Dtype {
-    /// Bytes of an item.
+    /// Size of an item in bytes.
     pub fn item_len(self) -> usize {
         match self {
             Self::Bool => 1,
@@ -57,10 +57,10 @@ impl fmt::Display for Dtype {
     }
 }
 
-/// A type as a pickle or the header of an npy file states it.
+/// Type and byte order of an array's items, as stated in a pickle or the header of an npy file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ItemType {
-    /// None for objects.
+    /// `None` for Python objects.
     pub(crate) dtype: Option<Dtype>,
     pub(crate) big_endian: bool,
 }
@@ -99,8 +99,7 @@ impl ItemType {
 /// An array in row-major order.
 ///
 /// # Shapes
-/// `shape` is empty for a scalar; `data` holds the items in little-endian bytes, the last index
-/// running fastest.
+/// `shape` is empty for a scalar; `data` holds the items in little-endian bytes, the last index running fastest.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Array {
     dtype: Dtype,
@@ -158,7 +157,7 @@ impl Array {
         Ok(Self { dtype, shape, data })
     }
 
-    /// Reads items of a storage by offset and strides, all counted in items.
+    /// Takes items out of a storage by offset and strides, all counted in items.
     pub(crate) fn from_strides(
         dtype: Dtype,
         storage: &Arc<[u8]>,
@@ -173,7 +172,7 @@ impl Array {
                  storage of {stored} items"
             )
         };
-        // Strides of zero could repeat one item without end.
+        // With strides of zero, a small storage could give any number of items.
         let count = count(&shape).filter(|&count| count <= stored);
         let count = count.ok_or_else(wrong)?;
         if strides.len() != shape.len() {
@@ -244,12 +243,12 @@ impl Array {
         &self.data
     }
 
-    /// The items as numbers; none for text.
+    /// The items as numbers; `None` for text.
     pub fn to_f64(&self) -> Option<Vec<f64>> {
         self.is_numeric().then(|| self.numbers().collect())
     }
 
-    /// The items as numbers in single precision; none for text.
+    /// The items as numbers in single precision; `None` for text.
     pub fn to_f32(&self) -> Option<Vec<f32>> {
         self.is_numeric()
             .then(|| self.numbers().map(|value| value as f32).collect())
@@ -266,7 +265,7 @@ impl Array {
             .map(move |item| number(dtype, false, item))
     }
 
-    /// The items as text; none for numbers.
+    /// The items as text; `None` for numbers.
     pub fn to_text(&self) -> Option<Vec<String>> {
         let decode: fn(&[u8]) -> String = match self.dtype {
             Dtype::Bytes(_) => |item| item.iter().copied().map(char::from).collect(),
@@ -287,7 +286,7 @@ impl Array {
         )
     }
 
-    /// The first item as a whole number; none for other types.
+    /// The first item as an integer; `None` for other types and for an empty array.
     pub(crate) fn first_int(&self) -> Option<i128> {
         let item = self.data.get(..self.dtype.item_len())?;
         let mut bytes = [0; 16];
@@ -303,12 +302,12 @@ impl Array {
     }
 }
 
-/// Number of items of a shape; none if no array can have it.
+/// Number of items of a shape; `None` if no array can have this shape.
 pub(crate) fn count(shape: &[usize]) -> Option<usize> {
     if shape.len() > MAX_DIMENSIONS {
         return None;
     }
-    // The extents that are not zero must fit too, so that strides can be computed from them.
+    // The product of the extents other than zero must not overflow, because strides are computed from them.
     let full = shape
         .iter()
         .filter(|&&extent| extent > 0)
@@ -316,7 +315,7 @@ pub(crate) fn count(shape: &[usize]) -> Option<usize> {
     Some(if shape.contains(&0) { 0 } else { full })
 }
 
-/// Bytes of an array; none if no array can have this shape.
+/// Size of an array in bytes; `None` if no array can have this shape.
 pub(crate) fn byte_len(dtype: Dtype, shape: &[usize]) -> Option<usize> {
     count(shape)?.checked_mul(dtype.item_len())
 }
@@ -360,7 +359,7 @@ fn gather<T: Copy>(
     }
 }
 
-/// The number that an item stores, in big-endian bytes if so stated; for text, a number made of its first bytes.
+/// Decodes an item as a number. Text gives its first 8 bytes as an unsigned integer.
 pub(crate) fn number(dtype: Dtype, big_endian: bool, item: &[u8]) -> f64 {
     let mut bytes = [0; 8];
     let len = item.len().min(8);

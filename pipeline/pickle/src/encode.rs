@@ -8,8 +8,7 @@ use crate::value::Value;
 /// The oldest protocol with lengths of 64 bits; Python 3.4 and later read it.
 const PROTOCOL: u8 = 4;
 
-/// Encodes a value as a pickle that Python reads back with `pickle.load`; arrays need NumPy there,
-/// of any version.
+/// Encodes a value as a pickle that Python reads back with `pickle.load`. Arrays need NumPy, of any version.
 pub fn encode(value: &Value) -> Vec<u8> {
     let mut out = vec![0x80, PROTOCOL];
     put(&mut out, value);
@@ -114,7 +113,7 @@ fn put_bytes(out: &mut Vec<u8>, bytes: &[u8]) {
     put_sized(out, [b'C', 0x8e], bytes);
 }
 
-/// Writes the length and the bytes, with the opcode for short or for long ones.
+/// Writes an opcode, the length and the bytes. Lengths below 256 take the opcode `short`, others `long`.
 fn put_sized(out: &mut Vec<u8>, [short, long]: [u8; 2], bytes: &[u8]) {
     match u8::try_from(bytes.len()) {
         Ok(len) => out.extend([short, len]),
@@ -138,8 +137,8 @@ fn put_global(out: &mut Vec<u8>, module: &str, name: &str) {
     out.push(0x93);
 }
 
-/// An array as NumPy writes one: an empty array, and its state of version, shape, type, order and bytes. The module
-/// name is that of NumPy 1, which NumPy 2 still accepts.
+/// Writes an array as NumPy does: a call that makes an empty array, then its state (version, shape, type, order,
+/// bytes). The module name is that of NumPy 1, which NumPy 2 still accepts.
 fn put_array(out: &mut Vec<u8>, array: &Array) {
     put_global(out, "numpy.core.multiarray", "_reconstruct");
     put_tuple(out, |out| {
@@ -161,8 +160,8 @@ fn put_array(out: &mut Vec<u8>, array: &Array) {
     out.push(b'b');
 }
 
-/// A type and its state: version, byte order, no inner type, no fields, length and alignment where
-/// the type does not imply them, no flags.
+/// Writes a type and its state: version, byte order, no inner type, no fields, length and alignment (-1 if the type
+/// implies them), no flags.
 fn put_dtype(out: &mut Vec<u8>, dtype: Dtype) {
     put_global(out, "numpy", "dtype");
     put_tuple(out, |out| {

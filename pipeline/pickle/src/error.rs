@@ -1,4 +1,4 @@
-//! Errors of reading a container.
+//! Error of reading a container.
 
 /// Error in a container file, with its offset.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -1,4 +1,4 @@
-//! A stream of bytes with a position, which does not trust stated lengths.
+//! A byte stream with a position. It allocates for the bytes that are there, not for stated lengths.
 
 use std::io::{BufRead, BufReader, ErrorKind, Read};
 
@@ -18,7 +18,7 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// Bytes read so far; in a packed file, of the unpacked stream.
+    /// Number of bytes read so far; of the unpacked stream if the file is packed.
     pub(crate) fn position(&self) -> usize {
         self.position
     }
@@ -48,7 +48,7 @@ impl<'a> Input<'a> {
         Ok(bytes)
     }
 
-    /// A line without its end.
+    /// The next line without its line feed.
     pub(crate) fn line(&mut self) -> Result<Vec<u8>, Error> {
         let mut line = Vec::new();
         let read = self.reader.read_until(b'\n', &mut line);

@@ -1,4 +1,4 @@
-//! Dumps of joblib: pickles followed by their arrays in the stream, packed or not.
+//! Dumps of joblib: pickles in which the bytes of an array follow its wrapper. The whole file may be compressed.
 
 use std::io::{self, Read};
 
@@ -11,18 +11,18 @@ use crate::error::Error;
 use crate::machine::Machine;
 use crate::value::{Options, Value};
 
-/// Limits on the unpacked size of a dump, in bytes and relative to its packed size. The largest known dump,
+/// Limits on the unpacked size of a dump: in bytes, and relative to its packed size. The largest known dump,
 /// MotionFix's, unpacks to about 2 GB, less than 10 times its packed size.
 const MAX_UNPACKED_LEN: u64 = 4 << 30;
 const MAX_RATIO: u64 = 200;
-/// Size up to which the ratio is not checked.
+/// Unpacked size in bytes up to which the ratio is not checked.
 const SMALL_LEN: u64 = 64 << 20;
-/// Maximum memory in KiB for the dictionary of an LZMA stream; the strongest preset needs 64 MiB.
+/// Maximum memory in KiB for the dictionary of an LZMA stream; the strongest preset of xz needs 64 MiB.
 const LZMA_MEMORY_KIB: u32 = 128 << 10;
-/// Bytes needed to recognise the packing.
+/// Number of bytes needed to recognise the compression.
 const MAGIC_LEN: usize = 6;
 
-/// Unpacks a dump, whose first bytes say how it is packed.
+/// Unpacks a dump. Its first bytes, `head`, tell the compression.
 ///
 /// # Source
 /// The prefixes in joblib's `compressor.py`.
@@ -55,7 +55,7 @@ fn unpacked<'a>(head: Vec<u8>, rest: impl Read + 'a) -> Result<Box<dyn Read + 'a
     })
 }
 
-/// Reads a dump, packed or not. A plain pickle is a dump without arrays.
+/// Reads a dump, compressed or not. Plain pickles are read too.
 ///
 /// # Errors
 /// `E-JOBLIB-OLD` for the layout before joblib 0.10, and those of [`crate::read_from`]; byte
@@ -92,7 +92,7 @@ pub fn read_from<'a>(
     machine.read()
 }
 
-/// A stream that fails beyond a limit.
+/// A reader that fails after `limit` bytes.
 struct Capped<R> {
     inner: R,
     limit: u64,
@@ -171,7 +171,7 @@ mod tests {
         assert_eq!(rejected.code, "E-PICKLE-REFUSED");
         let reason = rejected.reason;
         assert!(reason.contains("beside the dump"), "{reason}");
-        // Outside a dump no bytes follow a wrapper.
+        // Outside a dump, no bytes follow a wrapper.
         let (_, plain) = dump(0);
         let rejected = crate::read(&plain).expect_err("a wrapper");
         assert_eq!(rejected.code, "E-PICKLE-FORMAT");

@@ -1,6 +1,6 @@
-//! Containers of the Python world, read as data and never executed: pickles, dumps of joblib
-//! ([`joblib`]), files of `torch.save` ([`torch`]), arrays of NumPy ([`npy`]) and archives of them
-//! ([`npz`]); and their writers.
+//! Containers of the Python world, read as data and never executed: pickles, dumps of joblib ([`joblib`]), files of
+//! `torch.save` ([`torch`]), arrays of NumPy ([`npy`]) and archives of them ([`npz`]). Pickles, npy and npz are also
+//! written.
 //!
 //! A pickle is a program for a stack machine that can run arbitrary code in Python. The machine here knows only
 //! values (numbers, text, bytes, lists, tuples, sets, dictionaries) and a closed list of names that this
@@ -51,9 +51,9 @@ mod tests;
 /// Reads a pickle.
 ///
 /// # Errors
-/// `E-PICKLE-REFUSED` for anything that would be code, `E-PICKLE-TRUNCATED` if the bytes end too
-/// early, `E-PICKLE-LIMIT` where a bound is exceeded, `E-PICKLE-DTYPE` and `E-PICKLE-SHAPE` for
-/// arrays, `E-PICKLE-FORMAT` for anything that is no pickle.
+/// `E-PICKLE-REFUSED` for anything that would run code, `E-PICKLE-TRUNCATED` if the bytes end too early,
+/// `E-PICKLE-LIMIT` if a limit is exceeded, `E-PICKLE-DTYPE` and `E-PICKLE-SHAPE` for arrays, `E-PICKLE-FORMAT` if the
+/// bytes are no pickle.
 pub fn read(bytes: &[u8]) -> Result<Value, Error> {
     read_from(bytes, &Options::default())
 }
@@ -61,7 +61,7 @@ pub fn read(bytes: &[u8]) -> Result<Value, Error> {
 /// Reads a pickle from a stream.
 ///
 /// # Errors
-/// As [`read`]; `E-PICKLE-UNPACK` if the stream is packed and damaged, `E-IO` if it fails.
+/// As [`read`]; `E-PICKLE-UNPACK` if a compressed stream is damaged, `E-IO` if reading fails.
 pub fn read_from<'a>(reader: impl Read + 'a, options: &Options<'a>) -> Result<Value, Error> {
     Machine::new(reader, *options).read()
 }

@@ -11,7 +11,7 @@ use crate::error::Error;
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header read, in bytes. NumPy's own limit is 10,000 for files it does not trust.
 const MAX_HEADER_LEN: usize = 10_000;
-/// The parsed header of an array.
+/// The parsed header of an npy file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Header {
     dtype: Dtype,
@@ -31,12 +31,11 @@ pub struct Array {
 }
 
 impl Header {
-    /// Parses the header of an array and checks it against the length of `bytes`. `name` names the
-    /// array in messages.
+    /// Parses the header of an array and checks it against the length of `bytes`. `name` names the array in messages.
     ///
     /// # Errors
-    /// `E-PICKLE-REFUSED` for objects, `E-NPY-SHAPE` if the shape does not fit the bytes,
-    /// `E-NPY-DTYPE` for types without a use here, `E-NPY-HEADER` for anything unreadable.
+    /// `E-PICKLE-REFUSED` for objects, `E-NPY-SHAPE` if the shape does not fit the bytes, `E-NPY-DTYPE` for types that
+    /// are not supported, `E-NPY-HEADER` if the header cannot be parsed.
     pub fn parse(name: &str, bytes: &[u8]) -> Result<Self, Error> {
         let (header, descr) = Self::parse_text(name, bytes)?;
         let found = bytes.len() - header.data_start;
@@ -60,14 +59,14 @@ impl Header {
         Ok(header)
     }
 
-    /// Byte offset of the number with this row-major index; none for arrays in column-major order.
+    /// Byte offset of the number with this row-major index; `None` if the order is column-major.
     pub fn place_of(&self, index: usize) -> Option<usize> {
         let is_flat = self.shape.len() < 2;
         let at = self.data_start + index * self.dtype.item_len();
         (is_flat || !self.fortran_order).then_some(at)
     }
 
-    /// Shape that an array states in its first bytes; its data may be missing.
+    /// Reads the shape from the first bytes of an npy file, which need not contain the data.
     ///
     /// # Errors
     /// As [`Header::parse`], except `E-NPY-SHAPE`.
@@ -75,7 +74,7 @@ impl Header {
         Self::parse_text(name, head).map(|(header, _)| header.shape)
     }
 
-    /// Parses only the header; also returns the type's text.
+    /// Parses the header without checking the length of the data; also returns the type's text.
     fn parse_text(name: &str, bytes: &[u8]) -> Result<(Self, String), Error> {
         let (literal, data_start) = Self::parse_literal(name, bytes)?;
         let (dtype, big_endian) = parse_descr(name, &literal.descr)?;
@@ -139,10 +138,10 @@ impl Header {
     }
 }
 
-/// The pickle in an array of objects, and its offset; none for other arrays.
+/// The pickle in an array of objects, and its byte offset; `None` for other arrays.
 ///
 /// # Errors
-/// `E-NPY-HEADER`.
+/// `E-NPY-HEADER` if the header cannot be parsed.
 pub fn pickled<'a>(name: &str, bytes: &'a [u8]) -> Result<Option<(&'a [u8], usize)>, Error> {
     let (literal, data_start) = Header::parse_literal(name, bytes)?;
     let is_objects = literal.descr.trim_start_matches(['|', '<', '>', '=']) == "O";
@@ -152,7 +151,7 @@ pub fn pickled<'a>(name: &str, bytes: &'a [u8]) -> Result<Option<(&'a [u8], usiz
 /// Reads an array of numbers.
 ///
 /// # Errors
-/// As [`Header::parse`]; `E-NPY-DTYPE` also for text.
+/// As [`Header::parse`]; `E-NPY-DTYPE` also for text and half precision.
 pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Error> {
     let header = Header::parse(name, bytes)?;
     let Header {
@@ -177,7 +176,7 @@ pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Error> {
     Ok(Array { shape, values })
 }
 
-/// The rows of a two-dimensional array, read in place.
+/// The rows of a two-dimensional array of numbers, read in place if possible.
 #[derive(Clone, Debug)]
 pub struct Rows<'a> {
     bytes: Cow<'a, [u8]>,
@@ -195,10 +194,10 @@ enum RowKind {
 }
 
 impl<'a> Rows<'a> {
-    /// Takes an array of two dimensions.
+    /// Wraps a two-dimensional array.
     ///
     /// # Errors
-    /// As [`read_numbers`]. The inner error is the shape of an array without two dimensions.
+    /// As [`read_numbers`]. The inner error is the shape, if it is not two-dimensional or its rows are empty.
     pub fn new(name: &str, bytes: Cow<'a, [u8]>) -> Result<Result<Self, Vec<usize>>, Error> {
         let header = Header::parse(name, &bytes)?;
         let [num_rows, width] = header.shape[..] else {
@@ -222,7 +221,7 @@ impl<'a> Rows<'a> {
                 width,
             }));
         }
-        // Other formats are converted first.
+        // All other formats are converted to little-endian `f64` first.
         let array = read_numbers(name, &bytes)?;
         Ok(Ok(Self {
             bytes: Cow::Owned(array.values.iter().flat_map(|v| v.to_le_bytes()).collect()),
@@ -243,10 +242,10 @@ impl<'a> Rows<'a> {
         self.width
     }
 
-    /// Whether `len` numbers of a row from `column` on are finite and can be stored as `f32`.
+    /// Whether `len` numbers of a row, from `column` on, are finite and can be stored as `f32`.
     ///
     /// # Panics
-    /// If they do not exist.
+    /// If the row or a column does not exist.
     pub fn is_finite(&self, row: usize, column: usize, len: usize) -> bool {
         assert!(
             column + len <= self.width,
@@ -256,7 +255,7 @@ impl<'a> Rows<'a> {
         const LARGEST: f64 = f32::MAX as f64;
         let first = row * self.width + column;
         let data = &self.bytes[self.data_start..];
-        // Without an early exit, so that the loop vectorises.
+        // There is no early exit, so that the loop vectorises.
         match self.kind {
             RowKind::F64 => {
                 let (numbers, _) = data[8 * first..][..8 * len].as_chunks::<8>();
@@ -273,10 +272,10 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// `N` numbers of a row from `column` on.
+    /// `N` numbers of a row, from `column` on.
     ///
     /// # Panics
-    /// If they do not exist.
+    /// If the row or a column does not exist.
     pub fn get<const N: usize>(&self, row: usize, column: usize) -> [f64; N] {
         assert!(
             column + N <= self.width,
@@ -298,7 +297,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Reads the first item of an array of text, of any dimensions.
+/// Reads the first item of a text array of any shape; an empty array gives an empty text.
 ///
 /// # Errors
 /// As [`Header::parse`]; `E-NPY-DTYPE` for numbers.
@@ -329,7 +328,7 @@ pub fn read_text(name: &str, bytes: &[u8]) -> Result<String, Error> {
     Ok(text.trim_end_matches('\0').to_owned())
 }
 
-/// Numbers that [`encode`] writes.
+/// A type of numbers that [`encode`] writes.
 pub trait Number: Copy {
     /// NumPy's name of the type.
     const DESCR: &str;
@@ -352,7 +351,7 @@ macro_rules! number {
 
 number!(f32: "<f4", f64: "<f8", i64: "<i8");
 
-/// Encodes an array of numbers, the last index running fastest.
+/// Encodes an array of numbers in row-major order.
 ///
 /// # Panics
 /// If the shape does not fit the numbers.
@@ -365,14 +364,14 @@ pub fn encode<T: Number>(shape: &[usize], values: &[T]) -> Vec<u8> {
     out
 }
 
-/// Encodes text as NumPy does: an array without dimensions, of UTF-32.
+/// Encodes text as NumPy does: an array of UTF-32 without dimensions.
 pub(crate) fn encode_text(text: &str) -> Vec<u8> {
     let mut out = header(&format!("<U{}", text.chars().count()), &[]);
     out.extend(text.chars().flat_map(|c| u32::from(c).to_le_bytes()));
     out
 }
 
-/// Magic number, version 1.0 and the dictionary, padded so that the data begins at a multiple of 64.
+/// Magic number, version 1.0 and the dictionary, padded so that the data begins at a multiple of 64 bytes.
 fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
     const ALIGNMENT: usize = 64;
     let extents: String = shape.iter().map(|extent| format!("{extent}, ")).collect();
@@ -531,7 +530,7 @@ impl<'a> Scanner<'a> {
             }
             items.push(item);
             self.at += digits;
-            // Python 2 wrote long extents with a suffix.
+            // Python 2 wrote long integers with the suffix `L`.
             if self.text.get(self.at) == Some(&b'L') {
                 self.at += 1;
             }

@@ -1,6 +1,6 @@
 //! Archives in NumPy's npz format, read and written.
 //!
-//! No member is unpacked beyond its stated and allowed length, and only requested arrays are unpacked.
+//! Only requested arrays are unpacked, and none beyond its stated length or the limit.
 
 use std::borrow::Cow;
 use std::io::{self, Cursor, Read, Seek, Write};
@@ -13,16 +13,15 @@ use zip::{CompressionMethod, DateTime, System, ZipArchive, ZipWriter};
 use crate::error::Error;
 use crate::npy::{self, Array, Header, Number};
 
-/// Largest member read, in bytes, and highest ratio to its compressed size: real recordings stay
-/// far below both (an hour of SMPL-X at 120 fps is 570 MB), archives built to exhaust memory do
-/// not.
+/// Limits on a member: its size in bytes, and its ratio to the compressed size. Real recordings stay far below both (an
+/// hour of SMPL-X at 120 fps is 570 MB); archives built to exhaust memory do not.
 pub(crate) const MAX_MEMBER_LEN: u64 = 2 << 30;
 const MAX_RATIO: u64 = 200;
-/// Size up to which the ratio is not checked: a clip whose hands are all zero compresses well.
+/// Size in bytes up to which the ratio is not checked: a clip whose hands are all zero compresses well.
 const SMALL_MEMBER_LEN: u64 = 1 << 20;
 /// Maximum number of members; the largest AMASS files have about thirty.
 const MAX_MEMBERS: usize = 10_000;
-/// Bytes of a member that contain an array's header, whose length [`npy`] limits.
+/// Number of bytes of a member that contain the array's header, whose length [`npy`] limits.
 const HEADER_LEN: u64 = 10_016;
 
 /// An npz archive.
@@ -36,13 +35,13 @@ impl<'a> Archive<Cursor<&'a [u8]>> {
     /// Opens an archive in memory.
     ///
     /// # Errors
-    /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
+    /// As [`Archive::open`].
     pub fn in_memory(bytes: &'a [u8]) -> Result<Self, Error> {
         Self::open(Cursor::new(bytes))
     }
 
-    /// The bytes of an array's npy file as from [`Archive::member`], but without a copy if they are stored
-    /// uncompressed, as in AMASS. `bytes` are those of the archive.
+    /// Like [`Archive::member`], but borrows from `bytes`, the bytes of the archive, if the member is stored
+    /// uncompressed, as in AMASS.
     ///
     /// # Errors
     /// As [`Archive::member`].
@@ -133,15 +132,15 @@ impl<R: Read + Seek> Archive<R> {
         }
     }
 
-    /// The bytes of an array's npy file, checked against its CRC.
+    /// The npy file of an array, checked against its CRC.
     ///
     /// # Errors
-    /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
+    /// `E-NPZ-TRUNCATED` if the member is missing or damaged, `E-NPZ-LIMIT` if it is too large.
     pub fn member(&mut self, key: &str) -> Result<Vec<u8>, Error> {
         self.member_within(key, MAX_MEMBER_LEN)
     }
 
-    /// Like [`Archive::member`], for an array of at most `max_len` bytes.
+    /// Like [`Archive::member`], with `max_len` as the largest size in bytes.
     ///
     /// # Errors
     /// As [`Archive::member`].
@@ -151,7 +150,7 @@ impl<R: Read + Seek> Archive<R> {
         let start = file.data_start().unwrap_or_else(|| file.header_start());
         check_len("E-NPZ-LIMIT", &name, len, compressed_len, max_len)
             .map_err(|error| error.at(start as usize))?;
-        // The stated length is not trusted: it reserves no memory, and reading stops there.
+        // The stated length is not trusted: no memory is reserved for it, and reading stops there.
         let mut bytes = Vec::new();
         file.by_ref()
             .take(len)
@@ -161,10 +160,10 @@ impl<R: Read + Seek> Archive<R> {
         Ok(bytes)
     }
 
-    /// Checks from the list of members alone that an array is small enough to be read.
+    /// Checks that an array is small enough to be read, without unpacking it.
     ///
     /// # Errors
-    /// `E-NPZ-TRUNCATED` or `E-NPZ-LIMIT`.
+    /// As [`Archive::member`].
     pub fn check_size(&mut self, key: &str) -> Result<(), Error> {
         let (name, file) = self.find(key)?;
         let (len, compressed_len) = (file.size(), file.compressed_size());
@@ -183,7 +182,7 @@ impl<R: Read + Seek> Archive<R> {
     /// The shape that an array's header states; only the header is unpacked.
     ///
     /// # Errors
-    /// As [`Archive::member`], or those of [`npy`] for a header.
+    /// `E-NPZ-TRUNCATED`, and those of [`Header::peek_shape`].
     pub fn shape(&mut self, key: &str) -> Result<Vec<usize>, Error> {
         let (name, file) = self.find(key)?;
         let mut head = Vec::new();
@@ -194,7 +193,7 @@ impl<R: Read + Seek> Archive<R> {
     }
 }
 
-/// Refuses a member that unpacks to too many bytes, or to too many for its packed size.
+/// Refuses a member whose unpacked size exceeds `max_len` or is too large for its compressed size.
 pub(crate) fn check_len(
     code: &'static str,
     name: &str,
@@ -220,8 +219,8 @@ fn member_error(name: &str, error: &ZipError) -> Error {
         format!("{name} cannot be unpacked ({error})"),
     )
 }
-/// Refuses names with a special meaning to a file system. Archives are read in memory and never unpacked, so such names
-/// do no harm here, but they show a hostile or broken writer.
+/// Refuses names that would lead out of a folder, and names that differ in case alone. Archives are never unpacked to
+/// files, so such names do no harm here, but they show a hostile or broken writer.
 fn check_names<'a>(names: impl Iterator<Item = &'a [u8]>) -> Result<(), Error> {
     let mut seen = std::collections::BTreeSet::new();
     for name in names {
@@ -262,10 +261,10 @@ impl Default for Writer {
 }
 
 impl Writer {
-    /// Adds an array of numbers, the last index running fastest.
+    /// Adds an array of numbers in row-major order.
     ///
     /// # Errors
-    /// The archive exceeds what a zip without 64-bit extensions can hold (4 GiB).
+    /// The array exceeds 4 GiB, or the name is taken.
     ///
     /// # Panics
     /// If the shape does not fit the numbers.
@@ -298,7 +297,7 @@ impl Writer {
     /// The bytes of the archive.
     ///
     /// # Errors
-    /// As [`Writer::numbers`].
+    /// The list of members cannot be written.
     pub fn finish(self) -> io::Result<Vec<u8>> {
         Ok(self.zip.finish()?.into_inner())
     }

@@ -11,15 +11,15 @@ pub(crate) type Id = u32;
 /// A Python global (module and name) that this reader supports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Global {
-    /// Makes an empty NumPy array that is filled by its state.
+    /// Makes an empty NumPy array, which its state then fills.
     Reconstruct,
     /// The class of NumPy arrays.
     NdArray,
-    /// NumPy's types of items.
+    /// NumPy's `dtype`.
     ItemType,
-    /// A NumPy scalar of a type and its bytes.
+    /// Makes a NumPy scalar from a type and bytes.
     Scalar,
-    /// A NumPy array over a buffer (protocol 5).
+    /// Makes a NumPy array over a buffer (protocol 5).
     FromBuffer,
     /// Dictionaries.
     Dict,
@@ -27,13 +27,13 @@ pub(crate) enum Global {
     /// Tuples; also a tensor's shape.
     Tuple,
     Set,
-    /// Bytes; also Python 3's encoding of them in protocols before 3: text in Latin-1.
+    /// Bytes. In protocols before 3, Python 3 writes them as text to be encoded in Latin-1.
     Bytes,
-    /// A tensor over a storage.
+    /// Makes a tensor over a storage.
     RebuildTensor,
-    /// A tensor's storage from the bytes of a file of its own.
+    /// Makes a storage from bytes that are a file of `torch.save`.
     LoadStorage,
-    /// The class of storages of a type.
+    /// The class of storages with this item type.
     StorageOf(Dtype),
     /// joblib's placeholder for an array whose bytes follow it.
     ArrayWrapper,
@@ -43,8 +43,7 @@ impl Global {
     /// Finds a name in the list.
     ///
     /// # Source
-    /// The names that NumPy 1 and 2, PyTorch's `torch/_utils.py` and joblib's `numpy_pickle.py`
-    /// write.
+    /// The names that NumPy 1 and 2, PyTorch's `torch/_utils.py` and joblib's `numpy_pickle.py` write.
     pub(crate) fn find(module: &str, name: &str) -> Option<Self> {
         let numpy_core = module
             .strip_prefix("numpy.core")
@@ -75,7 +74,7 @@ impl Global {
         })
     }
 
-    /// Reason why a name outside the list is refused.
+    /// The reason for refusing a name outside the list.
     pub(crate) fn refusal(module: &str, name: &str) -> &'static str {
         match (module, name) {
             (_, "NDArrayWrapper" | "ZNDArrayWrapper") if module.starts_with("joblib") => {
@@ -102,7 +101,7 @@ fn storage_type(class: &str) -> Option<Dtype> {
     })
 }
 
-/// Memory that tensors are views of.
+/// The memory that tensors are views into.
 #[derive(Clone, Debug)]
 pub(crate) struct Storage {
     pub(crate) dtype: Dtype,
@@ -145,7 +144,7 @@ pub(crate) enum Node {
     PendingWrapper,
     Storage(Storage),
     Tensor(Tensor),
-    /// Bytes that became an array.
+    /// Bytes that were moved into an array.
     Released,
 }
 

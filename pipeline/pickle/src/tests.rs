@@ -172,7 +172,7 @@ fn text(text: &str) -> Vec<u8> {
     [&[0x8c, text.len() as u8], text.as_bytes()].concat()
 }
 
-/// A tensor `[2, 2]` over the second to fifth of the storage's numbers, column-major.
+/// A column-major tensor `[2, 2]` over the second to fifth number of the storage.
 fn tensor(storage: &[u8]) -> Vec<u8> {
     let arguments = tuple(&[
         storage,

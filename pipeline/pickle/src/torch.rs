@@ -23,8 +23,8 @@ const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
 /// `E-TORCH-FORMAT` if the format is neither, and those of [`crate::read`].
 ///
 /// # Source
-/// `torch/serialization.py`: a zip with `data.pkl` and `data/<key>`, or five pickles (number,
-/// version, system, object, keys) followed by the storages, each behind its length.
+/// `torch/serialization.py`: a zip with `data.pkl` and `data/<key>`, or five pickles (number, version, system, object,
+/// keys) followed by the storages, each preceded by its length.
 pub fn read(bytes: &[u8]) -> Result<Value, Error> {
     if !bytes.starts_with(ZIP_MAGIC) {
         let legacy = Legacy::read(bytes)?;
@@ -61,7 +61,7 @@ fn member(archive: &mut ZipArchive<Cursor<&[u8]>>, name: &str) -> Result<Vec<u8>
     let failed = |error: &dyn std::fmt::Display| wrong(format!("cannot unpack {name} ({error})"));
     let file = archive.by_name(name).map_err(|error| failed(&error))?;
     let (len, packed_len) = (file.size(), file.compressed_size());
-    // `torch.save` does not compress at all.
+    // The ratio limit refuses no real file: `torch.save` does not compress.
     check_len("E-PICKLE-LIMIT", name, len, packed_len, MAX_MEMBER_LEN)?;
     let mut bytes = Vec::new();
     file.take(len)
@@ -70,7 +70,7 @@ fn member(archive: &mut ZipArchive<Cursor<&[u8]>>, name: &str) -> Result<Vec<u8>
     Ok(bytes)
 }
 
-/// Reads the storage from a nested file, as tensors in an ordinary pickle have.
+/// Reads the storage from a file of `torch.save` that is nested in an ordinary pickle.
 pub(crate) fn read_storage(bytes: &[u8]) -> Result<Storage, Error> {
     let legacy = Legacy::read(bytes)?;
     let Node::Storage(Storage {

@@ -51,7 +51,7 @@ impl Value {
         Self::Array(Arc::new(Array::from_f32(shape, numbers)))
     }
 
-    /// The value of a text key in a dictionary; the last one if the key occurs twice.
+    /// The value of a text key in a dictionary; the last one if the key occurs several times.
     pub fn get(&self, key: &str) -> Option<&Value> {
         self.as_dict()?
             .iter()
@@ -60,7 +60,7 @@ impl Value {
             .map(|(_, value)| value)
     }
 
-    /// The entries of a dictionary.
+    /// The entries of a dictionary; `None` for other values.
     pub fn as_dict(&self) -> Option<&[(Value, Value)]> {
         match self {
             Self::Dict(entries) => Some(entries),
@@ -68,7 +68,7 @@ impl Value {
         }
     }
 
-    /// The items of a list or tuple.
+    /// The items of a list or tuple; `None` for other values.
     pub fn as_sequence(&self) -> Option<&[Value]> {
         match self {
             Self::List(items) | Self::Tuple(items) => Some(items),
@@ -76,7 +76,7 @@ impl Value {
         }
     }
 
-    /// The text of a string, or of an array of one string.
+    /// The text of a [`Value::Str`]; `None` for other values.
     pub fn as_str(&self) -> Option<&str> {
         match self {
             Self::Str(text) => Some(text),
@@ -84,7 +84,7 @@ impl Value {
         }
     }
 
-    /// An integer or a floating-point number.
+    /// An integer or floating-point number as `f64`; `None` for other values.
     pub fn as_float(&self) -> Option<f64> {
         match self {
             Self::Int(number) => Some(*number as f64),
@@ -93,7 +93,7 @@ impl Value {
         }
     }
 
-    /// An array.
+    /// The array of a [`Value::Array`]; `None` for other values.
     pub fn as_array(&self) -> Option<&Array> {
         match self {
             Self::Array(array) => Some(array),
@@ -138,8 +138,8 @@ impl Value {
 /// Options for reading large pickles.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Options<'a> {
-    /// Keys whose values are read and dropped at once: they become [`Value::None`].
+    /// Dictionary keys whose values are dropped as soon as they are read; [`Value::None`] replaces them.
     pub drop_keys: &'a [&'a str],
-    /// Keep arrays of double precision in single precision.
+    /// Whether arrays of double precision are converted to single precision.
     pub single_precision: bool,
 }

@@ -1,4 +1,4 @@
-//! Reads the clip of a subject from a parsed capture.
+//! Solves the clip of a subject from a parsed capture.
 
 use std::collections::BTreeMap;
 
@@ -30,10 +30,10 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// The clip of one subject: the one with this key of [`super::keys`], or the only one.
+    /// The clip of the subject with this key of [`super::keys`]. The key is empty if the capture has one subject.
     ///
     /// # Errors
-    /// As [`Capture::check`].
+    /// As [`Capture::check`]; `E-MARKERS` also if no body fits the markers.
     pub(crate) fn clip(self, key: &str, options: &ReadOptions) -> Result<SourceClip, Rejected> {
         let (unit, flags) = (self.unit, self.flags);
         let (subject, markers, notes) = self.subject(key, options)?;
@@ -44,7 +44,8 @@ impl Capture {
         let known: Vec<f32> = known.filter(|residual| *residual >= 0.0).collect();
         let mut clip = SourceClip::new(solved.motion, RotationSource::Fitted);
         clip.fit_error_m = Some(known.iter().sum::<f32>() / known.len().max(1) as f32);
-        // The only subject of a file often has the name of a template; the folder's label may name the person.
+        // The name of a file's only subject is dropped: it is often that of a template, and the folder's label may name
+        // the person.
         clip.subject = Some(subject.name).filter(|name| !key.is_empty() && !name.is_empty());
         clip.flags = flags;
         clip.notes.extend(notes);
@@ -63,8 +64,8 @@ impl Capture {
     /// Whether a motion can be solved for a subject, without solving it.
     ///
     /// # Errors
-    /// `E-MARKERS` if the labels match no known set, or too few body parts have markers; `E-UNIT` if the person's
-    /// height is implausible; `E-TOO-SHORT`.
+    /// `E-MARKERS` if the labels match no known set, too few body parts have markers, or the person's height is
+    /// implausible; `E-UNIT` if that height is plausible in another unit; `E-TOO-SHORT` for fewer than 2 frames.
     pub fn check(self, key: &str, options: &ReadOptions) -> Result<(), Rejected> {
         let unit = self.unit;
         let (subject, markers, _) = self.subject(key, options)?;
@@ -124,15 +125,16 @@ fn only(markers: &Markers, subject: &mut Subject) -> Markers {
     }
 }
 
-/// Maximum distance in metres of a marker from the origin: a plausibility test for unit and number format.
+/// Largest plausible distance in metres of a marker from the origin. Greater ones suggest a wrong unit or number
+/// format.
 pub(crate) const MAX_DISTANCE_M: f64 = 100.0;
 
 /// Positions of the markers of a capture in metres.
 #[derive(Default)]
 pub(crate) struct Positions {
-    /// Frame by frame; zeros where a marker is not seen.
+    /// All markers of the first frame, then of the next; zeros where a marker is not seen.
     pub(crate) places: Vec<[f32; 3]>,
-    /// Negative where a marker is not seen.
+    /// Residuals in metres in the same order; negative where a marker is not seen.
     residuals: Vec<f32>,
     pub(crate) seen: usize,
     /// Markers that were recorded but are too far away; they count as not seen.
@@ -150,13 +152,13 @@ impl Positions {
         self.residuals.push(residual as f32);
     }
 
-    /// Whether so many markers are too far away that the unit or number format must be wrong.
+    /// Whether so many markers (more than 10%) are too far away that the unit or number format must be wrong.
     pub(crate) fn are_implausible(&self) -> bool {
         const MAX_IMPLAUSIBLE: f64 = 0.1;
         self.far as f64 > MAX_IMPLAUSIBLE * self.seen as f64
     }
 
-    /// The markers, and a note on those that are too far away.
+    /// The markers, and a note on the number of markers that are too far away.
     pub(crate) fn markers(self, fps: Fps, labels: Vec<String>) -> (Markers, Option<String>) {
         let Self { far, .. } = self;
         let note = format!("{far} positions farther than {MAX_DISTANCE_M} m count as not seen");
@@ -172,7 +174,7 @@ impl Positions {
     }
 }
 
-/// Makes marker names unique: the second of a name gets the suffix `.2`.
+/// Makes marker names unique: the second marker of a name gets the suffix `.2`, the third `.3`.
 pub(crate) fn unique_labels(stated: impl Iterator<Item = String>) -> Vec<String> {
     let mut seen: BTreeMap<String, usize> = BTreeMap::new();
     stated
@@ -187,7 +189,7 @@ pub(crate) fn unique_labels(stated: impl Iterator<Item = String>) -> Vec<String>
         .collect()
 }
 
-/// A capture's unit, and a phrase that says where it comes from.
+/// A capture's unit, and a phrase for messages that says where the unit comes from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CaptureUnit {
     pub(crate) unit: Unit,
@@ -195,7 +197,7 @@ pub struct CaptureUnit {
 }
 
 impl CaptureUnit {
-    /// Reason why a capture in this unit is rejected.
+    /// The rejection of a capture in this unit that cannot be solved.
     fn rejected(self, error: SolveError) -> Rejected {
         if let SolveError::Height { metres, .. } = error {
             let height = metres / self.unit.metres();
@@ -206,8 +208,8 @@ impl CaptureUnit {
         Rejected::read(CODE, error.to_string())
     }
 
-    /// The user's unit, else the file's, else millimetres (metres for a small capture volume). A note says where the unit
-    /// comes from, unless the file states it. `seen` holds the observed points, in the file's unit.
+    /// The user's unit, else the file's, else millimetres (metres for a small capture volume). Also returns a note on
+    /// where the unit comes from, unless the file states it. `seen` holds the observed points, in the file's unit.
     pub(crate) fn find(
         by_user: Option<Unit>,
         text: &str,
@@ -237,8 +239,8 @@ impl CaptureUnit {
         (Self { unit, said }, Some(note))
     }
 
-    /// The rejection of a capture whose median extent suggests another unit; none otherwise. `frames` holds the seen
-    /// points of each frame.
+    /// The rejection of a capture whose median extent suggests another unit; `None` for other captures. `frames` holds
+    /// the seen points of each frame.
     pub(crate) fn doubt(
         self,
         frames: impl Iterator<Item = impl Iterator<Item = DVec3>>,

@@ -5,8 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::set::{MarkerSet, bare_label, marker_sets};
 use crate::source::unique_keys;
 
-/// Whether a point is a model output and not a marker: an angle, a force, or an axis of a segment such as
-/// `LFEA`.
+/// Whether a point is a model output and not a marker: an angle, a force, or an axis of a segment such as `LFEA`.
 pub fn is_model_output(label: &str) -> bool {
     const QUANTITIES: [&str; 6] = ["ANGLE", "POWER", "FORCE", "MOMENT", "GRF", "CENTREOFMASS"];
     const SEGMENTS: [&str; 10] = [
@@ -23,11 +22,11 @@ pub fn is_model_output(label: &str) -> bool {
     let of_limb = segment
         .strip_prefix(['L', 'R'])
         .is_some_and(|limb| LIMBS.contains(&limb));
-    // A toe marker is not a segment axis.
+    // A known marker, such as one of a toe, is not a segment axis.
     segment.len() == 3 && (SEGMENTS.contains(&segment) || of_limb) && !is_known(&bare, None)
 }
 
-/// Whether any marker set has this bare label.
+/// Whether the user's set or a built-in set has this bare label.
 fn is_known(bare: &str, own: Option<&MarkerSet>) -> bool {
     let mut sets = own.into_iter().chain(marker_sets());
     sets.any(|set| set.placement(bare).is_some())
@@ -36,16 +35,16 @@ fn is_known(bare: &str, own: Option<&MarkerSet>) -> bool {
 /// The markers of one subject: columns of a capture, with the bare label of each.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Subject {
-    /// Name before the labels; empty for labels without one.
+    /// Name that precedes the labels; empty for labels without a name.
     pub(super) name: String,
     pub(super) columns: Vec<usize>,
     pub(super) bare: Vec<String>,
 }
 
-/// Key of the motion whose labels name no subject, in a capture where other labels do.
+/// Key of the motion whose labels name no subject, if other labels of the capture do.
 const UNNAMED: &str = "unnamed";
-/// Minimum known labels of a person; a named subject with `MIN_MARKERS` labels of any kind counts as a person too.
-/// Others are objects.
+/// Minimum number of known labels of a person. A named subject with `MIN_MARKERS` labels of any kind counts as a person
+/// too. Others are objects.
 const MIN_KNOWN: usize = 6;
 const MIN_MARKERS: usize = 12;
 
@@ -53,12 +52,12 @@ const MIN_MARKERS: usize = 12;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Subjects {
     pub(super) people: Vec<Subject>,
-    /// Labels of points on objects, or on nothing.
+    /// Labels of points on objects, and of points without a known label.
     pub(super) others: Vec<String>,
 }
 
 impl Subjects {
-    /// Groups the labels of a capture by subject. A capture of one person keeps all its columns.
+    /// Groups the labels of a capture by subject.
     pub(super) fn of(labels: &[String], own: Option<&MarkerSet>) -> Self {
         let by_underscore = underscored(labels, own);
         let mut subjects: BTreeMap<&str, Subject> = BTreeMap::new();
@@ -113,18 +112,18 @@ impl Subjects {
     }
 }
 
-/// Keys of the motions in a capture with these labels: its subjects if it has several, else none.
+/// Keys of the motions in a capture with these labels: its subjects if it has several, else no keys.
 pub(crate) fn keys(labels: &[String], own: Option<&MarkerSet>) -> Vec<String> {
     Subjects::of(labels, own).keys()
 }
 
-/// The subject of a key; none for the key of markers without a subject.
+/// The subject with this key; `None` for the key of markers without a subject, and for an empty key.
 pub(crate) fn subject_of(key: &str) -> Option<&str> {
     (!key.is_empty() && key != UNNAMED).then_some(key)
 }
 
-/// Prefixes before an underscore that name subjects: most labels after such a prefix are known, and the whole labels
-/// are not.
+/// Prefixes before an underscore that name subjects. Only labels that are unknown with their prefix are counted; at
+/// least half of them and [`MIN_KNOWN`] must be known without it.
 fn underscored<'a>(labels: &'a [String], own: Option<&MarkerSet>) -> BTreeSet<&'a str> {
     let mut counts: BTreeMap<&str, (usize, usize)> = BTreeMap::new();
     let plain = labels.iter().filter(|label| !label.contains(':'));

@@ -1,4 +1,4 @@
-//! Parts of the body that markers must be on.
+//! Body parts that need markers.
 
 use std::collections::BTreeSet;
 
@@ -24,7 +24,7 @@ pub enum Part {
     RightLeg,
 }
 
-/// A part: itself, its name, its joints, the number of markers it needs, and joints of which at least one must have a
+/// A part, its name, its joints, the number of markers that it needs, and joints of which at least one must have a
 /// marker.
 type Needs = (
     Part,

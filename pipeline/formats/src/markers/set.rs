@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::part::Part;
 
-/// A label without the subject before a colon, in upper case.
+/// A label in upper case, without the subject before a colon.
 pub fn bare_label(label: &str) -> String {
     let bare = label.rsplit(':').next().unwrap_or(label);
     bare.trim().to_uppercase()
@@ -43,10 +43,11 @@ impl Placement {
 ///  "optional": {"M99": "RBAC"}, "at_rest": ["head"]}
 /// ```
 ///
-/// `markers` maps each label to a placement: that of a label of the set `like` (of any built-in set without `like`), or
-/// a joint and the offset from it. `*` in a label stands for `L` and `R`; the stated placement is the left one. A
-/// capture matches the set if it has most of `markers`; those in `optional` are used if present. `markers` defaults to
-/// those of `like`. `at_rest` names body parts that may have no markers; they then keep the rest pose.
+/// `markers` maps each label to a placement: either a joint and the offset from it, or a label of the set `like`
+/// (without `like`, of any built-in set) whose placement is used. `*` in a label stands for `L` and `R`; the stated
+/// placement is the left one. A capture matches the set if it has 70% of `markers`; those in `optional` are used if
+/// present. Without `markers`, the set has those of `like`. `at_rest` names body parts that may have no markers; they
+/// then keep the rest pose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MarkerSet {
     name: String,
@@ -97,7 +98,7 @@ enum Place {
 /// Largest distance in metres of a marker from the joint that carries it.
 const MAX_OFFSET_M: f64 = 0.6;
 
-/// The built-in sets as JSON. A set precedes those that name it in `like`.
+/// The built-in sets as JSON. The set that another names in `like` comes first.
 const FILES: [&str; 10] = [
     include_str!("sets/cmu-41.json"),
     include_str!("sets/plug-in-gait.json"),
@@ -177,7 +178,7 @@ impl MarkerSet {
         self.markers.keys().map(String::as_str)
     }
 
-    /// Placement of the marker with a label, whose case does not matter; none if the set does not have it.
+    /// Placement of the marker with a label in any case; `None` if the set does not have it.
     pub fn placement(&self, label: &str) -> Option<Placement> {
         let label = label.to_uppercase();
         let place = self.markers.get(&label);
@@ -189,7 +190,7 @@ impl MarkerSet {
         &self.at_rest
     }
 
-    /// BLAKE3 of the set, hexadecimal.
+    /// BLAKE3 hash of the set, in hexadecimal.
     pub fn hash(&self) -> String {
         let text = serde_json::to_string(self).expect("names and numbers serialise");
         blake3::hash(text.as_bytes()).to_hex().to_string()
@@ -200,7 +201,7 @@ fn twice(label: &str) -> MarkerSetError {
     MarkerSetError::Content(format!("names {label} twice"))
 }
 
-/// The placements of labels, with `*` expanded.
+/// The placements of labels, for both sides if a label has a `*`.
 fn placements(
     stated: &BTreeMap<String, Place>,
     like: Option<&MarkerSet>,
@@ -224,7 +225,7 @@ fn placements(
 }
 
 impl Place {
-    /// The placement of a label. `side` is empty for labels without a `*`.
+    /// The placement of a label. `side` is `L` or `R`, or empty for labels without a `*`.
     fn find(
         &self,
         label: &str,
@@ -267,7 +268,7 @@ impl Place {
     }
 }
 
-/// A set, and which of its labels a capture has.
+/// A set, and how many of its labels a capture has.
 pub(super) struct Match<'a> {
     pub(super) set: &'a MarkerSet,
     /// Number of the set's labels in the capture, without optional ones.
@@ -298,8 +299,9 @@ impl<'a> Match<'a> {
     }
 }
 
-/// The best match for labels in upper case without a subject: the user's set if whole, else the whole set with the most
-/// labels present, else the set with the largest share. The first of equals wins.
+/// The best match for labels in upper case without a subject: the user's set if the labels match it
+/// ([`Match::is_whole`]), else the matching set with the most labels present, else the set with the largest share
+/// present. The first of equals wins. `None` if no set has any of the labels.
 pub(super) fn nearest<'a>(
     bare: &BTreeSet<String>,
     own: Option<&'a MarkerSet>,

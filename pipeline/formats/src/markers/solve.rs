@@ -1,12 +1,12 @@
 //! Solving the body from labelled markers: a pose for every frame, and the offsets of the markers.
 //!
-//! The offset of a marker from its joint is unknown, like the pose. They are solved alternately: poses of
-//! some frames with fixed offsets, then offsets and the size of the capture from these poses. Then every
-//! frame is posed, each starting from the one before.
+//! The offset of a marker from its joint is unknown, like the pose. Both are solved in turn: first the poses of some
+//! frames with fixed offsets, then the offsets and the size of the capture with fixed poses. Finally every frame is
+//! posed, starting from the pose before.
 //!
 //! # Source
-//! The alternation is that of MoSh (Loper et al. 2014) without body shape: the store has one body,
-//! so the capture is scaled to it instead.
+//! The alternation is that of MoSh (Loper et al. 2014) without body shape: a dataset has one body, so the capture is
+//! scaled to it instead.
 
 use std::collections::BTreeSet;
 
@@ -29,7 +29,7 @@ use clip::Markers;
 /// Number of frames and rounds for estimating offsets and size.
 const CALIBRATION_FRAMES: usize = 60;
 const CALIBRATION_ROUNDS: usize = 4;
-/// Weight of the initial guess of an offset against measurements.
+/// Weight of an offset's initial guess, relative to all measurements of it together.
 const OFFSET_PRIOR: f64 = 0.1;
 /// Unknowns of a pose: position of the pelvis, and rotation vectors of all joints.
 const UNKNOWNS: usize = 3 + 3 * NUM_BODY_JOINTS;
@@ -57,11 +57,11 @@ pub(super) struct Solved {
     pub(super) gaps: usize,
     /// The markers, rotated to y up, in captured size, with the set and the distances from the body's markers.
     pub(super) markers: Markers,
-    /// Decisions a reader may want to check.
+    /// Decisions that a user may want to check.
     pub notes: Vec<String>,
 }
 
-/// A capture that a body can be solved in.
+/// A capture whose body can be solved.
 pub(super) struct Solvable<'a> {
     set: &'a MarkerSet,
     worn: LabelledMarkers,
@@ -70,7 +70,7 @@ pub(super) struct Solvable<'a> {
     frames: Frames,
     /// Frames with enough markers.
     usable: Vec<usize>,
-    /// Axis that is up in the file.
+    /// Name of the axis that is up in the file.
     up: &'static str,
     /// Height of the captured person as a multiple of the body's.
     tall: f64,
@@ -175,7 +175,7 @@ impl<'a> Solvable<'a> {
     }
 }
 
-/// The set of a subject's markers.
+/// The marker set that a subject wears.
 fn recognise<'a>(subject: &Subject, own: Option<&'a MarkerSet>) -> Result<Match<'a>, SolveError> {
     let bare: BTreeSet<String> = subject.bare.iter().cloned().collect();
     let Some(found) = nearest(&bare, own) else {
@@ -225,9 +225,9 @@ fn check_parts(joints: &[usize], set: &MarkerSet, missing: &[&str]) -> Result<bo
 
 struct Solver<'a> {
     skeleton: &'a Skeleton,
-    /// The markers, with the joint that carries each and its first offset.
+    /// The markers, with the joint that carries each and its initial offset.
     worn: &'a LabelledMarkers,
-    /// Offset of the marker in the joint's frame.
+    /// Current offset of each marker in the joint's frame.
     offsets: Vec<DVec3>,
     /// Scale from the capture to the body.
     scale: f64,
@@ -271,7 +271,8 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Ratio of the markers' height in the tallest frames to their height on the body at rest.
+    /// Ratio of the markers' height in the tallest frames to their height on the body at rest; `None` if no frame shows
+    /// enough markers.
     fn first_height(&self, frames: &Frames, usable: &[usize]) -> Option<f64> {
         let rest = Body::posed(
             self.skeleton.rest(0),
@@ -309,7 +310,8 @@ impl<'a> Solver<'a> {
         ratios.get(ratios.len().checked_sub(1)? * 9 / 10).copied()
     }
 
-    /// An initial pose for a frame: the rest pose, rotated so that left, right and up fit.
+    /// An initial pose for a frame: the rest pose with hanging arms, turned about the vertical so that left and right
+    /// fit.
     fn start(&self, points: &[Option<DVec3>]) -> Option<Body> {
         let mean = |keep: &dyn Fn(usize) -> bool| -> Option<DVec3> {
             let seen: Vec<DVec3> = (0..points.len())
@@ -341,7 +343,7 @@ impl<'a> Solver<'a> {
         Some(Body::posed(pelvis, locals, self.skeleton))
     }
 
-    /// Finds offsets and scale on frames spread over the capture.
+    /// Estimates offsets and scale from frames spread over the capture.
     fn calibrate(&mut self, frames: &Frames, usable: &[usize]) -> Option<()> {
         let step = usable.len().div_ceil(CALIBRATION_FRAMES).max(1);
         let chosen: Vec<usize> = usable.iter().copied().step_by(step).collect();
@@ -358,7 +360,7 @@ impl<'a> Solver<'a> {
         Some(())
     }
 
-    /// Offsets and scale by least squares, for fixed poses.
+    /// Updates offsets and scale by least squares, for fixed poses.
     fn refit(&mut self, frames: &Frames, chosen: &[usize], bodies: &[Body]) {
         let (mut along, mut spread) = (0.0, 0.0);
         for (body, &frame) in bodies.iter().zip(chosen) {
@@ -401,7 +403,8 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Poses every frame. Frames with too few markers are interpolated.
+    /// Poses every frame; frames with too few markers are interpolated. Returns the poses, the RMS residual of each
+    /// frame in metres (-1 if interpolated), and the number of interpolated frames.
     fn all(&self, frames: &Frames, usable: &[usize]) -> Option<(Vec<Pose>, Vec<f32>, usize)> {
         let mut solved: Vec<Option<Body>> = vec![None; frames.len()];
         let mut before: Option<Body> = None;
@@ -469,7 +472,7 @@ impl<'a> Solver<'a> {
         body.points[joint] + body.globals[joint] * self.offsets[marker]
     }
 
-    /// The pose nearest to the markers, from a start, by damped Gauss-Newton steps.
+    /// Moves `body` to the pose nearest to the markers by damped Gauss-Newton steps.
     fn posed(
         &self,
         mut body: Body,
@@ -505,7 +508,7 @@ impl<'a> Solver<'a> {
         let mut locals = body.locals;
         for joint in 0..NUM_BODY_JOINTS {
             let turn = DVec3::from_slice(&step[3 + 3 * joint..]);
-            // A rotation about world axes, in the parent's frame.
+            // The turn is about world axes; it is applied in the parent's frame.
             let above = match joint {
                 0 => DQuat::IDENTITY,
                 _ => body.globals[parent_of(joint)],
@@ -540,7 +543,7 @@ impl<'a> Solver<'a> {
         for (marker, point) in points.iter().enumerate() {
             let Some(point) = point else { continue };
             let away = (self.marker(body, marker) - *point * self.scale).length();
-            // Huber weight: quadratic near, linear beyond.
+            // Huber loss: quadratic near, linear beyond.
             cost += if away < OUTLIER_M {
                 away * away
             } else {
@@ -558,7 +561,7 @@ impl<'a> Solver<'a> {
         cost
     }
 
-    /// One damped Gauss-Newton step.
+    /// One damped Gauss-Newton step; `None` if the system cannot be solved.
     fn step(
         &self,
         body: &Body,
@@ -573,7 +576,7 @@ impl<'a> Solver<'a> {
             let posed = self.marker(body, marker);
             let residual = *point * self.scale - posed;
             let weight = (OUTLIER_M / residual.length().max(OUTLIER_M)).min(1.0);
-            // The unknowns that move this marker: the pelvis, and every joint above it.
+            // The unknowns that move this marker: the pelvis, its joint, and every joint above it.
             let mut columns: Vec<(usize, DMat3)> = vec![(0, DMat3::IDENTITY)];
             let mut joint = self.worn.joints[marker];
             loop {
@@ -626,7 +629,8 @@ impl<'a> Solver<'a> {
     }
 }
 
-/// Derivative of a point at `arm` from a joint by the joint's rotation: the matrix of `turn x arm`.
+/// The matrix that maps `turn` to `turn x arm`: the derivative of a point at `arm` from a joint with respect to the
+/// joint's rotation.
 fn cross_matrix(arm: DVec3) -> DMat3 {
     DMat3::from_cols(
         DVec3::new(0.0, -arm.z, arm.y),

@@ -28,7 +28,7 @@ impl LabelledMarkers {
         };
         let mut names: Vec<&str> = Vec::new();
         for (column, name) in subject.columns.iter().zip(&subject.bare) {
-            // The first of repeated labels is used.
+            // Of repeated labels, the first is used.
             if names.contains(&name.as_str()) {
                 continue;
             }
@@ -50,7 +50,7 @@ impl LabelledMarkers {
     }
 }
 
-/// Positions of the labelled markers, frame by frame; none where a marker was not seen.
+/// Positions of the labelled markers, frame by frame; `None` where a marker was not seen.
 pub(super) struct Frames {
     pub(super) points: Vec<Vec<Option<DVec3>>>,
 }
@@ -85,9 +85,10 @@ impl Frames {
         seen >= MIN_SEEN && seen as f64 >= MIN_SEEN_SHARE * points.len() as f64
     }
 
-    /// The rotation to y up, found from the direction from the lower to the upper markers, and the file's up axis.
+    /// The rotation to y up, and the name of the file's up axis: the axis nearest to the mean direction from lower to
+    /// upper markers. `None` if there is no such direction.
     pub(super) fn up_turn(&self, worn: &LabelledMarkers) -> Option<(DQuat, &'static str)> {
-        // Heads, chests and hips are above feet; use those that are present.
+        // Usual height of a joint: heads, chests and hips are above knees and feet. Arms do not count.
         let level = |joint: usize| match joint {
             7 | 8 | 10 | 11 => -1.0,
             4 | 5 => -0.4,

@@ -1,9 +1,8 @@
 //! The constant rotation between a joint's frame in the source and in the body.
 //!
-//! Each mapped joint has one rotation `A` with `body = source * A`, both global. If the source's rest pose
-//! is a standing person, `A` follows from geometry ([`by_rest_pose`]). Other sources choose joint frames
-//! freely, often with every bone along x, and their zero pose is arbitrary; then `A` is estimated from the
-//! motion ([`by_motion`]).
+//! Each mapped joint has one rotation `A` with `body = source * A`, both global. If the source's rest pose is a
+//! standing person, `A` follows from geometry ([`by_rest_pose`]). Other sources choose joint frames freely, often with
+//! every bone along x, and their zero pose is arbitrary; then `A` is estimated from the motion ([`by_motion`]).
 
 use std::f64::consts::FRAC_PI_2;
 use std::iter::StepBy;
@@ -41,12 +40,12 @@ const MAX_SAMPLES: usize = 256;
 /// The joints between pelvis and neck, lowest first.
 pub(super) const SPINE: [usize; 3] = [3, 6, 9];
 
-/// Aligns the frames of a source by a pose that shows a standing person with arms out or down; none
-/// if it does not. The pose may be in any unit and orientation.
+/// Aligns the joint frames of a source by its rest pose, which must show a standing person with arms out or down;
+/// `None` if it does not. The pose may be in any unit, with any axis up.
 ///
-/// Both bodies then have the same pose: torsos upright with the same heading, limb bones in the same
-/// directions, soles level. The positions of spine, neck, collar and head joints differ between
-/// skeletons, so these joints use the torso's orientation instead of bone directions.
+/// In this pose both bodies then have upright torsos with the same heading, limb bones in the same directions and level
+/// soles. The positions of spine, neck, collar and head joints differ between skeletons, so these joints use the
+/// torso's orientation instead of bone directions.
 pub(super) fn by_rest_pose(
     rest: &TrackRest,
     track: &Track,
@@ -100,7 +99,7 @@ fn heading(direction: DVec3) -> f64 {
     direction.x.atan2(direction.z)
 }
 
-/// The orientation of the torso in a zero pose that shows a standing person; none if it does not.
+/// The orientation of the torso in a zero pose that shows a standing person; `None` if it does not.
 fn standing_torso(zero: &[DVec3; NUM_BODY_JOINTS], track: &Track) -> Option<DQuat> {
     /// Limits on cosines: legs splay by 20 degrees in the CMU skeleton, arms of A-poses hang by 45, and arms of some
     /// rigs hang straight down, but never point up.
@@ -156,7 +155,7 @@ fn nearest_axis(direction: DVec3) -> DVec3 {
     }
 }
 
-/// Estimates the frames of a source from its motion, which must be y up.
+/// Estimates the alignment of joint frames from the source's motion, which must be y up.
 ///
 /// Positions determine the body's rotations in each frame up to twists: the pelvis from the line of the
 /// hips and the lowest spine bone, the chest from the line of the collars and the spine, upper limbs from
@@ -185,7 +184,7 @@ pub(super) fn by_motion(track: &Track, skeleton: &Skeleton) -> Alignment {
     estimate.alignment
 }
 
-/// Estimated alignment of a source from its motion; it is extended from the pelvis outwards.
+/// Alignment estimated from a source's motion, from the pelvis outwards.
 struct Estimate<'a> {
     track: &'a Track,
     skeleton: &'a Skeleton,
@@ -221,7 +220,7 @@ impl<'a> Estimate<'a> {
         self.point(frame, 1).midpoint(self.point(frame, 2))
     }
 
-    /// The vector from a joint to another.
+    /// The vector from one joint to another.
     fn bone(&self, frame: usize, from: usize, to: usize) -> DVec3 {
         self.point(frame, to) - self.point(frame, from)
     }
@@ -231,8 +230,8 @@ impl<'a> Estimate<'a> {
         self.rotation(frame, joint) * self.alignment[joint]
     }
 
-    /// The rotation of the joint `above`, rotated minimally so that the body's `bone` points like the source's; weight
-    /// 1.
+    /// The body's rotation of the joint `above`, turned by the smallest angle that makes `bone` point like the source's
+    /// bone, with weight 1.
     fn swung(
         &self,
         frame: usize,
@@ -262,7 +261,7 @@ impl<'a> Estimate<'a> {
         }))
     }
 
-    /// The alignment of a joint with the same mean rotation as another joint.
+    /// The alignment that gives a joint on average the body's rotation of another joint.
     fn in_line_with(&self, other: usize, joint: usize) -> DQuat {
         self.mean_of(joint, |frame| (self.body(frame, other), 1.0))
             .0
@@ -349,7 +348,7 @@ impl<'a> Estimate<'a> {
                 self.in_line_with(self.chest, 12)
             };
         }
-        // On average the head is aligned with the chest, and the shoulders are level.
+        // Assume that on average the head is aligned with the chest, and the shoulders are level.
         for joint in [13, 14, 15] {
             if self.track.is_mapped(joint) {
                 self.alignment[joint] = self.in_line_with(self.chest, joint);
@@ -380,8 +379,7 @@ impl<'a> Estimate<'a> {
             };
         }
         if track.is_mapped(end) {
-            // Wrists are on average in line with the forearm; ankles with the shin, unless the soles
-            // determine them.
+            // Wrists are on average in line with the forearm; ankles with the shin, unless the soles determine them.
             self.alignment[end] = self.in_line_with(middle, end);
         }
     }
@@ -389,8 +387,8 @@ impl<'a> Estimate<'a> {
     /// Estimates the alignment of a limb's upper joint from the plane in which the limb bends, or from the trunk if the
     /// limb hardly bends.
     fn upper_limb(&self, trunk: usize, [upper, middle, end]: [usize; 3], hinge: DVec3) -> DQuat {
-        /// Sum of squared sines of the bend from which the bending plane is reliable: three frames at a right
-        /// angle, or some thirty at 20 degrees.
+        /// Sum of squared sines of the bend from which the bending plane is reliable: three frames at a right angle, or
+        /// 26 at 20 degrees.
         const MIN_BENDING: f64 = 3.0;
         let upper_bone = self.skeleton.offset(middle);
         let hinged = |frame| {
@@ -421,7 +419,7 @@ impl<'a> Estimate<'a> {
     }
 }
 
-/// The bending axis of a joint and its weight; none if the joint is nearly straight or folded.
+/// The bending axis of a joint and its weight; `None` if the joint is nearly straight or folded.
 fn bent(bone: DVec3, next: DVec3) -> Option<(DVec3, f64)> {
     /// Sine of 20 degrees: for smaller bends the axis is noise, and real knees and elbows overextend.
     const MIN_SINE: f64 = 0.342;
@@ -430,10 +428,11 @@ fn bent(bone: DVec3, next: DVec3) -> Option<(DVec3, f64)> {
     (sine > MIN_SINE).then(|| (axis / sine, sine * sine))
 }
 
-/// Aligns an ankle by the frames in which the foot stands flat: where both ankle and foot are within 3 cm of the lowest
-/// they get, the vertical is the sole's normal. None if there is no foot or the result is implausible as a sole.
+/// Aligns an ankle by the frames in which the foot stands flat: both ankle and foot are then close to their lowest
+/// heights, and the vertical is the sole's normal. `None` if there is no foot or no plausible sole.
 fn by_sole(track: &Track, ankle: usize, foot: usize, skeleton: &Skeleton) -> Option<DQuat> {
-    /// Fraction of the leg's length (3 cm for a leg of 0.8 m), and fraction of the frames.
+    /// Height band of a flat foot above its lowest heights, as a fraction of the leg's length (3 cm for a leg of 0.8
+    /// m), and the quantile of the heights that counts as lowest.
     const FLAT_BAND: f64 = 0.0375;
     const LOWEST_SHARE: f64 = 0.05;
     /// Largest cosine between the sole's normal and the direction from ankle to foot.
@@ -469,7 +468,7 @@ fn by_sole(track: &Track, ankle: usize, foot: usize, skeleton: &Skeleton) -> Opt
     Some(right_of(normal, direction) * right_of(DVec3::Y, body).inverse())
 }
 
-/// The rotation that takes x to the first direction and y as near as possible to the second.
+/// The rotation that takes x to the first direction, and y as near as possible to the second.
 fn axes(first: DVec3, second: DVec3) -> DQuat {
     let Some(x) = first.try_normalize() else {
         return DQuat::IDENTITY;
@@ -481,11 +480,10 @@ fn axes(first: DVec3, second: DVec3) -> DQuat {
     DQuat::from_mat3(&DMat3::from_cols(x, z.cross(x), z))
 }
 
-/// The chordal mean of weighted rotations, and the sum of the weights; the identity for none.
+/// The chordal mean of weighted rotations, and the sum of the weights; the identity if there are no rotations.
 ///
-/// It is the eigenvector of the largest eigenvalue of the weighted sum of `q q^T`, for which a
-/// quaternion and its negative count the same. Squaring the matrix ten times raises the ratio of
-/// its eigenvalues to the power 1024.
+/// It is the eigenvector of the largest eigenvalue of the weighted sum of `q q^T`, for which a quaternion and its
+/// negative count the same. Squaring the matrix ten times raises the ratio of its eigenvalues to the power 1024.
 fn mean_rotation(rotations: impl Iterator<Item = (DQuat, f64)>) -> (DQuat, f64) {
     const SQUARINGS: usize = 10;
     let mut sum = DMat4::ZERO;

@@ -12,14 +12,14 @@ use super::track::Track;
 /// with a raised head reaches only 0.5.
 pub(super) const LEAST: f64 = 0.6;
 
-/// Confidence of a map without names, relative to one by names.
+/// Factor on the confidence of a map that names do not support.
 const NAMELESS: f64 = 0.8;
 
 /// Evidence for a guessed map, each from 0 to 1.
 pub(super) struct Evidence {
     /// Share of the body joints that were found.
     found: f64,
-    /// Share of the limb joints with the expected parent chain.
+    /// Share of the limb bones whose child joint descends from its parent joint in the source too.
     descent: f64,
     /// Similarity of left and right limb lengths.
     symmetry: f64,
@@ -39,7 +39,7 @@ impl Evidence {
     ) -> Self {
         let source_of = |joint: usize| mapping.source_of[joint];
         let found = mapping.source_of.iter().flatten().count() as f64 / NUM_BODY_JOINTS as f64;
-        // The neck is the head's parent in every body too.
+        // In every body, the head also descends from the neck.
         let hanging = LIMBS.iter().chain(&[(12, 15)]);
         let descent = mean(hanging.filter_map(|&(joint, child)| {
             let (joint, child) = (source_of(joint)?, source_of(child)?);
@@ -63,15 +63,15 @@ impl Evidence {
         }
     }
 
-    /// The confidence, from 0 to 1: 0.6 for joints found, 0.2 each for descent and symmetry, all of
-    /// it times the posture, and times 0.8 without names.
+    /// The confidence, from 0 to 1: 0.6 times the share of joints found, plus 0.2 each times descent and symmetry; all
+    /// of this times the posture, and times 0.8 without names.
     pub(super) fn confidence(&self) -> f64 {
         let built = 0.6 * self.found + 0.2 * self.descent + 0.2 * self.symmetry;
         let trust = if self.named { 1.0 } else { NAMELESS };
         built * self.posture * trust
     }
 
-    /// The evidence against the map.
+    /// The evidence against the map, as text for a message.
     pub(super) fn doubts(&self, mapping: &Mapping) -> String {
         /// Value below which a piece of evidence is mentioned.
         const WEAK: f64 = 0.7;

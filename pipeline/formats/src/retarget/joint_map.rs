@@ -15,8 +15,8 @@ use super::user_map::UserMap;
 ///
 /// Spines differ in number and position of joints. Each source joint maps to the body joint with the nearest height
 /// between pelvis and neck; the other body joints follow from their neighbours. `cmu` has two neck bones; the upper one
-/// starts at the body's neck joint. `xsens` is also the dialect of 100STYLE, and `soma` that of BONES-SEED and Kimodo;
-/// its `LeftLeg` is the thigh, which other rigs call `LeftUpLeg`.
+/// starts at the body's neck joint. `xsens` is also the dialect of 100STYLE, and `soma` that of BONES-SEED and Kimodo.
+/// In `soma`, `LeftLeg` is the thigh, which other rigs call `LeftUpLeg`.
 pub(super) static JOINT_MAPS: LazyLock<Vec<UserMap>> = LazyLock::new(|| {
     let files = [
         include_str!("maps/smplx.json"),
@@ -67,7 +67,7 @@ pub struct Mapping {
     pub name: String,
     /// How the joints were found.
     pub origin: Origin,
-    /// Index in the file of each body joint, `[22]`.
+    /// Index of the bone in the file for each body joint, `[22]`.
     pub source_of: [Option<usize>; NUM_BODY_JOINTS],
 }
 
@@ -76,7 +76,7 @@ impl Mapping {
     /// first method that finds pelvis, legs and head is used.
     ///
     /// # Errors
-    /// No method finds them (the error names what is missing), or a required name occurs twice.
+    /// No method finds them (the error names what is missing), or a name of the dialect occurs twice.
     pub fn find(
         bones: &[Bone<'_>],
         rests: &[Rest],
@@ -135,7 +135,7 @@ impl Mapping {
         }
     }
 
-    /// The dialect with most names in the file, and what it finds.
+    /// The dialect with the most names in the file, and the joints that it finds.
     fn by_dialect(by_name: &BTreeMap<&str, Vec<usize>>) -> (&'static UserMap, Self) {
         let num_matches = |map: &UserMap| {
             let names = map.source_names();
@@ -243,7 +243,7 @@ enum Part {
     Head,
 }
 
-/// Words for each part. The longest word that ends a name decides: a forearm is not an arm.
+/// Words for each part. The longest word that a name ends with decides: a forearm is not an arm.
 const WORDS: [(Part, &str); 12] = [
     (Part::Pelvis, "pelvis hips waist root body"),
     (Part::Hip, "upleg upperleg thigh femur hip"),
@@ -264,8 +264,8 @@ const STEERING: [&str; 8] = [
     "ik", "fk", "pole", "target", "ctrl", "control", "twist", "nub",
 ];
 
-/// Splits a name into its side and the rest in lower case: `LeftUpLeg`, `upleg_l` and
-/// `Bip01 L UpLeg` have the same side.
+/// The side and the part that a name states; no part for control bones. `LeftUpLeg`, `upleg_l` and `Bip01 L UpLeg`
+/// state the same.
 fn side_and_part(name: &str) -> (Option<Side>, Option<Part>) {
     let mut words: Vec<String> = Vec::new();
     let mut previous_lower = false;
@@ -369,7 +369,7 @@ fn ancestors(bones: &[Bone<'_>], index: usize) -> impl Iterator<Item = usize> {
     std::iter::successors(bones[index].parent, |&parent| bones[parent].parent)
 }
 
-/// The lowest bone above two others.
+/// The lowest common ancestor of two bones.
 fn common_ancestor(bones: &[Bone<'_>], a: usize, b: usize) -> Option<usize> {
     let above: Vec<usize> = ancestors(bones, a).collect();
     ancestors(bones, b).find(|candidate| above.contains(candidate))

@@ -1,8 +1,7 @@
 //! Retargeting a motion from another skeleton to the body.
 //!
-//! Rotations are mapped by a constant rotation per joint. The pelvis follows the midpoint of the source's
-//! hips, scaled by the ratio of leg lengths, so that planted feet stay planted. Other bone lengths of the
-//! source have no effect.
+//! Rotations are mapped by a constant rotation per joint. The pelvis follows the midpoint of the source's hips, scaled
+//! by the ratio of leg lengths, so that planted feet stay planted. Other bone lengths of the source have no effect.
 
 mod align;
 mod confidence;
@@ -40,8 +39,8 @@ use features::floor;
 /// known ones if the file has its joints.
 ///
 /// # Errors
-/// The rig's code for skeletons if its skeleton is not a body, `E-NOT-FINITE` if joint positions are not finite,
-/// `E-UNIT` if the skeleton's size is not a person's in the user's unit.
+/// [`Rig::skeleton_code`] if the skeleton is not a body, `E-NOT-FINITE` if joint positions are not finite, `E-UNIT` if
+/// the skeleton's size is not a person's in the user's unit.
 pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejected> {
     let (skeleton, joint_map) = (&options.skeleton, options.user_map.as_ref());
     let bones = rig.bones();
@@ -106,7 +105,7 @@ pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejecte
     Ok(clip)
 }
 
-/// The alignment by the first pose that shows a standing person, and the pose's name; none if there is no such pose.
+/// The alignment by the first pose that shows a standing person, and the pose's name; `None` if there is no such pose.
 fn by_rest(
     track: &Track,
     stated: Option<RestPose>,
@@ -121,7 +120,7 @@ fn by_rest(
     }
 }
 
-/// The note on a guessed map, or why it is rejected.
+/// The note on a guessed map, or the reason why the map is rejected.
 fn trust(evidence: &Evidence, mapping: &Mapping) -> Result<String, String> {
     let confidence = evidence.confidence();
     if confidence < confidence::LEAST {
@@ -139,7 +138,7 @@ fn trust(evidence: &Evidence, mapping: &Mapping) -> Result<String, String> {
     ))
 }
 
-/// Rotates a track to y up, and notes the up axis if it was another.
+/// Rotates a track to y up. Returns a note if another axis was up.
 fn set_upright(track: &mut Track, stated_up: Option<DVec3>) -> Option<String> {
     let (turn, axis) = match stated_up {
         Some(up) => (y_up_from_axis(up), axis_name(up)),
@@ -214,8 +213,9 @@ struct Compared {
 }
 
 impl Carrier<'_> {
-    /// Returns the motion, and the mean distance in metres between joints of the body and of the source, whose bones
-    /// are rescaled to the body's lengths. Both start from the same hips, which are rigid parts of the pelvis.
+    /// Returns the motion, and the mean distance in metres between the joints of the body and those of the source after
+    /// its bones are rescaled to the body's lengths. Both start from the same hips, which are rigid parts of the
+    /// pelvis.
     fn carry(&self, rig: &impl Rig, bones: &[Bone<'_>]) -> Result<(Motion, f64), Rejected> {
         /// Number of poses held in double precision at a time.
         const AT_ONCE: usize = 1024;
@@ -332,7 +332,7 @@ impl Carrier<'_> {
             .collect()
     }
 
-    /// Sum of one frame's distances for [`Carrier::carry`]. Bones without a direction in the source count as
+    /// Sum of the distances in one frame for [`Carrier::carry`]. A bone without a direction in the source counts as
     /// equal to the body's.
     fn direction_error(
         &self,
@@ -374,7 +374,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// A joint map of all joints, with further fields.
+    /// A joint map of all joints, with further JSON fields.
     fn map_of(name: impl Fn(Joint) -> String, fields: &str) -> UserMap {
         let joints = Joint::ALL.map(|joint| format!("{:?}: {:?}", joint.name(), name(joint)));
         let joints = joints.join(", ");
@@ -387,7 +387,7 @@ pub(crate) mod tests {
         clip(&bvh, &ReadOptions::default()).expect("the test writes bodies")
     }
 
-    /// A motion that is written for a rig and read.
+    /// Writes poses as a file of a rig, and reads the file.
     fn carried(rig: &RigText, poses: &[Pose]) -> SourceClip {
         retarget(&rig.write(poses, &Skeleton::smplx_neutral()))
     }
@@ -414,8 +414,8 @@ pub(crate) mod tests {
 
     #[test]
     fn the_bodys_own_skeleton_comes_back_unchanged() {
-        // The second motion has more frames than a track holds, and z up. Its walk starts again and again: far from the
-        // origin, f32 is too coarse for the comparison.
+        // The second motion has more frames than a track holds, and z up. It repeats a short walk: far from the origin,
+        // f32 is too coarse for the comparison.
         let long = walk(60).into_iter().cycle().take(9_000).collect();
         for (rig, poses) in [(RigText::smplx(), walk(40)), (z_up(), long)] {
             let clip = carried(&rig, &poses);
@@ -468,7 +468,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// A file with other names for its joints.
+    /// The file with other names for its joints.
     fn renamed(text: &str, name: impl Fn(usize) -> String) -> String {
         let mut text = text.to_owned();
         for (joint, old) in JOINT_MAPS[0].source_names().enumerate() {
@@ -508,7 +508,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_beast_with_human_names_is_refused() {
-        // The hips stay bent: the trunk stays horizontal over the legs. The zero pose is arbitrary.
+        // The hips stay bent, so the trunk is horizontal over the legs. The zero pose is arbitrary.
         let poses: Vec<Pose> = walk(40)
             .into_iter()
             .map(|mut pose| {

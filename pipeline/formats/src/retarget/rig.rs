@@ -12,9 +12,9 @@ use crate::source::Unit;
 pub struct Bone<'a> {
     /// Name as written; empty if the file gives none.
     pub name: &'a str,
-    /// Index of the parent, which precedes its children; none for a root.
+    /// Index of the parent, which precedes its children; `None` for a root.
     pub parent: Option<usize>,
-    /// End of the bone in its own frame, if the file states it.
+    /// End of the bone in the bone's frame, if the file states it.
     pub tip: Option<DVec3>,
 }
 
@@ -56,7 +56,7 @@ impl Placed {
 pub struct Rest {
     /// Name of the pose in the file's format.
     pub name: &'static str,
-    /// Every bone, `[B]`. The axes need not be those of the motion.
+    /// World transform of every bone, `[B]`. The axes need not be those of the motion.
     pub bones: Vec<Placed>,
 }
 
@@ -77,15 +77,15 @@ pub trait Rig {
     /// The frame rate.
     fn fps(&self) -> Fps;
 
-    /// The frames that are motion.
+    /// The frames that are motion; a leading zero pose is left out.
     fn frames(&self) -> Range<usize>;
 
-    /// The up axis that the format specifies; none if it varies among files.
+    /// The up axis that the format specifies; `None` if it varies among files.
     fn up(&self) -> Option<DVec3> {
         None
     }
 
-    /// The unit that the file states; none if its format has none, or files do not keep to it.
+    /// The unit that the file states; `None` if its format has none, or files do not keep to it.
     fn unit(&self) -> Option<Unit> {
         None
     }

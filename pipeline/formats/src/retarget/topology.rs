@@ -5,10 +5,9 @@ use kinematics::skeleton::NUM_BODY_JOINTS;
 
 use super::rig::{Bone, Placed};
 
-/// Limit on the children of a bone. The hips and chest of a body have three to six; every pair of them is
-/// tried.
+/// Limit on the children of a bone. The hips and chest of a body have three to six; every pair of them is tried.
 const MAX_CHILDREN: usize = 16;
-/// Bones of a leg that has a knee and an ankle, and of an arm that has an elbow.
+/// Minimum number of bones of a leg (hip, knee, ankle) and of an arm (shoulder, elbow, wrist).
 const MIN_LEG: usize = 3;
 const MIN_ARM: usize = 3;
 /// Largest ratio of the lengths of the left and the right limb of one body.
@@ -17,11 +16,11 @@ const MAX_ASYMMETRY: f64 = 1.2;
 /// A run of bones without branches, ending in a branching bone or a leaf.
 type Chain = Vec<usize>;
 
-/// The body joints of a skeleton, `[22]`; none if it does not look like a body.
+/// The bone of each body joint, `[22]`; `None` if the skeleton does not look like a body.
 ///
-/// The pelvis has two chains of equal length, the legs, and a third child that leads to a bone with two more such
-/// chains, the arms. The head is the remaining chain of that bone whose end is farthest from the feet. The toes point
-/// to the front, which determines left and right.
+/// The pelvis has two chains of equal length, the legs, and another child that leads to a bone with two more such
+/// chains, the arms. The head is the highest of that bone's other chains. The toes point to the front, which determines
+/// left and right.
 pub(super) fn guess(
     bones: &[Bone<'_>],
     rest: &[Placed],
@@ -125,7 +124,7 @@ impl Tree<'_> {
             .iter()
             .zip([[13, 16, 18, 20], [14, 17, 19, 21]])
         {
-            // The shortest arm has no collar.
+            // An arm of the minimum length has no collar.
             let first = usize::from(arm.len() == MIN_ARM);
             for (&joint, &bone) in joints[first..].iter().zip(arm) {
                 body[joint] = Some(bone);

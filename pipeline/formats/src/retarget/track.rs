@@ -14,7 +14,7 @@ pub(super) struct Track {
     anchors: [Anchor; NUM_BODY_JOINTS],
     /// Number of source frames per held frame.
     stride: usize,
-    /// Rotation of the source's axes so far.
+    /// Product of all rotations of the track ([`Track::turn`]).
     turn: DQuat,
     rotations: Vec<[DQuat; NUM_BODY_JOINTS]>,
     points: Vec<[DVec3; NUM_BODY_JOINTS]>,
@@ -40,18 +40,18 @@ const MAX_FRAMES: usize = 4096;
 /// Limit on coordinates in the file's unit: larger values are not motion and would overflow.
 const MAX_COORDINATE: f64 = 1e9;
 
-/// Joints of each foot, and the ankle whose end site replaces a missing foot joint.
+/// Ankle and foot of each leg. If the source has no foot joint, the end site of the ankle replaces it.
 const FOOT_OF_ANKLE: [(usize, usize); 2] = [(7, 10), (8, 11)];
 
-/// The point of a bone that is a body joint: its origin, or its tip.
+/// The bone, and the point in its frame, that are a body joint: the bone's origin or its tip.
 type Anchor = Option<(usize, DVec3)>;
 
 impl Track {
     /// Follows the mapped joints of a source.
     ///
     /// # Errors
-    /// `E-NOT-FINITE` if a joint position is not finite, the rig's code for skeletons if the legs have no
-    /// length.
+    /// `E-NOT-FINITE` if a joint's position or rotation is not finite or its position is too large,
+    /// [`Rig::skeleton_code`] if the legs have no length.
     pub(super) fn follow(
         rig: &impl Rig,
         bones: &[Bone<'_>],
@@ -68,7 +68,7 @@ impl Track {
         let mut visited = 0;
         rig.follow(&needed(bones, &anchors), &mut |frame, placed| {
             let frame_points = points_of(&anchors, placed);
-            // The sum is not finite if any number is not, or if it overflows.
+            // The sum is NaN or too large if any coordinate is.
             let reach = frame_points
                 .iter()
                 .fold(0.0, |sum, point| sum + point.abs().element_sum());
@@ -113,7 +113,7 @@ impl Track {
             points,
             rests,
         };
-        // Shorter than a micrometre in any unit: there are no bones.
+        // Legs shorter than this, in the file's unit, are no bones.
         const SHORTEST_LEG: f64 = 1e-6;
         if track.points.is_empty() || track.leg_length < SHORTEST_LEG {
             return Err(Rejected::retarget(

@@ -1,5 +1,5 @@
 //! The unit of a source skeleton. Motions are scaled by the ratio of leg lengths, so the unit does not affect them: it
-//! is only noted, and a stated unit in which the skeleton is not of a person's size is refused.
+//! is only noted. A unit of the user is refused if the skeleton does not have a person's size in it.
 
 use datasets_spec::Skeleton;
 
@@ -21,7 +21,7 @@ const UNITS: [(&str, f64); 5] = [
 
 /// Height of the body in metres, from its toes to the top of its head.
 pub(crate) fn body_height(skeleton: &Skeleton) -> f64 {
-    /// The top of a head above its joint.
+    /// Distance from the head joint to the top of the head.
     const ABOVE_HEAD_M: f64 = 0.15;
     let feet = skeleton.rest(10).y.min(skeleton.rest(11).y);
     skeleton.rest(15).y - feet + ABOVE_HEAD_M

@@ -93,7 +93,7 @@ struct File {
 }
 
 impl UserMap {
-    /// BLAKE3 of the map, hexadecimal.
+    /// BLAKE3 hash of the map, in hexadecimal.
     pub fn hash(&self) -> String {
         let Self {
             name,

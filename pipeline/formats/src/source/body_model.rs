@@ -13,16 +13,16 @@ use clip::{Rejected, rejected};
 use pickle::npy::{self, Array};
 use pickle::npz::Archive;
 
-/// Limit on arrays of a model in bytes, except its shapes. The joint regressor of SMPL-X takes 4.6 MB; pose blend
+/// Limit in bytes on arrays of a model other than blend shapes. The joint regressor of SMPL-X takes 4.6 MB; pose blend
 /// shapes take hundreds of MB and are not read.
 const MAX_ARRAY_LEN: u64 = 64 << 20;
-/// Limit on the array of blend shapes in bytes: the 400 of SMPL-X take 101 MB.
+/// Limit in bytes on the array of blend shapes: the 400 of SMPL-X take 101 MB.
 const MAX_SHAPES_LEN: u64 = 256 << 20;
 /// Number of betas that are used.
 const NUM_BETAS: usize = 10;
-/// Joints of SMPL-H: the body and two hands of 15.
+/// Number of joints of SMPL-H: the body and two hands of 15.
 const NUM_SMPLH_JOINTS: usize = 52;
-/// Joints of SMPL-X between body and hands that SMPL-H lacks: jaw and both eyes.
+/// Number of joints of SMPL-X between body and hands that SMPL-H lacks: jaw and both eyes.
 const NUM_FACE_JOINTS: usize = NUM_JOINTS - NUM_SMPLH_JOINTS;
 /// Plausible heights in metres of an adult's head above the pelvis: 0.62 for the neutral body. A model in centimetres,
 /// or one lying down, is outside.
@@ -33,7 +33,7 @@ const RIGHT_HIP: usize = 2;
 /// Number of hexadecimal digits of the hash in a skeleton's name.
 const HASH_DIGITS: usize = 8;
 
-/// Reads the rest joints of a body model, betas zero.
+/// Reads the rest joints of a body model with all betas zero.
 ///
 /// From an npz they are `J_regressor . v_template`, and the joint tree must be that of SMPL-X (55 joints) or SMPL-H
 /// (52); an npy holds the `[55, 3]` joints themselves. SMPL-H has no jaw and eyes; they get their positions relative to
@@ -47,8 +47,7 @@ const HASH_DIGITS: usize = 8;
 /// The file cannot be read, is pickled, or is no such model.
 ///
 /// # Source
-/// Key names and shapes: the model files of vchoutas/smplx and of AMASS, and the `J_male.npy` of
-/// the MotionReFit demo.
+/// Key names and shapes: the model files of vchoutas/smplx and of AMASS, and the `J_male.npy` of the MotionReFit demo.
 pub fn read_skeleton(path: &Path) -> Result<Skeleton, Error> {
     let joints = read_joints(path)?
         .and_then(complete)
@@ -132,8 +131,7 @@ impl BodyModel {
         Ok(Self { joints, shapes })
     }
 
-    /// The rest skeleton of a subject. Betas beyond the model's and beyond the tenth are ignored, as in the published
-    /// preparation.
+    /// The rest skeleton of a subject. Betas beyond the model's and beyond the tenth are ignored, as in HumanML3D.
     pub fn skeleton(&self, name: &str, betas: &[f64]) -> Skeleton {
         let joints: Vec<DVec3> = (0..self.joints.len())
             .map(|joint| {
@@ -163,7 +161,7 @@ pub struct Subjects {
     folder: PathBuf,
 }
 
-/// The hash of the models identifies them in a plan.
+/// Writes the hash of the models, which identifies them in a plan.
 impl std::fmt::Debug for Subjects {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "Subjects({})", self.hash)
@@ -171,7 +169,7 @@ impl std::fmt::Debug for Subjects {
 }
 
 impl Subjects {
-    /// BLAKE3 of the models, hexadecimal.
+    /// BLAKE3 hash of the models: the first 8 hexadecimal digits.
     pub fn hash(&self) -> &str {
         &self.hash
     }
@@ -223,7 +221,7 @@ impl Subjects {
         })
     }
 
-    /// The rest skeleton of a subject of AMASS; none if the models do not match the kind of the parameters.
+    /// The rest skeleton of a subject of AMASS; `None` if only one of models and parameters is SMPL-H.
     ///
     /// # Source
     /// HumanML3D's `raw_pose_processing` uses the male model for the gender `male`, the female one otherwise, and ten
@@ -237,7 +235,7 @@ impl Subjects {
     }
 }
 
-/// The npz files of a folder and the folders in it, sorted.
+/// The npz files of a folder and of the folders in it, up to three levels deep.
 fn list_npz(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(), Error> {
     /// Releases keep their models in a folder for each gender.
     const MAX_DEPTH: usize = 3;
@@ -262,7 +260,7 @@ fn list_npz(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(),
     Ok(())
 }
 
-/// The gender of a model by its file name or the nearest folder that states one.
+/// The gender that the file name of a model states, else the nearest folder that states one.
 fn gender_of(root: &Path, file: &Path) -> Option<&'static str> {
     let inside = file.strip_prefix(root).unwrap_or(file).with_extension("");
     let mut names: Vec<String> = inside
@@ -475,7 +473,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::source::release_tests::edited;
 
-    /// A model whose vertices are the neutral joints, twice each at equal distances.
+    /// A model with two vertices at each neutral joint, at equal distances on opposite sides.
     fn model(joints: &[usize], parents: &[f64]) -> Vec<(&'static str, Vec<u8>)> {
         let neutral = Skeleton::smplx_neutral();
         let count = joints.len();
@@ -539,7 +537,8 @@ pub(crate) mod tests {
         assert_eq!(joints.rest(54), neutral.rest(54));
     }
 
-    /// Both bodies of SMPL-X; the first beta of the male one lifts the head, the second does nothing.
+    /// Models of SMPL-X for both genders. The first beta lifts the head by 0.05 m (male) or lowers it by 0.02 m
+    /// (female); the second does nothing.
     pub(crate) fn subjects() -> (tempfile::TempDir, Subjects) {
         let folder = tempfile::tempdir().expect("temporary folder");
         let num_vertices = 2 * NUM_JOINTS;

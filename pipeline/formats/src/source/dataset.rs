@@ -1,5 +1,5 @@
-//! Dataset folders of this program, read as a release: every clip keeps its id, split, labels, masks, pairs
-//! and markers.
+//! Dataset folders of this program, read as a release: every clip keeps its id, split, labels, masks, pairs and
+//! markers.
 //!
 //! If the rate stays the same, motions and features are copied bit for bit. Captures without a motion are not read.
 //! `E-DATASET-HASH` rejects a file that differs from its manifest.
@@ -27,7 +27,7 @@ const KEPT_FLAGS: u32 =
 const CODE: &str = "E-DATASET-FILE";
 
 /// A dataset folder.
-// Bytes per second: the 69 parameters of the store in f32 at 20 fps, before compression.
+// Bytes per second: the 69 parameters of a frame in f32 at 20 fps, before compression.
 pub const FORMAT: Format = Format {
     find: |files| boxed(StoredDataset::find(files)),
     ..Format::of_releases(
@@ -38,7 +38,7 @@ pub const FORMAT: Format = Format {
     )
 };
 
-/// A planned dataset.
+/// The clips of a dataset folder, before they are read.
 #[derive(Debug, Default)]
 struct StoredDataset {
     contents: Contents,
@@ -51,11 +51,11 @@ struct StoredDataset {
     labels: StoredLabels,
 }
 
-/// A table with a row for some motions, read row by row.
+/// A table with a row for some motions. Rows are read one at a time.
 #[derive(Debug, Default)]
 struct Rows {
     shards: Vec<ShardReader>,
-    /// Index in `shards` and row, by motion.
+    /// Index in `shards` and row in the shard, by motion id.
     places: BTreeMap<String, (usize, usize)>,
 }
 
@@ -269,7 +269,7 @@ impl Release for StoredDataset {
     }
 }
 
-/// Folder of a dataset, with a slash, and number of its manifest.
+/// Folder of a dataset with a final slash, and version of the manifest; `None` if the file is no manifest.
 fn root_and_version(file: &str) -> Option<(&str, u64)> {
     let at = file.rfind("meta/manifest-")?;
     let root = &file[..at];

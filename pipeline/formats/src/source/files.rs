@@ -15,7 +15,7 @@ use clip::{Rejected, rejected};
 pub struct Files {
     store: Arc<dyn Store>,
     paths: BTreeMap<String, PathBuf>,
-    /// Listings of folders at URLs, made on first use; none for folders that cannot be listed.
+    /// Listings of folders at URLs, made on first use; `None` for folders that cannot be listed.
     folders: Folders,
     /// The archives that some of the files are in.
     archives: Archives,
@@ -24,12 +24,12 @@ pub struct Files {
 type Folders = Arc<Mutex<BTreeMap<PathBuf, Option<BTreeSet<PathBuf>>>>>;
 
 impl Files {
-    /// Makes the list from the files' paths by relative path.
+    /// Makes the list. `paths` maps the relative path of each file to its path or URL.
     pub fn new(paths: BTreeMap<String, PathBuf>) -> Self {
         Self::on(ByPath::store(), paths)
     }
 
-    /// [`Files::new`], reading through the given store.
+    /// [`Files::new`] with the store to read through.
     pub fn on(store: Arc<dyn Store>, paths: BTreeMap<String, PathBuf>) -> Self {
         Self {
             store,
@@ -39,7 +39,7 @@ impl Files {
         }
     }
 
-    /// Keeps archives open as long as the files.
+    /// Keeps the archives open as long as these files.
     pub fn with_archives(mut self, archives: Archives) -> Self {
         self.archives = archives;
         self
@@ -50,12 +50,12 @@ impl Files {
         &self.archives
     }
 
-    /// BLAKE3 of a file, hexadecimal, or why it cannot be read.
+    /// BLAKE3 hash of a file in hexadecimal, or the reason why it cannot be read.
     pub fn hash(&self, path: &Path) -> Result<String, String> {
         self.store.hash(path).map_err(|error| error.to_string())
     }
 
-    /// Whether a file exists with this size, which is compared first, and this BLAKE3.
+    /// Whether a file exists with this size and this BLAKE3 hash. The hash is computed only if the size is equal.
     pub fn is_equal(&self, path: &Path, bytes: u64, blake3: &str) -> io::Result<bool> {
         let size = self.store.size(path);
         let found = size.and_then(|size| Ok(size == bytes && self.store.hash(path)? == blake3));
@@ -85,7 +85,7 @@ impl Files {
         read(path).map_err(|error| rejected!("E-IO", "cannot read {relative}: {error}"))
     }
 
-    /// Size in bytes of a file beside a source; none if it cannot be determined.
+    /// Size in bytes of a file beside a source; `None` if it cannot be determined.
     pub fn size_beside(&self, path: &Path) -> Option<u64> {
         self.may_be_there(path)
             .then(|| self.store.size(path).ok())?
@@ -106,7 +106,7 @@ impl Files {
         self.paths.contains_key(relative)
     }
 
-    /// The path of a file; none if there is no such file.
+    /// The path of a file; `None` if there is no such file.
     pub fn path(&self, relative: &str) -> Option<&Path> {
         self.paths.get(relative).map(PathBuf::as_path)
     }
@@ -149,7 +149,7 @@ impl Files {
         listed.as_ref().is_none_or(|files| files.contains(path))
     }
 
-    /// The bytes of a file that lies beside a source; none if there is no such file.
+    /// The bytes of a file that lies beside a source; `None` if there is no such file.
     pub fn read_beside(&self, path: &Path) -> Result<Option<Vec<u8>>, Rejected> {
         use std::io::ErrorKind::{InvalidFilename, IsADirectory, NotADirectory, NotFound};
 

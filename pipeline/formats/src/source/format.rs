@@ -1,4 +1,4 @@
-//! The interface of a source format, and of a release.
+//! The interfaces of source formats and of releases.
 
 use std::fmt;
 use std::io::Read;
@@ -12,19 +12,19 @@ use super::options::ReadOptions;
 use crate::markers::{self, Capture};
 use clip::{Outcome, ReadClip, Rejected, rejected};
 
-/// Reads the markers of a file; none if it has none.
+/// Reads the markers of a file; `None` if it has no markers.
 pub type ReadCapture = fn(&[u8], &ReadOptions) -> Result<Option<Capture>, Rejected>;
 
-/// A function of [`Format::by_name`].
+/// The type of [`Format::by_name`].
 pub(super) type JudgeByName = fn(&str, &[u8]) -> Option<Result<(), String>>;
 
-/// A function of [`Format::keys`].
+/// The type of [`Format::keys`].
 pub(super) type NameMotions = fn(&[u8], &ReadOptions) -> Vec<String>;
 
 /// A source format: how its files are recognised and read. Formats register in [`super::FORMATS`].
 ///
-/// A format of single files states their `extensions` or `by_content`, and `read`; a format of releases, whose files
-/// belong together, states `find`. The rest is that of `of_files` or `of_releases`.
+/// A format of single files sets `read`, and `extensions` or `by_content`; a format of releases, whose files belong
+/// together, sets `find`. The other fields keep the values of `of_files` or `of_releases`.
 #[derive(Clone, Copy)]
 pub struct Format {
     pub(super) name: &'static str,
@@ -36,12 +36,13 @@ pub struct Format {
     pub is_of_files: bool,
     /// Extensions of its files, in lower case.
     pub(super) extensions: &'static [&'static str],
-    /// Judges a file with one of the extensions by its name and first bytes: whether it is a motion, or the reason why
-    /// it is none; none if it is not of this format.
+    /// Judges a file with one of the extensions by its name in lower case and its first bytes: `Ok` if it is a motion,
+    /// the reason if it is none, and `None` if it is not of this format.
     pub(super) by_name: JudgeByName,
-    /// Whether the first bytes of a file without a known name have this format.
+    /// Whether a file that no format recognises by name has this format, by its first bytes.
     pub(super) by_content: fn(&[u8]) -> bool,
-    /// Names the motions in a file, for formats whose files may hold several; empty if it holds one, or cannot be read.
+    /// Names the motions in a file, for formats whose files may hold several. No names if the file holds one motion or
+    /// cannot be read.
     pub keys: Option<NameMotions>,
     /// Reads one motion of a single file. The key is one of `keys`, or empty.
     pub read: fn(&Path, &str, &[u8], &ReadOptions) -> Outcome,
@@ -49,8 +50,8 @@ pub struct Format {
     pub capture: Option<ReadCapture>,
     /// Refuses a large file from its headers, before all of it is read.
     pub refuse_large: fn(Reader) -> Option<Rejected>,
-    /// Reads a file that holds one motion in pieces, for formats whose files are much larger than their motions. None,
-    /// without reading anything, if the format reads files whole.
+    /// Reads a file of one motion in pieces, for formats whose files are much larger than their motions. The number is
+    /// the file's size in bytes. `None`, without reading anything, if the format reads files whole.
     pub read_in_pieces: fn(&mut dyn Read, usize, &ReadOptions) -> Option<Outcome>,
     /// The releases among the files, each found by its layout.
     pub(super) find: fn(&Files) -> Vec<Box<dyn Release>>,
@@ -101,7 +102,7 @@ impl Format {
         self.name
     }
 
-    /// Recognises a file by its name in lower case; none if the name is not of this format.
+    /// Recognises a file by its name in lower case and its first bytes; `None` if it is not of this format.
     pub(super) fn recognise(self, extension: &str, name: &str, head: &[u8]) -> Option<Recognised> {
         if !self.extensions.contains(&extension) {
             return None;
@@ -112,12 +113,12 @@ impl Format {
         })
     }
 
-    /// Names of the motions in a file; empty if it holds one, or cannot be read.
+    /// Names of the motions in a file; empty if it holds one motion or cannot be read.
     pub fn keys(self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
         self.keys.map_or_else(Vec::new, |keys| keys(bytes, options))
     }
 
-    /// The subject that a key of `keys` names; none for formats whose keys are not subjects.
+    /// The subject that a key of `keys` names; `None` for formats whose keys are not subjects.
     pub fn subject_of(self, key: &str) -> Option<&str> {
         self.capture.and_then(|_| markers::subject_of(key))
     }
@@ -160,7 +161,8 @@ pub struct Entry {
     pub id: String,
     /// The published split; without one, a split is drawn.
     pub split: Option<Split>,
-    /// Motions that share a drawn split; if none, a motion shares it only with its source clip.
+    /// Motions of the same group share a drawn split. Without a group, a motion shares its split only with its source
+    /// clip.
     pub group: Option<String>,
     /// Id of the motion it mirrors.
     pub mirrored_of: Option<String>,
@@ -220,7 +222,7 @@ pub trait Release: Send + Sync {
     fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip;
 }
 
-/// The releases that a format found.
+/// Boxes the releases that a format found.
 pub(super) fn boxed<R: Release + 'static>(
     found: impl IntoIterator<Item = R>,
 ) -> Vec<Box<dyn Release>> {

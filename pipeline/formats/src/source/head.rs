@@ -13,7 +13,7 @@ pub(super) const UTF8_BOM: &[u8] = b"\xEF\xBB\xBF";
 /// Number of bytes read to recognise a file.
 pub const HEAD_BYTES: usize = 512;
 
-/// The first bytes of a file; empty if it cannot be read. Hashing the file reports the error.
+/// The first bytes of a file; empty if it cannot be read. The error is reported when the file is hashed.
 pub fn read_head(path: &Path) -> Vec<u8> {
     let read = || {
         let file = ByPath.open_at(path)?;

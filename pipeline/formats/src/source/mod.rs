@@ -68,7 +68,7 @@ pub const FORMATS: &[Format] = &[
     webdataset::FORMAT,
 ];
 
-/// The format of this name.
+/// The format with this name.
 pub fn format_named(name: &str) -> Option<Format> {
     let mut formats = FORMATS.iter().copied();
     formats.find(|format| format.as_str() == name)
@@ -169,8 +169,8 @@ fn archive_kind(name: &str, extension: &str, head: &[u8]) -> Option<&'static str
 
 /// Turns the bytes of one file into a clip on the given body.
 ///
-/// `companions` reads a file beside it by its name (`/` separates folders), or returns none if it does not exist.
-/// `around` holds the labels from its folders.
+/// `companions` reads a file beside it by name (`/` separates folders); `None` if there is no such file. `around` holds
+/// the labels from the folders around it.
 pub fn read_clip(
     format: Format,
     path: &Path,
@@ -380,7 +380,7 @@ mod tests {
                 }
                 for frame in &points {
                     for [hip, knee, ankle] in [[1, 4, 7], [2, 5, 8]] {
-                        // A knee that is bent by more than 30 degrees is ahead of the leg's line.
+                        // A knee that is bent by 30 to 150 degrees is ahead of the line from hip to ankle.
                         let thigh = (frame[knee] - frame[hip]).normalize();
                         let shin = (frame[ankle] - frame[knee]).normalize();
                         let hinge = thigh.cross(shin);

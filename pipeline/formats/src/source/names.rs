@@ -46,7 +46,7 @@ pub(super) fn around_folder<'a, 'b>(
     None
 }
 
-/// The text of a token for a message, shortened to fit a terminal line.
+/// The text of a token for a message: at most its first 40 bytes, without control characters.
 pub(super) fn shown(token: &[u8]) -> String {
     const LONGEST: usize = 40;
     let text = String::from_utf8_lossy(&token[..token.len().min(LONGEST)]);

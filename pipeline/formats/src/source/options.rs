@@ -20,8 +20,8 @@ pub struct ReadOptions {
     pub markers: Option<MarkerSet>,
     /// Unit of the files; it replaces the unit that they state.
     pub unit: Option<Unit>,
-    /// The wanted rate, interpolated at exact times. Readers that can skip frames use it; the others keep the
-    /// file's own rate.
+    /// The wanted frame rate. Readers that can skip frames interpolate to it at exact times; the others keep the file's
+    /// own rate.
     pub rate: Option<Fps>,
     /// Accept a BVH or TRC file whose number of rows differs from the header's.
     pub lenient: bool,

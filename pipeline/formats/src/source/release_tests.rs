@@ -30,20 +30,20 @@ pub(super) fn files_under(folder: &Path) -> Files {
     Files::new(named.collect())
 }
 
-/// The planned motion of an id.
+/// The planned motion with this id.
 pub(super) fn entry_of<'a>(release: &'a dyn Release, id: &str) -> &'a Entry {
     let mut entries = release.contents().entries.iter();
     let entry = entries.find(|entry| entry.id == id);
     entry.unwrap_or_else(|| panic!("no {id}"))
 }
 
-/// The clip of an id.
+/// The clip with this id.
 pub(super) fn clip_of(release: &dyn Release, files: &Files, id: &str) -> SourceClip {
     let clip = release.read(files, entry_of(release, id), &ReadOptions::default());
     clip.unwrap_or_else(|rejected| panic!("{id}: {rejected:?}"))
 }
 
-/// Id, split and original of every planned motion.
+/// Id, split and original (of a mirrored motion) of every planned motion.
 pub(super) fn planned(release: &dyn Release) -> Vec<(&str, Option<Split>, Option<&str>)> {
     let entries = release.contents().entries.iter();
     entries
@@ -51,7 +51,7 @@ pub(super) fn planned(release: &dyn Release) -> Vec<(&str, Option<Split>, Option
         .collect()
 }
 
-/// Why a file of a release is passed over.
+/// The reason why a file of a release is passed over; empty if it is not.
 pub(super) fn why_passed_over<'a>(release: &'a dyn Release, file: &str) -> &'a str {
     let mut passed_over = release.contents().passed_over.iter();
     let found = passed_over.find(|(name, _)| name == file);
@@ -69,7 +69,7 @@ pub(crate) fn assert_says(clip: &SourceClip, words: &str) {
     assert!(says(clip, words), "{words}: {:?}", clip.notes);
 }
 
-/// Asserts that a clip has exactly this note.
+/// Asserts that one of a clip's notes is exactly this text.
 #[track_caller]
 pub(crate) fn assert_notes(clip: &SourceClip, note: &str) {
     let is_there = clip.notes.iter().any(|found| found == note);
@@ -95,7 +95,7 @@ pub(super) fn only(mut releases: Vec<Box<dyn Release>>) -> Box<dyn Release> {
     releases.pop().expect("one")
 }
 
-/// Codes of the files of a release that are rejected.
+/// Codes of the rejected files of a release.
 pub(super) fn codes(release: &dyn Release) -> Vec<&str> {
     let rejected = release.contents().rejected.iter();
     rejected.map(|(_, rejected)| rejected.code).collect()
@@ -131,7 +131,7 @@ pub(super) fn files_named(release: &dyn Release) -> Vec<&str> {
     named
 }
 
-/// Bytes with some of them changed.
+/// Bytes with some of them replaced.
 pub(crate) fn edited(bytes: &[u8], edits: Vec<(Index, u8)>) -> Vec<u8> {
     let mut edited = bytes.to_vec();
     for (at, byte) in edits {
@@ -141,7 +141,7 @@ pub(crate) fn edited(bytes: &[u8], edits: Vec<(Index, u8)>) -> Vec<u8> {
     edited
 }
 
-/// A folder or file of the real test data; none if `STANCE_TEST_DATA` is not set.
+/// A folder or file of the real test data; `None` if `STANCE_TEST_DATA` is not set.
 ///
 /// # Panics
 /// If the variable is set and there is no such folder or file: a requested test must not pass without running.

@@ -8,7 +8,7 @@ use super::head::UTF8_BOM;
 /// Columns of a Unitree G1's motion: position and quaternion of the root, and 29 joint angles. Unitree's retargeted
 /// LAFAN1, `BeyondMimic`, Kimodo and `MuJoCo` use this layout.
 const G1_COLUMNS: usize = 36;
-/// Minimum number of columns in the visible part of a longer first line to recognise the file.
+/// Minimum number of visible columns to recognise a file whose first line is cut off.
 const MIN_COLUMNS_SEEN: usize = 20;
 /// Largest deviation of a quaternion's length from 1.
 const QUATERNION_TOLERANCE: f64 = 0.02;
@@ -18,7 +18,7 @@ const SEED_HEADER: &str = "frame,root_translatex,";
 /// Advice for a rejected robot motion.
 const ADVICE: &str = "robots have no body to pose; ingest the human motion it was made from";
 
-/// Why a CSV file is skipped, if its first bytes are rows of a robot.
+/// The reason for skipping a CSV file whose first bytes are rows of a robot's motion; `None` for other files.
 pub(super) fn csv_rows(head: &[u8]) -> Option<String> {
     /// Number of bytes searched: a row of 36 numbers with all their digits takes a kilobyte.
     const SEEN: usize = 4096;
@@ -54,8 +54,8 @@ pub(super) fn csv_rows(head: &[u8]) -> Option<String> {
     })
 }
 
-/// Why a pickle is skipped, if it holds the motion of a robot: GMR's dictionary, or a motion library of
-/// PHC's and ASAP's kind, from names to such dictionaries.
+/// The reason for skipping a pickle of a robot's motion: a dictionary as GMR writes it, or a motion library as PHC and
+/// ASAP write it, which maps names to dictionaries. `None` for other pickles.
 pub(super) fn pickled(value: &Value) -> Option<String> {
     let has = |value: &Value, keys: &[&str]| keys.iter().all(|key| value.get(key).is_some());
     let columns = |value: &Value, key: &str| {
@@ -85,7 +85,7 @@ pub(super) fn pickled(value: &Value) -> Option<String> {
     })
 }
 
-/// Why an npz archive is skipped, if its arrays are of a robot's motion.
+/// The reason for skipping an npz archive with the arrays of a robot's motion; `None` for other archives.
 pub(super) fn archived(has: impl Fn(&str) -> bool) -> Option<String> {
     let of_tracking = has("joint_pos") && has("body_pos_w");
     let of_retargeting = has("dof_pos") && (has("root_pos") || has("root_rot"));

@@ -1,4 +1,4 @@
-//! SMPL parameters of files, rotated to the store's axes.
+//! SMPL parameters of files, rotated to y up.
 
 use datasets_spec::{Fps, Motion, Pose, Skeleton};
 use features::floor;
@@ -119,7 +119,7 @@ impl Parameters {
     }
 }
 
-/// The frames of an array of any shape with `D` numbers per frame.
+/// The array `key` of a dictionary, whose first dimension counts frames; the others hold `D` numbers per frame.
 pub fn column<const D: usize>(value: &Value, key: &str) -> Result<Vec<[f32; D]>, Rejected> {
     let found = value.get(key).unwrap_or(&Value::None);
     let array = found.as_array().filter(|array| {

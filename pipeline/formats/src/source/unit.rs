@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// Heights of a person in metres.
+/// Plausible heights of a person in metres.
 pub(crate) const PERSON_M: RangeInclusive<f64> = 0.5..=2.5;
 
 /// Typical height of a person in metres: the unit whose result is nearest to it is suspected first.
@@ -57,12 +57,12 @@ impl Unit {
     /// The millimetre.
     pub const MILLIMETRE: Self = Self { metres: 0.001 };
 
-    /// A unit of this many metres; none if the number is not positive and finite.
+    /// A unit of this many metres; `None` if the number is not positive and finite.
     pub fn of_metres(metres: f64) -> Option<Self> {
         (metres.is_finite() && metres > 0.0).then_some(Self { metres })
     }
 
-    /// The unit that a file names; none if it names none that is known.
+    /// The unit with this name; `None` if the name is unknown.
     pub fn named(text: &str) -> Option<Self> {
         let text = text.trim().to_lowercase();
         let known = UNITS
@@ -91,7 +91,7 @@ impl FromStr for Unit {
 
 impl fmt::Display for Unit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        /// Files state units as numbers too, which then differ in their last digits.
+        /// Relative tolerance: files state units as numbers too, which may differ in their last digits.
         const ROUNDING: f64 = 1e-6;
         let is_own = |metres: f64| (self.metres / metres - 1.0).abs() < ROUNDING;
         match UNITS.iter().find(|(.., metres)| is_own(*metres)) {
@@ -137,7 +137,7 @@ pub(crate) fn misfit(height: f64, unit: Unit, stated: &str) -> String {
     )
 }
 
-/// A length with three digits.
+/// A length with three significant digits.
 pub(crate) fn rounded(metres: f64) -> String {
     let digits = 2 - metres.abs().max(1e-9).log10().floor() as i32;
     format!("{metres:.*}", digits.clamp(0, 9) as usize)

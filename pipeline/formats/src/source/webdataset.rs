@@ -1,7 +1,7 @@
 //! WebDataset exports of this program: tar shards, or the files unpacked from them.
 //!
-//! A clip is `KEY.transl.npy`, `KEY.global_orient.npy`, `KEY.body_pose.npy` and `KEY.json`, which has its
-//! id, split, rate and labels. The shards of a folder are one release.
+//! A clip is `KEY.transl.npy`, `KEY.global_orient.npy`, `KEY.body_pose.npy` and `KEY.json`. The last holds id, split,
+//! rate and labels. The shards of a folder are one release.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek, SeekFrom};
@@ -18,19 +18,19 @@ use super::{Files, ReadOptions};
 use crate::sidecar::LabelCaption;
 use clip::{ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
-/// Endings of the members of a clip.
+/// Endings of a clip's arrays, and their numbers per frame.
 const ARRAYS: [(&str, usize); 3] = [
     ("transl.npy", 3),
     ("global_orient.npy", 3),
     ("body_pose.npy", 63),
 ];
 const FACTS: &str = "json";
-/// Longest member that is read: an hour of poses at 120 fps.
+/// Longest member that is read, in bytes: an hour of poses at 120 fps.
 const MAX_MEMBER_LEN: u64 = 1 << 28;
 const CODE: &str = "E-WEBDATASET-MEMBER";
 
 /// A folder of shards, or of unpacked files.
-// Bytes per second: the 69 parameters of the store in f32 at 20 fps.
+// Bytes per second: the 69 parameters of a frame in f32 at 20 fps.
 pub const FORMAT: Format = Format {
     find: |files| boxed(Shards::find(files)),
     ..Format::of_releases(
@@ -59,7 +59,7 @@ struct Facts {
     fit_error_m: Option<f32>,
 }
 
-/// Location of a member: a range of a tar file, or a whole file.
+/// Location of a member: start and length of a range of a tar file, or a whole file.
 #[derive(Clone, Debug)]
 struct Place {
     file: String,
@@ -69,7 +69,7 @@ struct Place {
 /// Members of a clip by their endings.
 type Members = BTreeMap<&'static str, Place>;
 
-/// The shards of a folder, planned.
+/// The clips of a folder's shards, before they are read.
 #[derive(Debug, Default)]
 struct Shards {
     contents: Contents,
@@ -80,8 +80,7 @@ struct Shards {
 impl Shards {
     /// Finds the folders with shards or unpacked files.
     fn find(files: &Files) -> Vec<Self> {
-        // By folder, then by archive name (empty for unpacked files) and key, because a key is unique only within a
-        // shard.
+        // By folder; then by archive (empty for unpacked files) and key, because a key is unique only within a shard.
         let mut found: BTreeMap<&str, BTreeMap<(String, String), Members>> = BTreeMap::new();
         for file in files.all() {
             let (folder, name) = file.rsplit_once('/').unwrap_or(("", file));
@@ -205,7 +204,7 @@ fn rows<const D: usize>(values: &[f32]) -> Vec<[f32; D]> {
     values.as_chunks().0.to_vec()
 }
 
-/// Key and ending of a clip's member; none for other names.
+/// Key and ending of a clip's member; `None` for other names.
 fn member(name: &str) -> Option<(&str, &'static str)> {
     let (key, ending) = name.split_once('.')?;
     let endings = ARRAYS.iter().map(|(ending, _)| *ending).chain([FACTS]);
@@ -228,7 +227,7 @@ pub(super) fn is_shard(path: &Path) -> bool {
     })
 }
 
-/// The members of an archive, up to the first error in it.
+/// The members of a clip in an archive, up to the first error or other member.
 fn members_of(files: &Files, file: &str) -> Vec<((String, String), &'static str, Place)> {
     let mut members = Vec::new();
     let Ok(opened) = files.open_at(file) else {
@@ -241,7 +240,7 @@ fn members_of(files: &Files, file: &str) -> Vec<((String, String), &'static str,
     for entry in entries {
         let Ok(entry) = entry else { break };
         let name = String::from_utf8_lossy(&entry.path_bytes()).into_owned();
-        // Archives of something else are not read to their end.
+        // An archive with other members is not read to its end.
         let Some((key, ending)) = member(&name) else {
             break;
         };

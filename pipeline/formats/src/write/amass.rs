@@ -94,7 +94,7 @@ impl Parameters {
 /// `trans` `[L, 3]`, `betas` and `dmpls` zero, `gender` "neutral", `mocap_framerate`.
 ///
 /// # Errors
-/// The archive exceeds what a zip without 64-bit extensions can hold (4 GiB).
+/// An array exceeds 4 GiB.
 pub fn encode(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
     let parameters = Parameters::of(motion, skeleton);
     let num_frames = motion.len();

@@ -8,8 +8,9 @@ use glam::{DMat3, DQuat, DVec3};
 /// Centimetres per metre: the unit of the file.
 const CM: f64 = 100.0;
 
-/// The joints in the order of the file: depth first, as the format requires. Name, index of the parent, which the first
-/// one lacks, and body joint; none for the zero-length joints of the CMU hierarchy at the hips and below the neck.
+/// The joints in the order of the file: depth first, as the format requires. Name, index of the parent (unused for the
+/// first joint), and body joint; `None` for the zero-length joints at the hips and below the neck that CMU's hierarchy
+/// has.
 const HIERARCHY: [(&str, usize, Option<Joint>); 25] = [
     ("Hips", 0, Some(Joint::Pelvis)),
     ("LHipJoint", 0, None),
@@ -96,7 +97,7 @@ fn write_joint(out: &mut String, skeleton: &Skeleton, index: usize, depth: usize
     }
     if is_leaf {
         *out += &format!("{indent}\tEnd Site\n{indent}\t{{\n");
-        // SMPL-X joints without a rotation: an eye, and the first joints of the middle fingers.
+        // SMPL-X joints that the motion does not rotate: an eye, and the first joints of the middle fingers.
         let end = match joint {
             Some(Joint::Head) => skeleton.offset(23),
             Some(Joint::LeftWrist) => skeleton.offset(28),

@@ -52,7 +52,7 @@ pub fn encode(motion: &Motion, skeleton: &Skeleton) -> io::Result<Vec<u8>> {
     pack(document.to_string().into_bytes(), file.bytes)
 }
 
-/// The joints, then the body.
+/// The nodes of the joints, then that of the body's mesh.
 fn nodes(skeleton: &Skeleton) -> Vec<Value> {
     let mut nodes: Vec<Value> = (0..NUM_BODY_JOINTS)
         .map(|joint| {
@@ -82,7 +82,7 @@ fn inverse_bind(rest: DVec3) -> [f32; 16] {
 
 /// Packs JSON and binary data as a GLB.
 fn pack(text: Vec<u8>, binary: Vec<u8>) -> io::Result<Vec<u8>> {
-    /// Bytes of headers and padding, at most.
+    /// Upper bound for the bytes of headers and padding.
     const OVERHEAD: usize = 64;
     let length = text.len() + binary.len();
     if u32::try_from(length + OVERHEAD).is_err() {
@@ -235,8 +235,8 @@ impl Builder {
     }
 }
 
-/// A joint's rotations as quaternions `[L * 4]`. Signs are chosen for continuity, because some viewers
-/// interpolate components linearly.
+/// A joint's rotations as quaternions `[L * 4]`. Signs are chosen so that neighbours are near each other, because some
+/// viewers interpolate components linearly.
 fn joint_rotations(motion: &Motion, joint: usize) -> Vec<f32> {
     let mut previous = DQuat::IDENTITY;
     (0..motion.len())
@@ -261,8 +261,7 @@ struct Limb {
     radius: f64,
 }
 
-/// Joint, SMPL-X joint at the other end and radius in metres of each capsule: rounded girths of an
-/// average body.
+/// Joint, SMPL-X joint at the other end and radius in metres of each capsule: rounded girths of an average body.
 const LIMBS: [(usize, usize, f64); 19] = [
     (0, 1, 0.09),
     (0, 2, 0.09),
@@ -284,8 +283,7 @@ const LIMBS: [(usize, usize, f64); 19] = [
     (18, 20, 0.038),
     (19, 21, 0.038),
 ];
-/// Limbs without a joint at their end (chest, head, toes, hands): joint, offset of the end and radius
-/// in metres.
+/// Limbs without a joint at their end (chest, head, toes, hands): joint, offset of the end and radius in metres.
 const ENDS: [(usize, DVec3, f64); 6] = [
     (9, DVec3::new(0.0, 0.06, -0.01), 0.12),
     (15, DVec3::new(0.0, 0.09, 0.02), 0.09),
@@ -304,7 +302,7 @@ struct Mesh {
     triangles: Vec<[u16; 3]>,
 }
 
-/// Vertices in a ring of a capsule, and rings in each half.
+/// Number of vertices in a ring of a capsule, and of rings in each half.
 const AROUND: u16 = 12;
 const RINGS: u16 = 4;
 

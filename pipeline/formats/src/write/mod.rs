@@ -1,5 +1,4 @@
-//! Writers of source formats, the inverse of the readers: generated and exported motions are ingested like
-//! any other file.
+//! Writers of source formats, so that generated and exported motions can be ingested like any other file.
 
 pub mod amass;
 pub mod bvh;

@@ -1,9 +1,9 @@
 //! Motions as MotionFix stores them: parameters of SMPL-H and joints, z up, 30 fps, each motion placed and rotated
 //! independently.
 //!
-//! The first frame has a translation of zero and, as released, faces 45 degrees from +x plus the turn to the second
-//! frame. The body rotations are written unchanged. The joints are of a SMPL body: SMPL's bone directions at rest, with
-//! the bone lengths of the dataset's body.
+//! The first frame has a translation of zero. As in the release, it faces 45 degrees from +x, plus the turn from the
+//! first to the second frame. The body rotations are written unchanged. The joints are those of a SMPL body: SMPL's
+//! bone directions at rest, with the bone lengths of the dataset's body.
 //!
 //! # Source
 //! athn-nik/motionfix: `canonicalize_rotations` in `src/tools/transforms3d.py`, and `src/data/motionfix.py`, which
@@ -64,7 +64,7 @@ impl Parameters {
         })
     }
 
-    /// The dictionary of a side of a triplet. `timestamp` is the time range in seconds that the motion was cut from.
+    /// The dictionary of one motion of a pair. `timestamp` is the time range in seconds that the motion was cut from.
     pub fn value(&self, timestamp: [f64; 2]) -> Value {
         let frames = self.trans.len();
         let joints = self.joint_positions.as_flattened().as_flattened();
@@ -86,7 +86,7 @@ impl Parameters {
     }
 }
 
-/// Places and rotates a clip with +z up like the released data.
+/// Places and rotates a motion with +z up like those of the release.
 fn canonicalise(poses: &mut [Pose]) {
     let Some(first) = poses.first() else { return };
     let (start, origin) = (heading(first), first.transl);

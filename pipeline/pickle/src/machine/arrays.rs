@@ -9,12 +9,12 @@ use crate::object::{Global, Id, Node, Storage, StorageData, Tensor};
 use crate::torch;
 use crate::value::Value;
 
-/// Size in bytes from which the source of an array is released once the array is made. Python shares
-/// empty and one-byte objects among arrays, but never large ones.
+/// Size in bytes from which the bytes of an array are released once the array is made. Python shares empty and one-byte
+/// objects among arrays, but never large ones.
 const RELEASE_LEN: usize = 4096;
 
 impl Machine<'_> {
-    /// The text of an object; none for other objects.
+    /// The text of an object; `None` for other objects.
     pub(super) fn text_of(&self, id: Id) -> Option<&str> {
         match self.node(id) {
             Node::Leaf(Value::Str(text)) => Some(text),
@@ -37,7 +37,7 @@ impl Machine<'_> {
         })
     }
 
-    /// A scalar, or the id of the object that it wraps.
+    /// The value of a NumPy scalar. The inner error is the id of the object, if the scalar wraps a Python object.
     pub(super) fn scalar(&mut self, arguments: &[Id]) -> Result<Result<Value, Id>, Error> {
         let &[item, data] = arguments else {
             return Err(self.malformed(format!(
@@ -117,7 +117,7 @@ impl Machine<'_> {
         torch::read_storage(&bytes).map(Node::Storage)
     }
 
-    /// Pushes the storage that a tuple names: a word, its class, its key, a device and a length.
+    /// Pushes the storage that a tuple `("storage", class, key, device, length)` names.
     pub(super) fn outside_storage(&mut self, id: Id) -> Result<(), Error> {
         if !self.outside_storages {
             return Err(self.refused("an object by its name", "it is kept outside the pickle"));
@@ -167,7 +167,7 @@ impl Machine<'_> {
         }
     }
 
-    /// A type with the byte order of its state `(version, order, inner type, field names, …)`.
+    /// The type with the byte order of its state `(version, order, inner type, field names, …)`.
     pub(super) fn ordered(&self, item: ItemType, state: &[Id]) -> Result<ItemType, Error> {
         let Some(order) = state.get(1).and_then(|&order| self.text_of(order)) else {
             return Err(self.malformed("found a type without a byte order"));
@@ -229,14 +229,14 @@ impl Machine<'_> {
             .map(array_node)
     }
 
-    /// An array of objects, which joblib writes as a pickle within the pickle.
+    /// Reads an array of objects, which joblib writes as a pickle within the pickle.
     fn wrapped_objects(&mut self) -> Result<Node, Error> {
         let outer = (
             std::mem::take(&mut self.stack),
             std::mem::take(&mut self.marks),
             std::mem::take(&mut self.memo),
         );
-        // Python's own pickler writes the inner pickle, without wrappers.
+        // joblib writes the inner pickle with Python's own pickler, so it contains no wrappers.
         self.wrapped_arrays = false;
         let inner = self.run()?;
         self.wrapped_arrays = true;
@@ -275,7 +275,7 @@ impl Machine<'_> {
         }
     }
 
-    /// The bytes of an object; if large, they are moved out of it.
+    /// The bytes of an object. Large ones are moved out of the object.
     fn take_bytes(&mut self, id: Id) -> Result<Arc<[u8]>, Error> {
         let bytes = match self.node(id) {
             Node::Leaf(Value::Bytes(bytes)) => bytes.clone(),

@@ -5,7 +5,7 @@ use crate::error::Error;
 use crate::value::Value;
 
 impl Machine<'_> {
-    /// The length that an opcode of text or bytes states.
+    /// Reads the length that follows an opcode of text or bytes.
     pub(super) fn length(&mut self, op: u8) -> Result<u64, Error> {
         Ok(match op {
             b'U' | b'C' | 0x8c => self.input.byte()?.into(),
@@ -93,7 +93,7 @@ pub(super) fn latin_1(bytes: &[u8]) -> String {
     bytes.iter().copied().map(char::from).collect()
 }
 
-/// The text of a Python 2 string literal in Latin-1.
+/// Decodes a string literal of Python 2 as Latin-1; `None` if it is malformed.
 fn unquote(line: &[u8]) -> Option<String> {
     let line = line.trim_ascii();
     let (&quote, rest) = line.split_first()?;
@@ -120,7 +120,7 @@ fn unquote(line: &[u8]) -> Option<String> {
     Some(text)
 }
 
-/// The text of a protocol-0 string: Latin-1, with `\u` and four or `\U` and eight hexadecimal digits.
+/// Decodes a text line of protocol 0: Latin-1 with the escapes `\uXXXX` and `\UXXXXXXXX`.
 fn unescape_unicode(line: &[u8]) -> String {
     let mut text = String::new();
     let mut rest = line;

@@ -17,10 +17,10 @@ use crate::input::Input;
 use crate::object::{Id, Node, Storage, StorageData};
 use crate::value::{Options, Value};
 
-/// Newest protocol.
+/// Newest supported protocol.
 const MAX_PROTOCOL: u8 = 5;
-/// Limits on objects and on stack pushes over a whole run: a pickle of MotionFix has about a million,
-/// and hostile bytes stay below a gigabyte of memory.
+/// Limits on objects and stack pushes over a whole run. A pickle of MotionFix has about a million objects; hostile
+/// bytes stay below a gigabyte of memory.
 const MAX_OBJECTS: usize = 1 << 23;
 const MAX_PUSHES: usize = 1 << 26;
 
@@ -31,12 +31,12 @@ const FALSE: Id = 2;
 
 /// The machine and its state.
 pub(crate) struct Machine<'a> {
-    /// After a pickle was run, the input behind it.
+    /// The input. After a pickle was run, it continues behind that pickle.
     pub(crate) input: Input<'a>,
     options: Options<'a>,
     /// Whether the bytes of arrays follow joblib's wrappers.
     pub(crate) wrapped_arrays: bool,
-    /// Whether storages outside the pickle may be named; else a storage may be a file within the pickle.
+    /// Whether the pickle may name storages outside it. If not, it may contain storages as nested files.
     pub(crate) outside_storages: bool,
     nodes: Vec<Node>,
     stack: Vec<Id>,
@@ -92,7 +92,7 @@ impl<'a> Machine<'a> {
             .collect()
     }
 
-    /// Runs one pickle and returns the id of its object.
+    /// Runs one pickle and returns the id of its result.
     pub(crate) fn run(&mut self) -> Result<Id, Error> {
         self.stack.clear();
         self.marks.clear();

@@ -60,7 +60,7 @@ impl Machine<'_> {
         Ok(())
     }
 
-    /// Pairs alternating keys and values. The values of dropped keys are released.
+    /// Pairs alternating keys and values. Values of dropped keys are replaced by `None`.
     fn entries(&mut self, items: &[Id]) -> Result<Vec<(Id, Id)>, Error> {
         let (pairs, rest) = items.as_chunks::<2>();
         if !rest.is_empty() {
@@ -103,7 +103,7 @@ impl Machine<'_> {
         Ok(())
     }
 
-    /// Names, calls and states.
+    /// Runs the opcodes of names, calls and states.
     pub(super) fn object(&mut self, op: u8) -> Result<(), Error> {
         match op {
             b'c' | b'i' => {
@@ -212,7 +212,7 @@ impl Machine<'_> {
         self.entries(&entries).map(Node::Dict)
     }
 
-    /// The items of the container that is passed to a container's constructor.
+    /// The items of the container that a constructor gets as argument; no items without an argument.
     fn items_of(&self, arguments: &[Id]) -> Result<Vec<Id>, Error> {
         match arguments.first().map(|&items| self.node(items)) {
             None => Ok(Vec::new()),

@@ -1,4 +1,4 @@
-//! Objects of a run as values.
+//! Converts objects of a run to values.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,11 +11,11 @@ use crate::value::Value;
 
 /// Limit on the nesting of containers; motion files nest four deep.
 const MAX_DEPTH: usize = 64;
-/// Limit on values per object, since shared objects are copied when unfolded.
+/// Limit on the number of values per object. A shared object becomes a value each time that it is referenced.
 const MAX_SHARING: usize = 8;
 
 impl Machine<'_> {
-    /// Unfolds an object to a value. `storages` holds the storages outside the pickle.
+    /// Converts an object to a value. `storages` holds the storages outside the pickle by key.
     pub(crate) fn value(
         &self,
         root: Id,

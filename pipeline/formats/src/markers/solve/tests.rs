@@ -5,7 +5,8 @@ use crate::markers::bare_label;
 use crate::markers::label::Subjects;
 use datasets_spec::Fps;
 
-/// Markers of a walk, z up: slightly displaced from the set's placements, on a person of another size.
+/// Markers of a walk, z up, displaced by up to 14 mm from the set's placements, on a person of `height` times the
+/// body's.
 fn captured(num_frames: usize, height: f64) -> (Vec<Pose>, Markers) {
     let skeleton = Skeleton::smplx_neutral();
     let poses = walk(num_frames);
@@ -41,7 +42,7 @@ fn solved(markers: &Markers) -> Result<Solved, SolveError> {
     Solvable::find(markers.clone(), &subject, &options)?.solve(&options.skeleton)
 }
 
-/// Mean distance between the joints of two poses, relative to the pelvis.
+/// Mean distance in metres between the joints of two poses, relative to the pelvis.
 fn apart(a: &Pose, b: &Pose) -> f64 {
     let skeleton = Skeleton::smplx_neutral();
     let (a, b) = (skeleton.keypoints(a), skeleton.keypoints(b));

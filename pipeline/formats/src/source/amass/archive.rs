@@ -17,14 +17,14 @@ const FPS_KEYS: [&str; 2] = ["mocap_framerate", "mocap_frame_rate"];
 pub enum Parsed<'a> {
     /// A recording.
     Parameters(Box<Parameters<'a>>),
-    /// A file of AMASS that is not a motion.
+    /// A file that is not a motion.
     NoMotion {
-        /// Kind of the file.
+        /// Why the file is skipped.
         reason: String,
     },
 }
 
-/// Reads the parameters of an archive, with a rate in 1/s in place of the archive's, if one is given.
+/// Reads the parameters of an archive. `rate`, in 1/s, replaces the rate that the archive states.
 ///
 /// # Errors
 /// As [`super::read`].
@@ -92,10 +92,11 @@ pub fn parse_at(bytes: &[u8], rate: Option<f64>) -> Result<Parsed<'_>, Rejected>
     Ok(Parsed::Parameters(Box::new(parameters)))
 }
 
-/// Variant, number of frames and frame rate, read from the headers of the arrays alone.
+/// Variant, number of frames and frame rate, read without unpacking whole arrays of poses; `None` if the archive is no
+/// recording.
 ///
 /// # Errors
-/// As [`super::read`], except those of shapes and rates.
+/// `E-NPZ-TRUNCATED`, `E-NPZ-LIMIT`, `E-ARCHIVE-PATH`, `E-AMASS-FPS`, or those of [`npy`].
 pub fn peek<R: Read + Seek>(reader: R) -> Result<Option<(Variant, usize, f64)>, Rejected> {
     let mut archive = Archive::open(reader)?;
     let key = if archive.has("poses") {
@@ -182,7 +183,7 @@ fn matrix<'a>(
     })
 }
 
-/// Shape parameters of the subject's body, which are optional: empty if they cannot be read.
+/// Shape parameters of the subject's body; empty if the archive has none that can be read.
 fn read_betas<R: Read + Seek>(archive: &mut Archive<R>) -> Vec<f64> {
     if !archive.has("betas") {
         return Vec::new();
@@ -194,8 +195,8 @@ fn read_betas<R: Read + Seek>(archive: &mut Archive<R>) -> Vec<f64> {
         .unwrap_or_default()
 }
 
-/// The gender, which releases write as text, as bytes, or as an array of either; or why it cannot be
-/// read. It is optional.
+/// The gender, which releases write as text, as bytes, or as an array of either. `None` if the archive states none; the
+/// error says why it cannot be read.
 fn read_gender<R: Read + Seek>(archive: &mut Archive<R>) -> Result<Option<String>, String> {
     if !archive.has("gender") {
         return Ok(None);
@@ -204,7 +205,7 @@ fn read_gender<R: Read + Seek>(archive: &mut Archive<R>) -> Result<Option<String
         .member("gender")
         .and_then(|bytes| npy::read_text("gender", &bytes))
         .map_err(|rejected| rejected.reason)?;
-    // Python 2 wrote the text of a bytes object.
+    // Some files hold the text of a Python bytes object: `b'male'`.
     let gender = gender.trim_start_matches("b'").trim_end_matches('\'');
     Ok(Some(gender.to_owned()))
 }
@@ -212,7 +213,7 @@ fn read_gender<R: Read + Seek>(archive: &mut Archive<R>) -> Result<Option<String
 /// The frame rate an archive states, in 1/s.
 ///
 /// # Errors
-/// `E-AMASS-FPS`, or those of [`npy`].
+/// `E-AMASS-FPS` if the rate is missing or implausible, or those of [`npy`].
 pub fn read_fps<R: Read + Seek>(archive: &mut Archive<R>) -> Result<f64, Rejected> {
     let key = FPS_KEYS
         .into_iter()

@@ -10,8 +10,7 @@ pub struct Subset {
     pub name: &'static str,
     /// Names its folder had in other releases.
     pub former_names: &'static [&'static str],
-    /// Frames at 20 fps that HumanML3D drops from the start of its recordings, which begin with a
-    /// calibration pose.
+    /// Frames at 20 fps that HumanML3D drops from the start of its recordings, which begin with a calibration pose.
     pub lead_in_frames: usize,
 }
 
@@ -107,8 +106,8 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Finds subset and name in a path. The deepest folder with a subset's name counts, since
-    /// archives are often unpacked into a folder of their own name. None without such a folder.
+    /// Finds subset and name in a path. The deepest folder with a subset's name counts, since archives are often
+    /// unpacked into a folder of their own name. `None` without such a folder.
     pub fn of(path: &Path) -> Option<Self> {
         let (depth, subset) = deepest_subset(path)?;
         let below = path.components().skip(depth + 1);
@@ -144,14 +143,14 @@ fn deepest_subset(path: &Path) -> Option<(usize, &'static Subset)> {
     })
 }
 
-/// The subset of a file, and the name of its folder.
+/// The subset of a file, and the name of the subset's folder in the path.
 pub fn subset_of(path: &Path) -> Option<(&'static Subset, String)> {
     let (depth, subset) = deepest_subset(path)?;
     let folder = path.components().nth(depth)?.as_os_str();
     Some((subset, folder.to_string_lossy().into_owned()))
 }
 
-/// The true frame rate of a recording whose stated rate is known to be wrong.
+/// The true frame rate in 1/s of a recording whose stated rate is known to be wrong.
 pub fn true_fps(path: &Path) -> Option<f64> {
     let whole = path.to_string_lossy();
     FPS_OVERRIDES.into_iter().find_map(|(part, folder, fps)| {

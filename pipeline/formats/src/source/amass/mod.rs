@@ -23,14 +23,13 @@ pub use parameters::{Parameters, Variant};
 /// Relative tolerance between a stated and a known frame rate: the stored 120.000046 and 59.94 count as 120 and 60.
 const FPS_TOLERANCE: f64 = 0.01;
 
-/// Reads an archive as a motion of the given body; an archive without motion is skipped. `path` names
-/// the subset, whose known frame rate replaces a wrong stated one; both are noted and the clip is
-/// flagged.
+/// Reads an archive as a motion of the given body; an archive without motion is skipped. `path` names the subset, whose
+/// known frame rate replaces a wrong stated one; both are noted and the clip is flagged.
 ///
-/// The 22 body rotations are used unchanged: the joints of SMPL, SMPL-H and SMPL-X agree in order and
-/// rest orientation. Body shape is ignored: the store's one body performs the motion. With a
-/// [`ReadOptions::rate`], the clip is interpolated at exact times to that rate; only the frames this
-/// needs are converted, and the floor is estimated from them. All frames are checked to be finite.
+/// The 22 body rotations are used unchanged: the joints of SMPL, SMPL-H and SMPL-X agree in order and rest orientation.
+/// Body shape is ignored: the body of the options performs the motion. With a [`ReadOptions::rate`], the clip is
+/// interpolated at exact times to that rate; only the frames that this needs are converted, and the floor is estimated
+/// from them. All frames are checked to be finite.
 ///
 /// # Errors
 /// `E-NPZ-TRUNCATED`, `E-NPZ-LIMIT`, `E-ARCHIVE-PATH`, those of [`pickle::npy`], `E-AMASS-KEYS`,

@@ -18,15 +18,15 @@ pub struct Parameters<'a> {
     pub stated_fps: f64,
     /// The body model.
     pub(crate) variant: Variant,
-    /// The subject's gender, if the file states it.
+    /// The subject's gender, if the file states it; the error says why it cannot be read.
     pub(crate) gender: Result<Option<String>, String>,
     /// Shape of the subject's body; empty if the file has none that can be used.
     pub(crate) betas: Vec<f64>,
-    /// `[T, 3]`
+    /// Positions of the root, `[T, 3]`.
     pub(super) trans: Rows<'a>,
-    /// `[T, 3..]`
+    /// Rotation vectors of the root in columns 0 to 2, `[T, 3..]`.
     pub root: Rows<'a>,
-    /// `[T, ..]`, the body's rotations from column `body_at` on.
+    /// Rotation vectors of the body from column `body_at` on, `[T, ..]`.
     pub(super) body: Rows<'a>,
     pub(super) body_at: usize,
 }
@@ -78,8 +78,8 @@ impl Parameters<'_> {
         vectors
     }
 
-    /// The subject's own body, with the joints that HumanML3D's features use; none without a model for
-    /// these parameters.
+    /// The subject's own body, with the joints that HumanML3D's features use; `None` without a model for these
+    /// parameters.
     pub(crate) fn body(&self, options: &ReadOptions) -> Option<Skeleton> {
         let gender = self.gender.as_ref().ok().and_then(Option::as_deref);
         let is_smplh = self.variant == Variant::SmplH;
@@ -124,7 +124,7 @@ impl Parameters<'_> {
         skeleton: &Skeleton,
     ) -> Result<Motion, Rejected> {
         let bad = |error: kinematics::Error| Rejected::read("E-NOT-FINITE", error.to_string());
-        // The needed frames: each position's frame, followed by the next frame if the position lies between two.
+        // The needed frames. If a position lies between two frames, the second follows the first.
         let mut needed = Vec::with_capacity(grid.len());
         let among_needed: Vec<(usize, f64)> = grid
             .iter()
@@ -177,14 +177,14 @@ impl Parameters<'_> {
     }
 }
 
-/// A body model of AMASS, and the release that uses it.
+/// Body model of the parameters of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Variant {
     /// The 22 joints that all models share.
     BodyOnly,
     /// SMPL, 24 joints.
     Smpl,
-    /// SMPL-H for the subject's gender, 52 joints: the variant that HumanML3D uses.
+    /// SMPL-H for the subject's gender, 52 joints. HumanML3D uses it.
     SmplH,
     /// SMPL-X for the subject's gender, 55 joints.
     SmplXGendered,
@@ -193,7 +193,7 @@ pub enum Variant {
 }
 
 impl Variant {
-    /// The name on the AMASS download page, if it has one.
+    /// The name on the AMASS download page, or a description of a model that has no such name.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::BodyOnly => "body only",
@@ -209,7 +209,7 @@ impl Variant {
         matches!(self, Self::SmplXGendered | Self::SmplXNeutral)
     }
 
-    /// The variant of `poses` of this width; none if there is no such model.
+    /// The variant of `poses` with this number of columns; `None` if there is no such model.
     pub(super) fn of_width(width: usize, gender: Option<&str>) -> Option<Self> {
         match width {
             66 => Some(Self::BodyOnly),

@@ -113,7 +113,7 @@ fn a_clip_read_at_a_rate_is_the_whole_clip_resampled() {
             .apply(&whole.motion, fps)
             .expect("resampled");
         assert_eq!(at_rate.motion.len(), resampled.len());
-        // The floor is estimated from other frames, so the heights differ by a constant.
+        // The floor is estimated from different frames, so the heights differ by a constant.
         let rise = at_rate.motion.transl()[0][1] - resampled.transl()[0][1];
         for frame in 0..resampled.len() {
             let (found, expected) = (at_rate.motion.pose(frame), resampled.pose(frame));

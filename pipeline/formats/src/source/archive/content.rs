@@ -8,7 +8,7 @@ use clip::Rejected;
 
 /// Code of an archive or member that is damaged, or whose content contradicts its name.
 pub const DAMAGED: &str = "E-ARCHIVE-DAMAGED";
-/// Code of a member whose name leads out of the archive, or equals that of another member.
+/// Code of a member whose name leads out of the archive, and of an archive with a folder of the same name beside it.
 pub(super) const NAME: &str = "E-ARCHIVE-NAME";
 /// Code of an archive with too many members, bytes or levels.
 pub(super) const LIMIT: &str = "E-ARCHIVE-LIMIT";
@@ -32,7 +32,8 @@ impl Content {
         self.members.is_empty() && self.special.is_empty() && self.refused.is_empty()
     }
 
-    /// The path of a file from the raw name of a member at an offset of the archive. Other members are noted.
+    /// The path of a member that is a file, from its raw name. Other members are noted. `at` is the offset in the
+    /// archive.
     pub(super) fn file_name(&mut self, raw: &[u8], at: u64) -> Option<String> {
         match named(raw) {
             Named::File(name) => return Some(name),
@@ -46,7 +47,6 @@ impl Content {
         None
     }
 
-    /// Refuses a member.
     pub(super) fn refuse(&mut self, name: &str, code: &'static str, reason: String, at: u64) {
         let rejected = Rejected::read(code, reason).at(at as usize);
         self.refused.push((name.to_owned(), rejected));
@@ -64,9 +64,9 @@ impl Content {
 /// Meaning of a member's name.
 enum Named {
     File(String),
-    /// A name of a member that is skipped, and the reason.
+    /// Name of a member that is skipped, and the reason.
     Special(String, &'static str),
-    /// A text that cannot be the name of a member, and the reason.
+    /// A name that leads out of the archive, as text for a message.
     Refused(String),
 }
 

@@ -32,7 +32,7 @@ const ENDINGS: [(&str, Kind); 9] = [
 const NO_TARS: [&str; 3] = [".pth.tar", ".pt.tar", ".ckpt.tar"];
 
 impl Kind {
-    /// The kind that a file name states; none if the name is not of an archive.
+    /// The kind that a file name states; `None` if the name is not that of an archive.
     pub(super) fn of_name(name: &str) -> Option<Self> {
         split_ending(name).map(|(_, kind)| kind)
     }
@@ -54,7 +54,7 @@ fn split_ending(name: &str) -> Option<(usize, Kind)> {
     (length > 0 && !name[..length].ends_with('/')).then_some((length, *kind))
 }
 
-/// The name of an archive without its ending: `texts` of `texts.zip`. None for other names.
+/// The name of an archive without its ending: `texts` for `texts.zip`. `None` for other names.
 pub(crate) fn stem(name: &str) -> Option<&str> {
     let (length, _) = split_ending(name)?;
     Some(&name[..length])

@@ -41,7 +41,7 @@ impl Budget {
     /// Counts a member.
     ///
     /// # Errors
-    /// The limit that the member exceeds.
+    /// The member exceeds a limit, which the error names.
     pub(super) fn take(&mut self, bytes: u64) -> Result<(), String> {
         self.members += 1;
         if self.members > self.max_members {

@@ -83,7 +83,7 @@ impl Members {
         member.ok_or_else(|| io::ErrorKind::NotFound.into())
     }
 
-    /// A stored member as a part of the archive, or the compressed bytes of another member.
+    /// The entry of a zip member: where its bytes are in the archive, their compression, size and checksum.
     fn zipped(&self, number: usize) -> io::Result<Zipped> {
         let Some(ReadFrom::Zip(file, zip)) = &self.from else {
             return Err(io::ErrorKind::NotFound.into());

@@ -39,13 +39,13 @@ pub(crate) use self::kind::stem;
 /// Archives inside an archive are opened; archives inside those are not.
 const MAX_DEPTH: usize = 1;
 
-/// Offset in its archive of a damaged member; none for other errors.
+/// Offset in its archive of a damaged member; `None` for other errors.
 pub fn offset_of_damaged(error: &io::Error) -> Option<u64> {
     let member: &DamagedMember = error.get_ref()?.downcast_ref()?;
     Some(member.at)
 }
 
-/// The outermost archive among a folder and its ancestors; none if there is no archive.
+/// The outermost archive among a folder and its ancestors; `None` if there is no archive.
 fn archive_of(folder: &Path) -> Option<&Path> {
     let mut above: Vec<&Path> = folder.ancestors().collect();
     above.reverse();
@@ -131,7 +131,8 @@ impl<'a> Unpacking<'a> {
         }
     }
 
-    /// Number and megabytes of the archives that must be unpacked before their members can be read; none without any.
+    /// Number and total megabytes of the archives that must be unpacked before their members can be read; `None` if
+    /// there are no such archives.
     fn packed(archives: &[(String, PathBuf)]) -> Option<(usize, u64)> {
         let packed = archives.iter().filter(|(relative, _)| {
             Kind::of_name(relative).is_some_and(|kind| !kind.is_random_access())
@@ -202,7 +203,7 @@ fn refuse(relative: &str, path: &Path, rejected: Rejected) -> Opened {
     }
 }
 
-/// Opens an archive. None for other files, Git LFS pointers and WebDataset shards.
+/// Opens an archive. `None` for other files, Git LFS pointers and WebDataset shards.
 fn open(
     relative: &str,
     path: &Path,

@@ -48,7 +48,7 @@ pub(super) fn no_room(path: &Path, error: &io::Error) -> Error {
     }
 }
 
-/// Creates a locked folder.
+/// Creates a folder with a locked file in it.
 fn make(parent: &Path) -> io::Result<(PathBuf, File)> {
     loop {
         let folder = tempfile::Builder::new().prefix(PREFIX).tempdir_in(parent)?;
@@ -63,7 +63,7 @@ fn make(parent: &Path) -> io::Result<(PathBuf, File)> {
     }
 }
 
-/// Removes folders of processes that ended: the lock of such a folder is free.
+/// Removes folders of processes that ended. The lock of such a folder is free.
 fn remove_abandoned(parent: &Path) {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
         let is_ours = entry.file_name().to_string_lossy().starts_with(PREFIX);

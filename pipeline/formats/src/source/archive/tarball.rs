@@ -128,7 +128,7 @@ pub(super) fn unpack(
         Kind::Zip | Kind::Tar => Box::new(packed),
     };
     let mut content = Content::default();
-    // Headers count too: their long names are read into memory.
+    // Headers count towards the limit too: their long names are read into memory.
     let unpacked = Capped {
         inner: unpacked,
         left: most,

@@ -45,7 +45,7 @@ impl ReadAt for Slice {
     }
 }
 
-/// Bytes at the beginning of a packed member that are read without unpacking all of it.
+/// Number of bytes at the beginning of a packed member that are read without unpacking all of it.
 const HEAD: u64 = 4096;
 
 /// Random access to a packed member: it is unpacked into memory, unless only its first bytes are read.
@@ -220,7 +220,7 @@ pub(super) fn shown(bytes: u64) -> u64 {
     bytes / SHOWN
 }
 
-/// Reads at most a number of bytes, and reports whether there were more.
+/// Reads at most `left` bytes, and sets `is_exceeded` if there are more.
 pub(super) struct Capped<'a, R> {
     pub(super) inner: R,
     pub(super) left: u64,

@@ -1,4 +1,4 @@
-//! Words, keywords and numbers of the text. Errors carry byte offsets.
+//! Words, keywords and numbers of a BVH file. Errors carry byte offsets.
 
 use glam::DVec3;
 
@@ -129,7 +129,7 @@ pub(super) fn number(at: usize, token: &[u8]) -> Rejected {
     .at(at)
 }
 
-/// Parses a decimal number, correctly rounded; none if the text is not a number or the number is not finite.
+/// Parses a decimal number, correctly rounded; `None` if the text is not a finite number.
 pub(super) fn parse_number(token: &[u8]) -> Option<f64> {
     let number = fast_float2::parse::<f64, _>(token).ok();
     number.filter(|value| value.is_finite())

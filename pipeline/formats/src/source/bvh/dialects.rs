@@ -1,4 +1,4 @@
-//! Files in the hierarchies, channels and rest poses of known rigs, written for tests from poses of the body.
+//! Writes BVH files for tests: poses of the body in the hierarchies, channels and rest poses of known rigs.
 
 use std::fmt::Write;
 
@@ -40,7 +40,7 @@ pub(crate) struct RigText {
     pub(crate) frame_time: f64,
     /// Whether offsets state a rest rotation too.
     pub(crate) six_numbers: bool,
-    /// Pose of the body in the file's zero pose, in which all joint frames are aligned to the world.
+    /// Pose of the body when all channels of the file are zero. All joint frames are then aligned to the world.
     pub(crate) zero: Option<Pose>,
 }
 
@@ -131,7 +131,7 @@ impl RigText {
         rig
     }
 
-    /// The rig of SnapMoGen: pelvis and spine are both children of the root, whose rotation is the pelvis's here.
+    /// The rig of SnapMoGen: pelvis and spine are both children of the root, which has the pelvis's rotation here.
     fn snapmogen() -> Self {
         let mut rig = Self::new(
             "ROOT:0 C_spine0001_bind_JNT:3 C_spine0002_bind_JNT:6 C_spine0003_bind_JNT:9 \
@@ -174,7 +174,7 @@ impl RigText {
     pub(crate) fn write(&self, poses: &[Pose], skeleton: &Skeleton) -> String {
         let zero = self.zero.unwrap_or(Pose::REST);
         let zero_rotations = skeleton.global_rotations(&zero);
-        // World positions and rotations of the joints in the file's zero pose and in a pose.
+        // World positions and rotations of the joints for a pose of the body.
         let placed = |pose: &Pose| -> Vec<(DVec3, DQuat)> {
             let points = skeleton.keypoints(pose);
             let rotations = skeleton.global_rotations(pose);
@@ -318,13 +318,13 @@ fn read_text(text: &str) -> Result<SourceClip, Rejected> {
     super::read(&mut text.as_bytes(), text.len(), &ReadOptions::default())
 }
 
-/// A motion that is written for a rig and read.
+/// Writes poses as a file of a rig, and reads the file.
 fn carried(rig: &RigText, poses: &[Pose]) -> SourceClip {
     let text = rig.write(poses, &Skeleton::smplx_neutral());
     read_text(&text).expect("a body")
 }
 
-/// The limb bones have the directions of the poses, to within an angle in radians.
+/// Asserts that the limb bones have the directions of the poses, to within an angle in radians.
 fn assert_same_limbs(clip: &SourceClip, poses: &[Pose], radians: f64) {
     let skeleton = Skeleton::smplx_neutral();
     for (found, expected) in clip.motion.poses().iter().zip(poses) {

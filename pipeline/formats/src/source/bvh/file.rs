@@ -122,7 +122,7 @@ struct Pieces<'a> {
     text: Vec<u8>,
     /// Number of bytes of `text` that were returned.
     used: usize,
-    /// Bytes after `used` known to contain no line end.
+    /// Number of bytes after `used` that contain no line end.
     searched: usize,
     /// Offset of `text` in the file; the end of the file, once there are no more lines.
     offset: usize,
@@ -180,7 +180,7 @@ impl<'a> Pieces<'a> {
         }
     }
 
-    /// The next whole lines with their offset, and at the end of the file the remaining text; then none.
+    /// The next whole lines with their byte offset; at the end of the file the remaining text, and then `None`.
     fn lines(&mut self) -> Result<Option<(usize, &[u8])>, Rejected> {
         loop {
             self.forget_used();

@@ -8,7 +8,7 @@ use clip::Rejected;
 /// Limit on the joints of a file. Full-body rigs with fingers and face have some 200.
 const MAX_JOINTS: usize = 4096;
 
-/// The joints, and the byte offset of the first rest rotation, which only rigs of SOMA have.
+/// The joints, and the byte offset of the first rest rotation, if any. Only rigs of SOMA have rest rotations.
 pub(super) fn parse_hierarchy(
     cursor: &mut Cursor,
 ) -> Result<(Vec<BvhJoint>, Option<usize>), Rejected> {
@@ -57,8 +57,9 @@ pub(super) fn parse_hierarchy(
     Ok((joints, rest_rotation))
 }
 
-/// Skips three more numbers after an offset, and returns their byte offset. They are the joint's rest rotation in rigs
-/// of SOMA, in degrees about x, y and z. It is not needed, because the channels hold the whole rotation.
+/// Skips three more numbers after an offset, and returns their byte offset; `None` if there are none. They are the
+/// joint's rest rotation in rigs of SOMA, in degrees about x, y and z. It is not needed, because the channels hold the
+/// whole rotation.
 fn skip_rest_rotation(cursor: &mut Cursor) -> Result<Option<usize>, Rejected> {
     let before = cursor.at;
     let (at, word) = cursor.word();
@@ -132,11 +133,9 @@ fn parse_channels(cursor: &mut Cursor) -> Result<Vec<Channel>, Rejected> {
 /// Meaning of one column of the motion for its joint, with its axis: 0 for x, 1 for y, 2 for z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channel {
-    /// A coordinate in the parent's frame, in the file's unit. It replaces that coordinate of the
-    /// offset.
+    /// A coordinate in the parent's frame, in the file's unit. It replaces that coordinate of the offset.
     Position(usize),
-    /// A rotation about an axis, in degrees. Rotations apply in the order of their columns: the
-    /// first is the outermost.
+    /// A rotation about an axis, in degrees. Rotations apply in the order of their columns: the first is the outermost.
     Rotation(usize),
 }
 
@@ -145,7 +144,7 @@ pub enum Channel {
 pub struct BvhJoint {
     /// Name as written.
     pub name: String,
-    /// Index of the parent; none for the root. A parent precedes its children.
+    /// Index of the parent, which precedes its children; `None` for the root.
     pub parent: Option<usize>,
     /// Position in the parent's frame in the file's unit, unless a channel replaces it.
     pub offset: DVec3,

@@ -46,7 +46,7 @@ pub const FORMAT: Format = Format {
     )
 };
 
-/// Reads a file of about `length` bytes.
+/// Reads a file of about `length` bytes, and retargets its motion.
 pub fn read(
     file: &mut dyn Read,
     length: usize,

@@ -34,8 +34,8 @@ impl Rig for BvhFile {
         usize::from(self.starts_with_zero_pose())..self.num_frames
     }
 
-    /// The zero pose: every rotation is zero. A joint with position channels is placed at the mean of their values.
-    /// Then the T-pose of a known rig whose zero pose is no standing person.
+    /// The zero pose, in which every rotation is zero and a joint with position channels is at their mean; then, for a
+    /// rig of SOMA, its T-pose.
     fn rests(&self) -> Vec<Rest> {
         let mut bones: Vec<Placed> = Vec::with_capacity(self.joints.len());
         for joint in &self.joints {
@@ -204,8 +204,7 @@ fn rotated(q: DQuat, axis: usize, s: f64, c: f64) -> DQuat {
 pub(super) fn half_angle_sin_cos(degrees: &[f64; BLOCK]) -> ([f64; BLOCK], [f64; BLOCK]) {
     /// Angle in degrees up to which the number of quarter turns is exact, with a wide margin.
     const LARGEST: f64 = 1e9;
-    /// Adding and subtracting 1.5 * 2^52 rounds to an integer; the lowest bits of the sum are those
-    /// of the integer.
+    /// Adding and subtracting 1.5 * 2^52 rounds to an integer; the lowest bits of the sum are those of the integer.
     const ROUND: f64 = 6_755_399_441_055_744.0;
     const QUARTER: f64 = 90.0;
     const SIN: [f64; 7] = [

@@ -44,8 +44,8 @@ const ARM: [(&str, f64, f64); 4] = [
     ("Hand", 0.0, 9.71),
 ];
 
-/// Orientation of a joint in the T-pose, with y up and the person facing +z; none for joints that the pose
-/// does not state.
+/// Orientation of a joint in the T-pose, with y up and the person facing +z; `None` for joints that the pose does not
+/// state.
 fn orientation(name: &str) -> Option<DQuat> {
     let name = bare(name);
     let upright = UPRIGHT.iter().find(|(joint, _)| *joint == name);
@@ -63,7 +63,7 @@ fn orientation(name: &str) -> Option<DQuat> {
     Some(DQuat::from_rotation_x(front) * turn)
 }
 
-/// Whether the joints include all that the T-pose of the rig states.
+/// Whether the joints include all those that the T-pose states.
 pub(super) fn is_soma(joints: &[BvhJoint]) -> bool {
     let has = |name: &str| joints.iter().any(|joint| bare(&joint.name) == name);
     let arms = ["Left", "Right"]
@@ -72,8 +72,8 @@ pub(super) fn is_soma(joints: &[BvhJoint]) -> bool {
     UPRIGHT.iter().all(|(name, _)| has(name)) && arms.into_iter().all(|name| has(&name))
 }
 
-/// Every joint in the T-pose; none for another rig. Joints that the pose does not state, such as fingers,
-/// follow their parents.
+/// Every joint in the T-pose; `None` for another rig. Joints that the pose does not state, such as fingers, follow
+/// their parents.
 pub(super) fn t_pose(joints: &[BvhJoint]) -> Option<Vec<Placed>> {
     if !is_soma(joints) {
         return None;

@@ -1,9 +1,7 @@
-//! The C3D reader: marker positions of an optical capture, from any of the three kinds of processor
-//! that ever wrote the format.
+//! The C3D reader: marker positions of an optical capture, in the number formats of Intel, DEC and MIPS processors.
 //!
-//! A C3D file consists of blocks of 512 bytes: a header, a section of parameters and the frames. They
-//! often contradict each other: the parameters take precedence over the header, and the length of the
-//! file over both.
+//! A C3D file consists of blocks of 512 bytes: a header, a section of parameters and the frames. They often contradict
+//! each other: the parameters take precedence over the header, and the length of the file over both.
 //!
 //! # Source
 //! The C3D user guide of c3d.org; formats of the VAX as DEC documents them.
@@ -29,7 +27,7 @@ fn header_error(at: usize, reason: impl Into<String>) -> Rejected {
     Rejected::read("E-C3D-HEADER", reason).at(at)
 }
 
-/// The markers of a file; none if it has none. A unit in the options replaces the one that the file states.
+/// The markers of a file; `None` if it has no markers. A unit in the options replaces the one that the file states.
 ///
 /// # Errors
 /// `E-C3D-TRUNCATED`, `E-C3D-HEADER`, `E-C3D-PARAM`, `E-C3D-ENDIAN`, `E-C3D-ZERO` or `E-UNIT`, with the byte offset if
@@ -116,7 +114,7 @@ impl Header {
 struct Layout {
     start: usize,
     points: usize,
-    /// Analogue values of a frame, after the points.
+    /// Number of analogue values of a frame. They follow the points.
     analog: usize,
     frames: usize,
     scale: f64,
@@ -285,7 +283,7 @@ struct Point {
 }
 
 impl Point {
-    /// Some programs write unseen points at the origin with a valid residual.
+    /// Whether the point was seen. Some programs write unseen points at the origin with a valid residual.
     fn is_seen(self) -> bool {
         self.residual >= 0.0 && self.at != DVec3::ZERO
     }
@@ -319,8 +317,8 @@ fn whole_point(bytes: &[u8], processor: Processor, scale: f64) -> Point {
     Point { at, residual }
 }
 
-/// Number of frames from the parameters (for long captures in two words or as a real number), else from the header;
-/// limited by the length of the file.
+/// Number of frames: the first that fits into the file, from the parameters (for long captures in two words or as a
+/// real number), then from the header.
 fn frame_count(
     header: &Header,
     parameters: &Parameters<'_>,
@@ -404,7 +402,7 @@ fn labels_of_markers(parameters: &Parameters<'_>, points: usize) -> (Vec<String>
     (labels, kept)
 }
 
-/// Names of the markers of a file; none if it cannot be read.
+/// Names of the markers of a file; `None` if it cannot be read or has no points.
 fn marker_labels(bytes: &[u8]) -> Option<Vec<String>> {
     let (processor, parameters) = parameters(bytes).ok()?;
     let header = Header::read(bytes, processor);

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use clip::{Rejected, rejected};
 
-/// Bytes of a block.
+/// Size of a block in bytes.
 pub(super) const BLOCK: usize = 512;
 /// Groups whose labels name points that are not markers.
 const MODEL_OUTPUTS: [&str; 6] = [
@@ -168,7 +168,7 @@ impl<'a> Parameters<'a> {
         self.values.get(&key).copied()
     }
 
-    /// The first real number of a value.
+    /// The real number at the start of a value.
     fn real(&self, bytes: &[u8]) -> Option<f32> {
         Some(self.processor.f32(*bytes.first_chunk()?))
     }
@@ -237,7 +237,7 @@ fn end_of_record(bytes: &[u8], at: usize) -> usize {
     at + 1 + bytes.get(at).map_or(0, |length| usize::from(*length))
 }
 
-/// Whether the bytes look like the head of a group or parameter: a name in capitals, digits and
+/// Whether the bytes look like the head of a group or parameter: a name of at least three letters, digits and
 /// underscores, which no number of the frames resembles.
 fn is_record(bytes: &[u8], at: usize) -> bool {
     const SHORTEST_NAME: usize = 3;

@@ -89,7 +89,8 @@ struct Performances {
     skeletons: Vec<Skeleton>,
 }
 
-/// Nodes of a skeleton and their ancestors, parents first, as indices of the scene's nodes.
+/// Nodes of a skeleton and their ancestors, parents first, as indices of the scene's nodes. `parents` holds indices of
+/// `nodes`.
 struct Skeleton {
     root: usize,
     nodes: Vec<usize>,
@@ -193,7 +194,7 @@ fn skeletons(scene: &Scene) -> Vec<Skeleton> {
     grouped(&nodes, &parents, &empty)
 }
 
-/// Groups the bones into skeletons by their topmost node.
+/// Groups the bones into skeletons by their topmost bone.
 fn grouped(nodes: &[&Node], parents: &[Option<usize>], bones: &[bool]) -> Vec<Skeleton> {
     let mut of_root: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for node in (0..nodes.len()).filter(|node| bones[*node]) {
@@ -297,8 +298,9 @@ impl<'a> Performance<'a> {
             .collect()
     }
 
-    /// The bind pose, the stored pose, and the pose with only the joints' own frames (pre-rotations), which is the bind
-    /// pose in files of Maya, MotionBuilder and Mixamo.
+    /// The bind pose, if stated; the pose stored in the nodes; and the zero pose, which has only the joints' own frames
+    /// (pre-rotations) and is the bind pose in files of Maya, MotionBuilder and Mixamo. The zero pose precedes the
+    /// stored one if most bones have frames of their own.
     fn find_rests(&self) -> Result<Vec<Rest>, Rejected> {
         let stored = self.placed(self.scene);
         let mut rests = Vec::new();
@@ -339,7 +341,7 @@ impl<'a> Performance<'a> {
         scene.map_err(|error| rejected(&error))
     }
 
-    /// The bind pose that the file states for most of the bones. The others are placed by their parents.
+    /// The bind pose, if the file states it for most of the bones. The others are placed relative to their parents.
     fn bind_pose(&self, stored: &[Placed]) -> Option<Vec<Placed>> {
         let poses = self
             .scene
@@ -442,7 +444,7 @@ const NOWHERE: Placed = Placed {
     rotation: DQuat::IDENTITY,
 };
 
-/// Frames of a take of this length in seconds.
+/// Number of frames of a take of this length in seconds.
 fn frames_in(seconds: f64, fps: Fps) -> Result<usize, Rejected> {
     /// Fraction of a frame that a take may be too short by without losing its last frame.
     const SLACK: f64 = 1e-3;

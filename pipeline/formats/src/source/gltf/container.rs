@@ -1,8 +1,7 @@
 //! The container of a glTF file: the chunks of a GLB, and the bytes of each buffer.
 //!
-//! `gltf::Glb` is not used: its errors carry no byte offset, it subtracts the header from a stated
-//! length without checking it, and it refuses a file whose second chunk is of an unknown kind, which
-//! the specification says to skip.
+//! `gltf::Glb` is not used: its errors carry no byte offset, it subtracts the header from a stated length without
+//! checking it, and it refuses a file whose second chunk is of an unknown kind, which the specification says to skip.
 
 use std::borrow::Cow;
 
@@ -13,7 +12,7 @@ use gltf::json;
 use crate::source::head::UTF8_BOM;
 use clip::{Rejected, rejected};
 
-/// The bytes of a buffer, or why it has none.
+/// The bytes of a buffer, or the reason why it has none.
 pub(super) type Buffer<'a> = Result<Cow<'a, [u8]>, Rejected>;
 
 pub(super) fn part(bytes: &[u8], offset: u64, len: u64) -> Option<&[u8]> {

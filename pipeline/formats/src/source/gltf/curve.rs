@@ -17,8 +17,8 @@ pub(super) const DEFAULT_FPS: f64 = 30.0;
 /// Lowest rate in 1/s of evenly spaced keys that counts as a frame rate: sparser keys, such as two poses a second, are
 /// set by an animator.
 const MIN_KEY_RATE: f64 = 10.0;
-/// Tolerance, in grid steps, for a key to count as on an even grid. Times are stored as `f32`, which
-/// resolves a hundredth of a frame at 240 fps after an hour.
+/// Tolerance, in grid steps, for a key to count as on an even grid. Times are stored as `f32`, which after an hour
+/// rounds them by up to 0.004 frames at 30 fps.
 pub(super) const ON_GRID: f64 = 0.02;
 
 /// Reads key times in seconds, which must ascend.
@@ -53,9 +53,9 @@ pub(super) fn read_times(document: &Document, accessor: usize) -> Result<Vec<f64
 pub(super) struct Grid {
     pub(super) start: f64,
     pub(super) end: f64,
-    /// Most keys in one channel.
+    /// Number of keys of the channel with the most keys.
     num_keys: usize,
-    /// Rate in 1/s of the channel with most keys, if they are evenly spaced.
+    /// Rate in 1/s of the channel with the most keys, if they are evenly spaced.
     key_rate: Option<f64>,
 }
 

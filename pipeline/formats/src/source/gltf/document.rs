@@ -11,7 +11,7 @@ use clip::{Rejected, rejected};
 pub(super) struct Document<'a> {
     pub root: json::Root,
     buffers: Vec<Buffer<'a>>,
-    /// Length of the file, an upper bound for the elements of an accessor.
+    /// Length of the file in bytes, an upper bound for the number of elements of an accessor.
     file_len: usize,
 }
 
@@ -39,7 +39,7 @@ impl<'a> Document<'a> {
         unique_keys(names, |index| index.to_string())
     }
 
-    /// The bytes of a part of a buffer view.
+    /// The bytes of a buffer view, and its stride in bytes if stated. `what` names the view's user in messages.
     fn view(&self, index: usize, what: &str) -> Result<(&[u8], Option<usize>), Rejected> {
         let view =
             self.root.buffer_views.get(index).ok_or_else(|| {

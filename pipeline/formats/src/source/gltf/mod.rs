@@ -1,8 +1,7 @@
 //! The glTF reader: animations of a skinned skeleton, sampled at a fixed rate.
 //!
-//! Only what moves bones is read: nodes, one skin, one animation and their buffers. Every index,
-//! offset and length in the file is checked before it is used. Meshes, materials and extensions are
-//! ignored.
+//! Only what moves bones is read: nodes, one skin, one animation and their buffers. Every index, offset and length in
+//! the file is checked before it is used. Meshes, materials and extensions are ignored.
 
 mod container;
 mod curve;
@@ -26,18 +25,16 @@ use clip::{Outcome, Rejected, rejected};
 
 /// Unique names of the animations in a file; empty if there is none or the file is broken.
 ///
-/// An animation without a name is named by its index, and a repeated name gets the index as a
-/// suffix.
+/// An animation without a name is named by its index, and a repeated name gets the index as a suffix.
 pub fn keys(bytes: &[u8]) -> Vec<String> {
     Document::parse(bytes).map_or_else(|_| Vec::new(), |document| document.keys())
 }
 
-/// Reads one animation, or the first if the key is empty, and retargets it. A file without a moving
-/// skin is skipped.
+/// Reads one animation, or the first if the key is empty, and retargets it. A file without a moving skin is skipped.
 ///
 /// # Errors
 /// `E-GLTF-CHUNK`, `E-GLTF-SYNTAX`, `E-GLTF-NODES`, `E-GLTF-KEY`, `E-GLTF-URI`, `E-GLTF-BUFFER`, `E-GLTF-ACCESSOR`,
-/// `E-GLTF-TIME`, `E-GLTF-LIMIT`, `E-NOT-FINITE`, and `E-GLTF-SKELETON` if the skeleton is not a body.
+/// `E-GLTF-TIME`, `E-GLTF-LIMIT`, `E-NOT-FINITE`, `E-UNIT`, and `E-GLTF-SKELETON` if the skeleton is not a body.
 pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, Rejected> {
     let document = Document::parse(bytes)?;
     let tree = Tree::of(&document.root.nodes)?;

@@ -97,7 +97,7 @@ pub(super) fn unit(quaternion: DVec4) -> DQuat {
         .map_or(DQuat::IDENTITY, DQuat::from_vec4)
 }
 
-/// World transform of a node: `linear` includes the scale of its ancestors, `placed` does not.
+/// World transform of a node: `linear` includes the scale of the node and its ancestors, `placed` does not.
 #[derive(Clone, Copy)]
 pub(super) struct World {
     linear: DMat3,

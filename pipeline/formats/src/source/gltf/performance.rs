@@ -16,8 +16,7 @@ use super::skeleton::Skeleton;
 use crate::retarget::{Bone, Placed, Rest, Rig};
 use clip::{Rejected, rejected};
 
-/// Limits on the keys read from one animation and on the frames sampled. Both allow an hour of a
-/// whole body at 60 fps.
+/// Limits on the keys read from one animation and on the frames sampled. Both allow an hour of a whole body at 60 fps.
 const MAX_KEYS: usize = 20_000_000;
 const MAX_FRAMES: usize = 1_000_000;
 
@@ -33,7 +32,7 @@ pub(super) struct Performance<'a> {
 }
 
 impl<'a> Performance<'a> {
-    /// Reads an animation of the skeleton; none if it has no curve of a bone.
+    /// Reads an animation of the skeleton; `None` if it has no curve of a bone.
     pub(super) fn of(
         skeleton: &'a Skeleton,
         document: &Document,

@@ -20,7 +20,7 @@ pub(super) struct Skeleton {
     pub(super) parents: Vec<Option<usize>>,
     pub(super) locals: Vec<Local>,
     pub(super) bone_of_node: BTreeMap<usize, usize>,
-    /// Bind pose of the joints, in the axes of the mesh; none if the skin has none.
+    /// Bind pose of the joints, in the axes of the mesh; `None` if the skin has none.
     pub(super) bind: Option<Vec<Placed>>,
 }
 

@@ -49,7 +49,7 @@ impl Parts {
         self
     }
 
-    /// Sets a member of the JSON by its pointer.
+    /// Sets a member of the JSON at a JSON pointer.
     fn set(self, pointer: &str, value: impl Into<Value>) -> Self {
         self.with(|json| {
             let (parent, member) = pointer.rsplit_once('/').expect("a pointer");
@@ -112,7 +112,7 @@ fn embedded_buffers_read_as_the_binary_chunk_does() {
 fn a_turned_and_scaled_world_above_the_skeleton_does_not_matter() {
     let plain = clip_of(&Parts::walking().embedded());
     let turned = Parts::walking().with(|json| {
-        // A scale at the root, as exporters of scenes in centimetres write it; the bind pose does not contain it.
+        // Exporters of scenes in centimetres write such a scale at the root; the bind pose does not contain it.
         let root = json["nodes"].as_array_mut().expect("nodes");
         root.push(json!({
             "rotation": [0.0, 0.5_f64.sqrt(), 0.0, 0.5_f64.sqrt()],
@@ -174,9 +174,9 @@ fn curves_follow_their_interpolation() {
             assert!(error.length() < 1e-12, "{time}");
         }
     }
-    // A key in reach is reached.
+    // A key within the slack counts as reached.
     assert_eq!(step.vector(2.999, 0.01), DVec3::from_array(b));
-    // A spline with level tangents eases in and out: a quarter of the way at 5/32.
+    // A spline with level tangents eases in and out: after a quarter of the time it is 5/32 of the way.
     let mut values = vec![[0.0; 3]; 6];
     values[4] = [32.0; 3];
     let flat = curve(Interpolation::CubicSpline, values);
@@ -330,7 +330,7 @@ fn sparse_accessors_replace_what_they_list() {
     let parts = Parts::walking();
     let times = parts.times();
     let translation = times + 1;
-    // The sparse index and value read the key times, whose first is zero.
+    // The sparse index is read from the key times, whose first is zero; its value is the second translation.
     let parts = parts.with(|json| {
         let view = json["accessors"][times]["bufferView"].clone();
         let values = json["accessors"][translation]["bufferView"].clone();

@@ -1,4 +1,4 @@
-//! npy arrays: 263-d vectors and joint positions.
+//! npy arrays: 263-d feature vectors and joint positions.
 
 use datasets_spec::record::HUMANML3D_WIDTH;
 use datasets_spec::{Fps, Skeleton};
@@ -13,19 +13,19 @@ use clip::{Rejected, RotationSource, SourceClip, rejected};
 /// Rate of the published clips.
 pub(crate) const FPS: Fps = Fps::STORE;
 
-/// Widths of KIT-ML, which has the same layout: features, and joints.
+/// Widths of KIT-ML, which has the same layout: number of features, and number of joints.
 pub(super) const KIT_WIDTH: usize = 251;
 pub(super) const KIT_JOINTS: usize = 21;
 
 pub(super) const TOO_SHORT: &str = "E-TOO-SHORT";
 
-/// Reads a 263-d vector or joint positions as a motion of the given body.
+/// Reads HumanML3D's feature vectors or joint positions as a motion of the given body.
 ///
 /// # Shapes
 /// `[T, 263]`, or `[T, 22, 3]` in metres, y up.
 ///
 /// # Errors
-/// Those of [`npy`], `E-HML-SHAPE`, `E-HML-FINITE`, `E-HML-FIT` or `E-TOO-SHORT`.
+/// Those of [`npy`], `E-LFS-POINTER`, `E-HML-SHAPE`, `E-HML-FINITE`, `E-HML-FIT` or `E-TOO-SHORT`.
 pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
     refuse_pointer(bytes)?;
     let array = npy::read_numbers("array", bytes)?;
@@ -57,7 +57,7 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
 /// The features of an array `[T, 263]`.
 ///
 /// # Errors
-/// The shape is wrong, or there are too many frames or none.
+/// `E-HML-SHAPE` for another shape, `E-TOO-SHORT` for fewer than 2 frames, `E-HML-FINITE`.
 pub fn features(array: &Array) -> Result<Vec<[f32; HUMANML3D_WIDTH]>, Rejected> {
     let [num_frames, HUMANML3D_WIDTH] = array.shape[..] else {
         return Err(bad_shape(array));
@@ -85,10 +85,10 @@ pub(crate) fn check_length(num_frames: usize) -> Result<(), Rejected> {
     }
 }
 
-/// The joints of an array `[T, 22, 3]`, in metres.
+/// The joints of an array `[T, 22, 3]`, or of a single frame `[22, 3]`, in metres.
 ///
 /// # Errors
-/// The shape is wrong, or there are too many frames or none.
+/// As [`features()`].
 pub fn joints(array: &Array) -> Result<Vec<[DVec3; NUM_BODY_JOINTS]>, Rejected> {
     let num_frames = match array.shape[..] {
         [num_frames, NUM_BODY_JOINTS, 3] => num_frames,

@@ -151,7 +151,7 @@ impl Release for Folder {
 /// The captions of a file, and a note on lines that are not captions.
 ///
 /// # Errors
-/// `E-IO` if the file cannot be read, `E-LFS-POINTER` if it was never fetched.
+/// `E-IO` if the file cannot be read, `E-LFS-POINTER` if it is a Git LFS pointer.
 pub fn read_captions(
     files: &Files,
     file: &str,
@@ -178,7 +178,7 @@ pub(crate) fn add_captions(
     Ok(())
 }
 
-/// Source frames of a clip, by its row of the crop list.
+/// Source frames of a clip, from its row of the crop list.
 fn frames_of(crop: &IndexRow, num_frames: usize) -> Range<usize> {
     let end = crop.end.unwrap_or(crop.start.saturating_add(num_frames));
     crop.start..end.max(crop.start)

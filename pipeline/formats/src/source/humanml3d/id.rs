@@ -1,6 +1,6 @@
 //! Ids of HumanML3D: six digits, with `M` before them for mirrored copies.
 
-/// The original's id of a mirrored copy, `012314` of `M012314`.
+/// The id of the original of a mirrored copy: `012314` for `M012314`. `None` for other ids.
 pub fn mirrored_of(id: &str) -> Option<&str> {
     let original = id.strip_prefix('M')?;
     is_original(original).then_some(original)

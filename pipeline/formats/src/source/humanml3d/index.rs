@@ -9,7 +9,7 @@ pub struct IndexRow {
     pub source_path: String,
     /// First frame at 20 fps, counted after the subset's lead-in.
     pub(crate) start: usize,
-    /// One past the last frame; none for the whole recording.
+    /// One past the last frame; `None` for the whole recording.
     pub(crate) end: Option<usize>,
     /// Id of the clip.
     pub id: String,
@@ -18,7 +18,7 @@ pub struct IndexRow {
 /// Parses the crop list.
 ///
 /// # Errors
-/// `E-HML-INDEX` names the line.
+/// `E-HML-INDEX`, with the line if a row is wrong.
 pub fn parse_index(bytes: &[u8]) -> Result<Vec<IndexRow>, Rejected> {
     const COLUMNS: [&str; 4] = ["source_path", "start_frame", "end_frame", "new_name"];
     let bad = |reason: String| Rejected::read("E-HML-INDEX", reason);

@@ -78,7 +78,7 @@ pub fn layouts(files: &Files) -> Vec<Layout> {
         .collect()
 }
 
-/// The release's root folder, with a trailing slash, and the name of this folder in it. A release's folder may be an
+/// The release's root folder, with a trailing slash, and the name of `folder` in it. A release's folder may be an
 /// archive: `texts.zip` stands for `texts`, with or without a folder of that name inside.
 fn root_and_folder(folder: &str) -> (&str, &str) {
     let split = |folder: &str| folder.rfind('/').map_or(0, |slash| slash + 1);
@@ -96,8 +96,7 @@ fn root_and_folder(folder: &str) -> (&str, &str) {
 }
 
 impl Layout {
-    /// Finds lists, statistics and the crop list in the folder or the nearest one above that has
-    /// them.
+    /// Finds lists, statistics and the crop list in the folder or the nearest one above that has them.
     fn find_companions(&mut self, files: &Files) {
         let root = self.root.clone();
         let nearest = |name: &str| nearest(files, &root, name);

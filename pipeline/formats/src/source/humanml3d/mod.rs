@@ -1,5 +1,4 @@
-//! HumanML3D folders: 263-d vectors, joints, captions, split lists and the crop list, whole or in
-//! part.
+//! HumanML3D folders: 263-d vectors, joints, captions, split lists and the crop list, whole or in part.
 
 mod array;
 mod folder;
@@ -29,7 +28,7 @@ pub(crate) use layout::{LISTS, List, lists_above, parse_list};
 pub use layout::{Layout, layouts};
 pub(crate) use splits::Splits;
 
-/// Recognises a motion in a single npy array by its shape, or says why it is none.
+/// Recognises a motion in a single npy array by its shape; the error says why it is none.
 fn recognise_array(head: &[u8]) -> Result<(), String> {
     let Ok(shape) = Header::peek_shape("array", head) else {
         // The reader reports what is wrong with it.

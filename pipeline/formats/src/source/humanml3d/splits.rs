@@ -9,7 +9,7 @@ use super::layout::List;
 /// Splits of clips, by the lists that name them.
 pub(crate) struct Splits {
     of_clip: BTreeMap<String, BTreeSet<Split>>,
-    /// The clip that an id and that of its mirror image share.
+    /// Maps the id of a clip, or that of its mirror image, to the clip.
     clip_of: fn(&str) -> String,
 }
 

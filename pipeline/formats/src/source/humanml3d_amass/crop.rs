@@ -12,7 +12,7 @@ use crate::source::options::ReadOptions;
 use clip::check::FLAG_FPS_DOUBTFUL;
 use clip::{Rejected, RotationSource, SourceClip, rejected};
 
-/// Frames that a crop may lack at its end without a note: rounding a rate can cost one.
+/// Number of frames that a crop may lack at its end without a note: rounding a rate can cost one.
 const END_TOLERANCE: usize = 1;
 
 /// A crop of a recording that is among the files.
@@ -51,8 +51,7 @@ impl Crop {
     }
 }
 
-/// HumanML3D's rotation of AMASS, `(x, y, z)` to `(-x, z, y)`: z up to y up, and half a turn about the
-/// vertical.
+/// HumanML3D's rotation of AMASS, `(x, y, z)` to `(-x, z, y)`: z up to y up, and half a turn about the vertical.
 fn humanml3d_turn() -> DQuat {
     let axes = DMat3::from_cols(DVec3::NEG_X, DVec3::Z, DVec3::Y);
     DQuat::from_mat3(&axes)

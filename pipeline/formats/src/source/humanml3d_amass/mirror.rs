@@ -75,7 +75,7 @@ pub(crate) fn swap_sides(text: &str) -> String {
     out
 }
 
-/// The rest of the text after a "counter clockwise" or "anti-clockwise" written as two words.
+/// The rest of the text after "counter clockwise" or "anti-clockwise", written as two words; `None` for other words.
 fn counter_clockwise<'a>(word: &str, after: &'a str) -> Option<&'a str> {
     const TURN: &str = "clockwise";
     if !["counter", "anti"].contains(&word.to_lowercase().as_str()) {
@@ -86,7 +86,7 @@ fn counter_clockwise<'a>(word: &str, after: &'a str) -> Option<&'a str> {
     turn.eq_ignore_ascii_case(TURN).then_some(rest)
 }
 
-/// The lower-case word for the other side or direction.
+/// The word for the other side or direction, in lower case; `None` for other words.
 fn other_side(word: &str) -> Option<String> {
     const ENDS: [&str; 7] = ["", "s", "y", "ward", "wards", "hand", "handed"];
     for (side, other) in [("left", "right"), ("right", "left")] {
@@ -103,7 +103,7 @@ fn other_side(word: &str) -> Option<String> {
     }
 }
 
-/// Capitalises a word like `model`.
+/// Capitalises `word` if `model` is capitalised.
 fn in_case_of(model: &str, word: &str) -> String {
     let mut chars = word.chars();
     match (model.chars().next(), chars.next()) {

@@ -63,9 +63,8 @@ pub fn is_humanact12(row: &IndexRow) -> bool {
     row.source_path.contains(HUMANACT12)
 }
 
-/// Plans a clip and its mirror image for every row of the index whose recording is among the files.
-/// Captions come from `texts` folders among the files, splits from lists among them or beside the
-/// index.
+/// Plans a clip and its mirror image for every row of the index whose recording is among the files. Captions come from
+/// `texts` folders among the files, splits from lists among them or beside the index.
 ///
 /// # Errors
 /// The index cannot be read or is malformed.
@@ -122,8 +121,7 @@ pub fn find(files: &Files, index: &Path) -> Result<Box<dyn Release>, Error> {
     Ok(Box::new(cuts))
 }
 
-/// The split lists in the folder of the index, and in the folder of the published repository
-/// below it.
+/// The split lists in the folder of the index, and in the folder of the published repository below it.
 fn lists_beside(index: &Path) -> Vec<List> {
     let folder = index.parent().unwrap_or(Path::new("."));
     let read = |name: &str| {

@@ -8,9 +8,8 @@ use crate::sidecar::caption;
 /// The labels of a Bandai-Namco clip.
 ///
 /// # Source
-/// Bandai-Namco Research Motiondataset: files are named `dataset-{N}_{action}_{style}_{take}`, and
-/// a `.json` of the same stem holds both labels as 0-based line numbers of
-/// `cfg/content_label.txt` and `cfg/style_label.txt`.
+/// Bandai-Namco Research Motiondataset: files are named `dataset-{N}_{action}_{style}_{take}`, and a `.json` of the
+/// same stem holds both labels as 0-based line numbers of `cfg/content_label.txt` and `cfg/style_label.txt`.
 pub(super) struct BandaiNamcoLabel {
     pub action: String,
     pub style: String,
@@ -24,7 +23,7 @@ struct LabelIndices {
 }
 
 impl BandaiNamcoLabel {
-    /// The labels in a file name.
+    /// The labels in a file name; `None` if the name is not of this form.
     pub(super) fn named(stem: &str) -> Option<Self> {
         let mut fields = stem.split('_');
         let number = fields.next()?.strip_prefix("dataset-")?;
@@ -62,7 +61,7 @@ impl BandaiNamcoLabel {
         Some(Self { note, ..label })
     }
 
-    /// A sentence made from the labels, because text-guided work needs a text for every clip.
+    /// A sentence made from the labels, because models that are guided by text need a text for every clip.
     pub(super) fn caption(&self) -> Caption {
         let mut words = self.action.split('-');
         let verb = third_person(words.next().unwrap_or_default());

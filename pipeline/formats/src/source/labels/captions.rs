@@ -6,7 +6,7 @@ use crate::sidecar::caption;
 
 /// Maximum length of a caption line in bytes.
 const MAX_LINE_BYTES: usize = 1000;
-/// Maximum number of captions of one file; a longer file is not a list of captions.
+/// Maximum number of captions of one file; further lines count as no captions.
 const MAX_CAPTIONS: usize = 1000;
 
 /// Parses one caption per line, and counts the lines that are not captions. A line is a text about the whole clip, or

@@ -13,7 +13,7 @@ use clip::{LabelProblem, Rejected};
 /// Names of the files with labels.
 const TOML: &str = "stance.toml";
 const CSV: &str = "captions.csv";
-/// Names of licence files that are tried beside a single source file, whose folder is not listed.
+/// Names of licence files and readmes that are tried beside a single source file, whose folder is not listed.
 const LICENSES: [&str; 6] = [
     "LICENSE",
     "LICENSE.txt",
@@ -22,7 +22,7 @@ const LICENSES: [&str; 6] = [
     "README.txt",
     "README",
 ];
-/// Limit on files of labels, in bytes.
+/// Limit on label files, in bytes.
 const MAX_BYTES: u64 = 64 << 20;
 
 /// Whether a file holds labels of the motions in its folder, by its name in lower case.
@@ -35,7 +35,7 @@ pub fn names_in_folder() -> impl Iterator<Item = &'static str> {
     [TOML, CSV].into_iter().chain(LICENSES)
 }
 
-/// Labels of a clip from files of its folders.
+/// Labels of a clip from the files of the folders around it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClipLabels {
     /// Labels of this clip, by its name or a pattern.
@@ -67,7 +67,7 @@ struct Folder {
     license: Licensing,
     /// Files that could not be used as a whole.
     unread: Vec<LabelProblem>,
-    /// Why a file could not be read.
+    /// Error of reading a file of the folder.
     failed: Option<Rejected>,
 }
 
@@ -92,7 +92,7 @@ pub struct Licensing {
 }
 
 impl Licensing {
-    /// All tags joined by `AND`, because each licence applies; none without tags.
+    /// All tags joined by `AND`, because each licence applies; `None` without tags.
     pub fn tag(&self) -> Option<String> {
         let tags: Vec<&str> = self.tags.iter().map(String::as_str).collect();
         (!tags.is_empty()).then(|| tags.join(" AND "))
@@ -194,7 +194,7 @@ impl FolderLabels {
             .extend(content.problems.into_iter().map(problem));
     }
 
-    /// Labels of a motion from the files of its folders.
+    /// Labels of a motion from the files of the folders around it.
     pub fn of(&self, files: &Files, entry: &Entry) -> ClipLabels {
         let mut labels = ClipLabels::default();
         for (folder, relative) in self.around(files, entry) {
@@ -212,7 +212,7 @@ impl FolderLabels {
         labels
     }
 
-    /// The folders of a motion with labels, the nearest first, and its file's path in each.
+    /// The folders around a motion that have labels, the nearest first, and the path of the motion's file in each.
     fn around<'a>(
         &'a self,
         files: &'a Files,
@@ -259,12 +259,12 @@ impl FolderLabels {
         problems
     }
 
-    /// Files and lines that cannot be used.
+    /// Files and lines that could not be used.
     pub fn unread(&self) -> &[LabelProblem] {
         &self.problems
     }
 
-    /// The licences that folders state, by the folder's path.
+    /// The licences that folders state: path of the folder, tag, and where it was found.
     pub fn licenses(&self) -> impl Iterator<Item = (&Path, Option<String>, &Licensing)> {
         let folders = self.folders.iter();
         let stated = folders.map(|(path, folder)| {

@@ -39,7 +39,7 @@ pub(super) fn stated_in(name: &str, text: &str) -> BTreeSet<String> {
     }
 }
 
-/// The lines of a readme that mention a licence.
+/// The lines of a readme that mention a licence, and the sections whose headings do.
 fn about_licenses(text: &str) -> String {
     let mut in_section = false;
     let mut kept = String::new();

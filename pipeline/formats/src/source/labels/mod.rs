@@ -22,7 +22,7 @@ pub use self::pattern::{is_pattern, matches};
 use crate::sidecar::{LabelCaption, Sidecar};
 use clip::{LabelProblem, SourceClip};
 
-/// Reads a file beside a motion by its name, or returns none if it does not exist.
+/// Reads a file beside a motion by its name; `None` if it does not exist.
 type Companions<'a> = dyn Fn(&str) -> Option<Vec<u8>> + 'a;
 
 /// Adds the labels beside a motion file to its clip.
@@ -114,8 +114,8 @@ fn take_captions(clip: &mut SourceClip, captions: Vec<LabelCaption>) {
     }
 }
 
-/// Labels of a motion file that are known before it is read. A release has its own rules for action and style, so
-/// `companions` is none for its motions. `subject` is the subject that the file names.
+/// Labels of a motion file that are known before it is read. `companions` is `None` for motions of a release, which has
+/// its own rules for action and style. `subject` is the subject that the file names.
 pub fn stated(
     path: &Path,
     companions: Option<&Companions<'_>>,
@@ -182,7 +182,8 @@ fn stem_of(path: &Path) -> String {
 }
 
 impl Sidecar {
-    /// Drops labels that the tables cannot hold, and reports each.
+    /// Drops labels that the tables cannot hold, and reports each. A caption with an invalid time is kept for the whole
+    /// clip.
     fn clean(&mut self, mut report: impl FnMut(String)) {
         self.captions.retain_mut(|said| {
             let caption = &mut said.caption;
@@ -242,7 +243,7 @@ impl Sidecar {
         self.split = self.split.or(farther.split);
     }
 
-    /// Fills missing labels like [`Sidecar::fill`], but appends captions.
+    /// Fills missing labels like [`Sidecar::fill`], but appends captions, also those of body parts.
     fn add(&mut self, farther: &Sidecar) {
         let mut captions = std::mem::take(&mut self.captions);
         let mut parts = std::mem::take(&mut self.parts);

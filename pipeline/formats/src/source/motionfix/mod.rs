@@ -165,7 +165,7 @@ fn is_label(file: &str, dumps: &[&str]) -> bool {
         && LABELS.iter().any(|label| name.starts_with(label))
 }
 
-/// The single split of a dump by its name: `motionfix_val.pth.tar`.
+/// The split that the name of a dump states, as in `motionfix_val.pth.tar`.
 fn split_of_dump(file: &str) -> Option<Split> {
     let name = file_name(file).to_lowercase();
     let stem = name.strip_suffix(".pth.tar")?;
@@ -220,7 +220,7 @@ impl MotionFixRelease {
             Err(rejected) => return self.contents.reject(file, rejected),
         };
         let found = entries.len();
-        // Ids in the split list by key in `pairs`.
+        // Ids of the added pairs in the split list, by key in `pairs`.
         let mut added: BTreeMap<String, String> = BTreeMap::new();
         let mut differing = 0u64;
         for (key, value) in entries {

@@ -11,8 +11,7 @@ use crate::source::release_tests::{
 use pickle::encode;
 use testkit::put;
 
-/// A motion of the release: standing, z up, turned by 45 degrees about the vertical and moving
-/// along x.
+/// A motion of the release: standing, z up, turned by 45 degrees about the vertical and moving along x.
 fn motion(frames: usize, split_rotations: bool) -> Value {
     let upright = glam::DQuat::from_rotation_z(std::f64::consts::FRAC_PI_4)
         * glam::DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2);
@@ -146,14 +145,14 @@ fn motions_stand_upright_on_the_floor_of_the_store() {
         assert!(keypoints[10].y.abs() < 0.1, "the feet are on the floor");
         let left = keypoints[16] - keypoints[17];
         let facing = left.cross(glam::DVec3::Y).normalize();
-        // A standing body faces -y with z up; half of a quarter turn about the vertical takes it to +x -y, which is +x
-        // +z in the store.
+        // With z up, a standing body faces -y. Turned by 45 degrees about the vertical, it faces +x -y, which is +x +z
+        // with y up.
         let expected = glam::DVec3::new(1.0, 0.0, 1.0).normalize();
         assert!(facing.dot(expected) > 0.99, "{facing}");
         let moved = motion.transl()[1][0] - motion.transl()[0][0];
         assert!((moved - 0.01).abs() < 1e-6, "x stays x, {moved}");
     }
-    // A pair is not torn apart.
+    // Both motions of a pair are in one group.
     let entries = release.contents().entries.iter();
     let groups: Vec<_> = entries
         .map(|entry| (entry.split, entry.group.as_deref()))

@@ -12,10 +12,9 @@ use crate::source::humanml3d::check_length;
 use crate::source::smpl::Parameters;
 use clip::{Rejected, RotationSource, SourceClip, rejected};
 
-/// Columns of a frame: root 3, body 63, hands 90, jaw 3, expression 50, shape of the face 100, translation 3,
-/// betas 10.
+/// Columns of a frame: root 3, body 63, hands 90, jaw 3, expression 50, shape of the face 100, translation 3, betas 10.
 pub(super) const WIDTH: usize = 322;
-/// Columns of root and body, and the first column of the translation.
+/// Number of columns of root and body, and the first column of the translation.
 const POSE_WIDTH: usize = 3 + BODY_POSE_WIDTH;
 const TRANSLATION_AT: usize = 309;
 /// Frames per second of all motions: [`released_fps`] as a constant.
@@ -27,7 +26,7 @@ pub(super) const FPS: f64 = 30.0;
 /// `[T, 322]`, rotation vectors in radians, metres, y up.
 ///
 /// # Errors
-/// Those of [`npy`], `E-MOTIONX-SHAPE`, `E-NOT-FINITE` or `E-TOO-SHORT`.
+/// Those of [`npy`], `E-LFS-POINTER`, `E-MOTIONX-SHAPE`, `E-NOT-FINITE` or `E-TOO-SHORT`.
 pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
     refuse_pointer(bytes)?;
     let header = npy::Header::parse("array", bytes)?;

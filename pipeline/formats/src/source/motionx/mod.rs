@@ -40,11 +40,11 @@ pub const FORMAT: Format = Format {
     )
 };
 
-/// Folders of motions, which are named by their paths below.
+/// Folders of motions. The name of a motion is its path below such a folder.
 const MOTIONS: [&str; 2] = ["smplx_322", "smplx322"];
 /// Sibling folder with faces, which holds no bodies.
 const FACES: &str = "face_motion_data";
-/// Folders with the captions of whole clips, under the names of the motions.
+/// Folders with the captions of whole clips, in files with the names of the motions.
 const CAPTIONS: [&str; 3] = ["semantic_labels", "semantic_label", "motionx_seq_text_v1.1"];
 
 /// A folder of motions of the release.
@@ -57,7 +57,8 @@ struct MotionXFolder {
     notes: BTreeMap<String, String>,
 }
 
-/// Splits a file's path at one of `folders`: the part before and the part after the folder's name, without extension.
+/// Splits a file's path at one of `folders`: the part before the folder's name, and the part after it without
+/// extension.
 fn below<'a>(file: &'a str, folders: &[&str], extension: &str) -> Option<(&'a str, &'a str)> {
     let stem = file.strip_suffix(extension)?.strip_suffix('.')?;
     around_folder(stem, folders).map(|(root, _, name)| (root, name))
@@ -144,7 +145,7 @@ impl MotionXFolder {
         let lists: Vec<&str> = lists.iter().map(|(file, _)| file.as_str()).collect();
         let contents = &mut folder.contents;
         contents.remark_on_listed("Motion-X", &lists.join(", "), missing.collect());
-        // Leave captions that belong to another copy of the release, or to another release with the same names.
+        // Captions of another copy of the release, or of another release with the same names, are skipped.
         let is_own = |text: &&&str| {
             let common = |root: &&str| common_start(text, root);
             roots.iter().map(common).max() == Some(common(&root))

@@ -39,7 +39,7 @@ const TEXTS: &str = "texts/";
 const SPLITS: &str = "split/";
 /// Part of the name of the folder with mean and deviation.
 const STATISTICS: &str = "mean_std";
-/// Bytes of a file that hold the shape of an array.
+/// Number of bytes at the start of a file that contain the shape of its array.
 const HEAD_BYTES: u64 = 256;
 
 /// The 272 features of MotionStreamer and MotionMillion.

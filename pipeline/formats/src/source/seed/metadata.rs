@@ -30,7 +30,7 @@ const CAPTION_COLUMNS: [&str; 7] = [
 ];
 /// Rows decoded at a time.
 const BATCH_ROWS: usize = 1024;
-/// Limit on the unpacked bytes of these columns: for 142,220 motions they take some 100 MB.
+/// Limit on the unpacked bytes of the columns that are read; for 142,220 motions they take some 100 MB.
 const MAX_UNPACKED_LEN: i64 = 2 << 30;
 
 /// Row of a motion in the table.
@@ -49,7 +49,7 @@ pub(super) type Table = (BTreeMap<String, Described>, Option<Rejected>);
 /// Reads a table in Parquet. Only motions that are `wanted` are kept.
 ///
 /// # Errors
-/// `E-TABLE-FORMAT`, `E-TABLE-LIMIT`, or `E-TABLE-COLUMNS` if no column names the motions.
+/// `E-LFS-POINTER`, `E-TABLE-FORMAT`, `E-TABLE-LIMIT`, or `E-TABLE-COLUMNS` if no column names the motions.
 pub(super) fn of_parquet(
     bytes: Vec<u8>,
     wanted: &(dyn Fn(&str) -> bool + std::panic::RefUnwindSafe),
@@ -86,7 +86,7 @@ pub(super) fn of_parquet(
     })
 }
 
-/// The text of a cell; `true` or `false` for a Boolean. None if it is empty or there is no such column.
+/// The text of a cell; `true` or `false` for a Boolean. `None` if it is empty or there is no such column.
 fn cell(batch: &RecordBatch, column: &str, row: usize) -> Result<Option<String>, Rejected> {
     let Some(values) = batch.column_by_name(column) else {
         return Ok(None);
@@ -106,8 +106,8 @@ fn cell(batch: &RecordBatch, column: &str, row: usize) -> Result<Option<String>,
 /// Reads a table in CSV. Only motions that are `wanted` are kept.
 ///
 /// # Errors
-/// `E-TABLE-COLUMNS` if no column names the motions. Unusable lines are skipped; the first one is returned with the
-/// table as `E-SEED-LABELS`.
+/// `E-LFS-POINTER`, or `E-TABLE-COLUMNS` if no column names the motions. Unusable lines are skipped; the first one is
+/// returned with the table as `E-SEED-LABELS`.
 pub(super) fn of_csv(bytes: &[u8], wanted: &dyn Fn(&str) -> bool) -> Result<Table, Rejected> {
     crate::source::refuse_pointer(bytes)?;
     let mut records = csv_lines::records(bytes);
@@ -171,7 +171,7 @@ fn name_column(names: &[&str]) -> Result<&'static str, Rejected> {
         })
 }
 
-/// A name of a motion without the extension that some tables give it.
+/// The name of a motion, without the folders and the extension that some tables give it.
 pub(super) fn stem(name: &str) -> &str {
     let name = file_name(name.trim());
     [".bvh", ".csv"]

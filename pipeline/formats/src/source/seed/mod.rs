@@ -45,8 +45,7 @@ const METADATA: &str = "seed_metadata";
 const TEMPORAL: &str = "temporal_labels";
 /// The folder of the tables.
 const METADATA_FOLDER: &str = "metadata/";
-/// The folder of BVH files whose skeleton is each actor's own. The same motions are in another folder on one
-/// skeleton.
+/// The folder of BVH files whose skeleton is each actor's own. The same motions are in another folder on one skeleton.
 const PROPORTIONAL: &str = "soma_proportional";
 /// The folder of body shapes and of the rig.
 const SHAPES: &str = "soma_shapes/";
@@ -59,7 +58,7 @@ struct SeedFolder {
     contents: Contents,
     motions: BTreeMap<String, Described>,
     timelines: BTreeMap<String, Timeline>,
-    /// The files that the temporal labels are from.
+    /// The file that the temporal labels are from.
     labels_from: String,
 }
 
@@ -187,7 +186,7 @@ impl SeedFolder {
         }
     }
 
-    /// Notes whether all rows of a table were read, some, or none.
+    /// Lists a table as read with the motions, or as rejected if some of its rows could not be used.
     fn account(&mut self, file: &str, read: Result<Option<Rejected>, Rejected>) {
         match read {
             Ok(None) => {
@@ -199,7 +198,7 @@ impl SeedFolder {
     }
 }
 
-/// The newest of some tables. Versions are in the names; Parquet is read before CSV.
+/// The newest of some tables. Versions are in the names; Parquet is preferred to CSV.
 fn newest<'a>(tables: &[&'a str]) -> Option<&'a str> {
     tables.iter().copied().max_by_key(|file| {
         let name = file_name(file);

@@ -26,7 +26,7 @@ pub(super) struct Timeline {
     pub captions: Vec<Caption>,
     /// Why labels were left out.
     pub(super) problems: Vec<String>,
-    /// The motion from which the labels were carried over automatically; none if somebody wrote them.
+    /// The motion from which the labels were carried over automatically; `None` if somebody wrote them.
     pub(super) carried_from: Option<String>,
 }
 
@@ -54,7 +54,7 @@ impl Timelines {
     /// is reported as `E-SEED-LABELS` with its number and offset.
     ///
     /// # Errors
-    /// `E-LFS-POINTER`.
+    /// `E-LFS-POINTER` if the file is a Git LFS pointer.
     pub fn parse(bytes: &[u8], wanted: &dyn Fn(&str) -> bool) -> Result<Self, Rejected> {
         crate::source::refuse_pointer(bytes)?;
         let mut found = Self::default();

@@ -19,7 +19,7 @@ pub(super) struct Annotations {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Annotation {
     pub(super) masks: Vec<SourceMask>,
-    /// Parts of the annotation that could not be parsed.
+    /// Notes on parts of the annotation that could not be parsed.
     pub notes: Vec<String>,
 }
 

@@ -61,7 +61,7 @@ impl Labels {
         ))
     }
 
-    /// Adds the labels of a motion. Captions and names are those of its origin.
+    /// Adds the labels of a motion other than captions and names.
     pub(super) fn attach(&self, origin: &Origin, clip: &mut SourceClip) {
         clip.rotation_source = RotationSource::of_name(&origin.rotation_source);
         clip.fit_error_m = origin.fit_error_m;
@@ -70,7 +70,7 @@ impl Labels {
         clip.edits.extend(self.stored.edits_of(&origin.id));
     }
 
-    /// A remark on the motions without a file, and on their labels; none if every motion has its file.
+    /// A remark on the motions without a file, and on their labels; `None` if every motion has its file.
     pub(super) fn missing(&self, is_there: impl Fn(&str) -> bool) -> Option<String> {
         let ids = self
             .record
@@ -97,7 +97,7 @@ impl Labels {
     }
 }
 
-/// Reads masks or pairs, each of which names known motions.
+/// Reads masks or pairs, and checks that the motions that they name are known.
 pub(super) fn rows_of<R: DeserializeOwned>(
     bytes: &[u8],
     ids: &BTreeSet<&str>,

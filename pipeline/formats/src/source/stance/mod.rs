@@ -1,9 +1,8 @@
 //! The STANCE release: base motions, body-part annotations, style transfers and fine-grained
 //! adjustments, in its present layout and under the path names of its earlier revision.
 //!
-//! A folder is a release if it holds a pickle under `base_motion`, `style_transfer` or `adjustment`, at
-//! any depth. Motions are not moved: they are y up already, and the two motions of an adjustment share
-//! world coordinates.
+//! A folder is a release if it holds a pickle under `base_motion`, `style_transfer` or `adjustment`, at any depth.
+//! Motions are not moved: they are y up already, and the two motions of an adjustment share world coordinates.
 
 mod annotation;
 mod labels;
@@ -45,7 +44,7 @@ pub fn find(files: &Files) -> Vec<Box<dyn Release>> {
 }
 
 /// A folder of the STANCE release.
-// Bytes per second: the parameters of the store in f4 at 20 fps.
+// Bytes per second: the parameters in f4 at 20 fps.
 pub const FORMAT: Format = Format {
     extensions: &["pkl", "pickle"],
     read: |_, _, bytes, options| motion::read_pickle(bytes, &options.skeleton),
@@ -96,7 +95,7 @@ fn place(path: &str) -> Option<(&str, &'static str, &str)> {
     around_folder(path, &FOLDERS)
 }
 
-/// Role of a motion in the release.
+/// Role of a motion in the release, with the id of the motion that it is an edit of.
 #[derive(Clone, Debug)]
 enum Role {
     /// A base motion.
@@ -106,7 +105,7 @@ enum Role {
         source_id: String,
         style: String,
     },
-    /// One of the motions of an adjustment.
+    /// The source motion of an adjustment.
     Source,
     Target {
         source_id: String,
@@ -133,14 +132,14 @@ struct Detail {
     edited_in: Vec<(String, String)>,
 }
 
-/// A planned release.
+/// The motions of a release, before they are read.
 #[derive(Default)]
 struct StanceRelease {
     contents: Contents,
     /// Details of motions by file and key.
     details: BTreeMap<(String, String), Detail>,
     annotations: Annotations,
-    /// Body part and text of adjustments that are missing in their pickle, by file stem.
+    /// Body part and text of adjustments by file stem, for pickles that lack them.
     adjustments: Json,
     /// Labels from the export's own files; they replace those of the release's files and lists.
     labels: Option<Labels>,
@@ -285,7 +284,7 @@ fn of_pair<'a>(value: &'a Value, key: &str) -> Result<&'a Value, Rejected> {
     })
 }
 
-/// A text, or several joined by `+`.
+/// The text of a key, or several texts joined by `+`; empty if there is none.
 fn text_of(value: &Value, key: &str) -> String {
     match value.get(key) {
         Some(Value::Str(text)) => text.trim().to_owned(),
@@ -364,8 +363,8 @@ impl<'a> Planner<'a> {
         self.release.labels = Some(labels);
     }
 
-    /// Whether a published list in an exported folder is unchanged; a changed list is rejected. The content of an
-    /// unchanged list is read from the export's own files instead.
+    /// Whether a list in the layout of the release is as the export wrote it. A changed list is rejected: the export's
+    /// own files hold its content.
     fn is_as_written(&mut self, file: &str) -> bool {
         let name = file.strip_prefix(self.root).unwrap_or(file);
         let labels = self.release.labels.as_ref();
@@ -459,13 +458,13 @@ impl<'a> Planner<'a> {
         all.join(lists);
     }
 
-    /// Content of a JSON file of the release; none if it is damaged, which is recorded.
+    /// Content of a JSON file of the release; `None` if it is damaged, which is recorded.
     fn json<T: serde::de::DeserializeOwned>(&mut self, file: &str) -> Option<T> {
         let parse = |bytes: &[u8]| serde_json::from_slice(bytes).map_err(|error| error.to_string());
         self.take(file, parse)
     }
 
-    /// Parses a file of the release; none if it is damaged, which is recorded.
+    /// Parses a file of the release; `None` if it is damaged, which is recorded.
     fn take<T>(&mut self, file: &str, parse: impl FnOnce(&[u8]) -> Result<T, String>) -> Option<T> {
         let read = self.files.read(file).and_then(|bytes| {
             refuse_pointer(&bytes)?;

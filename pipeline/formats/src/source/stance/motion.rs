@@ -14,13 +14,11 @@ const AIST_FPS: f64 = 60.0;
 /// Numbers per frame of SMPL's pose: 24 joints, the last two of them hands.
 const SMPL_WIDTH: usize = 72;
 
-/// Reads a single pickle as a motion: a dictionary of the STANCE release (`body_pose`,
-/// `global_orient`, `transl`; SMPL-X, y up, 20 fps), or one of AIST++ (`smpl_poses`, `smpl_trans`,
-/// `smpl_scaling`; SMPL, y up, 60 fps).
+/// Reads a single pickle as a motion: a dictionary of the STANCE release (`body_pose`, `global_orient`, `transl`;
+/// SMPL-X, y up, 20 fps), or one of AIST++ (`smpl_poses`, `smpl_trans`, `smpl_scaling`; SMPL, y up, 60 fps).
 ///
 /// # Errors
-/// `E-STANCE-KEYS` for other content, `E-SMPL-SHAPE`, `E-TOO-SHORT`, `E-NOT-FINITE`, and those of
-/// [`joblib::read`].
+/// `E-STANCE-KEYS` for other content, `E-SMPL-SHAPE`, `E-TOO-SHORT`, `E-NOT-FINITE`, and those of [`joblib::read`].
 pub fn read_pickle_motion(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
     motion_of(&joblib::read(bytes)?, skeleton)
 }

@@ -25,7 +25,7 @@ pub(crate) fn motion_id(name: &str) -> String {
     }
 }
 
-/// The file name of an id in the release; none if no file name maps back to the id.
+/// The file name of an id in the release; `None` if no file name maps back to the id.
 pub fn file_stem(id: &str) -> Option<String> {
     let stem = match id.strip_prefix('M') {
         Some(digits) => {
@@ -43,7 +43,7 @@ pub fn file_stem(id: &str) -> Option<String> {
 /// Lowest file number after those of the release, for motions outside HumanML3D.
 pub const FIRST_FREE_NUMBER: u32 = 2 * NUM_ORIGINALS;
 
-/// The original's id of a mirrored copy.
+/// The id of the original of a mirrored copy; `None` for other ids.
 pub(super) fn original_of(id: &str) -> Option<&str> {
     let digits = id.strip_prefix('M')?;
     (!digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit())).then_some(digits)

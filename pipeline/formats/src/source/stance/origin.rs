@@ -16,16 +16,16 @@ use serde_json::Value;
 
 use crate::Error;
 
-/// The file at the root of an export that names the clip of each motion.
+/// The file at the root of an export that states the dataset id of each motion.
 pub const FILE_NAME: &str = "origin.json";
-/// The file of its masks.
+/// The file with the masks of an export.
 pub const MASKS: &str = "masks.jsonl";
-/// The file of its pairs.
+/// The file with the pairs of an export.
 pub const PAIRS: &str = "pairs.jsonl";
 
 /// Code of errors in the files that an export adds.
 pub(super) const CODE_OF_ORIGIN: &str = "E-STANCE-ORIGIN";
-/// Value of `format`. Exports of earlier versions hold only the motions.
+/// Value of the field `format` in `origin.json`, which earlier versions did not write.
 const FORMAT: &str = "stance-export";
 /// Version of the three files.
 const VERSION: u32 = 2;
@@ -34,7 +34,7 @@ const VERSION: u32 = 2;
 /// `#src` and `#tgt` for the motions of an adjustment.
 pub(crate) type Origins = BTreeMap<String, Origin>;
 
-/// `origin.json`.
+/// Content of `origin.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Record {
     format: String,
@@ -43,7 +43,8 @@ pub struct Record {
     pub(crate) dataset: String,
     /// Skeleton the parameters drive.
     pub(crate) skeleton: String,
-    /// BLAKE3 of the release's own lists by path; `masks.jsonl` and `pairs.jsonl` contain the same labels in full.
+    /// BLAKE3 hashes of the lists in the release's layout, by path. `masks.jsonl` and `pairs.jsonl` contain their
+    /// labels in full.
     pub lists: BTreeMap<String, String>,
     /// Origins of the motions.
     pub motions: Origins,
@@ -56,7 +57,7 @@ pub struct Origin {
     pub id: String,
     /// Split in the dataset.
     pub split: Split,
-    /// Hash of the motion in the file, as in column `content_hash`; none in exports of earlier versions.
+    /// Hash of the motion in the file, as in column `content_hash`; `None` in exports of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub content_hash: Option<String>,
     /// Hash of the motion in the dataset, if it was resampled.
@@ -95,7 +96,7 @@ pub struct Origin {
 }
 
 impl Record {
-    /// The record of a dataset whose motions are not written yet.
+    /// The record of a dataset, without motions.
     pub fn new(dataset: &str, skeleton: &str) -> Self {
         Self {
             format: FORMAT.to_owned(),
@@ -119,7 +120,7 @@ pub enum Parsed {
 /// Reads `origin.json`.
 ///
 /// # Errors
-/// The bytes are not an `origin.json`, or its version is newer.
+/// The bytes are not an `origin.json`, or are of another version.
 pub fn parse(bytes: &[u8]) -> Result<Parsed, String> {
     let text = |error: serde_json::Error| error.to_string();
     let value: Value = serde_json::from_slice(bytes).map_err(text)?;
@@ -154,7 +155,7 @@ pub(crate) fn rows<R: DeserializeOwned>(bytes: &[u8]) -> Result<Vec<R>, String> 
         .collect()
 }
 
-/// Reads the labels of a folder that `stance export --to stance` wrote; none if it has no `origin.json`.
+/// Reads the labels of a folder that `stance export --to stance` wrote; `None` if the folder has no `origin.json`.
 ///
 /// # Errors
 /// A file cannot be read or is broken, or the export is of an earlier version, which has no labels.
@@ -200,7 +201,7 @@ mod tests {
         let record = Record::new("d1", "body");
         let text = serde_json::to_vec(&record).expect("JSON");
         assert!(matches!(parse(&text), Ok(Parsed::Record(read)) if read.dataset == "d1"));
-        // A file of an earlier version may be named as one of the fields.
+        // In an earlier version, the file of a motion may be named `format`, like one of the fields.
         let older = br#"{"base_motion/1": {"id": "a", "split": "test"}, "format": {"id": "b", "split": "val"}}"#;
         assert!(matches!(parse(older), Ok(Parsed::Motions(motions)) if motions.len() == 2));
         for (text, said) in [

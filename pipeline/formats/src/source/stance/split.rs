@@ -73,7 +73,7 @@ impl Lists {
         names.filter(|name| !is_there(name)).collect()
     }
 
-    /// The split of a name: `train` for unlisted names, none if there are no lists.
+    /// The split of a name: `train` if no list names it, `None` if there are no lists.
     pub(super) fn of(&self, name: &str) -> Option<Split> {
         if self.names.is_empty() {
             return None;
@@ -81,8 +81,8 @@ impl Lists {
         Some(self.names.get(name).copied().unwrap_or(Split::Train))
     }
 
-    /// The splits of HumanML3D's clips. A clip, its mirrored copy and its styled versions share one split: of those
-    /// that the lists of base motions and style transfers give them, the furthest from training.
+    /// The splits of HumanML3D's clips, from lists of base motions and of style transfers. A clip, its mirrored copy
+    /// and its styled versions share one split: of all that the lists state for them, the furthest from training.
     pub(super) fn of_clips(base: &Self, style: &Self) -> Self {
         let mut clips = Self::default();
         for (name, split) in &base.names {
@@ -96,7 +96,7 @@ impl Lists {
         clips
     }
 
-    /// The split of the clip of a motion, by the motion's id, in lists of [`Lists::of_clips`].
+    /// The split of a motion's clip, by the motion's id. `self` is a result of [`Lists::of_clips`].
     pub(super) fn of_clip(&self, id: &str) -> Option<Split> {
         self.of(&clip_of(id))
     }
@@ -122,7 +122,7 @@ mod tests {
             &json!([["000004.pkl", "style/000004_proud.pkl"], 5]),
         );
         style.take_json(Split::Test, &json!({"000001_old": 1}));
-        // Names that end like a file once their extension is taken off.
+        // Names that still end in an extension after their last one is removed.
         base.take_lines(Split::Test, "run.npy.pkl\n");
         style.take_json(Split::Test, &json!(["walk.npy_proud.pkl"]));
         let mut bases = Lists::default();

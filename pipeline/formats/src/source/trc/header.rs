@@ -14,7 +14,7 @@ const MAX_MARKERS: usize = 10_000;
 
 /// Fields of the header lines.
 pub(super) struct Header {
-    /// Frames per second; none if the file states none that can be used.
+    /// Frames per second; `None` if the file states no plausible rate.
     pub(super) rate: Option<f64>,
     pub(super) num_frames: usize,
     /// Unit as written, and its byte offset.
@@ -172,7 +172,7 @@ fn check_coordinates(line: Line<'_>, num_markers: usize) -> Result<(), Rejected>
 /// A line of the text.
 #[derive(Clone, Copy)]
 pub(super) struct Line<'a> {
-    /// Position of the line in the file.
+    /// Byte offset of the line in the file.
     pub(super) at: usize,
     pub(super) text: &'a [u8],
     /// Whether a line break follows.

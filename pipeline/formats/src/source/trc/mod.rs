@@ -66,8 +66,8 @@ pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Capture, Rejected>
     })
 }
 
-/// Drops the rows beyond the number that the header states, if the options ask for it. Returns a note about the dropped
-/// rows.
+/// Drops the rows beyond the number that the header states, and returns a note on them. A different number of rows is
+/// an error unless `lenient`.
 fn cut_to_stated(
     rows: &mut Rows,
     stated: usize,

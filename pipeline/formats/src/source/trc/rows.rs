@@ -18,7 +18,7 @@ pub(super) struct Rows {
     num_markers: usize,
     places: Vec<usize>,
     times: Vec<Option<f64>>,
-    /// Positions in the file's unit, frame by frame; none for a marker that was not seen.
+    /// Positions in the file's unit, frame by frame; `None` for a marker that was not seen.
     pub(super) positions: Vec<Option<DVec3>>,
     /// Positions of three zeros, which count as not seen.
     pub(super) num_zeros: usize,
@@ -118,7 +118,7 @@ impl Rows {
         self.positions.truncate(len * self.num_markers);
     }
 
-    /// The stated rate, else the rate of the times, and a note if it is doubtful.
+    /// The stated rate, else that of the times; and a note if the rate is doubtful.
     pub(super) fn rate(&self, stated: Option<f64>) -> Result<(Fps, Option<String>), Rejected> {
         let span = self.span();
         let by_times = span.map(|(steps, secs)| steps / secs);
@@ -148,7 +148,7 @@ impl Rows {
         Ok((fps, note))
     }
 
-    /// Steps from the first frame to the last, and the seconds between them.
+    /// Number of steps from the first frame to the last, and the seconds between them; `None` if a time is missing.
     fn span(&self) -> Option<(f64, f64)> {
         let steps = self.len().checked_sub(1).filter(|steps| *steps > 0)?;
         let (first, last) = ((*self.times.first()?)?, (*self.times.last()?)?);
@@ -156,7 +156,7 @@ impl Rows {
     }
 }
 
-/// The number in a cell; none if the cell is blank or `NaN`.
+/// The number in a cell; `None` if the cell is blank or `NaN`.
 fn number(at: usize, cell: &[u8]) -> Result<Option<f64>, Rejected> {
     if cell.is_empty() || cell.eq_ignore_ascii_case(b"nan") {
         return Ok(None);
