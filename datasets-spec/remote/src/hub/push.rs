@@ -14,7 +14,7 @@ use super::error::Error;
 use super::lfs::{self, Object};
 use super::repo::{Repo, Tree, commit_of, create, tree};
 
-/// Files per request about existing files; the server's maximum.
+/// Files per request that asks how files are stored; the server's maximum.
 const BATCH: usize = 256;
 /// First bytes of a file, from which the server decides between text and binary data.
 const SAMPLE_LEN: u64 = 512;
@@ -243,7 +243,7 @@ fn by_mode<'a>(
     Ok((regular, large))
 }
 
-/// The objects without duplicates of equal content.
+/// One object of each content, sorted by path.
 fn distinct<'a>(objects: &[Object<'a>]) -> Vec<Object<'a>> {
     let by_oid: BTreeMap<&str, &Object<'a>> = objects
         .iter()
