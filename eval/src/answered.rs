@@ -179,7 +179,7 @@ impl Answered {
     }
 }
 
-/// A system has the same take of an item twice.
+/// The error for a system that has the same take of an item twice.
 pub(crate) fn same_take(system: &str, id: &str, seed: u64) -> Error {
     Error::Invalid(format!(
         "system {system:?} has two motions of item {id:?} sampled with seed {seed}; give each take once, or edit again \
@@ -195,8 +195,8 @@ fn of_table(path: &Path, source: Error) -> Error {
     }
 }
 
-/// Refuses duplicate takes, and two systems (checkpoints or settings) with one name, which would share a row of a
-/// table.
+/// Refuses duplicate takes, and a system name that stands for several checkpoints or settings, because these would
+/// share a row of a table.
 fn check_systems(edits: &[EditFacts]) -> Result<(), Error> {
     let mut known: BTreeMap<&str, &EditFacts> = BTreeMap::new();
     let mut takes: BTreeSet<(&str, &str, u64)> = BTreeSet::new();

@@ -305,7 +305,7 @@ pub fn moment(rows: &[Row], secs: f64) -> String {
     svg
 }
 
-/// The colour at a share of the clip.
+/// The colour at a share (0 to 1) of the clip's duration.
 fn colour_at(share: f64) -> Rgb {
     if share < 0.5 {
         START.towards(MIDDLE, 2.0 * share)
@@ -526,7 +526,7 @@ impl Figure {
         svg.push_str(&format!(
             r#"<g fill="none" stroke="{colour}" stroke-linecap="round" stroke-linejoin="round">"#
         ));
-        // A joint rotates its child bones.
+        // A joint rotates the bones to its children, so these have the halo.
         let turned = KEYPOINT_PARENTS
             .iter()
             .enumerate()
@@ -632,7 +632,7 @@ mod tests {
         check_nesting(&strip(&[], &Style::default()));
     }
 
-    /// A text of 90 characters, longer than a label can show.
+    /// A text of several lines as a label, with a word longer than a line.
     const LONG: &str = "<use the waving of the other clip with your left hand and keep \
                         Donaudampfschifffahrt going>";
 

@@ -152,7 +152,7 @@ pub fn seam_acceleration(points: &[KeypointFrame], fps: Fps, seams: &[Seam]) -> 
     SeamAcceleration { at_seams, inside }
 }
 
-/// Mean magnitude of the third derivative of the keypoints in m/s^3; none for fewer than four frames.
+/// Mean magnitude of the third derivative of the keypoints in m/s^3; `None` for fewer than four frames.
 pub fn jerk(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
     let of_window = |frames: &[KeypointFrame]| -> [f64; NUM_KEYPOINTS] {
         let [a, b, c, d] = frames else {
@@ -165,7 +165,7 @@ pub fn jerk(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
 }
 
 /// Mean horizontal speed in m/s of the lowest foot: for each two consecutive frames, the ankle or toe joint with the
-/// lowest mean height in both. None for fewer than two frames.
+/// lowest mean height in both. `None` for fewer than two frames.
 ///
 /// A standing or walking body always has a foot at rest on the floor, so the value is near 0; for a gliding body it is
 /// the body's speed. No height threshold defines contact, so a floating body is measured too.

@@ -119,7 +119,7 @@ impl Retrieval {
         Self::mean(&parts.collect::<Vec<_>>())
     }
 
-    /// The unweighted mean.
+    /// The unweighted mean of several summaries.
     ///
     /// # Panics
     /// If there are none.
