@@ -80,8 +80,8 @@ impl Published {
             .collect()
     }
 
-    /// Sizes of the data behind the published rows, and whether the rows are comparable with each other and with a
-    /// table of this number of items.
+    /// Sentences that state the number of items behind each published row and behind the measured rows (`num_items`),
+    /// and whether published rows are comparable with each other.
     fn note(&self, num_items: u32) -> String {
         // Descending numbers; rows whose shares fit no number come last.
         let mut counts: BTreeMap<Reverse<Option<u32>>, Vec<&str>> = BTreeMap::new();
