@@ -1,4 +1,4 @@
-//! Items and the edits of them by several systems, read together and checked. Their motions stay in the files.
+//! Items and their edits by several systems, read together and checked. The motions stay in the files.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use crate::rows::{EditFacts, Rows};
 /// encoders' batch sizes, so that each batch is full.
 pub(crate) const ITEMS_AT_ONCE: usize = 128;
 
-/// Items and the edits of them by several systems. Motions are read in chunks when they are needed.
+/// Items and their edits by several systems. Motions are read in chunks when they are needed.
 #[derive(Debug)]
 pub struct Answered {
     /// The items.

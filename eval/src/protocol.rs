@@ -118,7 +118,7 @@ pub struct Limit {
     pub seed: Seed,
 }
 
-/// How scores are measured. Two runs with equal protocols and encoders are comparable.
+/// How scores are measured. Two runs on the same items are comparable if their protocols and encoders are equal.
 ///
 /// Four things vary between repeats: the galleries, the pairs of Diversity, the halves of the Fréchet distance and, for
 /// a system with several takes of each item, the scored take. Draws do not depend on the system, so all systems are

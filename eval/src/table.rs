@@ -106,7 +106,7 @@ impl Table {
         metrics: &[&'static Metric],
     ) -> Vec<Self> {
         let mut keys = distinct(scores.iter().map(table_of), |&key| key);
-        // The tables of a task stand together even if two runs were joined; otherwise they keep their order.
+        // The tables of a task stand together even if two runs were joined, in their order: the sort is stable.
         keys.sort_by_key(|(task, ..)| (place_of_task(task), *task));
         keys.into_iter()
             .filter_map(|wanted| {

@@ -27,7 +27,7 @@ const NUM_THREADS: usize = 2;
 const TIMEOUT: &str = "900 seconds";
 /// Timeout for opening a connection.
 const CONNECT_TIMEOUT: &str = "10 seconds";
-/// Requests of one read that run at the same time.
+/// Maximum number of requests of one read at the same time.
 const NUM_PARALLEL: usize = 4;
 /// Maximum number of bytes in one request.
 pub(crate) const MAX_REQUEST: u64 = 32 << 20;

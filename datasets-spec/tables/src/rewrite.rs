@@ -19,7 +19,8 @@ use sqlparser::tokenizer::{Token, Tokenizer};
 
 use crate::derived::Derived;
 
-/// Most operators in a query. Each one can nest the expression before it, and deep nesting would exhaust the stack.
+/// Maximum number of operators in a query. Each can nest the expression before it, and deep nesting would exhaust the
+/// stack.
 const MOST_OPERATORS: usize = 1_000;
 
 /// Columns that are lists of structs, each with the derived column of its texts.

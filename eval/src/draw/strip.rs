@@ -83,7 +83,7 @@ const LABEL_WIDTH: f64 = 126.0;
 const LABEL_CHARS: usize = 15;
 /// Pixels from one line of a label to the next.
 const LABEL_LINE: f64 = 15.0;
-/// Height of the line below a label with duration and distance, in pixels.
+/// Height of the lines below a label, with duration and distance, in pixels.
 const FACTS_HEIGHT: f64 = 34.0;
 /// Space around the drawing in pixels.
 const MARGIN: f64 = 8.0;
@@ -249,7 +249,7 @@ pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String 
     svg
 }
 
-/// Size of one panel of [`moment`] in pixels, under a label of one line.
+/// Size of one panel of [`moment`] in pixels, with a label of one line.
 const PANEL: DVec2 = DVec2::new(240.0, 250.0);
 /// Characters per line of a panel's label.
 const PANEL_CHARS: usize = 34;

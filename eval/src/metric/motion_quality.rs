@@ -71,8 +71,8 @@ pub(crate) static ROTATION_STEP: Metric = Metric {
 /// Keypoints of the feet: both ankles and both toe joints.
 const FEET: [usize; 4] = [7, 8, 10, 11];
 
-/// A seam between two generated windows, in frames of the edited motion: from the last frame of one window to the first
-/// new frame of the next, including frames interpolated between them.
+/// A seam between two generated windows, in frames of the edited motion: from the frame before the first new one of the
+/// later window to its first frame that is not blended with the earlier window.
 pub type Seam = RangeInclusive<usize>;
 
 /// Layout of the windows that generated a motion, in order from its first frame. Each window repeats [`FIXED_FRAMES`]

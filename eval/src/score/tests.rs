@@ -58,7 +58,7 @@ impl<F: Fn(&[&Motion]) -> Latents> MotionEncoder for Encoder<F> {
     }
 }
 
-/// A motion with poses drawn from a seed of the name and the number.
+/// A still motion. Its pose is drawn with a seed that depends on the name and the number.
 fn motion(index: usize, name: &str) -> Motion {
     let mut rng = Seed(5).rng(&["row", name, &index.to_string()]);
     let mut pose = Pose::REST;
