@@ -13,8 +13,7 @@ pub(super) const DATA: &str = "data";
 pub(super) const STAGED: &str = "staged";
 /// Folder of files that the newest version does not name.
 pub(super) const ASIDE: &str = "meta/aside";
-/// Folder for data that belongs to this copy of a dataset only, such as the paths of its sources. No manifest names its
-/// files.
+/// Folder for data of this copy of a dataset only, such as the paths of its sources. No manifest names its files.
 pub const PRIVATE: &str = ".stance";
 /// Key of the fact that holds a skeleton that is not built in.
 pub(super) const SKELETON_FACT: &str = "skeleton_rest";

@@ -161,9 +161,8 @@ impl Transaction {
         Staging::new(self.store(), self.root(), base, plan_hash)
     }
 
-    /// Moves staged files into the dataset, where they lie aside until the commit. Files that were moved before are
-    /// skipped. On storage without locks, files are copied; if a name is taken, the file gets another name, which its
-    /// entry then states.
+    /// Moves staged files into the dataset, where they lie aside until the commit. Files moved before are skipped. On
+    /// storage without locks, files are copied, and a file whose name is taken gets another, which its entry then states.
     ///
     /// # Errors
     /// A file cannot be moved.

@@ -51,9 +51,8 @@ impl Transaction {
         }
     }
 
-    /// Removes all versions but the newest `keep` (at least one), and the data files that only the removed ones name.
-    /// With `dry_run` nothing is removed. At a URL no other run may write at the same time: its uncommitted files would
-    /// be removed too.
+    /// Removes all versions but the newest `keep` (at least one), and data files that only these versions name. With
+    /// `dry_run` nothing is removed. At a URL no other run may write meanwhile: its uncommitted files would be removed.
     ///
     /// # Errors
     /// A manifest cannot be read, or a file cannot be removed.

@@ -90,8 +90,7 @@ pub trait Row: Sized + Clone + Send + Sync {
     /// Turns rows into a batch.
     ///
     /// # Errors
-    /// The lists or texts of a column are together too long, or Arrow refuses the columns, which means a bug in a cell
-    /// type.
+    /// The lists or texts of a column are together too long, or Arrow refuses the columns, a bug in a cell type.
     fn encode(rows: &[Self]) -> Result<RecordBatch, Error>;
 
     /// Turns a batch into rows. Columns the table does not know are ignored.

@@ -25,8 +25,7 @@ use super::{Cell, RecordBatch, Row, SCHEMA_VERSION, decode_column};
 use crate::Error;
 use crate::store::{ByPath, Store};
 
-/// Pages per row group. In table `motions`, where a page is a clip, this is about 30 MB, well under the limits of table
-/// viewers.
+/// Pages per row group. In table `motions`, where a page is a clip, these are about 30 MB; table viewers allow more.
 const ROW_GROUP_PAGES: usize = 256;
 /// Zstandard level. On byte-split motion, level 3 takes 1.5 times as long and saves less than 1 %.
 const ZSTD_LEVEL: i32 = 1;

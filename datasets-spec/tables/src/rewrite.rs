@@ -19,8 +19,7 @@ use sqlparser::tokenizer::{Token, Tokenizer};
 
 use crate::derived::Derived;
 
-/// Maximum number of operators in a query. Each can nest the expression before it, and deep nesting would exhaust the
-/// stack.
+/// Maximum number of operators in a query. Each can nest the expression before it; deep nesting exhausts the stack.
 const MOST_OPERATORS: usize = 1_000;
 
 /// Columns that are lists of structs, each with the derived column of its texts.
@@ -162,8 +161,7 @@ struct Rewriting<'a> {
 impl VisitorMut for Rewriting<'_> {
     type Break = String;
 
-    /// Names the result of a function by its text: `min(seconds)` and `max(seconds)` would otherwise have the same
-    /// name.
+    /// Names results of functions by their text: `min(seconds)` and `max(seconds)` would otherwise have the same name.
     fn pre_visit_select(&mut self, select: &mut Select) -> ControlFlow<String> {
         for item in &mut select.projection {
             if let SelectItem::UnnamedExpr(expr @ Expr::Function(_)) = item {

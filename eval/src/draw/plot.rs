@@ -605,8 +605,7 @@ fn log_ticks(low: f64, high: f64) -> Vec<f64> {
         .collect()
 }
 
-/// A number with only the digits that distinguish ticks on an axis of this span; thousands and millions are
-/// abbreviated.
+/// A number with the digits that distinguish ticks on an axis of this span; thousands and millions are abbreviated.
 fn tick_text(value: f64, span: f64) -> String {
     const THOUSAND: f64 = 1e3;
     const MILLION: f64 = 1e6;

@@ -72,8 +72,7 @@ pub struct Gaussian {
 }
 
 impl Gaussian {
-    /// Takes a mean and a covariance, which must be symmetric and positive semi-definite; only the sizes and the
-    /// numbers are checked.
+    /// The distribution of a mean and a covariance. The latter must be symmetric and positive semi-definite (unchecked).
     ///
     /// # Errors
     /// The sizes disagree or a number is not finite.

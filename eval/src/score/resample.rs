@@ -59,8 +59,7 @@ impl Resamples {
             })
     }
 
-    /// The mean over the items of each resample. Items without a value (NaN) are left out, and so are resamples that
-    /// hold no other items.
+    /// The mean over the items of each resample. Items without a value (NaN) and resamples of only such are left out.
     pub(crate) fn means(&self, values: &[f64]) -> Vec<f64> {
         let sums: Vec<(f64, f64)> = self
             .groups

@@ -104,8 +104,7 @@ fn upload(hub: &Hub, object: &Object<'_>, actions: &Value) -> Result<(), Error> 
     Ok(())
 }
 
-/// Upload addresses of the parts of an object in order, each with its length. `header` holds the addresses by part
-/// number.
+/// Upload addresses of an object's parts in order, each with its length. `header` holds them by part number.
 fn parts_of<'a>(
     object: &Object<'_>,
     header: &'a Value,

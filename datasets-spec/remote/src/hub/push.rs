@@ -47,8 +47,7 @@ pub struct Pushed {
     pub deleted: Vec<String>,
     /// Files of the repo that this push neither writes nor deletes.
     pub only_in_repo: Vec<String>,
-    /// Number of large files that were uploaded; the others were already stored, in this repo or by an interrupted
-    /// upload.
+    /// Number of large files that were uploaded. The others were stored before, here or by an interrupted upload.
     pub sent: usize,
     /// Total size of these files in bytes.
     pub sent_bytes: u64,
@@ -70,8 +69,7 @@ impl<'a> Push<'a> {
     /// Compares files with those of a repo. Nothing is written.
     ///
     /// # Errors
-    /// A file to delete is not in the repo or belongs to this push, the server refuses or fails, or a file cannot be
-    /// read.
+    /// A file to delete is not in the repo or is in this push, the server refuses or fails, or a file cannot be read.
     pub fn plan(
         hub: &'a Hub,
         repo: &'a Repo,
