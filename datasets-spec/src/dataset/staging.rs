@@ -162,7 +162,7 @@ impl Transaction {
     }
 
     /// Moves staged files into the dataset, where they lie aside until the commit. Files moved before are skipped. On
-    /// storage without locks, files are copied, and a file whose name is taken gets another, which its entry then states.
+    /// storage without locks, files are copied, and a file whose name is taken gets another, which its entry states.
     ///
     /// # Errors
     /// A file cannot be moved.

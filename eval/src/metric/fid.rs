@@ -72,7 +72,7 @@ pub struct Gaussian {
 }
 
 impl Gaussian {
-    /// The distribution of a mean and a covariance. The latter must be symmetric and positive semi-definite (unchecked).
+    /// The distribution of a mean and a covariance. It must be symmetric and positive semi-definite (unchecked).
     ///
     /// # Errors
     /// The sizes disagree or a number is not finite.
