@@ -1,7 +1,7 @@
 //! Benchmarks of writing and reading shards, with a copy and a matrix product for comparison.
 //!
-//! `cargo bench --bench parquet`; one thread. The rates to compare are frames a second of the two
-//! writers and readers against the copy and the matrix product below them.
+//! `cargo bench --bench parquet`; one thread. Compare the frames per second of the writers and readers with the rates
+//! of the copy and the matrix product.
 
 #[path = "../kinematics/benches/shared/calibration.rs"]
 mod calibration;

@@ -8,7 +8,7 @@ use crate::manifest::{Manifest, SPLIT_BY_FACT};
 
 pub(crate) const FILE: &str = "README.md";
 
-/// Split name for tables without splits; the library reserves `all`.
+/// Split name for tables without splits. The `datasets` library reserves `all`.
 const WITHOUT_SPLIT: &str = "rows";
 
 /// The text of a dataset's card, made from its manifest only.
@@ -122,7 +122,7 @@ fn license_table(manifest: &Manifest) -> String {
     text
 }
 
-/// Counts of the sources, which explain why numbers differ between copies.
+/// Counts of ingested, quarantined and skipped sources: they explain why copies of a dataset differ in size.
 fn sources(manifest: &Manifest) -> String {
     let accounting = &manifest.accounting;
     let mut text = format!(

@@ -11,7 +11,7 @@ use crate::record::all_tables;
 use crate::table::Column;
 
 pub(crate) const FILE: &str = "croissant.json";
-/// Number of files of a table above which a pattern describes them.
+/// A table with more files than this is described by a path pattern instead of a list of its files.
 const MOST_FILES: usize = 100;
 
 /// The text of a dataset's metadata, made from its manifest only.

@@ -94,7 +94,7 @@ pub enum Error {
         /// The missing file or field.
         reason: String,
     },
-    /// A dataset was written by a newer, incompatible version.
+    /// A dataset or shard has a format of another major version.
     #[error("{} has format {found}, this program reads {supported}; use a newer stance or ingest again", path.display())]
     Version {
         /// The file.
@@ -144,7 +144,7 @@ pub enum Error {
         /// Fewest frames that the window needs.
         shortest: usize,
     },
-    /// A test item was changed after it was named.
+    /// The content of a test item does not match its id.
     #[error("item {stated} holds the content of {found}; draw the items again: stance items")]
     ItemId {
         /// The id stated.
@@ -258,8 +258,8 @@ impl Error {
         }
     }
 
-    /// Wraps a Parquet error with what was tried on which file. An I/O error inside it is
-    /// unwrapped, so that a full disk is reported as one.
+    /// Wraps a Parquet error with what was tried on which file. An I/O error inside it becomes [`Error::Io`], so that a
+    /// full disk is reported as one.
     pub fn parquet(
         action: &'static str,
         path: impl Into<PathBuf>,

@@ -10,8 +10,7 @@ pub const FLAG_CONSTANT_POSE: u32 = 1 << 2;
 pub const FLAG_VERY_SHORT: u32 = 1 << 3;
 /// No foot is ever near the floor.
 pub const FLAG_NO_CONTACT: u32 = 1 << 4;
-/// A joint moves faster than 12 m/s: possible for the hand of a boxer, more often a jump of the
-/// capture.
+/// A joint moves faster than 12 m/s: possible for the hand of a boxer, more often a jump of the capture.
 pub const FLAG_FAST: u32 = 1 << 5;
 /// A caption refers to a time outside the clip.
 pub const FLAG_CAPTION_OUTSIDE: u32 = 1 << 6;
@@ -21,10 +20,9 @@ pub const FLAG_NO_CAPTION: u32 = 1 << 7;
 pub const FLAG_POOR_FIT: u32 = 1 << 8;
 /// A joint or marker was missing in the source and was filled in.
 pub const FLAG_GAPS_FILLED: u32 = 1 << 9;
-/// The source's frame rate contradicts what is known of its subset.
+/// The source states no frame rate, or one that contradicts its frame times or what is known of the recording.
 pub const FLAG_FPS_DOUBTFUL: u32 = 1 << 10;
-/// A joint moves faster than any person can; the clip was kept, or trimmed, because the run asked
-/// for it.
+/// A joint moves faster than any person can; the clip was kept, or trimmed, because the run asked for it.
 pub const FLAG_TELEPORT: u32 = 1 << 11;
 
 /// The first frame was a reference pose, such as a T-pose, from which the motion jumps; it was dropped.

@@ -1,4 +1,4 @@
-//! Names of motions, splits and seeded randomness.
+//! Motion ids, splits and seeded random generators.
 
 use rand::SeedableRng;
 use serde::{Deserialize, Serialize};
@@ -9,9 +9,8 @@ use crate::Error;
 /// meaningful.
 pub type Rng = rand_pcg::Pcg64;
 
-/// The stable name of a motion: the path of its source relative to the ingested root, without
-/// extension, followed by `#key` for one of several motions of a file, `@start-end` (source frames)
-/// for a crop and `~m` for a mirrored copy;
+/// The stable name of a motion: the path of its source relative to the ingested root, without extension, followed by
+/// `#key` for one of several motions of a file, `@start-end` (source frames) for a crop and `~m` for a mirrored copy;
 /// or a HumanML3D id (`012314`, mirrored `M012314`).
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -137,8 +136,8 @@ impl std::fmt::Display for Split {
     }
 }
 
-/// The seed of a run. Every generator is derived from it and the names of the draw, never from the order of
-/// threads.
+/// The seed of a run. Every random generator is derived from the seed and the names of its draw, so that the order of
+/// threads has no influence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Seed(pub u64);
@@ -150,9 +149,8 @@ impl Seed {
         Rng::from_seed(self.digest(parts))
     }
 
-    /// A generator for the item with this number, for many items: unlike [`Seed::rng`] it takes a few
-    /// nanoseconds. Two finalisers of SplitMix64 (Steele, Lea and Flood 2014) over seed
-    /// and number give the state.
+    /// A generator for the item with this number. It takes a few nanoseconds, much less than [`Seed::rng`]: its state
+    /// is the output of SplitMix64 (Steele, Lea and Flood 2014), started from seed and number.
     pub fn rng_of(self, number: u64) -> Rng {
         let mut at = self.0 ^ number.wrapping_mul(0xd134_2543_de82_ef95);
         let mut bytes = <Rng as SeedableRng>::Seed::default();
@@ -166,7 +164,7 @@ impl Seed {
         Rng::from_seed(bytes)
     }
 
-    /// One number for the draw named by `parts`.
+    /// A random number for the draw named by `parts`.
     pub fn draw_u64(self, parts: &[&str]) -> u64 {
         let digest = self.digest(parts);
         u64::from_le_bytes([

@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use kinematics::skeleton::{Joint, NUM_BODY_JOINTS};
 
-/// The version of the body-part membership below. The release names the parts but publishes
-/// neither their joints nor their soft rings; a change of either is a new version, and every
-/// stored mask records the version it was made with.
+/// The version of the joints in [`BodyPart::mask`]. The STANCE release names its parts, but publishes neither their
+/// hard nor their soft joints. A change of either is a new version, and every stored mask records the version it was
+/// made with.
 pub const MASK_DEF_VERSION: u32 = 1;
 
 /// A set of body joints.
@@ -120,13 +120,13 @@ impl fmt::Display for JointSet {
     }
 }
 
-/// A named part of the body: the five of the release, and four more.
+/// A named part of the body: the five of the STANCE release, and five more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
 pub enum BodyPart {
     /// Spine, neck, head and arms.
     UpperBody,
-    /// Pelvis and legs; the only release part that moves the root.
+    /// Pelvis and legs; the only part that moves the root.
     LowerBody,
     /// Left and right arm.
     BothArms,
@@ -198,8 +198,8 @@ impl BodyPart {
         }
     }
 
-    /// The joints that follow the target exactly, and the ring around them that is blended, in
-    /// version [`MASK_DEF_VERSION`].
+    /// The part's hard joints, which follow the target exactly, and its soft joints, which are blended, in version
+    /// [`MASK_DEF_VERSION`].
     pub fn mask(self) -> BlendMask {
         let (hard, soft): (&[usize], &[usize]) = match self {
             Self::UpperBody => (&[9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21], &[3, 6]),
@@ -296,7 +296,7 @@ impl BlendMask {
         Self::new(hard.to_vec().try_into()?, soft.to_vec().try_into()?)
     }
 
-    /// Several parts at once. A joint that is hard in one of them is hard.
+    /// The mask of several parts together. A joint that is hard in one part and soft in another is hard.
     pub fn of_parts(parts: &[BodyPart]) -> Self {
         let hard = parts
             .iter()

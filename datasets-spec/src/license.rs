@@ -8,7 +8,8 @@ use crate::manifest::{FileEntry, Manifest};
 use crate::record::MotionRow;
 use crate::table::read_column;
 
-/// Fact of a manifest: clips by licence tag, as JSON; the tag of clips without one is empty.
+/// Key of the manifest's fact that holds the number of clips by licence tag, as JSON. Clips without a licence count
+/// under the empty tag.
 pub const LICENSES_FACT: &str = "licenses";
 
 /// Whether a licence forbids commercial use, by its tag: an SPDX identifier, or an expression of several.
@@ -29,7 +30,8 @@ pub fn is_restricted(tag: &str) -> bool {
 /// Families of SPDX identifiers that the Hugging Face hub knows.
 const KNOWN_TO_HUB: [&str; 5] = ["CC-BY", "CC0-1.0", "MIT", "Apache-2.0", "BSD-"];
 
-/// The Hugging Face hub's names of licences: SPDX identifiers in lower case.
+/// The Hugging Face hub's names of licences: SPDX identifiers in lower case, `other` for licences that the hub does not
+/// know, and `unknown` for the empty tag.
 pub fn hub_names(licenses: &BTreeMap<String, u64>) -> BTreeSet<String> {
     licenses
         .keys()
@@ -50,7 +52,7 @@ pub fn licenses(manifest: &Manifest) -> BTreeMap<String, u64> {
         .unwrap_or_default()
 }
 
-/// Counts clips by licence tag in files of table `motions`. Only that column is read.
+/// Counts clips by licence tag in files of table `motions`. Only column `license` is read.
 ///
 /// # Errors
 /// A file cannot be read.
@@ -68,7 +70,7 @@ pub fn count<'a>(
     Ok(licenses)
 }
 
-/// Warning for users of clips under several licences: some forbid commercial use, and therefore the whole dataset does.
+/// A warning if some licences forbid commercial use and others do not: the whole dataset then forbids it.
 pub fn warning(licenses: &BTreeMap<String, u64>) -> Option<String> {
     let (restricted, others): (Vec<_>, Vec<_>) =
         licenses.iter().partition(|(tag, _)| is_non_commercial(tag));

@@ -6,13 +6,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::Split;
 
-/// Fact of a dataset: the label whose clips share one split when splits are drawn, such as `subject`.
+/// Key of the fact that names the label by which splits were drawn, such as `subject`: clips with the same value of the
+/// label are in the same split.
 pub const SPLIT_BY_FACT: &str = "split_by";
 
 /// Value of `format` in every manifest.
 pub const FORMAT: &str = "stance-dataset";
 
-/// Fact of a manifest: tables whose unchanged rows were written into other files, as JSON; see
+/// Key of the fact that lists, as JSON, the tables whose rows were written unchanged into other files; see
 /// [`Manifest::content_hash`].
 pub const LAID_OUT_FACT: &str = "laid_out";
 
@@ -39,7 +40,7 @@ pub struct Manifest {
     pub skeleton: String,
     /// Files of each table.
     pub tables: BTreeMap<String, Vec<FileEntry>>,
-    /// Plan of the run that made each table: a rerun of the same plan has nothing to do.
+    /// Hash of the plan that made each table: a rerun of the same plan has nothing to do.
     pub plans: BTreeMap<String, String>,
     /// Counts of the source files.
     pub accounting: Accounting,
@@ -54,7 +55,7 @@ pub struct Manifest {
 pub struct FileEntry {
     /// Path relative to the dataset, with forward slashes.
     pub path: String,
-    /// Split of its rows; none for tables without splits.
+    /// Split of its rows; `None` for tables without splits.
     pub split: Option<Split>,
     /// Number of rows.
     pub rows: u64,
@@ -123,8 +124,8 @@ pub fn plan_hash<T: Serialize>(stage: &str, inputs: &T) -> String {
 }
 
 impl Manifest {
-    /// Hash of the plan that made a table; empty if it is not recorded. Stages that depend only on this table are
-    /// not repeated when another table of the dataset changes.
+    /// Hash of the plan that made a table; empty if it is not recorded. A stage that depends only on this table need
+    /// not run again when another table changes.
     pub fn plan(&self, table: &str) -> &str {
         self.plans.get(table).map_or("", String::as_str)
     }
@@ -193,13 +194,13 @@ impl Manifest {
         serde_json::to_string(&laid_out).expect("texts serialise")
     }
 
-    /// Rows of each table.
+    /// Number of rows of each table.
     pub fn row_counts(&self) -> BTreeMap<String, u64> {
         let rows = |table: &String| (table.clone(), self.rows(table, None));
         self.tables.keys().map(rows).collect()
     }
 
-    /// Rows of a table, by split if one is given.
+    /// Number of rows of a table, or of one split of it.
     pub fn rows(&self, table: &str, split: Option<Split>) -> u64 {
         self.tables
             .get(table)

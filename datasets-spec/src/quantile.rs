@@ -1,7 +1,7 @@
 //! Quantiles and medians of measured values.
 
-/// Quantile by nearest rank, so that it is one of the values; `None` if there are none. Reorders the
-/// values.
+/// The quantile at `share` (0 to 1) by nearest rank, so that it is one of the values; `None` if there are no values.
+/// Reorders the values.
 pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let last = values.len().checked_sub(1)?;
     let place = (share * last as f64).round() as usize;

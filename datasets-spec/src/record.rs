@@ -88,7 +88,7 @@ table! {
 }
 
 table! {
-    /// An accepted (motion, mask, text).
+    /// An accepted mask of a motion, and the text that describes it.
     #[derive(Serialize, Deserialize)]
     pub struct MaskRow = "masks", of clips motion_id {
         /// Id of the mask
@@ -641,11 +641,11 @@ impl TripletRow {
     }
 }
 
-/// The range of frames that two columns of a row state: `start`, the first frame, and `end`, one past the last. None if
-/// both are missing.
+/// The range of frames that two columns of a row state: `start`, the first frame, and `end`, one past the last. `None`
+/// if both are missing.
 ///
 /// # Errors
-/// One of both is missing, `start` is negative, or the range is empty.
+/// Only one of them is missing, `start` is negative, or the range is empty.
 pub fn range_of(start: Option<i32>, end: Option<i32>) -> Result<Option<Range<usize>>, Error> {
     match (start, end) {
         (None, None) => Ok(None),
@@ -656,7 +656,7 @@ pub fn range_of(start: Option<i32>, end: Option<i32>) -> Result<Option<Range<usi
     }
 }
 
-/// A range of frames, or all frames, of a motion of `len` frames.
+/// Returns the range, or all frames if there is none. An error if it ends after frame `len`, the end of the motion.
 fn within(range: Option<Range<usize>>, len: usize) -> Result<Range<usize>, Error> {
     let frames = range.unwrap_or(0..len);
     match frames.end <= len {
@@ -673,7 +673,7 @@ impl MaskRow {
     /// preset, 16 frames at 10 fps (paper Sec. 5.1), at the stored 20 fps.
     pub const SHORTEST: i32 = 31;
 
-    /// The range of frames that the mask holds for; none if it holds for the whole motion.
+    /// The range of frames that the mask holds for; `None` if it holds for the whole motion.
     ///
     /// # Errors
     /// As [`range_of`], or the range is shorter than [`MaskRow::SHORTEST`].
@@ -685,7 +685,7 @@ impl MaskRow {
         }
     }
 
-    /// The frames of its motion, which has `len`, that the mask holds for.
+    /// The frames that the mask holds for, of its motion of `len` frames.
     ///
     /// # Errors
     /// As [`MaskRow::range`], or the range ends after the motion.
@@ -697,7 +697,7 @@ impl MaskRow {
 const ITEM_ID_DIGITS: usize = 32;
 
 impl ItemRow {
-    /// An item that names one motion, without instruction, motions and id.
+    /// An item whose source and target are named `motion`. All other columns are empty, also those of the frames.
     pub fn blank(motion: &MotionId, split: Split) -> Self {
         Self {
             id: String::new(),
@@ -778,8 +778,8 @@ impl ItemRow {
         within(range_of(self.edit_start, self.edit_end)?, len)
     }
 
-    /// Joints that the edit changes: the joints that the target took, otherwise the joints of the known parts. Empty
-    /// where the item states neither.
+    /// Joints that the edit changes: the joints that the target took, otherwise the joints of the known parts. Empty if
+    /// the item states neither.
     ///
     /// # Errors
     /// A joint has an unknown name.
@@ -840,8 +840,8 @@ impl ItemRow {
         }
     }
 
-    /// The id computed from the content: from all columns but the id itself and those that only say how the question
-    /// was drawn (`origin`, `seed`, `recipe_hash`).
+    /// The id computed from the content: from all columns but the id itself and those that do not change the question
+    /// (`origin`, `novelty`, `seed`, `recipe_hash`).
     pub fn content_id(&self) -> String {
         let mut hasher = blake3::Hasher::new();
         let mut part = |bytes: &[u8]| {
@@ -908,7 +908,7 @@ impl ItemRow {
     /// Checks that the id matches the content and that the motions can be used.
     ///
     /// # Errors
-    /// The row was changed after it was named, or a motion is broken.
+    /// The row was changed after its id was computed, or a motion is broken.
     pub fn check(&self) -> Result<(), Error> {
         let found = self.content_id();
         if found != self.id {
@@ -927,7 +927,7 @@ impl ItemRow {
 }
 
 impl EditRow {
-    /// An answer to an item. The caller fills in the system's name, its checkpoint and settings, and the errors.
+    /// An answer to an item. The caller fills in the system, its checkpoint, settings and seed, and the two errors.
     pub fn answering(item: &ItemRow, motion: &Motion) -> Self {
         Self {
             id: item.id.clone(),
@@ -1007,7 +1007,7 @@ fn motion_of(
 /// The labels of an exported dataset, for readers who already have its motions.
 #[derive(Clone, Debug)]
 pub struct ExportedLabels {
-    /// Hashes of each motion by its id: in the dataset, and as it was written.
+    /// Content hashes of each motion by its id: as it is in the dataset, and as it was exported.
     pub motions: BTreeMap<String, BTreeSet<String>>,
     /// Masks.
     pub masks: Vec<MaskRow>,

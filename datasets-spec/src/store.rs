@@ -1,7 +1,7 @@
 //! Where datasets and sources are kept: on a disk, or at a URL.
 //!
-//! Every file appears complete or not at all: a disk renames a temporary file, and an object store takes one request. A
-//! test can make any operation fail.
+//! Every file appears complete or not at all: on a disk a temporary file is renamed, and an object store receives it in
+//! one request. Tests replace the [`Store`] by one whose operations fail.
 
 mod by_path;
 mod disk;
@@ -47,8 +47,8 @@ pub trait ReadAt: Debug + Send + Sync {
     /// The file ends before, or the storage fails.
     fn read_exact_at(&self, buffer: &mut [u8], at: u64) -> io::Result<()>;
 
-    /// The bytes of several ranges, in their order. A distant storage reads those that lie near each other by
-    /// one request.
+    /// The bytes of several ranges, in the order given. A distant storage reads ranges that lie near each other in one
+    /// request.
     ///
     /// # Errors
     /// As [`ReadAt::read_exact_at`].
@@ -81,7 +81,7 @@ pub struct Reader {
     piece: (u64, Bytes),
 }
 
-/// Bytes of a distant file that are read at once, and its alignment.
+/// Size in bytes of the pieces in which a distant file is read. Their offsets are multiples of it.
 const PIECE: u64 = 1 << 20;
 
 impl Reader {
@@ -163,7 +163,7 @@ pub trait Store: Debug + Send + Sync {
     /// # Errors
     /// The storage refuses or fails. The same holds for every operation below.
     fn create_dir_all(&self, path: &Path) -> io::Result<()>;
-    /// Begins a file.
+    /// Begins a file, which appears when it is published.
     fn create(&self, path: &Path) -> io::Result<Box<dyn NewFile>>;
     /// Renames a file, replacing any file of that name. On an object store this is a copy and a removal.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
@@ -187,9 +187,9 @@ pub trait Store: Debug + Send + Sync {
     /// Locks a dataset's folder against other runs, and stores `holder` for their messages.
     fn lock(&self, folder: &Path, holder: &str) -> io::Result<Locking>;
 
-    /// How a file of a dataset differs from its manifest; none if it does not. A disk hashes the file. An object store
-    /// compares the size, as reading it would cost as much as using it; there the hash is compared when the file is
-    /// read whole.
+    /// How a file of a dataset differs from its manifest; `None` if it does not. A disk hashes the file. An object
+    /// store compares the size, as reading it would cost as much as using it; there the hash is compared when the file
+    /// is read whole.
     fn difference(&self, path: &Path, _bytes: u64, blake3: &str) -> io::Result<Option<String>> {
         let found = self.hash(path)?;
         Ok((found != blake3).then(|| format!("BLAKE3 expected {blake3}, found {found}")))
@@ -237,7 +237,7 @@ pub fn temporary_beside(path: &Path) -> PathBuf {
 }
 
 /// The path of a table's file while the newest version of its dataset does not name it: `data/masks/train.parquet`
-/// becomes `meta/aside/masks/train`, which no search for Parquet files finds. None for files that belong to no table.
+/// becomes `meta/aside/masks/train`, which no search for Parquet files finds. `None` if the file belongs to no table.
 pub fn aside(path: &Path) -> Option<PathBuf> {
     let name = path.file_name()?.to_str()?.strip_suffix(".parquet")?;
     let table = path.parent()?;

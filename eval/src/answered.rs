@@ -1,4 +1,4 @@
-//! Items and the edits of them by several systems, read together and checked. Their motions stay in the files.
+//! Items and their edits by several systems, read together and checked. The motions stay in the files.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use crate::rows::{EditFacts, Rows};
 /// encoders' batch sizes, so that each batch is full.
 pub(crate) const ITEMS_AT_ONCE: usize = 128;
 
-/// Items and the edits of them by several systems. Motions are read in chunks when they are needed.
+/// Items and their edits by several systems. Motions are read in chunks when they are needed.
 #[derive(Debug)]
 pub struct Answered {
     /// The items.
@@ -179,7 +179,7 @@ impl Answered {
     }
 }
 
-/// A system has the same take of an item twice.
+/// The error for a system that has the same take of an item twice.
 pub(crate) fn same_take(system: &str, id: &str, seed: u64) -> Error {
     Error::Invalid(format!(
         "system {system:?} has two motions of item {id:?} sampled with seed {seed}; give each take once, or edit again \
@@ -195,8 +195,8 @@ fn of_table(path: &Path, source: Error) -> Error {
     }
 }
 
-/// Refuses duplicate takes, and two systems (checkpoints or settings) with one name, which would share a row of a
-/// table.
+/// Refuses duplicate takes, and a system name that stands for several checkpoints or settings, because these would
+/// share a row of a table.
 fn check_systems(edits: &[EditFacts]) -> Result<(), Error> {
     let mut known: BTreeMap<&str, &EditFacts> = BTreeMap::new();
     let mut takes: BTreeSet<(&str, &str, u64)> = BTreeSet::new();

@@ -51,7 +51,7 @@ impl Scores {
         })
     }
 
-    /// The main table of each task, with a sentence below it for each comparison.
+    /// The main table of each task. A table that can rank systems has the claims of its comparisons as notes.
     pub fn main_tables(&self) -> Vec<Table> {
         let mut tables = Table::from_scores(&self.rows, &self.judges, &metric::main_columns());
         for table in &mut tables {
@@ -68,7 +68,7 @@ impl Scores {
         tables
     }
 
-    /// Reason why these scores cannot rank systems on the whole set of items; none if they can.
+    /// Reason why these scores cannot rank systems on the whole set of items; `None` if they can.
     pub fn unranked(&self) -> Option<String> {
         let of_all = self.rows.iter().find(|row| row.task == ALL_TASKS);
         let first = of_all.or(self.rows.first())?;

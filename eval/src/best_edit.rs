@@ -99,7 +99,7 @@ pub fn gains(answered: &Answered) -> Result<Vec<(usize, f64)>, Error> {
         .collect())
 }
 
-/// Distances of each candidate; motions are read in chunks.
+/// The [`errors`] of each candidate; motions are read in chunks.
 fn all_errors(
     answered: &Answered,
     candidates: &[[usize; 2]],
@@ -241,7 +241,7 @@ mod tests {
         };
         for drift in [0.0, 0.5] {
             let mut edits = edits(drift);
-            // Edits of another system and takes with later seeds do not count, even perfect ones.
+            // Edits of another system and takes with higher seeds do not count, even perfect ones.
             let highest = items.iter().find(|item| item.instruction == "c");
             for (system, seed) in [("other", 0), ("one", 1)] {
                 let highest = highest.expect("one of the items");

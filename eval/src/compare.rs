@@ -23,7 +23,7 @@ use crate::score::{
 use crate::table::Items;
 use crate::table::notes::{shortage_of_fid, shortage_of_targets};
 
-/// Number of resamples for the interval of a Fréchet distance; each decomposes three covariances.
+/// Number of resamples for the interval of a Fréchet distance; each decomposes up to three large matrices.
 const FID_RESAMPLES: usize = 200;
 
 /// Share of the resamples outside the interval at each end.
@@ -40,10 +40,10 @@ pub struct Difference {
     pub b: f64,
     /// Value of the second system minus that of the first.
     pub difference: f64,
-    /// Ends of the 95 % interval of the difference; none with fewer than [`MIN_TARGETS`] targets.
+    /// Ends of the 95 % interval of the difference; `None` with fewer than [`MIN_TARGETS`] targets.
     pub interval: Option<[f64; 2]>,
-    /// The better system, `A` or `B`. None if there is no interval or it contains 0, and for metrics whose good values
-    /// are those near real data.
+    /// The better system, `A` or `B`. `None` if there is no interval or it contains 0, if the encoder cannot rank
+    /// systems, and for metrics whose good values are those near real data.
     pub better: Option<&'static str>,
     /// Digits after the point that tables print.
     #[serde(skip)]
@@ -70,11 +70,11 @@ pub struct Comparison {
     pub protocol: String,
     /// Hash of the encoder, hexadecimal.
     pub encoder_hash: String,
-    /// Reason why no system is called better; none if the encoder can rank systems.
+    /// Reason why no system is called better; `None` if the encoder can rank systems.
     pub unranked: Option<String>,
     /// One difference per metric.
     pub differences: Vec<Difference>,
-    /// One sentence for each body part that is left out because it has too few items.
+    /// Sentences that say what is left out because there are too few items or targets.
     pub notes: Vec<String>,
 }
 
@@ -221,8 +221,7 @@ impl Pairing<'_> {
         found
     }
 
-    /// Difference of the values of the same items, from the first system to the second; none if no item has both
-    /// values.
+    /// The mean difference over the items, second system minus first; `None` if no item has both values.
     fn difference(
         &self,
         name: &str,
@@ -230,7 +229,7 @@ impl Pairing<'_> {
         [a, b]: [&Vec<f64>; 2],
         claim: Option<&'static Metric>,
     ) -> Option<Difference> {
-        // Items outside of all galleries have no value.
+        // Items outside of all galleries have NaN as value.
         let differences: Vec<f64> = a.iter().zip(b).map(|(a, b)| b - a).collect();
         let mean = |values: &[f64]| {
             let known = values.iter().zip(&differences);
@@ -256,7 +255,7 @@ impl Pairing<'_> {
 /// Name of the Fréchet distance in comparisons, which differs from the FID of the tables.
 const FID_NAME: &str = "FID of whole sets";
 
-/// The difference in FID; none if every resample draws a single row.
+/// The difference in FID; `None` if no resample has at least [`MIN_ROWS`] rows.
 fn fid_difference(
     task: &str,
     real: &Matrix,
@@ -285,7 +284,7 @@ fn fid_difference(
     }))
 }
 
-/// Ends of an interval from resampled differences; none if there are too few targets.
+/// Ends of an interval from resampled differences; `None` if there are too few targets.
 fn interval(resampled: &mut [f64], resamples: &Resamples) -> Option<[f64; 2]> {
     (resamples.num_targets() >= MIN_TARGETS as usize).then(|| {
         [TAIL, 1.0 - TAIL]
@@ -365,8 +364,8 @@ impl Comparison {
         }
     }
 
-    /// Names the metrics of [`CLAIMS`] that rank the second system above or below the first, as a sentence; none if the
-    /// encoder cannot rank systems or no such metric was measured.
+    /// A sentence that names the metrics of [`CLAIMS`] by which the second system is better or worse than the first,
+    /// and those that show nothing; `None` if the encoder cannot rank systems or no such metric was measured.
     ///
     /// A claim needs two metrics, because a system can improve any one at the cost of the others.
     pub fn claim(&self) -> Option<String> {
@@ -513,7 +512,7 @@ mod tests {
 
     const ALL_FOUR: [(&Metric, [f64; 3]); 4] = [
         (&E2T_RECALL_1, [40.0, 64.0, 100.0]),
-        // The second system's foot slide exceeds the target's by as much as the first's falls short of it.
+        // Both foot slides differ from the target's by the same amount, in opposite directions.
         (&FOOT_SLIDE, [0.0, 0.2, 0.1]),
         (&ERROR_INSIDE, [10.0, 8.0, 0.0]),
         (&ERROR_OUTSIDE, [0.0, 1.0, 0.0]),

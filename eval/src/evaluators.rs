@@ -19,7 +19,7 @@ pub trait MotionEncoder {
     fn recipe(&self) -> String;
 
     /// Why scores with this encoder cannot rank systems, such as
-    /// [`JudgeReport::weakness`](crate::judge::JudgeReport::weakness); none if they can.
+    /// [`JudgeReport::weakness`](crate::judge::JudgeReport::weakness); `None` if they can.
     fn weakness(&self) -> Option<String>;
 }
 

@@ -14,7 +14,7 @@ use crate::metric::Metric;
 use crate::names::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA};
 use crate::report::Chart;
 
-/// Sections of a setting.
+/// Sections of the settings. The key of a setting begins with its section, as in `compose.mcm_ratio`.
 pub const SECTIONS: [&str; 3] = ["train", "compose", "edit"];
 
 /// Key for the epoch of a kept checkpoint, used in place of a setting.
@@ -247,7 +247,7 @@ fn is_edited(system: &str) -> bool {
     ![REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&system)
 }
 
-/// A mean and its half width; NaN for missing values.
+/// Mean and half width of the score of a wanted system; NaN for missing values.
 fn value(
     rows: &[ScoreRow],
     metric: &Metric,
@@ -264,7 +264,7 @@ fn value(
     })
 }
 
-/// Sets `section.name.name` to a value.
+/// Sets the setting with a key such as `section.name.name` to a value.
 fn change(sections: &mut Sections, key: &str, value: &Value) -> Result<(), String> {
     let mut names = key.split('.');
     let section = names.next().unwrap_or_default();

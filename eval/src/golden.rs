@@ -24,7 +24,7 @@ impl Golden {
         }
     }
 
-    /// The only tensor name that begins with `before` and ends with `after`; the part between is a size.
+    /// The name of the tensor that begins with `before` and ends with `after`; the part between is a size.
     pub(crate) fn name(&self, before: &str, after: &str) -> &str {
         let mut names = self.recorded.tensors.keys();
         names

@@ -161,7 +161,7 @@ impl JudgeReport {
         })
     }
 
-    /// Reason why an encoder with this report cannot rank systems; none if it can.
+    /// Reason why an encoder with this report cannot rank systems; `None` if it can.
     pub fn weakness(&self) -> Option<String> {
         let lower = self
             .text_to_motion
@@ -303,7 +303,7 @@ impl Queries {
     }
 }
 
-/// Probability that a random order of a gallery has one of the hits among the first `k`.
+/// Probability that a random order of a gallery has at least one of the hits among the first `k`.
 fn of_random_order(gallery: usize, hits: usize, k: usize) -> f64 {
     let misses = gallery - hits;
     let none =
@@ -311,8 +311,8 @@ fn of_random_order(gallery: usize, hits: usize, k: usize) -> f64 {
     1.0 - none.product::<f64>()
 }
 
-/// Reason why the encoder with these weights, from a run folder, cannot rank systems; none if its report shows that it
-/// can.
+/// Reason why the encoder of a run folder, with the given hash of its weights, cannot rank systems; `None` if its
+/// report shows that it can.
 ///
 /// # Errors
 /// The report cannot be read.
@@ -350,7 +350,7 @@ pub fn weakness(run: &Path, encoder_hash: &str) -> Result<Option<String>, Error>
 pub struct Judge {
     /// How the encoder was trained, in one line.
     pub recipe: String,
-    /// Why the encoder cannot rank systems; none if it can.
+    /// Why the encoder cannot rank systems; `None` if it can.
     pub weakness: Option<String>,
 }
 
@@ -379,8 +379,8 @@ pub(crate) fn table_of(row: &ScoreRow) -> TableOf<'_> {
     )
 }
 
-/// Why a table cannot rank systems, as a sentence; none if it can. The table holds the scores with the task, protocol,
-/// encoder and items of `first`.
+/// Why a table cannot rank systems, as a sentence; `None` if it can. The table holds the scores with the task,
+/// protocol, encoder and items of `first`.
 pub(crate) fn unranked<'a>(
     first: &ScoreRow,
     rows: impl IntoIterator<Item = &'a ScoreRow>,

@@ -41,7 +41,7 @@
 //!     }
 //! }
 //!
-//! // Items: a body that stands, and as target one that slides along x, each at its own speed.
+//! // Each item has a source that stands, and a target that slides along x at a speed of its own.
 //! let slide = |speed: f64| {
 //!     let pose = |frame| {
 //!         let mut pose = Pose::REST;
@@ -60,7 +60,7 @@
 //!     item.id = item.content_id();
 //!     items.push(item);
 //! }
-//! // Edits are the rows of `stance edit`; without any, the given systems are scored. `Answered::read` leaves the
+//! // Edits are the rows of `stance edit`; without any, only the reference rows are scored. `Answered::read` leaves the
 //! // motions of items and edits in the files, and reads some at a time.
 //! let answered = Answered::of_rows(items, Vec::new(), Skeleton::smplx_neutral());
 //! let evaluators = Evaluators {

@@ -146,7 +146,7 @@ impl Matrix {
         product(self.view(), other.view().transpose())
     }
 
-    /// The symmetric product `A^T A`, at little more than half the cost of the general product.
+    /// The symmetric product `A Aᵀ`, at little more than half the cost of the general product.
     pub fn gram(&self) -> Self {
         symmetric_product(self.view())
     }
@@ -179,7 +179,7 @@ fn product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Matrix {
     result
 }
 
-/// `A Aᵀ`.
+/// `A Aᵀ`, computed from its lower triangle.
 fn symmetric_product(a: MatRef<'_, f64>) -> Matrix {
     let size = a.nrows();
     let mut result = Matrix::zeros(size, size);

@@ -118,7 +118,7 @@ pub struct Limit {
     pub seed: Seed,
 }
 
-/// How scores are measured. Two runs with equal protocols and encoders are comparable.
+/// How scores are measured. Two runs on the same items are comparable if their protocols and encoders are equal.
 ///
 /// Four things vary between repeats: the galleries, the pairs of Diversity, the halves of the Fréchet distance and, for
 /// a system with several takes of each item, the scored take. Draws do not depend on the system, so all systems are
@@ -149,7 +149,7 @@ pub struct Protocol {
     pub interval: Spread,
     /// Keypoints that the position error compares.
     pub keypoints: Keypoints,
-    /// The random part of the items that is scored; none scores all.
+    /// The random part of the items that is scored; `None` scores all.
     ///
     /// # Source
     /// The code of SimMotionEdit, OmniME and CIME scores a random half of the MotionFix test set: 506 of 1,013 pairs.
@@ -183,7 +183,7 @@ impl Protocol {
     /// Refuses settings with which nothing is measured.
     ///
     /// # Errors
-    /// There are no repeats, no Diversity pairs, or galleries of fewer than two items.
+    /// There are no repeats, no Diversity pairs, a limit of no items, or galleries of fewer than two items.
     pub fn check(&self) -> Result<(), Error> {
         let at_least = |field: &str, needed: usize, found: usize| match found < needed {
             true => Err(Error::Invalid(format!(
@@ -283,7 +283,7 @@ impl Protocol {
         (size, num_items / size.max(1) * size)
     }
 
-    /// Number of items in a batch; none if one gallery holds all items.
+    /// Number of items in a batch; `None` if one gallery holds all items.
     fn batch(&self, num_items: usize) -> Option<usize> {
         match self.gallery {
             Gallery::Batches(size) if num_items >= size => Some(size),
@@ -380,7 +380,7 @@ mod tests {
 
     use super::*;
 
-    /// Scores a random part of the items.
+    /// A protocol that scores a random part of the items.
     fn limited(items: usize, seed: u64) -> Protocol {
         let seed = Seed(seed);
         Protocol {

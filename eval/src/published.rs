@@ -36,7 +36,7 @@ static COLUMNS: [&Metric; NUM_COLUMNS] = [
     &retrieval::E2T_AVERAGE_RANK,
 ];
 
-/// The part of a table of the paper about one task.
+/// The rows of one task in a table of the paper.
 #[derive(Clone, Copy, Debug)]
 struct Published {
     table: PaperTable,
@@ -80,8 +80,8 @@ impl Published {
             .collect()
     }
 
-    /// Sizes of the data behind the published rows, and whether the rows are comparable with each other and with a
-    /// table of this number of items.
+    /// Sentences that state the number of items behind each published row and behind the measured rows (`num_items`),
+    /// and whether published rows are comparable with each other.
     fn note(&self, num_items: u32) -> String {
         // Descending numbers; rows whose shares fit no number come last.
         let mut counts: BTreeMap<Reverse<Option<u32>>, Vec<&str>> = BTreeMap::new();
@@ -345,7 +345,7 @@ mod tests {
                     .filter_map(|place| printed.values[place].map(|(mean, _)| mean))
                     .collect();
                 let fitting = shares.iter().filter(|share| is_share(**share, n)).count();
-                // One cell of three rows is an average or misprinted. MDM-BP of Table 2 was rounded in each batch, and
+                // In three rows, one cell is an average or misprinted. MDM-BP of Table 2 was rounded in each batch, and
                 // is assigned the number of items of the other rows.
                 let allowed = match (table.table, printed.system) {
                     (PaperTable::Two, "MDM-BP") => 4,

@@ -215,7 +215,7 @@ impl<R: MotionTable> Rows<R> {
         &self.facts
     }
 
-    /// Mutable access to the columns. Rows that hold their motions keep the old columns.
+    /// Mutable access to the columns. The rows that [`Rows::rows`] returns do not change with them.
     pub(crate) fn facts_mut(&mut self) -> &mut [R::Facts] {
         &mut self.facts
     }

@@ -24,8 +24,8 @@ pub struct Table {
     pub encoder_hash: String,
     /// How the encoder was trained.
     pub encoder_recipe: String,
-    /// Why the table cannot rank systems, as a sentence for its first line; none if it can. An unranked table marks no
-    /// best value and compares no systems.
+    /// Why the table cannot rank systems, as a sentence for its first line; `None` if it can. An unranked table marks
+    /// no best value and compares no systems.
     pub unranked: Option<String>,
     /// The measured items.
     pub items: Items,
@@ -67,7 +67,7 @@ pub struct Row {
     pub published: bool,
     /// Number of motions per item.
     pub takes: u32,
-    /// One cell per column; none if the metric was not measured.
+    /// One cell per column; `None` if the metric was not measured.
     pub cells: Vec<Option<Cell>>,
 }
 
@@ -76,7 +76,7 @@ pub struct Row {
 pub struct Cell {
     /// Mean over the repeats.
     pub mean: f64,
-    /// Half width of the 95 % interval; none if there is no variation or a publication prints none.
+    /// Half width of the 95 % interval; `None` if there is no variation, or if a publication prints no interval.
     pub ci95: Option<f64>,
     /// Whether the value is the best of the measured systems and better than that of the identity editor.
     pub best: bool,
@@ -106,7 +106,7 @@ impl Table {
         metrics: &[&'static Metric],
     ) -> Vec<Self> {
         let mut keys = distinct(scores.iter().map(table_of), |&key| key);
-        // The sort is stable, so tasks stay together even if two runs were joined.
+        // The tables of a task stand together even if two runs were joined, in their order: the sort is stable.
         keys.sort_by_key(|(task, ..)| (place_of_task(task), *task));
         keys.into_iter()
             .filter_map(|wanted| {
@@ -165,7 +165,7 @@ impl Table {
         Some(table)
     }
 
-    /// Note on how much of the items the training split shows; none if that is not known or the table has only one
+    /// Note on how much of the items the training split shows; `None` if that is not known or the table is that of one
     /// novelty.
     fn note_of_novelty(&self) -> Option<String> {
         let is_of_one = NOVELTIES.contains(&self.task.as_str());
@@ -235,7 +235,7 @@ impl Table {
 }
 
 /// The rows of a table: reference rows first, then the other systems in the order of their scores. Scores of unknown
-/// metrics are skipped. No value is marked as best without standings.
+/// metrics are skipped. Without `standings`, no value is marked as best.
 fn rows(scores: &[&ScoreRow], standings: Option<&[Standing]>, columns: &[Column]) -> Vec<Row> {
     let is_known = |place: &usize| metric::from_name(&scores[*place].metric).is_some();
     let known: Vec<usize> = (0..scores.len()).filter(is_known).collect();

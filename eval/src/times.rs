@@ -21,8 +21,8 @@ pub struct WindowTimes {
     pub coordinator_secs: f64,
     /// Time of fitting SMPL-X parameters.
     pub fit_secs: f64,
-    /// Average batch size: 1 if the times are latencies, as in the paper; more if windows share a batch. None if it was
-    /// not recorded.
+    /// Average batch size: 1 if the times are latencies, as in the paper; more if windows share a batch. `None` if it
+    /// was not recorded.
     #[serde(default)]
     pub batch: Option<f64>,
 }

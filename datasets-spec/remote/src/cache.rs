@@ -1,4 +1,4 @@
-//! A local cache of blocks of remote files, by the hash of the file's content.
+//! A local cache of blocks of remote files. Its key is the hash of the file's content and the number of the block.
 
 use std::fs::{self, File, FileTimes};
 use std::io::{self, Write};
@@ -22,7 +22,7 @@ pub(crate) struct Cache {
 
 #[derive(Debug, Default)]
 struct State {
-    /// Bytes written since the folder was last measured; none if it was never measured.
+    /// Bytes written since the folder was last measured; `None` if it was never measured.
     since: Option<u64>,
     measured: u64,
 }
@@ -88,7 +88,8 @@ impl Cache {
         }
     }
 
-    /// Counts new bytes, and measures the folder now and then, because other processes write to it too.
+    /// Counts new bytes, and removes the least recently used blocks if there are too many. The folder is measured now
+    /// and then, because other processes write to it too.
     fn shrink(&self, written: u64) {
         let Ok(mut state) = self.state.lock() else {
             return;

@@ -23,20 +23,20 @@ use crate::place::{Place, Scheme};
 
 /// Threads of the runtime. They only wait and copy.
 const NUM_THREADS: usize = 2;
-/// Time after which a request counts as lost, in seconds: long enough for a whole shard on a slow line.
+/// Time after which a request counts as lost: long enough for a whole shard on a slow line.
 const TIMEOUT: &str = "900 seconds";
 /// Timeout for opening a connection.
 const CONNECT_TIMEOUT: &str = "10 seconds";
-/// Requests of one read that run at the same time.
+/// Maximum number of requests of one read at the same time.
 const NUM_PARALLEL: usize = 4;
 /// Maximum number of bytes in one request.
 pub(crate) const MAX_REQUEST: u64 = 32 << 20;
-/// Attempts at requests that the client itself does not repeat, such as creating a file that must not exist yet.
+/// Attempts at requests that `object_store` itself does not repeat, such as creating a file that must not exist yet.
 const ATTEMPTS: usize = 4;
-/// Metadata key of an object that names the write that created it.
+/// Metadata key of an object. Its value identifies the write that created the object.
 const WRITER: &str = "stancewriter";
 
-/// Runs a future on the runtime of this crate. Unlike `block_on` it may be called from anywhere.
+/// Runs a future on the runtime of this crate. Unlike `block_on` it may be called from within another runtime.
 fn wait<T: Send + 'static>(
     future: impl Future<Output = io::Result<T>> + Send + 'static,
 ) -> io::Result<T> {
@@ -50,8 +50,8 @@ fn wait<T: Send + 'static>(
     receive.recv().map_err(|_| ended())?
 }
 
-/// The runtime of this process. A forked process, such as a worker of a Python loader, has no threads of its parent and
-/// starts its own runtime.
+/// The runtime of this process. A forked process, such as a worker of a Python loader, does not have the threads of its
+/// parent, so it starts its own runtime.
 fn runtime() -> io::Result<Handle> {
     static RUNTIME: Mutex<Option<(u32, Handle)>> = Mutex::new(None);
 
@@ -75,7 +75,7 @@ fn runtime() -> io::Result<Handle> {
     Ok(handle)
 }
 
-/// A bucket, container or host.
+/// A client of one bucket, container or host.
 #[derive(Clone, Debug)]
 pub(crate) struct Client {
     store: Arc<dyn ObjectStore>,
@@ -83,7 +83,7 @@ pub(crate) struct Client {
     attempts: usize,
 }
 
-/// An object's content, and the name of its version if the storage names versions.
+/// An object's content and size, and its version tag if the storage has one.
 #[derive(Clone, Debug)]
 pub(crate) struct Got {
     pub(crate) bytes: Bytes,
@@ -241,7 +241,7 @@ impl Client {
         })
     }
 
-    /// Writes an object unless there is one of its name.
+    /// Writes an object. An error of kind `AlreadyExists` if there is one of its name.
     pub(crate) fn put_new(&self, key: &Key, bytes: Bytes) -> io::Result<()> {
         let (store, key) = (Arc::clone(&self.store), key.clone());
         let mut random = [0; 16];
@@ -263,7 +263,7 @@ impl Client {
                     Ok(_) => return Ok(()),
                     Err(error) => last = io_error(error),
                 }
-                // The object may be ours, if its answer was lost or the request was repeated.
+                // The object may be ours: the answer may have been lost, or the request repeated.
                 let head = GetOptions::new().with_head(true);
                 match store.get_opts(&key, head).await {
                     Ok(found) => {
@@ -353,8 +353,8 @@ fn whole(body: Result<Bytes, Error>, expected: u64) -> io::Result<Bytes> {
     Err(io::Error::new(io::ErrorKind::UnexpectedEof, text))
 }
 
-/// Repeats a failed request that may succeed later: up to `attempts` times if a body ended too early, other requests at
-/// most [`ATTEMPTS`] times, because the client itself already repeats requests that are refused for a time.
+/// Repeats a failed request that may succeed later: up to `attempts` times if a body ended too early, otherwise at most
+/// [`ATTEMPTS`] times, because `object_store` itself already repeats requests that are refused for a time.
 async fn repeated<T, F: Future<Output = io::Result<T>>>(
     attempts: usize,
     read: impl Fn() -> F,
@@ -405,7 +405,7 @@ pub(crate) fn io_error(error: Error) -> io::Error {
     io::Error::new(kind, text)
 }
 
-/// The error message in an XML response of an object store, as a sentence; none if the text holds no such document.
+/// The error message in an XML response of an object store, as a sentence; `None` if the text holds no such document.
 ///
 /// # Source
 /// Amazon S3 API reference, "REST error responses": `Error` holds `Code` and `Message`, and `BucketName` where it is

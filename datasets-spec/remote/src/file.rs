@@ -12,8 +12,8 @@ use object_store::path::Path as Key;
 use crate::cache::{BLOCK, Cache};
 use crate::client::{Client, MAX_REQUEST};
 
-/// Maximum gap in bytes between two ranges that are read by one request: a second request takes about as long as these
-/// bytes. In most shards the pages of a clip are closer than this.
+/// Maximum gap in bytes between two ranges that are read in one request: a second request takes about as long as
+/// reading these bytes. In most shards the pages of a clip are closer than this.
 const MAX_GAP: u64 = 8 << 20;
 /// Bytes at the end of a file that are read at once: a shard's footer and page index.
 const TAIL: u64 = 512 << 10;
@@ -28,7 +28,7 @@ pub(crate) struct RemoteFile {
     pub(crate) size: u64,
     /// BLAKE3 of the content, if known: its key in the cache.
     pub(crate) hash: Option<String>,
-    /// Version, if known.
+    /// Version tag of the object, if known.
     pub(crate) tag: Option<String>,
     pub(crate) cache: Option<Arc<Cache>>,
     pub(crate) tail: OnceLock<Bytes>,
@@ -202,7 +202,7 @@ impl RemoteFile {
     }
 }
 
-/// Merges ranges whose gap is small.
+/// Sorts ranges, drops empty ones, and merges those whose gap is at most `max_gap`.
 fn joined(ranges: &[Range<u64>], max_gap: u64) -> Vec<Range<u64>> {
     let mut sorted: Vec<Range<u64>> = ranges.to_vec();
     sorted.retain(|range| !range.is_empty());

@@ -1,10 +1,10 @@
 //! Datasets and sources at URLs.
 //!
-//! [`Remote`] is a [`Store`](datasets_spec::store::Store) for `s3://`, `gs://` and `az://`, for reading also
-//! `http://`, `https://` and `hf://`. A program calls [`register`] once; from then on every path that is a URL
-//! is served here. Credentials and endpoints come from the environment, as the format document says.
-//! Requests are asynchronous and run on a runtime of this crate; its callers block until they are answered.
-//! [`hub`] is the client of the Hugging Face hub, which is blocking by itself.
+//! [`Remote`] is a [`Store`](datasets_spec::store::Store) for `s3://`, `gs://` and `az://`, and a read-only one for
+//! `http://`, `https://` and `hf://`. A program calls [`register`] once; from then on every path that is a URL is
+//! served here. Credentials and endpoints come from the environment, as the format document says. Requests are
+//! asynchronous and run on a runtime of this crate; callers block until they are answered. [`hub`] is a blocking client
+//! of the Hugging Face hub, with its own connections.
 
 mod cache;
 mod client;

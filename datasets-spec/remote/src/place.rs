@@ -70,7 +70,7 @@ impl Place {
         })
     }
 
-    /// The URL of another key of the same bucket.
+    /// The URL of a key of this bucket.
     pub(crate) fn url(&self, key: &Key) -> PathBuf {
         match key.as_ref() {
             "" => PathBuf::from(&self.root),

@@ -23,16 +23,16 @@ pub struct Remote {
     cache: Option<Arc<Cache>>,
     hub: Option<HubCache>,
     clients: Mutex<BTreeMap<String, Client>>,
-    /// Hashes and versions of files that do not change while this process reads them.
+    /// Sizes, hashes and versions of files that do not change while this process reads them.
     known: Mutex<BTreeMap<PathBuf, Known>>,
 }
 
 #[derive(Clone, Debug)]
 struct Known {
     size: u64,
-    /// BLAKE3; none for a file that was only listed.
+    /// BLAKE3; `None` for a file that was only listed.
     hash: Option<String>,
-    /// Version that was listed.
+    /// Version tag in the listing, if it states one.
     tag: Option<String>,
 }
 
@@ -69,8 +69,7 @@ impl Remote {
         lock(&self.known).get(path).cloned()
     }
 
-    /// Resolves a path: to a local path for a dataset in the hub's cache, otherwise to a place in a bucket and its
-    /// client.
+    /// Resolves a URL: `hf://` to a local path in the hub's cache, others to a place in a bucket and its client.
     fn find(&self, path: &Path) -> io::Result<Found> {
         let place = Place::parse(path)?;
         if place.scheme == Scheme::Hub {
@@ -90,7 +89,7 @@ impl Remote {
         }
     }
 
-    /// Opens a file for reading by ranges, with its bytes if the response already contains them.
+    /// Opens a file for reading by ranges. The storage is asked for its size only if that is not known.
     fn file(&self, path: &Path, place: &Place, client: Client) -> io::Result<RemoteFile> {
         let known = self.known(path);
         let (size, tag) = match &known {
@@ -151,7 +150,7 @@ enum Found {
     Remote(Place, Client),
 }
 
-/// Locks a table; a poisoned lock is ignored, because no update leaves a table incomplete.
+/// Locks a map. A poisoned lock is ignored, because no update leaves a map incomplete.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

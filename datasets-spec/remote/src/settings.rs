@@ -9,7 +9,7 @@ use crate::hub::HubCache;
 /// Settings for serving URLs.
 #[derive(Clone, Debug, Default)]
 pub struct Settings {
-    /// Folder and size in bytes of the local cache; none for no cache.
+    /// Folder and maximum size in bytes of the local cache; `None` for no cache.
     pub cache: Option<(PathBuf, u64)>,
     /// How often a request that fails temporarily is repeated.
     pub retries: usize,
@@ -19,7 +19,7 @@ pub struct Settings {
 
 /// Default size of the cache in bytes.
 const CACHE_SIZE: u64 = 10_000_000_000;
-/// Default number of repetitions: with waits that double from a tenth of a second, about 25 seconds.
+/// Default number of repetitions. Their waits double from a tenth of a second, and sum up to about 25 seconds.
 const RETRIES: usize = 8;
 
 impl Settings {

@@ -1,5 +1,5 @@
-//! Datasets in buckets that count requests and fail as a test wants. `tests/remote` of the repository uses a real
-//! server.
+//! Datasets in buckets in memory, which count requests and fail as a test wants. The tests in `tests/remote` of the
+//! repository use a real server.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -51,7 +51,7 @@ impl Bucket {
     }
 }
 
-/// An error without a readable cause.
+/// An error whose text does not name its cause.
 #[derive(Debug)]
 struct Failed(io::Error);
 
@@ -170,7 +170,7 @@ fn bucket(name: &str) -> (&'static Bucket, PathBuf) {
     (&buckets[name], PathBuf::from(format!("s3://{name}/set")))
 }
 
-/// The poses of a clip look like noise, so that its pages are large.
+/// A clip whose poses look like noise, so that its pages are large.
 fn row(index: usize, frames: usize) -> MotionRow {
     let noise = |frame: usize, joint: usize| {
         let bits = (index * 7919 + frame * 104_729 + joint * 1_299_709) as u64;
@@ -345,7 +345,7 @@ fn of_committers_of_one_version_one_wins() {
         assert_eq!((path, *version), (&root, 1));
         assert_eq!(error.code().map(|(code, _)| code), Some("E-OVERTAKEN"));
     }
-    // No file of the first committer was replaced by the other.
+    // The other run replaced no file of the first committer.
     let opened = Dataset::open(&root).expect("opens");
     assert_eq!(read(&opened), [row(winners[0], 5)]);
 }
@@ -461,7 +461,7 @@ fn an_altered_file_is_found_when_it_is_read_whole() {
     assert_eq!(error.code(), Some(("E-IO", named)));
     let said = format!("{error:?}");
     assert!(said.contains("BLAKE3 expected"), "{said}");
-    // A file of another size is found on opening.
+    // Opening the dataset detects a file of another size.
     put(&path, &bytes[1..]).expect("appears");
     assert!(matches!(Dataset::open(&root), Err(Error::Corrupt { .. })));
     assert!(bucket.reads.load(Ordering::SeqCst) > 0);

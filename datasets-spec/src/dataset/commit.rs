@@ -10,7 +10,7 @@ use crate::table::Row;
 use crate::{Error, Skeleton, Split};
 
 /// Commits a table of rows that are all in memory. If the folder already holds this table, made by the same plan,
-/// nothing is written. `split_of` is none for tables without splits.
+/// nothing is written. `split_of` is `None` for tables without splits.
 ///
 /// # Errors
 /// The folder is locked or cannot be written.

@@ -13,7 +13,7 @@ pub(super) const DATA: &str = "data";
 pub(super) const STAGED: &str = "staged";
 /// Folder of files that the newest version does not name.
 pub(super) const ASIDE: &str = "meta/aside";
-/// Folder for data of one copy of a dataset, such as the paths of its sources. No manifest names its files.
+/// Folder for data of this copy of a dataset only, such as the paths of its sources. No manifest names its files.
 pub const PRIVATE: &str = ".stance";
 /// Key of the fact that holds a skeleton that is not built in.
 pub(super) const SKELETON_FACT: &str = "skeleton_rest";
@@ -109,11 +109,11 @@ pub(super) fn read_manifest(
 pub struct ShardName {
     /// Table.
     pub table: &'static str,
-    /// Split; none for tables without splits.
+    /// Split; `None` for tables without splits.
     pub split: Option<Split>,
     /// Number of the shard, from 0.
     pub index: usize,
-    /// Shards of this table and split.
+    /// Number of shards of this table and split.
     pub of: usize,
 }
 

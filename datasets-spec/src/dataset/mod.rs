@@ -5,8 +5,8 @@
 //! manifest, and then moves these files to their places and the replaced files of the previous version aside. A reader
 //! sees either the previous or the new version, never a mixture.
 //!
-//! A dataset may also lie at a URL. Object stores have no locks: there a run never overwrites a file, and
-//! commits by writing the manifest only if no other run has written that version.
+//! A dataset may also lie at a URL. Object stores have no locks: there a run never overwrites a data file, and it
+//! commits by writing the manifest, which fails if another run has written that version.
 
 mod commit;
 mod layout;

@@ -29,7 +29,7 @@ struct Chosen {
 }
 
 impl Dataset {
-    /// A version whose manifest is read.
+    /// Makes a dataset of a manifest that was read, and tells the store the size and hash of each file.
     pub(super) fn new(root: PathBuf, manifest: Manifest, store: Arc<dyn Store>) -> Self {
         for file in manifest.tables.values().flatten() {
             store.expect(&root.join(&file.path), file.bytes, &file.blake3);
@@ -66,12 +66,12 @@ impl Dataset {
             .is_none_or(|chosen| chosen.clips.contains(clip))
     }
 
-    /// How many clips were chosen.
+    /// Number of chosen clips; `None` if none were chosen by [`Dataset::of_clips`].
     pub fn num_chosen(&self) -> Option<usize> {
         Some(self.chosen.as_ref()?.clips.len())
     }
 
-    /// The condition by which clips were chosen.
+    /// The condition by which clips were chosen; `None` if none were.
     pub fn condition(&self) -> Option<&str> {
         Some(&self.chosen.as_ref()?.condition)
     }
@@ -81,7 +81,7 @@ impl Dataset {
     /// file is read whole.
     ///
     /// # Errors
-    /// The folder is not a dataset, has a newer format, or a file is missing or altered.
+    /// The folder is not a dataset or has an incompatible format, or a file is missing or altered.
     pub fn open(root: &Path) -> Result<Self, Error> {
         Self::open_unverified(root)?.verified()
     }
@@ -135,7 +135,7 @@ impl Dataset {
     /// Opens the newest committed version without reading its files.
     ///
     /// # Errors
-    /// The folder is not a dataset or has a newer format.
+    /// The folder is not a dataset or has an incompatible format.
     pub fn open_unverified(root: &Path) -> Result<Self, Error> {
         let store = ByPath::store();
         let manifest = newest_manifest(store.as_ref(), root)?;
@@ -200,7 +200,7 @@ impl Dataset {
         }
     }
 
-    /// Files of a table, with their paths.
+    /// Files of a table, or of one split of it, each with its path below [`Dataset::root`].
     pub fn files(&self, table: &str, split: Option<Split>) -> Vec<(PathBuf, &FileEntry)> {
         self.manifest
             .tables

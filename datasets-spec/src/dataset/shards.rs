@@ -14,10 +14,10 @@ use crate::store::{Store, aside, is_url, write_new};
 use crate::table::{self, Row};
 use crate::{Error, Skeleton, Split};
 
-/// Rows of a shard: a few hundred MB of motion at most.
+/// Most rows in a shard. Of motions these are a few hundred MB.
 pub const SHARD_ROWS: u64 = 4096;
 
-/// Facts that the files of a table carry.
+/// Facts for the metadata of a table's files: the skeleton and the plan hash.
 pub fn table_facts(skeleton: &Skeleton, plan_hash: &str) -> [(&'static str, String); 2] {
     [
         ("skeleton", skeleton.name().to_owned()),
@@ -25,14 +25,14 @@ pub fn table_facts(skeleton: &Skeleton, plan_hash: &str) -> [(&'static str, Stri
     ]
 }
 
-/// Path of a shard relative to the dataset. A table that an earlier version has gets new names, so that this version
-/// keeps its files; `replacing` is then the number of the new version.
+/// Path of a shard relative to the dataset. If an earlier version has this table, `replacing` is the number of the new
+/// version; it becomes part of the name, so that the earlier version keeps its files.
 pub(super) fn shard_path(name: &ShardName, replacing: Option<u64>) -> String {
     let suffix = replacing.map_or(String::new(), |version| format!(".v{version}"));
     format!("{DATA}/{}/{}{suffix}.parquet", name.table, name.stem())
 }
 
-/// Writes a shard to a path, complete or not at all. Its entry has the path `relative`.
+/// Writes a shard to `path`, complete or not at all. The returned entry states the path `relative`.
 pub(super) fn write_shard_at<'a, R: Row + 'a, E: From<Error>>(
     store: &dyn Store,
     relative: String,
@@ -59,14 +59,14 @@ pub(super) fn write_shard_at<'a, R: Row + 'a, E: From<Error>>(
         let file = store.create(path).map_err(Error::io("create", path))?;
         let file = table::write_groups(file, path, groups, facts)?;
         file.publish().map_err(Error::io("write", path))?;
-        // Read back, so that the hashes cover the bytes on the disk.
+        // Read the file back, so that the hashes cover the bytes on the disk.
         let read = store.open(path).and_then(|file| written.add_all(file));
         read.map_err(Error::io("read", path))?;
     }
     Ok(entry(relative, name, rows, written))
 }
 
-/// Hashes of a file.
+/// Hashes and size of a file.
 #[derive(Default)]
 struct Hashes {
     blake3: blake3::Hasher,
@@ -127,9 +127,8 @@ pub(super) fn holds<'a>(
 }
 
 impl Transaction {
-    /// Writes a shard whole or not at all. Where other runs may write at the same time, it replaces no file: if a file
-    /// of this name holds something else, the shard gets another name. The shard belongs to the dataset once it is
-    /// committed.
+    /// Writes a shard whole or not at all. On storage without locks no file is replaced: if a file of this name holds
+    /// something else, the shard gets another name. The shard belongs to the dataset once it is committed.
     ///
     /// # Errors
     /// The rows cannot be encoded or the file cannot be written.
@@ -164,8 +163,8 @@ impl Transaction {
         Ok(entry(relative, name, rows, written))
     }
 
-    /// Writes a file that must not replace another one, and returns its path. If an interrupted or concurrent run has
-    /// written the same content, its file is used. If a file of this name holds something else, the new file gets
+    /// Writes a file without replacing another one, and returns its relative path. If an interrupted or concurrent run
+    /// has written the same content, its file is used. If a file of this name holds something else, the new file gets
     /// another name.
     pub(super) fn add(&self, relative: &str, bytes: &[u8]) -> Result<String, Error> {
         let hash = blake3::hash(bytes).to_hex().to_string();
@@ -183,8 +182,8 @@ impl Transaction {
         unreachable!("there is always another number")
     }
 
-    /// Writes all rows of a table, shard by shard. They belong to the dataset once they are
-    /// committed. `split_of` is none for tables without splits.
+    /// Writes all rows of a table, shard by shard. They belong to the dataset once they are committed. `split_of` is
+    /// `None` for tables without splits.
     ///
     /// # Errors
     /// The rows cannot be encoded or a file cannot be written.
@@ -208,7 +207,7 @@ impl Transaction {
         Ok(entries)
     }
 
-    /// Writes the rows of a split, or of a table without splits: one shard even if there are none.
+    /// Writes the rows of a split, or of a table without splits. If there are none, it writes one empty shard.
     ///
     /// # Errors
     /// As [`Transaction::write_rows`].
@@ -223,8 +222,8 @@ impl Transaction {
             .collect()
     }
 
-    /// Writes rows that `make` produces for one row group after another, so that only one group is in memory. `make`
-    /// gets the range of rows.
+    /// Writes rows that `make` produces, one row group after another, so that only one group is in memory. `make` gets
+    /// the range of rows to produce.
     ///
     /// # Errors
     /// `make` fails, the rows cannot be encoded, or a file cannot be written.

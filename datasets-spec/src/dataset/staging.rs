@@ -21,21 +21,22 @@ use crate::table::{Row, borrowed_groups};
 /// Folder in which the shards of a plan wait for its commit.
 ///
 /// Making a shard takes no lock, so any number of processes may do it: the files lie in a folder of the plan, apart
-/// from those of the dataset, and equal shards replace each other. The commit of the plan removes the folder; so does
-/// any other commit, after which the plan starts from an old version.
+/// from those of the dataset, and equal shards replace each other. The commit of the plan removes the folder. In a
+/// folder with a lock any other commit removes it too, because the plan then starts from an old version.
 #[derive(Clone, Debug)]
 pub struct Staging {
     root: PathBuf,
     store: Arc<dyn Store>,
     /// Number of the version that the commit makes.
     version: u64,
-    /// Names of shards of earlier versions: new shards get other names.
+    /// Tables of this and earlier versions: new shards of these tables get other file names.
     taken: BTreeSet<String>,
     folder: PathBuf,
 }
 
 impl Staging {
-    /// The staged shards of a plan for the dataset at `root` that starts from a version of [`Staging::base`].
+    /// The staged shards of a plan for the dataset at `root`. The plan starts from the version and tables that
+    /// [`Staging::base`] returned.
     pub fn new(
         store: Arc<dyn Store>,
         root: &Path,
@@ -59,7 +60,7 @@ impl Staging {
         Ok(manifest_versions(store, root)?.pop().unwrap_or(0))
     }
 
-    /// The newest version of a dataset; none if there is no dataset yet.
+    /// The newest version of a dataset; `None` if there is no dataset yet.
     ///
     /// # Errors
     /// A manifest exists but cannot be read.
@@ -98,7 +99,7 @@ impl Staging {
         self.folder.join(stem.unwrap_or(relative))
     }
 
-    /// Writes a shard whole or not at all. Its entry has the path after the commit.
+    /// Writes a shard whole or not at all. The returned entry states the path that the file has after the commit.
     ///
     /// # Errors
     /// The rows cannot be encoded or the file cannot be written.
@@ -115,7 +116,7 @@ impl Staging {
         write_shard_at(self.store.as_ref(), relative, &path, name, groups, facts)
     }
 
-    /// Path of a file: the staged one, or the one to which a commit has moved it.
+    /// Path of a file: where it is staged, or where [`Transaction::adopt`] or a commit has moved it.
     pub fn path(&self, file: &FileEntry) -> PathBuf {
         let place = self.root.join(&file.path);
         let mut others = std::iter::once(self.staged_path(&file.path)).chain(aside(&place));
@@ -143,7 +144,7 @@ impl Staging {
         write_json(self.store.as_ref(), &path, record)
     }
 
-    /// Reads a record of the plan; none if it is missing or unreadable.
+    /// Reads a record of the plan; `None` if it is missing or unreadable.
     pub fn get<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
         let text = self
             .store
@@ -160,8 +161,8 @@ impl Transaction {
         Staging::new(self.store(), self.root(), base, plan_hash)
     }
 
-    /// Moves staged files into the dataset, where they lie aside until the commit. Existing files stay. On storage
-    /// without locks, files are copied; a file whose name is taken gets another name, which its entry then states.
+    /// Moves staged files into the dataset, where they lie aside until the commit. Files moved before are skipped. On
+    /// storage without locks, files are copied, and a file whose name is taken gets another, which its entry states.
     ///
     /// # Errors
     /// A file cannot be moved.
@@ -181,7 +182,7 @@ impl Transaction {
             if !self.is_alone() {
                 match store.read(&staged) {
                     Ok(bytes) => file.path = self.add(&file.path, &bytes)?,
-                    // Another run of the same plan has committed the file and removed it here.
+                    // Another run of the same plan has committed the file and removed the staged one.
                     Err(error) if error.kind() == ErrorKind::NotFound => {}
                     Err(error) => return Err(Error::io("read", &staged)(error)),
                 }

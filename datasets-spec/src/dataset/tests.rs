@@ -83,7 +83,7 @@ fn single_clips_are_read_as_they_were_written() {
     let bytes = crate::table::write_rows(Vec::new(), &path, &rows, &[]).expect("written");
     std::fs::write(&path, bytes).expect("written");
     let reader = ShardReader::open(&path).expect("a shard");
-    // Read on several threads, which share only the file.
+    // Several threads read at the same time, through a shared reader and through their own.
     std::thread::scope(|scope| {
         for start in 0..4 {
             let (reader, rows, path) = (&reader, &rows, &path);
@@ -187,7 +187,7 @@ fn the_lock_names_its_holder_and_ends_with_the_run() {
 fn a_staged_shard_takes_no_lock_and_is_found_until_its_file_changes() {
     let dir = tempfile::tempdir().expect("dir");
     let staging = Staging::new(Disk::store(), dir.path(), Default::default(), "plan");
-    // Another run takes the lock, ends, and removes half-written files, but not those of a worker.
+    // A run that takes the lock removes half-written files, but not those of a worker.
     let other = Transaction::begin(dir.path(), "t").expect("lock");
     let entry = staging
         .write_shard(&shard(0, 2), &[row(1)], &[])
@@ -204,7 +204,7 @@ fn a_staged_shard_takes_no_lock_and_is_found_until_its_file_changes() {
     assert!(holds(&staging));
     assert!(!holds(&transaction.staging("other plan")));
 
-    // The file is complete both where a killed run staged it and in its final place.
+    // The file is found aside, where a killed run left it, and in its final place.
     transaction
         .adopt(&staging, std::iter::once(&mut entry.clone()))
         .expect("moves");
@@ -248,7 +248,7 @@ fn a_replaced_version_stays_readable_and_becomes_the_newest_one_again() {
     let newest = || Dataset::open(dir.path()).expect("opens");
     assert_eq!(read(&first), [row(0)]);
     assert_eq!(read(&newest()), [row(1), row(2)]);
-    // Each version has its files, the newest one in the folder that tools search, and no other files exist.
+    // The files of the newest version are in the folder that tools search, those of the older one aside.
     let names = |folder: &str| -> Vec<_> {
         let entries = fs::read_dir(dir.path().join(folder)).expect("lists");
         let names = entries.map(|entry| entry.expect("entry").file_name());
@@ -364,7 +364,7 @@ fn folders_that_are_no_dataset_say_so() {
     }
 }
 
-/// The newest manifest of a dataset with some text replaced.
+/// Replaces a text in the manifest of a dataset's first version.
 fn replace_in_manifest(root: &Path, from: &str, to: &str) {
     let path = root.join("meta/manifest-1.json");
     let text = fs::read_to_string(&path).expect("a manifest");

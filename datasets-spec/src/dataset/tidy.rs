@@ -19,7 +19,7 @@ use crate::manifest::Manifest;
 use crate::store::{aside, write_atomically};
 use crate::{Error, card, croissant};
 
-/// The files in a dataset's root that describe it, which follow from its manifest: names and texts.
+/// Names and texts of the files in a dataset's root that describe it. They are made from its manifest only.
 pub fn descriptions(manifest: &Manifest) -> [(&'static str, String); 2] {
     [
         (card::FILE, card::text(manifest)),
@@ -32,15 +32,15 @@ pub fn descriptions(manifest: &Manifest) -> [(&'static str, String); 2] {
 pub struct Pruned {
     /// Versions that were removed.
     pub versions: Vec<u64>,
-    /// Data files that no version names any more.
+    /// Number of data files that no version names any more.
     pub files: u64,
     /// Total size of these files in bytes.
     pub bytes: u64,
 }
 
 impl Transaction {
-    /// Completes a run that was killed right after its commit: writes the files that derive from the
-    /// manifest and removes those that no manifest names.
+    /// Completes a run that was killed right after its commit: moves data files to their places, writes the files that
+    /// derive from the manifest, and removes those that no manifest names.
     ///
     /// # Errors
     /// A file cannot be written or removed; the dataset itself is whole.
@@ -51,8 +51,8 @@ impl Transaction {
         }
     }
 
-    /// Removes the versions before the newest `keep`, and the data files that only they name. With `dry_run` nothing is
-    /// removed. At a URL no other run may write at the same time: its uncommitted files would be removed too.
+    /// Removes all versions but the newest `keep` (at least one), and data files that only these versions name. With
+    /// `dry_run` nothing is removed. At a URL no other run may write meanwhile: its uncommitted files would be removed.
     ///
     /// # Errors
     /// A manifest cannot be read, or a file cannot be removed.
@@ -156,8 +156,8 @@ impl Transaction {
         }
     }
 
-    /// Removes staged files of plans that start from an earlier version. If `of` is given, removes only those of the
-    /// plans that made its tables.
+    /// Removes the staged files of plans that start from an earlier version or, if `of` is given, of the plans that
+    /// made its tables.
     fn remove_staged(&self, of: Option<&Manifest>) -> Result<(), Error> {
         let newest = manifest_versions(self.store.as_ref(), &self.root)?.pop();
         let staged = self.root.join(META).join(STAGED);
@@ -203,7 +203,7 @@ impl Transaction {
     }
 
     /// Removes half-written files of a killed run. Staged files stay, because their writers hold no lock. In the
-    /// dataset's root, where other files may be the user's, only cards and metadata are ours.
+    /// dataset's root, only half-written cards and Croissant files are removed: others may be the user's.
     pub(super) fn remove_half_written(&self) -> Result<(), Error> {
         let is_half_written = |name: &str| name.starts_with('.') && name.ends_with(".tmp");
         let ours = |name: &str| {
@@ -256,7 +256,7 @@ impl Transaction {
     }
 }
 
-/// Path of a file while it is kept aside, relative to the dataset like its own path.
+/// Path of a file while it is kept aside. Both paths are relative to the dataset.
 fn beside(relative: &str) -> String {
     let below = relative.strip_prefix(DATA).unwrap_or(relative);
     format!("{ASIDE}{}", below.strip_suffix(".parquet").unwrap_or(below))

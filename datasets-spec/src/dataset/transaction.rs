@@ -24,9 +24,9 @@ pub struct Transaction {
     pub(super) root: PathBuf,
     pub(super) store: Arc<dyn Store>,
     pub(super) base: Option<Manifest>,
-    /// Names of shards of all versions: new shards get other names.
+    /// Tables of all versions: new shards of these tables get other file names.
     pub(super) taken: BTreeSet<String>,
-    /// None where the storage has no locks.
+    /// `None` if the storage has no locks.
     lock: Option<Box<dyn Lock>>,
 }
 
@@ -45,8 +45,8 @@ pub struct Commit {
     pub accounting: Option<Accounting>,
     /// Facts to add.
     pub facts: BTreeMap<String, String>,
-    /// Drop the facts of the previous version and its tables except those in `carried`, because the motions they derive
-    /// from are replaced.
+    /// Whether to drop the facts of the previous version, and its tables except those in `carried`. Set if the motions
+    /// that they derive from are replaced.
     pub fresh: bool,
     /// Tables of the previous version that a fresh commit keeps unchanged, with their plans.
     pub carried: BTreeSet<String>,
@@ -123,7 +123,8 @@ impl Transaction {
     /// Makes the run's tables part of the dataset and releases the lock.
     ///
     /// # Errors
-    /// The manifest cannot be written, or another run has committed this version; the dataset is then as it was.
+    /// The manifest cannot be written, or another run has committed this version; the dataset is then as it was. If a
+    /// file cannot be moved or removed afterwards, the version exists, and [`Transaction::finish`] completes it.
     ///
     /// # Panics
     /// If the accounting does not balance, which is a bug in the run.

@@ -19,7 +19,6 @@ static MOUNTS: RwLock<Mounts> = RwLock::new(BTreeMap::new());
 /// Makes a store serve all URLs of this process. A program calls it once, before it opens anything; later
 /// calls change nothing.
 pub fn register(remote: Arc<dyn Store>) {
-    // A later registration has no effect.
     let _registered = REMOTE.set(remote);
 }
 

@@ -18,7 +18,7 @@ impl Disk {
     }
 }
 
-/// The file in a dataset's folder `meta` that is locked, and names the holder.
+/// Path in a dataset of the file that a run locks. Its text names that run.
 const LOCK: &str = "meta/LOCK";
 
 impl Store for Disk {
@@ -132,7 +132,7 @@ impl Drop for FileLock {
 /// A temporary file beside the one that it becomes.
 #[derive(Debug)]
 struct Staged {
-    /// None once the file is renamed.
+    /// `None` once the file is renamed.
     file: Option<File>,
     staged: PathBuf,
     path: PathBuf,
@@ -175,7 +175,7 @@ impl NewFile for Staged {
         match fs::hard_link(&self.staged, &self.path) {
             // The temporary name is removed when this is dropped.
             Ok(()) => sync_folder_of(&self.path),
-            // Some file systems have no hard links. There only the lock excludes other runs.
+            // Some file systems have no hard links. On these, only the lock keeps other runs out.
             Err(error) if matches!(error.kind(), Unsupported | PermissionDenied) => {
                 if self.path.exists() {
                     return Err(AlreadyExists.into());
@@ -198,7 +198,7 @@ impl Drop for Staged {
     }
 }
 
-/// Makes the names in the folder of a file durable.
+/// Syncs the folder of a file, which makes the file's new name durable.
 fn sync_folder_of(path: &Path) -> io::Result<()> {
     // On other systems a folder cannot be opened as a file, and a rename is durable by itself.
     if cfg!(unix) {

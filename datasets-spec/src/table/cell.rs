@@ -14,8 +14,7 @@ use arrow_schema::{DataType, Field, Fields};
 use super::values::{Caption, PartCaption, Quality};
 use crate::{MotionId, Split};
 
-/// A type that can be a column. Encoding fails if a list column is too long for its offsets; decoding
-/// reports the row and what is wrong.
+/// A type that can be a column.
 pub trait Cell: Sized {
     /// Whether values may be missing.
     const NULLABLE: bool = false;
@@ -26,7 +25,7 @@ pub trait Cell: Sized {
     /// Builds a column.
     ///
     /// # Errors
-    /// The lists of all rows together are too long for a column. The text says so.
+    /// The lists or texts of all rows together are too long for a column.
     fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String>
     where
         Self: 'static;
@@ -166,7 +165,7 @@ fn item(data_type: DataType) -> Arc<Field> {
     Arc::new(Field::new("item", data_type, false))
 }
 
-/// Arrow's offsets of texts are 32 bits wide too.
+/// Fails if the texts of a column are together longer than Arrow's 32-bit offsets allow.
 fn check_text_length<T: AsRef<str>>(values: impl IntoIterator<Item = T>) -> Result<(), String> {
     let lengths = values.into_iter().map(|text| text.as_ref().len());
     let total: usize = lengths.sum();
@@ -195,7 +194,7 @@ fn offsets(lengths: &[usize]) -> Result<OffsetBuffer<i32>, String> {
     }
 }
 
-/// Calls `decode_row(row, start, end)` with the range each list covers in the values array.
+/// Calls `decode_row(start, end)` for each list, with the range that it covers in the values array.
 fn decode_lists<T>(
     list: &ListArray,
     mut decode_row: impl FnMut(usize, usize) -> Result<T, String>,
@@ -252,7 +251,7 @@ impl<const D: usize> Cell for Vec<[f32; D]> {
             return Err((0, "a frame or a number is missing".to_owned()));
         }
         let numbers = numbers.values();
-        // A sliced child array starts at its own offset, which the values accessor has applied.
+        // `values()` has applied the offset of a sliced array, so list offsets index it directly.
         decode_lists(list, |start, end| {
             let (frames, _rest) = numbers[start * D..end * D].as_chunks::<D>();
             Ok(frames.to_vec())

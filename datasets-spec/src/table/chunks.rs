@@ -15,7 +15,7 @@ use crate::store::{ReadAt, Store};
 #[derive(Clone, Debug)]
 pub(super) struct Chunks {
     file: Arc<dyn ReadAt>,
-    /// Ranges in memory, by their offset.
+    /// Ranges in memory, each with its offset in the file.
     held: Arc<[(u64, Bytes)]>,
 }
 
@@ -83,7 +83,7 @@ impl Length for Chunks {
     }
 }
 
-/// Sequential reads of a file from an offset.
+/// Reads a file sequentially from an offset.
 pub(super) struct From {
     file: Chunks,
     at: u64,

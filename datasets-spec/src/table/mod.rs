@@ -30,7 +30,7 @@ pub const SCHEMA_VERSION: &str = "1.10.0";
 pub struct Column {
     /// Name.
     pub name: &'static str,
-    /// Unit, empty for names and counts without one.
+    /// Unit; empty if there is none.
     pub unit: &'static str,
     /// Meaning, one line.
     pub doc: &'static str,
@@ -90,7 +90,7 @@ pub trait Row: Sized + Clone + Send + Sync {
     /// Turns rows into a batch.
     ///
     /// # Errors
-    /// All lists of a column together are too long, or Arrow refuses the columns, which means a bug in a cell type.
+    /// The lists or texts of a column are together too long, or Arrow refuses the columns, a bug in a cell type.
     fn encode(rows: &[Self]) -> Result<RecordBatch, Error>;
 
     /// Turns a batch into rows. Columns the table does not know are ignored.
@@ -125,9 +125,8 @@ pub(crate) fn column<'a>(
         })
 }
 
-/// Declares a row struct and derives its table from it. A column marked `newer` was added after
-/// version 1.0.0: where a file lacks it, its value is the default one. The columns after `of clips` hold the ids
-/// of the clips that a row is about.
+/// Declares a row struct and derives its table from it. A column marked `newer` was added after version 1.0.0: if a
+/// file lacks it, it has its default value. The columns after `of clips` hold the ids of the clips that a row is about.
 #[macro_export]
 macro_rules! table {
     (@decode $ty:ty, $table:literal, $name:expr, $batch:ident) => {

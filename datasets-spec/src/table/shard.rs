@@ -25,16 +25,16 @@ use super::{Cell, RecordBatch, Row, SCHEMA_VERSION, decode_column};
 use crate::Error;
 use crate::store::{ByPath, Store};
 
-/// Pages per row group: about 30 MB of motion, where a page is a clip. This is well under the limits of table viewers.
+/// Pages per row group. In table `motions`, where a page is a clip, these are about 30 MB; table viewers allow more.
 const ROW_GROUP_PAGES: usize = 256;
 /// Zstandard level. On byte-split motion, level 3 takes 1.5 times as long and saves less than 1 %.
 const ZSTD_LEVEL: i32 = 1;
-/// One clip must stay one page however long it is.
+/// Size limit of a page, large enough for the longest clip to be one page.
 const PAGE_BYTES: usize = 64 << 20;
 const READ_BATCH_ROWS: usize = 64;
 const COLUMN_BATCH_ROWS: usize = 4096;
 
-/// Columns of frames: their leaves are encoded byte by byte and read clip by clip.
+/// Paths of the leaf columns of frames, which are written with byte-stream split and read clip by clip.
 fn frame_leaves(schema: &Schema) -> Vec<ColumnPath> {
     schema
         .fields()
@@ -76,7 +76,7 @@ fn properties(
         .set_key_value_metadata(Some(key_values));
     let leaves = frame_leaves(schema);
     if !leaves.is_empty() {
-        // One clip per page, so that a reader decodes only the pages of the clips it needs.
+        // One clip (or `page_rows` small rows) per page, so that a reader decodes only the pages that it needs.
         builder = builder
             .set_data_page_row_count_limit(page_rows)
             .set_write_batch_size(page_rows)
@@ -100,7 +100,7 @@ fn writer<R: Row, W: Write + Send>(
     ArrowWriter::try_new(sink, schema, Some(properties))
 }
 
-/// Rows of a row group of a table: writing and reading hold at least one group in memory.
+/// Number of rows in a row group of a table. A writer holds one group in memory.
 pub const fn group_rows<R: Row>() -> usize {
     ROW_GROUP_PAGES * R::PAGE_ROWS
 }
@@ -119,7 +119,7 @@ pub fn write_rows<R: Row, W: Write + Send>(
     write_groups(sink, path, borrowed_groups(rows), facts)
 }
 
-/// Rows in memory as the groups that [`write_groups`] writes.
+/// Splits rows into the groups that [`write_groups`] writes.
 pub(crate) fn borrowed_groups<'a, R: Row, E>(
     rows: &'a [R],
 ) -> impl Iterator<Item = Result<Cow<'a, [R]>, E>> {
@@ -146,7 +146,7 @@ pub(crate) fn write_groups<'a, R: Row + 'a, W: Write + Send, E: From<Error>>(
 }
 
 /// Writes rows incrementally, with the same bytes as [`write_rows`] and at most one row group in memory. Only for
-/// tables without frames.
+/// tables with one row per page.
 pub struct RowWriter<R, W: Write + Send> {
     writer: ArrowWriter<W>,
     path: PathBuf,
@@ -160,7 +160,7 @@ impl<R: Row, W: Write + Send> RowWriter<R, W> {
     /// The file cannot be written.
     ///
     /// # Panics
-    /// If the table holds frames, which are laid out a whole group at a time.
+    /// If the table has several rows per page ([`Row::PAGE_ROWS`]).
     pub fn new(sink: W, path: &Path, facts: &[(&str, String)]) -> Result<Self, Error> {
         assert_eq!(R::PAGE_ROWS, 1, "{} holds frames", R::TABLE);
         Ok(Self {
@@ -208,7 +208,7 @@ fn options() -> ArrowReaderOptions {
     ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Optional)
 }
 
-/// Refuses files of a newer major version; an older reader would misread them.
+/// Refuses files of another major version, which this program would misread.
 fn check_version(path: &Path, metadata: &ArrowReaderMetadata) -> Result<(), Error> {
     let found = metadata
         .metadata()
@@ -233,7 +233,7 @@ fn check_version(path: &Path, metadata: &ArrowReaderMetadata) -> Result<(), Erro
 /// Reads all rows of a file.
 ///
 /// # Errors
-/// The file cannot be read, is not Parquet, is of a newer version, or holds another table.
+/// The file cannot be read, is not Parquet, is of another major version, or holds another table.
 pub fn read_rows<R: Row>(path: &Path) -> Result<Vec<R>, Error> {
     read_rows_on(&ByPath, path)
 }
@@ -262,7 +262,7 @@ impl ShardReader {
     /// Opens a file and reads its footer and page index.
     ///
     /// # Errors
-    /// The file cannot be read, is not Parquet, or is of a newer version.
+    /// The file cannot be read, is not Parquet, or is of another major version.
     pub fn open(path: &Path) -> Result<Self, Error> {
         let file = Chunks::open(&ByPath, path).map_err(Error::io("open", path))?;
         Self::of(path, file)
@@ -288,12 +288,12 @@ impl ShardReader {
         })
     }
 
-    /// Rows of the file.
+    /// Number of rows in the file.
     pub fn num_rows(&self) -> usize {
         usize::try_from(self.metadata.metadata().file_metadata().num_rows()).unwrap_or(0)
     }
 
-    /// Reads all rows of a table's columns. No other column is read from the disk.
+    /// Reads all rows. Only the columns of table `R` are read from the disk.
     ///
     /// # Errors
     /// The file cannot be read or holds another table.
@@ -304,7 +304,7 @@ impl ShardReader {
     }
 
     /// Reads the rows at the given places, in file order; places after the end are ignored. Only the pages of these
-    /// rows in the table's columns are read and decoded, by one request if the file is distant.
+    /// rows in the columns of table `R` are read and decoded, all in one read if the file is distant.
     ///
     /// # Errors
     /// The file cannot be read or holds another table.
@@ -392,7 +392,7 @@ struct SelectedRows {
 }
 
 impl SelectedRows {
-    /// Sorted rows without duplicates.
+    /// `wanted` is sorted and has no duplicates.
     fn of(metadata: &ParquetMetaData, wanted: &[usize]) -> Self {
         let (mut groups, mut ranges) = (Vec::new(), Vec::new());
         let (mut first_row, mut selectable) = (0, 0);
@@ -414,13 +414,13 @@ impl SelectedRows {
     }
 }
 
-/// Those of some sorted rows that lie in a range.
+/// The part of some sorted rows that lies in a range.
 fn within(rows: &[usize], range: Range<usize>) -> &[usize] {
     &rows[rows.partition_point(|row| *row < range.start)
         ..rows.partition_point(|row| *row < range.end)]
 }
 
-/// The ranges of a file that hold these columns, of all rows or of those named.
+/// The byte ranges of a file that hold these columns, for all rows or for the given ones.
 fn ranges_of(
     metadata: &ParquetMetaData,
     columns: &ProjectionMask,
@@ -456,7 +456,7 @@ fn ranges_of(
     ranges
 }
 
-/// The pages of a column with the wanted rows, and the column's dictionary before its first page.
+/// The byte ranges of a column's pages with the wanted rows, and of its dictionary, which lies before the first page.
 fn pages_of(
     start: u64,
     pages: &[PageLocation],
@@ -521,9 +521,9 @@ fn read_selected<R: Row>(
 /// Footer of a Parquet file.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ShardDescription {
-    /// Rows.
+    /// Number of rows.
     pub rows: u64,
-    /// Rows of each row group.
+    /// Number of rows of each row group.
     pub row_groups: Vec<u64>,
     /// Columns in order.
     pub columns: Vec<ColumnDescription>,
@@ -549,7 +549,7 @@ pub struct ColumnDescription {
 /// Reads the footer of a file.
 ///
 /// # Errors
-/// The file cannot be read, is not Parquet, or is of a newer version.
+/// The file cannot be read, is not Parquet, or is of another major version.
 pub fn describe(path: &Path) -> Result<ShardDescription, Error> {
     let shard = ShardReader::open(path)?;
     let metadata = shard.metadata.metadata();

@@ -28,7 +28,7 @@ pub struct PartCaption {
 /// Findings of the quality checks on a clip.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Quality {
-    /// Bit set of the findings; see the format document.
+    /// Bit set of the findings; see [`crate::flags`].
     pub flags: u32,
     /// Highest joint speed in m/s.
     pub max_speed: f32,

@@ -75,10 +75,10 @@ impl Answer {
         (0..self.len()).map(object).collect()
     }
 
-    /// The rows as a batch of Arrow. Dates and times become texts.
+    /// The rows as an Arrow batch. Dates and times become texts.
     ///
     /// # Errors
-    /// A column has no type that Arrow could hold.
+    /// A column cannot be converted to Arrow.
     pub fn batch(&self) -> Result<RecordBatch, Error> {
         let mut fields = Vec::new();
         let mut arrays: Vec<ArrayRef> = Vec::new();

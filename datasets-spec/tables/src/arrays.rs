@@ -20,13 +20,13 @@ use polars_arrow::types::NativeType;
 
 use pl::ArrayFromIter as _;
 
-/// The type of a column of polars with the values of such an array.
+/// The polars type of columns with this Arrow type.
 pub(crate) fn polars_type(data_type: &DataType) -> Result<pl::DataType, String> {
     let empty = new_empty_array(data_type);
     Ok(series("", empty.as_ref())?.dtype().clone())
 }
 
-/// A column of polars with the values of an array.
+/// A polars series with the values of an Arrow array.
 pub(crate) fn series(name: &str, array: &dyn Array) -> Result<pl::Series, String> {
     let array = polars_array(array)?;
     pl::Series::from_arrow(name.into(), array).map_err(|error| error.to_string())
@@ -98,7 +98,8 @@ fn validity(array: &dyn Array) -> Option<Bitmap> {
     Some(Bitmap::from_iter(nulls.iter()))
 }
 
-/// Converts a column of polars into an array of Arrow. Types that our tables do not have, such as dates, become text.
+/// An Arrow array with the values of a polars series. Integers of other widths become 64 bits wide; types that our
+/// tables do not have, such as dates, become text.
 pub(crate) fn arrow_array(series: &pl::Series) -> Result<ArrayRef, String> {
     let fails = |error: pl::PolarsError| error.to_string();
     let series = series.rechunk();

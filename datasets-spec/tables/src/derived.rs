@@ -1,4 +1,4 @@
-//! Columns of the table of motions that are not stored but computed: from its own columns, and from masks and pairs.
+//! Columns of the table of motions that are not stored but computed, from its own columns or from masks and pairs.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -78,7 +78,7 @@ impl Derived {
         }
     }
 
-    /// Ids of the clips in a side table, if the column depends on it.
+    /// Ids of the clips that have a mask or a pair, for the column that tells so; empty for other columns.
     pub(crate) fn beside(
         self,
         dataset: &Dataset,
@@ -103,7 +103,7 @@ impl Derived {
         Ok(ids)
     }
 
-    /// Computes the column for a batch that has the columns it depends on.
+    /// Computes the column for a batch of rows. `None` if the batch lacks a column of [`Derived::needs`].
     pub(crate) fn of(self, batch: &RecordBatch, beside: &BTreeSet<MotionId>) -> Option<ArrayRef> {
         let column = |name: &str| batch.column_by_name(name);
         let quality = |place: usize| Some(Arc::clone(column("quality")?.as_struct().column(place)));
@@ -161,7 +161,7 @@ fn texts(captions: &ArrayRef, place: usize) -> Option<ArrayRef> {
     Some(Arc::new(made.ok()?))
 }
 
-/// Names of flags as columns: SQL reads a hyphen as minus.
+/// A field for each flag. Its name has underscores, because SQL reads a hyphen as minus.
 fn flag_fields() -> Fields {
     let field =
         |(_, name): &(u32, &str)| Field::new(name.replace('-', "_"), DataType::Boolean, true);

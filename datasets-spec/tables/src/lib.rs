@@ -10,15 +10,15 @@
 //! | column | type | meaning |
 //! |---|---|---|
 //! | `seconds` | f64 | `n_frames / fps` |
-//! | `max_speed`, `foot_skate` | f32 | of `quality` |
+//! | `max_speed`, `foot_skate` | f32 | these fields of `quality` |
 //! | `flags` | struct of bool | findings of the quality checks, such as `flags.poor_fit` |
 //! | `texts`, `part_texts` | `list<utf8>` | the texts of `captions` and `part_captions` |
-//! | `n_captions` | u32 | captions, those of parts not counted |
-//! | `has_mask`, `has_pair` | bool | whether a mask is of the clip, or a pair has it on either side |
+//! | `n_captions` | u32 | number of captions, without those of parts |
+//! | `has_mask`, `has_pair` | bool | whether the clip has a mask, or is the source or target of a pair |
 //!
-//! In addition to the SQL of polars, `LIKE` takes `ESCAPE`, and `len` is the length of a list or the characters of a
-//! text. A test of a list (`captions LIKE '%walk%'`, `notes = 'x'`, `parts IN ('HEAD')`) holds if it holds for one of
-//! its texts; without texts it is neither true nor false.
+//! In addition to the SQL of polars, `LIKE` takes `ESCAPE`, and `len` is the length of a list or the number of
+//! characters of a text. A test of a list (`captions LIKE '%walk%'`, `notes = 'x'`, `parts IN ('HEAD')`) is true if it
+//! is true for one of its texts; without texts it is null.
 
 mod answer;
 mod arrays;

@@ -1,5 +1,5 @@
-//! Rewrites the SQL of users for polars: only `SELECT`, and with `LIKE ... ESCAPE`, tests of lists, `len` and names of
-//! several datasets.
+//! Rewrites the SQL of users for polars: refuses all statements but `SELECT`, and translates `LIKE ... ESCAPE`, tests
+//! of lists, `len`, and table names with the name of a dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
@@ -19,16 +19,16 @@ use sqlparser::tokenizer::{Token, Tokenizer};
 
 use crate::derived::Derived;
 
-/// Most operators in a query. Each one can nest the expression before it, and deep nesting would exhaust the stack.
+/// Maximum number of operators in a query. Each can nest the expression before it; deep nesting exhausts the stack.
 const MOST_OPERATORS: usize = 1_000;
 
-/// Columns whose items are structs, and the derived columns with their texts.
+/// Columns that are lists of structs, each with the derived column of its texts.
 const OF_STRUCTS: [(&str, Derived); 2] = [
     ("captions", Derived::Texts),
     ("part_captions", Derived::PartTexts),
 ];
 
-/// The names that a question may use.
+/// The names that a query may use.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Names {
     /// Names of datasets, if there are several.
@@ -42,7 +42,7 @@ pub(crate) struct Names {
 }
 
 impl Names {
-    /// Adds a table; `full` is its name, behind that of its dataset if there are several.
+    /// Adds a table; `full` is its name, with the name of its dataset before it if there are several.
     pub(crate) fn add(
         &mut self,
         dataset: Option<&str>,
@@ -75,7 +75,7 @@ impl Names {
         self.tables.insert(full.to_owned(), names.collect());
     }
 
-    /// A column that is a list, as an expression whose items are texts.
+    /// The texts of a list column, as an expression; `None` if `expr` is no such column.
     fn list(&self, expr: &Expr) -> Option<Expr> {
         let texts = |ident: &Ident| {
             let of_structs = OF_STRUCTS.iter().find(|(name, _)| *name == ident.value);
@@ -161,7 +161,7 @@ struct Rewriting<'a> {
 impl VisitorMut for Rewriting<'_> {
     type Break = String;
 
-    /// Names columns of functions by their text: `min(seconds)` and `max(seconds)` would otherwise have the same name.
+    /// Names results of functions by their text: `min(seconds)` and `max(seconds)` would otherwise have the same name.
     fn pre_visit_select(&mut self, select: &mut Select) -> ControlFlow<String> {
         for item in &mut select.projection {
             if let SelectItem::UnnamedExpr(expr @ Expr::Function(_)) = item {
@@ -225,7 +225,7 @@ impl VisitorMut for Rewriting<'_> {
         ControlFlow::Continue(())
     }
 
-    /// Adds a decimal point to large numbers: without it polars reads a 64-bit integer, and fails on `1e1`.
+    /// Adds a decimal point to numbers that are no 64-bit integers, such as `1e1`: without it, polars fails on them.
     fn pre_visit_value(&mut self, value: &mut ValueWithSpan) -> ControlFlow<String> {
         if let Value::Number(number, _) = &mut value.value
             && !number.contains('.')
@@ -349,7 +349,7 @@ impl Rewriting<'_> {
         let regex = regex_of(pattern, escape)?;
         let not = if negated { "NOT " } else { "" };
         Ok(Some(match list {
-            // Each text is a line, which `.` does not cross. Without texts the test is neither true nor false.
+            // Each text is a line, which `.` does not cross. Without texts the test is null.
             Some(list) => format!(
                 "{not}regexp_like(NULLIF(array_to_string({list}, '\n'), ''), {})",
                 quoted(&format!("(?m{case})^{regex}$"))
@@ -361,7 +361,7 @@ impl Rewriting<'_> {
         }))
     }
 
-    /// `len` of a list or a text.
+    /// Rewrites `len` of a list or of a text.
     fn length(&self, function: &Function) -> Option<String> {
         if !function.name.to_string().eq_ignore_ascii_case("len") {
             return None;
@@ -396,7 +396,7 @@ fn takes_texts(function: &Function) -> bool {
     )
 }
 
-/// Whether a list contains one of some values; null for lists without texts.
+/// A test whether a list contains one of some values, or none of them if `negated`; null for lists without texts.
 fn one_of(list: &Expr, negated: bool, values: &[Expr]) -> String {
     let tests = values
         .iter()
@@ -512,7 +512,7 @@ pub(crate) fn check_columns(text: &str, names: &Names) -> Result<(), String> {
     visited(Visit::visit(&condition(text)?, checking))
 }
 
-/// Error for an unknown name: similar names, and all names that exist.
+/// Error for an unknown name. It suggests the most similar name, and lists all names that exist.
 fn unknown(what: &str, name: &str, known: &[String]) -> String {
     /// Minimum similarity of a name that is suggested.
     const NEAR: f64 = 0.75;

@@ -39,8 +39,8 @@ fn line(svg: &mut String, from: DVec2, to: DVec2) {
     ));
 }
 
-/// Escapes text for XML and HTML, inside and outside of attributes, and drops the control characters
-/// XML forbids.
+/// Escapes text for XML and HTML, inside and outside of attributes. Line breaks and tabs become spaces; other control
+/// characters are dropped.
 pub fn escaped(text: &str) -> String {
     let mut result = String::with_capacity(text.len());
     for c in text.chars() {

@@ -75,7 +75,7 @@ const HOT: Rgb = Rgb([244.0, 178.0, 110.0]);
 /// Draws a heat map as one SVG document.
 ///
 /// # Panics
-/// If the number of values is not that of the pairs.
+/// If there is not exactly one value for every pair.
 pub fn heat_map(map: &HeatMap) -> String {
     let (columns, rows) = (&map.x.1, &map.y.1);
     assert_eq!(
@@ -140,7 +140,7 @@ const SPARSE_DECADES: f64 = 3.0;
 const MAX_POINTS: usize = 1200;
 /// Share of the range that is added below and above the curves.
 const PADDING: f64 = 0.04;
-/// Distance between legend entries, by their number of characters, in pixels.
+/// Width of a character in the legend, and space added to each entry, in pixels.
 const LEGEND_CHAR: f64 = 6.6;
 const LEGEND_GAP: f64 = 34.0;
 /// Width of a character of a title in pixels.
@@ -212,7 +212,7 @@ fn bar(svg: &mut String, corner: DVec2, size: DVec2) {
     rect(svg, corner, size, &style);
 }
 
-/// The height of a bar; NaN has height 0.
+/// The height of a bar; 0 if the value is negative or not finite.
 fn bar_height(value: f64) -> f64 {
     if value.is_finite() {
         value.max(0.0)
@@ -242,7 +242,7 @@ fn standing_bars(chart: &Bars, highest: f64, slot: f64) -> String {
     svg
 }
 
-/// Distance of horizontal bars in pixels.
+/// Distance from one horizontal bar to the next in pixels.
 const BAR_ROW: f64 = 15.0;
 
 fn lying_bars(chart: &Bars, highest: f64, label_width: f64) -> String {
@@ -356,7 +356,7 @@ fn legend(svg: &mut String, title: &str, curves: &[Curve]) {
         .map(|curve| length(&curve.name) + LEGEND_GAP)
         .sum();
     let title_end = MARGIN_START.x + TITLE_CHAR * title.chars().count() as f64;
-    // From the right edge inwards, the last curve first.
+    // Entries are placed from the right edge inwards, the last curve first.
     let mut right = SIZE.x - MARGIN_END.x;
     // Beside the title, or below it if the row is full.
     let y = if title_end + width <= right {
@@ -377,7 +377,7 @@ fn legend(svg: &mut String, title: &str, curves: &[Curve]) {
     }
 }
 
-/// Ranges of a plot's axes; the y range is in the scale of the drawing.
+/// Ranges of a plot's axes. On a logarithmic axis, the y range is one of exponents of ten.
 struct Axes {
     x: (f64, f64),
     y: (f64, f64),
@@ -385,7 +385,7 @@ struct Axes {
 }
 
 impl Axes {
-    /// Axes that contain all drawable points; none without drawable points.
+    /// Axes that contain all drawable points and intervals; `None` without drawable points.
     fn around(plot: &Plot) -> Option<Self> {
         let scale = plot.y_scale;
         let points = || {
@@ -523,7 +523,7 @@ impl Curve {
     }
 }
 
-/// A point with its ordinate on the scale; none if it cannot be drawn.
+/// A point with its ordinate on the scale; `None` if it cannot be drawn.
 fn on_scale((x, y): (f64, f64), scale: Scale) -> Option<(f64, f64)> {
     let y = match scale {
         Scale::Linear => y,
@@ -605,7 +605,7 @@ fn log_ticks(low: f64, high: f64) -> Vec<f64> {
         .collect()
 }
 
-/// A number with only the digits that its step needs; thousands and millions are abbreviated.
+/// A number with the digits that distinguish ticks on an axis of this span; thousands and millions are abbreviated.
 fn tick_text(value: f64, span: f64) -> String {
     const THOUSAND: f64 = 1e3;
     const MILLION: f64 = 1e6;

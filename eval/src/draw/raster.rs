@@ -91,7 +91,7 @@ pub fn png(svg: &str, zoom: f32) -> Result<Vec<u8>, RasterError> {
     })
 }
 
-/// Draws clips side by side as an endlessly repeating GIF.
+/// Draws clips side by side as an endlessly repeating GIF with `zoom` pixels per unit. It lasts at most half a minute.
 ///
 /// # Errors
 /// There is no clip, or the picture is too large.

@@ -83,7 +83,7 @@ const LABEL_WIDTH: f64 = 126.0;
 const LABEL_CHARS: usize = 15;
 /// Pixels from one line of a label to the next.
 const LABEL_LINE: f64 = 15.0;
-/// Height of the line below a label with duration and distance, in pixels.
+/// Height of the lines below a label, with duration and distance, in pixels.
 const FACTS_HEIGHT: f64 = 34.0;
 /// Space around the drawing in pixels.
 const MARGIN: f64 = 8.0;
@@ -249,7 +249,7 @@ pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String 
     svg
 }
 
-/// Size of one panel of [`moment`] in pixels, under a label of one line.
+/// Size of one panel of [`moment`] in pixels, with a label of one line.
 const PANEL: DVec2 = DVec2::new(240.0, 250.0);
 /// Characters per line of a panel's label.
 const PANEL_CHARS: usize = 34;
@@ -305,7 +305,7 @@ pub fn moment(rows: &[Row], secs: f64) -> String {
     svg
 }
 
-/// The colour at a share of the clip.
+/// The colour at a share (0 to 1) of the clip's duration.
 fn colour_at(share: f64) -> Rgb {
     if share < 0.5 {
         START.towards(MIDDLE, 2.0 * share)
@@ -526,7 +526,7 @@ impl Figure {
         svg.push_str(&format!(
             r#"<g fill="none" stroke="{colour}" stroke-linecap="round" stroke-linejoin="round">"#
         ));
-        // A joint rotates its child bones.
+        // A joint rotates the bones to its children, so these have the halo.
         let turned = KEYPOINT_PARENTS
             .iter()
             .enumerate()
@@ -632,7 +632,7 @@ mod tests {
         check_nesting(&strip(&[], &Style::default()));
     }
 
-    /// A text of 90 characters, longer than a label can show.
+    /// A text of several lines as a label, with a word longer than a line.
     const LONG: &str = "<use the waving of the other clip with your left hand and keep \
                         Donaudampfschifffahrt going>";
 

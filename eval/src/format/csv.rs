@@ -20,7 +20,7 @@ pub fn render(scores: &[ScoreRow], judges: &Judges) -> String {
         let field = |name: &str| match &score[name] {
             Value::Null => String::new(),
             Value::String(text) => text.clone(),
-            // JSON writes a point or an exponent that the shortest form lacks.
+            // JSON writes `1.0` where the shortest form is `1`.
             Value::Number(number) if number.is_f64() => {
                 number.as_f64().unwrap_or(f64::NAN).to_string()
             }

@@ -10,7 +10,7 @@ use crate::table::{Cell, Table};
 pub const MAX_WIDTH: usize = 160;
 /// Spaces between columns.
 const GAP: usize = 2;
-/// Shortest width a system name is cut to.
+/// System names are not cut to fewer characters than this.
 const MIN_NAME_WIDTH: usize = 8;
 /// Mark of the best measured value.
 const BEST: char = '*';
@@ -91,7 +91,7 @@ fn table_text(table: &Table, text: &mut String) {
     }
 }
 
-/// Width of the column of names: at most `free`, unless shortening would make names equal.
+/// Width of the column of names: at most `free`, but at least [`MIN_NAME_WIDTH`] and enough to keep names distinct.
 fn name_width(table: &Table, free: usize) -> usize {
     let names: BTreeSet<&str> = table.rows.iter().map(|row| row.system.as_str()).collect();
     let whole = names
@@ -141,7 +141,7 @@ fn push_line(text: &mut String, line: &str) {
     text.push('\n');
 }
 
-/// The cells of a column, aligned after the means.
+/// The cells of a column, aligned at the end of the means.
 fn column_texts(table: &Table, index: usize) -> Vec<String> {
     let column = &table.columns[index];
     let parts: Vec<(String, String)> = table

@@ -4,7 +4,7 @@ use super::retrieval::{Retrieval, check_galleries, ranks_among_equivalents};
 use crate::Error;
 use crate::linalg::Matrix;
 
-/// Something of both directions of retrieval.
+/// A value for each direction of retrieval.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BothWays<T> {
     /// Texts are the queries, motions the gallery.
@@ -13,14 +13,14 @@ pub struct BothWays<T> {
     pub motion_to_text: T,
 }
 
-/// Recalls and ranks.
+/// Recalls and ranks of both directions.
 pub type CrossRetrieval = BothWays<Retrieval>;
 
 /// Ranks of the true answers in each gallery, counted from zero.
 pub type CrossRanks = BothWays<Vec<Vec<f64>>>;
 
 impl CrossRanks {
-    /// The mean over the galleries.
+    /// Recalls and ranks, averaged over the galleries.
     ///
     /// # Panics
     /// If there is no gallery.

@@ -20,7 +20,7 @@ pub struct Metric {
     pub about: &'static str,
     /// Table that shows the metric.
     pub part: Part,
-    /// Good values of the metric for a task.
+    /// Returns which values are good for a task.
     pub better: fn(&str) -> Better,
     /// Digits after the point that tables print.
     pub decimals: usize,
@@ -41,7 +41,7 @@ pub enum Part {
     Quality,
 }
 
-/// Good values of a metric.
+/// Which values of a metric are good.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Better {
     /// Small values are good.
@@ -68,7 +68,7 @@ impl Better {
 pub struct Column {
     /// The metric.
     pub metric: &'static Metric,
-    /// Good values of the metric for the table's task.
+    /// Which values are good for the table's task.
     pub better: Better,
 }
 
@@ -106,10 +106,10 @@ pub type TakesMeasure = fn(&TakesSample<'_>) -> Result<Vec<(usize, f64)>, Error>
 /// Computation of a metric; the variant shows the inputs that it needs.
 #[derive(Clone, Copy, Debug)]
 pub enum Measure {
-    /// From each motion alone; none if the motion has no value. Tables show the mean over the items with a value.
+    /// From each motion alone; `None` if the motion has no value. Tables show the mean over the items with a value.
     Motion(MotionMeasure),
-    /// From the latents of whole sets: one value for each set, computed again on each bootstrap resample; none if there
-    /// are too few items. [`Draws`] names the random draw of each repeat.
+    /// From the latents of whole sets: one value for each set, computed again on each bootstrap resample; `None` if
+    /// there are too few items. [`Draws`] names the random draw of each repeat.
     Set(SetMeasure, Draws),
     /// From several takes of each item: pairs of an item and its value. Tables show their mean.
     Takes(TakesMeasure),
@@ -162,9 +162,9 @@ pub struct MotionSample<'a> {
     pub acceleration: SeamAcceleration,
     /// Joints that the item asks to change; empty if the item does not state them.
     pub edited: JointSet,
-    /// Columns of the edit besides its motion; none for sources and targets.
+    /// Columns of the edit besides its motion; `None` for sources and targets.
     pub edit: Option<&'a EditFacts>,
-    /// Share of windows that the classifier finds composed; none without a classifier.
+    /// Share of windows that the classifier finds composed; `None` without a classifier.
     pub composed: Option<f64>,
     /// The protocol.
     pub protocol: &'a Protocol,
@@ -183,8 +183,8 @@ pub struct Target {
     pub swing_m: f64,
 }
 
-/// Mean acceleration of the keypoints in m/s^2, split by seams: frames in which one generated window ends and the next
-/// begins. None if there are no such frames.
+/// Mean acceleration of the keypoints in m/s^2, at seams (frames in which one generated window ends and the next
+/// begins) and elsewhere. A mean over no frames is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SeamAcceleration {
     /// Mean over the frames of all seams.

@@ -72,7 +72,7 @@ pub struct Gaussian {
 }
 
 impl Gaussian {
-    /// Checks a mean and a symmetric positive semi-definite covariance.
+    /// The distribution of a mean and a covariance. It must be symmetric and positive semi-definite (unchecked).
     ///
     /// # Errors
     /// The sizes disagree or a number is not finite.
@@ -116,7 +116,7 @@ impl Gaussian {
 #[derive(Clone, Debug)]
 pub struct Reference {
     gaussian: Gaussian,
-    /// `Λ^{1/2} Vᵀ` of the nonzero eigenvalues, `[R, D]`; its Gram matrix is the covariance.
+    /// `R = Λ^{1/2} Vᵀ` of the nonzero eigenvalues, one row for each, of width D; `Rᵀ R` is the covariance.
     root: Matrix,
 }
 
@@ -214,7 +214,7 @@ fn trace_of_root(matrix: &Matrix) -> f64 {
     values.map(|value| value.max(0.0).sqrt()).sum()
 }
 
-/// Rows minus their mean, scaled so that their Gram matrix is the unbiased covariance.
+/// Rows `A` minus their mean, scaled so that `Aᵀ A` is the unbiased covariance.
 struct Centred {
     mean: Vec<f64>,
     rows: Matrix,

@@ -74,7 +74,7 @@ fn contacts(feet: &[Feet], fps: Fps, floor: Floor) -> impl Iterator<Item = [f64;
     })
 }
 
-/// The foot score of a clip in (0, 1]; higher is better. None for a clip of fewer than [`MIN_FRAMES`] frames.
+/// The foot score of a clip in (0, 1]; higher is better. `None` for a clip of fewer than [`MIN_FRAMES`] frames.
 ///
 /// # Shapes
 /// `feet` is `[L, 4]`.

@@ -86,8 +86,8 @@ mod tests {
 
     use super::*;
 
-    /// A body that moves forwards by `speed` metres per frame, facing `turn` radians from +z. Its left ankle swings by
-    /// `reach` metres to both sides of its rest position.
+    /// A body that moves forwards by `speed` metres per frame, facing `turn` radians from +z. Its left ankle swings
+    /// forwards and backwards by `reach` metres.
     fn walking(speed: f64, reach: f64, turn: f64) -> Vec<KeypointFrame> {
         let rest = Skeleton::smplx_neutral().keypoints(&Pose::REST);
         let turn = DQuat::from_rotation_y(turn);

@@ -25,7 +25,7 @@ pub const MIN_TARGETS: u32 = 10;
 pub struct Interval {
     /// Mean over the repeats.
     pub mean: f64,
-    /// Half width of the interval; none if there is no variation.
+    /// Half width of the interval; `None` if there is no variation.
     pub ci95: Option<f64>,
 }
 
@@ -98,18 +98,18 @@ impl Interval {
     }
 }
 
-/// The mean; none without values.
+/// The mean; `None` without values.
 pub(crate) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
     (count > 0.0).then(|| sum / count)
 }
 
-/// The mean of the finite values; none without any.
+/// The mean of the finite values; `None` without any.
 pub(crate) fn mean_of_known(values: &[f64]) -> Option<f64> {
     mean(values.iter().copied().filter(|value| value.is_finite()))
 }
 
-/// The population variance; none if there are no values or all are equal.
+/// The population variance; `None` if there are no values or all are equal.
 fn variance(values: &[f64]) -> Option<f64> {
     if values.is_empty() {
         return None;

@@ -71,8 +71,8 @@ pub(crate) static ROTATION_STEP: Metric = Metric {
 /// Keypoints of the feet: both ankles and both toe joints.
 const FEET: [usize; 4] = [7, 8, 10, 11];
 
-/// A seam between two generated windows, in frames of the edited motion: from the last frame of one window to the first
-/// new frame of the next, including frames interpolated between them.
+/// A seam between two generated windows, in frames of the edited motion: from the frame before the first new one of the
+/// later window to its first frame that is not blended with the earlier window.
 pub type Seam = RangeInclusive<usize>;
 
 /// Layout of the windows that generated a motion, in order from its first frame. Each window repeats [`FIXED_FRAMES`]
@@ -152,7 +152,7 @@ pub fn seam_acceleration(points: &[KeypointFrame], fps: Fps, seams: &[Seam]) -> 
     SeamAcceleration { at_seams, inside }
 }
 
-/// Mean magnitude of the third derivative of the keypoints in m/s^3; none for fewer than four frames.
+/// Mean magnitude of the third derivative of the keypoints in m/s^3; `None` for fewer than four frames.
 pub fn jerk(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
     let of_window = |frames: &[KeypointFrame]| -> [f64; NUM_KEYPOINTS] {
         let [a, b, c, d] = frames else {
@@ -165,7 +165,7 @@ pub fn jerk(points: &[KeypointFrame], fps: Fps) -> Option<f64> {
 }
 
 /// Mean horizontal speed in m/s of the lowest foot: for each two consecutive frames, the ankle or toe joint with the
-/// lowest mean height in both. None for fewer than two frames.
+/// lowest mean height in both. `None` for fewer than two frames.
 ///
 /// A standing or walking body always has a foot at rest on the floor, so the value is near 0; for a gliding body it is
 /// the body's speed. No height threshold defines contact, so a floating body is measured too.

@@ -128,7 +128,7 @@ mod tests {
             }
             assert!(first.iter().zip(&second).all(|(a, b)| a != b));
         }
-        // All takes are at distance 1 from each other, so pairing a take with itself would lower the mean.
+        // All takes are at distance √2 from each other, so pairing a take with itself would lower the mean.
         let takes = Matrix::diagonal(&[1.0; 12]);
         let [first, second] = pairs(12, T2M_PAIRS, &mut Seed(3).rng(&["mm"])).expect("enough");
         let value = multimodality_of_pairs(&[takes], &first, &second).expect("valid");

@@ -24,8 +24,8 @@ pub static POSITION_ERROR: Metric = Metric {
     measure: Measure::Motion(|sample| error_cm(sample, |_| true)),
 };
 
-/// [`POSITION_ERROR`] of the keypoints that the item asks to change, in centimetres; none if the item does not state
-/// them.
+/// [`POSITION_ERROR`] of the keypoints that the item asks to change, in centimetres; no value if the item does not
+/// state them.
 pub static ERROR_INSIDE: Metric = Metric {
     name: "Error inside the mask (cm)",
     about: "position error of the keypoints that the item asks to change (eyes belong to the head, fingers to the \
@@ -38,7 +38,7 @@ pub static ERROR_INSIDE: Metric = Metric {
     }),
 };
 
-/// [`POSITION_ERROR`] of all other keypoints, in centimetres; none if the item does not state the changed ones, or
+/// [`POSITION_ERROR`] of all other keypoints, in centimetres; no value if the item does not state the changed ones, or
 /// changes all.
 pub static ERROR_OUTSIDE: Metric = Metric {
     name: "Error outside the mask (cm)",
@@ -54,7 +54,7 @@ pub static ERROR_OUTSIDE: Metric = Metric {
     }),
 };
 
-/// Mean distance to some keypoints of the target in centimetres, with both motions placed by their first frames; none
+/// Mean distance to some keypoints of the target in centimetres, with both motions placed by their first frames; `None`
 /// without keypoints.
 fn error_cm(sample: &MotionSample<'_>, is_counted: impl Fn(usize) -> bool) -> Option<f64> {
     let count = sample.protocol.keypoints.count();
@@ -102,10 +102,8 @@ pub(crate) fn distances(
         .collect()
 }
 
-/// The mean distance between the first `count` keypoints of two motions in metres, over the
-/// frames both have.
-///
-/// Frames beyond the end of the shorter motion are left out. The motions are not aligned.
+/// The mean distance between the first `count` keypoints of two motions in metres, over the frames that both have. The
+/// motions are not aligned.
 ///
 /// # Shapes
 /// Both are `[L, 28]` at the same frame rate; `L` may differ.

@@ -67,6 +67,8 @@ const fn ranked(name: &'static str, counterpart: Counterpart, summary: RankSumma
 /// Tasks whose edits keep most of their original.
 const PRESERVING: [&str; 2] = ["fine-grained", "motionfix"];
 
+/// Which recalls of the source are good for a task.
+///
 /// # Source
 /// In Table 1 (body parts, style), a good E2S recall is close to that of the real data: a higher one means that too
 /// little was edited. In Table A1 (fine-grained) and Table 2, higher is better.
@@ -119,7 +121,7 @@ impl Retrieval {
         Self::mean(&parts.collect::<Vec<_>>())
     }
 
-    /// The unweighted mean.
+    /// The unweighted mean of several summaries.
     ///
     /// # Panics
     /// If there are none.

@@ -1,7 +1,7 @@
 // The viewers of a report: they show the motions of an item side by side, in sync.
 //
-// It draws with WebGL 2, and with lines on a plain canvas where there is none. The motions lie in
-// the page itself, as millimetres in base64, so that the file works without a server.
+// The script draws with WebGL 2 or, in browsers without it, with lines on a plain canvas. The motions lie in the page
+// itself, as millimetres in base64, so that the file works without a server.
 "use strict";
 (() => {
   const START = [232, 131, 58], MIDDLE = [181, 84, 140], END = [47, 111, 208];
@@ -10,15 +10,15 @@
   const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
   const GHOST_SECS = 0.75;
   const FIELD = 0.6;
-  // A pane narrower than this share of its height sees the same width from farther away.
+  // In a pane narrower than this share of its height, the picture shrinks, so that it shows the same width.
   const LEAST_ASPECT = 0.7;
-  // How much wider the radius of a bone's mark is than that of the bone, in metres.
+  // Radius of a bone's mark minus the radius of the bone, in metres.
   const MARK = 0.032;
   const LEFT_HIP = 1, RIGHT_HIP = 2;
 
   // ---- Data -----------------------------------------------------------------------------------
 
-  /** Positions in metres, frame after frame, of a motion of the page. */
+  /** Decodes the positions of a motion, in metres, frame after frame. */
   function decoded(text) {
     const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
     const view = new DataView(bytes.buffer);
@@ -32,7 +32,7 @@
     return a.map((value, at) => (value + (b[at] - value) * t) / 255);
   }
 
-  /** A motion prepared for drawing: with its floor's height and its pelvis's path over the ground. */
+  /** A motion prepared for drawing: its decoded positions, number of frames and height of its floor. */
   function prepared(motion, parents) {
     const points = decoded(motion.points);
     const stride = 3 * parents.length;
@@ -42,7 +42,7 @@
     return { label: motion.label, parents, marked, points, stride, frames: points.length / stride, floor };
   }
 
-  /** Bones of a frame: both ends, radius, and whether the limb is on the left and its joint is marked. */
+  /** Bones of a frame: both ends, the radius, whether it is a left limb, and whether it is marked. */
   function bones(motion, frame) {
     const { parents, marked } = motion;
     const first = frame * motion.stride;
@@ -52,10 +52,10 @@
     };
     const found = [];
     for (let joint = 1; joint < parents.length; joint += 1) {
-      // The eyes lie on the head's ball and the fingers are thin.
+      // The eyes have no bone, because they lie on the ball of the head. Fingers are thin.
       if (joint === NECK_AND_EYES || joint === NECK_AND_EYES + 1) continue;
       const radius = joint >= NECK_AND_EYES ? 0.5 * RADIUS : RADIUS;
-      // A joint rotates the bones below it.
+      // A joint rotates the bones to its children, so a bone is marked if its parent joint is.
       const mark = marked.has(parents[joint]);
       found.push({ a: point(parents[joint]), b: point(joint), radius, left: LEFT.has(joint), mark });
     }
@@ -64,7 +64,7 @@
     const ball = [0, 1, 2].map((i) => 0.4 * middle[i] + 0.6 * head[i]);
     ball[1] += 0.03;
     found.push({ a: ball, b: ball, radius: HEAD_RADIUS, left: false, mark: marked.has(HEAD) });
-    // The nose tells where the figure looks.
+    // The nose shows where the figure looks.
     const nose = [0, 1, 2].map((i) => ball[i] + 1.5 * (middle[i] - ball[i]));
     found.push({ a: ball, b: nose, radius: 0.03, left: false, mark: false });
     return found;
@@ -478,7 +478,7 @@
         redraw();
       };
       event.target.addEventListener("pointermove", move);
-      // A touch that scrolls the page is cancelled.
+      // The browser cancels a touch that scrolls the page.
       for (const end of ["pointerup", "pointercancel"]) {
         event.target.addEventListener(end, () => event.target.removeEventListener("pointermove", move), { once: true });
       }

@@ -49,7 +49,7 @@ pub(super) fn section(strips: &[Strip]) -> String {
     )
 }
 
-/// Element and data of a viewer. The script fills every element of this class.
+/// Element and data of a viewer. The script fills every element of class `viewer`.
 ///
 /// With one strip, the viewer offers no choice of items. The id must be unique on the page.
 pub(super) fn element(id: &str, strips: &[Strip]) -> String {

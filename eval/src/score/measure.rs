@@ -194,7 +194,7 @@ struct Subject<'a> {
     system: &'a str,
     asked: &'a Asked<'a>,
     motion: Cow<'a, Motion>,
-    /// The edit; none if the motion is a source or target.
+    /// The edit; `None` if the motion is a source or target.
     edit: Option<&'a EditFacts>,
 }
 
@@ -220,7 +220,7 @@ fn other_takes<'a>(asked: &'a [Asked<'a>]) -> Vec<Subject<'a>> {
     })
 }
 
-/// Reads the edits of one take for some items; the items' positions are given.
+/// Reads the edits of one take for the items at positions `indices`.
 fn edits<'a>(
     test_set: &TestSet<'a>,
     take: &[usize],
@@ -440,7 +440,7 @@ impl<'a> Measuring<'a> {
         })
     }
 
-    /// Share of each motion's windows classified as composed; none without a classifier.
+    /// Share of each motion's windows classified as composed; `None` without a classifier.
     fn classify(
         &self,
         subjects: &[Subject<'_>],

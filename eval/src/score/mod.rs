@@ -32,9 +32,8 @@ pub(crate) use values::{Galleries, OfItems, Ranks, of_items};
 
 /// Scores every system that edited a test set.
 ///
-/// The edits may hold any number of systems, each with a motion for every item. A system may hold
-/// several takes of every item, such as samples from different seeds; repeat r then scores take r
-/// modulo their number.
+/// The edits may hold any number of systems, each with a motion for every item. A system may hold several takes of
+/// every item, such as samples from different seeds; repeat r then scores take r modulo their number.
 ///
 /// Also compares every system with the identity editor and with the next worse system in E2T R@1: for each task, the
 /// paired differences in the metrics that support claims ([`CLAIMS`]).

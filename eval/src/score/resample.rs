@@ -17,7 +17,7 @@ pub(crate) struct Resamples {
 }
 
 impl Resamples {
-    /// Draws from the targets of the items, given by name; items with equal names share a target.
+    /// Draws targets. `targets` names the target of each item; items with equal names share a target.
     pub(crate) fn new<'a>(targets: impl Iterator<Item = &'a str>, protocol: &Protocol) -> Self {
         let mut groups: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
         for (item, target) in targets.enumerate() {
@@ -59,7 +59,7 @@ impl Resamples {
             })
     }
 
-    /// The mean over the items of each resample; items without a value (NaN) are left out.
+    /// The mean over the items of each resample. Items without a value (NaN) and resamples of only such are left out.
     pub(crate) fn means(&self, values: &[f64]) -> Vec<f64> {
         let sums: Vec<(f64, f64)> = self
             .groups
@@ -134,7 +134,7 @@ mod tests {
         let values = [1.0, 1.0, 1.0, 1.0, 5.0, 5.0, 5.0, 5.0, 3.0, 3.0, 3.0, 3.0];
         let alone = ["a", "b", "c", "d", "e", "f", "g", "h", "i", "j", "k", "l"];
         let shared = ["a", "a", "a", "a", "b", "b", "b", "b", "c", "c", "c", "c"];
-        // The expected deviations of a mean of twelve and of three are 1.96 * sqrt(8/3) / sqrt(n).
+        // The expected half width of a mean of n values, here twelve and three, is 1.96 * sqrt(8/3) / sqrt(n).
         let (of_twelve, of_three) = (spread(&alone, &values), spread(&shared, &values));
         // The standard deviation of 1,000 resamples has an error of about 2 %; the bound is four times that.
         assert!((of_twelve / 0.924 - 1.0).abs() < 0.1, "{of_twelve}");

@@ -169,7 +169,7 @@ impl<'a> TestSet<'a> {
         }
     }
 
-    /// Positions of the items of each task, of all tasks together, and of each novelty.
+    /// Positions of the items of all tasks together, of each task, of each novelty, and of the recaptured items.
     pub(crate) fn tasks(&self) -> Vec<(&'a str, Vec<usize>)> {
         let mut kinds: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
         for index in 0..self.items.len() {
@@ -207,7 +207,7 @@ pub(super) fn windows_of(row: &EditFacts) -> Option<Windows> {
 /// Seeds and positions of the edits of each item.
 type OfSystem<'a> = BTreeMap<&'a str, Vec<(u64, usize)>>;
 
-/// Sorts the rows of a system by item and take. Takes are distinguished by their seed.
+/// Checks the edits of a system. Returns its takes, sorted by seed, each as the positions of its edits by item id.
 fn takes<'a>(system: &str, rows: OfSystem<'a>, ids: &[&'a str]) -> Result<Vec<Vec<usize>>, Error> {
     let missing: Vec<&str> = ids
         .iter()

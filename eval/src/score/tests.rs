@@ -58,7 +58,7 @@ impl<F: Fn(&[&Motion]) -> Latents> MotionEncoder for Encoder<F> {
     }
 }
 
-/// A motion with poses drawn from a seed of the name and the number.
+/// A still motion. Its pose is drawn with a seed that depends on the name and the number.
 fn motion(index: usize, name: &str) -> Motion {
     let mut rng = Seed(5).rng(&["row", name, &index.to_string()]);
     let mut pose = Pose::REST;
@@ -198,7 +198,7 @@ fn a_perfect_system_scores_as_the_real_data_and_a_lazy_one_as_identity() {
         &BONE_DRIFT,
         &COMPOSED,
         &MULTIMODALITY,
-        // No system records its seams.
+        // No system records its windows.
         &SEAM_ACCELERATION,
         // No item has locomotion.
         &GLIDING,
@@ -245,7 +245,7 @@ fn a_pop_at_a_seam_shows_there_and_real_data_are_looked_at_in_the_same_frames() 
     item.set_motions(&long("source"), Some(&long("target")), None);
     item.id = item.content_id();
     let mut row = answer("pops", &item, &long("target"));
-    // Windows of 16 frames at 10 fps: the second begins with frame 32 at 20 fps.
+    // Windows of 16 frames at 10 fps: the first new frame of the second is frame 32 at 20 fps.
     row.settings = r#"{"window": 16}"#.to_owned();
     for place in &mut row.transl[32..] {
         place[0] += 0.1;
@@ -300,7 +300,7 @@ fn whole_sets_are_at_no_distance_from_themselves_and_the_other_way_round_transpo
     let [by_real, by_edited] =
         [real, edited].map(|protocol| scored(&items, &[], &protocol).expect("valid"));
     let of = |system, metric| value(&by_real, "all", system, metric);
-    // Rounding error of a trace of order one.
+    // The distance is only the rounding error of a trace of order one.
     assert!(of(REAL_DATA, &FID_RAW) < 1e-11);
     assert_eq!(of(REAL_DATA, &retrieval::E2T_AVERAGE_RANK), 1.0);
     // Real data with originals as queries equals the identity editor with edited motions as queries: both use sources
@@ -366,7 +366,7 @@ fn repeats_that_draw_nothing_have_the_values_of_their_takes() {
         let both = of("both");
         let is_near = (both - expected).abs() < 1e-9 * expected.abs().max(1.0);
         assert!(is_near, "{metric}: {both} {expected}");
-        // If the takes are equal, the values do not vary.
+        // With a single take, the values do not vary.
         let first = found(&scores, "all", "first", metric);
         assert_eq!(first.ci95, None, "{metric}");
     }
@@ -385,7 +385,7 @@ fn metrics_and_intervals_need_their_items() {
         row.map(|row| (row.fid_items, row.ci95.is_some()))
     };
     let default = Protocol::default();
-    // A task of one item keeps the metrics that mean something.
+    // A task of one item keeps the metrics that need only one item.
     for (metric, is_there) in [
         (&FID, false),
         (&DIVERSITY, false),

@@ -72,7 +72,7 @@ mod tests {
         });
         let all = over_trainings(&trainings);
         assert_eq!(all.len(), 3);
-        // The mean over items of 1, 4 and 9, plus the sample variance of 1 between three trainings.
+        // The mean of the squared half widths (1, 4, 9), plus t² / 3 times the sample variance between trainings (1).
         let wide = (14.0f64 / 3.0 + 4.303 * 4.303 / 3.0).sqrt();
         for (row, mean, ci95, tolerance) in [(&all[0], 0.9, 0.3, 1e-12), (&all[1], 2.0, wide, 1e-9)]
         {

@@ -197,8 +197,8 @@ fn of_sets_by_repeat(
     Ok(found)
 }
 
-/// Values of the metrics of whole sets on one bootstrap resample, for each system. Galleries, halves and takes are
-/// those of the repeat with the same number.
+/// Values of the metrics of whole sets on one bootstrap resample, for each system. Halves and takes are those of the
+/// repeat whose number is `resample` modulo the number of repeats.
 pub(super) fn of_resample(
     systems: &[System<'_>],
     weights: &[u32],

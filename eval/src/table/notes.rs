@@ -89,7 +89,7 @@ pub(crate) fn of_shortages(row: &ScoreRow, metrics: &[&Metric]) -> Vec<String> {
     notes
 }
 
-/// A note that there are too few items for a Fréchet distance; none if there are enough.
+/// A note that there are too few items for a Fréchet distance; `None` if there are enough.
 pub(crate) fn shortage_of_fid(name: &str, items: usize, latent_width: usize) -> Option<String> {
     let needed = fid::min_items(latent_width);
     (items < needed).then(|| {
@@ -100,7 +100,7 @@ pub(crate) fn shortage_of_fid(name: &str, items: usize, latent_width: usize) -> 
     })
 }
 
-/// A note that there are too few targets for intervals; none if there are enough.
+/// A note that there are too few targets for intervals; `None` if there are enough.
 pub(crate) fn shortage_of_targets(targets: u32) -> Option<String> {
     (targets < MIN_TARGETS).then(|| {
         format!(

@@ -39,7 +39,7 @@ pub(crate) fn standings(scores: &[ScoreRow], judges: &Judges) -> Vec<Standing> {
     standings
 }
 
-/// Compares the scores of one table, if the table ranks systems.
+/// Compares the scores of one table, which must be able to rank systems.
 ///
 /// The best systems of a metric are those with the best printed value, provided that it is better than the identity
 /// editor's. A system that does not edit ([`idle`]) is never best.
@@ -115,7 +115,8 @@ fn printed(mean: f64, decimals: usize) -> f64 {
     (mean * unit).round()
 }
 
-/// How far a value is from the best, as printed. None if values near real data are good, but there is no real data.
+/// A number that is larger for worse values, from the value as printed. `None` if values near real data are good, but
+/// there is no real data.
 fn badness(column: Column, mean: f64, real: Option<f64>) -> Option<f64> {
     let printed = |mean: f64| printed(mean, column.metric.decimals);
     match column.better {
@@ -125,7 +126,7 @@ fn badness(column: Column, mean: f64, real: Option<f64>) -> Option<f64> {
     }
 }
 
-/// The values whose key no earlier value has.
+/// The first value of each key, in order.
 pub(super) fn distinct<T, K: PartialEq>(
     values: impl Iterator<Item = T>,
     key: impl Fn(&T) -> K,

@@ -146,7 +146,7 @@ fn a_weak_encoder_and_items_without_difference_rank_nothing() {
     }
 }
 
-/// The one table of scores whose encoders have no report.
+/// The only table of the scores. Nothing is known about their encoder.
 fn table(scores: &[ScoreRow], columns: &[&'static Metric]) -> Table {
     let mut tables = Table::from_scores(scores, &BTreeMap::new(), columns);
     assert_eq!(tables.len(), 1);

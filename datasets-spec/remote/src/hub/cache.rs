@@ -26,9 +26,9 @@ impl HubCache {
         Self { root: root.into() }
     }
 
-    /// The cache that the environment names: `HF_HUB_CACHE`, or `hub` in `HF_HOME`, or
-    /// `huggingface/hub` in `XDG_CACHE_HOME` or in `.cache` of the home folder. The caller passes
-    /// the environment in; none if it names no home.
+    /// The cache that the environment names: `HF_HUB_CACHE`, or `hub` in `HF_HOME`, or `huggingface/hub` in
+    /// `XDG_CACHE_HOME` or in `.cache` of the home folder; `None` if it names no home. `variable` returns the value of
+    /// an environment variable.
     pub fn from_variables(variable: impl Fn(&str) -> Option<OsString>) -> Option<Self> {
         let own = variable("HF_HUB_CACHE").filter(|value| !value.is_empty());
         let root = match own {
@@ -48,7 +48,7 @@ impl HubCache {
             .join(format!("models--{}", repo.replace('/', "--")))
     }
 
-    /// A file of a model as it was last fetched; none if it never was.
+    /// Path of a file of a model as it was last fetched; `None` if it never was.
     pub fn find(&self, repo: &str, file: &str) -> Option<PathBuf> {
         let folder = self.folder(repo);
         let commit = fs::read_to_string(folder.join("refs").join(BRANCH)).ok()?;
@@ -107,8 +107,7 @@ impl HubCache {
     }
 }
 
-/// Creates the entry of a snapshot: a symbolic link, or a hard link where the system does not allow
-/// those.
+/// Creates the entry of a snapshot: a symbolic link on Unix, a hard link elsewhere.
 fn link(blob: &Path, path: &Path) -> io::Result<()> {
     // Replace a dangling link, which cleaning the cache can leave behind.
     match fs::remove_file(path) {

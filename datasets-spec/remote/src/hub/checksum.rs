@@ -98,8 +98,7 @@ pub(super) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Reads a file. If it is a link into the cache, whose blobs are named by their checksums, the checksum is
-/// verified.
+/// Reads a file. If it is a link to a blob of the cache, which is named by its checksum, the checksum is verified.
 ///
 /// # Errors
 /// The file cannot be read, or does not match its checksum.

@@ -13,7 +13,7 @@ use ureq::{Agent, Body, Proxy, RequestBuilder, SendBody};
 
 use super::error::Error;
 
-/// The public server. Responses of other servers may name it instead of themselves.
+/// The public server. The responses of other servers may hold its address instead of their own.
 const ENDPOINT: &str = "https://huggingface.co";
 /// The branch used if none is named.
 pub(super) const BRANCH: &str = "main";
@@ -29,7 +29,7 @@ const MAX_MESSAGE_LEN: usize = 300;
 /// Content type of most calls.
 pub(super) const JSON: &str = "application/json";
 
-/// A server of repos.
+/// A client of a server of repos: the Hugging Face hub, or another server with the same interface.
 #[derive(Clone)]
 pub struct Hub {
     endpoint: String,
@@ -53,11 +53,11 @@ impl Hub {
     }
 
     /// The server, and the proxy to it, that the variables `HF_ENDPOINT`, `HTTPS_PROXY` and `ALL_PROXY` name; without
-    /// them the public server, reached directly. The caller passes the environment in. No token is set, because a wrong
-    /// token would be refused even where none is needed.
+    /// them the public server, reached directly. `variable` returns the value of an environment variable. No token is
+    /// set, because a wrong token would be refused even where none is needed.
     ///
     /// # Errors
-    /// A variable does not name a proxy.
+    /// The address of the proxy is malformed.
     pub fn from_variables(variable: impl Fn(&str) -> Option<OsString>) -> Result<Self, Error> {
         let text = |name: &str| {
             variable(name)
@@ -243,7 +243,8 @@ impl Hub {
     }
 }
 
-/// The end of a file that became shorter. Without it, ureq would wait for the missing bytes forever.
+/// A reader that fails. It follows a file's content, so it is read only if the file became shorter; without it, ureq
+/// would wait for the missing bytes forever.
 struct Shortened;
 
 impl Read for Shortened {
@@ -298,7 +299,7 @@ impl Answer {
 }
 
 /// The folder of Hugging Face's tools that the environment names: `HF_HOME`, or `huggingface` in `XDG_CACHE_HOME` or in
-/// `.cache` of the home folder; none if it names no home.
+/// `.cache` of the home folder; `None` if it names no home.
 pub(super) fn home_from_variables(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     let folder = |name: &str| {
         variable(name)
@@ -313,9 +314,9 @@ pub(super) fn home_from_variables(variable: impl Fn(&str) -> Option<OsString>) -
         })
 }
 
-/// The token that the environment names: `HF_TOKEN`, or the file of `hf auth login`, which is `HF_TOKEN_PATH` or `token`
-/// in the folder of Hugging Face's tools (`HF_HOME`). The caller passes the environment in; none if there is no such
-/// file.
+/// The token that the environment names: `HF_TOKEN`, or the content of the file of `hf auth login`, which is
+/// `HF_TOKEN_PATH` or `token` in the folder of Hugging Face's tools (`HF_HOME`); `None` if there is neither. `variable`
+/// returns the value of an environment variable.
 pub fn token_from_variables(variable: impl Fn(&str) -> Option<OsString>) -> Option<String> {
     let value = |name: &str| variable(name).filter(|value| !value.is_empty());
     let token = match (value("HF_TOKEN"), value("HF_TOKEN_PATH")) {
@@ -326,7 +327,7 @@ pub fn token_from_variables(variable: impl Fn(&str) -> Option<OsString>) -> Opti
     Some(token.trim().to_owned()).filter(|token| !token.is_empty())
 }
 
-/// Redirect target of a response; none if it is not a redirect.
+/// Redirect target of a response; `None` if it is not a redirect.
 pub(super) fn redirect(address: &str, response: &Response<Body>) -> Option<String> {
     let place = text_of(response.headers(), header::LOCATION.as_str())
         .filter(|_| response.status().is_redirection())?;

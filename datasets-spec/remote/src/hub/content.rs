@@ -1,4 +1,4 @@
-//! Files that are published.
+//! Files to publish.
 
 use std::fs::{self, File};
 use std::io::{Cursor, Read};
@@ -54,7 +54,7 @@ impl Content {
         Ok(content)
     }
 
-    /// The first `len` bytes, or all where there are fewer.
+    /// The first `len` bytes, or all if there are fewer.
     pub(super) fn start(&self, len: u64) -> Result<Vec<u8>, Error> {
         let mut bytes = Vec::new();
         self.open()?
@@ -97,8 +97,8 @@ impl Content {
     }
 }
 
-/// The files below a folder, by their paths. Hidden files and folders, locks, and the folders in `without` (relative to
-/// the folder) are skipped.
+/// The files below a folder, sorted by path. Hidden files and folders, files named `LOCK`, and the paths in `without`
+/// (relative to the folder) are skipped.
 ///
 /// # Errors
 /// A folder cannot be listed.

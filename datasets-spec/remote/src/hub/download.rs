@@ -10,7 +10,7 @@ use super::checksum::{Checksum, Wanted};
 use super::client::{BRANCH, Hub, MAX_REDIRECTS, is_commit, redirect, text_of};
 use super::error::Error;
 
-/// Maximum number of connections per download; each must have made progress.
+/// Maximum number of connections per download. A connection without progress ends it earlier.
 const MAX_ATTEMPTS: u32 = 20;
 const BUFFER_LEN: usize = 1 << 18;
 
@@ -51,8 +51,8 @@ pub(super) fn describe(hub: &Hub, repo: &str, file: &str) -> Result<Option<Remot
         let response = hub.head(&address)?;
         let status = response.status();
         let headers = response.headers();
-        // The redirect to a large file carries its metadata; for small or moved files, the
-        // target on the same server does.
+        // The redirect to a large file carries its metadata. For small or moved files, the target on the same server
+        // carries it.
         let is_described = headers.contains_key("x-linked-etag");
         let is_here =
             text_of(headers, header::LOCATION.as_str()).is_some_and(|place| place.starts_with('/'));
@@ -181,7 +181,7 @@ fn advance(
             .map_err(Interrupted::Disk)?;
         *done += count as u64;
         if len.is_some_and(|len| *done > len) {
-            // Truncate the excess, so that the next run resumes from bytes that may be right.
+            // Discard all bytes: the next run starts from the beginning.
             *done = 0;
             file.set_len(0).map_err(Interrupted::Disk)?;
             let problem = "the server sends more than it said".to_owned();

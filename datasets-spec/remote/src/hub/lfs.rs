@@ -104,7 +104,7 @@ fn upload(hub: &Hub, object: &Object<'_>, actions: &Value) -> Result<(), Error> 
     Ok(())
 }
 
-/// Upload addresses of the parts of an object in order, with the bytes of each. A header holds them by part number.
+/// Upload addresses of an object's parts in order, each with its length. `header` holds them by part number.
 fn parts_of<'a>(
     object: &Object<'_>,
     header: &'a Value,

@@ -36,12 +36,12 @@ pub struct Staged {
 }
 
 impl Staged {
-    /// Present path of the folder.
+    /// Path of the folder before it is published.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Makes the folder appear.
+    /// Renames the folder to the output folder.
     ///
     /// # Errors
     /// The folder cannot be renamed.
@@ -61,18 +61,18 @@ impl Staged {
     }
 }
 
-/// The version in the path of a manifest; none if the path is not that of a manifest.
+/// The version in the path of a manifest; `None` if the path is not that of a manifest.
 pub fn manifest_version(path: &str) -> Option<u64> {
     let number = path.strip_prefix("meta/manifest-")?;
     number.strip_suffix(".json")?.parse().ok()
 }
 
-/// Downloads the files of a repo beside the folder `out`. Of a dataset, these are the files of its newest version. Each is
+/// Downloads the files of a repo into a folder beside `out`; of a dataset, only those of its newest version. Each is
 /// checked against its checksum, and an interrupted download is resumed.
 ///
 /// # Errors
-/// The folder exists already, the repo has no such revision or holds nothing of this program, the server refuses or
-/// fails, or a file does not match its checksum. Downloaded files are kept, unless they are wrong.
+/// `out` exists already, the repo has no such revision or holds no dataset or run of this program, the server refuses
+/// or fails, or a file does not match its checksum. Downloaded files are kept, unless they are wrong.
 pub fn pull(
     hub: &Hub,
     repo: &Repo,

@@ -1,4 +1,4 @@
-//! Publishing: one commit of what differs.
+//! Publishing: one commit of the files that differ.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,7 +14,7 @@ use super::error::Error;
 use super::lfs::{self, Object};
 use super::repo::{Repo, Tree, commit_of, create, tree};
 
-/// Files per request about existing files; the server's maximum.
+/// Files per request that asks how files are stored; the server's maximum.
 const BATCH: usize = 256;
 /// First bytes of a file, from which the server decides between text and binary data.
 const SAMPLE_LEN: u64 = 512;
@@ -30,14 +30,14 @@ pub struct PushOptions<'a> {
     pub message: &'a str,
     /// Whether a new repo is private.
     pub is_private: bool,
-    /// Files and folders to delete from the repo; published files cannot be deleted.
+    /// Files and folders to delete from the repo. A file of this push cannot be deleted.
     pub delete: &'a [String],
 }
 
 /// Result of a push, or of its dry run.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Pushed {
-    /// Id of the commit; none if nothing differs or nothing is written.
+    /// Id of the commit; `None` if nothing differs, or in a dry run.
     pub commit: Option<String>,
     /// Files that are new or changed.
     pub changed: Vec<String>,
@@ -45,9 +45,9 @@ pub struct Pushed {
     pub unchanged: usize,
     /// Files that were deleted.
     pub deleted: Vec<String>,
-    /// Files of the repo that are not published; they stay.
+    /// Files of the repo that this push neither writes nor deletes.
     pub only_in_repo: Vec<String>,
-    /// Large files that were uploaded; the others were already stored, in this repo or by an interrupted upload.
+    /// Number of large files that were uploaded. The others were stored before, here or by an interrupted upload.
     pub sent: usize,
     /// Total size of these files in bytes.
     pub sent_bytes: u64,
@@ -59,7 +59,7 @@ pub struct Push<'a> {
     hub: &'a Hub,
     repo: &'a Repo,
     options: PushOptions<'a>,
-    /// The parent commit; none if the repo does not exist yet.
+    /// The parent commit; `None` if the repo does not exist yet.
     parent: Option<String>,
     changed: Vec<&'a HubFile>,
     preview: Pushed,
@@ -69,7 +69,7 @@ impl<'a> Push<'a> {
     /// Compares files with those of a repo. Nothing is written.
     ///
     /// # Errors
-    /// A file to delete is not there or is published; the server refuses or fails, or a file cannot be read.
+    /// A file to delete is not in the repo or is in this push, the server refuses or fails, or a file cannot be read.
     pub fn plan(
         hub: &'a Hub,
         repo: &'a Repo,
@@ -104,7 +104,7 @@ impl<'a> Push<'a> {
         })
     }
 
-    /// Contents of the commit, before it is made.
+    /// The changes that the commit will make.
     pub fn preview(&self) -> &Pushed {
         &self.preview
     }
@@ -241,7 +241,7 @@ fn by_mode<'a>(
     Ok((regular, large))
 }
 
-/// The objects without duplicates of equal content.
+/// One object of each content, sorted by path.
 fn distinct<'a>(objects: &[Object<'a>]) -> Vec<Object<'a>> {
     let by_oid: BTreeMap<&str, &Object<'a>> = objects
         .iter()

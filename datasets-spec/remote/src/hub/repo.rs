@@ -12,7 +12,7 @@ use super::checksum::{Checksum, Wanted};
 use super::client::{Answer, Hub, JSON, is_commit, quoted, text_of};
 use super::error::Error;
 
-/// Most characters of a name.
+/// Maximum number of characters of a name.
 const MAX_NAME_LEN: usize = 96;
 
 /// Kind of a repo's contents.
@@ -127,8 +127,8 @@ impl fmt::Display for Repo {
     }
 }
 
-/// The commit of a branch, tag or commit; none if there is no such repo. Without a token, a missing repo cannot be
-/// distinguished from a private one.
+/// The commit of a revision (branch, tag or commit); `None` if there is no such repo. Without a token, a missing repo
+/// cannot be distinguished from a private one.
 pub(super) fn commit_of(hub: &Hub, repo: &Repo, revision: &str) -> Result<Option<String>, Error> {
     let address = format!("{}/revision/{}", repo.api(hub), quoted(revision, ""));
     let answer = hub.ask(&address)?;

@@ -1,4 +1,4 @@
-//! Downloads from a server of a few lines on this machine.
+//! Downloads from a small server on this machine.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -52,8 +52,8 @@ impl Served {
 /// Requests a server has answered: method, path and range.
 type Log = Arc<Mutex<Vec<String>>>;
 
-/// Starts a server that ends with the test process. Like the public server, it redirects large files to another server,
-/// and small files to an address that describes them.
+/// Starts a server that ends with the test process. Like the public server, it redirects requests for large files to
+/// another server, and requests for small files to another path of its own.
 fn serve(files: BTreeMap<&'static str, Served>) -> (Hub, Log) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = listener.local_addr().expect("bound");
@@ -109,7 +109,7 @@ fn answer(
         let head = format!("{status}\r\nContent-Length: {left}\r\nETag: W/\"{etag}\"");
         (head, body)
     } else {
-        // Large files lie on another server, so their place is a whole address.
+        // Large files lie on another server, so the redirect names a whole URL.
         let place = match etag.len() {
             64 => format!(
                 "X-Linked-Etag: \"{etag}\"\r\nX-Linked-Size: {len}\r\nLocation: http://{}",
@@ -151,7 +151,7 @@ fn fetch(cache: &HubCache, hub: &Hub, file: &str) -> Result<Option<PathBuf>, Err
     cache.fetch(hub, REPO, file, &mut |_, _| {})
 }
 
-/// A partial file that an earlier run left behind.
+/// Writes a partial file, as an interrupted run leaves it.
 fn put_part(cache: &HubCache, served: &Served, bytes: &[u8]) -> PathBuf {
     let blobs = cache.folder(REPO).join("blobs");
     fs::create_dir_all(&blobs).expect("created");
