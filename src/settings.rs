@@ -34,8 +34,8 @@ fn place(text: &str, path: &Path, byte: usize) -> String {
     format!("{}:{line}:{column}", path.display())
 }
 
-/// Puts file, line and column before an error about a setting ([`SettingError`]) of a file. If several places of the
-/// file have its keys, only the file is named.
+/// Puts file, line and column before an error about a setting ([`SettingError`]) of a file, or only the file if its
+/// keys are not at exactly one place. Returns other errors unchanged.
 pub(crate) fn at(path: &Path, error: anyhow::Error) -> anyhow::Error {
     let setting = error
         .chain()
@@ -55,7 +55,8 @@ pub(crate) fn at(path: &Path, error: anyhow::Error) -> anyhow::Error {
     error.context(place)
 }
 
-/// Finds a path of keys starting at any table of a document: the byte offsets of the last key.
+/// Searches for a path of keys from this table and from every table inside it. Adds the byte offset of the last key to
+/// `found` for each occurrence.
 fn find(table: &DeTable<'_>, keys: &[String], found: &mut Vec<usize>) {
     let mut inner = Some(table);
     let mut at = None;
