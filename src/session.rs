@@ -62,7 +62,7 @@ pub(crate) fn hub_cache() -> Option<HubCache> {
     HubCache::from_variables(|name| std::env::var_os(name))
 }
 
-/// What a job that runs a model needs and its plan does not store.
+/// Settings of this process that a job with a model needs and its plan does not hold.
 pub(crate) fn surroundings() -> Surroundings {
     Surroundings {
         device: device(),

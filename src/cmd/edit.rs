@@ -252,7 +252,7 @@ fn profile(times: &EditTimes) -> String {
     grids.iter().map(Grid::text).collect()
 }
 
-/// The instructions, one layer after another.
+/// The instructions as layers: each layer edits the result of the one before.
 fn asked(args: &Args, motion: &Motion) -> Vec<Vec<TimedInstruction>> {
     if !args.during.is_empty() {
         return vec![args.during.clone()];
@@ -316,7 +316,7 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
     say(args, &edited, &remarks, global)
 }
 
-/// Warnings about edits of a motion. They are also printed.
+/// Returns warnings about the edits of a motion, and prints them.
 fn remarks(system: &dyn EditSystem, motion: &Motion, texts: &[String]) -> Remarks {
     let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
     let remarks = system.remarks(&[(motion.len(), motion.fps())], &texts);
