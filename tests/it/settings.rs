@@ -21,7 +21,7 @@ fn a_wrong_setting_is_named_once_by_file_line_and_column_and_a_training_by_its_f
     refused(&config, long, "2:3", "invalid type: string \"long\"");
     let compose = format!("{train} --compose @own.toml");
     refused(&compose, "fsp = 10\n", "1:1", "unknown field `fsp`");
-    // Keys with equal names in different sections are distinguished; keys outside of sections are accepted.
+    // Keys of the same name in different sections are told apart, and keys outside of sections are found.
     let run = "sources = [\"corpus\"]\nout = \"made\"\n";
     let plan =
         "dataset = \"dataset\"\nout = \"made\"\n[items]\ncount = 8\n[[system]]\nname = \"one\"\n";
