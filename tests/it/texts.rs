@@ -206,7 +206,7 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
         let frozen = frozen(&workshop, run);
         frozen["encoder_hash"].as_str().expect("a hash").to_owned()
     };
-    // Both hashes are of the same network; one run has a scaled vector for each text, the other a vector for each token.
+    // Both hashes are of the same network: one run has a scaled vector for each text, the other one for each token.
     let (pooled, states) = (hash("motionrefit"), hash("tmed"));
     assert_eq!(
         pooled.strip_prefix("rms10-"),
