@@ -60,7 +60,7 @@ pub(crate) struct Args {
     /// Strength of the coordinator's guidance [default: from the editor's settings]
     #[arg(long, value_name = "FACTOR", requires = "coordinator")]
     coordinator_strength: Option<f64>,
-    /// Number of last diffusion steps that the coordinator guides [default: from the editor's settings]
+    /// Number of final diffusion steps that the coordinator guides [default: from the editor's settings]
     #[arg(long, value_name = "N", requires = "coordinator")]
     coordinator_steps: Option<usize>,
     /// Folder of CLIP or BERT, or a table of vectors (`stance model table`), for an editor with a frozen text encoder
@@ -85,7 +85,7 @@ pub(crate) struct Args {
     /// MDM-BP: diffusion step whose noise is added to the source at the start [default: the last step]
     #[arg(long, value_name = "STEP")]
     start: Option<usize>,
-    /// MDM-BP: last diffusion steps in which the whole body is free [default: 20 of 1,000]
+    /// MDM-BP: number of final diffusion steps in which the whole body is free [default: 20 of 1,000]
     #[arg(long, value_name = "N")]
     release: Option<usize>,
     /// Test items to answer, as `stance items` draws them; --seed applies only to the sampling

@@ -135,7 +135,7 @@ struct Measure {
     /// Compare whole sets by FID instead of random halves
     #[arg(long)]
     fid_all: bool,
-    /// Score this many items, drawn at random: 506 of MotionFix' 1,013 are the half that the code of
+    /// Score this many items, drawn at random: 506 of MotionFix's 1,013 are the half that the code of
     /// later systems scores
     #[arg(long, value_name = "N")]
     items_limit: Option<usize>,

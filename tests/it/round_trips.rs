@@ -403,8 +403,8 @@ fn every_answer_of_a_project_comes_back_and_what_a_layout_leaves_out_is_counted(
     assert_eq!(counts["left_out_rejected_pairs"], REJECTED, "{tables}");
 }
 
-/// A project with unfinished work moves to another computer. The dataset was ingested there again: one clip has other
-/// content, and one is missing.
+/// A project with unfinished work moves to another computer: to the same dataset, and to one that was ingested again
+/// with other content.
 #[test]
 fn a_packed_project_goes_on_where_it_is_unpacked() {
     let made = Labelled::new();

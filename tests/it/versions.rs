@@ -424,7 +424,7 @@ fn clips_of_one_file_share_a_split_when_datasets_are_merged() {
     let moved = merged["moved"].as_object().expect("a map");
     assert_eq!(moved.len(), parted);
     verified(&out);
-    // A file with two clips in different splits does not pass `verify`.
+    // `verify` fails if clips of one file are in different splits.
     let moved = moved.keys().next().expect("one").as_str();
     rewrite(&out, |row| {
         if row.id.as_str() == moved {

@@ -263,7 +263,7 @@ fn files_of_dataset(
     Ok(files)
 }
 
-/// Publishes text under a name, replacing the file of that name.
+/// Adds a text file to those to publish, in place of one of the same name.
 fn replace(files: &mut Vec<HubFile>, name: &str, text: String) {
     files.retain(|file| file.path != name);
     files.push(HubFile {

@@ -76,7 +76,8 @@ pub(crate) struct RunConfig {
     pub(super) eval: Protocol,
 }
 
-/// Stages that can be switched off. Pairs, coordinator and captured pairs are also skipped if the data lack them.
+/// Stages that can be switched off. Pairs, coordinator and the editor of captured pairs are also skipped if the data do
+/// not allow them.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Stages {
