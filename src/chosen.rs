@@ -1,4 +1,4 @@
-//! The option `--where` of verbs that take a dataset.
+//! The option `--where` of verbs that read a dataset.
 
 use std::path::Path;
 

@@ -127,7 +127,7 @@ enum Command {
     Man(cmd::completions::ManArgs),
 }
 
-/// The command with a help text that lists its verbs by group, one line each.
+/// Adds a help text that lists the verbs by group, one line each.
 fn grouped(command: clap::Command) -> clap::Command {
     let mut verbs = String::new();
     for (title, names) in GROUPS {
@@ -209,7 +209,7 @@ mod tests {
         commands
     }
 
-    /// Finds verbs and options that were renamed in the program but not in the documents.
+    /// Fails for verbs and options that were renamed in the program but not in the documents.
     #[test]
     fn every_documented_command_is_one() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));

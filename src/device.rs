@@ -1,4 +1,4 @@
-//! The options that name a device, and the devices and operations of this process.
+//! The options that name a device, and the devices and arithmetic of this process.
 
 use std::sync::OnceLock;
 
@@ -67,7 +67,7 @@ impl DeviceArgs {
             kernels: !self.no_fused,
             bf16,
         };
-        // Chosen once, when the program starts.
+        // Only the first call in a process has an effect.
         let _ = CHOSEN.set((devices, arithmetic));
         Ok(())
     }
@@ -105,12 +105,12 @@ pub(crate) fn devices() -> &'static [Device] {
     &chosen().0
 }
 
-/// The operations with which models are computed.
+/// Which kernels and which precision models are computed with.
 pub(crate) fn arithmetic() -> Arithmetic {
     chosen().1
 }
 
-/// The device models run on, the first of several.
+/// The first of the chosen devices; models that do not train run on it alone.
 pub(crate) fn device() -> Device {
     devices()[0].clone()
 }

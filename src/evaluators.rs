@@ -27,7 +27,7 @@ pub(crate) struct EvaluatorRuns<'a> {
     pub(crate) coordinator: Option<&'a Path>,
 }
 
-/// Hash of the encoder of a run folder, or of the built-in one. Bundles identify their judge by it.
+/// Hash of the encoder of a run folder, or of the built-in one. A bundle of answers names its judge by this hash.
 pub(crate) fn judge_hash(run: &Path) -> anyhow::Result<String> {
     Ok(network(run)?.hash().to_owned())
 }
@@ -62,7 +62,7 @@ impl EvaluatorRuns<'_> {
     }
 }
 
-/// An encoder, and the reason why it cannot rank systems; none if it can.
+/// An encoder. `weakness` is the reason why it cannot rank systems; `None` if it can.
 struct Encoder {
     network: TmrEncoder,
     weakness: Option<String>,
@@ -128,8 +128,8 @@ impl MotionClassifier for Classifier<'_> {
     }
 }
 
-/// How well an encoder's texts and motions retrieve each other in a split: the number of clips, and one result per
-/// repeat.
+/// Measures how well an encoder's texts and motions retrieve each other in a split. Returns the number of clips, and
+/// one result per repeat.
 pub(crate) fn encoder_retrieval(
     root: &Path,
     run: &Path,
@@ -151,7 +151,7 @@ pub(crate) fn encoder_retrieval(
     Ok((clips.len(), repeats.collect()))
 }
 
-/// Latent vectors by text or motion.
+/// One latent vector per text or motion.
 type Latents = Vec<Vec<f64>>;
 
 /// The first caption of each clip, and the latent vectors of these captions and of the motions.
@@ -202,8 +202,8 @@ pub(crate) struct WeakJudgeArgs {
 }
 
 impl WeakJudgeArgs {
-    /// Exit code for scores that cannot rank systems for the reason `unranked`; `otherwise` if they can, or if
-    /// --weak-judge is given.
+    /// Exit code of an evaluation. `unranked` is the reason why the scores rank no systems: it is printed, and the exit
+    /// is [`Exit::Failed`] unless --weak-judge is given. Returns `otherwise` in all other cases.
     pub(crate) fn exit(self, unranked: Option<String>, otherwise: Exit) -> Exit {
         let Some(reason) = unranked else {
             return otherwise;

@@ -22,9 +22,9 @@ impl StdError for Stopped {}
 pub(crate) enum Exit {
     Done,
     Failed,
-    /// The command line is ambiguous.
+    /// The command line was parsed, but its sources are ambiguous (`E-SOURCE-NAME`).
     Usage,
-    /// Finished, some items quarantined.
+    /// Finished, but some items were quarantined.
     Quarantined,
     /// Ended by an interrupt, after saving (128 plus the number of the signal).
     Interrupted,
@@ -41,7 +41,7 @@ impl Exit {
         }
     }
 
-    /// The exit of a check, or of work some of which may have failed.
+    /// The exit of a check, or of work of which parts may have failed.
     pub(crate) fn done_if(has_passed: bool) -> Self {
         match has_passed {
             true => Self::Done,

@@ -10,7 +10,7 @@ use serde::Serialize;
 pub(crate) struct Failure {
     /// Code that scripts may rely on, such as `E-IO` or a code of the quarantine table.
     pub(crate) code: &'static str,
-    /// The file, folder or clip it happened to, if there is one.
+    /// The file, folder or clip that is concerned, if there is one.
     pub(crate) item: Option<String>,
     /// What happened, as printed on stderr.
     pub(crate) reason: String,

@@ -40,7 +40,7 @@ impl Global {
                 .num_threads(threads.into())
                 .build_global()?;
         }
-        // Check the variables now, so that long work does not fail later because of a wrong one.
+        // Check the variables of the frame cache now, so that long work does not fail later because of a wrong one.
         FrameCache::from_environment(|name| std::env::var_os(name)).map_err(anyhow::Error::msg)?;
         Ok(())
     }
@@ -49,7 +49,7 @@ impl Global {
         self.seed_or(None)
     }
 
-    /// The `--seed` option as it was given, for commands printed in reports; empty without one.
+    /// The option `--seed` as it was given, for the commands that reports print; empty if it was not given.
     pub(crate) fn seed_option(&self) -> String {
         self.seed
             .map_or(String::new(), |seed| format!(" --seed {seed}"))
@@ -99,10 +99,10 @@ impl Global {
     }
 }
 
-/// The names that an option takes, each with its value and its help.
+/// The names that an option accepts, each with its value and its help.
 pub(crate) type Names<T> = &'static [(&'static str, T, &'static str)];
 
-/// A parser of the option that takes these names.
+/// A parser that accepts these names and returns their values.
 pub(crate) fn one_of<T>(names: Names<T>) -> impl TypedValueParser<Value = T>
 where
     T: Copy + Send + Sync + 'static,

@@ -3,6 +3,6 @@
 use std::io;
 use std::process::Command;
 
-/// Makes the command that starts this program again, ready for arguments: pieces of long jobs may run in child
-/// processes. In the Python package the running executable is the interpreter, so the caller provides the command.
+/// Returns a command that starts this program again, without arguments: pieces of long jobs may run in child processes.
+/// The caller provides it, because in the Python package the running executable is the interpreter.
 pub type Itself<'a> = &'a dyn Fn() -> io::Result<Command>;

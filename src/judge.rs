@@ -19,7 +19,7 @@ const CONFIG: &str = include_str!("../eval/judge/builtin/config.json");
 const WEIGHTS: &[u8] = include_bytes!("../eval/judge/builtin/tmr.safetensors");
 const REPORT: &str = include_str!("../eval/judge/builtin/report.json");
 
-/// Key `encoder`: the encoder that evaluates.
+/// Value of the key `encoder` of a run's configuration: the encoder that evaluates.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(
     untagged,
@@ -72,7 +72,7 @@ pub(crate) fn load() -> anyhow::Result<TmrEncoder> {
     Ok(TmrEncoder::from_bytes(CONFIG, WEIGHTS, name, &device())?)
 }
 
-/// Refuses motions whose skeleton differs from the encoder's.
+/// Fails if the skeleton of the motions differs from the built-in encoder's.
 pub(crate) fn check_skeleton(skeleton: &Skeleton) -> anyhow::Result<()> {
     let name = Path::new(BUILTIN);
     Ok(check_skeleton_of(CONFIG, name, "the encoder", skeleton)?)

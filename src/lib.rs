@@ -56,7 +56,7 @@ fn run_words(words: &[OsString], itself: Itself<'_>) -> u8 {
     let cli = match Cli::of_words(words) {
         Ok(cli) => cli,
         Err(error) => {
-            // The command line did not parse, so search its words for --json.
+            // There are no parsed options, so search the words for --json.
             if has_json && error.use_stderr() {
                 report::failure(&Failure::of_usage(&error));
             }

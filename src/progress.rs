@@ -1,4 +1,4 @@
-//! Progress bars on a terminal, single lines elsewhere.
+//! Progress bars on a terminal, and one line at the end of each stage.
 
 use std::io::IsTerminal;
 use std::path::Path;
@@ -13,18 +13,18 @@ use crate::report;
 /// The visible bars; bars of parallel stages are drawn below each other.
 static DRAWN: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
 
-/// Draws the progress of one stage after another on stderr.
+/// Shows the progress of stages, one after another, on stderr.
 pub(crate) struct Bars {
     visible: bool,
     quiet: bool,
-    /// Folder that the lines name, if several stages of one name run side by side.
+    /// Name of a folder that is appended to the names of stages, if several stages of one name run side by side.
     folder: Option<String>,
     current: Mutex<Option<(String, ProgressBar, Instant)>>,
 }
 
 impl Bars {
-    /// Bars if stderr is a terminal and bars are not switched off; else a line at the end of a stage, or nothing with
-    /// --quiet.
+    /// Draws bars only if stderr is a terminal and neither option is set. Prints a line at the end of each stage unless
+    /// `quiet` is set.
     pub(crate) fn new(no_progress: bool, quiet: bool) -> Self {
         Self {
             visible: !no_progress && !quiet && std::io::stderr().is_terminal(),
@@ -34,20 +34,20 @@ impl Bars {
         }
     }
 
-    /// Bars whose lines name the last part of a run folder.
+    /// Appends the last part of a run folder to the names of stages.
     pub(crate) fn of(self, run: &Path) -> Self {
         let folder = run.file_name().unwrap_or(run.as_os_str());
         let folder = Some(folder.to_string_lossy().into_owned());
         Self { folder, ..self }
     }
 
-    /// Moves the bar to a number of items that are done.
+    /// Sets the number of items that are done.
     pub(crate) fn advance_to(&self, done: u64) {
         self.with_bar(|bar| bar.set_position(done));
     }
 
     fn with_bar(&self, act: impl FnOnce(&ProgressBar)) {
-        // A panic of another thread that advanced a bar does not affect the next line.
+        // The bar can be used even if another thread panicked while it held the lock.
         let current = self.current.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, bar, _)) = current.as_ref() {
             act(bar);

@@ -1,4 +1,4 @@
-//! The only module that prints: results to stdout, everything else to stderr.
+//! The only module that prints: results and JSON documents to stdout, everything else to stderr.
 #![expect(
     clippy::print_stderr,
     reason = "printing is this module's job; every other module hands it values"
@@ -41,7 +41,7 @@ pub(crate) fn json<T: Serialize>(value: &T) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A document with the fields of two.
+/// A JSON document with the fields of two values.
 #[derive(Serialize)]
 pub(crate) struct Joined<'a, T> {
     #[serde(flatten)]
@@ -122,8 +122,8 @@ pub(crate) fn error(error: &anyhow::Error) {
     note(&format!("error: {error:#}"));
 }
 
-/// Text without control characters other than line feeds and tabs. Names of files and of joints may contain escape
-/// codes that a terminal would execute. The escapes are those of JSON, so that a document keeps its meaning.
+/// Escapes control characters other than line feeds and tabs, because names of files and joints may contain codes that
+/// a terminal would execute. The escapes are those of JSON, so that a JSON document keeps its meaning.
 pub(crate) fn printable(text: &str) -> Cow<'_, str> {
     let obeyed = |c: char| c.is_control() && c != '\n' && c != '\t';
     if !text.contains(obeyed) {

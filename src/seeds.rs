@@ -28,8 +28,8 @@ impl Seeds {
         format!("split {split}, items {items}, training {train}, sampling {sample}")
     }
 
-    /// The seed of a model whose own settings may hold one; `resolved` is the seed in its settings, completed by the
-    /// preset.
+    /// The seed of a model: `--seed`, or else the seed in its `own` settings, or else `train`. `resolved` is the seed
+    /// in the model's settings completed by the preset; it counts only if `own` has the key `seed`.
     pub(crate) fn of_model(
         &self,
         resolved: u64,

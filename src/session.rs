@@ -15,7 +15,7 @@ use train::work::Surroundings;
 use crate::device::{arithmetic, device, devices};
 use crate::exit::{Exit, Stopped};
 
-/// Set by the first interrupt: training saves and ends.
+/// Set by the first interrupt; training then saves and ends.
 static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
 /// Fails after an interrupt.
@@ -26,15 +26,14 @@ pub(crate) fn go_on() -> Result<(), Stopped> {
     }
 }
 
-/// Turns the first interrupt into a request to save and end; a second one ends at once.
+/// Makes the first interrupt set `STOP`, and a second one end the program at once.
 fn listen_for_interrupts() {
     static LISTENING: Once = Once::new();
     LISTENING.call_once(|| {
         for signal in [SIGINT, SIGTERM] {
             let second = Exit::Interrupted.code().into();
-            // Registered first, so that it sees the flag before this signal sets it. Without a
-            // handler a signal ends the program at once, which loses no more than the steps since
-            // the last checkpoint.
+            // Registered first, so that it sees the flag before this signal sets it. Failures are ignored: without a
+            // handler a signal ends the program at once, which loses only the steps since the last checkpoint.
             let _ = flag::register_conditional_shutdown(signal, second, Arc::clone(&STOP));
             let _ = flag::register(signal, Arc::clone(&STOP));
         }
@@ -63,7 +62,7 @@ pub(crate) fn hub_cache() -> Option<HubCache> {
     HubCache::from_variables(|name| std::env::var_os(name))
 }
 
-/// Process-specific additions to a plan whose job runs a model.
+/// Settings of this process that a job with a model needs and its plan does not hold.
 pub(crate) fn surroundings() -> Surroundings {
     Surroundings {
         device: device(),

@@ -35,8 +35,9 @@ fn place(text: &str, path: &Path, byte: usize) -> String {
     format!("{}:{line}:{column}", path.display())
 }
 
-/// Puts file, line and column before an error about a setting of a file: an unknown one or one of another type
-/// ([`SettingError`]), or one out of range. If several places of the file have its keys, only the file is named.
+/// Puts file, line and column before an error about a setting of a file, or only the file if several places of it have
+/// the setting's keys. Other errors are returned unchanged, and so are those about a value that is out of range and not
+/// from the file.
 pub(crate) fn at(path: &Path, error: anyhow::Error) -> anyhow::Error {
     let Some(keys) = error.chain().find_map(keys_of) else {
         return error;
@@ -68,7 +69,8 @@ fn keys_of(cause: &(dyn Error + 'static)) -> Option<Vec<String>> {
     Some(field.split('.').map(str::to_owned).collect())
 }
 
-/// Finds a path of keys starting at any table of a document: the byte offsets of the last key.
+/// Searches for a path of keys from this table and from every table inside it. Adds the byte offset of the last key to
+/// `found` for each occurrence.
 fn find(table: &DeTable<'_>, keys: &[String], found: &mut Vec<usize>) {
     let mut inner = Some(table);
     let mut at = None;

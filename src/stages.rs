@@ -30,8 +30,8 @@ use crate::session::with_session;
 /// Name of the evaluation encoder among the models.
 pub(crate) const ENCODER: &str = "tmr";
 
-/// Makes the dataset of some sources in a folder, or completes it: motions, masks and, if there are settings for them,
-/// style pairs. Also returns the styled motions without a counterpart.
+/// Makes or completes the dataset of some sources in folder `root`: motions, masks and, if there are settings for them,
+/// style pairs. Also returns the ids of styled motions without a counterpart.
 pub(crate) fn dataset(
     (sources, root): (&[SourceArg], &Path),
     config: &IngestConfig,
@@ -82,7 +82,8 @@ pub(crate) fn triplets(
         .context("stage triplets")
 }
 
-/// Trains a model. An evaluation encoder that is complete gets a report on how well it retrieves.
+/// Trains a model. If it is the evaluation encoder and its training is complete, writes and returns a report on its
+/// retrieval.
 pub(crate) fn trained(
     kind: &ModelKind,
     request: &TrainRequest<'_>,
@@ -154,7 +155,7 @@ pub(crate) fn note_remarks(remarks: &Remarks) {
     }
 }
 
-/// Words of the instructions that the vocabulary of some system in the tables lacks.
+/// Words of the instructions that are missing from the vocabulary of at least one system in these tables of edits.
 pub(crate) fn unknown_words(edits: &[PathBuf]) -> anyhow::Result<BTreeSet<String>> {
     let mut words = BTreeSet::new();
     for folder in edits {

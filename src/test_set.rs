@@ -8,8 +8,7 @@ use compose::{ItemConfig, ItemCount, Novelty};
 use corpus::{CorpusOptions, HELD_OUT_CLIPS, PAIR_LIST};
 use datasets_spec::Seed;
 
-/// Name of the set: questions on the built-in corpus, in thirds by what training has shown: another take, other
-/// combinations, or no such action.
+/// Name of the set: questions on the built-in corpus, a third of each novelty that [`items`] lists.
 pub(crate) const BUILTIN_1: &str = "builtin-1";
 const COUNT: usize = 300;
 /// Number of items that the demo is scored on, unless all are requested.
@@ -27,7 +26,7 @@ pub(crate) fn corpus(seed: Seed) -> CorpusOptions {
     }
 }
 
-/// Number of items to draw: all, or the part that the demo is scored on. Another seed gives another set.
+/// Settings of the items: all, or the part that the demo is scored on. Only items of seed 0 are checked by digest.
 pub(crate) fn items(seed: Seed, is_full: bool) -> ItemConfig {
     ItemConfig {
         count: ItemCount::Exactly(COUNT),

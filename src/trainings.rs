@@ -1,4 +1,4 @@
-//! Several trainings at a time.
+//! Runs several trainings at the same time.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -23,8 +23,8 @@ pub(crate) struct TrainingsArgs {
 }
 
 impl TrainingsArgs {
-    /// Trainings at a time. Two trainings of a small model, on one thread each, take 1.6 times as many windows per
-    /// second as one on two threads. Memory limits how many large models train together.
+    /// Number of trainings at a time. Two trainings of a small model with one thread each process 1.6 times as many
+    /// windows per second as one with two threads. For large models memory is the limit, so the default is 1.
     pub(crate) fn at_once(&self, preset: Preset) -> usize {
         let fits = if preset == Preset::Tiny && self.device.is_processor() {
             rayon::current_num_threads().min(2)

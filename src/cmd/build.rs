@@ -86,7 +86,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
             format!("[export] names {name:?}, which is none of {known}")
         })?;
         let out = config.out.join(name);
-        // An export appears complete or not at all and depends only on the dataset, so an existing one is current.
+        // An export appears complete or not at all, so an existing one is complete; it is not written again.
         if !out.exists() {
             export(&Clips::all(&dataset), layout, &out, &global.bars())
                 .with_context(|| format!("stage export {name}"))?;

@@ -39,7 +39,7 @@ pub(crate) struct Args {
     trainings: TrainingsArgs,
 }
 
-/// Steps of the editor, fewer than the preset's: five minutes on one core at 900 windows a second.
+/// Steps of the editor, fewer than the preset's; they take five minutes on one core at 900 windows a second.
 const STEPS: u64 = 4_000;
 /// Steps of the coordinator. The preset's 6,000 lower its validation loss by a hundredth and take a minute more.
 const COORDINATOR_STEPS: u64 = 3_000;
@@ -63,14 +63,14 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     };
 
     let pairs = folder.join(PAIR_LIST);
-    // A demo folder that was moved or copied counts as the same source.
+    // With a fixed name, the source stays the same if the demo folder is moved or copied.
     let source = SourceArg {
         name: Some("corpus".to_owned()),
         path: folder,
     };
     let mut config = RunConfig::new(vec![source], args.out.clone());
     config.ingest.pairs = Some(pairs);
-    // Each takes as long to train as the editor.
+    // Off by default: each of these systems takes as long to train as the editor.
     let compares = args.full || args.quick;
     config.stages.composed_once = compares;
     config.stages.captured_alone = compares;

@@ -60,7 +60,7 @@ pub(crate) struct Args {
     /// Strength of the coordinator's guidance [default: from the editor's settings]
     #[arg(long, value_name = "FACTOR", requires = "coordinator")]
     coordinator_strength: Option<f64>,
-    /// Number of last diffusion steps that the coordinator guides [default: from the editor's settings]
+    /// Number of final diffusion steps that the coordinator guides [default: from the editor's settings]
     #[arg(long, value_name = "N", requires = "coordinator")]
     coordinator_steps: Option<usize>,
     /// Folder of CLIP or BERT, or a table of vectors (`stance model table`), for an editor with a frozen text encoder
@@ -85,7 +85,7 @@ pub(crate) struct Args {
     /// MDM-BP: diffusion step whose noise is added to the source at the start [default: the last step]
     #[arg(long, value_name = "STEP")]
     start: Option<usize>,
-    /// MDM-BP: last diffusion steps in which the whole body is free [default: 20 of 1,000]
+    /// MDM-BP: number of final diffusion steps in which the whole body is free [default: 20 of 1,000]
     #[arg(long, value_name = "N")]
     release: Option<usize>,
     /// Test items to answer, as `stance items` draws them; --seed applies only to the sampling
@@ -252,7 +252,7 @@ fn profile(times: &EditTimes) -> String {
     grids.iter().map(Grid::text).collect()
 }
 
-/// The instructions, one layer after another.
+/// The instructions as layers: each layer edits the result of the one before.
 fn asked(args: &Args, motion: &Motion) -> Vec<Vec<TimedInstruction>> {
     if !args.during.is_empty() {
         return vec![args.during.clone()];
@@ -316,7 +316,7 @@ fn one(args: &Args, id: &str, global: &Global) -> anyhow::Result<Exit> {
     say(args, &edited, &remarks, global)
 }
 
-/// Warnings about edits of a motion. They are also printed.
+/// Returns warnings about the edits of a motion, and prints them.
 fn remarks(system: &dyn EditSystem, motion: &Motion, texts: &[String]) -> Remarks {
     let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
     let remarks = system.remarks(&[(motion.len(), motion.fps())], &texts);

@@ -50,8 +50,8 @@ struct BundleArgs {
 
 /// Make a table of edits from answers of another program, so that `stance eval` can score them.
 ///
-/// A file is matched to an item by its name, a row of a table by its column `id`. This is the id of the item, followed
-/// by -SEED if there are several takes (for MotionFix, also the number of the pair). Readable are npz (AMASS's layouts,
+/// A file is matched to an item by its name, a row of a table by its column `id`. Both are the id of the item, or for
+/// MotionFix the number of the pair, followed by -SEED if there are several takes. Readable are npz (AMASS's layouts,
 /// z up; or transl, global_orient, body_pose and fps, y up), npy (dictionaries of MotionFix's evaluation; HumanML3D
 /// vectors [T, 263] and joints [T, 22, 3]), pkl of the STANCE release, and Parquet with id, transl, global_orient,
 /// body_pose and fps. Exits with 3 if answers were refused.
@@ -139,7 +139,7 @@ fn import(args: &ImportArgs, global: &Global) -> anyhow::Result<Exit> {
         true => Some(answers.commit(&args.out, &items, &skeleton, &global.holder())?),
         false => None,
     };
-    // Both are null if nothing was written.
+    // `out` and `root_hash` are null if nothing was written.
     let own = json!({
         "system": args.name,
         "out": written.as_ref().map(|_| args.out.display().to_string()),

@@ -135,7 +135,7 @@ struct Measure {
     /// Compare whole sets by FID instead of random halves
     #[arg(long)]
     fid_all: bool,
-    /// Score this many items, drawn at random: 506 of MotionFix' 1,013 are the half that the code of
+    /// Score this many items, drawn at random: 506 of MotionFix's 1,013 are the half that the code of
     /// later systems scores
     #[arg(long, value_name = "N")]
     items_limit: Option<usize>,
@@ -370,8 +370,8 @@ pub(crate) fn result_tables(scores: &Scores, table: TableArg, paper: PaperTable)
     }
 }
 
-/// Scores in the layout of a table of the paper: the table's tasks if the edits have any of them, otherwise all tasks
-/// with scores.
+/// Scores in the layout of a table of the paper. If the edits have tasks of that table, only these and pooled tasks are
+/// kept; otherwise all tasks are.
 fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
     let mut tables = Table::from_scores(&scores.rows, &scores.judges, &table.columns());
     let is_of_table = |found: &Table| table.tasks().contains(&found.task.as_str());

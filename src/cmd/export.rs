@@ -120,8 +120,8 @@ fn remark_before(layout: Layout, clips: &Clips) -> anyhow::Result<Vec<String>> {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let layout = args.to;
     let dataset = match &args.chosen.condition {
-        // Do not hash every file, which would read every clip: each chosen clip is checked when it is read. Stored
-        // features of HumanML3D have no hashes of their own.
+        // Verifying the files would read every clip; each chosen clip is checked when it is read instead. Stored
+        // features of HumanML3D have no hashes of their own, so for them all files are verified.
         Some(_) if layout != Layout::HumanMl3d => Dataset::open_unverified(&args.dataset)?,
         _ => Dataset::open(&args.dataset)?,
     };
@@ -194,7 +194,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     global.say(&document, &lines.join("\n"))
 }
 
-/// Note on captions without tags, and on how HumanML3D's evaluators read them.
+/// Note that captions have no part-of-speech tags, which HumanML3D's evaluators read; `None` if all have them.
 fn remark_on_tags(untagged: u64) -> Option<String> {
     (untagged > 0).then(|| {
         format!(
@@ -206,7 +206,7 @@ fn remark_on_tags(untagged: u64) -> Option<String> {
     })
 }
 
-/// Messages about omitted items, and about items in files outside the layout.
+/// Messages about data that the layout has no place for, and about unfinished exports of other machines.
 pub(crate) fn said(done: &Exported) -> Vec<String> {
     let list = |counts: &Counts| {
         let named = counts.iter().map(|(name, count)| match name.as_str() {

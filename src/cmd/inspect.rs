@@ -88,7 +88,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     }
 }
 
-/// Rows of a table by a column of text.
+/// Number of rows of a table for each value of a text column.
 fn counted<R: Row>(
     dataset: &Dataset,
     column: &'static str,
@@ -219,7 +219,7 @@ fn shard_text(shard: &ShardDescription) -> String {
     text
 }
 
-/// What is known of an item, a clip or a motion of a file: facts, and lists under their titles.
+/// Facts about an item, a clip or a motion of a file, and lists by their titles.
 #[derive(Default, Serialize)]
 struct About {
     /// Name of a motion in its file.
@@ -339,7 +339,7 @@ fn marked(text: &str, is_made: bool) -> String {
 #[derive(Serialize)]
 struct Foreign {
     format: &'static str,
-    /// The first motion that would be quarantined.
+    /// Reason why the first of the refused motions would be quarantined.
     #[serde(flatten)]
     failure: Option<Failure>,
     motions: Vec<About>,
@@ -377,7 +377,7 @@ fn foreign(path: &Path) -> anyhow::Result<Foreign> {
     })
 }
 
-/// A motion of a file, and why it would be quarantined.
+/// Describes a motion of a file, and returns the reason if it would be quarantined.
 fn about_outcome(name: &str, outcome: Outcome, skeleton: &Skeleton) -> (About, Option<Rejected>) {
     let mut about = About {
         name: Some(name.to_owned()),

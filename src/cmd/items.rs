@@ -40,11 +40,11 @@ pub(crate) struct Args {
     /// Number of items, or `all`: one of every mask and pair
     #[arg(long, value_name = "N|all", default_value_t = ItemConfig::default().count)]
     count: ItemCount,
-    /// Tasks to draw, of semantic, style, fine-grained and motionfix [default: all there is data for]
+    /// Tasks to draw: semantic, style, fine-grained or motionfix [default: all that the dataset has data for]
     #[arg(long, value_name = "TASK", value_delimiter = ',')]
     task: Vec<ItemTask>,
-    /// Novelties to draw in equal parts, of retake, combination, action and unshown: what the training split shows of a
-    /// question [default: not balanced]
+    /// Draw equal parts of these novelties: retake, combination, action, unshown. They say what the training split
+    /// shows of a question [default: not balanced]
     #[arg(long, value_name = "NOVELTY", value_delimiter = ',')]
     novelty: Vec<Novelty>,
     #[command(flatten)]

@@ -100,8 +100,8 @@ struct EncoderArgs {
 /// Encode texts with a BERT text encoder.
 ///
 /// The table is a safetensors file: the vectors as `embeddings`, one row for each text or each token, the texts as
-/// `texts` (JSON, in alphabetical order), and of tokens their numbers as `lengths` (JSON). Vectors are the unchanged
-/// output of the encoder; training with `text.encoder = "bert"` computes its own.
+/// `texts` (JSON, in alphabetical order), and for tokens their number in each text as `lengths` (JSON). Vectors are the
+/// unchanged output of the encoder; training with `text.encoder = "bert"` computes its own.
 #[derive(clap::Args, Debug)]
 struct EmbedArgs {
     /// The document of `stance model texts --json`
@@ -170,8 +170,8 @@ struct ImportArgs {
     /// Attention heads of an evaluation encoder, MDM or TMED, which the file does not record
     #[arg(long, value_name = "N", default_value_t = 4)]
     heads: usize,
-    /// Folder of the text encoder that the model uses: CLIP [default: the hub's cache]; for tmr DistilBERT: then the
-    /// text side in the same file, or in text_encoder.pt beside motion_encoder.pt, is imported too
+    /// Folder of the text encoder that the model uses: CLIP [default: the hub's cache]; for tmr DistilBERT, and then
+    /// the text side in the same file, or in text_encoder.pt beside motion_encoder.pt, is imported too
     #[arg(long, value_name = "FOLDER")]
     text_encoder: Option<PathBuf>,
     /// Run folder to write
@@ -349,7 +349,7 @@ fn import(args: &ImportArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The frozen CLIP of a network.
+/// Loads the frozen CLIP that a network uses.
 fn clip(args: &ImportArgs, model: ClipModel, vectors: BertVectors) -> anyhow::Result<TextRecord> {
     let clip = text_encoder(args.text_encoder.as_deref()).load(model, &device())?;
     Ok(TextRecord::frozen(&clip, vectors))
@@ -358,7 +358,7 @@ fn clip(args: &ImportArgs, model: ClipModel, vectors: BertVectors) -> anyhow::Re
 fn import_motionfix(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
     let options = StateDictOptions {
         strip: &["module.", "denoiser."],
-        // Lightning's checkpoints hold the text tower and the metrics too.
+        // Keep only these: checkpoints of Lightning hold the text tower and the metrics too.
         keep: &[
             "sep_token",
             "pose_proj_",
@@ -393,7 +393,7 @@ fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> any
         weights(file, &options)
     };
     let motions = side(&args.file, "motion_encoder.")?;
-    // The networks are in one file or in separate files.
+    // The motion and the text encoder are in one file or in two.
     let name = args.file.file_name().unwrap_or_default().to_string_lossy();
     let text_file = args
         .file
@@ -425,7 +425,7 @@ fn import_encoder(args: &ImportArgs, recipe: FeatureRecipe, stats: &Path) -> any
 }
 
 fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
-    // Newer checkpoints also hold averaged weights.
+    // Newer checkpoints also hold averaged weights (`model_avg`), which are preferred.
     let options = StateDictOptions {
         nested: &["model_avg", "model"],
         ..StateDictOptions::default()

@@ -46,7 +46,7 @@ pub(crate) struct Args {
     device: DeviceArgs,
 }
 
-/// Intervals of a histogram.
+/// Bars of a histogram.
 const BINS: usize = 24;
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
@@ -156,7 +156,7 @@ pub(crate) fn card(label: &str, value: impl ToString, note: &str) -> Card {
     }
 }
 
-/// Histograms of the length of the edits, and of the distance of their points from a skeleton.
+/// Histograms of the lengths of the edits in seconds, and of their bone drifts in centimetres.
 fn histograms(edits: &[EditFacts]) -> Vec<Chart> {
     let secs: Vec<f64> = edits
         .iter()
@@ -203,7 +203,7 @@ fn settings_of(edits: &[EditFacts]) -> BTreeMap<&str, serde_json::Value> {
     settings
 }
 
-/// The first edit on a page: [`best_edit`], between its source and its target. `None` without edits.
+/// The first edit on a page: [`best_edit`], between its source and its target. `None` if there is no best edit.
 pub(crate) fn opening(
     answered: &Answered,
     unknown: &BTreeSet<String>,
@@ -219,8 +219,8 @@ pub(crate) fn opening(
     }))
 }
 
-/// The strip of an item: the source first, then the edits, then the targets. The note names the words of
-/// the instruction that are among the `unknown` ones.
+/// The strip of an item: the source, the edits, the target and its other take. The note names the words of the
+/// instruction that are among `unknown`.
 pub(crate) fn strip_of(
     item: &ItemRow,
     made: &[EditRow],
@@ -251,7 +251,7 @@ fn rows_of<'a>(
     Ok(rows)
 }
 
-/// Rows of an item under its instruction, with the joints marked that it asks to change.
+/// Puts the rows of an item under its instruction, and highlights the joints that the item asks to change.
 fn marked_strip(
     item: &ItemRow,
     mut rows: Vec<Row>,

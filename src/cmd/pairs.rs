@@ -24,7 +24,7 @@ use crate::report;
 pub(crate) struct Args {
     /// Dataset folder
     dataset: PathBuf,
-    /// Style labels of motions before an edit
+    /// Style labels that count as no style: motions with them are originals of pairs
     #[arg(long, value_name = "STYLE", num_args = 1.., default_values_t = PairConfig::default().neutral)]
     neutral: Vec<String>,
     /// Add the pairs of this list instead of making them from labels: lines of styled clip, original clip, style and

@@ -95,7 +95,8 @@ fn csv(answer: &Answer) -> String {
     text
 }
 
-/// Maximum length of a printed cell. Longer cells are cut, with a mark; `--json` and `--csv` print them whole.
+/// Maximum length of a printed cell in characters. Longer cells are cut and end with …; `--json` and `--csv` print them
+/// whole.
 const LONGEST_CELL: usize = 80;
 
 fn table(answer: &Answer) -> String {

@@ -69,7 +69,7 @@ pub(crate) fn holds_items(dataset: &Dataset) -> bool {
     tables.contains_key(ItemRow::TABLE) && !tables.contains_key(MotionRow::TABLE)
 }
 
-/// Opens a dataset to read single clips, which are checked one by one. Files of items are checked here.
+/// Opens a dataset to read single clips. Clips are verified when they are read; the files of items are verified here.
 pub(crate) fn open_for_clips(path: &Path) -> anyhow::Result<Dataset> {
     let dataset = Dataset::open_unverified(path)?;
     Ok(match holds_items(&dataset) {
@@ -80,8 +80,8 @@ pub(crate) fn open_for_clips(path: &Path) -> anyhow::Result<Dataset> {
 
 const LABEL_CHARS: usize = 15;
 
-/// Labels of clips, made from their names. If a name is too long for a line, the common beginning of all names, up to
-/// its last separator, is left out; for a single name, its folder.
+/// Labels of clips, made from their names. If a name is longer than [`LABEL_CHARS`], the common beginning of all names,
+/// up to its last separator, is left out; of a single name, its folder is.
 fn labels(names: &[String]) -> Vec<String> {
     let [first, others @ ..] = names else {
         return Vec::new();
@@ -108,7 +108,7 @@ fn labels(names: &[String]) -> Vec<String> {
         .collect()
 }
 
-/// Name of a motion file without extension, and with the motion's name within it.
+/// Path of a motion file without its extension, followed by `#` and the name of the motion if one is given.
 fn name_of_file(path: &Path) -> String {
     let text = path.to_string_lossy();
     let (file, key) = text.rsplit_once('#').unwrap_or((&text, ""));
@@ -253,7 +253,7 @@ impl Picture {
         })
     }
 
-    /// Strips below each other, those of an item below its instruction.
+    /// Draws strips below each other; the strips of an item have its instruction above them.
     fn svg(&self, style: &Style) -> String {
         if self.instructions.is_empty() {
             return strip(&self.rows, style);

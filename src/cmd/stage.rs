@@ -218,7 +218,7 @@ fn say(
     let hours = sample
         .map(|Sample { items: made, secs }| secs / made.max(1) as f64 * items as f64 / 3600.0);
     let (job, destination, pieces) = (plan.job(), plan.destination(), plan.pieces().len());
-    // Without --dry-run there are no sample and no estimate, which is of one process like this one.
+    // Sample and estimate are null without --dry-run. The estimate is for one process like this one.
     let planned = json!({
         "job": job,
         "plan": folder.map(|folder| folder.display().to_string()),
@@ -296,7 +296,7 @@ fn why(record: &Record) -> String {
     format!("({code}): {reason}")
 }
 
-/// Ids of the pieces to make, in their order in the plan unless they are named.
+/// Ids of the pieces to make: those of --items in the given order, or those of the share in the order of the plan.
 fn chosen(args: &WorkArgs, plan: &Plan) -> anyhow::Result<Vec<String>> {
     if args.items.is_empty() {
         let is_chosen = |piece: &&Piece| match args.shard {
@@ -402,7 +402,7 @@ fn ended(status: ExitStatus) -> String {
     format!("the process that made this piece ended without a record ({status})")
 }
 
-/// Notes of a commit of edits.
+/// Notes that a commit of edits returns.
 #[derive(Deserialize)]
 struct TimesOf {
     times: EditTimes,

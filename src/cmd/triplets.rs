@@ -23,8 +23,8 @@ use crate::{report, settings};
 
 /// Record the composer's training stream, count it, or rebuild one of its triplets.
 ///
-/// A triplet is an original motion, an instruction, and the edited motion MotionCutMix makes of them. Training composes
-/// them on the fly; this command records the same stream.
+/// A triplet is an original motion, an instruction, and the edited motion that MotionCutMix composes. Training composes
+/// triplets on the fly; this command records the same stream.
 #[derive(clap::Args, Debug)]
 #[command(subcommand_negates_reqs = true, args_conflicts_with_subcommands = true)]
 pub(crate) struct Args {
@@ -155,8 +155,8 @@ fn stats(args: &StatsArgs, global: &Global) -> anyhow::Result<Exit> {
     global.say(&counted, &table(&counted))
 }
 
-/// Draws twelve triplets below each other: the original, the partner or donor, the edit with only the hard mask, and
-/// the edit with the soft ring, whose joints have a halo.
+/// Draws twelve triplets in two columns. Each has four rows: the original, the motion that joints are taken from, the
+/// edit with only the hard mask, and the edit with hard and soft mask. Masked joints have a halo.
 fn sheet(stream: &Stream, skeleton: &Skeleton) -> anyhow::Result<String> {
     const TRIPLETS: usize = 12;
     const COLUMNS: usize = 2;

@@ -27,8 +27,7 @@ use crate::session::{surroundings, text_encoder, with_session};
 /// A generator (`stance train mld`) samples a latent vector for every instruction and decodes variants of it with a
 /// little noise. Pairs that are identical, too different or broken are left out and counted. `stance annotate` shows
 /// the candidates of an instruction as one bundle. Without --generator, motions of the dataset whose ids share a
-/// folder, such as base/variant, are the variants. --where chooses the clips whose captions are instructions, or that
-/// are the variants.
+/// folder, such as base/variant, are the variants. --where chooses the clips that give the captions or the variants.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Dataset folder: its captions are instructions; without --generator, its motions are the variants
@@ -54,13 +53,13 @@ pub(crate) struct Args {
     /// Root mean square distance in metres between joints below which variants are identical
     #[arg(long, value_name = "M", default_value_t = VariantConfig::default().min_distance_m)]
     min_distance: f64,
-    /// Distance in metres above which they are different motions
+    /// Root mean square distance in metres above which variants are different motions
     #[arg(long, value_name = "M", default_value_t = VariantConfig::default().max_distance_m)]
     max_distance: f64,
     /// Maximum mean speed of planted feet in m/s
     #[arg(long, value_name = "SPEED", default_value_t = VariantConfig::default().max_foot_skate)]
     max_skate: f32,
-    /// Maximum mean distance of bones from their lengths in metres
+    /// Maximum mean deviation of bone lengths in metres
     #[arg(long, value_name = "M", default_value_t = VariantConfig::default().max_bone_drift_m)]
     max_drift: f32,
     /// Folder of CLIP or BERT, or a table of vectors (`stance model table`), for a generator with a frozen text encoder

@@ -30,7 +30,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let verification = verify(&args.dataset, &global.bars())?;
     let comparison = match &args.reference {
-        // Skip the features of a damaged dataset.
+        // The features of a damaged dataset are not compared.
         Some(folder) if verification.passed(true) => Some(compare(
             &Dataset::open(&args.dataset)?,
             folder,

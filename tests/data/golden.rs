@@ -1,15 +1,15 @@
-//! The one loader of golden numbers. Every crate with parity tests includes this file.
+//! Loads golden numbers: tensors that were recorded from reference programs. Every crate with parity tests includes
+//! this file.
 //!
-//! Files come from the folder that `STANCE_GOLDEN` names, otherwise from the project's copies. Sizes come from the
-//! files, never from the tests. A missing file fails the test: a parity test without numbers would pass for the wrong
-//! reason.
+//! Files come from the folder that `STANCE_GOLDEN` names, otherwise from the project's copies. A missing file fails the
+//! test, because a parity test without numbers would pass for the wrong reason.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use safetensors::{Dtype, SafeTensors};
 
-/// One recorded case.
+/// The recorded tensors of one case.
 pub(crate) struct Recorded {
     /// Path of the file.
     pub(crate) path: PathBuf,
@@ -17,7 +17,7 @@ pub(crate) struct Recorded {
     pub(crate) tensors: BTreeMap<String, Tensor>,
 }
 
-/// A tensor of any recorded type, widened, in row-major order.
+/// A tensor whose values were widened to f64, in row-major order.
 pub(crate) struct Tensor {
     pub(crate) shape: Vec<usize>,
     pub(crate) values: Vec<f64>,

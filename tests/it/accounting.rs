@@ -19,7 +19,7 @@ use crate::util::{
     typed_with,
 };
 
-/// The JSON of a failure; the fields that scripts rely on.
+/// The JSON of a failure, with the fields that scripts rely on.
 #[derive(Debug, Deserialize)]
 struct Failure {
     code: String,
@@ -34,7 +34,7 @@ fn place() -> (tempfile::TempDir, PathBuf, PathBuf) {
     (dir, source, out)
 }
 
-/// The JSON of a command that ends with this code.
+/// Runs a command with `--json` that ends with this code, and returns its failure.
 fn failed(args: &[&str], code: i32) -> Failure {
     stance(&[&["--json"], args].concat())
         .expect_code(code)
@@ -239,7 +239,7 @@ fn archives_are_named_and_a_dataset_without_motions_is_a_failure() {
         assert_eq!(failure.item.as_deref(), Some(arg(&out)));
         assert_has(&failure.reason, &["the dataset has no motion"]);
     }
-    // With one more motion, the run commits a dataset.
+    // With one motion among the files, the run succeeds apart from the quarantine.
     put(source.join("walk.bvh"), bvh(&walk(30, 30.0)));
     ingest(&source, &dir.path().join("other"), &[], 3);
 }
@@ -267,7 +267,7 @@ fn a_reference_frame_before_the_motion_is_dropped_with_a_flag() {
     let said = &row.captions[0];
     assert!((said.from_s - 29.0 / 30.0).abs() < 1e-5, "{said:?}");
     assert!((said.to_s - 89.0 / 30.0).abs() < 1e-5, "{said:?}");
-    // The rest is what the file without the frame gives.
+    // The clip has as many frames as one of a file without that frame.
     put(source.join("captured.bvh"), bvh(&poses[1..]));
     let plain = dir.path().join("plain");
     ingest(&source, &plain, &[], 0);

@@ -9,8 +9,8 @@ use serde_json::json;
 use crate::grown::{clips, files, ingest, motions, verified};
 use crate::util::{arg, corpus, len_of, put, stance, text_of};
 
-/// Checks that equal motions share a split. Returns the number of motions outside of `train` that have an equal one:
-/// without the rule some of these would be separated.
+/// Checks that equal motions share a split. Returns the number of groups of equal motions outside of `train`: without
+/// the rule, some of these would be separated.
 pub(crate) fn equal_motions_share_a_split(dataset: &Path) -> usize {
     let mut splits: BTreeMap<String, Vec<Split>> = BTreeMap::new();
     for (split, content) in clips(dataset).into_values() {
@@ -24,7 +24,7 @@ pub(crate) fn equal_motions_share_a_split(dataset: &Path) -> usize {
     repeated.filter(|splits| splits[0] != Split::Train).count()
 }
 
-/// A BVH file with one value of every frame changed by a hair.
+/// A BVH file in which the last value of every frame is larger by 0.01.
 fn nudged(text: &str) -> String {
     let at = text.find("Frame Time").expect("a header");
     let rows = at + text[at..].find('\n').expect("a line") + 1;
@@ -59,8 +59,7 @@ fn equal_and_nearly_equal_motions_share_a_split_wherever_they_lie() {
         }
         let (both, grown) = (at(&format!("{kind}-both")), at(&format!("{kind}-grown")));
         let made = ingest(&[&source, &copies], &both, &["--features", "humanml3d"], 0);
-        // Clips that are ingested later take the splits of those that exist. A folder with the same files is another
-        // source.
+        // Clips that are ingested later take the splits of equal clips. A folder with the same files is another source.
         ingest(&[&source], &grown, &[], 0);
         let before = clips(&grown);
         let added = ingest(&[&copies], &grown, &[], 0);
@@ -77,7 +76,7 @@ fn equal_and_nearly_equal_motions_share_a_split_wherever_they_lie() {
             assert_eq!(after.len(), 2 * 48);
             continue;
         }
-        // A list that separates the clips is obeyed, with a remark, and the dataset does not pass.
+        // A list that separates equal clips is obeyed, but the dataset does not pass `verify`.
         let (list, apart) = (at("splits.csv"), at(&format!("{kind}-apart")));
         put(
             &list,

@@ -1,4 +1,4 @@
-//! `stance annotate`, started by a user and killed like in a power cut.
+//! `stance annotate` as users run it, and servers that are killed as by a power cut.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader};
@@ -92,7 +92,7 @@ impl Drop for Process {
     }
 }
 
-/// A task on a motion, to be taken first.
+/// A task about a motion, with priority 1.
 pub(crate) fn bare_task(key: String, motion: &str) -> NewTask {
     from_json(json!({
         "key": key, "kind": "mask_text", "source": motion, "split": "train",
@@ -100,19 +100,19 @@ pub(crate) fn bare_task(key: String, motion: &str) -> NewTask {
     }))
 }
 
-/// A value of the interface from its JSON.
+/// Parses a value of the server's interface.
 pub(crate) fn from_json<T: DeserializeOwned>(document: Value) -> T {
     serde_json::from_value(document).expect("a value")
 }
 
-/// A dataset of the built-in corpus with masks and pairs.
+/// A dataset of the built-in corpus with masks.
 fn dataset(clips: usize) -> (tempfile::TempDir, PathBuf) {
     let (dir, out) = dataset_of(clips, &[]);
     stance(&["masks", arg(&out)]).expect_code(0);
     (dir, out)
 }
 
-/// Runs the command with a dataset.
+/// Runs `stance annotate` on a dataset.
 fn annotate(dataset: &Path, words: &[&str]) -> Ran {
     typed_with("annotate {}", &[&dataset], words)
 }
@@ -148,7 +148,7 @@ impl Person {
         }
     }
 
-    /// The answer; none if the server does not respond.
+    /// Status and body of the answer to a POST; `None` if the server does not respond.
     fn ask(&self, url: &str, path: &str, body: &Value) -> Option<(u16, Vec<u8>)> {
         let mut response = self
             .agent
@@ -173,7 +173,7 @@ impl Person {
             .unwrap_or_else(|| panic!("a task of kind {kind}, {:?}", next.empty))
     }
 
-    /// Stores an event of a task.
+    /// Sends events of a task, and checks that the first is stored.
     fn save(&self, url: &str, view: &TaskView, events: &Value) {
         let path = format!("tasks/{}/events", view.task.id);
         let told: EventResults = self.post(url, &path, events);
@@ -227,7 +227,7 @@ fn set(file: &Path) {
 
 #[test]
 fn accepted_answers_feed_the_composer_without_a_step_by_hand() {
-    // Five of the dataset's pairs are of the test split; a sixth one is composed.
+    // Of the six pairs that are answered, five are in the test split; the composer uses the sixth.
     let (_dir, dataset) = dataset(24);
     let ann = Person::new(&dataset, "ann", "annotator");
     let eve = Person::new(&dataset, "eve", "reviewer");
@@ -335,7 +335,7 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
     let done = export("first.sqlite", "parquet", "parquet1");
     assert_eq!(done["counts"]["accepted_by own"], 2, "{done}");
     export("first.sqlite", "stance", "stance1");
-    // A server creates the tasks of a dataset at its first start; the files come later.
+    // The tasks are created before the files are imported, as a server does at its first start.
     let again = run("second.sqlite", &["import"]);
     assert_eq!(again["counts"]["new_tasks"], tasks);
     let filled = run("second.sqlite", &["import", arg(&file("stance1"))]);
@@ -534,7 +534,7 @@ fn the_store_can_be_named_where_others_do_not_see_it() {
     help.expect_printed("STANCE_STORE");
 }
 
-/// The arguments after the program in the unit and in the container file.
+/// The arguments of the program in the systemd unit and in the container file.
 fn deployed() -> [Vec<String>; 2] {
     let read = |name: &str| {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("annotate/deploy");
@@ -645,7 +645,7 @@ fn where_the_disk_takes_no_more_answers_are_refused_and_none_is_lost() {
     ann.save(&server.url, &view, &draft(rev));
 }
 
-/// An acknowledged event: its sequence number in the log, and its content.
+/// An acknowledged event: its sequence number in the log, its task, and its user.
 type Acknowledged = (i64, i64, i64);
 
 #[test]
@@ -673,7 +673,7 @@ fn a_server_killed_under_load_keeps_what_it_acknowledged_and_nothing_twice() {
     let acknowledged: Mutex<Vec<Acknowledged>> = Mutex::new(Vec::new());
     let count = AtomicUsize::new(0);
     let mut rng = Seed(3).rng(&["kills"]);
-    // The full form of the test sets `ANNOTATE_KILLS=50`.
+    // `ANNOTATE_KILLS=50` runs the full form of the test.
     let kills = std::env::var("ANNOTATE_KILLS").ok();
     let kills = kills.and_then(|text| text.parse().ok()).unwrap_or(4_usize);
     let mut restarts = Vec::new();
@@ -775,8 +775,8 @@ fn work(
     }
 }
 
-/// Two processes of one store on PostgreSQL. The full form, with the number of annotators, of tasks for each, and of
-/// all tasks, is
+/// Two servers of one store on PostgreSQL. This runs the full form, with the numbers of annotators, of tasks for each
+/// of them, and of all tasks:
 ///
 /// ```sh
 /// ANNOTATE_PG_LOAD=50x200x100000 bash annotate/tests/with-postgres \
@@ -822,7 +822,7 @@ fn two_servers_of_one_store_give_nothing_twice() {
     let done: Mutex<Vec<i64>> = Mutex::default();
     std::thread::scope(|scope| {
         for (number, person) in clients.iter().enumerate() {
-            // Every person changes the server from task to task: both servers know each lease.
+            // Every person claims a task from one server and answers it on the other, so both must know the lease.
             let (servers, done) = (&servers, &done);
             scope.spawn(move || {
                 for task in 0..each {

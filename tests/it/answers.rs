@@ -15,10 +15,10 @@ use crate::util::{
     put, rows_of, stance, text_of, texts_in, typed, typed_with,
 };
 
-/// Metrics of what a system recorded while it generated; answers from elsewhere have none.
+/// First words of the metrics that a system records while it generates; imported answers have none.
 const RECORDED: [&str; 2] = ["Fit error", "Bone drift"];
 
-/// Metrics of a system by task and name.
+/// Means of a system by task and metric.
 type Scores = BTreeMap<(String, String), f64>;
 
 fn scores(rows: &Value, system: &str) -> Scores {
@@ -60,7 +60,7 @@ fn npz(arrays: &[(&str, &[f32], usize)], fps: f64) -> Vec<u8> {
     archive.finish().expect("in memory").into_inner()
 }
 
-/// Edits as a short Python script writes them: one archive each, y up.
+/// Writes edits as a short Python script would: one archive each, y up.
 fn write_answers(edits: &[EditRow], folder: &Path) {
     for row in edits {
         let arrays = [
@@ -109,8 +109,8 @@ fn edits_made_elsewhere_score_as_those_made_here_and_edits_are_exported_one_file
     assert_eq!(theirs, ours);
     assert!(turned.keys().eq(ours.keys()));
     for (key, value) in &turned {
-        // Root positions and paths are rounded to single precision once more: an error of 1e-7 in metres, and in
-        // latents, which the encoder computes in single precision.
+        // Root positions are rounded to single precision once more, which changes them by about 1e-7 m; the encoder
+        // also computes in single precision.
         let own = ours[key];
         let tolerance = 1e-3 * own.abs().max(1.0);
         assert!((value - own).abs() < tolerance, "{key:?}: {value}, {own}");
@@ -185,7 +185,8 @@ fn the_sources_of_items_score_as_the_identity_and_what_cannot_be_imported_is_nam
         let tolerance = 1e-3 * identity[key].abs().max(1.0);
         assert!((value - identity[key]).abs() < tolerance, "{key:?}");
     }
-    // The answers are never marked best, in any format: with an encoder that ranks, alone or beside a system.
+    // Answers that equal the sources are never marked as best, even with an encoder that ranks: in no format, alone or
+    // beside another system.
     let editor = bench.edits("here", &["--name", "Here"]);
     let page = at("page.html");
     for systems in [vec![at("lazy")], vec![at("lazy"), editor]] {

@@ -1,5 +1,5 @@
-//! Archives among the sources: read as folders of their names, limited, and quarantined with a reason where they are
-//! damaged.
+//! Archives among the sources are read as folders of their names, within limits, and quarantined with a reason if they
+//! are damaged.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -120,7 +120,7 @@ fn xzipped(bytes: &[u8]) -> Vec<u8> {
     [header, block, index, footer].concat()
 }
 
-/// Packs files by the ending of a name.
+/// Packs files into an archive of the kind that the ending of its name states.
 pub(crate) fn packed(name: &str, files: &Files) -> Vec<u8> {
     let ending = name.split_once('.').expect("an ending").1;
     match ending {
@@ -179,7 +179,7 @@ impl Place {
         rows_of(&self.path(dataset))
     }
 
-    /// Content of every clip, by its id without a prefix.
+    /// Content hash of every clip, by its id without the prefix.
     fn clips(&self, dataset: &str, prefix: &str) -> BTreeMap<String, String> {
         let clips = self.motions(dataset).into_iter().map(|row| {
             let id = row.id.as_str().strip_prefix(prefix);
@@ -224,7 +224,7 @@ fn every_kind_of_archive_is_a_folder_of_its_name() {
             // Labels in the archive are read.
             assert!(!row.captions.is_empty(), "{}", row.id);
         }
-        // A second run changes nothing, and the user's folder is unchanged too.
+        // A second run changes nothing, and neither run changes the user's folder.
         let again = place.ingest(&source, &out, 0);
         assert_eq!(again["already_complete"], true, "{name} {again}");
         assert_eq!(again["root_hash"], done["root_hash"], "{name}");
@@ -293,7 +293,7 @@ fn shards_and_dumps_that_are_named_like_archives_are_read_as_what_they_are() {
     place.ingest("shards", "again", 0);
     let rows = place.motions("again");
     assert!(rows.iter().all(|row| row.source == "webdataset"));
-    // Neither a known release nor a tar: the file is skipped, as before.
+    // A file that is neither a known release nor a tar is skipped.
     place.put("weights/weights.pth.tar", b"\x80\x04.");
     place.put("weights/walk.npz", place.walk());
     place.ingest("weights", "weights-dataset", 0);
@@ -309,7 +309,8 @@ fn header_of_b(zip: &[u8]) -> usize {
     places.position(|bytes| bytes == name).expect("a member") - 30
 }
 
-/// Puts archives into the folder `in` that are damaged, encrypted, too large or too deep, or lead out of it.
+/// Fills the folder `in` with archives that are damaged, encrypted, too large or nested too deep, or whose names lead
+/// out of it.
 fn put_hostile(place: &Place) {
     let good = place.walks(&["good_poses.npz"]);
     place.put("in/good.zip", zipped(&good));
@@ -318,7 +319,7 @@ fn put_hostile(place: &Place) {
     place.put("in/climbs.tar", tarred(&place.walks(&names)));
     let names = ["a/../../up_poses.npz", "in_poses.npz"];
     place.put("in/climbs.zip", zipped(&place.walks(&names)));
-    // Symbolic and hard links in a tar.
+    // A symbolic link and a device in a tar.
     let mut links = tar::Builder::new(Vec::new());
     for (kind, name) in [
         (tar::EntryType::Symlink, "link_poses.npz"),
@@ -364,7 +365,7 @@ fn put_hostile(place: &Place) {
     assert!(bomb.len() < 1 << 20);
     place.put("in/bomb.zip", bomb);
     place.put("in/bomb.tar.bz2", bzipped(&tarred(&zeros)));
-    // An archive in an archive is read, one more level is not.
+    // An archive in an archive is read; at one more level it is not.
     let inner: Files = [("inner.zip".to_owned(), zipped(&good))].into();
     place.put("in/outer.tar.gz", packed("outer.tar.gz", &inner));
     let outer: Files = [("outer.zip".to_owned(), zipped(&inner))].into();
@@ -490,7 +491,7 @@ fn many_processes_read_archives_as_one_does() {
 #[test]
 fn unpacking_shows_how_far_it_is() {
     let place = Place::new(corpus(2));
-    // The archive is larger than a megabyte even when compressed.
+    // Noise, so that the archive is larger than a megabyte even when compressed.
     let mut state = 1u32;
     let mut draw = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);

@@ -1,4 +1,4 @@
-//! The systems that the method is compared with.
+//! TMED, one of the systems that the method is compared with.
 
 use std::collections::BTreeSet;
 
@@ -59,7 +59,7 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     bench
         .typed("train tmed @dataset --out @captured --config @captured.toml")
         .expect_refused("composed");
-    // The system follows one instruction, for some frames or for all.
+    // TMED follows a single instruction, for some frames or for all.
     let edit = format!(
         "edit @mixed --motion {} --out @part.npz",
         bench.clip().display()

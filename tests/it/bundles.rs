@@ -13,7 +13,6 @@ use crate::evaluate::Bench;
 use crate::tables::tables;
 use crate::util::{Ran, arg, assert_has, put};
 
-/// Bundles edits.
 fn bundle(bench: &Bench, edits: &str, out: &str, more: &str) -> Ran {
     bench.typed(&format!("--json edits bundle @{edits} --out @{out} {more}"))
 }
@@ -137,7 +136,7 @@ fn bundles_are_ranked_in_one_table_with_paired_differences() {
             "Error outside the mask (cm) ↓"
         ]
     );
-    // The target's slide is the same for all systems and for the real data.
+    // The target's foot slide is the same in all rows: it is the real data's.
     let column =
         |at: usize| -> Vec<&str> { table.rows.iter().map(|row| row[at].as_str()).collect() };
     assert!(

@@ -1,4 +1,4 @@
-//! Captures of markers through the command: sets of labels, people, and units.
+//! Marker captures through the command: marker sets, several people in a capture, and units.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -18,7 +18,7 @@ use crate::util::{
 
 const FPS: f32 = 60.0;
 
-/// Markers of a person as they are captured, z up.
+/// A capture of markers, z up.
 #[derive(Clone)]
 struct Capture {
     labels: Vec<String>,
@@ -152,7 +152,7 @@ impl Capture {
     }
 }
 
-/// Checks that a motion is [`apart`] from poses by little.
+/// Checks that the joints of a motion are [`apart`] from those of poses by 1.5 cm on average and 4 cm at most.
 fn assert_near(row: &MotionRow, poses: &[Pose]) {
     let (mean, largest) = apart(row, poses);
     let is_near = mean < 0.015 && largest < 0.04;
@@ -164,8 +164,8 @@ fn set(name: &str) -> &'static MarkerSet {
     sets.find(|set| set.name() == name).expect("built in")
 }
 
-/// Mean and largest distance of the joints of a motion at 20 fps from those of poses at 60 fps, relative to their
-/// starts.
+/// Mean and largest distance in metres of the joints of a motion at 20 fps from those of poses at 60 fps, with equal
+/// positions of the pelvis in the first frame.
 fn apart(row: &MotionRow, poses: &[Pose]) -> (f64, f64) {
     const COMPARED: [usize; 16] = [0, 1, 2, 4, 5, 7, 8, 9, 12, 15, 16, 17, 18, 19, 20, 21];
     let skeleton = Skeleton::smplx_neutral();
@@ -201,7 +201,7 @@ fn every_built_in_set_gives_the_motion_or_says_what_it_leaves_open() {
     let (_, out) = ingested(&source, &["--splits", arg(&splits)], &[whole as u64, 3]);
     for (id, row) in motions_of(&out) {
         // Bounds in metres of the mean and of the largest distance. The sets of gait laboratories have one marker on
-        // the wrist and none on the head, so that they leave some turns open.
+        // the wrist and none on the head, so they do not determine all rotations.
         let (mean_bound, bound) = match id.as_str() {
             "helen-hayes" | "helen-hayes-c3d" => (0.02, 0.08),
             _ => (0.015, 0.04),
@@ -319,7 +319,7 @@ fn half_a_set_is_told_from_none_and_parts_may_be_left_at_rest() {
 #[test]
 fn each_person_of_a_capture_is_a_clip() {
     let (dir, source) = place();
-    // Each person walks at another pace.
+    // Each person walks at a different pace.
     let paces = [60.0, 40.0, 50.0, 33.0, 75.0, 90.0];
     let walks = paces.map(|pace| walk(60, pace));
     let [anna, _, third, _, fifth, sixth] =
@@ -342,7 +342,7 @@ fn each_person_of_a_capture_is_a_clip() {
     put(&source, "strange.c3d", strange.c3d());
     let (_, out) = ingested(&source, &[], &[6, 1]);
     let rows = motions_of(&out);
-    // The walk and the subject of each clip.
+    // Each clip, the index of its walk, and its subject.
     let expected = [
         ("alone", 4, None),
         ("other#Anna", 2, Some("Anna")),
@@ -364,7 +364,7 @@ fn each_person_of_a_capture_is_a_clip() {
         let [anna, ben] = ["Anna", "Ben"].map(|who| rows[&format!("{file}#{who}")].split);
         assert_eq!(anna, ben, "{file} is in one split");
     }
-    // A person inside a capture is a subject to a list of splits.
+    // A list of splits can name a person inside a capture as a subject.
     let list = dir.path().join("splits.csv");
     let drawn = rows["take#Ben"].split;
     let mut others = Split::ALL.into_iter().filter(|split| *split != drawn);
@@ -451,13 +451,13 @@ fn points_that_are_not_seen_are_told_in_either_format() {
     put(&source, "nowhere.c3d", nowhere.c3d());
     put(&source, "nowhere.trc", nowhere.trc());
     put(&source, "unseen.c3d", filled(None).c3d());
-    // In a file that writes the origin for unseen markers, these count as unseen.
+    // Markers at the origin count as unseen.
     let mut some = whole.clone();
     for frame in &mut some.frames[..10] {
         frame[3] = Some(DVec3::ZERO);
     }
     put(&source, "some.c3d", some.c3d());
-    // In TRC, the place of a marker is empty. Two of the other capture have names of no set.
+    // In TRC, the fields of an unseen marker are empty. In `renamed.trc`, two markers have labels of no set.
     let [paced, renamed] = [60.0, 35.0].map(|pace| walk(60, pace));
     let mut capture = Capture::of(set("cmu-41"), &paced);
     for frame in capture.frames.iter_mut().step_by(5) {

@@ -57,8 +57,8 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
     );
     let is_sound = |score: &Value| score["repeats"] == 10 && score["mean"].is_f64();
     assert!(scores.iter().all(is_sound));
-    // A target always finds itself first; an original returned unchanged is its own source, and only
-    // items that share an original can tie with it.
+    // A target always ranks itself first. The identity editor returns the source itself, so only items that share a
+    // source can tie with it.
     let mean = |system, metric| number_of(&score(&first["scores"], system, metric)["mean"]);
     assert_eq!(mean("Real Data", "E2T R@1"), 100.0);
     assert!(mean("Identity", "E2S AvgR") < 3.0);
@@ -67,7 +67,7 @@ fn a_run_goes_from_files_to_a_table_and_continues_where_it_stopped() {
 
     let report = folder.text("run/report.html");
     assert_has(&report, &["<svg", "MotionReFit"]);
-    // The only script of the page is the one that its policy names.
+    // The policy of the page allows only the script with this hash.
     assert!(report.contains("script-src 'sha256-"));
 
     // Nothing remains to do, so the models are not trained again and the numbers are the same.

@@ -1,4 +1,4 @@
-//! From captures in styles to a dataset that a model can be trained from.
+//! `stance build` makes a dataset with style pairs, and `stance triplets` records windows to train on.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -52,7 +52,7 @@ fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
         assert!(triplets.iter().any(|triplet| triplet.kind == kind));
     }
 
-    // The export is read again as a release, pairs included.
+    // The export is read again as a release, with its pairs.
     folder.run("ingest @built/stance --out @back");
     let styles = |dataset: &str| {
         let rows = folder.rows::<PairRow>(dataset).into_iter();
@@ -100,7 +100,7 @@ fn windows_are_recorded_in_the_range_of_the_dataset_and_trained_on() {
 
     let stats: Value = folder.json("triplets stats @dataset --sheet @sheet.svg");
     assert!(number_of(&stats["distinct_pairs"]["semantic"]) > 100.0);
-    // Twelve strips in one picture.
+    // Twelve strips inside one picture.
     assert_eq!(folder.text("sheet.svg").matches("<svg ").count(), 13);
 }
 

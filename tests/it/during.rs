@@ -11,7 +11,7 @@ use serde_json::Value;
 use crate::train::Workshop;
 use crate::util::json_of;
 
-/// The numbers of a frame.
+/// The bits of the numbers of a frame.
 fn frame(motion: &Motion, frame: usize) -> Vec<u32> {
     let columns = [
         &motion.transl()[frame][..],
@@ -22,7 +22,7 @@ fn frame(motion: &Motion, frame: usize) -> Vec<u32> {
     values.iter().map(|value| value.to_bits()).collect()
 }
 
-/// Frames that are not equal bit for bit.
+/// Indices of the frames that are not equal bit for bit.
 fn changed(source: &Motion, edit: &Motion) -> Vec<usize> {
     assert_eq!((source.len(), source.fps()), (edit.len(), edit.fps()));
     (0..source.len())
@@ -30,8 +30,8 @@ fn changed(source: &Motion, edit: &Motion) -> Vec<usize> {
         .collect()
 }
 
-/// Asserts that the changed frames are those of the ranges, that the middle of each is edited, and that
-/// the root does not jump where it begins and ends.
+/// Asserts that the changed frames are those of the ranges, that the middle of each range is edited, and that the root
+/// does not jump where a range ends.
 fn assert_edited_in(source: &Motion, edit: &Motion, ranges: &[Range<usize>]) {
     let asked: Vec<usize> = ranges.iter().cloned().flatten().collect();
     assert_eq!(changed(source, edit), asked);
@@ -43,8 +43,8 @@ fn assert_edited_in(source: &Motion, edit: &Motion, ranges: &[Range<usize>]) {
             .map(|(a, b)| (a - b).abs())
             .fold(0.0, f32::max);
         assert!(away > 0.1, "{range:?}: {away}");
-        // The last frame is at the position of the source, but for its height; the editor of the test has
-        // hardly been trained, and leads metres away.
+        // In the last frame the root is where it is in the source, except for its height. Without this, the hardly
+        // trained editor of the test would lead metres away.
         let last = range.end - 1;
         let goes_on = ranges.iter().any(|other| other.start == range.end);
         if range.end < source.len() && !goes_on {
@@ -90,7 +90,7 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
         assert_edited_in(&source, &row.motion().expect("a motion"), &ranges);
     }
 
-    // Layers: the second edit is made of the result of the first, and frames outside both are the source's.
+    // Layers: the second edit changes the result of the first, and frames outside both are those of the source.
     let edit = |more: &str| {
         let line = "edit @editor --history @layers.json --out @timed";
         workshop.run(&format!("{line} {more}"));
@@ -126,7 +126,7 @@ fn frames_outside_the_ranges_of_an_edit_stay_bit_for_bit() {
     workshop.run(&format!(
         "edit @editor --motion {motion} --during '{first}:{end} The person is waving.' --out @timed.npz"
     ));
-    // Source after a round trip through this format: axes turned and turned back.
+    // The source after a round trip through npz, which turns the axes and turns them back.
     let bytes = formats::write::amass::encode(&source, &skeleton).expect("an archive");
     workshop.put("unedited.npz", bytes);
     let [unedited, edited] = ["unedited.npz", "timed.npz"]

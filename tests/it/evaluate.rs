@@ -80,7 +80,7 @@ impl Bench {
         self.path(name)
     }
 
-    /// Evaluates edits; unless `more` names a table, with the paper's columns.
+    /// Evaluates edits, as Table 1 of the paper unless `more` names another.
     pub(crate) fn eval(&self, edits: &[&Path], more: &[&str]) -> Ran {
         let mut args = more.to_vec();
         if !more.contains(&"--table") {
@@ -90,7 +90,7 @@ impl Bench {
         self.typed_with("eval --encoder @encoder --weak-judge --repeats 2", &args)
     }
 
-    /// The document of an evaluation.
+    /// The scores of an evaluation, as `--json` prints them.
     pub(crate) fn scores(&self, edits: &[&Path], more: &[&str]) -> Value {
         self.eval(edits, &[&["--json"], more].concat()).done()
     }
@@ -102,7 +102,7 @@ impl Bench {
     }
 }
 
-/// The name of an editor that is not asked with a pose network.
+/// Name of an editor that edits without a pose network.
 pub(crate) const UNPOSED: &str = "MotionReFit (twists of the source)";
 
 #[test]
@@ -128,7 +128,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     let names = ["Real Data", "Identity", UNPOSED];
     let published = ["--published", "--format", "markdown"];
     let ran = bench.eval(&[&first], &published).expect_code(0);
-    // One task; tables of novelties follow.
+    // The first table is that of the only task; tables of novelties follow.
     let table = &tables(&ran.stdout)[0];
     assert_eq!(table.heading, "semantic");
     let e2t = ["E2T R@1 ↑", "E2T R@2 ↑", "E2T R@3 ↑", "E2T AvgR ↓"];
@@ -213,7 +213,7 @@ fn tables_have_the_shape_of_the_papers_and_systems_are_compared() {
     assert!(!same.is_empty());
     for difference in same {
         assert_eq!(difference["difference"], 0.0, "{difference}");
-        // Eight items have fewer than ten targets.
+        // Eight items have fewer than ten targets, which are too few for an interval.
         assert_eq!(difference["interval"], Value::Null, "{difference}");
         assert_eq!(difference["better"], Value::Null);
     }
@@ -238,7 +238,7 @@ fn write_plan(bench: &Bench, rest: &str) {
 /// The plan of one system and one table.
 const ONE_TABLE: &str = "[[system]]\nname = \"ours\"\n[[table]]\npaper = \"1\"\n";
 
-/// Follows `plan.toml` to its end.
+/// Runs `plan.toml`, and returns the document.
 fn reproduced(bench: &Bench) -> Value {
     bench.json("reproduce --weak-judge @plan.toml")
 }
@@ -286,7 +286,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     let first: Value = bench.json("reproduce --weak-judge @plan.toml --at-once 2");
     let out = bench.path("made");
     let text = |name: &str| bench.text(&format!("made/{name}"));
-    // The ratio of 1 is the default: two trainings of the editor serve five points, and its table.
+    // A ratio of 1 is the default, so two trainings of the editor serve all four points and the tables.
     assert_eq!((bench.made("runs"), bench.made("edits")), (3, 5));
     for drawing in [
         "mcm-ratio-e2t-avgr",
@@ -307,7 +307,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
     assert!(places.is_sorted(), "{places:?}");
     assert!(out.join("figures/both.png").exists());
     assert_eq!(len_of(&first["pictures"]), 3);
-    // The selection rule is printed beside the instruction: how much closer to the target an edit is.
+    // Beside the instruction stands how much closer to the target the edit is than the source.
     let [worst, best] = ["worst", "best"].map(|name| {
         let drawn = text(&format!("figures/{name}.svg"));
         let (before, _) = drawn.split_once(" cm closer)").expect("a gain");
@@ -315,7 +315,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         gain.parse::<f64>().expect("a number")
     });
     assert!(worst <= best, "{worst} {best}");
-    // Every cell of the table is a number, in the order of the plan.
+    // The rows of the table are in the order of the plan.
     let csv = text("tables/table-1.csv");
     assert_has(&csv, &["Nearest", "ours"]);
     let printed = text("tables/table-1.txt");
@@ -367,7 +367,7 @@ fn a_plan_is_reproduced_and_goes_on_where_it_stopped() {
         assert_eq!(row[key], score[key], "{key}");
     }
 
-    // A file is replaced, never written over.
+    // Files are replaced, not written over: a hard link to the old page keeps the old content.
     let old = out.join("old.html");
     fs::hard_link(out.join("index.html"), &old).expect("a second name");
     put(&old, "old");
@@ -437,7 +437,7 @@ fn a_point_that_fails_leaves_the_others_and_seeds_are_settings() {
         })
         .collect();
     seeds.sort_unstable();
-    // The system, its window of 12 and its fixed pairs; the window of 16 is the preset's.
+    // Seed 4: the system, its window of 12 and its fixed pairs. The window of 16 is the preset's; that of 400 fails.
     assert_eq!(seeds, [1, 2, 4, 4, 4]);
     let svg = bench.text("made/figures/pairs-fs.svg");
     assert_has(&svg, &[">true<", ">false<"]);
@@ -511,7 +511,7 @@ fn points_of_figures_are_epochs_of_one_training_or_windows_with_the_same_items()
     let names = points.iter().map(|point| word_of(&point["point"]));
     assert!(names.eq(["epoch = 1", "epoch = 2"]), "{points:?}");
     assert_ne!(points[0]["scores"], points[1]["scores"]);
-    // Both epochs are of the run of the system, beside a run for each window.
+    // Both epochs are checkpoints of the system's run; each window has a run of its own.
     assert_eq!(bench.made("runs"), 3);
 
     let figure = &made["figures"][1];
@@ -646,13 +646,13 @@ fn a_page_of_edits_holds_every_system_and_loads_nothing() {
         assert_eq!([&labels[0], &labels[2]], ["source", "target"]);
     }
     assert!(html.contains("script-src 'sha256-") && !html.contains("https://"));
-    // How motions move stands in the tables.
+    // The tables have columns of motion quality.
     assert_has(&html, &["Foot slide (m/s)", "Jerk (m/s³)"]);
     bench
         .typed("report @encoder --out @page.html")
         .expect_refused("encoder");
 
-    // Settings of several systems are a table.
+    // The settings of several systems are shown as a table.
     bench.edits("second", &["--guidance", "2", "--name", "strong"]);
     bench.run("report @first @second --out @page.html");
     let html = bench.text("page.html");
@@ -720,7 +720,7 @@ fn an_encoder_of_one_step_ranks_nothing_in_any_table() {
     let table = bench.text("made/tables/table-1.txt");
     assert!(table.starts_with(sentence), "{table}");
 
-    // The same edits are ranked by the encoder of the program; a folder without a report is not trusted.
+    // The built-in encoder ranks the same edits. An encoder whose run folder has no report ranks nothing.
     let ranked = bench
         .run("eval @first --encoder builtin --repeats 2")
         .stdout;
@@ -773,7 +773,7 @@ fn items_do_not_change_with_the_seed_of_sampling() {
     let others = bench.answers("editor", "others", "elsewhere", &[]);
     let refused = bench.eval(&[&zero, &others], &[]).expect_code(1);
     assert_has(&refused.stderr, &["different items", "zero", "elsewhere"]);
-    // Many takes can be made at once, and are the same takes.
+    // Takes that one command makes equal takes that were made one by one.
     bench.edits("takes", &["--takes", "2"]);
     let (_, mut together) = read("takes");
     let mut apart = [first, second].concat();

@@ -38,14 +38,14 @@ const PAGES: [Page; 3] = [
     },
 ];
 
-/// Words of the first page, outside of its tables.
+/// Maximum number of words of the first page, outside of its tables.
 const MOST_WORDS: usize = 1_500;
 
-/// A table of the document.
+/// A table of a page.
 struct Shown {
     /// Plan of the results.
     plan: String,
-    /// File of the program that it was copied from, such as `table-1`.
+    /// Name of the result file that it was copied from, such as `table-1`.
     file: String,
     /// Heading above the table.
     heading: String,
@@ -179,7 +179,7 @@ fn verdicts_of_the_results_quote_their_tables() {
         let verdicts = verdicts.split("\n## ").next().expect("a section");
         check_quotes(verdicts, &page);
     }
-    // The paragraph of the front page that points there.
+    // The paragraph of README.md that links to the results quotes them too.
     let front = read("README.md");
     let headline = front
         .split("\n\n")

@@ -21,13 +21,13 @@ fn ingest(dir: &Path, source: &str, out: &str, fps: &str) -> BTreeMap<String, Mo
     motions_of(&out)
 }
 
-/// The dataset, exported in a layout and ingested again.
+/// Exports the dataset in a layout, and ingests the export.
 fn again(dir: &Path, layout: &str, fps: &str) -> BTreeMap<String, MotionRow> {
     exported(&dir.join("dataset"), layout, &dir.join(layout), &[]);
     ingest(dir, layout, &format!("{layout}-again"), fps)
 }
 
-/// Largest distance between joints of two motions, apart from the height at which they stand.
+/// Largest distance in metres between joints of two motions, with equal heights of the pelvis in the first frame.
 fn apart(a: &Motion, b: &Motion) -> f64 {
     let skeleton = Skeleton::smplx_neutral();
     assert_eq!((a.len(), a.fps()), (b.len(), b.fps()));
@@ -47,14 +47,14 @@ fn motions_come_back_from_every_layout() {
     let dir = corpus(CLIPS);
     let dir = dir.path();
     let before = ingest(dir, "corpus", "dataset", "20");
-    // The name of a clip in the layout, and how far a joint may be away in metres.
+    // A layout, how far a joint may be off in metres, and the name of a clip in the layout.
     type Path = fn(&str) -> String;
     let layouts: [(&str, f64, Path); 3] = [
         // The archives have 60 fps, of which every third frame is read; numbers are stored as f32.
         ("amass", 1e-5, |id| format!("{id}_stageii")),
         // Angles are written with six decimals of a degree, bones with as many of a centimetre.
         ("bvh", 1e-3, str::to_owned),
-        // Quaternions and positions are f32; the whole chain of eight bones adds their errors up.
+        // Quaternions and positions are f32; their errors add up along a chain of eight bones.
         ("gltf", 1e-3, |id| format!("{id}#motion")),
     ];
     for (layout, tolerance, name) in layouts {
@@ -73,8 +73,7 @@ fn motions_come_back_from_every_layout() {
         assert_eq!(after[id].split, row.split, "{id}");
     }
 
-    // The exported joints are those of the published processing; a body posed by them is compared with them by the
-    // pipeline's own tests. This test checks the round trip through the command.
+    // This checks the round trip through the command; tests of the pipeline compare fitted bodies with exported joints.
     let after = again(dir, "humanml3d", "20");
     assert_eq!(after.len(), CLIPS);
     let folder = dir.join("humanml3d");
@@ -120,7 +119,7 @@ fn features_of_272_dimensions_come_back_in_every_layout() {
             let (before, after) = (features(before), features(after));
             assert_eq!(before.len(), after.len(), "{layout} {id}");
             for (a, b) in before.as_flattened().iter().zip(after.as_flattened()) {
-                // Numbers below two in f32, after a turn and a shift of the whole clip in f32.
+                // The numbers are f32 below two, of a clip that was turned and shifted in f32.
                 assert!((a - b).abs() < 1e-5, "{layout} {id}: {a} and {b}");
             }
         }

@@ -24,7 +24,7 @@ fn dataset(clips: usize) -> (TempDir, PathBuf, BTreeMap<String, MotionRow>) {
     (dir, dataset, rows)
 }
 
-/// The rows by id of a dataset of a folder, which is made beside it.
+/// Ingests a folder into a dataset beside it, and returns its rows by id.
 fn again(source: &Path, name: &str) -> BTreeMap<String, MotionRow> {
     let out = source.with_file_name(name);
     ingested(source, &out, &[]);
@@ -42,7 +42,7 @@ fn a_condition_chooses_the_clips_of_every_layout_and_a_mistaken_one_is_refused()
     let expected = rows.values().filter(is_chosen).count();
     assert!(0 < expected && expected < rows.len(), "{expected}");
     let none = dir.path().join("none");
-    // All layouts but that of pairs, of which this dataset has none.
+    // All layouts except `motionfix`, which holds pairs; this dataset has none.
     let layouts = Layout::ALL.map(Layout::as_str).into_iter();
     for layout in layouts.filter(|layout| *layout != "motionfix") {
         let out = dir.path().join(layout);
@@ -76,7 +76,7 @@ fn exports_have_licences_captions_and_what_other_tools_read() {
     let captions = rows.values().flat_map(|row| &row.captions);
     let captions: Vec<&str> = captions.map(|caption| caption.text.as_str()).collect();
     assert!(captions.len() >= rows.len());
-    // The table of episodes of LeRobot is compressed; tests/python reads it.
+    // LeRobot's table of episodes is compressed, so tests/python checks it.
     let of_files = ["amass", "bvh", "gltf", "stance"].map(|layout| (layout, "json"));
     let shards = [("webdataset", "tar")];
     for (layout, extension) in of_files.into_iter().chain(shards) {
@@ -103,7 +103,7 @@ fn exports_have_licences_captions_and_what_other_tools_read() {
         let bytes = std::fs::read(&file).expect("written");
         let mut archive = Archive::open(Cursor::new(&bytes)).expect("an archive");
         let mut shape = |name: &str| archive.numbers(name).expect("numbers").shape;
-        // Fields that GMR's loader reads: betas of one axis, a rate that is one number.
+        // Fields that GMR's loader reads: betas have one axis, and the rate is one number.
         let frames = shape("pose_body")[0];
         assert_eq!(shape("pose_body"), [frames, 63]);
         assert_eq!(shape("root_orient"), [frames, 3]);
@@ -113,7 +113,7 @@ fn exports_have_licences_captions_and_what_other_tools_read() {
         // Blender add-ons read the rate under either name.
         assert_eq!(number("mocap_frame_rate"), [60.0]);
         assert_eq!(number("mocap_framerate"), [60.0]);
-        // GMR plays frames of less than 30 fps as if they had 30; every frame of 20 fps is one of 60.
+        // GMR plays motions below 30 fps as if they had 30 fps, so motions of 20 fps are written at 60 fps.
         let is_tripled = |row: &MotionRow| 3 * (row.n_frames as usize - 1) + 1 == frames;
         assert!(rows.values().any(is_tripled));
     }
@@ -139,7 +139,7 @@ fn damaged_motions_do_not_matter_to_metadata() {
     let shards = files_with_extension(&dataset.join("data/motions"), "parquet");
     let size = |path: &PathBuf| std::fs::metadata(path).expect("a shard").len();
     let shard = shards.iter().max_by_key(|path| size(path)).expect("shards");
-    // Nearly all of a shard is poses.
+    // Most bytes of a shard are poses, so this damages poses.
     damage(shard);
 
     stance(&["verify", arg(&dataset)]).expect_code(1);
@@ -161,7 +161,7 @@ fn damaged_motions_do_not_matter_to_metadata() {
     assert_eq!(damaged.len(), 1, "{damaged:?}");
 }
 
-/// Labels that people made in a dataset, as lines.
+/// Identity, content and labels of each row, as a line.
 fn labels(rows: &BTreeMap<String, MotionRow>) -> Vec<String> {
     let label = |row: &MotionRow| {
         let texts: Vec<&str> = row.captions.iter().map(|said| said.text.as_str()).collect();
@@ -179,7 +179,7 @@ fn what_people_made_in_a_dataset_is_counted_and_kept_by_a_dataset_of_it_or_of_it
     let of_train = |row: &&MotionRow| row.split == Split::Train;
     let train: Vec<&MotionRow> = rows.values().filter(of_train).take(3).collect();
     let list = dir.path().join("pairs.csv");
-    // One motion is the edit of two.
+    // One styled motion has two originals.
     let line = |original: &MotionRow| {
         let (styled, original) = (&train[0].id, &original.id);
         format!("{styled},{original},old,walk as an old person\n")
@@ -200,7 +200,7 @@ fn what_people_made_in_a_dataset_is_counted_and_kept_by_a_dataset_of_it_or_of_it
     text.expect_printed(&format!("{average:.1} on average"));
     text.expect_printed("style of edit");
 
-    // Masks in the format that the annotation tool exports.
+    // Fields that the annotation tool fills.
     let own = Some("own".to_owned());
     masks[0].accepted_by.clone_from(&own);
     let mut pairs: Vec<PairRow> = rows_of(&dataset);
@@ -209,7 +209,7 @@ fn what_people_made_in_a_dataset_is_counted_and_kept_by_a_dataset_of_it_or_of_it
     commit(&dataset, &masks, |row| row.split, "masks");
     commit(&dataset, &pairs, |row| row.split, "pairs");
 
-    // A second source: the dataset now has several folders.
+    // A dataset of this dataset has the same labels.
     let second = again(&dataset, "second");
     assert_eq!(labels(&second), labels(&rows));
     let masks = |name: &str| {
@@ -314,7 +314,7 @@ fn captions_without_tags_are_said_before_anything_is_written() {
     let file = dir.path().join("file");
     put(&file, "");
     export("humanml3d", &file.join("out")).expect_refused(&said);
-    // A plan for any number of processes behaves in the same way.
+    // Planning the export for several processes prints the warning too.
     let (out, plan) = (dir.path().join("out"), dir.path().join("plan"));
     let line = "stage plan export {} --to humanml3d --into {} --out {}";
     let planned = typed(line, &[&dataset, &out, &plan]).expect_code(0);
@@ -353,7 +353,7 @@ fn what_a_killed_export_left_is_removed_by_the_next_one() {
     assert!(partial() > 0, "every export was faster than the kill");
     exported(&dataset, "bvh", &home.join("out"), &[]);
     assert_eq!(partial(), 0);
-    // Items and edits are written the same way.
+    // An export of items removes such a folder too.
     let dead = home.join(".stance.0-0.partial");
     std::fs::create_dir_all(dead.join("new")).expect("made");
     put(dead.join("LOCK"), "");

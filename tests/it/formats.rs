@@ -18,7 +18,7 @@ use crate::util::{
     rows_of, skipped_of, stance, typed_with,
 };
 
-/// A folder for sources in a temporary folder.
+/// A temporary folder, and the path of a folder for sources in it.
 pub(crate) fn place() -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let source = dir.path().join("source");
@@ -90,8 +90,8 @@ pub(crate) fn walk(num_frames: usize, fps: f64) -> Vec<Pose> {
 /// parent.
 type Rig = Vec<(String, String, Option<usize>)>;
 
-/// Adds joints, each below the one before it. A word is a part of a name, which `pattern` completes, and the joint of
-/// the body if it moves; `right` is added to its number.
+/// Adds a chain of joints, each the child of the one before it. A word is NAME, or NAME=JOINT for a joint that moves:
+/// `pattern` completes the name, and JOINT plus `right` is the number of the body's joint.
 fn chain(rig: &mut Rig, above: &str, pattern: &str, right: usize, words: &str) {
     let mut above = above.to_owned();
     for word in words.split(' ') {
@@ -103,16 +103,16 @@ fn chain(rig: &mut Rig, above: &str, pattern: &str, right: usize, words: &str) {
     }
 }
 
-/// A BVH file of a rig whose zero pose is the rest pose of the body, with this many units per metre. The upper joints
-/// have positions too.
+/// A BVH file of a rig whose zero pose is the rest pose of the body, with this many units per metre. The root and the
+/// hips have position channels too.
 fn bvh(per_metre: f64, rig: &Rig, poses: &[Pose], frame_time: &str) -> String {
     let skeleton = Skeleton::smplx_neutral();
     let has_position = |name: &str| ["ROOT", "Root", "Hips"].contains(&name);
-    // SOMA has joints of its own at the ends of its chains.
+    // The chains of SOMA, whose first joint is `Root`, end in joints instead of end sites.
     let has_ends = rig[0].0 != "Root";
     let index_of = |name: &str| rig.iter().position(|(joint, ..)| joint == name);
     let place = |index: usize| rig[index].2.map(|joint| skeleton.rest(joint));
-    // The nearest place at or above a joint.
+    // Rest position of a joint, or of the nearest joint above it that has one.
     let nearest = |mut index: usize| loop {
         match (place(index), index_of(&rig[index].1)) {
             (Some(place), _) => return place,
@@ -345,7 +345,7 @@ fn snapmogen_and_xsens_files_are_ingested() {
     }
 }
 
-/// An array of 322 columns of these poses, y up.
+/// These poses as an array of Motion-X: 322 columns, y up.
 pub(crate) fn motion_x(poses: &[Pose]) -> Vec<u8> {
     let mut values = Vec::new();
     for pose in poses {
@@ -383,7 +383,7 @@ fn motion_x_is_ingested_with_captions_and_splits() {
     let row = &rows_of::<QuarantineRow>(&out)[0];
     assert_eq!(row.code, "E-NOT-FINITE");
     assert_eq!(row.byte_offset, Some(at as u64));
-    // A lone array is the same motion.
+    // A single array is recognised too.
     let ran = stance(&["inspect", arg(&motions.join("Walk_clip1.npy"))]);
     ran.expect_code(0).expect_printed("motion-x");
 }
@@ -405,7 +405,7 @@ fn bvh_is_one_motion_in_any_unit_and_a_wrong_unit_is_refused() {
     for row in rows_of::<MotionRow>(&out) {
         assert_shows(&row, &poses, 1);
     }
-    // A short person in centimetres is plausible too, and a note says so.
+    // A file in inches could be one of a very short person in centimetres, and a note says so.
     for (id, words) in [
         ("cm", "unit centimetres (a leg measures"),
         ("m", "unit metres (a leg measures"),

@@ -14,19 +14,19 @@ use crate::util::{
     stem_of, text_of, typed,
 };
 
-/// Runs `ingest --json` with sources as a user writes them.
+/// Runs `ingest --json` with sources as a user types them.
 pub(crate) fn ran(sources: &[impl AsRef<OsStr>], out: &Path, more: &[&str]) -> Ran {
     let mut command = command(&["--json", "ingest"]);
     command.args(sources).arg("--out").arg(out).args(more);
     command.output().expect("stance starts").into()
 }
 
-/// A source with the name that a user gives it.
+/// A source as NAME=PATH.
 pub(crate) fn named(name: &str, path: &Path) -> String {
     format!("{name}={}", arg(path))
 }
 
-/// Ingests, and holds the counts of the document against each other and against the tables.
+/// Ingests, and checks the counts of the document against each other and against the tables.
 pub(crate) fn ingest(sources: &[impl AsRef<OsStr>], out: &Path, more: &[&str], code: i32) -> Value {
     let done: Value = ran(sources, out, more).expect_code(code).json();
     assert_counted(&done);
@@ -42,12 +42,12 @@ pub(crate) fn refused(sources: &[impl AsRef<OsStr>], out: &Path, more: &[&str]) 
     ran(sources, out, more).refusal()
 }
 
-/// All clips.
+/// The rows of all clips.
 pub(crate) fn motions(dataset: &Path) -> Vec<MotionRow> {
     rows_of(dataset)
 }
 
-/// Split and content of every clip.
+/// Split and content hash of every clip, by id.
 pub(crate) fn clips(dataset: &Path) -> BTreeMap<String, (Split, String)> {
     let rows = motions(dataset).into_iter();
     rows.map(|row| (row.id.to_string(), (row.split, row.content_hash)))
@@ -73,7 +73,7 @@ pub(crate) fn files(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Moves motion files with the files of the same name beside them.
+/// Moves motion files, and the files of the same stem beside them.
 pub(crate) fn move_files(files: &[PathBuf], to: &Path) {
     fs::create_dir_all(to).expect("made");
     for file in files {
@@ -88,7 +88,7 @@ pub(crate) fn move_files(files: &[PathBuf], to: &Path) {
     }
 }
 
-/// A corpus in two folders of half the clips each, in all its formats.
+/// A corpus in two folders: every other motion file is moved to the second.
 pub(crate) fn halves(clips: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
     let dir = corpus(clips);
     let (first, second) = (dir.path().join("corpus"), dir.path().join("more"));
@@ -106,7 +106,7 @@ pub(crate) fn begun_with_half(clips: usize) -> (tempfile::TempDir, PathBuf, Path
     (dir, source, more, dataset)
 }
 
-/// Accepts every automatic mask in the name of a person.
+/// Accepts every automatic mask in the name of a person, and returns the masks.
 pub(crate) fn judge(dataset: &Path) -> BTreeMap<String, MaskRow> {
     stance(&["masks", arg(dataset), "--add"]).expect_code(0);
     let file = dataset.with_extension("jsonl");

@@ -103,7 +103,7 @@ fn a_file_of_the_same_name_takes_nobodys_id() {
     let after = clips(&dataset);
     assert_eq!(after["walk"], before["walk"]);
     assert_eq!(after.keys().collect::<Vec<_>>(), ["walk", "walk.bvh"]);
-    // Both files have one name, so they share a split.
+    // Both files have the same stem, so their clips share a split.
     assert_eq!(after["walk"].0, after["walk.bvh"].0);
 }
 
@@ -305,7 +305,7 @@ fn masks_that_a_stage_derived_are_no_loss_when_their_file_changes() {
     let (_dir, source, more, dataset) = begun_with_half(12);
     stance(&["masks", arg(&dataset)]).expect_code(0);
     let derived = masks(&dataset);
-    // The captions of the masks were imported, and a stage derived the masks.
+    // The texts of these masks were imported, but `stance masks` derived the masks.
     assert!(derived.values().any(|mask| mask.text_origin == "imported"));
     let is_derived = |row: &MotionRow| {
         let mut of_clip = derived.values().filter(|mask| mask.motion_id == row.id);

@@ -76,7 +76,7 @@ fn every_verb_explains_itself_and_its_options() {
             &help,
             &["--threads", "--seed", "--json", "--quiet", "--no-progress"],
         );
-        // Options of models stand where a model runs.
+        // Only verbs that run a model have the option --device, and only those that train one have --devices.
         let (device, devices) = (help.contains("--device "), help.contains("--devices "));
         let runs = RUNS.split(' ').any(|run| run == verb);
         let trains = ["demo", "run", "train", "reproduce"].contains(&verb);
@@ -84,7 +84,7 @@ fn every_verb_explains_itself_and_its_options() {
     }
 }
 
-/// A help text in which a mark replaces each list that is made from the code.
+/// Replaces each list that is generated from code (formats, models, metrics) by a placeholder.
 fn without_lists(help: &str) -> String {
     let has_all = |part: &str, names: &[String]| names.iter().all(|name| part.contains(name));
     let formats: Vec<String> = FORMATS.iter().map(|of| of.as_str().to_owned()).collect();

@@ -52,7 +52,7 @@ impl Hub {
     }
 }
 
-/// A run folder like those of training, with weights of four kinds.
+/// Writes a run folder like those of training, with four files of weights of different sizes.
 fn run_folder(folder: &Path, dataset_hash: &str) {
     let best = folder.join("checkpoint/best");
     let record = json!({
@@ -83,7 +83,7 @@ fn manifest(dataset: &Path) -> Manifest {
     dataset.manifest().clone()
 }
 
-/// Files of a dataset's newest version, and what describes them.
+/// Paths of the files that are published: tables of the newest version, its manifest, and its descriptions.
 fn published(dataset: &Path) -> BTreeSet<String> {
     let manifest = manifest(dataset);
     let named = manifest.tables.into_values().flatten();
@@ -127,7 +127,7 @@ fn a_dataset_comes_back_byte_for_byte_and_of_a_changed_one_only_what_changed_is_
         assert_eq!(bytes, sent, "{path}");
     }
     hub.pull(Some(TOKEN), CLIPS, &out, &[]).expect_code(1);
-    // The storage is not told the token.
+    // The token is never sent to the storage.
     for call in &hub.state().calls {
         assert!(call.token.is_none() || !call.is_storage, "{}", call.line);
     }
@@ -223,7 +223,7 @@ fn a_push_that_broke_off_goes_on_and_a_pull_too_but_wrong_bytes_are_refused() {
     for put in &before[..2] {
         assert!(!after.contains(put), "{put} was sent twice");
     }
-    // Two and five parts.
+    // The other two files have two and five parts.
     assert_eq!(after.len(), 7);
     let sent = fs::read(run.join("checkpoint/best/3.safetensors")).expect("there");
     let found = hub
@@ -367,7 +367,7 @@ fn edits_are_published_as_a_dataset_and_folders_and_repos_of_others_are_refused(
     fs::create_dir(&nothing).expect("made");
     hub.try_push(&nothing, "lab/nothing", &[])
         .expect_refused("expected a dataset, edits, or a run");
-    // Repos of other programs are refused, and names that lead out of the folder.
+    // Repos of other programs are refused, and so are paths that lead out of the folder.
     hub.state().write("models/lab/foreign", "weights.bin", b"1");
     let out = dir.path().join("foreign");
     let refused = |why: &str| {
@@ -381,7 +381,7 @@ fn edits_are_published_as_a_dataset_and_folders_and_repos_of_others_are_refused(
     hub.state().write("models/lab/foreign", "a/../../b", b"1");
     refused("cannot be written here");
     assert!(!out.exists());
-    // A dataset and a model have the same name.
+    // If a dataset and a model have the same name, --type must choose.
     hub.state().write("datasets/lab/foreign", "a", b"1");
     refused("--type");
 }

@@ -16,7 +16,7 @@ use crate::util::{
     stance, text_of, typed, typed_with,
 };
 
-/// The document of `ingest --json`; the fields that scripts rely on.
+/// The document of `ingest --json`, with the fields that scripts rely on.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Ingested {
@@ -165,7 +165,7 @@ fn a_killed_run_continues_to_the_same_dataset() {
         .stderr(std::process::Stdio::null())
         .spawn()
         .expect("stance starts");
-    // Whether the kill comes before, in or after a shard, the next run must give the same result.
+    // Wherever the kill comes, before, during or after the write of a shard, the next run must give the same result.
     while !staged.exists() && run.try_wait().expect("a child").is_none() {
         std::thread::yield_now();
     }
@@ -212,7 +212,7 @@ fn real_motion_is_ingested_or_quarantined_with_a_reason() {
     let motions =
         files_with_extension(&bvh, "bvh").len() + files_with_extension(&amass, "npz").len();
     assert_eq!(done.ingested + done.quarantined, motions as u64, "{done:?}");
-    // Every Bandai-Namco take is a motion of a person.
+    // Every Bandai-Namco take is a motion of a person, so none is quarantined.
     let rows: Vec<QuarantineRow> = rows_of(&out);
     let of_take = |row: &&QuarantineRow| row.path.contains("bandai_namco");
     assert_eq!(rows.iter().find(of_take), None);

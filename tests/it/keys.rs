@@ -1,4 +1,5 @@
-//! Releases whose keys are plain numbers, which every copy shares: two folders of one layout must stay separate.
+//! Releases whose keys are plain numbers: two folders of one layout have the same keys, but their clips must stay
+//! separate.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
@@ -15,14 +16,14 @@ use crate::grown;
 use crate::pairs::motionfix_motion;
 use crate::util::{arg, assert_tells, corpus, json_of, motions_of, rows_of, stance, typed};
 
-/// Ingests folders of which every motion is good.
+/// Ingests folders without bad motions.
 fn ingest(sources: &[impl AsRef<OsStr>], out: &Path) -> Value {
     let done = grown::ingest(sources, out, &["--fps", "native"], 0);
     assert_eq!(done["quarantined"], 0, "{done}");
     done
 }
 
-/// Split of every motion by its content hash. Equal motions share a split.
+/// Split of every motion by its content hash. Checks that equal motions share a split.
 fn splits(dataset: &Path) -> BTreeMap<String, Split> {
     let mut splits = BTreeMap::new();
     for row in rows_of::<MotionRow>(dataset) {
@@ -32,7 +33,8 @@ fn splits(dataset: &Path) -> BTreeMap<String, Split> {
     splits
 }
 
-/// Writes pairs of MotionFix under the keys from 0; their motions have the numbers from `first`.
+/// Writes `count` pairs of MotionFix with keys from 0, and returns the keys. Pair number N, counted from `first`, has
+/// the motions 2 N and 2 N + 1.
 fn put_pairs(folder: &Path, first: usize, count: usize) -> Vec<String> {
     let keys: Vec<String> = (0..count).map(|key| format!("{key:06}")).collect();
     let pairs = keys.iter().zip(first..).map(|(key, number)| {
@@ -64,7 +66,7 @@ fn folders_of_motionfix_with_equal_keys_lose_no_pair_and_keep_their_splits() {
         put(&at(name), "splits.json", json!({ split: keys }).to_string());
         sources.push(at(name));
     }
-    // The pairs of `c` with other keys and without a list: equal motions share a split.
+    // The first five pairs of `c`, without a list: equal motions share a split.
     put_pairs(&at("d"), 200, 5);
     sources.push(at("d"));
     let (one, several) = (at("one"), at("several"));
@@ -126,7 +128,7 @@ fn exports_of_motionfix_have_keys_of_their_own() {
     assert_eq!(keys.len(), count);
     ingest(&sources, &at("again"));
     assert_eq!(rows_of::<MotionRow>(&at("again")).len(), 2 * count);
-    // A key that was read is written again.
+    // An export keeps the keys that were ingested.
     let out = at("once-more");
     typed("export {} --to motionfix --out {}", &[&at("again"), &out]).expect_code(0);
     assert_eq!(keys_of(&out).into_iter().collect::<BTreeSet<_>>(), keys);

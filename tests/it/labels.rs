@@ -14,7 +14,7 @@ use crate::util::{
     motions_of, put, rows_of, stance, text_of, texts_in, typed, typed_with,
 };
 
-/// A folder of BVH files without labels, with others written by a test.
+/// BVH files of the corpus, without labels, and a folder `in` that a test fills with motions and labels.
 struct Sources {
     dir: tempfile::TempDir,
     motions: Vec<Vec<u8>>,
@@ -108,7 +108,7 @@ fn a_folder_says_what_its_clips_are_and_the_nearer_wins() {
             "inner/sit",
             &["a person sits down", "a person sits", "he rests"],
         ),
-        // The caption of the folder, as nothing else describes it.
+        // The caption of the folder, because nothing else describes this clip.
         ("inner/deep/hop", &["a person moves"]),
     ] {
         assert_eq!(texts(&rows[id]), captions, "{id}");
@@ -167,7 +167,7 @@ fn a_bad_label_costs_the_label_and_not_the_motion_and_stays_listed_until_it_is_c
     for (problem, part) in found.iter().zip(expected) {
         assert!(problem.contains(part), "{part}: {problem}");
     }
-    // A label that cannot be read moves no clip.
+    // A label that cannot be read changes neither splits nor motions.
     for (id, row) in &labelled {
         assert_eq!(row.split, plain[id].split);
         assert_eq!(row.content_hash, plain[id].content_hash);
@@ -184,7 +184,7 @@ fn a_bad_label_costs_the_label_and_not_the_motion_and_stays_listed_until_it_is_c
     let text = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(0);
     text.expect_printed("4 labels could not be used");
     text.expect_printed("ghost");
-    // Another clip is added, and the clips with the labels are not read again.
+    // When a clip is added, those with bad labels are not read again.
     sources.motions("a b inner/c d");
     let (grown, _) = sources.ingest("out", &[]);
     assert_eq!(grown["growth"]["kept"], 3, "{grown}");
@@ -359,7 +359,7 @@ fn rates_that_single_precision_rounds_pass_verify_and_those_out_of_bounds_are_re
         ran.expect_said("choose 1 to 1000");
         assert!(!sources.path("none").exists());
     }
-    // Resampled, this clip would not fit into memory. It is the only motion, so the dataset has none.
+    // Resampled to 1000 fps, this clip would not fit into memory. It is the only motion, so the dataset has none.
     let (head, _) = text.split_once("MOTION").expect("a motion");
     let frames = format!("{}\n", frames.lines().next().expect("a frame")).repeat(5000);
     let slow = format!("{head}MOTION\nFrames: 5000\nFrame Time: 1\n{frames}");

@@ -51,8 +51,7 @@ fn mdm_edits_body_parts_and_stands_in_the_table() {
             let moved = pairs.map(|(a, b)| a[joint].distance(b[joint]));
             moved.fold(0.0, f64::max)
         };
-        // The network is untrained: its motion of a part is far from the source, and the bones around the part follow
-        // it.
+        // The network is hardly trained, so edited joints end far from the source; others move less than half as far.
         let most = |is_free: bool| {
             let joints = (0..NUM_BODY_JOINTS).filter(|&joint| free.contains(joint) == is_free);
             joints.map(moved).fold(0.0, f64::max)

@@ -10,7 +10,7 @@ use work::commit_edits;
 
 use crate::util::files_with_extension;
 
-/// A motion that stands at its own place.
+/// A motion of three equal frames at x = `place` metres.
 fn motion(place: usize) -> Motion {
     let mut pose = Pose::REST;
     pose.transl.x = place as f64;
@@ -73,7 +73,7 @@ fn motions_are_read_by_the_positions_of_their_rows_and_not_before() {
         let file = File::options().write(true).open(file).expect("a file");
         file.set_len(0).expect("emptied");
     }
-    // The other columns are in memory; motions of the emptied file cannot be read any more.
+    // All columns but the motions are in memory; motions of the emptied file cannot be read any more.
     assert_eq!(answered.edits.facts()[0], EditFacts::from(&expected[0]));
     assert!(answered.edits.rows(&[0]).is_err());
     assert!(answered.edits.rows(&[expected.len() - 1]).is_ok());

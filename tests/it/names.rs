@@ -1,4 +1,4 @@
-//! Names of sources that are written in a file, and of sources at URLs.
+//! Names of sources in the configuration of `run` and `build`.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -17,12 +17,12 @@ fn configure(folder: &Folder, sources: &str, out: &str, more: &str) {
     folder.put("stance.toml", text);
 }
 
-/// The sources of two folders of one name, with names of their own.
+/// Sources with different names whose folders have the same name.
 const NAMED: &str = r#"["anna=anna/takes", "ben=ben/takes"]"#;
 
 #[test]
 fn a_configuration_of_run_or_build_names_its_sources() {
-    // Two folders of one name, `anna/takes` and `ben/takes`.
+    // Two folders of the same name, `anna/takes` and `ben/takes`.
     let folder = Folder::of_clips(60);
     let all = files(&folder.path("corpus"));
     let half: Vec<_> = all.iter().skip(1).step_by(2).cloned().collect();
@@ -68,11 +68,11 @@ fn a_configuration_of_run_or_build_names_its_sources() {
     assert_eq!(names(&folder, "built/dataset"), expected);
     let before = clips(&dataset);
     assert_eq!(before.len(), 60);
-    // The configuration also names a folder that moved, and no clip is lost.
+    // A folder moved: with its name and new path in the configuration, no clip is lost.
     fs::rename(folder.path("ben"), folder.path("archive")).expect("moved");
     build(r#"["anna=anna/takes", "ben=archive/takes"]"#, "built", 0);
     assert_eq!(clips(&dataset), before);
-    // `ingest` recognises both sources by the names of the configuration.
+    // `ingest` recognises a source by the path that the configuration gave it.
     let again = ingest(&[&folder.path("archive/takes")], &dataset, &[], 0);
     assert_eq!(again["already_complete"], true);
     // An invalid name is reported with its line.

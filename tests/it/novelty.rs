@@ -1,4 +1,4 @@
-//! Novelty of test questions: decided by labels, printed with every table, and requested in equal parts.
+//! Novelty of test items, which labels decide and which can be requested in equal parts; and the sets of known limits.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,7 +20,7 @@ fn with_dataset(clips: &str) -> Folder {
     folder
 }
 
-/// The novelty of an item by the rules of the documentation, from the rows of the dataset.
+/// The rows of a dataset, from which the documented rules give the novelty of an item.
 struct Rules {
     clips: BTreeMap<String, MotionRow>,
     masks: Vec<MaskRow>,
@@ -36,7 +36,7 @@ impl Rules {
         }
     }
 
-    /// Whether the training split has such a clip.
+    /// Whether the training split has a clip for which `is` holds.
     fn has(&self, is: impl Fn(&MotionRow) -> bool) -> bool {
         let mut clips = self.clips.values();
         clips.any(|row| row.split == Split::Train && is(row))
@@ -141,7 +141,7 @@ fn a_dataset_that_is_not_that_of_a_test_set_is_refused_and_one_without_training_
     assert_eq!(done["novelty"]["not known"], 12, "{done}");
 }
 
-/// Ingests the questions of one folder `limit` with one of its lists, and draws all of them.
+/// Ingests the folder of one limit with one of its lists of pairs, and draws all its items.
 fn questions(folder: &Folder, limit: &str, list: &str) -> Vec<ItemRow> {
     let (sources, name) = (format!("@limits/{limit}"), format!("{list}-{limit}"));
     folder.run(&format!(

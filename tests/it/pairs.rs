@@ -26,12 +26,12 @@ fn labelled(clips: usize) -> (tempfile::TempDir, PathBuf) {
     (dir, dataset)
 }
 
-/// Makes pairs of labels, and returns the document of the command.
+/// Makes pairs from labels, and returns the document of the command.
 fn paired(dataset: &Path) -> Json {
     stance(&["--json", "pairs", arg(dataset)]).done()
 }
 
-/// Writes settings of a short training and of composing, and trains a model with them.
+/// Trains a model for two steps on small batches, with these settings of the composer.
 fn train(model: &str, dataset: &Path, compose: &str) -> Ran {
     let [config, settings, run] =
         ["train.toml", "compose.toml", "run"].map(|name| dataset.with_file_name(name));
@@ -67,7 +67,7 @@ fn the_corpus_has_style_pairs_in_every_split_and_trains_on_styles_alone() {
             let count = made["splits"][split].as_u64().expect("a number");
             assert!(count >= 5, "{count} pairs in {split} of {clips} clips");
         }
-        // Styles are in the split of their original: one split for each action and take.
+        // Styled clips are in the split of their original: one split for each action and take.
         let takes = takes(&dataset, |row| {
             let stem = row.id.as_str().trim_end_matches("_poses");
             let action = row.action.clone().expect("labelled");
@@ -413,7 +413,7 @@ fn the_motion_base_can_be_limited_to_kinds_of_source() {
 fn a_coordinator_without_two_clips_to_compose_says_what_is_missing() {
     let (dir, dataset) = dataset_of(CLIPS_PER_TAKE, &[]);
     let source = dir.path().join("corpus");
-    // One BVH clip of the training split remains, and pairs of the other kind are added.
+    // Only one BVH clip of the training split remains; the style pairs also have clips of the other format.
     let mut rows = rows_of::<MotionRow>(&dataset);
     rows.retain(|row| row.source == "bvh" && row.split != Split::Val);
     let kept = rows.iter().find(|row| row.split == Split::Train);

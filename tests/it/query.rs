@@ -14,7 +14,7 @@ use tempfile::TempDir;
 
 use crate::util::{arg, dataset_of, len_of, put, rows_of, stance, typed, typed_with};
 
-/// A dataset of the corpus with masks and pairs, and its clips.
+/// A dataset of the corpus with masks and pairs of some clips, and the rows of all clips.
 fn made(clips: usize) -> (TempDir, PathBuf, Vec<MotionRow>) {
     let (dir, dataset) = dataset_of(clips, &[]);
     stance(&["pairs", arg(&dataset), "--where", "action <> 'sit'"]).expect_code(0);
@@ -251,7 +251,7 @@ fn hostile_queries_end_with_an_error_and_read_nothing_else() {
             "{error}"
         );
     }
-    // A process that overflows its stack would end by a signal. An argument has at most 128 KiB.
+    // A process that overflows its stack would end by a signal. The queries are cut: an argument has at most 128 KiB.
     for query in [&deep[..100_000], &long[..100_000]] {
         let ran = stance(&["query", arg(&dataset), query]).expect_code(1);
         assert!(ran.stderr.starts_with("error: "), "{}", ran.stderr);

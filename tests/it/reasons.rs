@@ -54,7 +54,7 @@ fn a_quote_that_is_not_closed_is_named_by_its_line_and_a_changed_list_by_its_ids
     let done = ingest(&source, &out, &["--splits", arg(&list)], 3);
     let refused = done["refused_splits"].to_string();
     assert_has(&refused, &["\"line\":3", "not closed"]);
-    // Another list is told by the ids that it moves.
+    // A changed list is reported with the ids that it moves.
     put(&list, "walk,train\nrun,train\njump,train\nsit,train\n");
     let out = dir.path().join("moved");
     ingest(&source, &out, &["--splits", arg(&list)], 0);
@@ -155,7 +155,7 @@ fn ten_hours_are_refused_by_the_header() {
     let dir = corpus(2);
     let source = motions(dir.path(), &["good"]);
     let frames = 4_320_000u64;
-    // Arrays of single precision, of which the file has the headers alone.
+    // Arrays of single precision; the file holds only their headers.
     let array = |name: &'static str, width: u64| {
         let header = npy_header(&format!("({frames}, {width})"));
         let length = header.len() as u64 + frames * width * 4;
@@ -195,7 +195,7 @@ fn a_name_of_254_bytes_is_shortened_and_said() {
     }
     let files = files_with_extension(&dir.path().join("bvh"), "bvh");
     assert_eq!(files.len(), 4);
-    // The masks are imported again under the short names.
+    // The clips are ingested again under the short names.
     let again = dir.path().join("again");
     ingest(&dir.path().join("bvh"), &again, &[], 0);
     assert_eq!(ids(&again).len(), 4);
@@ -237,7 +237,7 @@ fn edited_texts_without_a_verdict_are_kept() {
     assert_eq!(row.text, "The person is thinking about it.");
     assert_eq!(row.text_origin, "draft");
     assert_eq!(row.author, "ann");
-    // The task is still open, and no run of the stage discards it.
+    // The mask still waits for a verdict, and writing the drafts again keeps its text.
     stance(&["masks", arg(&out), "--drafts", arg(&file)]).expect_code(0);
     let lines = text_of(&file);
     let mut lines = lines.lines();

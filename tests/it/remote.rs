@@ -58,7 +58,7 @@ fn answer(mut stream: TcpStream, files: &Files) -> std::io::Result<()> {
     Ok(())
 }
 
-/// Ingests a source; the store at this endpoint has the buckets.
+/// Ingests a source; buckets are looked up at `endpoint`.
 fn ingest(endpoint: &str, source: &str, out: &Path) -> Ran {
     command(&["ingest", source, "--out", arg(out)])
         .env("AWS_ENDPOINT_URL", endpoint)

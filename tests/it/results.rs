@@ -1,4 +1,4 @@
-//! Notes on the numbers of tables and pages.
+//! Conditions, intervals and notes of result tables, and what they refuse.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -22,7 +22,7 @@ fn write_rows<R: Row>(bench: &Bench, name: &str, rows: &[R], split: fn(&R) -> Sp
     out
 }
 
-/// The only row of a system and a metric over all tasks.
+/// The first row of a system and a metric.
 pub(crate) fn score<'a>(scores: &'a Value, system: &str, metric: &str) -> &'a Value {
     let mut rows = list_of(scores).iter();
     rows.find(|row| row["system"] == system && row["metric"] == metric)
@@ -98,7 +98,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
     let dataset = dataset.content_hash(&[MotionRow::TABLE]);
     let table = |more: &[&str]| {
         let args = [&["--format", "markdown"], more].concat();
-        // One task; tables of novelties follow.
+        // The first table is that of the only task; tables of novelties follow.
         tables(&bench.eval(&[&edits], &args).printed()).remove(0)
     };
     let conditions = |intervals: &str| {
@@ -164,7 +164,7 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
 #[test]
 fn a_system_behind_the_identity_editor_is_never_best() {
     let bench = Bench::open();
-    // Originals raised by five metres: farther from every target than the originals.
+    // The edits are the sources raised by five metres, so they are farther from every target than the sources.
     bench.edits("lifted", &["--name", "lifted"]);
     let mut rows: Vec<EditRow> = bench.rows("lifted");
     let items: Vec<ItemRow> = bench.rows("items");
@@ -194,7 +194,7 @@ fn a_system_behind_the_identity_editor_is_never_best() {
     assert_eq!(own["behind_identity"], true);
     assert_eq!(identity["behind_identity"], false);
     let table = |format: &str| eval(&format!("--table 1 --further --format {format}")).stdout;
-    // One task; tables by novelty are between its tables.
+    // Tables of novelties stand between the tables of the only task.
     let mut markdown = tables(&table("markdown"));
     markdown.retain(|table| table.heading == "semantic");
     let further = &markdown[1];
@@ -205,7 +205,7 @@ fn a_system_behind_the_identity_editor_is_never_best() {
         further.row("lifted")[column.expect("a column") - 1],
         printed(own)
     );
-    // How the note names columns is tested with the tables of crate `eval`.
+    // Tests of crate `eval` check how the note names columns.
     let behind = "Behind the identity editor, which returns the original unchanged: lifted in ";
     let mut notes = further.notes.iter();
     assert!(notes.any(|note| note.starts_with(behind)), "{further:?}");
@@ -236,7 +236,7 @@ fn what_cannot_stand_in_one_table_is_refused() {
         let parts = ["two motions of item", "sampled with seed 0", "--seed"];
         assert_has(&ran.refusal(), &parts);
     }
-    // Half of the items are the same, but these are two test sets.
+    // Four of the eight items are the same, but these are two test sets.
     bench.items("few", &["--count", "4"]);
     let few = bench.answers("editor", "few", "answers", &["--name", "other"]);
     let compared = bench.typed("eval compare @first @answers --encoder @encoder --weak-judge");
@@ -258,7 +258,7 @@ fn what_cannot_stand_in_one_table_is_refused() {
     }
     assert!(!bench.path("page.html").exists());
 
-    // An item that was changed under its id.
+    // An item whose content was changed, but not its id.
     let mut rows: Vec<ItemRow> = bench.rows("items");
     rows[3].instruction.push_str(" Twice.");
     let forged = write_rows(&bench, "forged", &rows, |row| row.split);
@@ -311,7 +311,7 @@ fn pairs_of_motionfix_fill_its_tables() {
         let ran = bench.eval(&[&edits], &format).expect_code(0);
         assert!(!ran.stderr.contains("there are none"), "{}", ran.stderr);
         let scores = bench.scores(&[&edits], &["--table", table]);
-        // Tables of novelties follow.
+        // Tables of novelties follow the first table.
         let laid_out = &tables(&ran.stdout)[0];
         assert_eq!(laid_out.heading, "motionfix");
         laid_out.check_measured(&names, &scores);
@@ -340,7 +340,7 @@ fn pairs_of_motionfix_fill_its_tables() {
     let refused = bench.eval(&[&edits], &["--keypoints", "21"]).expect_code(2);
     refused.expect_said("28 and 22");
 
-    // Nothing was blended, and the part is still highlighted.
+    // Nothing was blended, but the edited part is still highlighted.
     bench.run("report @answers --out @page.html");
     assert_has(&bench.text("page.html"), &["#1BAA78"]);
 }
@@ -385,7 +385,7 @@ fn latencies_stand_apart_from_times_that_windows_share() {
     let together = bench.edits("together", &[]);
     let alone = bench.edits("alone", &["--max-batch", "1"]);
     let rows = |folder: &str| bench.rows::<EditRow>(folder);
-    // The batch changes no number.
+    // The batch size changes no number of the edits.
     assert_eq!(rows("together"), rows("alone"));
     let format = ["--table", "a4", "--published", "--format", "markdown"];
     let ran = bench.eval(&[&together, &alone], &format).expect_code(0);

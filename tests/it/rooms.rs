@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::util::{files_with_extension, stem_of, text_of};
 
-/// The crates of the default build with their folders, from the lowest to the highest. Each may depend on those before it.
+/// The crates of the default build with their folders, the lowest first. Each may depend only on those before it.
 const FLOORS: [(&str, &str); 18] = [
     ("kinematics", "datasets-spec/kinematics"),
     ("pickle", "pipeline/pickle"),
@@ -27,7 +27,7 @@ const FLOORS: [(&str, &str); 18] = [
     ("stance", "."),
 ];
 
-/// Crates that neither the trainer nor the annotation server builds.
+/// Crates on which neither the trainer nor the annotation server may depend.
 const READERS: [&str; 3] = ["formats", "pipeline", "corpus"];
 
 fn root() -> &'static Path {
@@ -145,7 +145,7 @@ impl House {
         house
     }
 
-    /// The path from the root of the crate; none if it leads to another crate.
+    /// The path of an import from the root of the crate; `None` if it leads to another crate.
     fn whole(&self, module: &Module, import: &Module) -> Option<Module> {
         let mut at = match import.first()?.as_str() {
             "crate" => Module::new(),

@@ -25,8 +25,8 @@ struct Labelled {
 }
 
 impl Labelled {
-    /// A dataset of the built-in corpus with automatic masks, style pairs and fine-grained pairs, and a store of answers
-    /// beside it: masks of motions of all kinds, pairs of which [`REJECTED`] are not usable, and styles with an extent.
+    /// A dataset of the built-in corpus with automatic masks, style pairs and fine-grained pairs, and a store beside it
+    /// with accepted answers: 20 of masks, 12 of pairs, of which [`REJECTED`] are rejections, and 6 of styles.
     fn new() -> Self {
         let made = Self {
             dir: tempfile::tempdir().expect("a temporary folder"),
@@ -98,8 +98,8 @@ impl Labelled {
         ran.expect_code(code).json()
     }
 
-    /// Adds the answers to the dataset, and labels that only other programs make: a mask without named parts and one of
-    /// altered joints, a semantic pair, and a motion that is the style of two others.
+    /// Adds the answers to the dataset, and labels that only other programs make: a mask without named parts, one with
+    /// altered joints, a semantic pair, and a styled motion with two originals.
     fn with_all_labels(&self) {
         self.annotate("store.sqlite", &["export"]);
         let mut masks: Vec<MaskRow> = self.rows("dataset");
@@ -160,7 +160,7 @@ fn style(number: usize) -> Answer {
     }))
 }
 
-/// Labels of the motions by people and sources, as lines.
+/// Identity, content and labels of motions, as lines.
 fn said(rows: Vec<MotionRow>) -> BTreeSet<String> {
     let line = |row: MotionRow| {
         let from = (row.id, row.split, row.content_hash, row.mirrored_of);
@@ -196,7 +196,7 @@ fn every_mask_and_pair_of_a_dataset_comes_back_by_way_of_the_stance_layout() {
     assert_eq!(kinds.len(), 3, "{kinds:?}");
     assert_eq!(pairs("again"), pairs("dataset"));
 
-    // Data that only this program's own files can hold is counted: masks that are not in the release's two lists.
+    // Labels that only this program's own files hold are counted, such as masks outside the release's two lists.
     let lists = ["mask_all", "part_annotations"].map(|name| {
         let list = made.path(&format!("stance/regen/{name}.json"));
         json_of::<BTreeMap<String, Vec<String>>>(list)
@@ -238,7 +238,7 @@ fn an_exported_dataset_gives_its_answers_to_a_project() {
     made.ingest("corpus", "plain", &["--pairs", arg(&pairs)], 0);
     let filled = made.annotate_of("plain", "plain.sqlite", &["import", arg(&folder)]);
     assert_eq!(filled["counts"]["conflicts"], 0, "{filled}");
-    // The old ids also hold in a dataset made from the export, whose own tables already have the answers.
+    // Answers with the old ids also fit a dataset made from the export, whose own tables already have them.
     made.ingest("stance", "again", &[], 0);
     made.annotate_of("again", "again.sqlite", &["import", arg(&folder)]);
     type Line = (String, String);
@@ -309,7 +309,7 @@ fn an_export_that_was_changed_is_refused_with_both_names() {
     let folder = made.path("stance");
     let record: Value = json_of(folder.join("origin.json"));
     let motions = record["motions"].as_object().expect("an object");
-    // Motions of an adjustment are also in other files.
+    // Some motions are in several files, such as those of fine-grained pairs; take two that are in one file each.
     let mut places: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for (place, origin) in motions {
         let id = origin["id"].as_str().expect("an id");
@@ -328,7 +328,7 @@ fn an_export_that_was_changed_is_refused_with_both_names() {
     let listed = typed("inspect {} --list quarantine", &[&again]).printed();
     let said = [first.0, second.0, "masks.jsonl holds the masks"];
     assert_has(&listed, &said);
-    // All other motions are unchanged.
+    // All other motions are ingested.
     let [again, all] = ["again", "dataset"].map(|name| made.motions(name).len());
     assert_eq!(again + 1, all);
     // A motion without a file is reported.
@@ -383,7 +383,7 @@ fn every_answer_of_a_project_comes_back_and_what_a_layout_leaves_out_is_counted(
     made.try_annotate("dataset", "third.sqlite", &["import", arg(&to)])
         .expect_refused("mask_all.json was changed since the export");
 
-    // A spreadsheet has what people of this project wrote.
+    // CSV has only what people of this project wrote.
     let to = made.path("sheet");
     let export = ["export", "--format", "csv", "--to", arg(&to)];
     let own = made.annotate("store.sqlite", &export);
@@ -403,8 +403,8 @@ fn every_answer_of_a_project_comes_back_and_what_a_layout_leaves_out_is_counted(
     assert_eq!(counts["left_out_rejected_pairs"], REJECTED, "{tables}");
 }
 
-/// A project with unfinished work moves to another computer. The dataset was ingested there again: one clip has other
-/// content, and one is missing.
+/// A project with unfinished work moves to another computer: to the same dataset, and to one that was ingested again
+/// with other content.
 #[test]
 fn a_packed_project_goes_on_where_it_is_unpacked() {
     let made = Labelled::new();
@@ -524,7 +524,7 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
     let line = format!("left out, because the layout has no place for them: {masks} masks");
     text.expect_printed(&line);
 
-    // Pairs with words come back by way of MotionFix.
+    // Pairs with instructions come back by way of MotionFix.
     let said = made.export("motionfix");
     let is_worded = |pair: &&PairRow| !pair.instruction.is_empty() || pair.style.is_some();
     let worded = pairs.iter().filter(is_worded).count();
@@ -548,7 +548,7 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
     with_words.retain(|pair| !pair.instruction.trim().is_empty());
     assert_eq!(instructions.len(), with_words.len());
 
-    // Features are counted, and pairs with only one chosen motion.
+    // Features are counted too, and so are pairs with only one chosen motion.
     made.ingest("corpus", "features", &["--features", "humanml3d"], 0);
     let rows = made.rows::<HumanMl3dRow>("features").len();
     let said = exported(&made.path("features"), "stance", &made.path("a"), &[]);
@@ -559,7 +559,7 @@ fn what_each_layout_leaves_out_is_counted_and_the_rest_comes_back() {
     let chosen = format!("id = '{first}'");
     let said = exported(&dataset, "stance", &made.path("b"), &["--where", &chosen]);
     assert_eq!(said["left_out"]["pairs"], touched, "{said}");
-    // A planned export gives the same warning.
+    // A planned export counts the same.
     let (plan, out) = (made.path("plan"), made.path("planned"));
     let line = "stage plan export {} --to bvh --into {} --out {}";
     typed(line, &[&dataset, &out, &plan]).expect_code(0);

@@ -75,7 +75,7 @@ fn an_edit_has_the_rate_and_the_anchor_of_the_training() {
         record["config"]["compose"]["config"]["anchor"] = json!("pelvis");
     });
     assert_ne!(edit("other-anchor", "other").1.transl, edited.transl);
-    // A record of an earlier version gives the same result.
+    // A run whose record has the form of an earlier version gives the same edit.
     copy_with(&workshop, "editor", "old-record", |record| {
         let compose = record["config"]["compose"].take();
         let pair = json!([compose["config"], compose["seed"]]);
@@ -149,7 +149,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     };
     let said: Value = answer("editor", "edits").json();
     assert_eq!(said["num_short"], 0);
-    // Splits keep the takes of an action together, so that some actions of the test split are unknown.
+    // Splits keep the takes of an action together, so training has not shown some actions of the test split.
     let asked: Vec<ItemRow> = workshop.rows("items");
     let texts = asked.iter().map(|item| item.instruction.to_lowercase());
     let texts: Vec<String> = texts.collect();
@@ -171,16 +171,17 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     assert!(!page_with(&[]).contains("never seen in training"));
     let found = lengths("edits");
     assert_eq!(found.len(), 8);
-    // Whole windows end with frame 30, 58, 86 and so on: some of the clips do not.
+    // Whole windows end with frame 30, 58, 86 and so on; some of the clips end elsewhere.
     assert!(found.iter().any(|n| (n - 31) % 28 != 0), "{found:?}");
 
-    // A model with longer windows edits shorter motions, and warns how many these are.
+    // A model with longer windows also edits motions that are shorter than a window, and warns of their number.
     let small = workshop.text("small.toml");
     workshop.put("slow", "fps = 5.0\n");
     let (settings, more) = (format!("window = 28\n{small}"), "--compose @slow --steps 4");
     workshop.trained("motionrefit", "long", &settings, more);
     let ran = answer("long", "long-edits");
-    // 28 frames at 5 fps reach from frame 0 to 108 at 20 fps.
+    // 28 frames at 5 fps reach from frame 0 to 108 at 20 fps. The number of frames at 5 fps is rounded up, so a clip of
+    // 106 frames fills a window.
     let found = lengths("long-edits");
     let short = found.iter().filter(|n| **n <= 105).count();
     assert!(
@@ -190,7 +191,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     assert_eq!(ran.json::<Value>()["num_short"], short);
     ran.expect_said("shorter than a window");
 
-    // An instruction has unknown words, and a range lasts half a second.
+    // An instruction with unknown words, for a short range.
     let clip = workshop.clip();
     let ran = workshop.run(&format!(
         "--json edit @editor --motion {} --during '20:30 Levitate ultrasonically!' --out @said",
@@ -202,7 +203,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
 
     // The published fit needs its network; the rows record that it was used.
     let fitted = "edit @editor --items @items --fit paper --out @fitted";
-    // It says what is missing.
+    // Without the network it is refused.
     workshop.typed(fitted).expect_refused("--poses");
     workshop.run("train j2s @dataset --out @poses --steps 4");
     workshop.run(&format!("{fitted} --poses @poses"));
@@ -216,7 +217,7 @@ fn edits_are_as_long_as_their_sources_and_say_what_they_do_not_know() {
     assert_eq!(settings["fit"], "paper");
 }
 
-/// The fields of `eval --further` for a system's motions.
+/// Means of metrics of motion quality for a system.
 #[derive(Debug)]
 struct Quality {
     seam: f64,
@@ -240,7 +241,7 @@ fn windows_of_a_trained_editor_join() {
     let bench = Bench::open();
     bench.items("asked", &["--count", "24"]);
     let small = bench.text("small.toml");
-    // Settings of the diffusion of the compared predictions; those of the preset belong to another prediction.
+    // Diffusion settings of both runs; those of the preset belong to another prediction.
     let plain = "[diffusion]\nnoise = \"white\"\nschedule = \"rescaled\"\nnum_steps = 50\ntemperature = 1.0\nbone_weight = 0.0\ntell_frames = false\n";
     for (run, diffusion) in [
         (

@@ -26,7 +26,7 @@ fn a_wrong_setting_is_named_once_by_file_line_and_column_and_a_training_by_its_f
     let problem = "setting undonored_ratio must be between 0 and 1, got 2";
     refused(&compose, "\nundonored_ratio = 2.0\n", "2:1", problem);
     refused(&compose, "fsp = 10\n", "1:1", "unknown field `fsp`");
-    // Keys with equal names in different sections are distinguished; keys outside of sections are accepted.
+    // Keys of the same name in different sections are told apart, and keys outside of sections are found.
     let run = "sources = [\"corpus\"]\nout = \"made\"\n";
     let plan =
         "dataset = \"dataset\"\nout = \"made\"\n[items]\ncount = 8\n[[system]]\nname = \"one\"\n";

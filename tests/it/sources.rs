@@ -18,7 +18,7 @@ use crate::util::{
     rows_of, skipped_of, stance, text_of, typed,
 };
 
-/// The document of `ingest`, which ends with this code.
+/// Runs `ingest`, which must end with this code, and returns its document.
 fn grow(sources: &[impl AsRef<OsStr>], out: &Path, more: &[&str], code: i32) -> Value {
     ran(sources, out, more).expect_code(code).json()
 }
@@ -102,7 +102,7 @@ fn takes_that_are_numbered_alike_belong_to_two_people() {
     assert_eq!(take.expect("a take").source_name, "anna");
 }
 
-/// Ingests a source as it is named from a folder.
+/// Runs `ingest` in a folder.
 fn run_in(folder: &Path, source: &str, dataset: &Path) -> Ran {
     let mut command = command(&["ingest", source, "--out", arg(dataset)]);
     let output = command.current_dir(folder).output();
@@ -201,7 +201,7 @@ fn a_clip_whose_file_is_damaged_stays_as_it_was() {
         assert_eq!(masks(&dataset), judged);
         verified(&dataset);
     }
-    // The file is restored, and then pruned while it is damaged.
+    // The file is restored. Then its clip is pruned while the file is damaged again.
     put(&file, &kept);
     ingest(&[&source], &dataset, &[], 0);
     assert_eq!(clips(&dataset), before);
@@ -229,7 +229,7 @@ fn a_file_that_moves_keeps_its_clip_within_its_source_alone() {
     let after = clips(&dataset);
     assert!(before.iter().all(|(id, clip)| after[id] == *clip));
     assert_eq!(masks(&dataset), judged);
-    // With two equal files, neither can be recognised as the other.
+    // If two equal files move, neither is recognised.
     let end = all[2].extension().expect("one");
     let copy = source.join("copy").with_extension(end);
     fs::copy(&all[2], &copy).expect("copied");
@@ -285,7 +285,7 @@ fn a_dry_run_tells_what_happens_and_writes_nothing() {
     let told = grow(&args, &dataset, &allowed, 0);
     let done = ingest(&args, &dataset, &allowed[..2], 0);
     predicted(&told, &done);
-    // A dry run reports settings that differ, and asks for ambiguous sources.
+    // A dry run reports settings that differ.
     let told = grow(&[&source], &dataset, &["--dry-run", "--fps", "30"], 1);
     assert_tells(&told["settings"], "fps was 20 and is now 30");
     let text = stance(&["ingest", arg(&source), "--out", arg(&dataset), "--dry-run"]);
@@ -358,7 +358,7 @@ fn new_settings_read_every_source_again() {
     assert!(has_rate(30.0));
     assert_eq!(clips(&dataset).len(), 12);
     verified(&dataset);
-    // A missing source is named, and so is a clip whose file is missing.
+    // A run with new settings is refused if a source or the file of a clip is missing.
     let aside = dir.path().join("aside");
     fs::rename(&more, &aside).expect("moved");
     let settings = ["--fps", "20", "--new-version"];
@@ -448,7 +448,7 @@ fn many_processes_grow_a_dataset_alike() {
     stance(&["stage", "work", arg(&plan)]).expect_code(0);
     let made: Value = stance(&["--json", "stage", "commit", arg(&plan)]).done();
     assert_eq!(made["root_hash"], done["root_hash"]);
-    // Both commands record the places.
+    // A committed plan records the paths of sources too.
     let again = grow(&[&ben], &many, &[], 0);
     assert_eq!(again["already_complete"], true);
 }

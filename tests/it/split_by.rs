@@ -13,7 +13,7 @@ use crate::util::{
     typed,
 };
 
-/// The splits of all clips with one label.
+/// The splits of the clips with each label.
 fn splits(
     dataset: &Path,
     label: fn(&MotionRow) -> Option<String>,
@@ -34,7 +34,7 @@ fn is_kept_together(splits: &BTreeMap<String, BTreeSet<Split>>) {
     assert!(all.len() > 1, "{splits:?}");
 }
 
-/// Gives the clips of a corpus ten subjects; every third clip none.
+/// Gives the clips of a corpus ten subjects, and every third clip none. Returns the number of clips without one.
 fn with_subjects(corpus: &Path) -> usize {
     let sidecars = files_with_extension(corpus, "json");
     let mut without = 0;
@@ -68,7 +68,7 @@ fn clips_of_a_subject_share_a_drawn_split_also_when_more_of_them_come() {
     };
     is_kept_together(&of_subjects());
     assert_tells(&first["remarks"], "state no subject");
-    // Files that are added later belong to another source with other subjects; earlier clips keep their splits.
+    // Clips of the same subjects that are added later join their splits.
     let before = of_subjects();
     move_files(&files(&later), &source);
     ingest(&[&source], &dataset, &[], 0);
@@ -81,7 +81,7 @@ fn clips_of_a_subject_share_a_drawn_split_also_when_more_of_them_come() {
     assert_eq!(lacking.count(), without);
     let card = text_of(dataset.join("README.md"));
     assert_has(&card, &["drawn by subject"]);
-    // The dataset's own grouping is kept.
+    // The dataset keeps the unit by which its splits were drawn.
     let other = ingest(&[&source], &dataset, &["--split-by", "action"], 0);
     assert_tells(&other["remarks"], "were drawn by subject");
     assert_eq!(of_subjects(), after);

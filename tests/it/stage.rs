@@ -22,7 +22,7 @@ use crate::variants::{ANY as ANY_PAIR, SMALL as SMALL_GENERATOR};
 /// Number of clips for which the training split has two shards.
 const CLIPS: usize = 340;
 
-/// The document of `stage commit --json`, as a script relies on it.
+/// The document of `stage commit --json`, with the fields that scripts rely on.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[expect(dead_code, reason = "part of the contract")]
@@ -97,7 +97,7 @@ struct Status {
     secs: f64,
 }
 
-/// The hash of the result of a job that is not in pieces.
+/// Does a job in one process, and returns the root hash of its result.
 fn root_hash(folder: &Folder, job: &str, out: &str) -> String {
     let done: serde_json::Value = folder.json(&format!("{job} --out @{out}"));
     done["root_hash"].as_str().expect("a hash").to_owned()
@@ -119,7 +119,7 @@ fn failed(records: &[Record]) -> Vec<&Record> {
     records.iter().filter(|record| !record.is_done()).collect()
 }
 
-/// Asserts that a piece failed because this file changed, and returns what was said.
+/// Asserts that a piece failed because this file changed, and returns the reason.
 fn assert_changed<'a>(failed: &'a Record, file: &Path) -> &'a str {
     assert_eq!(failed.code.as_deref(), Some("E-SOURCE-CHANGED"));
     let reason = failed.reason.as_deref().expect("a reason");
@@ -127,7 +127,7 @@ fn assert_changed<'a>(failed: &'a Record, file: &Path) -> &'a str {
     reason
 }
 
-/// Kills a process once it has begun. Whether that is before, in or after its work, the result must be the same.
+/// Kills a process once it has begun. The result must be the same whether that is before, during or after its work.
 fn kill_once(mut child: Child, has_begun: impl Fn() -> bool) {
     while !has_begun() && child.try_wait().expect("a child").is_none() {
         std::thread::yield_now();
@@ -147,7 +147,7 @@ fn pieces_beside(into: &Path) -> Option<PathBuf> {
     })
 }
 
-/// A job in pieces: its results are in `name` of a folder, and its plan is in `name-plan`.
+/// A job in pieces: its result is the folder `name`, and its plan the folder `name-plan`.
 struct Job<'a> {
     folder: &'a Folder,
     into: PathBuf,
@@ -224,7 +224,7 @@ impl<'a> Job<'a> {
         }
     }
 
-    /// Asks for pieces that are made already, in another order.
+    /// Asks for all pieces in reverse order; they are made already.
     fn again_in_reverse(&self) -> Vec<Record> {
         let ids: Vec<String> = self.pieces().into_iter().map(|piece| piece.id).collect();
         assert_eq!(self.planned.pieces, ids.len() as u64);
@@ -236,7 +236,7 @@ impl<'a> Job<'a> {
         again
     }
 
-    /// Another commit and more work after `done` change nothing.
+    /// Checks that another commit and more work after `done` change nothing.
     fn again_after(&self, done: &Committed) {
         let again = self.commit(&[], 0);
         assert!(again.already_committed && again.root_hash == done.root_hash);
@@ -291,7 +291,7 @@ fn an_ingestion_in_pieces_that_are_killed_repeated_and_lost_is_that_of_one_proce
     let job = Job::ingestion(&folder);
     let planned = &job.planned;
     assert_eq!((planned.pieces, planned.items), (4, CLIPS as u64 + 1));
-    // The settings of the folder belong to all pieces, and are counted once.
+    // `stance.toml` belongs to all pieces, but its bytes are counted once.
     let files = files_below(&folder.path("corpus")).into_values();
     let sizes = files.map(|bytes| bytes.len() as u64);
     assert_eq!(planned.bytes, sizes.sum::<u64>());
@@ -560,9 +560,9 @@ fn windows_triplets_edits_and_variants_in_pieces_are_those_of_one_process() {
     for (name, job, pieces) in [
         ("windows", "triplets @dataset --windows 9000", 3..=3),
         ("triplets", "triplets @dataset --count 12", 1..=12),
-        // A piece for each take at least.
+        // At least one piece for each take.
         ("edits", "edit @editor --items @items --takes 2", 2..=140),
-        // 32 instructions are a batch.
+        // A piece has a batch of 32 instructions.
         ("variants", &variants, 2..=2),
     ] {
         let clean = root_hash(&workshop, job, &format!("{name}-clean"));
@@ -577,7 +577,7 @@ fn windows_triplets_edits_and_variants_in_pieces_are_those_of_one_process() {
     let is_timed = |edits: &str| workshop.path(edits).join("times.json").is_file();
     assert_eq!(is_timed("edits"), is_timed("edits-clean"));
 
-    // For windows, a piece that fails is itself quarantined.
+    // For windows, a failed piece is quarantined as one item.
     if cfg!(target_os = "linux") {
         let job = Job::planned(&workshop, "failing", "triplets @dataset --windows 5000");
         let ids = job.pieces();
@@ -595,7 +595,7 @@ fn windows_triplets_edits_and_variants_in_pieces_are_those_of_one_process() {
         assert!(found.eq(expected), "{rows:?}");
     }
 
-    // A changed dataset would give other windows.
+    // A changed dataset would give other windows, so the piece fails.
     let job = Job::planned(&workshop, "late", "triplets @dataset --windows 100");
     fs::remove_file(workshop.clip()).expect("removed");
     workshop.run("ingest @corpus --out @dataset --prune --drop-labels");
@@ -654,8 +654,8 @@ fn an_export_whose_workers_and_commits_are_killed_is_that_of_one_process() {
     });
     let home = pieces_beside(into).expect("a folder of pieces");
 
-    // A commit that was killed before it published is repeated; files of another run at the destination are not
-    // touched.
+    // A commit that was killed before it published can be repeated. It does not touch files that others put at its
+    // destination.
     let killed = job.started("stage commit", &[]);
     kill_once(killed, || home.join("result/new_joints").exists());
     if !into.exists() {

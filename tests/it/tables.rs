@@ -9,7 +9,7 @@ pub(crate) struct Table {
     pub(crate) heading: String,
     /// Reason why the encoder cannot rank systems.
     pub(crate) unranked: Option<String>,
-    /// The conditions of measurement; empty where none are printed.
+    /// The conditions of measurement; empty if none are printed.
     pub(crate) conditions: String,
     /// Names of the columns.
     pub(crate) head: Vec<String>,
@@ -51,7 +51,7 @@ impl Table {
     }
 }
 
-/// The cell of a row of `stance eval --json` that is not the best of its column.
+/// The cell of a row of `stance eval --json`, without the mark of the best value.
 pub(crate) fn printed(score: &Value) -> String {
     let name = score["metric"].as_str().expect("a name");
     let decimals = eval::metric::from_name(name).expect("a metric").decimals;

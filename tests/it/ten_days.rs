@@ -1,7 +1,7 @@
 //! Ten days in the life of a dataset: two people, a disk that is missing, a folder that moves, clips removed by mistake.
 //!
-//! After every day the dataset has all labels by people, no clip has changed its split, and a search for Parquet files
-//! finds only the rows of the newest version. `STANCE_EACH_DAY` names a command that is then run with the dataset.
+//! At the end of every day the dataset has all labels by people, no clip has changed its split, and the Parquet files
+//! hold only rows of the newest version. Then the command in `STANCE_EACH_DAY`, if it is set, is run with the dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;

@@ -13,7 +13,7 @@ use crate::util::{Ran, arg, json_of, npy, put, stance, text_of, typed, typed_wit
 
 const WIDTH: usize = 26;
 
-/// Vectors of all texts of a dataset: the counts of letters in each text, an encoder that anybody can write.
+/// Vectors of all texts of a dataset. The vector of a text holds the counts of its letters.
 pub(crate) struct TextTable<'a> {
     workshop: &'a Workshop,
     pub(crate) texts: Vec<String>,
@@ -64,7 +64,7 @@ impl<'a> TextTable<'a> {
     }
 }
 
-/// What the record of a run says of its text encoder.
+/// Facts about the text encoder in the record of a run.
 fn frozen(workshop: &Workshop, run: &str) -> Value {
     let record: Value = json_of(workshop.path(run).join("config.json"));
     record["config"]["text"]["frozen"].clone()
@@ -206,7 +206,7 @@ fn an_encoder_of_a_package_tells_one_model_texts_and_another_tokens() {
         let frozen = frozen(&workshop, run);
         frozen["encoder_hash"].as_str().expect("a hash").to_owned()
     };
-    // The same network gives one vector scaled to a length, and one for each token.
+    // Both hashes are of the same network: one run has a scaled vector for each text, the other one for each token.
     let (pooled, states) = (hash("motionrefit"), hash("tmed"));
     assert_eq!(
         pooled.strip_prefix("rms10-"),

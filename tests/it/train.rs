@@ -1,4 +1,4 @@
-//! Training, stopping and continuing; editing in every way; models in and out.
+//! Training, stopping and continuing; editing in every way; export and import of models.
 
 use std::fs;
 use std::io::Write;
@@ -199,7 +199,7 @@ fn training_leaves_the_dataset_as_it_was_and_every_run_goes_on() {
     let [editor, other] = ["editor", "other"].map(|run| workshop.record(run));
     let range = |record: &Value| record["config"]["normalizer"].clone();
     assert_ne!(range(&editor), range(&other));
-    // The run keeps its own range and dataset hash: another table changes neither.
+    // Each run stores its own range. The dataset hash of a run covers only the tables that training reads.
     assert_ne!(editor["dataset_hash"], before);
     assert_eq!(editor["dataset_hash"], other["dataset_hash"]);
 }
@@ -348,7 +348,7 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
     );
     assert_eq!(counts(edit("", &lines)), (3, 0));
     assert!(saved.exists());
-    // The same history from the same commands: undo and redo leave no trace.
+    // Undo followed by redo leaves the file as it was.
     let history = || workshop.text("walk.history.json");
     let before = history();
     assert_eq!(counts(edit("--undo", "")), (2, 1));
@@ -466,7 +466,7 @@ fn training_is_the_same_without_the_fused_operations_and_on_burn_ndarray() {
         }
     };
     let fused = train("fused", "20", "");
-    // Tolerance of the rounding in twenty steps.
+    // Rounding adds up over twenty steps.
     near(&fused, &train("composed", "20", "--no-fused"), 3e-4);
     // The GELU derivative of ndarray is an approximation with an error of up to 1e-3.
     let ndarray = train("ndarray", "20", "--device ndarray");
@@ -508,7 +508,7 @@ fn devices_are_listed_on_any_command_line_and_measured_and_others_are_refused() 
     assert_eq!(said["steps"], 1);
     assert_eq!(said["windows"], 2);
     assert!(said["windows_per_sec"].as_f64() > Some(0.0), "{said}");
-    // Another processor backend is listed under its own name.
+    // The other backend for the CPU is described by its own name.
     let text = typed("device --device ndarray --secs 0 --windows 1", &[]).printed();
     assert_has(&text, &["burn-ndarray", "passed"]);
 }

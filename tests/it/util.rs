@@ -1,4 +1,4 @@
-//! A temporary folder and the `stance` command.
+//! Helpers of all tests: the `stance` command, temporary folders, documents and tables.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -110,7 +110,7 @@ pub(crate) fn typed(line: &str, values: &[&dyn AsRef<OsStr>]) -> Ran {
     typed_with(line, values, &[])
 }
 
-/// Runs a command line as typed in a shell, with further arguments appended.
+/// Runs a command line as [`typed`] does, with further arguments appended.
 pub(crate) fn typed_with(line: &str, values: &[&dyn AsRef<OsStr>], more: &[&str]) -> Ran {
     let mut values = values.iter();
     let words = line.split_whitespace().map(|word| match word {
@@ -123,7 +123,7 @@ pub(crate) fn typed_with(line: &str, values: &[&dyn AsRef<OsStr>], more: &[&str]
     ran.expect("stance starts").into()
 }
 
-/// A temporary folder. Command lines name what lies in it by `@name`.
+/// A temporary folder. In its command lines, `@name` is the path of `name` in the folder.
 pub(crate) struct Folder(tempfile::TempDir);
 
 impl Folder {
@@ -245,7 +245,7 @@ pub(crate) fn text_of(path: impl AsRef<Path>) -> String {
     std::fs::read_to_string(path).expect("text")
 }
 
-/// A file of one JSON document.
+/// Reads a file with one JSON document.
 pub(crate) fn json_of<T: DeserializeOwned>(path: impl AsRef<Path>) -> T {
     serde_json::from_str(&text_of(path)).expect("JSON")
 }
@@ -271,7 +271,7 @@ pub(crate) fn corpus(clips: usize) -> tempfile::TempDir {
     dir
 }
 
-/// The folder of real motion files. If it is not set, returns none and prints that the test is skipped.
+/// The folder of real motion files. If it is not set, returns `None` and prints that the test is skipped.
 pub(crate) fn real_data(test: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from);
     if folder.is_none() {
@@ -425,7 +425,7 @@ pub(crate) fn damage(path: &Path) {
     put(path, bytes);
 }
 
-/// A text in each element of a list.
+/// The text of a field in each element of a list.
 #[track_caller]
 pub(crate) fn texts_in<'a>(list: &'a Value, field: &str) -> Vec<&'a str> {
     let elements = list_of(list).iter();

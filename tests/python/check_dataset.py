@@ -1,4 +1,4 @@
-"""Loads a dataset folder with the real Python packages and holds it against its manifest.
+"""Loads a dataset folder with the real Python packages and compares it with its manifest.
 
     python check_dataset.py DATASET
 

@@ -1,4 +1,4 @@
-"""Loads exports with the packages that people use, and holds them against the dataset they were made of.
+"""Loads exports with the packages that people use, and compares them with the dataset they were made of.
 
     python check_exports.py DATASET EXPORTS
 
@@ -45,8 +45,8 @@ GMR_FPS = 30
 
 
 def check_amass(rows: dict[str, dict]) -> None:
-    """Reads what GMR's `load_smplx_file` and `get_smplx_data_offline_fast` read: keys, shapes, and the rate, by which
-    frames of a higher rate are thinned and those of a lower one are played too fast."""
+    """Reads what GMR's `load_smplx_file` and `get_smplx_data_offline_fast` read: keys, shapes, and the rate. GMR drops
+    frames of motions above 30 fps, and plays motions below 30 fps too fast."""
     archives = sorted((EXPORTS / "amass").rglob("*.npz"))
     assert len(archives) == len(rows)
     for path in archives:

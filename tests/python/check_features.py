@@ -1,10 +1,10 @@
-"""Loads exported features by the rules of the programs that train on them, and holds their rotations against the
+"""Loads exported features by the rules of the programs that train on them, and compares their rotations with the
 dataset.
 
     python check_features.py DATASET EXPORTS
 
 EXPORTS holds `humanml3d-272`, `motionmillion` and `hy-motion`. The dataset has 20 fps and the features 30, so every
-second frame of the one is every third of the other.
+second frame of the dataset is every third of the features.
 """
 
 import csv
@@ -39,7 +39,7 @@ def about_y(angles: numpy.ndarray) -> numpy.ndarray:
 
 
 def rotations(row: dict) -> numpy.ndarray:
-    """Local rotations of every second frame, the first of which faces +z: `[L, 22, 3, 3]`."""
+    """Local rotations of every second frame, turned so that the first faces +z: `[L, 22, 3, 3]`."""
     root, body = numpy.float64(row["global_orient"]), numpy.float64(row["body_pose"])
     found = matrices(numpy.concatenate([root[:, None], body.reshape(-1, 21, 3)], 1)[::2])
     heading = numpy.arctan2(found[:1, 0, 0, 2], found[:1, 0, 2, 2])
@@ -60,7 +60,7 @@ def check_rotations_272(features: numpy.ndarray, row: dict) -> None:
     expected = rotations(row)
     frames = features[::3].astype(numpy.float64)[: len(expected)]
     found = frames[:, 140:].reshape(-1, 22, 2, 3)
-    # Headings accumulate by multiplication from the left, and are removed from the root.
+    # The steps of the heading accumulate by multiplication from the left; the features have roots without heading.
     steps = features[:, 2:8].reshape(-1, 2, 3).astype(numpy.float64)
     steps = numpy.concatenate([steps, numpy.cross(steps[:, 0], steps[:, 1])[:, None]], 1)
     headings = [steps[0]]
@@ -118,7 +118,7 @@ def check_motionmillion(rows: dict[str, dict]) -> None:
 
 
 def check_hy_motion(rows: dict[str, dict]) -> None:
-    """Reads the columns as HY-Motion's decoder does, and its statistics."""
+    """Reads the columns as HY-Motion's decoder does, and the statistics."""
     root = EXPORTS / "hy-motion"
     for name in ("Mean", "Std"):
         assert numpy.load(root / "stats" / f"{name}.npy")[None].shape == (1, 201)

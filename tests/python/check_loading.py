@@ -1,7 +1,7 @@
 """Runs the lines of datasets-spec/docs/python.md that load a dataset: python check_loading.py DATASET.
 
-Each must give the columns with the types that the page states, the rows of the manifest, and the numbers of
-`stance.Dataset`.
+Each must give columns of the types that the page states, as many rows as the manifest has, and the numbers that
+`stance.Dataset` gives.
 """
 
 import os
@@ -59,7 +59,7 @@ def main(folder: str) -> None:
         assert len(loaded) == dataset.num_rows("motions", "train"), line
         check_types(loaded, stated)
         check_numbers(loaded, dataset)
-    # Every table and split of the card.
+    # Every table and split of the dataset's card loads.
     for table, rows in dataset.tables.items():
         if rows > 0:
             splits = datasets.load_dataset(folder, table)

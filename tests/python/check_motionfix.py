@@ -1,9 +1,9 @@
-"""Loads a dump as MotionFix's data module does, and holds it against the triplets it was made of.
+"""Loads a dump as MotionFix's data module does, and compares it with the triplets it was made of.
 
     python check_motionfix.py TRIPLETS EXPORT
 
-The rules are those of `MotionFixDataModule` and of its five features; the released program needs the SMPL-H model, which
-is licensed, and uses it for nothing that is checked here.
+The rules are those of `MotionFixDataModule` and of its five features. The released program is not run: it needs the
+licensed SMPL-H model, although nothing that is checked here depends on it.
 """
 
 import csv
@@ -41,7 +41,7 @@ def matrices(vectors: numpy.ndarray) -> numpy.ndarray:
 
 
 def about_z(root: numpy.ndarray) -> numpy.ndarray:
-    """The rotations about z that are applied last."""
+    """The headings of root rotations: their rotations about z, which are applied last."""
     angles = numpy.arctan2(root[:, 1, 0], root[:, 0, 0])
     return matrices(angles[:, None] * numpy.float64([0, 0, 1]))
 
@@ -65,14 +65,14 @@ def features(motion: dict) -> numpy.ndarray:
 
 
 def check_side(motion: dict, row: dict, side: str) -> None:
-    """Every second frame of 20 fps is every third of 30."""
+    """Compares a motion with its row: every second frame at 20 fps is every third at 30 fps."""
     assert row["fps"] == 20
     body = numpy.float64(row[f"{side}_body_pose"])[::2]
     found = motion["rots"][::3, 3:][: len(body)]
     expected = matrices(body.reshape(-1, 21, 3))
     assert numpy.allclose(matrices(found.reshape(-1, 21, 3).astype(numpy.float64)), expected, atol=1e-5)
     assert (motion["trans"][0] == 0).all()
-    # z is up: heights are those of y in the dataset, where the motion does not begin at 0.
+    # z is up: heights are those of y in the dataset, less the height of the first frame.
     heights = numpy.float64(row[f"{side}_transl"])[::2, 1]
     rise = motion["trans"][::3, 2][: len(heights)]
     assert numpy.allclose(rise, heights - heights[0], atol=1e-5)

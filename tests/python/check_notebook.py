@@ -1,4 +1,4 @@
-"""Runs examples/first_steps.ipynb as it stands: python check_notebook.py. No cell may fail, and three show motions."""
+"""Runs examples/first_steps.ipynb as it stands: python check_notebook.py. No cell may fail; three must show motions."""
 
 import pathlib
 import tempfile

@@ -57,12 +57,12 @@ def motions_come_back(work: pathlib.Path) -> None:
     def distance(other: stance.Motion, frames: int = len(motion)) -> float:
         return float(np.abs(other.joints()[:frames] - joints[:frames]).max())
 
-    # Rotations pass through f64, and the floor is estimated again: rounding of f32 positions of metres.
+    # The tolerance of AMASS is the rounding of f32 positions of metres.
     assert distance(stance.Motion.from_amass(motion.to_amass())) < 1e-5
     again = stance.Motion.from_features(motion.features("motionfix"), "motionfix", first=motion.resample(30))
     assert np.abs(again.joints() - motion.resample(30).joints()).max() < 1e-3
-    # These two drop position and heading of a motion, and its floor may be estimated again: step heights and lengths
-    # stay.
+    # These two drop position and heading of a motion, and its floor may be estimated again: compare heights relative to
+    # the start, and the distance from head to foot.
     same_rate = motion.resample(30).joints()
     for recipe, width in (("272", 272), ("hy-motion", 201)):
         features = motion.features(recipe)
@@ -75,12 +75,12 @@ def motions_come_back(work: pathlib.Path) -> None:
     # A pose from joint positions alone is a fit to SMPL's bones, whose spine and collars point in other directions.
     fitted, error = stance.Motion.from_joints(joints, motion.fps)
     assert error < 0.01 and np.abs(fitted.joints() - joints).mean() < 0.03, error
-    # HumanML3D's features have their own body and start, so compare frames and bones, not positions.
+    # HumanML3D's features have their own body and start, so compare the number of frames and the rate.
     posed = stance.Motion.from_features(motion.features("humanml3d"), "humanml3d")
     assert len(posed) == len(motion) - 1 and posed.fps == 20
     assert len(motion.crop(3, 9)) == 6 and motion.resample(10).fps == 10
 
-    # A blend by parts only takes the target's arm.
+    # A blend by parts takes only the target's arm; the collar is blended.
     other = next(clip for id, clip in dataset if id != dataset.ids()[0] and len(clip) >= len(motion))
     other = other.crop(0, len(motion))
     blended = stance.blend(motion, other, parts=["left arm"], alpha=0.25)
@@ -95,7 +95,7 @@ def motions_come_back(work: pathlib.Path) -> None:
 
 
 def motions_show_themselves(work: pathlib.Path) -> None:
-    """The page in a frame has the positions to the millimetre, and texts as texts."""
+    """The page in the iframe has positions rounded to a millimetre, and texts without markup."""
     dataset = stance.Dataset(work / "dataset")
     motion, other = (dataset[id] for id in dataset.ids()[:2])
 
@@ -118,7 +118,7 @@ def motions_show_themselves(work: pathlib.Path) -> None:
     check(item["motions"][0], origin, motion)
 
     hostile = "</script><img src=x>"
-    # A motion at another rate is brought to the rate of the first.
+    # A motion at another rate is resampled to the rate of the first.
     shown = stance.show(motion, other.resample(10), names=["a", hostile], captions=["", "b"], title=hostile, joints=["left_elbow"])
     (item,) = data(shown.page)["items"]
     assert [part["label"] for part in item["motions"]] == ["a", f"{hostile}\nb"]
@@ -155,7 +155,7 @@ def windows_are_those_of_the_command(work: pathlib.Path) -> None:
     assert np.array_equal(batch.progress, table["progress"].to_numpy())
     assert set(batch.instructions) <= set(mix.instructions)
 
-    # Batches are pieces of the same stream, also over the end of an epoch.
+    # Batches are pieces of the same stream, also across the end of an epoch.
     many = iter(mix)
     for k in range(300 // 7):
         assert np.array_equal(next(many).edited, batch.edited[7 * k : 7 * k + 7]), k
@@ -174,7 +174,7 @@ def windows_are_those_of_the_command(work: pathlib.Path) -> None:
     else:
         raise AssertionError("a state of another seed was taken")
 
-    # Two ranks share the batches of one.
+    # Two ranks share the batches of one stream.
     halves = [stance.MotionCutMix(work / "dataset", seed=5, batch_size=7, rank=r, world_size=2) for r in (0, 1)]
     dealt = [next(stream) for _ in range(3) for stream in map(iter, halves)][:2]
     assert np.array_equal(dealt[1].edited, batch.edited[7:14])
@@ -247,7 +247,7 @@ def metrics_have_their_closed_forms() -> None:
     rng = np.random.default_rng(0)
     latents = rng.normal(size=(400, 4))
     assert abs(stance.fid(latents, latents)) < 1e-9
-    # A shift only moves the mean: the distance is its square.
+    # A shift changes only the mean: the FID is its squared length.
     assert abs(stance.fid(latents, latents + [1, 0, 0, 0]) - 1) < 1e-6
     assert stance.diversity(np.ones((10, 3))) == 0 and stance.diversity(latents) == stance.diversity(latents)
     assert stance.multimodality(np.ones((5, 20, 3))) == 0
@@ -295,7 +295,7 @@ def ingestion_is_that_of_the_command(work: pathlib.Path) -> None:
 
 
 def a_dataset_is_read_from_an_address(work: pathlib.Path) -> None:
-    """Files of a dataset behind an HTTP server are copied when they are needed, once, and checked."""
+    """Files of a dataset on an HTTP server are copied once, when they are needed."""
     asked: list[str] = []
 
     class Handler(http.server.SimpleHTTPRequestHandler):
@@ -344,7 +344,7 @@ def is_interrupted(source: pathlib.Path, out: pathlib.Path) -> bool:
     ended = threading.Event()
 
     def interrupt() -> None:
-        # This loop runs while the other thread ingests: Python's lock is free.
+        # This loop runs while the main thread ingests, because the ingestion releases Python's global lock.
         while not out.exists():
             pass
         if not ended.is_set():

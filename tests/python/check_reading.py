@@ -25,8 +25,8 @@ def readers() -> tuple:
 
 
 def windows_per_second(reader, folder: str) -> float:
-    """A window of each clip at a random place, as training takes them, by the processor's time, which other
-    programs do not change; the best of some rounds."""
+    """Windows per second of processor time, which other programs do not affect; the best of ROUNDS. A window of each
+    clip is read at a random place, as in training."""
     best = 0.0
     for seed in range(ROUNDS):
         rng = numpy.random.default_rng(seed)

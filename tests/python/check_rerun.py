@@ -40,7 +40,7 @@ def matrices(quaternions: np.ndarray) -> np.ndarray:
 
 
 def check_tree(chunks: dict, root: str, motion: stance.Motion) -> None:
-    """The transforms, applied from the pelvis on, lead to the joints."""
+    """Checks that the transforms, applied from the pelvis on, lead to the joints."""
     joints = motion.joints()
     found = {root: (np.zeros((len(motion), 3)), np.tile(np.eye(3), (len(motion), 1, 1)))}
     names = stance._native.JOINT_NAMES[:22]
@@ -57,7 +57,7 @@ def check_tree(chunks: dict, root: str, motion: stance.Motion) -> None:
 
 
 def check_facts(static: dict) -> None:
-    """Names of keypoints, bones and captions, which hold at all times."""
+    """Checks the static data: names of motions and keypoints, the number of bones, and captions."""
     context = next(chunk for chunk in static["/"] if "AnnotationContext:context" in chunk.to_record_batch().schema.names)
     ((kinds,),) = context.to_record_batch().column("AnnotationContext:context").to_pylist()
     described = [kind["class_description"] for kind in kinds]

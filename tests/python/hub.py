@@ -1,6 +1,6 @@
 """A hub on this machine for `.ci/wheel`: prints its address, and keeps what is pushed until it is ended.
 
-It speaks the calls of `stance hub` for files of any size in one piece. `tests/it/hub.rs` has one that also fails.
+It answers the requests of `stance hub`; files of any size come in one piece. `tests/it/hub/server.rs` can also fail.
 """
 
 import base64

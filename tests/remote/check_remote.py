@@ -27,7 +27,7 @@ from proxy import Faults, Proxy, Request
 STANCE, WORK = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve()
 BUCKET = "clips"
 FAULTS = Faults(delay=0.01, unavailable=9, cut=5, lost=11)
-#: The server takes the owner of an object from here, and checks no signature.
+#: Authorization header: the server takes the owner of an object from it, and checks no signature.
 OWNER = "AWS4-HMAC-SHA256 Credential=test/20260101/us-east-1/s3/aws4_request, SignedHeaders=host, Signature=0"
 OK, FAILED, USAGE, QUARANTINED, LOCKED = 0, 1, 2, 3, 75
 
@@ -55,7 +55,7 @@ class Bench:
         self.request("PUT", f"/{BUCKET}")
 
     def request(self, method: str, path: str, body: bytes = b"") -> bytes:
-        """A request that no fault touches."""
+        """Sends a request directly to the server, past the proxy and its faults."""
         connection = http.client.HTTPConnection(self.host, self.port, timeout=60)
         connection.request(method, path, body, {"Authorization": OWNER})
         answer = connection.getresponse()
@@ -130,7 +130,7 @@ def ingestion_gives_the_root_hash_of_a_disk_with_faults_and_without(bench: Bench
         assert again["already_complete"] and again["root_hash"] == bench.local["root_hash"], name
         if name != "down":
             files = bench.keys(name)
-            # Places of sources are only recorded in this copy.
+            # `.stance/` records the paths of sources.
             others = [key for key in files if not key.startswith(("data/", ".stance/"))]
             assert sorted(others) == ["README.md", "croissant.json", "meta/manifest-1.json"], others
             manifest = json.loads(bench.request("GET", f"/{BUCKET}/{name}/meta/manifest-1.json"))
@@ -191,7 +191,7 @@ def of_two_committers_at_once_one_wins_and_the_other_says_so(bench: Bench) -> No
 
 @test
 def real_files_give_the_root_hash_of_a_disk(bench: Bench) -> None:
-    """The folder is on this machine and the dataset in the bucket: the verb, and four processes that make the pieces."""
+    """Ingests a folder of this machine into the bucket: by the verb, and in pieces by four processes."""
     files = os.environ.get("STANCE_TEST_DATA")
     if not files:
         print("SKIPPED: STANCE_TEST_DATA names no folder")
@@ -244,7 +244,7 @@ def a_source_that_cannot_be_read_is_quarantined_and_the_rest_goes_on(bench: Benc
     balanced(report)
     assert report["codes"]["E-IO"] == 1, report["codes"]
     assert report["ingested"] == bench.local["ingested"] - 1
-    # Every response is cut: the file is rejected, and no row is wrong.
+    # Every response for this file is cut: the file is rejected, and no row is wrong.
     bench.clean_cache()
     bench.proxy.reset(Faults(cuts=lambda request: victim in request.path))
     report = bench.json("ingest", bench.source, "--out", f"s3://{BUCKET}/cut", code=QUARANTINED, STANCE_REMOTE_RETRIES="2")
@@ -267,7 +267,7 @@ def one_clip_costs_few_reads_and_a_second_time_none(bench: Bench) -> None:
         for request in bench.proxy.reads("/data/motions/"):
             assert request.range, "shards are read by ranges"
             by_shard[request.path] = by_shard.get(request.path, 0) + 1
-        # A footer, the ids, and the clip.
+        # Three reads: the footer, the ids, and the clip.
         assert max(by_shard.values()) <= 3, by_shard
         bench.proxy.reset()
         assert bench.json("inspect", out, "--clip", clip) == shown
@@ -288,7 +288,7 @@ def damaged_and_cut_files_are_errors_that_name_the_url(bench: Bench) -> None:
     bench.run("verify", f"s3://{BUCKET}/plain", code=FAILED)
     bench.request("PUT", f"/{BUCKET}/plain/{name}", bytes_)
     bench.run("verify", f"s3://{BUCKET}/plain")
-    # Every response is cut: an error, not fewer rows.
+    # Every response is cut: this is an error, and never gives fewer rows.
     bench.clean_cache()
     bench.proxy.reset(Faults(cut=1))
     bench.run("stats", f"s3://{BUCKET}/plain", code=FAILED, STANCE_REMOTE_RETRIES="1")

@@ -20,17 +20,17 @@ class Request:
 
 @dataclass
 class Faults:
-    """What goes wrong. A fault is drawn by the number of the request, so that a test repeats."""
+    """What goes wrong. Faults depend on the number of the request, so that tests are repeatable."""
 
     #: Seconds before each answer.
     delay: float = 0.0
     #: Every n-th request is answered by 503; 0 for none.
     unavailable: int = 0
-    #: Every n-th body is cut in the middle; 0 for none.
+    #: The answer to every n-th request, if it is a GET, is cut in the middle; 0 for none.
     cut: int = 0
-    #: The answer of every n-th write is lost after the write took place; 0 for none.
+    #: The answer to every n-th request, if it is a write, is lost after the write took place; 0 for none.
     lost: int = 0
-    #: Whether the body of this request is cut, too.
+    #: Whether the answer to this request is cut, too.
     cuts: Callable[[Request], bool] = lambda request: False
     #: Status of refused requests; 0 passes a request on.
     refused: Callable[[Request], int] = lambda request: 0
@@ -40,8 +40,8 @@ class Faults:
 
 @dataclass
 class Proxy:
-    """Passes requests on to a server. Conditional writes go one at a time, as the server checks and writes in two
-    steps and S3 does in one."""
+    """Passes requests on to a server. Conditional writes are passed on one at a time, because this server checks and
+    writes in two steps, and S3 in one."""
 
     host: str
     port: int
@@ -79,7 +79,7 @@ class Proxy:
             request_queue_size = 128
 
             def handle_error(self, *_: object) -> None:
-                """The program closes connections as it likes."""
+                """Ignores errors of connections that the program closed."""
 
         self.server = Server(("127.0.0.1", 0), Handler)
         threading.Thread(target=self.server.serve_forever, daemon=True).start()
@@ -95,7 +95,7 @@ class Proxy:
             self.count = 0
 
     def wait_until_idle(self) -> None:
-        """Waits for requests that are under way, also those of a client that is gone."""
+        """Waits until all requests are answered, also those of a client that is gone."""
         with self.idle:
             assert self.idle.wait_for(lambda: self.pending == 0, timeout=60)
 
@@ -153,7 +153,7 @@ class Proxy:
         if not any(name.lower() == "content-length" for name, _ in headers):
             handler.send_header("Content-Length", str(len(content)))
         handler.end_headers()
-        # The answer to a HEAD has no body: a client would take it for the answer to its next request.
+        # The answer to a HEAD must have no body: a client would take the body for the answer to its next request.
         if handler.command != "HEAD":
             handler.wfile.write(content[: len(content) // 2] if cut else content)
         if cut:

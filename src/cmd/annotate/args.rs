@@ -7,7 +7,7 @@ use annotate::http::TrustedProxy;
 use datasets_spec::Split;
 use tables::Condition;
 
-/// File or address of the store.
+/// Environment variable with the file or address of the store.
 pub(super) const STORE: &str = "STANCE_STORE";
 
 /// Annotate a dataset in the browser: masks, descriptions, pairs, styles, review.
@@ -89,7 +89,7 @@ pub(super) enum Action {
         /// dataset (`stance export --to stance`), or an annotations.parquet [default: the dataset]
         file: Option<PathBuf>,
     },
-    /// List tasks whose clip was ingested again with other content after it was answered, or decide about them
+    /// List answered tasks whose clip was ingested again with other content since then, or decide about them
     Changed {
         /// Keep all these answers
         #[arg(long)]
@@ -131,7 +131,7 @@ pub(super) enum Action {
         /// File with styles
         file: Option<PathBuf>,
     },
-    /// Print the capture plan as CSV, or replace the plan by that of a file
+    /// Print the capture plan as CSV, or replace it by the plan in a file
     ///
     /// Lines `motion,style,takes`: the id of a source motion, the name of a style, and how many takes are wanted (1 if
     /// left out). A take is a style pair of the dataset whose source is that motion and whose style is that style; a
@@ -173,7 +173,7 @@ pub(super) enum Action {
         /// New file
         file: PathBuf,
     },
-    /// Unpack a project for a dataset that has none
+    /// Unpack a project for a dataset that has no annotation project
     ///
     /// Tasks about clips that have other content in this dataset are flagged (`changed`). Tasks about clips that are
     /// not in this dataset stay, and are counted. Everybody needs a new token (`token`).

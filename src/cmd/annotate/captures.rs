@@ -1,5 +1,4 @@
-//! The capture plan of a project, as a CSV file, and its missing takes. A plan comes from a spreadsheet, which writes
-//! CSV but not TOML.
+//! The capture plan of a project and its missing takes, as CSV, because plans are made in spreadsheets.
 
 use std::path::Path;
 
@@ -60,7 +59,7 @@ fn take_plan(store: &Store, file: &Path, global: &Global) -> anyhow::Result<Exit
     global.say(&document, &summary(&captures))
 }
 
-/// The cells of a plan.
+/// Parses the cells of a plan.
 ///
 /// # Errors
 /// A line is invalid; the error names it.

@@ -148,12 +148,12 @@ fn announce(
     std::io::stdout().flush().context("cannot write to stdout")
 }
 
-/// Copies the store when a copy is due; call it often. The server continues after a failed copy.
+/// Returns a function that copies the store if a copy is due; call it often. It only reports a failed copy.
 fn copies(args: &Args) -> impl FnMut(&Store) {
     let folder = args.folder().join("backups");
     let every = args.backup_hours.map(|hours| i64::from(hours) * HOUR);
     let keep = args.backups.into();
-    // Time of the next check for the newest copy.
+    // Time of the next check whether a copy is due.
     let mut next = 0;
     move |store| {
         let now = now();

@@ -11,7 +11,7 @@ pub(super) fn now() -> i64 {
     })
 }
 
-/// A line for each count, and the messages.
+/// A line for each count, and then the messages.
 pub(super) fn lines_of(counts: &BTreeMap<String, i64>, messages: &[String]) -> Vec<String> {
     let counts = counts.iter();
     let lines = counts.map(|(what, count)| format!("  {what:<24} {count:>8}"));

@@ -12,7 +12,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::local;
 
-/// The page before its title.
+/// Beginning of the page, up to its title.
 const BEGIN: &str = "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
     <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<style>\n\
     body { max-width: 40em; margin: 0 auto; padding: 1em; font: 17px/1.5 system-ui, sans-serif; }\n\
@@ -56,7 +56,7 @@ fn page(project: &str, styles: &[Style], cells: &[CaptureCell], captions: &Capti
     );
     let mut styles = styles.to_vec();
     for cell in cells {
-        // An admin may have removed the style since it was planned.
+        // An admin may have removed the style from the project since the cell was planned.
         if !styles.iter().any(|style| style.name == cell.style) {
             styles.push(Style::named(&cell.style));
         }

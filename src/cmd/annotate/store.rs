@@ -19,7 +19,7 @@ use crate::report;
 /// First bytes of an SQLite file.
 const MAGIC: &[u8] = b"SQLite format 3\0";
 
-/// Opens the store, and prints its warnings first.
+/// Opens or creates the store. Warns about a password on the command line, and reports an upgrade of the store.
 pub(super) fn open(args: &Args) -> anyhow::Result<Arc<Store>> {
     let is_typed = args.store.is_some() && std::env::var(STORE).ok() != args.store;
     if is_typed && args.store.as_deref().is_some_and(has_password) {
@@ -87,7 +87,7 @@ fn open_postgres(_: &str) -> anyhow::Result<Arc<Store>> {
     )
 }
 
-/// Copies the store to a new file, or to a file in a folder, named after the time.
+/// Copies the store to a new file, or to a file named after the time in a folder.
 pub(super) fn back_up(
     store: &Store,
     file: &Path,
@@ -172,7 +172,7 @@ pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Resul
     let (store, people) = match opened {
         Ok(opened) => opened,
         Err(error) => {
-            // This command created the file, and it is not a project.
+            // This command created the file, so it may remove it.
             let _removed = std::fs::remove_file(&to);
             return Err(error).with_context(|| format!("{} is no packed project", file.display()));
         }

@@ -12,14 +12,14 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::settings;
 
-/// `styles.toml`: a table `[[style]]` for each.
+/// A file of styles: one table `[[style]]` for each.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StyleFile {
     style: Vec<Style>,
 }
 
-/// Adds the styles of a file with their texts, guidelines and colours, or prints the project's styles.
+/// Adds or replaces the styles of a file in the project; without a file, prints the project's styles.
 pub(super) fn styles(store: &Store, file: Option<&Path>, global: &Global) -> anyhow::Result<Exit> {
     let mut project = store.settings()?;
     let Some(file) = file else {

@@ -14,7 +14,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::report;
 
-/// Lists tasks whose clip was ingested again after somebody answered, or decides about them.
+/// Lists answered tasks whose clip was ingested again with other content; `keep` or `reopen` decides about them.
 pub(super) fn changed_clips(
     store: &Store,
     keep: bool,

@@ -15,7 +15,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 use crate::local;
 
-/// Source of the last import.
+/// Name of the store's note with the root hash of the dataset that was imported last.
 pub(super) const IMPORTED: &str = "imported dataset";
 /// File of an export that can be imported.
 const ANNOTATIONS: &str = "annotations.parquet";
@@ -66,7 +66,7 @@ pub(super) fn import_dataset(args: &Args, store: &Store, global: &Global) -> any
     Ok(taken)
 }
 
-/// Imports the labels of a folder: of an export of answers, of an exported dataset, or of a STANCE release.
+/// Imports the labels of a folder, which is an export of answers, an exported dataset, or a STANCE release.
 fn import_folder(args: &Args, store: &Store, folder: &Path) -> anyhow::Result<Taken> {
     transfer::check_files(folder)?;
     let annotations = folder.join(ANNOTATIONS);

@@ -105,7 +105,7 @@ pub(super) fn operator(store: &Store) -> anyhow::Result<Who> {
     Ok(Who { id, name, role })
 }
 
-/// Makes a token. It is the command's result, so only the token is printed to stdout.
+/// Makes and prints a token. Without `--json`, stdout gets only the token, so that scripts can use it.
 pub(super) fn token(
     store: &Store,
     user: &User,

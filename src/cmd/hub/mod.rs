@@ -54,7 +54,7 @@ struct PushArgs {
     /// Create a new repo as private
     #[arg(long)]
     private: bool,
-    /// File or folder of the repo to delete; published files cannot be deleted
+    /// File or folder of the repo to delete; files that this push publishes cannot be deleted
     #[arg(long, value_name = "PATH")]
     delete: Vec<String>,
     /// Only print what would be published and deleted

@@ -20,18 +20,18 @@ use train::checkpoint::{CONFIG, RunRecord, read_any};
 
 use crate::local;
 
-/// Scores of a model, which `stance eval --json` printed into its run folder.
+/// File in a run folder that holds scores of the model, as `stance eval --json` prints them.
 const SCORES: &str = "scores.json";
 
 /// Kind of a published folder, recognised by the files that this program writes.
 pub(super) enum Thing {
-    /// A dataset or edits, by its name.
+    /// The text is `dataset` or `edits`.
     Data(&'static str, Box<Dataset>),
     Run(Box<RunRecord<Value>>),
 }
 
 impl Thing {
-    /// Finds out what a folder holds. The hashes of a dataset's files are verified.
+    /// Finds out what a folder holds, and verifies the hashes of a dataset's files.
     pub(super) fn open(folder: &Path) -> anyhow::Result<Self> {
         if folder.join(CONFIG).is_file() {
             return Ok(Self::Run(Box::new(read_any(folder)?)));
@@ -69,7 +69,7 @@ impl Thing {
         }
     }
 
-    /// Title of the folder's card, in a line.
+    /// Description of the folder in the commit message, on one line.
     pub(super) fn title(&self) -> String {
         match self {
             Self::Data(name, dataset) => {
@@ -122,7 +122,7 @@ impl Thing {
         }
     }
 
-    /// Checks that readers of a repo find this version of a dataset: they open the newest one.
+    /// Fails if the repo keeps a newer version of the dataset: readers open the newest one.
     pub(super) fn check_version(&self, only_in_repo: &[String]) -> anyhow::Result<()> {
         let Self::Data(_, dataset) = self else {
             return Ok(());
@@ -184,7 +184,7 @@ fn licenses_of(dataset: &Dataset, given: &[String]) -> anyhow::Result<BTreeMap<S
 }
 
 /// Licences of the published motions, each with its number of motions: the stated ones, and the given one for all
-/// others. `count` is the number of all motions, for folders that state no licence.
+/// other motions. `count` is the number of all motions, used if the folder states no licence.
 fn settled(
     mut stated: BTreeMap<String, u64>,
     count: u64,
@@ -263,7 +263,7 @@ fn files_of_dataset(
     Ok(files)
 }
 
-/// Publishes text under a name, replacing the file of that name.
+/// Adds a text file to those to publish, in place of one of the same name.
 fn replace(files: &mut Vec<HubFile>, name: &str, text: String) {
     files.retain(|file| file.path != name);
     files.push(HubFile {

@@ -97,7 +97,7 @@ pub(crate) fn summary(done: &IngestReport) -> String {
     text
 }
 
-/// Number of files that were rejected with a code, and the first of them.
+/// Number of files that were rejected with a code, and the first three of them.
 fn quarantined(done: &IngestReport, code: &str, count: u64) -> String {
     const SHOWN: usize = 3;
     let mut text = format!("  {code:<20} {count:>6}\n");

@@ -1,4 +1,4 @@
-//! Figures of a plan: scores of a system along the values of its settings.
+//! Figures of a plan: scores of a system for several values of its settings.
 
 use std::path::PathBuf;
 
@@ -22,7 +22,7 @@ pub(super) struct FigureMade {
     pub(super) name: String,
     /// Files of the charts, once they are written.
     pub(super) drawings: Vec<PathBuf>,
-    /// Number of items that are too short for some point of the figure.
+    /// Number of items that are too short for at least one point; they are scored at no point.
     pub(super) left_out: usize,
     pub(super) points: Vec<PointMade>,
     #[serde(skip)]
@@ -105,7 +105,7 @@ pub(super) fn drawn(
     })
 }
 
-/// A drawing of each metric and task, with the name of its file.
+/// A chart for each task and metric, with the name of its file.
 fn charts(
     specs: &FigureSpecs<'_>,
     scores: &[Vec<ScoreRow>],

@@ -114,7 +114,7 @@ fn weakness_of(judges: &Judges) -> Option<String> {
     ))
 }
 
-/// The page of a plan, without its figures. It plays the edits of one training of each system.
+/// The page of a plan, without its figures. It plays the edits of the first training of each system.
 fn page_of(work: &Work<'_>, done: &Done, global: &Global) -> anyhow::Result<Report> {
     let first = |(_, edits): &(String, Vec<PathBuf>)| edits[0].clone();
     let folders: Vec<PathBuf> = done.edits.iter().map(first).collect();
@@ -130,7 +130,7 @@ fn page_of(work: &Work<'_>, done: &Done, global: &Global) -> anyhow::Result<Repo
     }
 }
 
-/// Results as they are written one after the other.
+/// Collects the results while they are written.
 struct Results<'a> {
     out: &'a Path,
     /// Printed texts.
@@ -183,7 +183,7 @@ impl Results<'_> {
         Ok(())
     }
 
-    /// Records the scores that a figure shows: of its metrics and tasks, for the system whose setting changes.
+    /// Records the scores that a figure shows: those of its metrics and tasks, for the system whose settings change.
     fn record_points(&mut self, figure: &FigureMade) -> anyhow::Result<()> {
         let [metrics, tasks] = &figure.shows;
         for point in &figure.points {
@@ -206,7 +206,7 @@ impl Results<'_> {
         Ok(())
     }
 
-    /// Records the scores in a table, or in a figure at a point, with those of its trainings.
+    /// Adds the shown scores of a table, or of one point of a figure, to `record.jsonl`, with those of each training.
     fn record(
         &mut self,
         (shown_in, at): (&str, &[Value]),

@@ -51,8 +51,8 @@ impl TableMade {
     }
 }
 
-/// Makes a table of the systems that have edits, each given by its name and a folder of edits for each of its
-/// trainings. None if no system of the table has any.
+/// Makes a table of its systems that have edits. `all` holds the name of each system, with a folder of edits for each
+/// of its trainings. Returns `None` if no system of the table has edits.
 pub(super) fn tables(
     table: &PaperTable,
     published: bool,

@@ -146,7 +146,7 @@ fn read(args: &Args, path: &Path) -> anyhow::Result<Plan> {
     let (dataset, out) = (args.dataset.as_deref(), args.out.as_deref());
     let own = PLANS.iter().find(|(name, _)| path == Path::new(name));
     match own.filter(|_| !path.exists()) {
-        // Relative paths start from the folder in which the command runs.
+        // This file name has no folder, so relative paths of the plan start from the working folder.
         Some((_, text)) => Plan::read(text, Path::new("plan.toml"), dataset, out),
         None => {
             let text = std::fs::read_to_string(path).with_context(|| {

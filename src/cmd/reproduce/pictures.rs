@@ -1,5 +1,5 @@
-//! Pictures of a plan: answers of several systems to one item, below each other, as in Figures 2, 3, 5 and 7 of the
-//! paper and A3 to A14 of its appendix.
+//! Pictures of a plan: answers of several systems to the same items, below each other, as in Figures 2, 3, 5 and 7 of
+//! the paper and A3 to A14 of its appendix.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -38,7 +38,7 @@ pub(super) struct Picture {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Order {
-    /// The first items whose edits change different parts.
+    /// The first item of each set of edited parts, and then the others, in the order of the items.
     #[default]
     Parts,
     /// Items whose edits by the first system reduce the distance to the target most, compared with the source.
@@ -51,10 +51,11 @@ fn three() -> usize {
     3
 }
 
-/// Edits of the systems: the first take of the first training of each.
+/// Name of each system, with a folder of edits for each of its trainings.
 pub(super) type Edits = [(String, Vec<PathBuf>)];
 
-/// Draws a picture as SVG and PNG below a folder. Systems whose edits failed are left out.
+/// Draws a picture of the first take of each system's first training, as SVG and PNG below a folder. Systems without
+/// edits are left out.
 pub(super) fn draw(
     picture: &Picture,
     systems: &[&str],
@@ -98,8 +99,8 @@ pub(super) fn draw(
     write_drawing(out, &file_name(&picture.name), &svg)
 }
 
-/// Positions of the items of a picture; for selections by distance, with the number of metres by which the edit is
-/// closer to the target than the source.
+/// Positions of the items of a picture. For selections by distance, each comes with the distance in metres by which the
+/// edit is closer to the target than the source is.
 fn chosen(picture: &Picture, answered: &Answered) -> anyhow::Result<Vec<(usize, Option<f64>)>> {
     let items = answered.items.facts();
     let is_one_of =

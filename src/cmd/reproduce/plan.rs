@@ -123,7 +123,7 @@ struct System {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PaperTable {
-    /// Number of the table: 1, 2, a1, a2, a3 or a4.
+    /// The table: main, 1, 2, a1, a2, a3 or a4.
     pub(super) paper: TableArg,
     /// Names of the systems in the table; if empty, all.
     #[serde(default)]
@@ -152,7 +152,7 @@ pub(super) struct Training {
     pub(super) model: &'static ModelKind,
     pub(super) preset: Preset,
     pub(super) own: Value,
-    /// All settings of the preset, because another version of the program may have other settings under its name.
+    /// All settings of the preset, because another version of the program may give the preset other settings.
     pub(super) settings_of_preset: Value,
     /// Hash of the table of text vectors, or of BERT's files, if the model uses one as its text encoder.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -168,7 +168,7 @@ fn name_of<S: serde::Serializer>(model: &&'static ModelKind, to: S) -> Result<S:
 
 /// A system, or a point of a figure, with a specification for each of its trainings.
 pub(super) struct Trained {
-    /// Name of the system in tables.
+    /// Name of the system, or of the figure and its point.
     pub(super) name: String,
     pub(super) specs: Vec<Spec>,
 }
@@ -331,7 +331,7 @@ impl Plan {
         }
     }
 
-    /// The run folder of the encoder, or its training.
+    /// The run folder of the encoder, or as `Err` the training that makes it.
     pub(super) fn encoder(&self, global: &Global) -> anyhow::Result<Result<PathBuf, Training>> {
         Ok(match &self.encoder {
             Some(run) => Ok(run.clone()),
@@ -403,8 +403,8 @@ impl Plan {
         ]))
     }
 
-    /// One specification for each seed of training; a single one if the settings of the model hold a seed, or
-    /// `--seed` is given.
+    /// One specification for each training seed; a single one if there are none, if the settings of the model hold a
+    /// seed, or if `--seed` is given.
     fn specs(
         &self,
         system: &System,
@@ -467,7 +467,7 @@ impl Plan {
         })
     }
 
-    /// The training of a model: `own` overrides the plan's settings for it, and `train_seeds` sets its seed if given.
+    /// The training of a model. `own` overrides the plan's settings of the model, and `seed`, if given, its seed.
     fn training(
         &self,
         name: &str,
@@ -526,8 +526,9 @@ impl Plan {
     }
 }
 
-/// Checks the settings of a model. Settings of an editor that equal its preset are left out, so that a figure's point
-/// with the preset's value needs no further training. Settings of other models are checked when they are trained.
+/// Checks and returns the settings of a model. Settings of an editor that equal its preset's are left out, so that a
+/// point of a figure with the preset's value needs no further training. Settings of models that this function does not
+/// know are checked when they are trained.
 fn own_of(name: &str, preset: Preset, own: Value) -> anyhow::Result<Value> {
     let checked = match name {
         EDITOR => {
@@ -544,7 +545,7 @@ fn own_of(name: &str, preset: Preset, own: Value) -> anyhow::Result<Value> {
     Ok(own)
 }
 
-/// The first value that is there twice.
+/// The first value that occurs twice.
 fn twice<T: PartialEq>(values: &[T]) -> Option<&T> {
     let mut places = 0..values.len();
     let place = places.find(|&place| values[..place].contains(&values[place]))?;

@@ -54,7 +54,7 @@ pub(super) struct Scored {
 }
 
 impl<'a> Work<'a> {
-    /// Draws the items, and trains the encoder.
+    /// Draws the items, and trains the encoder unless the plan names one.
     pub(super) fn begin(plan: &'a Plan, global: &'a Global) -> anyhow::Result<Self> {
         let dataset = Dataset::open(&plan.dataset)?;
         let data = dataset.content_hash(&COMPOSED);
@@ -100,8 +100,8 @@ impl<'a> Work<'a> {
             .join(name_of(training, &self.data))
     }
 
-    /// Makes the trainings of some specifications, `at_once` of them at a time. A failed training is repeated where it
-    /// is needed, and its error is reported there.
+    /// Runs the trainings of some specifications, `at_once` of them at a time. Failures are ignored: the training is
+    /// repeated when it is needed, and its error is reported then. An interrupt or a lock is returned as an error.
     pub(super) fn train_ahead<'s>(
         &self,
         specs: impl Iterator<Item = &'s Spec>,
@@ -166,7 +166,8 @@ impl<'a> Work<'a> {
         Ok(edits)
     }
 
-    /// Items and edits of some systems, and how many items were left out.
+    /// Items and edits of some systems, and the number of items that were left out because their source has fewer than
+    /// `min_frames` frames at the model's rate.
     pub(super) fn answered(
         &self,
         edits: &[PathBuf],
@@ -190,8 +191,8 @@ impl<'a> Work<'a> {
         Ok((answered, left_out))
     }
 
-    /// Scores systems, each given by a folder of edits for each of its trainings, and averages over the trainings.
-    /// Items are left out if their source has fewer than `min_frames` frames at the model's rate.
+    /// Scores systems and averages over their trainings. Each system is given by a folder of edits for each of its
+    /// trainings; `min_frames` is that of [`Self::answered`].
     pub(super) fn scored(
         &self,
         systems: &[&[PathBuf]],

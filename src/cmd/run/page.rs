@@ -118,7 +118,7 @@ fn cards(done: &Done) -> Vec<Card> {
     ]
 }
 
-/// Curves of the trainings, and the clips by action.
+/// Loss curves of the editor and of a trained encoder, and the number of clips by action.
 fn charts(done: &Done) -> anyhow::Result<Vec<Chart>> {
     let curves = |run: &Path, title: &str| {
         anyhow::Ok(Chart::Lines(Plot {
@@ -194,7 +194,7 @@ fn details(done: &Done) -> Vec<Details> {
     details.into()
 }
 
-/// The first items of different parts, each as source, edit and target.
+/// Items spread over the table, each with its source, edits and targets.
 fn strips(done: &Done) -> anyhow::Result<Vec<Strip>> {
     let num_items = done.edits.items.len();
     let step = (num_items / STRIPS).max(1);

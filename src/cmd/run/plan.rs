@@ -32,8 +32,8 @@ pub(crate) struct RunConfig {
     /// Named settings of the models.
     #[serde(default)]
     pub(super) preset: Preset,
-    /// Folder of CLIP or BERT, or a table of vectors, for settings with a frozen text encoder; without it CLIP is
-    /// searched in the hub's cache.
+    /// Folder of CLIP or BERT, or a table of vectors, for settings with a frozen text encoder; without it, CLIP is
+    /// taken from the hub's cache.
     #[serde(alias = "clip")]
     pub(super) text_encoder: Option<PathBuf>,
     /// Triplets recorded for inspection; training composes its own.
@@ -76,7 +76,8 @@ pub(crate) struct RunConfig {
     pub(super) eval: Protocol,
 }
 
-/// Optional stages besides dataset, encoder and editor; each is skipped if the data do not allow it.
+/// Stages that can be switched off. Pairs, coordinator and the editor of captured pairs are also skipped if the data do
+/// not allow them.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Stages {
@@ -86,9 +87,9 @@ pub(crate) struct Stages {
     pub(super) coordinator: bool,
     /// A pose network, which every system uses for its edits.
     pub(super) poses: bool,
-    /// An editor trained on pairs that were composed once, and its row of the table.
+    /// An editor trained with `fixed_pairs` (each mask and pair is composed once), and its row of the table.
     pub(crate) composed_once: bool,
-    /// Whether to train an editor only on captured pairs, if there are any, and add its row to the table.
+    /// An editor trained only on captured pairs, and its row of the table; needs such pairs.
     pub(crate) captured_alone: bool,
 }
 
@@ -141,7 +142,7 @@ pub(super) struct Model {
 }
 
 impl Plan {
-    /// Resolves the presets and the seed.
+    /// Resolves the presets and the seeds.
     pub(crate) fn new(config: RunConfig, global: &Global) -> anyhow::Result<Self> {
         let (preset, seeds) = (config.preset, config.seeds);
         let own = &config.train;

@@ -35,7 +35,7 @@ pub(super) fn leaf(name: &'static str, value: Value) -> Record {
     record(name, vec![value], Vec::new())
 }
 
-/// A node with children alone.
+/// A node with children and no values.
 pub(super) fn group(name: &'static str, children: Vec<Record>) -> Record {
     record(name, Vec::new(), children)
 }

@@ -1,4 +1,4 @@
-//! FBX through the command: files written here, in binary and in text, whose skeleton follows poses in closed form.
+//! FBX through the command. The files are written here, in binary and as text, from poses that formulas give.
 
 mod file;
 
@@ -13,7 +13,7 @@ use crate::util::{
     arg, assert_counted, assert_quarantined, assert_tells, motions_of, skipped_of, stance, typed,
 };
 
-/// Ticks per second.
+/// Ticks of FBX's clock per second.
 const TICKS: i64 = 46_186_158_000;
 
 /// A take: its name, and the poses of the body in its frames.
@@ -38,7 +38,7 @@ struct Scene {
     bind_pose: bool,
 }
 
-/// The body in centimetres under Mixamo's names, with a change.
+/// A scene in centimetres under Mixamo's names, after `change`.
 fn scene(change: fn(&mut Scene)) -> Scene {
     let mut scene = Scene {
         metres: 0.01,
@@ -63,7 +63,7 @@ const NAMES: &str = "Hips LeftUpLeg RightUpLeg Spine LeftLeg RightLeg Spine1 Lef
 const SPINE: usize = 3;
 
 fn degrees(turn: DQuat) -> DVec3 {
-    // FBX turns about x first, then y, then z, all about fixed axes.
+    // FBX rotates about x first, then y, then z, all about fixed axes.
     let (z, y, x) = turn.to_euler(EulerRot::ZYX);
     DVec3::new(x.to_degrees(), y.to_degrees(), z.to_degrees())
 }
@@ -90,7 +90,7 @@ impl Scene {
         (joint > 0).then(|| kinematics::skeleton::parent_of(joint))
     }
 
-    /// Position of a joint in its parent, and its rotation between the parent's axes and its own.
+    /// Position of a joint in its parent's axes, and its rotation relative to them.
     fn local(&self, joint: usize, pose: &Pose) -> (DVec3, DQuat) {
         let skeleton = Skeleton::smplx_neutral();
         let size = 1.0 / (self.metres * self.scale);
@@ -110,7 +110,7 @@ impl Scene {
         }
     }
 
-    /// The rotation that the pre-rotation of a joint holds: the one at rest.
+    /// The pre-rotation of a joint: its local rotation at rest, or none without `joint_frames`.
     fn pre(&self, joint: usize) -> DQuat {
         let turn = self.local(joint, &Pose::REST).1;
         if self.joint_frames {
@@ -134,7 +134,7 @@ impl Scene {
             long("CoordAxis", 0),
             long("CoordAxisSign", 1),
             real("UnitScaleFactor", self.metres * 100.0),
-            // 14: the rate is stated.
+            // 14: a custom frame rate.
             property("TimeMode", "enum", "", vec![Value::Long(14)]),
             real("CustomFrameRate", self.fps),
         ];
@@ -224,7 +224,7 @@ impl Scene {
             let turn = glam::DMat3::from_quat(self.world() * self.frame(joint));
             let at = self.world() * skeleton.rest(joint) / self.metres;
             let matrix = glam::DMat4::from_mat3_translation(turn, at);
-            // Arrays are of floats here; the format takes them for numbers as well.
+            // Written as f32; the format allows f32 arrays where it expects doubles.
             let matrix = matrix.to_cols_array().map(|number| number as f32).to_vec();
             let node = leaf("Node", Value::Long(bone(joint)));
             let matrix = leaf("Matrix", Value::Floats(matrix));
@@ -325,7 +325,7 @@ fn fbx_files_are_the_motions_they_show_in_any_unit_and_axes() {
     let splits = all_in_train(dir.path());
     let more = ["--fps", "native", "--splits", arg(&splits)];
     let (_, out) = ingested(&source, &more, &[2 * scenes.len() as u64]);
-    // One take has the id of its file, whatever its name.
+    // The clip of a file with one take has the id of the file, whatever the take is called.
     let rows = motions_of(&out);
     for (name, _) in &scenes {
         for id in [(*name).to_owned(), format!("text/{name}")] {
@@ -411,7 +411,7 @@ fn broken_fbx_files_are_quarantined() {
     put(&source, "words.fbx", words);
     let once = scene.records(&[("a", &poses[..1])]);
     put(&source, "once.fbx", binary(&once));
-    // Bones that all lie in one place are no body.
+    // Bones that all lie at one point are not a body.
     for object in &mut records[2].children {
         if let Some(properties) = object.children.get_mut(1) {
             properties.children.retain(

@@ -1,4 +1,4 @@
-//! The contract crate against the released code, SMPL-X and scipy.
+//! Skeleton, rotations, windows and normaliser against the released code, SMPL-X and scipy.
 
 use datasets_spec::{Pose, Skeleton};
 use glam::{DMat3, DQuat, DVec3, Quat};
@@ -114,7 +114,7 @@ fn golden_slerp() {
     let official: Vec<&[f64]> = golden.get("out.official_quat").rows(4).collect();
     for i in 0..from.len() {
         let got = row_major(DMat3::from_quat(rotation::slerp(from[i], to[i], alpha[i])));
-        // Kind 4 is within 0.1 to 1e-8 rad of a half turn, where the shorter arc flips.
+        // Pairs of kind 4 are 1e-8 to 0.1 rad from a half turn, where the shorter arc flips.
         let tolerance = if kind[i] == 4 { 1e-9 } else { 1e-12 };
         for (a, b) in got.iter().zip(recorded[i]) {
             assert!(
@@ -242,7 +242,7 @@ fn golden_motionrefit_merge() {
     let mut stitcher = Stitcher::new(triangle, GroundTransform::IDENTITY);
     let mut fixed = Vec::new();
     for window in &sampled {
-        // The first window starts on the original's own first frames.
+        // The first window starts with the first two frames of the original.
         let frames = stitcher
             .next_fixed()
             .unwrap_or([originals[0][0], originals[0][1]]);

@@ -14,7 +14,7 @@ use datasets_spec::Skeleton;
 use glam::{DMat3, DQuat, DVec3};
 use recorded::{Recorded, Tensor};
 
-/// One recorded case.
+/// The recorded tensors of one case.
 struct Golden(Recorded);
 
 impl Golden {

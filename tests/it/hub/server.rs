@@ -1,4 +1,4 @@
-//! A hub on this machine: the requests that publish and pull repos, and a storage on another port.
+//! A hub for tests: it answers the requests that publish and pull repos, and has a storage on another port.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader, Read, Write};
@@ -15,7 +15,7 @@ use crate::util::{Ran, command};
 
 /// The token with all rights.
 pub(crate) const TOKEN: &str = "hf_the_right_one";
-/// Bytes of a part of a large file; larger files are uploaded in parts.
+/// Number of bytes of a part; larger files are uploaded in parts.
 const CHUNK: usize = 20_000;
 /// Entries on a page of a listing.
 const PAGE: usize = 3;
@@ -80,7 +80,7 @@ impl State {
         commits.push(files);
     }
 
-    /// The paths of the requests with this method since the last call.
+    /// Clears the record of requests, and returns the paths of those with this method.
     pub(crate) fn take_calls(&mut self, method: &str) -> Vec<String> {
         let calls = std::mem::take(&mut self.calls).into_iter();
         calls
@@ -89,7 +89,7 @@ impl State {
     }
 }
 
-/// A hub that runs as long as the test.
+/// A hub that runs until the test process ends.
 pub(crate) struct Hub {
     address: String,
     home: tempfile::TempDir,
@@ -152,7 +152,7 @@ pub(crate) struct Request {
     pub(crate) method: String,
     pub(crate) target: String,
     token: Option<String>,
-    /// The first byte and the last one that are wanted, with a hyphen between them.
+    /// The requested bytes, as FIRST-LAST or FIRST-.
     pub(crate) range: Option<String>,
     body: Vec<u8>,
 }
@@ -189,7 +189,7 @@ impl Request {
         })
     }
 
-    /// The first byte that is wanted.
+    /// Offset of the first requested byte.
     fn start(&self) -> usize {
         let range = self.range.as_deref().unwrap_or_default();
         range.trim_end_matches('-').parse().unwrap_or(0)
@@ -202,7 +202,7 @@ impl Request {
 
 struct Reply {
     status: &'static str,
-    /// A header line, if there is one beside those of every reply.
+    /// A further header line; may be empty.
     header: String,
     body: Vec<u8>,
 }
@@ -271,7 +271,7 @@ fn answer(mut stream: TcpStream, state: &Mutex<State>, is_storage: bool) -> std:
     stream.write_all(&body[..length.min(cut)])
 }
 
-/// The storage: objects and parts of them by their SHA-256.
+/// Reply of the storage, which holds objects and parts of them by their SHA-256; `None` closes the connection.
 fn stored(request: &Request, state: &mut State) -> Option<Reply> {
     let parts: Vec<&str> = request.target.split('/').skip(1).collect();
     match (request.method.as_str(), parts.as_slice()) {
@@ -303,7 +303,7 @@ fn stored(request: &Request, state: &mut State) -> Option<Reply> {
     }
 }
 
-/// Response of the hub's API to a request.
+/// Reply of the hub's API.
 fn called(request: &Request, state: &mut State) -> Reply {
     if request.token.as_deref().is_some_and(|token| token != TOKEN) {
         let problem = "Invalid credentials in Authorization header";

@@ -1,4 +1,4 @@
-"""The few parts of PyTorch that lerobot's data sets use, on NumPy.
+"""The few parts of PyTorch that lerobot's datasets use, on NumPy.
 
 Only for machines without PyTorch, whose package is several gigabytes: an installed one is used instead.
 """
@@ -11,11 +11,11 @@ from . import utils  # noqa: F401
 
 
 class Tensor(numpy.ndarray):
-    """An array with the name of a tensor."""
+    """A NumPy array under the name of PyTorch's type."""
 
 
 class Never:
-    """What lerobot names in signatures, and `datasets` compares types with."""
+    """Stands for types that lerobot names in signatures, or with which `datasets` compares values."""
 
 
 device = dtype = Generator = Never

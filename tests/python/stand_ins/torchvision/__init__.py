@@ -1,3 +1,3 @@
-"""Imported by lerobot for images, which these data sets do not have."""
+"""Imported by lerobot for images, which these datasets do not have."""
 
 from . import transforms  # noqa: F401
