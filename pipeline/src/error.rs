@@ -10,7 +10,7 @@ use work::Failed;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// What was asked cannot be done.
+    /// The request cannot be carried out.
     #[error("{reason}")]
     Refused {
         /// Code that scripts may rely on, with the item it happened to.

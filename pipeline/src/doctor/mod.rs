@@ -1,5 +1,5 @@
-//! Diagnosis of sources before ingesting: present and missing files. Only names and first bytes of motions are read.
-//! Captures of markers are read whole, because their labels and unit decide whether they give motions.
+//! Diagnosis of sources before ingesting: present and missing files. Only names and first bytes of motion files are
+//! read, except captures of markers: their labels and unit decide whether they give motions.
 
 mod advice;
 mod amass;
@@ -191,7 +191,7 @@ fn kinds(looked: &[Looked], claimed: &BTreeSet<&str>) -> Vec<Kind> {
     kinds
 }
 
-/// Estimate of single files except AMASS, and of releases in pickles.
+/// Estimates all files except AMASS and HumanML3D.
 fn estimate_others(rest: &[&Looked]) -> Estimate {
     let mut estimate = Estimate::default();
     for file in rest.iter().filter(|file| !file.is_pointer) {

@@ -37,12 +37,13 @@ impl Growth {
 }
 
 impl Fates<'_> {
-    /// The labels of clips that are still there. Before the clips are settled, all clips that are read again are
-    /// assumed to be usable.
+    /// The labels that are kept, and those that are lost. Before [`Fates::settle`], clips that are read again count as
+    /// usable.
     pub(super) fn labels(&self, masks: Vec<MaskRow>, pairs: Vec<PairRow>) -> Labels {
         let mut labels = Labels::default();
         for mask in masks {
-            // Masks of the source come back when it is read, and a stage derives its own masks again.
+            // Masks of the source come back when its clip is read, and the masks that a stage derives can be derived
+            // again.
             match self.is_read_again(&mask.motion_id) {
                 Ok(true) if is_mask_of_source(&mask) => {}
                 Ok(_) => labels.masks.push(mask),
@@ -81,7 +82,7 @@ impl Fates<'_> {
 }
 
 impl Plan {
-    /// Recorded label problems of files that have not changed.
+    /// Recorded label problems of files that have not changed or are not of this run.
     pub(super) fn recorded_problems(
         &self,
         recorded: &Recorded,

@@ -145,7 +145,7 @@ fn faults_that_ballista_injects_change_nothing() {
     );
 }
 
-/// A `stance` command that runs `how` in place of one piece.
+/// A script in place of `stance` that runs the shell code `how` before one piece.
 fn spoiled(folder: &Path, piece: &str, how: &str) -> PathBuf {
     let path = folder.join("stance");
     let stance = stance();
