@@ -1,7 +1,8 @@
 """Compares windows a second of MotionCutMix with the same composition in PyTorch and roma, each on one core.
 
 python bench_composition.py DATASET [--seconds S]. Both give batches of 64 windows as tensors. The one in PyTorch is a
-plain dataset: it keeps rotations in memory, blends two stretches for an item, and runs forward kinematics over a whole batch.
+plain dataset: it keeps rotations in memory, blends two stretches for an item, and runs forward kinematics on whole
+batches.
 Before measuring, the script checks that both agree.
 """
 

@@ -153,7 +153,7 @@ impl Plan {
         now == codes(&recorded.quarantine) && skipped == reasons(&recorded.skipped)
     }
 
-    /// The sources of the dataset with those of this run.
+    /// The sources of the dataset and of this run, sorted by label.
     pub(super) fn all_labels(&self, recorded: &Recorded) -> Vec<SourceLabel> {
         let mut sources = recorded.sources.clone();
         for given in &self.notes.given {

@@ -19,8 +19,8 @@ use super::deal::Item;
 use super::options::IngestOptions;
 use crate::likeness::Sketch;
 
-/// Mean distance in metres between source and stored joints that is worth a flag: retargeted
-/// captures of people measure 0.01 to 0.04.
+/// Mean distance in metres between source and stored joints above which a clip is flagged: retargeted captures of
+/// people measure 0.01 to 0.04.
 pub(super) const FIT_ERROR_LIMIT_M: f32 = 0.05;
 
 /// The rows of a clip, and the rows that depend on other clips.
