@@ -60,7 +60,7 @@ pub struct Group {
     pub tolerance: f64,
     /// Required fraction of frames that agree.
     pub least_agreeing: f64,
-    /// Frames compared; none if the folder lacks the files of this group.
+    /// Frames compared; 0 if the folder lacks the files of this group.
     pub frames: u64,
     /// Share of frames that agree.
     pub agreeing: f64,

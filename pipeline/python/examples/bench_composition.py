@@ -2,8 +2,7 @@
 
 python bench_composition.py DATASET [--seconds S]. Both give batches of 64 windows as tensors. The one in PyTorch is a
 plain dataset: it keeps rotations in memory, blends two stretches for an item, and runs forward kinematics on whole
-batches.
-Before measuring, the script checks that both agree.
+batches. Before measuring, the script checks that both agree.
 """
 
 import argparse

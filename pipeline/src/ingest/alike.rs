@@ -374,8 +374,8 @@ struct Window<'a> {
 }
 
 impl Window<'_> {
-    /// The distance of the motions at two places; `None` if their lengths differ. Sketches of places before `start` are
-    /// dropped, because later calls do not name them.
+    /// The distance of the motions at two places; `None` if their lengths differ by more than a frame. Sketches of
+    /// places before `start` are dropped, because later calls do not name them.
     fn distance(&mut self, start: usize, [a, b]: [usize; 2]) -> Result<Option<f64>, Error> {
         while self.coming.front().is_some_and(|place| *place <= b) {
             self.held = self.held.split_off(&start);
