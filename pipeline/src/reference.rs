@@ -191,7 +191,7 @@ struct Reference {
 /// Result for a clip of both sides.
 struct Met {
     frames: usize,
-    /// By group; none for a group whose file is missing or unreadable.
+    /// By group; `None` for a group whose file is missing or unreadable.
     differences: Vec<Option<Difference>>,
     problems: Vec<String>,
 }
@@ -217,7 +217,7 @@ impl Reference {
         self.vectors.keys().chain(self.joints.keys()).collect()
     }
 
-    /// Compares a clip; none if the folder lacks it.
+    /// Compares a clip; `None` if the folder lacks it.
     fn meet(&self, id: &str, features: Result<Vec<Features>, String>) -> Option<Met> {
         let (vector, joints) = (self.vectors.get(id), self.joints.get(id));
         if vector.is_none() && joints.is_none() {
@@ -253,7 +253,7 @@ impl Reference {
     }
 }
 
-/// The arrays of a folder, by the names of their files; none if there is no such folder.
+/// The arrays of a folder, by the names of their files; empty if there is no such folder.
 fn arrays(folder: &Path) -> Result<BTreeMap<String, PathBuf>, Error> {
     if !folder.is_dir() {
         return Ok(BTreeMap::new());
@@ -480,8 +480,8 @@ impl Rule {
     }
 }
 
-/// Inserts a clip into the list of those that differ most: ordered by differing frames for contacts, otherwise by the
-/// largest difference. Ties keep their order.
+/// Inserts a clip into the list of those that differ most, ordered by the largest difference, then by the share of
+/// frames that differ (which decides for contacts). Ties keep their order.
 fn rank(worst: &mut Vec<Worst>, id: &str, difference: &Difference) {
     if difference.max == 0.0 {
         return;
