@@ -213,7 +213,7 @@ fn run(
     })
 }
 
-/// Every file of a folder that is not part of the newest manifest's dataset.
+/// Every file of a dataset's folder that neither its newest version nor the format names.
 fn leftovers(dataset: &Dataset) -> Vec<PathBuf> {
     let root = dataset.root();
     let named = dataset.manifest().tables.values().flatten();
@@ -337,7 +337,7 @@ fn killed_anywhere_a_run_continues_to_the_same_dataset() {
     let clean = run(store, &source, &dir.path().join("clean"), false).expect("a healthy disk");
     let num_operations = count.load(Ordering::SeqCst) as u64;
     let num_shards = clean.dataset.files(MotionRow::TABLE, None).len();
-    // An interrupted run has something to continue after.
+    // With several shards, an interrupted run has some to take over.
     assert!(num_shards > 1, "{num_shards}");
 
     for point in 0..NUM_POINTS {
@@ -354,7 +354,7 @@ fn killed_anywhere_a_run_continues_to_the_same_dataset() {
     }
 }
 
-/// Copies a dataset; its files are never changed in place.
+/// Copies a folder with everything below it.
 fn copied(from: &Path, to: &Path) {
     for (path, is_dir) in Disk.list(from).expect("listed") {
         let target = to.join(path.file_name().expect("a name"));

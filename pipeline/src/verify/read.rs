@@ -76,7 +76,7 @@ struct Label<'a> {
     id: &'a str,
     split: Split,
     motions: Vec<&'a MotionId>,
-    /// Minimum number of frames that the motions must have.
+    /// Minimum number of frames of the motions.
     frames: i32,
     usable: Result<(), compose::Error>,
 }
