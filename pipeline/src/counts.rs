@@ -16,8 +16,8 @@ pub(crate) struct Share {
     pub(crate) hours: f64,
 }
 
-/// Clips and frames of one label and one frame rate. Frames are integers, so their sum does not depend on the order of
-/// the clips.
+/// Numbers of clips and frames of one label and frame rate. Integers, so their sums do not depend on the order of the
+/// clips.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Group {
     /// `None` if the source states no label.

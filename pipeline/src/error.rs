@@ -27,7 +27,7 @@ pub enum Error {
     /// A motion is invalid.
     #[error(transparent)]
     Motion(#[from] kinematics::Error),
-    /// A file or folder cannot be read as its format says.
+    /// A file or folder does not follow its format.
     #[error(transparent)]
     Formats(#[from] formats::Error),
     /// A job in pieces, or its output folder, cannot continue.

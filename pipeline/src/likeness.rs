@@ -129,7 +129,7 @@ mod tests {
         let close = walk(1.001, 0.0, DVec3::ZERO, 60);
         assert!(sketch.distance(&moved).expect("equal lengths") < 1e-5);
         assert_eq!(sketch.distance(&longer), None);
-        // On average, half of the way that 0.1 m/s more makes in 59 frames.
+        // On average, half of the extra distance that 0.1 m/s makes in 59 frames.
         let expected = 0.1 * 59.0 / 20.0 / 2.0;
         assert!((sketch.distance(&faster).expect("equal lengths") - expected).abs() < 0.01);
         let all = [sketch, moved, longer, faster, close].map(Some);

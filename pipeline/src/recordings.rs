@@ -1,7 +1,7 @@
 //! Finds the clips of one recording. They share a split, whatever their ids and however they were read.
 //!
-//! * Clips whose ids name one source clip: crops, mirrored copies, several motions of a file; also a clip and the one
-//!   that it states to mirror.
+//! * Clips whose ids name one source clip: crops, mirrored copies, several motions of a file; also a clip and the clip
+//!   that its column `mirrored_of` names.
 //! * Clips of one file, by its hash, if files of its format hold one recording each.
 //! * In a release, which names its recordings and may hold thousands in one file: clips of one file with one name. Two
 //!   names of a release are two recordings even if their files are equal, because its published splits are kept.

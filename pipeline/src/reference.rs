@@ -117,9 +117,6 @@ impl Comparison {
 /// # Errors
 /// The folder has neither vectors nor joints, or it or the dataset cannot be read. A file of the
 /// folder that cannot be read is a problem of its clip.
-///
-/// # Source
-/// The tolerances are those of `performance`, "How to read the targets".
 pub fn compare(
     dataset: &Dataset,
     folder: &Path,

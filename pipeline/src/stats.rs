@@ -86,7 +86,7 @@ pub struct Statistics {
     remarks: Option<String>,
 }
 
-/// Counts the clips of a dataset, or those for which a condition is true, and their masks and pairs. No frames are read.
+/// Counts the clips of a dataset (with a condition, those that fulfil it) with their masks and pairs. Reads no frames.
 ///
 /// # Errors
 /// A table cannot be read, or no clip fulfils the condition.

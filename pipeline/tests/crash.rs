@@ -477,7 +477,7 @@ fn whichever_operation_fails_a_dataset_is_the_version_before_or_the_one_after() 
             assert!(is_new || (is_old && failed), "{verb}, operation {at}");
             change(verb, Disk::store(), &out).expect("the disk is healthy");
             let done = Dataset::open(&out).expect("whole");
-            // Going back once more, or compacting what is compact, changes nothing.
+            // Restoring again, or compacting a compact dataset, changes nothing.
             let tables = &done.manifest().tables;
             assert_eq!(*tables, after.tables, "{verb}, operation {at}");
             let named = tables.values().flatten();

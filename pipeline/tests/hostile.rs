@@ -19,19 +19,16 @@ const INGESTED: &str = "ingested";
 /// The file is skipped as not a motion.
 const SKIPPED: &str = "skipped";
 
-/// A good AMASS archive.
 fn good_npz() -> Vec<u8> {
     let motion = clip(0, &CorpusOptions::default()).motion;
     write::amass::encode(&motion, &Skeleton::smplx_neutral()).expect("encodes")
 }
 
-/// A good BVH file.
 fn good_bvh() -> String {
     let motion = clip(1, &CorpusOptions::default()).motion;
     write::bvh::encode(&motion, &Skeleton::smplx_neutral())
 }
 
-/// An archive of the given members.
 fn archive(members: &[(&str, &[u8])]) -> Vec<u8> {
     let mut out = zip::ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in members {
@@ -245,7 +242,6 @@ fn c3d_cases() -> Vec<Case> {
     ]
 }
 
-/// A good binary glTF file.
 fn good_glb() -> Vec<u8> {
     let motion = clip(2, &CorpusOptions::default()).motion;
     write::gltf::encode(&motion, &Skeleton::smplx_neutral()).expect("encodes")
@@ -344,7 +340,6 @@ fn other_cases(canary: &Path) -> Vec<Case> {
     ]
 }
 
-/// Ingests a folder.
 fn ingested(source: &Path, out: &Path) -> IngestReport {
     let options = IngestOptions::default();
     let report = ingest(&[source.to_owned()], out, &options, "the test", &NoProgress);

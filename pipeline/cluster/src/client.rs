@@ -80,7 +80,6 @@ struct Document {
     committed: Option<Committed>,
 }
 
-/// Makes the pieces and commits the plan.
 pub(crate) async fn run(args: Args) -> anyhow::Result<ExitCode> {
     let path = std::path::absolute(&args.plan)?;
     let plan = Plan::open(&path)?;
@@ -285,7 +284,6 @@ fn ended(args: &Args, error: &DataFusionError) -> anyhow::Error {
     }
 }
 
-/// The records in the answer.
 fn records(batches: &[RecordBatch]) -> anyhow::Result<Vec<Record>> {
     let mut records = Vec::new();
     for batch in batches {

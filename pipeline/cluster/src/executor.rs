@@ -22,7 +22,7 @@ pub(crate) struct Args {
     /// Scheduler, as HOST:PORT
     #[arg(long, default_value = "127.0.0.1:50050")]
     scheduler: String,
-    /// Pieces made at a time. Most jobs use all cores for one piece
+    /// Pieces made at a time. One piece uses all cores if its job can
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pieces: u16,
     /// Address at which the other machines reach this one

@@ -1,4 +1,4 @@
-//! Motions as arrays, and what is computed from one.
+//! Motions as arrays, with their features, joints and blends.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

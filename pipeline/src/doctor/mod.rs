@@ -212,7 +212,7 @@ fn seconds_in(format: Format, bytes: u64) -> f64 {
     bytes as f64 / format.bytes_per_second
 }
 
-/// A listed file, and what its first bytes identify.
+/// A listed file, and the format that its first bytes show.
 struct Looked {
     relative: String,
     path: PathBuf,

@@ -1,4 +1,4 @@
-//! Layouts that write separate files for each clip, so that clips can be written independently.
+//! Layouts that write separate files for each clip, independently of other clips.
 
 use std::path::Path;
 

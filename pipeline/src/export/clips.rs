@@ -21,7 +21,7 @@ pub(super) struct FileKind {
     extension: &'static str,
     /// Ending that is removed from an id, because the file name gets it anyway.
     ending: &'static str,
-    /// Whether files look like recordings of AMASS: at 60 fps or more, and with its suffix.
+    /// Whether files look like recordings of AMASS: at about 60 fps or more, and with its suffix.
     is_amass: bool,
     pub(super) encode: fn(&Motion, &Skeleton) -> io::Result<Vec<u8>>,
 }

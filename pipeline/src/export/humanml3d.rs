@@ -285,7 +285,7 @@ mod tests {
         let stored = points(&at("out/new_joints/000000.npy"));
         assert_eq!(stored.len(), 59 * NUM_BODY_JOINTS, "one frame less");
         for (stored, processed) in stored.iter().zip(processed.as_flattened()) {
-            // Tolerance of positions in f32, where the root is a sum of 60 velocities.
+            // Tolerance: positions are in f32, and the root is a sum of 60 velocities.
             assert!((*stored - *processed).length() < 1e-5);
         }
         let ids = "name,id,left_out,license\n000000,KIT/walk_poses,,\n";

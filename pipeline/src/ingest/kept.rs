@@ -64,8 +64,8 @@ impl Fates<'_> {
         labels
     }
 
-    /// Whether the clip of a label is read again; otherwise it stays. If its labels do not apply any more, the error is
-    /// the clip and what happened to it.
+    /// Whether the clip of a label is read again; otherwise it stays. If the label no longer applies to the clip, the
+    /// error is the clip and what happened to it.
     fn is_read_again(&self, id: &MotionId) -> Result<bool, (String, String)> {
         let reason = match self.of_clip(id) {
             Some(Fate::Kept | Fate::Elsewhere | Fate::Missing | Fate::Unusable) => {

@@ -173,7 +173,8 @@ impl Merge {
         });
     }
 
-    /// The split of the clips of a label in the older version. A label that has none there is noted as lost.
+    /// The split of the clips of a label in the older version. A label whose clips have no common split there is noted
+    /// as lost.
     fn split_of(&mut self, table: &str, id: &str, clips: [&MotionId; 2]) -> Option<Split> {
         let mut splits: Vec<Split> = Vec::new();
         for clip in clips {

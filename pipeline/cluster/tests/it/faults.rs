@@ -14,7 +14,6 @@ use crate::harness::{
     Cluster, Job, Said, document, real_data, run_local, run_on, stance, stance_json, text,
 };
 
-/// Number of executors to kill.
 fn kills() -> usize {
     std::env::var("STANCE_KILLS").map_or(4, |text| text.parse().expect("a number"))
 }

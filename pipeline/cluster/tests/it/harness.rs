@@ -11,7 +11,6 @@ use serde_json::Value;
 
 const CLUSTER: &str = env!("CARGO_BIN_EXE_stance-cluster");
 
-/// Path of the command `stance`.
 pub(crate) fn stance() -> PathBuf {
     let set = std::env::var_os("STANCE_BIN").map(PathBuf::from);
     set.expect("STANCE_BIN names the command; pipeline/cluster/check sets it")
@@ -28,7 +27,6 @@ pub(crate) fn real_data() -> Option<PathBuf> {
     found
 }
 
-/// Runs a command to its end.
 pub(crate) fn run(program: &Path, args: &[&str]) -> Output {
     let output = Command::new(program)
         .args(args)
@@ -184,7 +182,6 @@ pub(crate) struct Cluster {
 }
 
 impl Cluster {
-    /// Starts the scheduler and its executors.
     pub(crate) fn start(executors: usize) -> Self {
         let (say, said) = channel();
         let (scheduler, address) = scheduler("127.0.0.1:0");
@@ -202,7 +199,6 @@ impl Cluster {
         cluster
     }
 
-    /// Adds an executor.
     pub(crate) fn add(&mut self, more: &[&str]) {
         let mut args = vec!["executor", "--scheduler", &self.address];
         args.extend(more);
@@ -218,7 +214,6 @@ impl Cluster {
         self.executors.remove(&executor).is_some()
     }
 
-    /// Kills the scheduler.
     pub(crate) fn lose_scheduler(&mut self) {
         self.scheduler.kill();
     }
