@@ -91,7 +91,7 @@ def ingest(sources: _Path | _Iterable[_Path], out: _Path, **options: _Any) -> di
 def masks(dataset: _Path) -> None:
     """Writes masks of the body parts that each clip is about, by their speed, as ``stance masks`` does.
 
-    :class:`MotionCutMix` needs masks. If people have judged the masks of the dataset, it raises an error.
+    :class:`MotionCutMix` needs masks. Fails if people have judged masks of the dataset.
     """
     _native.masks(dataset)
 
