@@ -1,7 +1,6 @@
-//! BVH text to rows of Parquet on one thread, beside a calibration of the machine.
+//! Measures the path from BVH text to Parquet rows on one thread; the same run calibrates the machine.
 //!
-//! Throughputs of the file's stages are in source frames, those of the calibration in floating-point
-//! operations and bytes.
+//! Stages are counted in source frames a second, the matrix product in floating-point operations and the copy in bytes.
 
 use std::path::Path;
 
@@ -15,11 +14,11 @@ use formats::retarget;
 use formats::source::ReadOptions;
 use formats::source::bvh::BvhFile;
 
-/// Frames of the synthetic file: a clip of half a minute.
+/// Frames of the synthetic file: about half a minute.
 const NUM_FRAMES: usize = 1000;
 
-/// Name, depth and offset in centimetres of the joints of a Bandai-Namco file, whose bones lie
-/// along x and whose joints all have positions and rotations.
+/// Joints of a Bandai-Namco file: name, depth in the tree, and offset along x in centimetres. Every joint has position
+/// and rotation channels.
 const JOINTS: [(&str, usize, f64); 22] = [
     ("joint_Root", 0, 0.0),
     ("Hips", 1, 93.0),
@@ -49,7 +48,7 @@ fn main() {
     divan::main();
 }
 
-/// A file of 22 joints with six channels each at 30 fps, six decimals a number.
+/// BVH text of 22 joints with six channels each, at 30 fps, with six decimals per number.
 fn file() -> String {
     let mut text = "HIERARCHY\n".to_owned();
     for (index, (name, depth, offset)) in JOINTS.into_iter().enumerate() {
@@ -160,10 +159,10 @@ fn row(motion: &Motion) -> MotionRow {
     }
 }
 
-/// Edge of the matrices of the calibration.
+/// Rows and columns of the matrices of the calibration.
 const EDGE: usize = 512;
 
-/// A plain matrix product, blocked so that a block of each matrix stays in the first cache.
+/// A matrix product, blocked so that 64 rows of `b` (128 KiB) are reused from a cache.
 #[divan::bench]
 fn calibration_matrix_product(bencher: Bencher) {
     const BLOCK: usize = 64;
@@ -193,7 +192,7 @@ fn calibration_matrix_product(bencher: Bencher) {
         });
 }
 
-/// Copying more than any cache holds.
+/// Copies 256 MiB, which is more than a cache holds.
 #[divan::bench]
 fn calibration_copy(bencher: Bencher) {
     const LEN: usize = 256 << 20;

@@ -1,8 +1,8 @@
-//! Composing training windows, and reading recorded ones, with a calibration of the machine in the same run.
+//! Measures composing training windows and reading recorded ones; the same run calibrates the machine.
 //!
-//! `RAYON_NUM_THREADS=1 cargo bench --bench compose`; one thread. Rates are windows a second, each an
-//! original and an edited one. The readers read windows recorded from the built-in corpus, or those
-//! of the dataset that `STANCE_BENCH_WINDOWS` names.
+//! `RAYON_NUM_THREADS=1 cargo bench --bench compose`; one thread. Rates are windows a second; a window is an original
+//! and its edit (for the coordinator, one of the two). The readers read windows recorded from the built-in corpus, or
+//! those of the dataset that `STANCE_BENCH_WINDOWS` names.
 
 #[path = "../../datasets-spec/kinematics/benches/shared/calibration.rs"]
 mod calibration;
@@ -25,7 +25,7 @@ use divan::counter::ItemsCount;
 use pipeline::annotation::masks::{MaskConfig, automatic_masks};
 use pipeline::ingest::{IngestOptions, ingest};
 
-/// Windows of a batch.
+/// Windows per batch.
 const BATCH: usize = 1024;
 const CLIPS: usize = 200;
 

@@ -1,4 +1,4 @@
-//! Computing HumanML3D features, alone and on the way from AMASS archives to a Parquet shard.
+//! Measures HumanML3D features: computed alone, and on the way from AMASS archives to a Parquet shard.
 //!
 //! `cargo bench --bench features`; one thread. Rates are frames a second, to be compared with the matrix product and
 //! the copy of the same run.
@@ -25,7 +25,7 @@ fn skeleton() -> Skeleton {
     Skeleton::smplx_neutral()
 }
 
-/// A clip of the built-in corpus, repeated to the length of a long take.
+/// A clip of the built-in corpus.
 fn motion() -> Motion {
     clip(3, &CorpusOptions::default()).motion
 }
@@ -69,7 +69,7 @@ fn motion_of_joints(bencher: Bencher) {
     bencher.bench_local(|| features::motion_of_joints(black_box(&joints), Fps::STORE, &skeleton));
 }
 
-/// Input frames at 120 fps.
+/// Counts input frames, which are at 120 fps.
 #[divan::bench]
 fn amass_to_parquet(bencher: Bencher) {
     const CLIPS: usize = 16;
@@ -120,7 +120,7 @@ fn amass_to_parquet(bencher: Bencher) {
 mod calibration {
     use super::*;
 
-    /// Numbers that are copied: more than fit in any cache of the machines this runs on.
+    /// Numbers that are copied: 64 MiB, more than most caches hold.
     const COPIED: usize = 16 << 20;
     const SIDE: usize = 512;
     /// Rows and columns of the result that are summed at a time, so that they stay in registers.

@@ -1,5 +1,4 @@
-//! Composing from many hours of motion: memory, time and processor time of the jobs of `stance triplets` and of a
-//! training loader.
+//! Measures memory, wall time and processor time of `stance triplets` and of a training loader on many hours of motion.
 //!
 //! ```sh
 //! cargo bench --bench hours -- make DATASET 100 20           # 100 hours of the built-in corpus under new ids, 20 fps
@@ -7,7 +6,7 @@
 //! cargo bench --bench hours -- loader DATASET 100000         # batches of 256 windows, nothing written
 //! ```
 //!
-//! `STANCE_CACHE` names the folder of the frames.
+//! `STANCE_CACHE` names the folder of the frame cache.
 
 #![expect(clippy::print_stdout, reason = "the figures are its result")]
 
@@ -26,9 +25,9 @@ use pipeline::annotation::masks::{MaskConfig, automatic_masks};
 use pipeline::ingest::{IngestOptions, ingest};
 use work::Context;
 
-/// Clips that are repeated.
+/// Clips of the corpus, which `make` repeats.
 const CLIPS: usize = 400;
-/// Windows of a batch of the loader.
+/// Windows per batch of the loader.
 const BATCH: usize = 256;
 
 type Failure = Box<dyn std::error::Error>;
@@ -115,7 +114,7 @@ fn peak_bytes() -> f64 {
     kilobytes.unwrap_or(0.0) * 1024.0
 }
 
-/// Clips of the corpus, all for training, and their body.
+/// Ingests clips of the corpus and puts all of them into the training split; also returns their skeleton.
 fn clips(fps: f64) -> Result<(Skeleton, Vec<MotionRow>), Failure> {
     let dir = tempfile::tempdir()?;
     let (sources, ingested) = (dir.path().join("corpus"), dir.path().join("dataset"));
@@ -139,7 +138,7 @@ fn clips(fps: f64) -> Result<(Skeleton, Vec<MotionRow>), Failure> {
     let mut motions: Vec<MotionRow> = dataset.read(None)?;
     for row in &mut motions {
         row.split = Split::Train;
-        // Rounded numbers take a third of the disk.
+        // Rounded numbers compress to a third of the size.
         let columns = [
             row.transl.as_flattened_mut(),
             row.global_orient.as_flattened_mut(),

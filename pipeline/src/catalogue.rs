@@ -11,7 +11,7 @@ use crate::counts::{Counts, Share};
 /// Clips that share a label.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Group {
-    /// The label; empty where the source gave none.
+    /// The label; empty if the source gave none.
     pub label: String,
     /// Number of clips.
     pub clips: u64,
@@ -55,13 +55,13 @@ pub fn catalogue(dataset: &Dataset) -> Result<Catalogue, Error> {
     })
 }
 
-/// Contents of a folder without motions, and the verbs that take it; none if it holds motions.
+/// Describes a folder without motions and names the commands that take it; `None` if it holds motions.
 pub fn other_than_motions(dataset: &Dataset) -> Option<&'static str> {
     let has = |table: &str| dataset.manifest().rows(table, None) > 0;
     if has(MotionRow::TABLE) {
         return None;
     }
-    // A folder of edits holds a copy of its items.
+    // Edits come first, because a folder of edits also holds their items.
     let kinds = [
         (
             EditRow::TABLE,

@@ -31,13 +31,13 @@ datasets_spec::table! {
         pub fps: f32 ["1/s"],
         /// Stored frames
         pub n_frames: i32 ["frame"],
-        /// BLAKE3 of the motion; empty for markers without one
+        /// BLAKE3 of the motion; empty for markers without a motion
         pub content_hash: String ["", newer],
-        /// Columns of [`ClipFacts::centre`]
+        /// x of [`ClipFacts::centre`]
         pub centre_x: Option<f32> ["m", newer],
-        /// The same for y
+        /// y of [`ClipFacts::centre`]
         pub centre_y: Option<f32> ["m", newer],
-        /// The same for z
+        /// z of [`ClipFacts::centre`]
         pub centre_z: Option<f32> ["m", newer],
     }
 }
@@ -48,7 +48,7 @@ impl ClipFacts {
     }
 }
 
-/// The clips of a dataset with their splits: all motions, then the markers without one.
+/// The clips of a dataset with their splits: all motions, then the markers without a motion.
 pub(crate) fn clip_facts(
     dataset: &Dataset,
 ) -> Result<Vec<(Split, ClipFacts)>, datasets_spec::Error> {
@@ -67,7 +67,7 @@ pub(crate) fn clip_facts(
 
 pub(crate) const CLIP_TABLES: [&str; 3] = [MotionRow::TABLE, MarkerRow::TABLE, HumanMl3dRow::TABLE];
 
-/// Whether a stage composes a table from motions, and can make it again.
+/// Whether a stage composes a table from motions, and so can make it again.
 pub(crate) fn is_composed(table: &str) -> bool {
     let of_ingestion = [
         MaskRow::TABLE,
@@ -89,7 +89,7 @@ pub(crate) fn clip_ids(
     }
 }
 
-/// Facts of a file, in the form that the writer takes.
+/// Borrows the facts of a file in the form that the writer takes.
 pub(crate) fn borrowed(facts: &[(String, String)]) -> Vec<(&str, String)> {
     let facts = facts.iter();
     facts
@@ -97,8 +97,7 @@ pub(crate) fn borrowed(facts: &[(String, String)]) -> Vec<(&str, String)> {
         .collect()
 }
 
-/// Copies the clips that stay from a file of clips to a new file, and returns nothing if none stays. For a clip that
-/// stays, `stays` returns the name of its source.
+/// Copies to a new file the clips for which `stays` returns the name of their source. Returns `None` if no clip stays.
 pub(crate) fn rewrite<'a>(
     transaction: &Transaction,
     name: &ShardName,
@@ -124,7 +123,7 @@ fn rewrite_rows<'a, R: ClipRow>(
     rows.retain_mut(|row| {
         let clip = row.of_clip();
         let source = stays(clip.id);
-        // Files of older formats lack the column.
+        // Files of older formats lack the name, so it is filled in.
         if let (Some(source), Some([name, _])) = (source, clip.source)
             && name.is_empty()
         {
@@ -138,11 +137,11 @@ fn rewrite_rows<'a, R: ClipRow>(
     }
 }
 
-/// What a row says of its clip.
+/// Columns that a row has about its clip.
 pub(crate) struct OfClip<'a> {
     pub(crate) id: &'a mut MotionId,
     pub(crate) split: &'a mut Split,
-    /// Name of the source and path of the file that the clip came from, where the table has them.
+    /// Name of the source, and path of the file that the clip came from; `None` if the table lacks these columns.
     pub(crate) source: Option<[&'a mut String; 2]>,
     pub(crate) mirrored_of: Option<&'a mut String>,
 }

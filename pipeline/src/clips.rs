@@ -33,7 +33,7 @@ pub struct Shard {
     path: PathBuf,
     split: Option<Split>,
     num_clips: u64,
-    /// Indices of the chosen rows; none if all are chosen.
+    /// Indices of the chosen rows; `None` if all are chosen.
     rows: Option<Vec<usize>>,
 }
 

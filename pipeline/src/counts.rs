@@ -16,11 +16,11 @@ pub(crate) struct Share {
     pub(crate) hours: f64,
 }
 
-/// Number of clips and frames of one label and one frame rate. Frames are integers, so that the sum does not depend on the
-/// order of the clips.
+/// Numbers of clips and frames of one label and frame rate. Integers, so their sums do not depend on the order of the
+/// clips.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Group {
-    /// None if the source states no label.
+    /// `None` if the source states no label.
     pub(crate) label: Option<String>,
     pub(crate) fps: f64,
     clips: u64,
@@ -28,7 +28,7 @@ pub(crate) struct Group {
 }
 
 impl Group {
-    /// Sums of groups by a key; groups without a key are left out.
+    /// Sums groups with equal keys; groups without a key are left out.
     pub(crate) fn sums<K: Ord>(
         groups: &[Self],
         key: impl Fn(&Self) -> Option<K>,
@@ -49,7 +49,7 @@ impl Group {
 /// Queries over chosen clips.
 pub(crate) struct Counts {
     tables: Tables,
-    /// SQL condition on the rows of each table.
+    /// SQL condition on the rows of a table; all rows count if it has none.
     chosen: BTreeMap<&'static str, String>,
 }
 
@@ -96,7 +96,7 @@ impl Counts {
         }))
     }
 
-    /// Rows of a table by a label; rows without the label are left out.
+    /// Numbers of rows of a table by a label; rows without the label are left out.
     pub(crate) fn labelled(
         &mut self,
         label: &str,

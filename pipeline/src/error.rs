@@ -10,7 +10,7 @@ use work::Failed;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// What was asked cannot be done.
+    /// The request cannot be carried out.
     #[error("{reason}")]
     Refused {
         /// Code that scripts may rely on, with the item it happened to.
@@ -27,7 +27,7 @@ pub enum Error {
     /// A motion is invalid.
     #[error(transparent)]
     Motion(#[from] kinematics::Error),
-    /// A file or folder cannot be read as its format says.
+    /// A file or folder does not follow its format.
     #[error(transparent)]
     Formats(#[from] formats::Error),
     /// A job in pieces, or its output folder, cannot continue.

@@ -26,7 +26,7 @@ use work::Jobs;
 
 use crate::{export, ingest};
 
-/// The jobs of this crate, and that of recordings.
+/// The jobs of this crate, and that of [`compose::recording`].
 pub fn jobs() -> Jobs {
     Jobs::none()
         .with(ingest::JOB, Box::new(ingest::open_job))

@@ -1,10 +1,10 @@
-//! Raw files to motions to triplets.
+//! From raw motion files to a dataset of motions and triplets.
 //!
 //! [`ingest`] turns folders into a committed dataset, with the readers of [`formats`]; [`annotation`] marks what each
 //! clip is about; [`compose`] is MotionCutMix; [`export`] writes other layouts.
 //!
-//! A bad file is a row of the `quarantine` table, never an error of the run. Read [`ingest::ingest`]
-//! and [`compose::Stream`] first.
+//! A bad file becomes a row of the `quarantine` table, never an error of the run. Read [`ingest::ingest`] and
+//! [`compose::Stream`] first.
 //!
 //! ```
 //! use corpus::{CorpusOptions, write_corpus};

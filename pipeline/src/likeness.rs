@@ -4,15 +4,15 @@ use datasets_spec::{Motion, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation::yaw;
 
-/// Maximum mean distance of body joints, in metres, between nearly equal motions of one length. Conversion to another
-/// format and back moves joints by less; two takes of one person differ by more.
+/// Maximum mean distance of body joints, in metres, between nearly equal motions. Conversion to another format and back
+/// moves joints by less; two takes of one person differ by more.
 pub const TOLERANCE_M: f64 = 0.005;
 
 const JOINTS: usize = 22;
 
 const FRAMES: usize = 8;
 
-/// The body joints of a motion in some frames, seen from where it begins.
+/// The body joints of a motion in eight frames, relative to its first position on the ground and its first heading.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sketch {
     num_frames: usize,
@@ -44,7 +44,7 @@ impl Sketch {
         }
     }
 
-    /// Mean of all points, in metres. Those of nearly equal motions differ by no more than their points.
+    /// Mean of all points, in metres. The centres of two motions are no further apart than their points on average.
     pub fn centre(&self) -> [f32; 3] {
         let count = self.points.len().max(1) as f64;
         [0, 1, 2].map(|axis| {
@@ -53,7 +53,7 @@ impl Sketch {
         })
     }
 
-    /// Mean distance of the joints, in metres; none for motions whose lengths differ by more than a frame.
+    /// Mean distance of the joints, in metres; `None` for motions whose lengths differ by more than a frame.
     pub fn distance(&self, other: &Self) -> Option<f64> {
         if self.num_frames.abs_diff(other.num_frames) > 1 {
             return None;
@@ -69,7 +69,7 @@ impl Sketch {
     }
 }
 
-/// Pairs of nearly equal motions of different groups, by place, with their distance in metres.
+/// Pairs of nearly equal motions of different groups: their indices in `sketches`, and their distance in metres.
 pub fn near_pairs<G: PartialEq>(sketches: &[(G, Sketch)]) -> Vec<(usize, usize, f64)> {
     // The mean of all coordinates differs by no more than the mean distance of points.
     let means = sketches
@@ -129,7 +129,7 @@ mod tests {
         let close = walk(1.001, 0.0, DVec3::ZERO, 60);
         assert!(sketch.distance(&moved).expect("equal lengths") < 1e-5);
         assert_eq!(sketch.distance(&longer), None);
-        // On average, half of the way of 59 frames at 0.1 m/s.
+        // On average, half of the extra distance that 0.1 m/s makes in 59 frames.
         let expected = 0.1 * 59.0 / 20.0 / 2.0;
         assert!((sketch.distance(&faster).expect("equal lengths") - expected).abs() < 0.01);
         let all = [sketch, moved, longer, faster, close].map(Some);

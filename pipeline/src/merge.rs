@@ -26,14 +26,14 @@ pub struct Merged {
     pub clips: u64,
     /// Clips of the second dataset that the first has too: same id, same motion.
     pub shared: Vec<String>,
-    /// Clips of the second dataset that got another id, because the first has another motion under theirs.
+    /// New ids of clips of the second dataset, by their old ids, under which the first has another motion.
     pub renamed: BTreeMap<String, String>,
     /// Clips of the second dataset whose split changed, because the first dataset has clips of the same recording: of
     /// the same file or clip, or with nearly the same motion.
     pub moved: BTreeMap<String, Split>,
     /// Warning about mixed licences, if there is one.
     pub license_warning: Option<String>,
-    /// Masks and pairs of the second dataset that name motions of two splits now.
+    /// Ids of pairs that were dropped, because their motions are in two splits now.
     pub dropped_labels: Vec<String>,
     /// Hash of the result.
     pub root_hash: String,
@@ -73,7 +73,7 @@ impl<'a> Part<'a> {
         with_label(&self.label, path)
     }
 
-    /// The row and its split in the result; none if the other dataset has the clip.
+    /// The row and its split in the result; `None` if the other dataset has the clip.
     fn take<R: ClipRow>(&self, mut row: R) -> Option<(Split, R)> {
         let clip = row.of_clip();
         if self.shared.contains(&*clip.id) {
@@ -130,7 +130,8 @@ impl<'a> Part<'a> {
 /// first keep their ids, splits and labels.
 ///
 /// # Errors
-/// The datasets differ in their skeleton, rate, resampling or features, `out` is a dataset already, or reading or writing fails.
+/// The datasets differ in their skeleton, rate, resampling or features, `out` is a dataset already, or reading or
+/// writing fails.
 pub fn merge(
     first: &Path,
     second: &Path,
@@ -337,7 +338,8 @@ fn moved(
     }
     let mut moved = BTreeMap::new();
     for (place, clip) in own.iter().enumerate() {
-        // Published splits of the first dataset may separate clips of a recording.
+        // Published splits of the first dataset may separate clips of a recording; then each of these splits is
+        // allowed.
         let splits = wanted.get(&groups.of(known.len() + place));
         let splits = splits.filter(|splits| !splits.contains(&clip.origin.split));
         if let Some(split) = splits.and_then(|splits| splits.first()) {
@@ -380,7 +382,7 @@ fn splits(parts: &[&Part<'_>], clips: &[Vec<Clip>]) -> BTreeMap<MotionId, Split>
     splits
 }
 
-/// The labels of both datasets, and the ids of labels whose motions are now in two splits.
+/// The labels of both datasets, and the ids of dropped pairs, whose motions are in two splits now.
 fn labels(
     parts: &[&Part<'_>],
     splits: &BTreeMap<MotionId, Split>,
@@ -431,8 +433,8 @@ fn insert<R: PartialEq>(
     rows.insert(candidate, row);
 }
 
-/// Writes a table of both datasets, with one shard for each of their shards and splits. Markers and features lie beside
-/// their motions.
+/// Writes a table of both datasets, with one shard for each of their shards and splits. Shards of markers and features
+/// have the numbers of those of their motions.
 fn shards<R: ClipRow>(
     transaction: &Transaction,
     parts: &[&Part<'_>],

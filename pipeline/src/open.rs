@@ -37,7 +37,7 @@ pub fn stored_clip(dataset: &Dataset, id: &str) -> Result<MotionRow, Error> {
     Err(Error::coded("E-CLIP-UNKNOWN", id, reason))
 }
 
-/// The item with an id, or with a prefix of one.
+/// The item whose id begins with `id`.
 ///
 /// # Errors
 /// There is no such item or several, or the dataset cannot be read.
@@ -102,7 +102,7 @@ fn file_and_key(path: &Path) -> (PathBuf, Option<String>) {
     named().unwrap_or_else(whole)
 }
 
-/// Outcome of reading each motion of a source file, by its name within the file.
+/// The format of a source file, and the outcome of reading each of its motions, with the name within the file.
 ///
 /// # Errors
 /// The file cannot be read, or its format is unknown.

@@ -1,11 +1,11 @@
 //! Finds the clips of one recording. They share a split, whatever their ids and however they were read.
 //!
-//! * Clips with the id of one source clip: crops, mirrored copies, several motions of a file; and the clip that one says
-//!   it mirrors.
-//! * Clips of one file, by its hash, where the format has a recording in each file.
-//! * In a release, whose list names the recordings and may hold thousands in one file: clips of one file and one name.
-//!   Two names of a release are two recordings even if their files are equal, because its published splits are kept.
-//! * Then equal and nearly equal motions ([`crate::likeness`]).
+//! * Clips whose ids name one source clip: crops, mirrored copies, several motions of a file; also a clip and the clip
+//!   that its column `mirrored_of` names.
+//! * Clips of one file, by its hash, if files of its format hold one recording each.
+//! * In a release, which names its recordings and may hold thousands in one file: clips of one file with one name. Two
+//!   names of a release are two recordings even if their files are equal, because its published splits are kept.
+//! * Clips with equal or nearly equal motions ([`crate::likeness`]).
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -152,7 +152,7 @@ pub(crate) fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
             id: clip.id,
             split,
             source: match clip.source.as_str() {
-                // Markers come from C3D files.
+                // Tables of markers have no such column; markers come from C3D files.
                 "" => "c3d".to_owned(),
                 _ => clip.source,
             },

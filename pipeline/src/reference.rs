@@ -60,7 +60,7 @@ pub struct Group {
     pub tolerance: f64,
     /// Required fraction of frames that agree.
     pub least_agreeing: f64,
-    /// Frames compared; none if the folder lacks the files of this group.
+    /// Frames compared; 0 if the folder lacks the files of this group.
     pub frames: u64,
     /// Share of frames that agree.
     pub agreeing: f64,
@@ -117,9 +117,6 @@ impl Comparison {
 /// # Errors
 /// The folder has neither vectors nor joints, or it or the dataset cannot be read. A file of the
 /// folder that cannot be read is a problem of its clip.
-///
-/// # Source
-/// The tolerances are those of `performance`, "How to read the targets".
 pub fn compare(
     dataset: &Dataset,
     folder: &Path,
@@ -191,7 +188,7 @@ struct Reference {
 /// Result for a clip of both sides.
 struct Met {
     frames: usize,
-    /// By group; none for a group whose file is missing or unreadable.
+    /// By group; `None` for a group whose file is missing or unreadable.
     differences: Vec<Option<Difference>>,
     problems: Vec<String>,
 }
@@ -217,7 +214,7 @@ impl Reference {
         self.vectors.keys().chain(self.joints.keys()).collect()
     }
 
-    /// Compares a clip; none if the folder lacks it.
+    /// Compares a clip; `None` if the folder lacks it.
     fn meet(&self, id: &str, features: Result<Vec<Features>, String>) -> Option<Met> {
         let (vector, joints) = (self.vectors.get(id), self.joints.get(id));
         if vector.is_none() && joints.is_none() {
@@ -253,7 +250,7 @@ impl Reference {
     }
 }
 
-/// The arrays of a folder, by the names of their files; none if there is no such folder.
+/// The arrays of a folder, by the names of their files; empty if there is no such folder.
 fn arrays(folder: &Path) -> Result<BTreeMap<String, PathBuf>, Error> {
     if !folder.is_dir() {
         return Ok(BTreeMap::new());
@@ -480,8 +477,8 @@ impl Rule {
     }
 }
 
-/// Inserts a clip into the list of those that differ most: ordered by differing frames for contacts, otherwise by the
-/// largest difference. Ties keep their order.
+/// Inserts a clip into the list of those that differ most, ordered by the largest difference, then by the share of
+/// frames that differ (which decides for contacts). Ties keep their order.
 fn rank(worst: &mut Vec<Worst>, id: &str, difference: &Difference) {
     if difference.max == 0.0 {
         return;

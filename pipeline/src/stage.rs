@@ -1,6 +1,6 @@
 //! Stages from folder to folder: open the result of the stage before, do the work, commit the result.
 //!
-//! Each function is one verb of the command. A stage does nothing if the same plan has already made its result.
+//! A stage does nothing if the same plan has already made its result.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -24,7 +24,7 @@ use crate::annotation::pairs::{
 use crate::catalogue::other_than_motions;
 use crate::ingest::{IngestOptions, SplitBy};
 
-/// Clips whose frames are in memory while masks are made.
+/// Number of clips whose frames are in memory while masks are made.
 const CLIPS_AT_ONCE: usize = 256;
 
 /// Section `[ingest]` of a plan: options of the ingestion.
@@ -108,9 +108,9 @@ fn with_motions(dataset: Dataset) -> Result<Dataset, Error> {
 /// Handling of human-judged masks when automatic ones are requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Judged {
-    /// Keep the judged masks; the stage does nothing.
+    /// Keep the judged masks: the stage does nothing if there are any.
     Keep,
-    /// The stage fails.
+    /// Fail if there are judged masks.
     Refuse,
     /// Discard the judged masks.
     Replace,
@@ -196,9 +196,9 @@ pub fn masks(
     Ok(dataset)
 }
 
-/// Makes style pairs from the labels of a dataset and commits them beside those of its sources. Also
-/// returns the styled motions without a counterpart. With a condition, both clips of a pair fulfil it, and pairs of other
-/// clips stay as they are.
+/// Makes style pairs from the labels of a dataset and commits them beside those of its sources. Also returns the styled
+/// motions without a counterpart. With a condition, only clips that fulfil it are paired, and pairs of other clips stay
+/// as they are.
 ///
 /// # Errors
 /// The dataset cannot be read or written.
@@ -275,7 +275,7 @@ pub fn listed_pairs(
     Ok((dataset, made.refused))
 }
 
-/// Whether the training split can teach a coordinator: composing takes motions of two sources.
+/// Whether the training split can teach a coordinator: composing takes motions of two source clips.
 ///
 /// # Errors
 /// The dataset cannot be read.

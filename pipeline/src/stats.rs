@@ -27,7 +27,7 @@ struct Spread {
 }
 
 impl Spread {
-    /// The distribution of some numbers; none if there are none.
+    /// The distribution of some numbers; `None` without numbers.
     fn of(mut numbers: Vec<f64>) -> Option<Self> {
         let mut at = |share: f64| quantile(&mut numbers, share);
         Some(Self {
@@ -73,12 +73,12 @@ pub struct Statistics {
     foot_skate: Option<Spread>,
     /// Distance between source and stored joints in metres, by kind of source.
     fit_error_m: BTreeMap<String, Spread>,
-    /// By parts.
+    /// By body parts.
     masks: BTreeMap<String, u64>,
     masked_clips: u64,
-    /// Masks of a clip with masks, on average; the paper has 2.1 (Sec. 4.1).
+    /// Mean number of masks of clips that have any; 2.1 in the paper (Sec. 4.1).
     masks_per_clip: Option<f64>,
-    /// By kind.
+    /// By kind of edit.
     pairs: BTreeMap<String, u64>,
     pair_styles: BTreeMap<String, u64>,
     pair_splits: BTreeMap<String, u64>,
@@ -86,7 +86,7 @@ pub struct Statistics {
     remarks: Option<String>,
 }
 
-/// Counts the clips of a dataset, or those for which a condition is true, and their masks and pairs. No frames are read.
+/// Counts the clips of a dataset (with a condition, those that fulfil it) with their masks and pairs. Reads no frames.
 ///
 /// # Errors
 /// A table cannot be read, or no clip fulfils the condition.
@@ -188,7 +188,7 @@ fn class_name(class: usize) -> String {
     }
 }
 
-/// A bar whose length, in eighths of a character, is the share of `value` in `largest`.
+/// A bar of at most 24 characters, drawn in eighths of a character, whose length is the share of `value` in `largest`.
 fn bar(value: u64, largest: u64) -> String {
     const WIDTH: u64 = 24;
     const EIGHTHS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];

@@ -50,7 +50,7 @@ impl Verification {
 /// The folder is no dataset, or of a newer format.
 pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Error> {
     let dataset = Dataset::open_unverified(root)?;
-    // A manifest without its skeleton is reported by the check of its motions.
+    // If the skeleton is missing, the check of the motions reports it.
     let skeleton = dataset.skeleton().unwrap_or_default();
     let manifest = dataset.manifest();
     let mut findings = Vec::new();
@@ -112,7 +112,7 @@ struct Contents {
 }
 
 impl Contents {
-    /// Adds the contents of a file. Returns its defects, and rows whose id another row has.
+    /// Adds the contents of a file. Returns its defects, and a finding for each row with the id of another row.
     fn take(&mut self, read: Read) -> Vec<Finding> {
         let mut findings = read.findings;
         let mut twice = |item: String, what: &str| {

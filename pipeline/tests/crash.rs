@@ -213,7 +213,7 @@ fn run(
     })
 }
 
-/// Every file of a folder that is not part of the newest manifest's dataset.
+/// Every file of a dataset's folder that neither its newest version nor the format names.
 fn leftovers(dataset: &Dataset) -> Vec<PathBuf> {
     let root = dataset.root();
     let named = dataset.manifest().tables.values().flatten();
@@ -337,7 +337,7 @@ fn killed_anywhere_a_run_continues_to_the_same_dataset() {
     let clean = run(store, &source, &dir.path().join("clean"), false).expect("a healthy disk");
     let num_operations = count.load(Ordering::SeqCst) as u64;
     let num_shards = clean.dataset.files(MotionRow::TABLE, None).len();
-    // An interrupted run has something to continue after.
+    // With several shards, an interrupted run has some to take over.
     assert!(num_shards > 1, "{num_shards}");
 
     for point in 0..NUM_POINTS {
@@ -354,7 +354,7 @@ fn killed_anywhere_a_run_continues_to_the_same_dataset() {
     }
 }
 
-/// Copies a dataset; its files are never changed in place.
+/// Copies a folder with everything below it.
 fn copied(from: &Path, to: &Path) {
     for (path, is_dir) in Disk.list(from).expect("listed") {
         let target = to.join(path.file_name().expect("a name"));
@@ -477,7 +477,7 @@ fn whichever_operation_fails_a_dataset_is_the_version_before_or_the_one_after() 
             assert!(is_new || (is_old && failed), "{verb}, operation {at}");
             change(verb, Disk::store(), &out).expect("the disk is healthy");
             let done = Dataset::open(&out).expect("whole");
-            // Going back once more, or compacting what is compact, changes nothing.
+            // Restoring again, or compacting a compact dataset, changes nothing.
             let tables = &done.manifest().tables;
             assert_eq!(*tables, after.tables, "{verb}, operation {at}");
             let named = tables.values().flatten();

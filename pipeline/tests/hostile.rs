@@ -10,7 +10,8 @@ use formats::write;
 use pipeline::ingest::{IngestOptions, IngestReport, ingest};
 use serde_json::{Value, json};
 
-/// A file, and the outcome of reading it: one of the two below, or the code of its row in the quarantine table.
+/// Name and content of a file, and its outcome: [`INGESTED`], [`SKIPPED`], or the code of its row in the quarantine
+/// table.
 type Case = (&'static str, Vec<u8>, &'static str);
 
 /// The file becomes a motion.
@@ -18,19 +19,16 @@ const INGESTED: &str = "ingested";
 /// The file is skipped as not a motion.
 const SKIPPED: &str = "skipped";
 
-/// A good AMASS archive.
 fn good_npz() -> Vec<u8> {
     let motion = clip(0, &CorpusOptions::default()).motion;
     write::amass::encode(&motion, &Skeleton::smplx_neutral()).expect("encodes")
 }
 
-/// A good BVH file.
 fn good_bvh() -> String {
     let motion = clip(1, &CorpusOptions::default()).motion;
     write::bvh::encode(&motion, &Skeleton::smplx_neutral())
 }
 
-/// An archive of the given members.
 fn archive(members: &[(&str, &[u8])]) -> Vec<u8> {
     let mut out = zip::ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in members {
@@ -176,12 +174,11 @@ fn bvh_cases() -> Vec<Case> {
 /// Bytes of a block of a C3D file.
 const C3D_BLOCK: usize = 512;
 
-/// A whole C3D file of an Intel machine: one marker, three frames in floating point. One marker is
-/// no body.
+/// A whole C3D file of an Intel machine: one marker, three frames in floating point. One marker gives no body.
 fn whole_c3d() -> Vec<u8> {
     let mut bytes = vec![0; 2 * C3D_BLOCK];
     bytes[..2].copy_from_slice(&[2, 0x50]);
-    // Points, first and last frame, block of the data.
+    // Words of the header: number of points, first and last frame, first block of the data.
     for (number, value) in [(2, 1u16), (4, 1), (5, 3), (9, 3)] {
         bytes[2 * (number - 1)..2 * number].copy_from_slice(&value.to_le_bytes());
     }
@@ -245,7 +242,6 @@ fn c3d_cases() -> Vec<Case> {
     ]
 }
 
-/// A good binary glTF file.
 fn good_glb() -> Vec<u8> {
     let motion = clip(2, &CorpusOptions::default()).motion;
     write::gltf::encode(&motion, &Skeleton::smplx_neutral()).expect("encodes")
@@ -344,7 +340,6 @@ fn other_cases(canary: &Path) -> Vec<Case> {
     ]
 }
 
-/// Ingests a folder.
 fn ingested(source: &Path, out: &Path) -> IngestReport {
     let options = IngestOptions::default();
     let report = ingest(&[source.to_owned()], out, &options, "the test", &NoProgress);
@@ -410,7 +405,7 @@ fn snapshot(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     files
 }
 
-/// Links out of the tree, links in a circle and pipes do not stop or trap a run.
+/// Circular and dangling links, and pipes, do not stop or trap a run.
 #[cfg(unix)]
 #[test]
 fn links_and_pipes_are_accounted_for() {

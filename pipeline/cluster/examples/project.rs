@@ -1,10 +1,10 @@
-//! Projects a measured job to more executors.
+//! Estimates how long a measured job would take with more executors.
 //!
 //! `project RECORDS COST WAIT`: RECORDS are the lines of `stance stage work --json`, or any lines with a field `secs`
-//! (seconds of a piece); COST is the scheduler's seconds per piece; WAIT is how long an executor is idle from the end of
-//! a piece to the begin of its next. `benches/overhead` measures all three. The model: one scheduler that serves a
-//! request at a time, each COST long; executors that make a piece, wait, and ask again. Pieces are drawn in turn from
-//! the measured ones, 20 for each executor.
+//! (seconds of a piece); COST is the scheduler's seconds per piece; WAIT is how long an executor is idle from the end
+//! of a piece to the start of its next. `benches/overhead` measures all three. The model: one scheduler serves one
+//! request at a time, which takes COST; an executor makes a piece, waits WAIT, and asks again. The measured pieces are
+//! used in turn, 20 for each executor.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -15,7 +15,7 @@ use anyhow::Context;
 /// Seconds until the last piece is done.
 fn simulated(pieces: &[f64], count: usize, executors: usize, cost: f64, wait: f64) -> f64 {
     let micros = |secs: f64| (secs * 1e6) as u64;
-    // Executors by the time of their next request.
+    // Time of the next request of each executor, in microseconds.
     let mut asking: BinaryHeap<Reverse<u64>> = (0..executors).map(|_| Reverse(0)).collect();
     let (mut free, mut end) = (0, 0);
     for number in 0..count {

@@ -31,7 +31,7 @@ pub(crate) struct Args {
     /// Scheduler, as HOST:PORT
     #[arg(long, default_value = "127.0.0.1:50050")]
     scheduler: String,
-    /// Scheduler and executor within this process
+    /// Run scheduler and executor within this process
     #[arg(long, conflicts_with = "scheduler")]
     local: bool,
     /// Pieces made at a time with --local
@@ -43,13 +43,13 @@ pub(crate) struct Args {
     /// Make the pieces, and leave the commit to `stance stage commit`
     #[arg(long)]
     no_commit: bool,
-    /// Commit without the pieces that fail: what they read goes to the table `quarantine`
+    /// Commit without the pieces that fail; their sources go to the table `quarantine`
     #[arg(long)]
     quarantine_failed: bool,
-    /// One JSON document on stdout
+    /// Print one JSON document to stdout
     #[arg(long)]
     json: bool,
-    /// Give the cluster all pieces, also those that are done: it then has nothing to do but schedule
+    /// Give the cluster all pieces, even those that are done: this measures scheduling alone
     #[arg(long, hide = true)]
     again: bool,
     /// File for the times of the tasks as the scheduler reports them
@@ -72,15 +72,14 @@ struct Document {
     pieces: u64,
     /// Pieces that this run made.
     made: u64,
-    /// Pieces that were there before this run.
+    /// Pieces that were done before this run.
     done_before: u64,
-    /// Why pieces failed, by their ids.
+    /// Why each failed piece failed, by its id.
     failed: BTreeMap<String, String>,
     /// The commit; null if there was none.
     committed: Option<Committed>,
 }
 
-/// Makes the pieces and commits the plan.
 pub(crate) async fn run(args: Args) -> anyhow::Result<ExitCode> {
     let path = std::path::absolute(&args.plan)?;
     let plan = Plan::open(&path)?;
@@ -168,15 +167,15 @@ fn say(args: &Args, document: &Document) -> anyhow::Result<()> {
 
 /// Lets the cluster make pieces until each exists or has failed, and returns the records of the failed ones.
 ///
-/// Executors store the result of a job. If an executor is lost with its results, the job fails although the pieces
-/// exist: another job then makes the missing pieces.
+/// Executors keep the results of a job. If one is lost with its results, the job fails although its pieces exist;
+/// another job then makes the pieces that are missing.
 async fn work(
     args: &Args,
     plan: &Plan,
     mut wanted: Vec<String>,
     mut done: u64,
 ) -> anyhow::Result<Vec<Record>> {
-    /// Jobs in a row that may end without a new piece.
+    /// Number of jobs in a row without a new piece after which the last error is returned.
     const PATIENCE: usize = 3;
     let mut in_vain = 0;
     while !wanted.is_empty() {
@@ -204,7 +203,7 @@ async fn work(
     Ok(Vec::new())
 }
 
-/// Has the cluster make pieces, and returns a record for each.
+/// Lets the cluster make pieces in one job, and returns a record for each.
 async fn made(args: &Args, plan: &Plan, wanted: &[String]) -> anyhow::Result<Vec<Record>> {
     let list = tempfile::Builder::new()
         .prefix("cluster-")
@@ -285,7 +284,6 @@ fn ended(args: &Args, error: &DataFusionError) -> anyhow::Error {
     }
 }
 
-/// The records in the answer.
 fn records(batches: &[RecordBatch]) -> anyhow::Result<Vec<Record>> {
     let mut records = Vec::new();
     for batch in batches {
@@ -327,7 +325,7 @@ async fn watch(plan: Plan, scheduler: Option<String>) {
     }
 }
 
-/// Number of pieces that are done and that failed, by their records; their files are not checked.
+/// Numbers of done and of failed pieces, counted by the names of their record files, which are not read.
 fn marks(plan: &Plan) -> (u64, u64) {
     let staging = plan.staging();
     let entries = staging.store().list(staging.folder()).unwrap_or_default();
@@ -345,7 +343,7 @@ fn marks(plan: &Plan) -> (u64, u64) {
     (done, failed)
 }
 
-/// Number of executors of a scheduler; none if it does not answer.
+/// Number of executors of a scheduler; `None` if it does not answer.
 fn executors(scheduler: &str) -> Option<usize> {
     let listed: Vec<serde_json::Value> =
         serde_json::from_str(&asked(scheduler, "executors")?).ok()?;
@@ -362,7 +360,7 @@ fn stages(scheduler: &str) -> Option<String> {
     )
 }
 
-/// Response of a scheduler to a status request; none if it does not respond.
+/// Response of a scheduler to a status request; `None` if it does not respond.
 fn asked(scheduler: &str, what: &str) -> Option<String> {
     const PATIENCE: Duration = Duration::from_secs(2);
     let agent = ureq::Agent::config_builder()

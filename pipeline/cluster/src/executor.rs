@@ -13,7 +13,8 @@ use ballista_executor::executor_process::{ExecutorProcessConfig, start_executor_
 use crate::function::{self, Isolation};
 use crate::note;
 
-/// Start an executor. It asks the scheduler for pieces until it is ended, also over restarts of the scheduler.
+/// Start an executor. It asks the scheduler for pieces until it is stopped, and goes on after a restart of the
+/// scheduler.
 ///
 /// The plan, its sources and its destination must lie under the same path or address on all machines.
 #[derive(clap::Args, Debug)]
@@ -21,10 +22,10 @@ pub(crate) struct Args {
     /// Scheduler, as HOST:PORT
     #[arg(long, default_value = "127.0.0.1:50050")]
     scheduler: String,
-    /// Pieces made at a time. One piece uses all cores where its job can
+    /// Pieces made at a time. One piece uses all cores if its job can
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pieces: u16,
-    /// Address of this machine that the others reach
+    /// Address at which the other machines reach this one
     #[arg(long, default_value = "127.0.0.1")]
     host: IpAddr,
     /// Port for results; 0 takes a free one

@@ -27,8 +27,8 @@ pub(crate) enum Isolation {
     Child(PathBuf),
 }
 
-/// The function. Its result is **one** struct column: the optimiser evaluates a function again for each field that a
-/// query projects.
+/// The function. Its result is one struct column, which a query must take whole: the optimiser evaluates the function
+/// again for each field that the query projects.
 #[derive(Debug, PartialEq, Eq, Hash)]
 struct MakePiece {
     signature: Signature,
@@ -70,7 +70,7 @@ impl ScalarUDFImpl for MakePiece {
             return exec_err!("{NAME} takes a plan and a piece");
         };
         let (plans, pieces) = (plans.as_string::<i32>(), pieces.as_string::<i32>());
-        // An error of a piece is a row, never an error of the query: that would end the whole job.
+        // An error of a piece is a row, because an error of the query would end the whole job.
         let records: Vec<String> = (0..pieces.len())
             .map(|row| {
                 made(

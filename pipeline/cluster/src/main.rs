@@ -1,8 +1,8 @@
 //! The `stance-cluster` command: pieces of a plan on several machines, scheduled by Ballista.
 //!
 //! `stance stage plan` writes the plan, and `stance stage commit` can also commit it: this command is another way to
-//! make the same shards. Ballista schedules, retries and detects lost machines; [`pipeline::work`] alone defines pieces
-//! and makes them.
+//! make the same shards. Ballista schedules, retries and detects lost machines; the crate [`work`] defines and makes
+//! the pieces.
 
 mod client;
 mod executor;

@@ -17,7 +17,7 @@ use crate::{note, session};
 
 /// Start the scheduler. It keeps its jobs in memory: after a restart, run the plan again.
 ///
-/// Ballista has no passwords: listen on a private network alone.
+/// Ballista has no passwords: listen on a private network only.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// Address to listen on; port 0 takes a free one
@@ -46,7 +46,7 @@ pub(crate) async fn run(args: Args) -> anyhow::Result<ExitCode> {
         executor_timeout_seconds: args.executor_timeout,
         expire_dead_executor_interval_seconds: 2,
         no_executors_grace_period_seconds: args.grace,
-        // A piece that ends its executor is tried this often.
+        // A piece that ends its executor is tried this many times.
         task_max_failures: 4,
         override_session_builder: Some(Arc::new(|config| session::state(config, Isolation::None))),
         ..SchedulerConfig::default()

@@ -19,8 +19,8 @@ pub(crate) fn config(partitions: usize, others: &[(String, String)]) -> Result<S
         .with_target_partitions(partitions.max(1))
         .with_ballista_adaptive_query_planner(false);
     let options = config.options_mut();
-    // Unbounded by default: a task would take as many partitions as its executor has cores, and a lost executor would
-    // repeat them all.
+    // Unbounded by default: a task would take as many partitions as its executor has cores, and all would be repeated
+    // if the executor is lost.
     options.set(BALLISTA_SCHEDULER_MAX_PARTITIONS_PER_TASK, "1")?;
     for (key, value) in others {
         options.set(key, value)?;

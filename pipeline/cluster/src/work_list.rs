@@ -9,11 +9,10 @@ use datafusion::arrow::array::{ArrayRef, StringArray};
 use datafusion::arrow::record_batch::RecordBatch;
 use datafusion::parquet::arrow::ArrowWriter;
 
-/// Maximum number of files of a list: a plan of the scheduler names every file, and its messages have a limit of 16
-/// MiB.
+/// Maximum number of files of a list: the scheduler's plan names every file, and its messages are limited to 16 MiB.
 const MAX_FILES: usize = 4096;
 
-/// Writes a list: a file is a partition, and so a task. Returns the number of files.
+/// Writes the columns `plan` and `piece` as Parquet files, each of which becomes one task. Returns the number of files.
 ///
 /// # Errors
 /// The folder cannot be written.

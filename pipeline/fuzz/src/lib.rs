@@ -1,7 +1,6 @@
 //! Bodies of the fuzz targets.
 //!
-//! The functions are compiled and run on a few inputs with the workspace; the targets around them
-//! need an instrumented build. From `pipeline/`:
+//! A test of the workspace runs these functions on a few inputs; fuzzing them needs `cargo fuzz`. From `pipeline/`:
 //!
 //! ```text
 //! cargo fuzz run --features libfuzzer --sanitizer none bvh
@@ -38,7 +37,7 @@ pub fn c3d(bytes: &[u8]) {
     }
 }
 
-/// Parses captions of HumanML3D, temporal labels of BONES-SEED, and a sidecar.
+/// Parses the bytes as captions of HumanML3D, as temporal labels of BONES-SEED, and as a sidecar.
 pub fn captions(bytes: &[u8]) {
     let _labels = Timelines::parse(bytes, &|_| true);
     let text = String::from_utf8_lossy(bytes);
@@ -73,7 +72,7 @@ pub fn manifest(bytes: &[u8]) {
     }
 }
 
-/// Reads an AMASS archive, a single array, also as a motion of Motion-X, and 272 features.
+/// Reads the bytes as an AMASS archive, as a single array, as a motion of Motion-X, and as 272 features.
 pub fn npz(bytes: &[u8]) {
     let _clip = motionx::read_array(bytes, &Skeleton::smplx_neutral());
     let _archive = amass::read(Path::new("clip.npz"), bytes, &ReadOptions::default());
@@ -82,7 +81,7 @@ pub fn npz(bytes: &[u8]) {
     let _features = representation_272::read_array(bytes, &Skeleton::smplx_neutral());
 }
 
-/// Reads a pickle, a dump of joblib and a motion of the STANCE release.
+/// Reads the bytes as a pickle, as a dump of joblib and as a motion of the STANCE release.
 pub fn pickle(bytes: &[u8]) {
     let _value = ::pickle::read(bytes);
     let _dump = joblib::read(bytes);

@@ -1,8 +1,8 @@
-"""Windows a second of MotionCutMix beside the same composition in PyTorch and roma, on one core each.
+"""Compares windows a second of MotionCutMix with the same composition in PyTorch and roma, each on one core.
 
-python bench_composition.py DATASET [--seconds S]. Both fill loops that get batches of 64 windows as tensors. The one in
-PyTorch is a dataset as the field writes it: rotations in memory, an item blends two stretches, and forward kinematics
-runs over the whole batch. Both must agree first.
+python bench_composition.py DATASET [--seconds S]. Both give batches of 64 windows as tensors. The one in PyTorch is a
+plain dataset: it keeps rotations in memory, blends two stretches for an item, and runs forward kinematics on whole
+batches. Before measuring, the script checks that both agree.
 """
 
 import argparse
@@ -35,7 +35,7 @@ class Composer:
         self.range = torch.tensor(normalizer["max"], dtype=torch.float32) - self.low
 
     def window(self, transl: torch.Tensor, rotations: torch.Tensor) -> torch.Tensor:
-        """``[..., W, 84]`` in model units of ``transl`` ``[..., W, 3]`` and local quaternions ``[..., W, 22, 4]``."""
+        """The window ``[..., W, 84]`` in model units, from translations and local quaternions ``[..., W, 22, 4]``."""
         turns, points = [rotations[..., 0, :]], [transl + self.root]
         for joint in range(1, 28):
             parent = PARENTS[joint]
@@ -50,7 +50,7 @@ class Composer:
         return (2 * (points - self.low) / self.range - 1).flatten(-2)
 
     def blend(self, source, target, hard: list[int], soft: list[int], alpha: float):
-        """Hard joints of the target, soft ones between both, the rest of the source."""
+        """Hard joints come from the target, soft ones are interpolated, the rest comes from the source."""
         transl, rotations = source[0], source[1].clone()
         rotations[:, hard] = target[1][:, hard]
         rotations[:, soft] = roma.unitquat_slerp(source[1][:, soft], target[1][:, soft], torch.tensor([alpha]))[0]
@@ -74,12 +74,12 @@ def indices(names: list[str]) -> list[int]:
 
 
 def stretch(clip, start: int, span: int, stride: int):
-    """A window's frames of a clip."""
+    """The frames of a window, taken from a clip."""
     return tuple(part[start : start + span : stride] for part in clip)
 
 
 class Windows(torch.utils.data.Dataset):
-    """Semantic edits: an annotated clip, a partner drawn anew, a stretch of both."""
+    """Semantic edits: an item blends a stretch of an annotated clip with one of a random partner."""
 
     def __init__(self, path: str, composer: Composer, stride: int) -> None:
         dataset = stance.Dataset(path)
@@ -103,19 +103,19 @@ class Windows(torch.utils.data.Dataset):
         return source, edited, mask["text"]
 
     def collate(self, items):
-        """Windows ``[B, W, 84]`` of both sides, and the instructions."""
+        """Original and edited windows ``[B, W, 84]``, and the instructions."""
         sources, edits, texts = zip(*items)
         sides = [[torch.stack(part) for part in zip(*side)] for side in (sources, edits)]
         return *(self.composer.window(*side) for side in sides), list(texts)
 
 
 def check(mix: stance.MotionCutMix, path: str, composer: Composer, stride: int) -> None:
-    """Windows of the stream are those that this file makes of the same two clips, joints and weight."""
+    """Asserts that this file makes the windows of the stream from the same two clips, joints and weight."""
     dataset, span = stance.Dataset(path), (WINDOW - 1) * stride + 1
     batch = mix.windows(0, 12)
 
     def nearest(window: np.ndarray, make, clip) -> tuple[float, int]:
-        """The stretch of a clip that gives a window, and how far apart they are."""
+        """Distance from a window to the stretch of a clip that gives it best, and the start of that stretch."""
         wanted = torch.from_numpy(window)
         starts = range(len(clip[0]) - span + 1)
         return min((float((make(stretch(clip, at, span, stride)) - wanted).abs().max()), at) for at in starts)
@@ -127,12 +127,12 @@ def check(mix: stance.MotionCutMix, path: str, composer: Composer, stride: int) 
         under = stretch(source, start, span, stride)
         mask = indices(triplet.hard_joints), indices(triplet.soft_joints), triplet.alpha
         edited, _ = nearest(batch.edited[item], lambda part: composer.window(*composer.blend(under, part, *mask)), target)
-        # Tolerance of single precision over a chain of eight joints, at coordinates of about a metre.
+        # Tolerance: single precision over a chain of eight joints, at coordinates of about a metre.
         assert max(apart, edited) < 1e-4, (item, apart, edited)
 
 
 def rate(batches, seconds: float) -> float:
-    """Windows a second of processor time of a loop over batches of 64."""
+    """Windows per second of processor time of a loop over batches of 64."""
     count, begun = 0, time.process_time()
     for original, _edited, _texts in batches:
         assert isinstance(original, torch.Tensor) and original.shape == (BATCH, WINDOW, 84)

@@ -7,7 +7,7 @@ import stance
 
 
 def my_model(source: stance.Motion, instruction: str) -> stance.Motion:
-    """Stands for your model: raises the left arm when told of one, and otherwise returns the motion as it is."""
+    """Stands for your model: raises the left arm if the instruction names it, and otherwise changes nothing."""
     if "left arm" not in instruction:
         return source
     pose = source.body_pose.copy()

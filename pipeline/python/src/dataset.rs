@@ -41,7 +41,7 @@ impl Dataset {
         })
     }
 
-    /// The folder.
+    /// Folder of the dataset.
     #[getter]
     fn path(&self) -> PathBuf {
         self.inner.root().to_owned()
@@ -65,7 +65,7 @@ impl Dataset {
         Ok(files.into_iter().map(|(path, _)| path).collect())
     }
 
-    /// Rows of a table.
+    /// Number of rows of a table.
     #[pyo3(signature = (table, split = None))]
     fn num_rows(&self, table: &str, split: Option<&str>) -> PyResult<u64> {
         Ok(self.inner.manifest().rows(table, split_of(split)?))
@@ -116,7 +116,7 @@ impl Dataset {
     }
 }
 
-/// A test question: a motion, what is asked of it, and the motion it should become.
+/// A test question: a motion, an instruction, and the motion that should result.
 #[pyclass(frozen, module = "stance")]
 #[derive(Clone, Debug)]
 pub(crate) struct Item {
@@ -146,7 +146,7 @@ impl Item {
         self.row.parts.clone()
     }
 
-    /// Names of the joints that are edited; empty where that is not known.
+    /// Names of the joints that are edited; empty if unknown.
     #[getter]
     fn joints(&self) -> Vec<String> {
         let row = &self.row;
@@ -174,7 +174,7 @@ impl Item {
         Ok(Motion::of(inner, &self.skeleton))
     }
 
-    /// The target motion; none if the question has no target.
+    /// The target motion; `None` if the question has no target.
     #[getter]
     fn target(&self) -> PyResult<Option<Motion>> {
         if self.row.target_frames == 0 {

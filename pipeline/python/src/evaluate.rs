@@ -112,13 +112,13 @@ impl MotionEncoder for Adapter<'_> {
     }
 }
 
-/// One take of one answer: the item's id, the seed of the take, the motion.
+/// One take of one answer: the id of the item, the seed of the take, and the motion.
 type Answer<'py> = (String, u64, PyRef<'py, Motion>);
 
 /// An [`Answer`] that does not need Python's lock.
 type Take = (String, u64, Inner);
 
-/// Scores systems: those of folders of edits, and those given as motions by name of the system. `protocol` is JSON.
+/// Scores the systems in `folders` of edits and those in `systems`, given as name and motions. `protocol` is JSON.
 /// Returns the scores as JSON, and the tables as text.
 #[pyfunction]
 pub(crate) fn evaluate(

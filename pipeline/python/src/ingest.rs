@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 use crate::error::Failure;
 use crate::work;
 
-/// Description of this run in the lock file, for other runs.
+/// Names this process in the lock file of a dataset.
 fn holder() -> String {
     format!("Python, process {}", std::process::id())
 }
@@ -127,7 +127,7 @@ fn counts(done: &IngestReport) -> serde_json::Result<String> {
     serde_json::to_string(&counts)
 }
 
-/// Marks which parts of the body each clip is about, by how fast they move, as `stance masks` does.
+/// Writes masks of the body parts that each clip is about, by their speed, as `stance masks` does.
 #[pyfunction]
 pub(crate) fn masks(py: Python<'_>, dataset: PathBuf) -> PyResult<()> {
     work::long(py, false, |progress| {

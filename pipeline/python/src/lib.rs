@@ -1,7 +1,7 @@
 //! The compiled half of the Python package `stance`, and the command.
 //!
-//! It holds the fast and exact parts: reading datasets, forward kinematics, features, MotionCutMix, scores. Plain
-//! Python (tables of pyarrow, batches for PyTorch, documentation) is in `python/stance`.
+//! It reads datasets and computes forward kinematics, features, MotionCutMix and scores. Tables of pyarrow, batches for
+//! PyTorch and the documentation are plain Python in `python/stance`.
 //!
 //! Every function that takes more than a moment releases Python's lock, and ends on Ctrl-C.
 

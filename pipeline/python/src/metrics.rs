@@ -48,7 +48,7 @@ pub(crate) fn diversity(
     })
 }
 
-/// Mean distance of takes of one question: latents `[N, R, D]`.
+/// Mean distance of random pairs of the `R` takes of a question, over `N` questions: latents `[N, R, D]`.
 #[pyfunction]
 #[pyo3(signature = (latents, num_pairs = 10, seed = 0))]
 pub(crate) fn multimodality(
@@ -78,7 +78,7 @@ pub(crate) fn multimodality(
     })
 }
 
-/// Retrieval of paired latents `[N, D]` by cosine. A gallery holds `gallery` of them, all if it is none; values are
+/// Retrieval of paired latents `[N, D]` by cosine. A gallery holds `gallery_size` of them (`None`: all); values are
 /// means over `repeats` draws of the galleries.
 #[pyfunction]
 #[pyo3(signature = (queries, gallery, gallery_size = Some(32), repeats = 10, seed = 0))]
@@ -122,8 +122,8 @@ pub(crate) fn retrieval(
     ]))
 }
 
-/// Foot score of keypoints `[L, 28, 3]` or `[L, 22, 3]`, y up, in metres; none for fewer than three frames. The floor is
-/// the lowest foot unless a height is given.
+/// Foot score of keypoints `[L, 28, 3]` or `[L, 22, 3]`, y up, in metres; `None` for fewer than three frames. The floor
+/// is the lowest foot unless a height is given.
 #[pyfunction]
 #[pyo3(signature = (keypoints, fps, floor = None))]
 pub(crate) fn foot_score(
@@ -154,7 +154,7 @@ pub(crate) fn foot_score(
     Ok(metric::foot_score::foot_score(&feet, fps_of(fps)?, floor))
 }
 
-/// Mean distance of two motions' keypoints `[L, 28, 3]` in metres, over the frames both have.
+/// Mean distance of two motions' keypoints `[L, 28, 3]` in metres, over the frames that both have.
 #[pyfunction]
 pub(crate) fn position_error(found: Points<'_>, expected: Points<'_>) -> PyResult<f64> {
     let found = points::<NUM_KEYPOINTS>("found", &found)?;
@@ -169,14 +169,14 @@ pub(crate) fn position_error(found: Points<'_>, expected: Points<'_>) -> PyResul
     ))
 }
 
-/// Mean jerk of keypoints `[L, 28, 3]` in m/s³; none for fewer than four frames.
+/// Mean jerk of keypoints `[L, 28, 3]` in m/s³; `None` for fewer than four frames.
 #[pyfunction]
 pub(crate) fn jerk(keypoints: Points<'_>, fps: f64) -> PyResult<Option<f64>> {
     let points = points("keypoints", &keypoints)?;
     Ok(metric::motion_quality::jerk(&points, fps_of(fps)?))
 }
 
-/// Mean horizontal speed in m/s of the lowest foot, of keypoints `[L, 28, 3]`; none for fewer than two frames.
+/// Mean horizontal speed in m/s of the lowest foot, of keypoints `[L, 28, 3]`; `None` for fewer than two frames.
 #[pyfunction]
 pub(crate) fn foot_slide(keypoints: Points<'_>, fps: f64) -> PyResult<Option<f64>> {
     let points = points("keypoints", &keypoints)?;

@@ -16,7 +16,7 @@ use crate::error::Failure;
 use crate::motion::{Motion, line};
 use crate::work;
 
-/// A stream of training windows over one split, prepared once and shared by forked workers.
+/// A stream of windows over one split, prepared once and shared by forked workers.
 #[pyclass(frozen, module = "stance._native")]
 #[derive(Debug)]
 pub(crate) struct Mix {
@@ -79,7 +79,7 @@ impl Mix {
         })
     }
 
-    /// Windows of an epoch.
+    /// Number of windows of an epoch.
     #[getter]
     fn epoch_len(&self) -> u64 {
         self.stream.epoch_len()
@@ -103,7 +103,7 @@ impl Mix {
         Ok(serde_json::to_string(self.stream.config()).map_err(Failure::from)?)
     }
 
-    /// Hash of settings and rules: with dataset and seed it fixes every window.
+    /// Hash of settings and rules: together with dataset and seed, it determines every window.
     #[getter]
     fn recipe_hash(&self) -> String {
         self.stream.config().recipe_hash()
@@ -177,14 +177,14 @@ impl Mix {
         })
     }
 
-    /// Chooses the threads of this process: 1 for each worker of a loader.
+    /// Sets the number of threads of this process. Workers of a loader use 1.
     #[staticmethod]
     fn set_num_threads(count: usize) -> PyResult<()> {
         Ok(work::set_num_threads(count)?)
     }
 }
 
-/// An original motion, an instruction, and the motion it leads to.
+/// An original motion, an instruction, and the edited motion.
 #[pyclass(frozen, get_all, module = "stance")]
 #[derive(Debug)]
 pub(crate) struct Triplet {

@@ -1,4 +1,4 @@
-//! Motions as arrays, and what is computed from one.
+//! Motions as arrays, with their features, joints and blends.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -52,7 +52,7 @@ impl Motion {
     }
 }
 
-/// Rows of `D` numbers, one after the other, as an array `[N, D]` that takes over the memory.
+/// Makes an array `[N, width]` of flattened rows, without a copy.
 pub(crate) fn rows<'py, T: numpy::Element>(
     py: Python<'py>,
     values: Vec<T>,
@@ -62,7 +62,7 @@ pub(crate) fn rows<'py, T: numpy::Element>(
     values.into_pyarray(py).reshape([len, width])
 }
 
-/// An array `[N, D]` of any number type and layout, as rows of `f32`.
+/// Converts an array `[L, D]` of any number type and layout to rows of `f32`.
 pub(crate) fn frames<const D: usize>(
     name: &str,
     array: &PyArrayLike2<'_, f32, AllowTypeChange>,
@@ -124,7 +124,7 @@ impl Recipe {
         }
     }
 
-    /// The features of a motion, frame after frame.
+    /// Computes the features of a motion, flattened.
     fn of(self, motion: &Inner, skeleton: &Skeleton) -> Result<Vec<f32>, Failure> {
         Ok(match self {
             Self::HumanMl3d => {
@@ -150,7 +150,7 @@ impl Recipe {
         })
     }
 
-    /// Decodes features, frame after frame. MotionFix's features continue from the pose `first`.
+    /// Decodes flattened features. MotionFix's features are changes that begin at the pose `first`.
     fn motion(self, values: &[f32], first: &Pose, skeleton: &Skeleton) -> Result<Inner, Failure> {
         Ok(match self {
             Self::HumanMl3d => {
@@ -197,7 +197,7 @@ impl Motion {
         Ok(Self::of(inner, &skeleton))
     }
 
-    /// The motion of an AMASS archive.
+    /// Reads an AMASS archive.
     #[staticmethod]
     fn from_amass_bytes(py: Python<'_>, bytes: &[u8]) -> PyResult<Self> {
         let inner = work::quick(py, || {
@@ -233,7 +233,7 @@ impl Motion {
         module.call_method1("from_amass", (arrays,))
     }
 
-    /// The motion that features describe.
+    /// Decodes features. Those of MotionFix begin at the first pose of `first`, or at the rest pose.
     #[staticmethod]
     #[pyo3(signature = (features, recipe, first = None))]
     fn from_features(
@@ -260,7 +260,7 @@ impl Motion {
         Ok(Self::of(inner, &skeleton))
     }
 
-    /// The body fitted to positions of its 22 joints `[L, 22, 3]`, and the mean distance in metres.
+    /// Fits the body to positions of its 22 joints `[L, 22, 3]`; also returns the mean distance left, in metres.
     #[staticmethod]
     fn from_joints(
         py: Python<'_>,
@@ -345,7 +345,7 @@ impl Motion {
         values.into_pyarray(py).reshape(shape)
     }
 
-    /// Features by a recipe, at its rate.
+    /// Features of a recipe, at the recipe's rate.
     fn features<'py>(&self, py: Python<'py>, recipe: &str) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let recipe = Recipe::named(recipe)?;
         let values = work::quick(py, || recipe.of(&self.inner, &self.skeleton))?;
@@ -401,7 +401,7 @@ type Arguments<'py> = (
     String,
 );
 
-/// Positions `[L, K, 3]` in metres.
+/// Converts an array `[L, K, 3]` to points.
 pub(crate) fn points<const K: usize>(
     name: &str,
     array: &numpy::PyArrayLike3<'_, f64, AllowTypeChange>,
@@ -476,7 +476,7 @@ pub(crate) fn blend(
     Ok(Motion::of(inner, &source.skeleton))
 }
 
-/// An array of one dimension that takes over the memory.
+/// Makes an array of one dimension, without a copy.
 pub(crate) fn line<T: numpy::Element>(py: Python<'_>, values: Vec<T>) -> Bound<'_, PyArray1<T>> {
     values.into_pyarray(py)
 }

@@ -9,8 +9,8 @@ use crate::error::Failure;
 use crate::motion::Motion;
 use crate::work;
 
-/// A page with one or more motions side by side on the clock of the first, under their labels. `joints` are marked in
-/// all of them.
+/// An HTML page that shows motions side by side at the frame rate of the first, under their labels. `joints` are marked
+/// in all of them.
 #[pyfunction]
 pub(crate) fn viewer_page(
     py: Python<'_>,

@@ -1,4 +1,5 @@
-//! Long work: without Python's lock, on threads that survive a fork, ended by Ctrl-C, with progress on stderr.
+//! Runs work without Python's lock, on threads that a forked process starts anew. Long work ends on Ctrl-C and shows
+//! its progress on stderr.
 
 use std::io::IsTerminal;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -18,8 +19,8 @@ use crate::error::Failure;
 /// How often a long call checks for Ctrl-C.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// Threads of this process. A forked process, such as a worker of a PyTorch loader, has no threads of its parent and
-/// starts its own.
+/// Threads, and the id of the process that has them. A forked process, such as a worker of a PyTorch loader, has no
+/// threads of its parent and starts its own.
 static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
 fn pool() -> Result<Arc<ThreadPool>, Failure> {
@@ -58,11 +59,11 @@ pub(crate) fn quick<T: Send>(
     Ok(py.detach(|| pool()?.install(work))?)
 }
 
-/// Panic payload that ends a stage after Ctrl-C.
+/// Panic payload that ends long work after Ctrl-C.
 struct Interrupted;
 
 /// Runs work of seconds or hours without Python's lock. Ctrl-C raises `KeyboardInterrupt` when the work next reports
-/// progress; stages write their results whole or not at all, so that nothing is left half done.
+/// progress; results are written whole or not at all, so nothing is left half done.
 pub(crate) fn long<T: Send>(
     py: Python<'_>,
     show: bool,
@@ -107,7 +108,7 @@ pub(crate) fn long<T: Send>(
     }
 }
 
-/// Shows bars on a terminal, and nothing elsewhere.
+/// Shows progress bars on a terminal and nothing elsewhere; ends the work at its next report once `stop` is set.
 struct Bars<'a> {
     bar: Mutex<ProgressBar>,
     visible: bool,

@@ -1,4 +1,4 @@
-//! Automatic masks: the body parts that a clip is about, by their movement.
+//! Automatic masks: the body parts that a clip is about, found by their speed.
 //!
 //! A part is active in a clip if it moves fast compared with the most active clips of the training split.
 //! Speeds are relative to the parent region: arms to the chest, legs and torso to the pelvis and the
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use compose::{Error, described, instruction, motion_on};
 
-/// Author of these masks; the number is the version of the rules.
+/// Column `author` of these masks; the number is the version of the rules.
 pub const AUTHOR: &str = "stance-activity-1";
 /// Origin of a text that the source gives for the part.
 pub const IMPORTED: &str = "imported";
@@ -108,15 +108,15 @@ impl Region {
 /// The chest (SMPL-X spine3), which carries the arms.
 const CHEST: usize = 9;
 
-/// Derives masks for all motions of a dataset: for each clip, one per part of the release that the
-/// clip is about, in the order of the motions.
+/// Derives masks for all motions of a dataset: for each clip, one per body part that the clip is about, in the order of
+/// the motions.
 ///
 /// * A part that the source describes has a mask with that description, even if it is at rest.
 /// * An active torso makes `UPPER_BODY`; otherwise two active arms make `BOTH_ARMS` and one makes
 ///   `LEFT_ARM` or `RIGHT_ARM`. Active legs make `LOWER_BODY`. Their text comes from the captions of the
 ///   whole clip; without one, there is no mask.
 ///
-/// The reference of each part is taken from clips of the training split alone.
+/// The reference of each part comes from clips of the training split only.
 ///
 /// # Errors
 /// A setting is out of range, no motion is of the training split, or a row is not usable.

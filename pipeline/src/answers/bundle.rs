@@ -1,7 +1,7 @@
 //! A submission to a leaderboard: the answers of one system to a set of items, in one zip.
 //!
 //! A bundle holds [`ANSWERS`], the rows of table `edits`; [`FACTS`], the items and the system of these answers; and a
-//! card for people. It holds no items: its evaluator has the items, which the digest identifies.
+//! card for people. It holds no items: the evaluator has them, and a digest in the facts identifies them.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -29,11 +29,11 @@ pub const FACTS: &str = "bundle.json";
 pub const CARD: &str = "README.md";
 /// Version of the layout.
 const FORMAT: u32 = 1;
-/// Most bytes of facts and card.
+/// Maximum bytes of the facts and of the card.
 const MAX_TEXT_LEN: u64 = 1 << 20;
-/// Most bytes of the answers, packed and unpacked: ten thousand answers of ten seconds take 0.6 GB.
+/// Maximum bytes of the answers, packed and unpacked: ten thousand answers of ten seconds take 0.6 GB.
 const MAX_ANSWERS_LEN: u64 = 4 << 30;
-/// Fewest frames of an answer: metrics need a frame with a neighbour on both sides.
+/// Minimum frames of an answer: metrics need a frame with a neighbour on either side.
 const MIN_FRAMES: usize = 3;
 const BATCH_ROWS: usize = 64;
 
@@ -45,7 +45,7 @@ pub struct BundleFacts {
     pub format: u32,
     /// Name of the system.
     pub system: String,
-    /// BLAKE3 of its checkpoint, hexadecimal; empty where no model took part.
+    /// BLAKE3 of its checkpoint, hexadecimal; empty if no model took part.
     pub checkpoint_hash: String,
     /// Settings of the system.
     pub settings: serde_json::Map<String, serde_json::Value>,
@@ -53,11 +53,11 @@ pub struct BundleFacts {
     pub license: String,
     /// Digest of the ids of the items.
     pub item_hash: String,
-    /// Items.
+    /// Number of items.
     pub items: usize,
-    /// Answers to each item.
+    /// Number of answers to each item.
     pub takes: usize,
-    /// Hash of the encoder that scores the answers, hexadecimal; none if any encoder may.
+    /// Hash of the encoder that scores the answers, hexadecimal; `None` if any encoder may.
     pub judge_hash: Option<String>,
     /// Name of the skeleton.
     pub skeleton: String,
@@ -78,10 +78,10 @@ pub struct Bundle {
 }
 
 impl Bundle {
-    /// Makes a bundle of the answers in a folder, of one system to all items.
+    /// Makes a bundle of `rows`, the answers of one system to all items.
     ///
     /// # Errors
-    /// The answers are of several systems or break a rule of [`Bundle::read`]; `path` names the folder.
+    /// The answers are of several systems or break a rule of [`Bundle::read`]. The error names `path`.
     pub fn new(
         path: &Path,
         mut rows: Vec<EditRow>,
@@ -187,7 +187,8 @@ impl Bundle {
         let mut facts = serde_json::to_vec_pretty(&self.facts).expect("text and numbers serialise");
         facts.push(b'\n');
         let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
-        // Stored, not compressed: compressors choose code paths by processor, and Parquet is compressed already.
+        // Stored, not compressed: the output of compressors may depend on the processor, and Parquet is compressed
+        // already.
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Stored)
             .last_modified_time(DateTime::default())

@@ -22,7 +22,7 @@ use pickle::{self, Value};
 pub(super) enum Kind {
     /// SMPL parameters of AMASS's layouts, z up, or of the store's, y up.
     Npz,
-    /// A dictionary of MotionFix's evaluation, or an array of HumanML3D.
+    /// A dictionary of MotionFix's evaluation, or an array of HumanML3D features.
     Npy,
     Pickle,
     Parquet,
@@ -49,7 +49,7 @@ impl Kind {
 const MOTIONFIX_FPS: f64 = 30.0;
 /// Rate of the STANCE release and of HumanML3D, in 1/s.
 const RELEASE_FPS: f64 = 20.0;
-/// Numbers of a frame of MotionFix's `pose`: translation, root and 21 body joints with 6 each.
+/// Numbers of a frame of MotionFix's `pose`: the translation, then 6 for the root and for each of 21 body joints.
 const POSE_WIDTH: usize = 3 + 6 * NUM_BODY_JOINTS;
 /// Keys of the store's layout, in the names of SMPL-X.
 const STORE_KEYS: [&str; 3] = ["transl", "global_orient", "body_pose"];
@@ -57,7 +57,7 @@ const STORE_KEYS: [&str; 3] = ["transl", "global_orient", "body_pose"];
 /// Reads a file with one answer.
 ///
 /// # Errors
-/// Those of the readers in [`formats::source`]; `E-ANSWER-KEYS` where arrays of a motion are missing.
+/// Those of the readers in [`formats::source`]; `E-ANSWER-KEYS` if arrays of a motion are missing.
 pub(super) fn read(
     kind: Kind,
     bytes: &[u8],
@@ -88,7 +88,7 @@ fn npz(bytes: &[u8], options: &AnswerOptions) -> Result<Recorded, Rejected> {
     }
     let fps = match archive.has("fps") {
         true => archive.numbers("fps")?.values.first().copied(),
-        // A missing rate is reported later, with what to do about it.
+        // `Recorded::motion` reports a missing rate.
         false => amass::read_fps(&mut archive).ok(),
     };
     let mut frames = |key: &str, width: usize| -> Result<Vec<f64>, Rejected> {
@@ -156,9 +156,9 @@ fn npy(bytes: &[u8], skeleton: &Skeleton) -> Result<Recorded, Rejected> {
     })
 }
 
-/// The motion of a dictionary: `pose`, or `rots` and `trans`, of MotionFix (SMPL-H, z up, 30 fps), or
-/// `body_pose`, `global_orient` and `transl` (SMPL-X, y up, 20 fps) as the STANCE release has them.
-/// A number `fps` beside them takes precedence.
+/// Reads the motion of a dictionary: `pose`, or `rots` and `trans`, of MotionFix (SMPL-H, z up, 30 fps), or
+/// `body_pose`, `global_orient` and `transl` (SMPL-X, y up, 20 fps) as the STANCE release has them. A number `fps`
+/// beside them takes precedence.
 ///
 /// # Source
 /// Repository athn-nik/motionfix: the output of its evaluation for each item.
@@ -213,13 +213,13 @@ fn number(value: &Value) -> Option<f64> {
     value.as_float().or_else(of_array)
 }
 
-/// Converts a frame to double precision. Panics if there are not `N` numbers.
+/// Converts a frame to double precision. Panics if there are fewer than `N` numbers.
 fn wide<const N: usize>(frame: &[f32]) -> [f64; N] {
     std::array::from_fn(|column| f64::from(frame[column]))
 }
 
-/// Rotation vectors from the first two rows of each joint's matrix. Numbers that are not finite stay so and
-/// are checked later.
+/// Rotation vectors from the first two rows of each joint's matrix. A joint with numbers that are not finite becomes
+/// NaN, which `Recorded::motion` refuses.
 fn from_rows(frame: &[f32]) -> [f64; VECTORS_WIDTH] {
     let mut vectors = [0.0; VECTORS_WIDTH];
     for (rows, vector) in frame.chunks_exact(6).zip(vectors.chunks_exact_mut(3)) {

@@ -1,6 +1,6 @@
 //! Answers of external systems: from files to rows of table `edits`.
 //!
-//! Every answer found is imported, refused with a code and a reason, or skipped because it is not a motion;
+//! Every answer found is imported, refused with a code and a reason, or passed over because its file holds no motion;
 //! the three add up to the number found. Items without an answer are listed.
 
 pub mod bundle;
@@ -60,14 +60,14 @@ pub struct AnswerReport {
     pub passed_over: Vec<PassedOver>,
     /// Signs that the files were read with the wrong settings.
     pub warnings: Vec<String>,
-    /// BLAKE3 of the imported bytes, which replaces the hash of a checkpoint.
+    /// BLAKE3 of the imported files and the options they were read with; it takes the place of a checkpoint's hash.
     pub checkpoint_hash: String,
 }
 
 /// An answer that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Refusal {
-    /// Path of the file, relative to what was given.
+    /// Path of the file, relative to the path that was given.
     pub file: String,
     /// Name of the answer: the stem of the file, or the id of the row.
     pub name: String,
@@ -82,7 +82,7 @@ pub struct Refusal {
 /// A file that holds no answer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct PassedOver {
-    /// Path of the file, relative to what was given.
+    /// Path of the file, relative to the path that was given.
     pub file: String,
     /// Why the file holds no answer.
     pub reason: String,
@@ -158,12 +158,12 @@ struct Found {
     file: String,
     file_hash: String,
     name: String,
-    /// Item and seed, once they are known.
+    /// Index of the item, and seed; `None` if the item is unknown.
     place: Option<(usize, Seed)>,
     read: Result<(Motion, Option<f32>), Rejected>,
 }
 
-/// Reads the answers in files, and in files under folders, to the items.
+/// Reads answers to `items` from files and from folders of files.
 ///
 /// An answer belongs to the item whose id is the stem of its file, or is in column `id` of its table. A number after
 /// the stem, as in `ID-7`, is the seed of the sample. Items of MotionFix can also be named by the number of their pair.
@@ -485,8 +485,8 @@ fn refuse_repeated(found: &mut [Found]) {
     }
 }
 
-/// BLAKE3 of the imported bytes: of the sorted pairs (item, hash of the answer's file), and of the settings
-/// they were read with. It does not depend on the names or the order of the files.
+/// BLAKE3 of the sorted pairs (item, hash of the answer's file) and of the options they were read with. It does not
+/// depend on the names or the order of the files.
 fn identity(mut imported: Vec<(String, String)>, options: &AnswerOptions) -> String {
     imported.sort();
     imported.dedup();
@@ -500,11 +500,11 @@ fn identity(mut imported: Vec<(String, String)>, options: &AnswerOptions) -> Str
     hasher.finalize().to_hex().to_string()
 }
 
-/// The body stands if the cosine between its axis and the vertical is above the first value, and lies if it is below
-/// the second.
+/// A body stands if the cosine between its axis and the vertical is above `STANDING`, and lies if its absolute value is
+/// below `LYING`.
 const STANDING: f64 = 0.7;
 const LYING: f64 = 0.3;
-/// Implausible distance in metres over the ground between the first frames of an answer and its source.
+/// A warning is given if the first frames of an answer and its source are further apart on the ground, in metres.
 const FAR_M: f64 = 2.0;
 
 /// Signs that files were read with the wrong settings.

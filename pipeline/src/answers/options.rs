@@ -20,7 +20,7 @@ pub enum Place {
     Source,
 }
 
-/// Options of an import: the name of the system, and what its files leave out.
+/// Options of an import: the system, and facts that its files do not state.
 #[derive(Clone, Debug)]
 pub struct AnswerOptions {
     /// Name of the system in tables.
@@ -31,8 +31,8 @@ pub struct AnswerOptions {
     pub seed: Seed,
     /// Rate of all answers; it replaces the rates in the files.
     pub fps: Option<Fps>,
-    /// Vertical axis of all answers, in place of that of their formats.
+    /// Vertical axis of all answers; `None`: that of each file's format.
     pub up: Option<Up>,
-    /// Placement of all answers, in place of that of their formats.
+    /// Placement of all answers; `None`: that of each file's format.
     pub place: Option<Place>,
 }

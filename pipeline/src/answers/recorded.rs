@@ -29,8 +29,8 @@ pub(super) struct Recorded {
     pub(super) place: Place,
     pub(super) transl: Vec<[f64; 3]>,
     pub(super) vectors: Vec<[f64; VECTORS_WIDTH]>,
-    /// Mean distance in metres between the points of the file and the body posed by the parameters;
-    /// none where the file holds parameters.
+    /// Mean distance in metres between the points of the file and the body posed by the parameters; `None` if the file
+    /// holds parameters.
     pub(super) fit_error_m: Option<f32>,
 }
 

@@ -21,7 +21,7 @@ use crate::export::export_items;
 use crate::verify::verify;
 use pickle::{Array as PickleArray, Value};
 
-/// A question about a wandering body.
+/// An item whose source and target wander.
 pub(super) fn item(number: usize) -> ItemRow {
     let name = format!("clip{number}");
     let id = MotionId::parse(&name).expect("valid");
@@ -116,7 +116,7 @@ fn npy_of(value: Value) -> Vec<u8> {
     npy(OBJECT, &pickle::encode(&Value::List(vec![value])))
 }
 
-/// The motion in MotionFix's frame: z up, turned and moved.
+/// The poses of a motion in MotionFix's frame: z up, turned and moved.
 fn motionfix_poses(motion: &Motion) -> Vec<datasets_spec::Pose> {
     let turn = DQuat::from_rotation_z(0.8) * DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2);
     let rest = Skeleton::smplx_neutral().rest(0);
@@ -157,7 +157,7 @@ fn motionfix_rots(motion: &Motion) -> Value {
     ])
 }
 
-/// The motion on the floor, standing where the source of an item begins.
+/// The motion on the floor, moved to where the source of the item begins.
 fn placed(motion: &Motion, item: &ItemRow) -> Motion {
     let in_place = AnswerOptions {
         place: Some(Place::Source),
@@ -192,8 +192,8 @@ fn every_format_brings_the_motion_back_within_its_precision() {
     assert_eq!(answers.report.refused, []);
     assert_eq!(answers.report.missing, [""; 0]);
     let got: Vec<Motion> = answers.rows.iter().map(motion_of).collect();
-    // Tolerance: rotated to z up and back in double precision, stored in single, which is half a micrometre below ten
-    // metres.
+    // Tolerance: the motion was rotated to z up and back in double precision and stored in single precision, which is
+    // exact to half a micrometre below ten metres.
     assert!(apart(&got[0], &motion(0)) < 1e-5);
     // Local rotations are copied bit by bit.
     assert_eq!(got[0].body_pose(), motion(0).body_pose());
@@ -275,7 +275,7 @@ fn hostile_files_are_refused_one_by_one_and_the_rest_goes_on() {
         assert!(found.reason.contains(words), "{number}: {}", found.reason);
     }
     assert!(refused(1).byte_offset.is_some());
-    // Offset of the name in the file, not in the pickle after the header.
+    // The offset counts from the start of the file, not of the pickle after the header.
     assert!(refused(2).byte_offset.expect("a place") >= 64);
     assert_eq!(code_of(report, "nobody").code, "E-ITEM-UNKNOWN");
     assert_eq!(report.passed_over.len(), 1);
@@ -340,7 +340,7 @@ fn motionfix_items_go_by_the_number_of_their_pair() {
     assert_eq!(source.code, "E-ITEM-UNKNOWN");
 }
 
-/// Columns of the same frames in the formats of different writers.
+/// Column types that different writers use for the same frames.
 #[derive(Clone, Copy, Debug)]
 enum Writer {
     /// pyarrow: lists of lists of doubles whose item is called `element`.

@@ -5,11 +5,11 @@ use formats::source::motionfix;
 
 use super::findings::{Findings, HumanMl3dFindings, IndexFindings, ReleaseFindings};
 
-/// Name of the variant HumanML3D was cut from.
+/// Variant of AMASS that HumanML3D was cut from.
 const NEEDED_VARIANT: &str = "SMPL-H G";
 
-/// Advice. A crop list that was passed explicitly, or has recordings among the sources, is reported
-/// subset by subset; any other gets one line.
+/// Advice before ingesting. A crop list that was passed explicitly (`asked`), or that has recordings among the sources,
+/// is reported subset by subset; any other gets one line.
 pub(super) fn advise(
     findings: &[Findings],
     index: Option<&IndexFindings>,

@@ -11,7 +11,7 @@ use formats::source::amass::{self, Variant};
 use super::findings::{Estimate, SubsetFindings};
 use super::{Looked, seconds_in};
 
-/// Files sampled from a subset. A subset comes from one archive, so a few files show its variant and
+/// Maximum number of files sampled from a subset. A subset comes from one archive, so a few files show its variant and
 /// the ratio of duration to size.
 const SAMPLED_FILES: usize = 3;
 

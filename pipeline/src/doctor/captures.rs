@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::Looked;
 use super::findings::{CaptureFindings, EXAMPLES};
 
-/// Reads the captures among the files like ingestion, but without solving, and reports which give no motion.
+/// Reads the captures of markers like ingestion, but without solving, and reports those that give no motion.
 pub(super) fn captures(rest: &[&Looked], options: &ReadOptions) -> Vec<CaptureFindings> {
     let captures: Vec<(&Looked, Format, ReadCapture)> = rest
         .iter()

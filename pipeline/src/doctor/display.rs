@@ -8,7 +8,7 @@ use super::findings::{
 
 const KB: f64 = 1e3;
 
-/// A size with three digits.
+/// A size in decimal units, with one decimal above 1 kB.
 fn size(bytes: u64) -> String {
     let mut value = bytes as f64;
     for unit in ["B", "kB", "MB", "GB"] {
@@ -35,7 +35,7 @@ fn duration(seconds: f64) -> String {
     }
 }
 
-/// Writes rows of text as columns, the first to the left and the others to the right.
+/// Writes rows of cells in columns; the first column is left-aligned, the others are right-aligned.
 fn columns(f: &mut fmt::Formatter<'_>, rows: &[Vec<String>]) -> fmt::Result {
     let num_columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let widths: Vec<usize> = (0..num_columns)

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use clip::LabelProblem;
 
-/// Number of examples named of what is missing.
+/// Maximum number of examples of a finding.
 pub(super) const EXAMPLES: usize = 3;
 
 /// Bytes of a stored frame: translation, root and body rotations in f32.
@@ -15,14 +15,14 @@ const FRAME_BYTES: f64 = (4 * (3 + 3 + BODY_POSE_WIDTH)) as f64;
 /// Size of a shard relative to its uncompressed motion columns: captured clips measure 0.81 to 1.02;
 /// short clips compress less.
 const PACKED_SHARE: f64 = 0.92;
-/// Frames stored per core and second, from reading to writing: BVH, the largest by volume, measures
-/// 34,000, HumanML3D vectors 16,000 and AMASS archives 57,000.
+/// Frames ingested per core and second. Measured: 34,000 for BVH, the largest by volume, 16,000 for HumanML3D vectors,
+/// and 57,000 for AMASS archives.
 const FRAMES_PER_CORE_SECOND: f64 = 20_000.0;
 
 /// Findings in all sources, as text and as JSON.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Diagnosis {
-    /// In the order given.
+    /// Findings of each source, in the order given.
     pub(super) sources: Vec<Findings>,
     /// Coverage of HumanML3D's crop list, if one was given or found.
     pub(super) index: Option<IndexFindings>,
@@ -67,7 +67,7 @@ pub(super) struct CaptureFindings {
 pub(super) struct LicenseFindings {
     /// Relative to its source; empty for the source itself.
     pub(super) folder: String,
-    /// SPDX identifier or another tag of the licence; none if no file could be recognised.
+    /// SPDX identifier or another tag of the licence; `None` if no file could be recognised.
     pub(super) license: Option<String>,
     pub(super) non_commercial: bool,
     /// Licence files and readmes that state the licence.
@@ -104,7 +104,7 @@ pub(super) struct ListFindings {
     /// The list, relative to the source.
     pub(super) file: String,
     pub(super) ids: u64,
-    /// Ids without joints and vector.
+    /// Ids that have neither joints nor a vector.
     pub(super) without_motion: u64,
     pub(super) without_text: u64,
     pub(super) examples: Vec<String>,
@@ -112,7 +112,7 @@ pub(super) struct ListFindings {
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct SubsetFindings {
-    /// Present name of the subset; empty for files outside any known subset.
+    /// Current name of the subset; empty for files outside any known subset.
     pub(super) name: String,
     /// Number of recordings, without files of body shapes.
     pub(super) files: u64,
@@ -137,7 +137,7 @@ pub(super) struct IndexFindings {
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct IndexSubset {
-    /// The subset's folder in the list.
+    /// Folder of the subset in the list, or `unknown`.
     pub(super) name: String,
     pub(super) rows: u64,
     /// Rows whose recording was found.

@@ -58,7 +58,7 @@ pub(super) fn estimate_layouts(layouts: &[Layout], looked: &[Looked]) -> Estimat
     let mut estimate = Estimate::default();
     for layout in layouts {
         for id in layout.ids() {
-            // Joints take a fourth of the bytes of a vector.
+            // Joints take a quarter of the bytes of a vector.
             let joints_share = (3 * NUM_BODY_JOINTS) as f64 / HUMANML3D_WIDTH as f64;
             let (file, share) = match layout.vectors.get(id) {
                 Some(file) => (Some(file), 1.0),

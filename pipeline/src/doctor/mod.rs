@@ -1,5 +1,5 @@
-//! Diagnosis of sources before ingesting: present and missing files. Only names and first bytes of motions are read.
-//! Captures of markers are read whole, because their labels and unit decide whether they give motions.
+//! Diagnosis of sources before ingesting: present and missing files. Only names and first bytes of motion files are
+//! read, except captures of markers: their labels and unit decide whether they give motions.
 
 mod advice;
 mod amass;
@@ -191,7 +191,7 @@ fn kinds(looked: &[Looked], claimed: &BTreeSet<&str>) -> Vec<Kind> {
     kinds
 }
 
-/// Estimate of single files except AMASS, and of releases in pickles.
+/// Estimates all files except AMASS and HumanML3D.
 fn estimate_others(rest: &[&Looked]) -> Estimate {
     let mut estimate = Estimate::default();
     for file in rest.iter().filter(|file| !file.is_pointer) {
@@ -212,7 +212,7 @@ fn seconds_in(format: Format, bytes: u64) -> f64 {
     bytes as f64 / format.bytes_per_second
 }
 
-/// A listed file, and what its first bytes identify.
+/// A listed file, and the format that its first bytes show.
 struct Looked {
     relative: String,
     path: PathBuf,

@@ -7,8 +7,7 @@ use formats::source::motionfix;
 use super::Looked;
 use super::findings::{Part, ReleaseFindings};
 
-/// Parts of the STANCE release and the number of files published, those of its earlier form
-/// included.
+/// Parts of the STANCE release with the numbers of files published, including the parts of its earlier form.
 const STANCE_PARTS: [(&str, u64); 8] = [
     ("base_motion", 24_746),
     ("style_transfer", 749),

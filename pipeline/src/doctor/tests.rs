@@ -97,7 +97,7 @@ fn the_real_files_are_all_counted_once() {
     assert_eq!(files, source.files);
     let mut lists = source.humanml3d[0].lists.iter();
     let all = lists.find(|list| list.file == "humanml3d/all.txt");
-    // One clip of all is there.
+    // One of all clips is there.
     assert_eq!(all.expect("there").without_motion, 29_227);
     let index = diagnosis.index.as_ref().expect("found");
     let counts = (index.rows, index.humanact12, index.found);

@@ -1,4 +1,4 @@
-//! Layouts that write separate files for each clip, so that clips can be written independently.
+//! Layouts that write separate files for each clip, independently of other clips.
 
 use std::path::Path;
 
@@ -15,13 +15,13 @@ pub(super) const PART_CLIPS: usize = 256;
 /// Why a clip was left out, if it was.
 pub(super) type Note = Option<String>;
 
-/// A layout that writes separate files for each clip, so that clips can be written independently.
+/// A layout that writes separate files for each clip.
 pub(super) trait ByClip: Send + Sync {
     /// Writes the files of a clip; returns the reason if it was left out.
     fn write_clip(&self, row: MotionRow, folder: &Path) -> Result<Note, Error>;
 
-    /// Writes the files that depend on all clips, whose own files are in the folder. The notes are in the order of the
-    /// clips. Returns the number of clips that were not left out.
+    /// Writes the files that depend on all clips, after the files of each clip are in `folder`. `notes` are in the
+    /// order of the clips. Returns the number of clips that were not left out.
     fn finish(&self, clips: &Clips, notes: &[Note], folder: &Path) -> Result<u64, Error>;
 }
 
@@ -42,7 +42,7 @@ impl dyn ByClip {
     }
 }
 
-/// Id, split and licence of the clips; the licence is empty where none is known.
+/// Id, split and licence of the clips; the licence is empty if unknown.
 pub(super) fn labels(clips: &Clips) -> Result<Vec<(String, Split, String)>, Error> {
     let mut labels = Vec::new();
     for shard in clips.shards(None) {

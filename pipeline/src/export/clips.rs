@@ -19,9 +19,9 @@ use crate::clips::Clips;
 /// A format with a file for each motion.
 pub(super) struct FileKind {
     extension: &'static str,
-    /// Ending of an id that the name of the file does not repeat.
+    /// Ending that is removed from an id, because the file name gets it anyway.
     ending: &'static str,
-    /// Whether files are those of AMASS: at the rate of recordings, with its suffix.
+    /// Whether files look like recordings of AMASS: at about 60 fps or more, and with its suffix.
     is_amass: bool,
     pub(super) encode: fn(&Motion, &Skeleton) -> io::Result<Vec<u8>>,
 }
@@ -46,7 +46,7 @@ impl FileKind {
         encode: write::gltf::encode,
     };
 
-    /// A relative path for an id, without extension.
+    /// A unique relative path for an id, without extension.
     pub(super) fn stem(&self, id: &str, taken: &mut BTreeSet<String>) -> String {
         let stem = unique(safe_stem(id, self.ending), taken);
         match self.is_amass {
@@ -59,7 +59,7 @@ impl FileKind {
         format!("{stem}.{}", self.extension)
     }
 
-    /// The motion as it is encoded.
+    /// The motion at the frame rate of the files.
     pub(super) fn motion(&self, motion: Motion) -> Result<Motion, Error> {
         Ok(match self.is_amass {
             true => write::amass::at_rate_of_recordings(&motion)?,
@@ -104,7 +104,7 @@ impl ByClip for Files {
     }
 }
 
-/// The path each motion gets, by its id.
+/// Maps the id of each motion to its path.
 pub(super) fn stems(
     clips: &Clips,
     stem_of: impl Fn(&str, &mut BTreeSet<String>) -> String,

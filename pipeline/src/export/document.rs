@@ -53,7 +53,7 @@ pub(super) fn read_features<const WIDTH: usize>(path: &Path) -> Result<Vec<[f32;
     let array = npy::read_numbers(&name, &bytes)
         .map_err(|error| datasets_spec::Error::io("read", path)(std::io::Error::other(error)))?;
     let (frames, _) = array.values.as_chunks::<WIDTH>();
-    // The numbers were written in single precision.
+    // The numbers were written in single precision, so nothing is lost.
     Ok(frames
         .iter()
         .map(|frame| frame.map(|value| value as f32))

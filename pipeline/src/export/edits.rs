@@ -32,7 +32,7 @@ struct Clip<'a> {
     said: Said<'a>,
 }
 
-/// A line of `edits.json`.
+/// An entry of `edits.json`.
 #[derive(Clone, Serialize)]
 struct Said<'a> {
     file: String,
@@ -47,9 +47,9 @@ struct Said<'a> {
     frames: usize,
 }
 
-/// Writes the edits of a folder to a new one, each under `SYSTEM/ITEM`, with the seed as a suffix where a
-/// system has several takes of an item, and the questions to `edits.json`. Sources and targets of
-/// the items go to `sources/ITEM` and `targets/ITEM` on request. Returns the number of motions.
+/// Writes the edits of a dataset to a new folder, each as `SYSTEM/ITEM`, with the seed as a suffix if a system has
+/// several takes of the item. On request, sources and targets of the items are written as `sources/ITEM` and
+/// `targets/ITEM`. `edits.json` lists the files with their questions. Returns the number of motions.
 ///
 /// # Errors
 /// The layout is not one with a file for each motion, the folder exists and is not empty, the tables

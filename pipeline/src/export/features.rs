@@ -22,7 +22,7 @@ type Features<const WIDTH: usize> = Vec<[f32; WIDTH]>;
 
 pub(super) struct Recipe<const WIDTH: usize> {
     features: fn(&Motion, &Skeleton) -> Result<Features<WIDTH>, kinematics::Error>,
-    /// Groups in which the deviation is averaged.
+    /// Groups of columns whose deviations are averaged.
     groups: &'static [(&'static str, Range<usize>)],
 }
 
@@ -40,7 +40,7 @@ pub(super) struct Form {
     motions: &'static str,
     mean: &'static str,
     std: &'static str,
-    /// Folders of split lists, with the numbers of frames of the clips in them.
+    /// Folders of split lists, with the frame counts of the clips that they list.
     lists: &'static [(&'static str, RangeInclusive<usize>)],
     /// Whether clips are named by their ids, captions are plain lines, and a list `all.txt` joins those of the splits.
     /// Otherwise names and captions are those of HumanML3D.
@@ -63,8 +63,8 @@ pub(super) const BABEL_272: Form = Form {
     ..HUMANML3D_272
 };
 
-/// MotionMillion. Its lists for generation and for tokenisers take clips of some lengths; `any_length` holds all
-/// clips, so that none loses its split.
+/// MotionMillion. Its lists for generation and for tokenisers take only clips of certain lengths; `any_length` holds
+/// all clips, so that none loses its split.
 pub(super) const MOTIONMILLION: Form = Form {
     motions: "motion_data/vector_272",
     mean: "mean_std/vector_272/mean.npy",
@@ -77,7 +77,7 @@ pub(super) const MOTIONMILLION: Form = Form {
     is_plain: true,
 };
 
-/// HY-Motion. Of its training folders, only the statistics are published.
+/// HY-Motion. Only the statistics of its training folders are published, so the rest is as in [`HUMANML3D_272`].
 pub(super) const HY_MOTION: Form = Form {
     mean: "stats/Mean.npy",
     std: "stats/Std.npy",
@@ -85,7 +85,7 @@ pub(super) const HY_MOTION: Form = Form {
 };
 
 /// A folder of features. `ids.csv` lists the name, the split and the licence of each id. Captions made from file names
-/// are left out. Captions of a part of a clip are left out too: this layout cannot store their times.
+/// are left out. Plain captions cannot store times, so captions of a part of a clip are left out there.
 pub(super) struct FeatureFolder<const WIDTH: usize> {
     form: &'static Form,
     recipe: &'static Recipe<WIDTH>,
@@ -134,7 +134,7 @@ impl<const WIDTH: usize> ByClip for FeatureFolder<WIDTH> {
                 .map(|caption| caption.text.replace(['\r', '\n'], " ") + "\n")
                 .collect(),
         };
-        // A loader opens the text of every clip, and skips a clip whose text is empty.
+        // Written even if empty: a loader opens the text of every clip, and skips a clip whose text is empty.
         file(folder, &format!("texts/{name}.txt"), lines.as_bytes())?;
         Ok(None)
     }

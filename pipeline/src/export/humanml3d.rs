@@ -162,7 +162,7 @@ impl Stored {
     }
 }
 
-/// The name each motion gets, by its id.
+/// Maps the id of each motion to its name.
 pub(super) fn names(clips: &Clips) -> Result<BTreeMap<String, String>, Error> {
     let ids = ids(clips)?;
     let mut names: BTreeMap<String, String> = ids
@@ -224,7 +224,7 @@ pub(super) fn caption_line(caption: &Caption) -> String {
     format!("{text}#{tokens}#{:?}#{:?}\n", caption.from_s, caption.to_s)
 }
 
-/// Words with the tag for an unknown part of speech.
+/// The words of a text in lower case, with the tag for an unknown part of speech.
 fn words(text: &str) -> String {
     let words: Vec<String> = text
         .split(|c: char| !c.is_alphabetic())
@@ -285,7 +285,7 @@ mod tests {
         let stored = points(&at("out/new_joints/000000.npy"));
         assert_eq!(stored.len(), 59 * NUM_BODY_JOINTS, "one frame less");
         for (stored, processed) in stored.iter().zip(processed.as_flattened()) {
-            // Tolerance of positions in f32, where the root is a sum of 60 velocities.
+            // Tolerance: positions are in f32, and the root is a sum of 60 velocities.
             assert!((*stored - *processed).length() < 1e-5);
         }
         let ids = "name,id,left_out,license\n000000,KIT/walk_poses,,\n";
@@ -306,7 +306,7 @@ mod tests {
         let back = back.as_flattened();
         let apart = back.iter().zip(processed.as_flattened());
         let apart = apart.map(|(a, b)| a.distance(*b)).sum::<f64>() / back.len() as f64;
-        // The pelvis and the chest have one rotation for three bones each.
+        // A fit is not exact: the pelvis and the chest turn three bones each with one rotation.
         assert!(apart < 0.02, "{apart}");
     }
 
@@ -326,7 +326,7 @@ mod tests {
         let dataset = ingested(&at("in"), &at("first"));
         let names = names(&Clips::all(&dataset)).expect("read");
         assert_eq!(names["M000001"], "M000001");
-        // 000000 is taken, and M000001 is another's mirror.
+        // 000000 is taken, and so is M000001, the mirror image of 000001.
         assert_eq!(names["walk"], "000002");
         let clips = Clips::all(&dataset);
         let done = export(&clips, Layout::HumanMl3d, &at("out"), &NoProgress).expect("written");

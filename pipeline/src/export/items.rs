@@ -16,7 +16,7 @@ const LIST: &str = "items.json";
 const SOURCES: &str = "sources";
 const TARGETS: &str = "targets";
 
-/// `items.json`.
+/// Content of `items.json`.
 #[derive(Serialize)]
 struct List<'a> {
     format: &'static str,
@@ -26,7 +26,7 @@ struct List<'a> {
     items: Vec<Item<'a>>,
 }
 
-/// A test question, without information from the target.
+/// A test question. It tells only the length of the target, unless targets are exported.
 #[derive(Serialize)]
 struct Item<'a> {
     id: &'a str,

@@ -157,7 +157,7 @@ impl Export {
         Clips::of(&self.dataset, &self.shards)
     }
 
-    /// Part that each piece writes; none if it writes all.
+    /// The part that each piece writes; `None` for a piece that writes all clips.
     fn parts(&self) -> Vec<Option<Part>> {
         match self.form {
             Form::ByClip(_) => self
@@ -291,7 +291,7 @@ impl Job for Export {
             Ok(Made::new(files, &written))
         };
         let ended = write();
-        // The folder exists only if it was not renamed; the error itself is already returned.
+        // `made` still exists only if it was not renamed; the error itself is returned below.
         let _removed = fs::remove_dir_all(&made);
         ended.map_err(|error: Error| error.into())
     }

@@ -44,7 +44,7 @@ impl Exported {
         for (name, count) in left_out(layout, clips)? {
             put(&mut self.left_out, &name, count);
         }
-        // Entries of this layout are pairs, and the writer counts clips that are in no pair.
+        // For MotionFix, `self.clips` counts pairs, and the writer counts the clips that are in no pair.
         if layout != Layout::MotionFix {
             let left = clips.len().saturating_sub(self.clips);
             put(&mut self.left_out, "clips", left);
@@ -213,7 +213,7 @@ fn said(shard: &Shard) -> impl Iterator<Item = (Caption, bool)> {
     })
 }
 
-/// Counts the captions of a file that a layout cannot hold, and the lost parts of the others.
+/// Counts the captions of a file that a layout cannot hold, and the lost times and tokens of the others.
 fn captions(shard: &Shard, layout: Layout, counts: &mut Counts) {
     let held = held(layout);
     for (caption, is_made) in said(shard) {
@@ -235,7 +235,7 @@ fn captions(shard: &Shard, layout: Layout, counts: &mut Counts) {
     }
 }
 
-/// Captions without tokens, whose words get the tag `OTHER` in the layout of HumanML3D; none in other layouts.
+/// Number of captions without tokens, whose words get the tag `OTHER` in the layout of HumanML3D; 0 for other layouts.
 pub fn untagged_captions(layout: Layout, clips: &Clips) -> u64 {
     if layout != Layout::HumanMl3d {
         return 0;
@@ -245,7 +245,7 @@ pub fn untagged_captions(layout: Layout, clips: &Clips) -> u64 {
     untagged.count() as u64
 }
 
-/// Warnings before the clips are written in a layout: its loaders would find no texts, or names are shortened. Only
+/// Warnings about an export before it starts: loaders of the layout would find no texts, or names are shortened. Only
 /// columns of labels are read.
 ///
 /// # Errors
@@ -290,7 +290,7 @@ fn names_are_ids(layout: Layout) -> bool {
     )
 }
 
-/// A column of the clips that older tables lack.
+/// A column of the clips; empty if an older table lacks it.
 fn newer<T: Cell>(shard: &Shard, name: &'static str) -> Vec<T> {
     shard.column(name).unwrap_or_default()
 }

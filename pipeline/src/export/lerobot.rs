@@ -1,9 +1,9 @@
 //! LeRobot v3: one row per frame, with separate tables of episodes and tasks.
 //!
-//! A clip is an episode, its first caption its task, and `observation.state` a frame's 69 numbers:
-//! translation, root orientation and body pose, as in the `motions` table. The table of episodes has the
-//! clip's id, split, labels, captions and licence in columns of their own, which LeRobot ignores. Captions
-//! made from file names are left out.
+//! A clip is an episode, its first caption is its task, and `observation.state` holds the 69 numbers of a frame:
+//! translation, root orientation and body pose, as in the `motions` table. The table of episodes has the clip's id,
+//! split, labels, captions and licence in columns of their own, which LeRobot ignores. Captions made from file names
+//! are left out.
 //!
 //! # Source
 //! `lerobot` 0.4.4, whose tools `tests/python` runs on an export.
@@ -35,9 +35,9 @@ use super::document::write_json;
 use crate::Error;
 use crate::clips::Clips;
 
-/// Rows of a data file: about 30 MB.
+/// A data file ends with the episode that reaches this number of rows: about 30 MB.
 const FILE_FRAMES: usize = 100_000;
-/// Episodes of a file of the table of episodes: about 50 MB, most of it statistics.
+/// Rows of a file of the table of episodes: about 50 MB, most of it statistics.
 const FILE_EPISODES: usize = 10_000;
 const CHUNK_FILES: usize = 1000;
 /// Task of a clip without a caption.
@@ -162,7 +162,7 @@ impl<'a> Writer<'a> {
         let places = (0..states.len()).map(|frame| [index, frame, task]);
         self.places.extend(places);
         self.states.extend(states);
-        // An episode is not split over files.
+        // Checked after whole episodes: an episode is not split over files.
         if self.states.len() >= FILE_FRAMES {
             self.write_frames()?;
         }
@@ -271,8 +271,8 @@ fn rate(fps: Option<f32>) -> f64 {
     fps.to_string().parse().unwrap_or(f64::from(fps))
 }
 
-/// Columns of a file of the table of episodes. Missing labels are empty texts, because pandas loses the
-/// type of a column without any.
+/// Columns of a file of the table of episodes. Missing labels are empty texts, because pandas loses the type of a
+/// column of nulls.
 fn episode_columns(episodes: &[Episode], tasks: &[String], file: usize) -> Vec<(String, ArrayRef)> {
     let number = |value: &dyn Fn(&Episode) -> usize| whole_numbers(episodes.iter().map(value));
     let text = |value: &dyn Fn(&MotionRow) -> String| -> ArrayRef {
@@ -349,7 +349,7 @@ fn texts_column<'a>(lists: impl Iterator<Item = Vec<&'a str>>) -> ArrayRef {
     Arc::new(column.finish())
 }
 
-/// Makes the text the pandas index of the tasks, because LeRobot looks up tasks by text.
+/// Metadata that makes the text the pandas index of the tasks, because LeRobot looks up tasks by text.
 fn tasks_index() -> HashMap<String, String> {
     let column = |name: &str, kind: &str, numpy: &str| {
         json!({

@@ -27,21 +27,21 @@ use work::NewFolder;
 
 const ALL: &str = "motionfix.pth.tar";
 
-/// An entry of a dump, or the reason why it is left out.
+/// A triplet to write to a dump.
 struct Triplet {
     id: String,
     split: Split,
     kind: String,
     instruction: String,
     sides: [Side; 2],
-    /// The key it was published under.
+    /// The key under which MotionFix published the pair, if it did.
     key: Option<String>,
 }
 
 struct Side {
     id: String,
     motion: Motion,
-    /// Where the motion was cut from its clip, in seconds.
+    /// Start of the motion in its clip, in seconds.
     from_s: f64,
     license: Option<String>,
 }
@@ -263,12 +263,12 @@ struct Writer<'a> {
     taken: BTreeSet<String>,
     /// Published keys that are already used for a pair.
     used: BTreeSet<String>,
-    /// Triplets that were left out, because they have no words.
+    /// Number of triplets that were left out because they have no instruction.
     wordless: u64,
 }
 
 impl<'a> Writer<'a> {
-    /// `reserved` are keys that other triplets must not get.
+    /// `reserved` are keys that new triplets must not get.
     fn new(
         folder: &Path,
         skeleton: &'a Skeleton,
@@ -384,12 +384,12 @@ impl<'a> Writer<'a> {
             if self.taken.insert(key.clone()) {
                 return key;
             }
-            // The same triplet occurs twice.
+            // The key is taken, for instance because the same triplet occurs twice.
             hasher.update(b"again");
         }
     }
 
-    /// Ends the dumps, and returns the number of triplets.
+    /// Ends the dumps, writes the lists, and returns the number of triplets.
     fn finish(self) -> Result<u64, Error> {
         for dump in std::iter::once(self.all).chain(self.of_split.into_values()) {
             dump.finish()

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 /// Maximum bytes of a path component. File systems take 255; layouts add suffixes.
 const MAX_NAME: usize = 200;
 
-/// Whether a component of an id's path is shortened: its beginning is followed by a hash of the whole component, so
-/// that different names stay different.
+/// Whether [`safe_path`] shortens a component of an id. Its beginning is kept, followed by a hash of the whole
+/// component, so that different names stay different.
 pub(super) fn is_shortened(id: &str) -> bool {
     id.split('/').any(|part| part.len() > MAX_NAME)
 }
@@ -43,8 +43,8 @@ pub(super) fn safe_path(id: &str) -> String {
     parts.join("/")
 }
 
-/// [`safe_path`] of an id, without the ending that the file's name gets: `walk.bvh` becomes `walk.bvh`,
-/// not `walk.bvh.bvh`.
+/// [`safe_path`] of an id, without `ending`, which the file name gets anyway: `walk.bvh` is written to `walk.bvh`, not
+/// to `walk.bvh.bvh`.
 pub(super) fn safe_stem(id: &str, ending: &str) -> String {
     let split = id
         .len()
@@ -59,7 +59,7 @@ pub(super) fn safe_stem(id: &str, ending: &str) -> String {
     })
 }
 
-/// The path, with a number if a path that differs only in case is taken.
+/// Appends a number to a path if it is taken; paths that differ only in case count as equal.
 pub(super) fn unique(path: String, taken: &mut BTreeSet<String>) -> String {
     let mut candidate = path.clone();
     let mut number = 1;

@@ -2,7 +2,7 @@
 //!
 //! The release numbers its files by HumanML3D's clips. Other motions get higher numbers. Data that the layout cannot
 //! hold (ids, splits, captions, and masks and pairs as the dataset has them) is in `origin.json`, `masks.jsonl` and
-//! `pairs.jsonl`, which the reader of this crate uses and other readers may ignore.
+//! `pairs.jsonl`, which the reader in [`formats::source::stance`] uses and other readers may ignore.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -27,8 +27,8 @@ use pickle::{self, Array, Value};
 /// Writes the motions, pairs and masks of a dataset into an empty folder.
 ///
 /// The layout of the release cannot hold semantic pairs, some styles of styled motions, masks without named parts, and
-/// masks of motions that are not base motions: [`Exported::beside`] counts them. All masks and pairs are in files of
-/// this program. Motions of other rates than 20 fps are resampled.
+/// masks of motions that are not base motions: [`Exported::beside`] counts them. All masks and pairs are also written
+/// to files of this program. Motions of other rates than 20 fps are resampled.
 pub(super) fn write(
     clips: &Clips,
     folder: &Path,
@@ -103,15 +103,14 @@ impl Labels {
     }
 }
 
-/// An adjustment to be written: its file, motions and texts.
+/// An adjustment to be written: its file and its pair.
 struct Adjustment {
     stem: String,
     pair: PairRow,
 }
 
 struct Plan {
-    /// Section and file stem of motions with their own file, by id; none for motions that occur only in
-    /// adjustments.
+    /// Section and file stem of each motion, by id; `None` for motions that occur only in adjustments.
     places: BTreeMap<String, Option<(&'static str, String)>>,
     adjustments: Vec<Adjustment>,
     uses: BTreeMap<String, Vec<usize>>,
@@ -132,7 +131,7 @@ impl Plan {
                 _ => {}
             }
         }
-        // A style is named after its base motion's file, so the base motion needs one.
+        // The file of a style is named after that of its base motion, so the base motion needs one.
         let bases: BTreeSet<String> = styled.values().map(|(source, _)| source.clone()).collect();
         styled.retain(|target, _| !bases.contains(target));
         let mut plan = Self {
@@ -220,7 +219,7 @@ impl Plan {
     }
 }
 
-/// The file an adjustment came from, if it was read from a release.
+/// Stem of the release file that an adjustment was read from, if it was.
 fn adjustment_stem(pair: &PairRow) -> Option<String> {
     let stem = |id: &str, key: &str| {
         let stem = id.strip_prefix("adjustment/")?.strip_suffix(key)?;
@@ -244,7 +243,7 @@ fn is_named(mask: &MaskRow) -> bool {
     !mask.parts.is_empty() && parts.all(|part| part.parse::<BodyPart>().is_ok())
 }
 
-/// Part annotations of each motion: masks and their texts, alternating.
+/// Part annotations of each motion, by id: body parts joined by `+`, and their text.
 #[derive(Default)]
 struct Annotations {
     by_id: BTreeMap<String, Vec<(String, String)>>,
@@ -321,7 +320,7 @@ impl Writer<'_> {
         Ok(())
     }
 
-    /// Writes the adjustments whose motions are both present, and releases motions that no other one needs.
+    /// Writes the adjustments whose motions are both present, and drops motions that no other adjustment needs.
     fn write_adjustments(&mut self, numbers: &[usize]) -> Result<(), Error> {
         for &number in numbers {
             let Adjustment { stem, pair } = &self.plan.adjustments[number];

@@ -1,4 +1,4 @@
-//! Label files that were added to the sources after these were planned.
+//! Label files that were added to the sources after planning.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,8 @@ use super::plan::Plan;
 impl Plan {
     /// Finds a file that was not planned and may label some motions: a file beside a motion, or in a folder above one.
     /// Nothing is searched for motions that were given as single files, because their neighbours were not listed when
-    /// they were planned. A release reads only the files that were listed.
+    /// they were planned. Beside motions of a release, nothing is searched either, because a release reads only listed
+    /// files.
     pub(super) fn added(&self, items: &[Item<'_>]) -> Option<PathBuf> {
         let mut looked = BTreeSet::new();
         for item in items {
@@ -50,14 +51,14 @@ impl Plan {
         None
     }
 
-    /// Label of the folder that is the source of a file; none if the file was given alone.
+    /// Label of the folder that is the source of a file; `None` if the file was given alone.
     fn top(&self, file: &str) -> Option<&str> {
         let source = self.source_of(file).filter(|source| source.is_whole);
         source.map(|source| source.label.label.as_str())
     }
 
-    /// Whether something of this name was listed. Case-insensitive file systems find a file by other names than the
-    /// listed one.
+    /// Whether something of this name was listed. Case is ignored, because some file systems find a file by names that
+    /// differ in case.
     fn is_known(&self, file: &str) -> bool {
         let special = || self.skipped.iter().map(|row| row.path.as_str());
         let mut listed = self.files.all().chain(special());

@@ -35,7 +35,7 @@ pub struct AlikeClips {
 pub(super) struct Alike {
     /// The class of each of these motions, by id.
     classes: BTreeMap<String, usize>,
-    /// Splits of the classes in which a clip stays: the split of the first such clip.
+    /// Split of each class with a clip that stays: that of the first such clip.
     splits: BTreeMap<usize, Split>,
     /// Classes in which motions are only nearly equal.
     near: BTreeSet<usize>,
@@ -44,7 +44,7 @@ pub(super) struct Alike {
 /// Fingerprint of a motion that is kept in memory.
 struct Numbers {
     id: String,
-    /// Split of a clip that stays.
+    /// Split of a clip that stays; `None` for a new motion.
     split: Option<Split>,
     num_frames: i32,
     centre: Option<[f32; 3]>,
@@ -134,7 +134,7 @@ impl Alike {
         self.splits.get(&class).copied()
     }
 
-    /// Motions that are nearly equal, and those that are alike and in several splits. `splits` are those of all clips.
+    /// Classes with nearly equal motions, and classes in several splits. `splits` are those of all clips.
     pub(super) fn report(&self, splits: &BTreeMap<&str, Split>) -> Vec<AlikeClips> {
         let mut by_class: BTreeMap<usize, AlikeClips> = BTreeMap::new();
         for (id, class) in &self.classes {
@@ -194,8 +194,8 @@ const CLIPS_AT_ONCE: usize = 32;
 struct Files(Vec<PathBuf>);
 
 impl Files {
-    /// Runs a function on the sketches of some motions, given by their index in `all`. A thread has one file open at a
-    /// time.
+    /// Applies a function to the sketches of some motions, given by their index in `all`, and returns the results with
+    /// these indices. A thread has one file open at a time.
     fn sketches<T: Send>(
         &self,
         all: &[Numbers],
@@ -267,7 +267,7 @@ impl Files {
         groups: &mut Groups,
     ) -> Result<Vec<usize>, Error> {
         let order = Order::new(all, num_made);
-        // Most motions have no neighbour by their numbers and are not read.
+        // Most motions have no neighbour by their numbers, so their frames are not read.
         let mut is_wanted = vec![false; order.places.len()];
         order.neighbours(|_, [a, b]| {
             let [first, second] = order.indices([a, b]);
@@ -300,11 +300,11 @@ impl Files {
     }
 }
 
-/// Motions in the order of their centres, where those that may be nearly equal lie close together.
+/// Motions sorted by x of their centres, so that those that may be nearly equal lie close together.
 struct Order<'a> {
     all: &'a [Numbers],
     num_made: usize,
-    /// First coordinates of centres, and the motions by their places in `all`.
+    /// x of the centre of each motion, and its index in `all`.
     places: Vec<(f32, usize)>,
 }
 
@@ -368,14 +368,14 @@ struct Window<'a> {
     files: &'a Files,
     order: &'a Order<'a>,
     skeleton: &'a Skeleton,
-    /// Indices of the sketches that are not read yet, in ascending order.
+    /// Places in `order` of the sketches that are not read yet, ascending.
     coming: VecDeque<usize>,
     held: BTreeMap<usize, Sketch>,
 }
 
 impl Window<'_> {
-    /// The distance of the motions at two places; none where their lengths differ. Sketches of places before `start`
-    /// are dropped, because later calls do not name them.
+    /// The distance of the motions at two places; `None` if their lengths differ by more than a frame. Sketches of
+    /// places before `start` are dropped, because later calls do not name them.
     fn distance(&mut self, start: usize, [a, b]: [usize; 2]) -> Result<Option<f64>, Error> {
         while self.coming.front().is_some_and(|place| *place <= b) {
             self.held = self.held.split_off(&start);

@@ -24,7 +24,7 @@ pub(super) struct Item<'a> {
     pub(super) id: Result<MotionId, String>,
 }
 
-/// The place of a motion in [`Plan::items`], and its id.
+/// The place of a motion in [`Plan::items`], and its id or why it has none.
 type Placed = (usize, Result<MotionId, String>);
 
 /// A shard, and the places of its motions in [`Plan::items`] with their ids.

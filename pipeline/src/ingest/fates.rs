@@ -1,4 +1,4 @@
-//! Fates of the clips of a dataset that grows. A clip is removed only if its owner asks for it.
+//! Fates of the clips of a dataset that grows. A clip is removed only if pruning was requested.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -84,7 +84,7 @@ impl<'a> Fates<'a> {
         }
     }
 
-    /// Fate of a clip; none if the dataset did not have it.
+    /// Fate of a clip; `None` if the dataset did not have it.
     pub(super) fn of_clip(&self, id: &MotionId) -> Option<Fate> {
         self.of_id.get(id.as_str()).map(|&index| self.fates[index])
     }
@@ -103,7 +103,7 @@ impl<'a> Fates<'a> {
             .map(|(_, clip)| clip)
     }
 
-    /// Clips that stay without being among the items of this run, even if the files of the others are read again.
+    /// Clips that stay although no item of this run gives them: they are elsewhere, missing or unusable.
     pub(super) fn beside(&self) -> impl Iterator<Item = &'a MotionId> + '_ {
         let clips = self.recorded.clips.iter().zip(&self.fates);
         let stay = clips
@@ -115,7 +115,7 @@ impl<'a> Fates<'a> {
         (0..self.fates.len()).all(|index| self.stays(index))
     }
 
-    /// The shards of which only some clips stay, each with the clips that stay.
+    /// The shards of which some but not all clips stay, each with the clips that stay.
     fn broken(&self) -> Vec<(usize, BTreeSet<&'a str>)> {
         let mut staying: BTreeMap<usize, BTreeSet<&str>> = BTreeMap::new();
         let mut broken = BTreeSet::new();
@@ -145,9 +145,9 @@ impl<'a> Fates<'a> {
         counts
     }
 
-    /// The files of the clips that stay. Shards of which all clips stay are kept. Of other shards, the rows that stay
-    /// are written again: under the number that was planned for the shard, or after all others if none of its clips was
-    /// planned to stay. `of` is the number of shards by split that this run writes.
+    /// Returns the files of the clips that stay. Shards of which all clips stay are kept. Of other shards, the rows
+    /// that stay are written again: under the number that was planned for the shard, or after all others if none was
+    /// planned. `of` counts the shards of each split that this run writes, and is raised for those after all others.
     pub(super) fn shards(
         &self,
         transaction: &Transaction,

@@ -38,8 +38,8 @@ pub struct LostLabel {
     pub table: String,
     /// Id of the row.
     pub id: String,
-    /// The clip.
+    /// Id of the clip.
     pub clip: String,
-    /// The clip, and what happened to it.
+    /// What happened to the clip.
     pub reason: String,
 }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 
-/// The lines of a file.
+/// Ids and patterns that choose clips.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IdList {
     /// Number and name or pattern of each line.
@@ -36,8 +36,8 @@ impl IdList {
         }
     }
 
-    /// Parses a list: one id, source file or pattern of them (`*` any characters, `?` one) a line. Text after a `#` at
-    /// the beginning of a line, or behind white space, is a comment.
+    /// Parses a list with an id, a source file or a pattern (`*`: any characters, `?`: one character) on each line. A
+    /// `#` at the beginning of a line or after white space begins a comment.
     pub fn parse(text: &str) -> Self {
         let lines = text.trim_start_matches('\u{feff}').lines().zip(1..);
         let lines = lines.filter_map(|(line, number)| {
@@ -60,7 +60,7 @@ impl IdList {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// Summary of the listed names, in a few words.
+    /// The first three names, and how many more there are.
     pub(super) fn shown(&self) -> String {
         const SHOWN: usize = 3;
         let first: Vec<&str> = self.names.iter().take(SHOWN).map(String::as_str).collect();

@@ -20,7 +20,7 @@ use crate::versions::taken_out;
 impl Plan {
     /// Finds the motions that the dataset has, and gives the others ids.
     ///
-    /// A motion is the clip that was read from the same path, otherwise the clip of the same source whose file had the
+    /// A motion is the clip that was read from the same path; otherwise the clip of the same source whose file had the
     /// same content and is no longer at its path. Motions that the dataset quarantined or skipped are refused again as
     /// long as none of their inputs has changed.
     pub(super) fn identify(&mut self, recorded: &Recorded, same_settings: bool) {
@@ -58,7 +58,7 @@ impl Plan {
         let quarantine: BTreeMap<(&str, &str), &QuarantineRow> = quarantine
             .map(|row| ((row.path.as_str(), row.inputs_hash.as_str()), row))
             .collect();
-        // Another choice of clips may choose what this one left out.
+        // Clips that an earlier run did not choose, or that were taken out, may be chosen now.
         let skipped = recorded.skipped.iter();
         let skipped = skipped.filter(|row| row.reason != NOT_CHOSEN && taken_out(row).is_none());
         let skipped: BTreeMap<(&str, &str), &SkippedRow> = skipped
@@ -86,7 +86,8 @@ impl Plan {
             .collect();
         let mut claimed = BTreeSet::new();
         let mut claim = |item: &mut Planned, candidates: Option<&Vec<usize>>, moved: bool| {
-            // Releases hold thousands of motions in a file; most have the id that the release gives them.
+            // Releases hold thousands of motions in a file; most have the id that the release gives them, which is
+            // tried first.
             let exact = by_id.get(item.entry.id.as_str()).copied();
             let exact =
                 exact.filter(|index| !moved && recorded.clips[*index].path == item.entry.file);
@@ -159,7 +160,7 @@ impl Plan {
         moved.collect()
     }
 
-    /// Captures without a motion, which earlier versions kept, are read again.
+    /// Whether a clip need not be read again. Captures without a motion, which earlier versions kept, are read again.
     fn is_unchanged(item: &Planned, clip: &RecordedClip) -> bool {
         clip.has_motion() && item.inputs == clip.inputs
     }
@@ -238,7 +239,7 @@ impl Plan {
         let mut first_key: BTreeMap<(&str, &str), usize> = BTreeMap::new();
         let mut first_alike: BTreeMap<usize, usize> = BTreeMap::new();
         let texts: Vec<String> = self.items.iter().map(|item| self.split_key(item)).collect();
-        // In this order the smallest number of a group is that of the text its split is drawn from.
+        // In this order, the smallest index in a group is that of the key from which the group's split is drawn.
         let mut names: Vec<(&str, &str)> =
             texts.iter().map(|key| (drawn_by(key), &**key)).collect();
         names.sort_unstable();
@@ -304,7 +305,7 @@ impl Plan {
         before.filter(|(other, _)| *other == format).count()
     }
 
-    /// The label of a clip that its split is drawn from; none if the clip has no such label, or splits are drawn by
+    /// The label from which the split of a clip is drawn; `None` if the clip has no such label, or splits are drawn by
     /// clip.
     fn split_label(&self, item: &Planned) -> Option<String> {
         match self.notes.split_by {
@@ -322,7 +323,7 @@ impl Plan {
         }
     }
 
-    /// Says how many clips lack the label that splits are drawn by.
+    /// Adds a remark on how many clips lack the label from which splits are drawn.
     pub(super) fn note_split_labels(&mut self) {
         if self.notes.split_by == SplitBy::Clip {
             return;
@@ -349,7 +350,8 @@ impl Plan {
         }
         match item.release {
             // A clip in releases of two formats has one split, so the id prefix is left out. Two releases of one format
-            // hold different clips under the same names, unless their content is equal.
+            // hold different clips under the same names, unless their content is equal, so the number of the release is
+            // added.
             Some(release) => {
                 let id = &item.entry.id;
                 let clip =
@@ -368,8 +370,7 @@ impl Plan {
 /// Separator between a release's number among those of its format and a key. Names have no control characters.
 const AMONG_RELEASES: char = '\u{1f}';
 
-/// Text that the split of a key is drawn from. It is the same whether the release of the key is the only one or one of
-/// several.
+/// The part of a key from which its split is drawn: it leaves out the number of the release.
 fn drawn_by(key: &str) -> &str {
     key.rsplit(AMONG_RELEASES).next().unwrap_or(key)
 }
@@ -386,7 +387,7 @@ impl Planned {
     }
 }
 
-/// The key of one of several motions of a file; empty if it holds one.
+/// The key in an id, which tells motions of one file apart; empty if the file holds only one.
 fn key_of(id: &str) -> &str {
     id.split_once('#').map_or("", |(_, key)| key)
 }
@@ -412,7 +413,7 @@ fn name_single_files(items: &mut [Planned], taken: &BTreeSet<String>) {
         .filter(|(_, files)| files.len() > 1)
         .map(|(stem, _)| stem)
         .collect();
-    // A clip of another file may have the id.
+    // A clip of another file may have taken the id.
     let owners: BTreeSet<&str> = taken.iter().map(|id| name_of(id)).collect();
     let mut own: BTreeMap<String, String> = BTreeMap::new();
     for item in items

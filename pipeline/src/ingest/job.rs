@@ -23,7 +23,7 @@ use work::{self, CommitOptions, Committed, Draft, Failed, Finished, Job, Made, P
 
 pub(crate) const JOB: &str = "ingest";
 
-/// Data of a piece besides the motions of its shard.
+/// The shard that a piece makes, and the files that it reads.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Detail {
@@ -81,7 +81,7 @@ pub fn plan_ingest<S: Clone + Into<SourceArg>>(
 }
 
 impl Plan {
-    /// The pieces that read some shards.
+    /// The pieces that make `shards`, one for each.
     fn pieces(&self, plan_hash: &str, shards: &[Dealt]) -> Vec<Piece> {
         let numbers: BTreeMap<&str, u32> =
             self.sources.keys().map(String::as_str).zip(0..).collect();
@@ -155,7 +155,7 @@ struct Ingestion {
     shards: Vec<Dealt>,
     /// Paths of the sources by number.
     paths: Vec<String>,
-    /// The given options, and the options as resolved for the run.
+    /// Options as given; `options` are those resolved with the dataset's own.
     given: IngestOptions,
     options: IngestOptions,
     facts: [(&'static str, String); 6],

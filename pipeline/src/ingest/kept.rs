@@ -37,12 +37,13 @@ impl Growth {
 }
 
 impl Fates<'_> {
-    /// The labels of clips that are still there. Before the clips are settled, all clips that are read again are
-    /// assumed to be usable.
+    /// The labels that are kept, and those that are lost. Before [`Fates::settle`], clips that are read again count as
+    /// usable.
     pub(super) fn labels(&self, masks: Vec<MaskRow>, pairs: Vec<PairRow>) -> Labels {
         let mut labels = Labels::default();
         for mask in masks {
-            // Masks of the source come back when it is read, and a stage derives its own masks again.
+            // Masks of the source come back when its clip is read, and the masks that a stage derives can be derived
+            // again.
             match self.is_read_again(&mask.motion_id) {
                 Ok(true) if is_mask_of_source(&mask) => {}
                 Ok(_) => labels.masks.push(mask),
@@ -63,8 +64,8 @@ impl Fates<'_> {
         labels
     }
 
-    /// Whether the clip of a label is read again; otherwise it stays. If its labels do not apply any more, the error is
-    /// the clip and what happened to it.
+    /// Whether the clip of a label is read again; otherwise it stays. If the label no longer applies to the clip, the
+    /// error is the clip and what happened to it.
     fn is_read_again(&self, id: &MotionId) -> Result<bool, (String, String)> {
         let reason = match self.of_clip(id) {
             Some(Fate::Kept | Fate::Elsewhere | Fate::Missing | Fate::Unusable) => {
@@ -81,7 +82,7 @@ impl Fates<'_> {
 }
 
 impl Plan {
-    /// Recorded label problems of files that have not changed.
+    /// Recorded label problems of files that have not changed or are not of this run.
     pub(super) fn recorded_problems(
         &self,
         recorded: &Recorded,
@@ -152,7 +153,7 @@ impl Plan {
         now == codes(&recorded.quarantine) && skipped == reasons(&recorded.skipped)
     }
 
-    /// The sources of the dataset with those of this run.
+    /// The sources of the dataset and of this run, sorted by label.
     pub(super) fn all_labels(&self, recorded: &Recorded) -> Vec<SourceLabel> {
         let mut sources = recorded.sources.clone();
         for given in &self.notes.given {

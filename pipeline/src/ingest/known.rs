@@ -15,7 +15,7 @@ use super::recorded::Recorded;
 use super::sources::{Given, Kind, SourceArg, SourceLabel, below, check_name, free};
 use crate::Error;
 
-/// Matches of a run's places with the sources of its dataset.
+/// Matches the places of a run with the sources that its dataset records.
 pub(super) struct Known<'a> {
     pub(super) out: &'a Path,
     pub(super) recorded: &'a Recorded,
@@ -264,7 +264,7 @@ impl Known<'_> {
         counted.collect::<Vec<_>>().join(", ")
     }
 
-    /// Arguments that state which recorded source a place is: the one of the same name, or any.
+    /// Arguments `NAME=PATH` that say which recorded source a place is: the one of the same name, or any.
     fn answers(&self, own: &str, given: &str) -> String {
         if self.source(own).is_some() {
             return format!("{own}={given}");

@@ -20,13 +20,13 @@ use crate::Error;
 
 #[derive(Clone, Debug)]
 pub(super) struct Source {
-    /// Index of its source in [`PlanNotes::given`](super::plan::PlanNotes).
+    /// Index of the file's source in [`PlanNotes::given`](super::plan::PlanNotes).
     pub(super) of: usize,
     pub(super) hash: Result<String, String>,
     /// Offset in its archive, if it is a damaged member.
     pub(super) damaged_at: Option<u64>,
     pub(super) head: Vec<u8>,
-    /// Size; 0 if it is not known.
+    /// Size of the file; 0 if it is not known.
     pub(super) bytes: u64,
 }
 
@@ -68,7 +68,7 @@ pub(crate) struct Listed {
 
 struct Located<'a> {
     arg: &'a SourceArg,
-    /// The folder, or that of the file, resolved.
+    /// The given folder, or the folder of the given file, with links resolved.
     folder: PathBuf,
     file: Option<PathBuf>,
 }
@@ -236,7 +236,7 @@ impl Listed {
         Ok(())
     }
 
-    /// Remarks on skipped files. `name` is that of the source.
+    /// Remarks on folders that were left out. `name` is that of the source.
     pub(super) fn left_out_remarks(&self, name: &str) -> Vec<String> {
         let left_out = self.left_out.iter();
         let remarks = left_out.map(|(folder, is_own)| match is_own {
@@ -249,7 +249,7 @@ impl Listed {
     }
 }
 
-/// The folder of a dataset, by the path of its manifest; none for a dataset that is the source itself.
+/// The folder of a dataset, by the path of its manifest; `None` for a dataset that is the source itself.
 fn root_of_dataset(file: &str) -> Option<&str> {
     let (meta, name) = file.rsplit_once('/')?;
     let number = name.strip_prefix("manifest-")?.strip_suffix(".json")?;
@@ -280,7 +280,7 @@ pub(crate) fn list_sources(
 ) -> Result<Vec<Listed>, Error> {
     let located = sources.iter().map(Located::find);
     let mut located: Vec<Located> = located.collect::<Result<_, _>>()?;
-    // Folders before files, and names before places without one.
+    // Folders come before files, and named sources before unnamed ones.
     located.sort_by_key(|located| (located.file.is_some(), located.arg.name.is_none()));
     let mut listed: Vec<Listed> = Vec::new();
     for source in &located {
@@ -359,8 +359,8 @@ pub(crate) fn list_each<'a>(
         .collect())
 }
 
-/// Labels for sources without a record: none for a single source, otherwise the names, with numbers where several
-/// places have one name.
+/// Labels for sources without a record: empty for a single place, otherwise the name, with a number if several places
+/// have the same name.
 fn numbered_labels(listed: &[Listed]) -> Vec<String> {
     let places: BTreeSet<&str> = listed.iter().map(|source| source.place.as_str()).collect();
     let mut labels: BTreeMap<&str, String> = BTreeMap::new();

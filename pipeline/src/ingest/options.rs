@@ -36,7 +36,7 @@ pub(super) const LABEL_PROBLEMS_FACT: &str = "label_problems";
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IngestOptions {
-    /// Rate to store at; none keeps the rate of each clip.
+    /// Rate to store at; `None` keeps the rate of each clip.
     pub fps: Option<Fps>,
     /// How clips are brought to that rate.
     pub resample: Resample,
@@ -45,7 +45,8 @@ pub struct IngestOptions {
     pub format: Option<Format>,
     /// Seed of the splits of a new dataset; an existing dataset keeps its seed.
     pub seed: Seed,
-    /// Grouping whose clips share one drawn split; if none, the dataset's recorded grouping, or else clips.
+    /// Grouping whose clips share one drawn split (`None`: by clip), for a new dataset; an existing dataset keeps its
+    /// own.
     pub split_by: Option<SplitBy>,
     /// A list of pairs. A styled clip in it gets the split of its original.
     pub pairs: Option<PairList>,
@@ -67,7 +68,7 @@ pub struct IngestOptions {
     pub humanml3d_features: bool,
     /// Handling of motions with jumps.
     pub teleports: Teleports,
-    /// Read everything again where the settings differ from those the dataset was made with.
+    /// Read everything again if the settings differ from those the dataset was made with.
     pub new_version: bool,
     /// Whether to remove clips whose files are missing or no longer give them.
     pub prune: bool,
@@ -140,7 +141,7 @@ impl StoredOptions {
         })
     }
 
-    /// The options. Files that are kept by their paths are read.
+    /// Restores the options. Files that are kept by their paths must still have the recorded hashes.
     pub(super) fn options(self) -> Result<IngestOptions, Error> {
         let changed = |path: PathBuf| Error::from(work::Error::SourceChanged { path });
         let subjects = match self.subjects {
@@ -278,8 +279,8 @@ impl Settings {
         !a.is_empty() && a == b
     }
 
-    /// The settings that differ from recorded ones, in words; none where all are equal. With `only`, those of these
-    /// names. `in_words` describes a setting that is recorded as a hash.
+    /// Describes the settings that differ from recorded ones; `None` if all are equal. `only` limits the names that are
+    /// compared. `in_words` describes a setting that is recorded as a hash.
     pub(super) fn differing(
         &self,
         recorded: Option<&String>,

@@ -69,7 +69,7 @@ impl Places {
         }
     }
 
-    /// Adds the places of another dataset, whose sources have other names here.
+    /// Adds the places of another dataset; `renamed` maps the names of its sources to those here.
     pub(crate) fn extend(&mut self, other: Self, renamed: &BTreeMap<String, String>) {
         for (name, places) in other.0 {
             let name = renamed.get(&name).cloned().unwrap_or(name);

@@ -70,13 +70,13 @@ pub(super) struct PlanNotes {
 pub(super) struct Planned {
     pub(super) entry: Entry,
     pub(super) format: Format,
-    /// Index of the release that reads it; none for single files.
+    /// Index of the release that reads it; `None` for single files.
     pub(super) release: Option<usize>,
     /// Id prefix that keeps two releases' ids apart.
     pub(super) prefix: String,
-    /// Group of clips that share a split; none for a clip outside any group.
+    /// Group of clips that share a split; `None` for a clip outside any group.
     pub(super) group: Option<String>,
-    /// Split that the user's list or its labels state.
+    /// Split that the user's list states, otherwise that of its labels.
     pub(super) own_split: Option<Split>,
     pub(super) labelled_split: Option<Split>,
     pub(super) subject: Option<String>,
@@ -116,7 +116,7 @@ impl Planned {
         self.action = stated.action;
     }
 
-    /// Id of the source clip in the dataset, without crop or mirror suffix.
+    /// Id in the dataset without crop or mirror suffix.
     fn clip(&self) -> String {
         let id = MotionId::parse(&self.id);
         id.map_or(self.id.clone(), |id| id.source_clip().to_owned())
@@ -134,8 +134,8 @@ impl Planned {
 }
 
 impl Plan {
-    /// Identifies everything under the sources. `recorded` is what the dataset holds; with `same_settings`, clips are
-    /// kept if their files have not changed.
+    /// Plans a run over the sources. `recorded` is what the dataset holds; with `same_settings`, clips are kept if
+    /// their files have not changed.
     pub(super) fn make(
         store: Arc<dyn Store>,
         (sources, said): Identified,
@@ -262,7 +262,7 @@ impl Plan {
         sources::below(label, file).unwrap_or(file)
     }
 
-    /// Plans the motions of the releases, and returns the files that are theirs.
+    /// Plans the motions of the releases, and returns the files that the releases claim.
     fn take_releases(&mut self, options: &IngestOptions) -> BTreeSet<String> {
         let mut claimed = BTreeSet::new();
         for (index, (format, release)) in self.releases.iter().enumerate() {
@@ -501,12 +501,12 @@ impl Plan {
         [&self.notes.remarks[..], &self.notes.said].concat()
     }
 
-    /// Source items: motions, and files without one.
+    /// Number of source items: motions, and files without one.
     pub(super) fn num_items(&self) -> u64 {
         (self.items.len() + self.rejected.len() + self.skipped.len()) as u64
     }
 
-    /// Hash of everything that decides about the rows of this run.
+    /// Hash of everything that determines the rows of this run.
     pub(super) fn hash(&self, settings: &Settings, options: &IngestOptions, base: u64) -> String {
         let mut hasher = blake3::Hasher::new();
         let mut take = |part: &str| {

@@ -115,7 +115,8 @@ impl Prepared {
         };
         let (mut sources, mut remarks) = known.identify(listed)?;
         if self.differing.is_some() && self.options.new_version {
-            // Clips of a dataset are all read with the same settings.
+            // All clips of a dataset are read with the same settings, so sources that were not given are read again
+            // too.
             let (others, said) = known.others(&sources, progress)?;
             sources.extend(others);
             sources.sort_by(|(a, _), (b, _)| a.label.name.cmp(&b.label.name));
@@ -175,7 +176,7 @@ pub(super) fn effective(
         seed,
         split_by: Some(split_by),
         read: ReadOptions {
-            // The published stride rule counts the file's own frames.
+            // The published stride rule counts the file's own frames, so the reader must not resample them.
             rate: options.fps.filter(|_| options.resample == Resample::Exact),
             ..options.read.clone()
         },

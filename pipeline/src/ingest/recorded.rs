@@ -31,7 +31,7 @@ pub(super) struct Base {
 }
 
 impl Base {
-    /// Reads the version that a run starts from, of the dataset at `root`; none if it has no motions.
+    /// Reads the version that a run starts from, of the dataset at `root`; `None` if it has no motions.
     pub(super) fn read(root: &Path, base: Option<&Manifest>) -> Result<Option<Self>, Error> {
         let Some(base) = base else {
             return Ok(None);
@@ -79,7 +79,7 @@ pub(super) struct RecordedClip {
     /// Hash of the motion; empty for captures without one.
     pub(super) content: String,
     pub(super) num_frames: i32,
-    /// Columns `centre_x` to `centre_z`; none in files of older formats.
+    /// Columns `centre_x` to `centre_z`; `None` in files of older formats.
     pub(super) centre: Option<[f32; 3]>,
     /// Index of the clip's shard in [`Recorded::shards`].
     pub(super) shard: usize,
@@ -98,7 +98,7 @@ pub(super) struct RecordedShard {
 }
 
 impl Recorded {
-    /// Reads what a version of the dataset holds, without its frames; none if it has no table of motions.
+    /// Reads what a version of the dataset holds, without its frames; `None` if it has no table of motions.
     fn read(root: &Path, base: &Manifest) -> Result<Option<Self>, Error> {
         if !base.tables.contains_key(MotionRow::TABLE) {
             return Ok(None);
@@ -192,7 +192,7 @@ fn clips_of(
         }
         let rows: Vec<ClipFacts> = ShardReader::open(&root.join(&file.path))?.rows()?;
         for row in rows {
-            // The markers of a clip with a motion have its id.
+            // The markers of a clip have its id, so they are no further clip.
             if met.insert(row.id.clone()) {
                 clips.push(RecordedClip {
                     split: shard.split,
@@ -212,7 +212,7 @@ fn clips_of(
     Ok(clips)
 }
 
-/// The settings that a dataset's clips were read with, by name; none where they are not recorded.
+/// The settings that a dataset's clips were read with, by name; empty if they are not recorded.
 pub(crate) fn recorded_settings(dataset: &Dataset) -> BTreeMap<String, String> {
     let text = dataset.manifest().facts.get(SETTINGS_FACT);
     text.and_then(|text| serde_json::from_str(text).ok())

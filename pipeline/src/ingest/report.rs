@@ -42,7 +42,8 @@ pub struct IngestReport {
     pub label_problems: Vec<LabelProblem>,
     /// Clips by licence tag; the tag of clips without one is empty.
     pub licenses: BTreeMap<String, u64>,
-    /// Remarks on the splits and licences. Remarks that concern the dataset, not only this run, are recorded as [`REMARKS_FACT`](super::options::REMARKS_FACT).
+    /// Remarks on the splits and licences. Those that concern the dataset, not only this run, are recorded as
+    /// [`REMARKS_FACT`](super::options::REMARKS_FACT).
     pub remarks: Vec<String>,
     /// The rejected sources.
     #[serde(skip)]
@@ -56,7 +57,7 @@ pub struct IngestReport {
     pub already_complete: bool,
     /// Motions of this run that are nearly equal to others, and equal ones in several splits.
     pub alike: Vec<AlikeClips>,
-    /// Counts of the fates of existing clips and labels; none for a new dataset.
+    /// Counts of the fates of existing clips and labels; `None` for a new dataset.
     pub growth: Option<Growth>,
 }
 
@@ -98,7 +99,7 @@ pub(super) struct Tally {
     pub(super) skipped: Vec<SkippedRow>,
     /// Recorded clips that are not read again, with their splits.
     pub(super) staying: BTreeMap<String, Split>,
-    /// Clips of this run that moved into the split of an equal clip.
+    /// Clips of this run that moved into the split of an equal or nearly equal clip.
     pub(super) moves: BTreeMap<String, Split>,
     pub(super) ingested: BTreeSet<String>,
     pub(super) alike: Alike,
@@ -144,8 +145,8 @@ impl Tally {
         self.moves = moves;
     }
 
-    /// Counts of the source items: `num_items` of this run, `num_beside` clips that stay without being among them, and
-    /// the rejected items of other sources, `outside`, which are added to the lists.
+    /// Counts of the source items: `num_items` of this run, `num_beside` clips that stay without an item, and the
+    /// rejected items of other sources, `outside`, which are added to the lists of `self`.
     pub(super) fn accounting(
         &mut self,
         num_items: u64,
@@ -227,7 +228,7 @@ impl Tally {
 
     pub(super) fn splits<'a>(&'a self, plan: &'a Plan) -> BTreeMap<&'a str, Split> {
         let staying = self.staying.iter();
-        // Of several motions with one id, the first is ingested.
+        // Of several motions with one id, the first is ingested. Reversed, it comes last and replaces the others.
         let made = plan.items.iter().rev().filter(|item| !item.is_kept);
         let made = made.map(|item| {
             (
@@ -242,7 +243,8 @@ impl Tally {
     }
 }
 
-/// Number of skipped items by reason. Clips that their owner took out have one reason each, which names them.
+/// Number of skipped items by reason. The reason of a clip that its owner took out names the clip, so the id is left
+/// out.
 pub(super) fn counted(skipped: &[SkippedRow]) -> BTreeMap<String, u64> {
     let mut counts = BTreeMap::new();
     for row in skipped {

@@ -19,8 +19,8 @@ use super::deal::Item;
 use super::options::IngestOptions;
 use crate::likeness::Sketch;
 
-/// Mean distance in metres between source and stored joints that is worth a flag: retargeted
-/// captures of people measure 0.01 to 0.04.
+/// Mean distance in metres between source and stored joints above which a clip is flagged: retargeted captures of
+/// people measure 0.01 to 0.04.
 pub(super) const FIT_ERROR_LIMIT_M: f32 = 0.05;
 
 /// The rows of a clip, and the rows that depend on other clips.
@@ -145,8 +145,8 @@ pub(super) fn clip_rows(
     })
 }
 
-/// The motion of a clip at the rate `target`, checked, and what was found. If a jump is trimmed away, the clip is
-/// cropped to the rest.
+/// Returns the motion of a clip at the rate `target`, checked, and its quality. If a jump is trimmed away, `clip` is
+/// cropped to what is kept.
 fn stored(
     clip: &mut SourceClip,
     target: Fps,
@@ -268,8 +268,8 @@ pub(super) fn said_flags(clip: &SourceClip, duration_secs: f32) -> u32 {
     .fold(0, |flags, (_, flag)| flags | flag)
 }
 
-/// The pair of a clip and the motion it edits; none if that motion's id is malformed. Whether that motion
-/// is in the dataset is known once every shard is done.
+/// The pair of a clip and the motion it edits; `None` if that motion's id is malformed. Whether that motion is in the
+/// dataset is known once every shard is done.
 pub(super) fn pair_row(edit: EditOf, item: &Item, target: &MotionId) -> Option<PairRow> {
     let source_id = MotionId::parse(&format!("{}{}", item.prefix, edit.source_id)).ok()?;
     if let Some(row) = edit.made {

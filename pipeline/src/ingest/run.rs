@@ -177,7 +177,7 @@ impl Run<'_> {
     ) -> Result<(IngestReport, Growth), Error> {
         let Self { prepared, plan, .. } = self;
         let root = self.transaction.root().to_owned();
-        // Nothing is read for clips that cannot stay, or for labels that may not be lost.
+        // Refused before the motions are read: clips that cannot stay, and labels that may not be lost.
         prepared.refuse_mixture(&root, &self.fates)?;
         prepared.refuse_loss(
             &root,
@@ -485,7 +485,7 @@ impl Run<'_> {
         if !pairs.refused.is_empty() {
             facts.insert(REFUSED_PAIRS_FACT.to_owned(), json(&pairs.refused));
         }
-        // Entries of sources that no manifest names have no effect.
+        // Written before the commit: places of sources that no manifest names have no effect.
         let (store, root) = (self.transaction.store(), self.transaction.root());
         prepared.places_with(plan).write(store.as_ref(), root)?;
         let dataset = self.transaction.commit(Commit {
@@ -558,7 +558,8 @@ impl Prepared {
         check_lost(root, &labels.lost, self.options.drop_labels)
     }
 
-    /// Refuses the run if clips would keep old settings that all clips of a dataset must share.
+    /// Refuses the run if clips stay that were read with other values of a setting that all clips of a dataset must
+    /// share.
     pub(super) fn refuse_mixture(&self, root: &Path, fates: &Fates<'_>) -> Result<(), Error> {
         const SHOWN: usize = 5;
         let staying: Vec<_> = fates.beside().collect();

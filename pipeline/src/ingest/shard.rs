@@ -30,7 +30,7 @@ pub(super) struct ShardNotes {
     pub(super) beside: Vec<(String, FileEntry)>,
     pub(super) ingested: Vec<String>,
     pub(super) pairs: Vec<PairRow>,
-    /// Pairs whose other motion has no usable id.
+    /// Number of pairs whose other motion has no usable id.
     pub(super) dropped_pairs: u64,
     pub(super) masks: Vec<MaskRow>,
     pub(super) label_problems: Vec<LabelProblem>,
@@ -147,7 +147,7 @@ impl Plan {
     }
 
     fn ingest_item(&self, item: &Item, options: &IngestOptions) -> Done {
-        // Readers should not panic, but a bug in one of them must not lose ten hours of other clips.
+        // Readers should not panic, but a bug in one of them must not lose the other clips.
         let attempt = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
             self.read_checked(item, options)
         }));

@@ -15,7 +15,7 @@ pub(super) const SOURCES_FACT: &str = "sources";
 /// path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SourceArg {
-    /// Name of the source; if none, the name of its folder.
+    /// Name of the source; `None` means the name of its folder.
     pub name: Option<String>,
     /// Path or URL of the source.
     pub path: PathBuf,
@@ -49,7 +49,7 @@ impl SourceArg {
         }
     }
 
-    /// The same source with a relative path taken from a folder.
+    /// Resolves a relative path against a folder. URLs stay unchanged.
     #[must_use]
     pub fn below(self, folder: &Path) -> Self {
         let path = match datasets_spec::store::is_url(&self.path) {
@@ -95,7 +95,7 @@ impl<'de> Deserialize<'de> for SourceArg {
     }
 }
 
-/// Whether a character may be part of a name. Names begin ids and paths of tables.
+/// Whether a character may be part of a name. Ids and paths in tables begin with names.
 fn is_of_name(c: char) -> bool {
     !c.is_control() && !matches!(c, '/' | '\\' | '#' | '@' | '=')
 }
@@ -108,7 +108,7 @@ pub(super) fn check_name(name: &str) -> Result<(), String> {
     }
 }
 
-/// A folder's name as the name of a source: other characters become `-`.
+/// A folder's name as the name of a source: characters that names cannot have become `-`.
 pub(super) fn name_of_folder(folder: &Path) -> String {
     as_name(&text_of_name(folder.file_name().unwrap_or_default()))
 }
@@ -120,7 +120,7 @@ fn as_name(text: &str) -> String {
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct SourceLabel {
-    /// Prefix of the paths of its files; empty for the first source of a dataset.
+    /// Prefix of the paths of its files; empty if the dataset began with this source alone.
     pub(super) label: String,
     /// Name of the source. Datasets of earlier builds use the name of the folder, which several sources may share.
     pub(super) name: String,
@@ -140,11 +140,11 @@ pub(super) struct Given {
     pub(super) label: SourceLabel,
     /// Whether everything below its folder was listed; otherwise only the given files were.
     pub(super) is_whole: bool,
-    /// The folder or URL where the source was found; it is never published.
+    /// Where the source was found: folders, files or URLs. They are never published.
     pub(super) places: Vec<(String, Kind)>,
 }
 
-/// The name, or the name with the first number, that is free.
+/// The name if it is free, otherwise the name with the first number that makes it free.
 pub(super) fn free(name: &str, mut is_free: impl FnMut(&str) -> bool) -> String {
     let numbered = (2..).map(|number| format!("{name}-{number}"));
     let mut candidates = std::iter::once(name.to_owned()).chain(numbered);
@@ -152,7 +152,7 @@ pub(super) fn free(name: &str, mut is_free: impl FnMut(&str) -> bool) -> String 
     found.expect("numbers do not end")
 }
 
-/// A path without the given label; none if the path has another label.
+/// A path without the given label; `None` if the path has another label.
 pub(super) fn below<'a>(label: &str, path: &'a str) -> Option<&'a str> {
     match label {
         "" => Some(path),
@@ -160,8 +160,8 @@ pub(super) fn below<'a>(label: &str, path: &'a str) -> Option<&'a str> {
     }
 }
 
-/// The sources of a dataset with names of their own. Sources of earlier builds with equal names are named by their
-/// labels.
+/// The sources of a dataset with valid and different names. Earlier builds could give sources equal names; then all are
+/// named by their labels.
 pub(super) fn with_names(sources: Vec<SourceLabel>) -> Vec<SourceLabel> {
     let names: BTreeSet<&str> = sources.iter().map(|source| source.name.as_str()).collect();
     let is_valid = |source: &SourceLabel| check_name(&source.name).is_ok();

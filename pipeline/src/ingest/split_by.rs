@@ -24,7 +24,7 @@ pub enum SplitBy {
 impl SplitBy {
     const ALL: [Self; 3] = [Self::Clip, Self::Subject, Self::Action];
 
-    /// Grouping of an existing dataset; none for a new one.
+    /// Grouping of an existing dataset; `None` for a new one.
     pub(super) fn recorded(base: Option<&Manifest>) -> Option<Self> {
         let base = base.filter(|base| base.plans.contains_key(MotionRow::TABLE))?;
         let fact = base.facts.get(SPLIT_BY_FACT);

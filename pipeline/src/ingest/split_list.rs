@@ -1,4 +1,4 @@
-//! Splits by the user: a CSV file of names or patterns and splits (`ingest --splits`).
+//! Splits that the user states: a CSV file of names or patterns and splits (`ingest --splits`).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -15,7 +15,7 @@ use crate::annotation::pairs::{RefusedLine, parse_lines};
 /// Prefix of a name that means all clips of a subject.
 const SUBJECT: &str = "subject:";
 
-/// The lines of a file.
+/// The lines of the CSV file.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SplitList {
     lines: Vec<Line>,
@@ -41,9 +41,9 @@ impl SplitList {
         Ok(Self::parse(&bytes))
     }
 
-    /// Parses a list in UTF-8: a name and a split on each line, with or without the header line
-    /// `clip,split`. A name is an id, a source file, or a pattern of them (`*` any characters, `?` one); after
-    /// `subject:` it is a subject or a pattern of subjects.
+    /// Parses a list in UTF-8: a name and a split on each line, with or without the header line `clip,split`. A name is
+    /// an id, a source file, or a pattern (`*`: any characters, `?`: one character) that these match; after `subject:`
+    /// it is a subject or a pattern of subjects.
     pub fn parse(bytes: &[u8]) -> Self {
         let mut list = Self::default();
         let is_header =
@@ -64,7 +64,7 @@ impl SplitList {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// The first line that names a clip by one of its names.
+    /// Index of the first line that matches one of the names of a clip.
     pub(super) fn line_of(&self, names: &BTreeSet<String>) -> Option<usize> {
         let exact = names.iter().filter_map(|name| self.exact.get(name)).min();
         let mut patterns = self
@@ -81,7 +81,7 @@ impl SplitList {
         self.lines[line].split
     }
 
-    /// The lines that match none of these names, with their numbers.
+    /// The lines that were refused, and those that match none of these names.
     pub(super) fn refused(&self, names: &BTreeSet<String>) -> Vec<RefusedLine> {
         let mut refused = self.refused.clone();
         let unknown = self.lines.iter().filter(|line| {

@@ -36,11 +36,11 @@ datasets_spec::table! {
         pub place: String [""],
         /// Size
         pub bytes: u64 ["B"],
-        /// BLAKE3, hexadecimal; empty where it could not be read
+        /// BLAKE3, hexadecimal; empty if it could not be read
         pub hash: String [""],
         /// Why it could not be read
         pub unreadable: Option<String> [""],
-        /// Format of the release that it belongs to as a whole; missing for single files
+        /// The word release if a release claims it; missing for single files
         pub claimed: Option<String> [""],
     }
 }
@@ -70,7 +70,7 @@ datasets_spec::table! {
         pub release: Option<u32> [""],
         /// Prefix of its id
         pub prefix: String [""],
-        /// Motions that share a drawn split
+        /// Group of motions that share a drawn split
         pub group: Option<String> [""],
         /// Split that the user states
         pub own_split: Option<String> [""],

@@ -14,7 +14,7 @@ pub(super) struct Asked {
     pub(super) instruction: String,
 }
 
-/// An edit: its item and its system.
+/// Columns of an edit that are compared with its item and with other edits.
 pub(super) struct Answer {
     pub(super) id: String,
     pub(super) asked: Asked,

@@ -14,11 +14,11 @@ pub enum Check {
     Contents,
     /// Rows that name a motion or an item name an existing one and agree with it.
     References,
-    /// Edits are unique by system, item and seed.
+    /// Edits are unique by system, item and seed; a system has one checkpoint and one set of settings.
     Systems,
     /// No recording is in two splits.
     Splits,
-    /// Sources equal ingested, quarantined and skipped.
+    /// The number of sources is the sum of ingested, quarantined and skipped ones.
     Accounting,
 }
 

@@ -34,8 +34,8 @@ pub(super) fn check_splits(dataset: &Dataset, met: &[Met]) -> Vec<Finding> {
     findings
 }
 
-/// Finds motions of another rate than the dataset's, or of two rates in a split whose motions are composed, and
-/// features of several recipes.
+/// Finds motions of another rate than the dataset's, or of two rates in a split with masks or pairs (which are
+/// composed), and features of several recipes.
 pub(super) fn check_mixture(
     dataset: &Dataset,
     met: &[Met],

@@ -21,7 +21,7 @@ use crate::recordings::Origin;
 /// A motion or capture, for comparison with others.
 pub(super) struct Met {
     pub(super) origin: Origin,
-    /// Rate of the motion in 1/s, and its sketch; none for captures.
+    /// Rate of the motion in 1/s; `None` for captures, like the sketch.
     pub(super) fps: Option<f32>,
     pub(super) sketch: Option<Sketch>,
     /// Frames of the motion; 0 for captures.
@@ -33,7 +33,7 @@ pub(super) struct Named {
     row: String,
     motion: String,
     split: Split,
-    /// Frames that the motion must have.
+    /// Minimum number of frames of the motion.
     frames: i32,
 }
 
@@ -71,12 +71,12 @@ impl Named {
     }
 }
 
-/// Identity of a mask or pair.
+/// Columns of a mask or pair that are checked, and whether the composer can use it.
 struct Label<'a> {
     id: &'a str,
     split: Split,
     motions: Vec<&'a MotionId>,
-    /// Frames that the motions must have.
+    /// Minimum number of frames of the motions.
     frames: i32,
     usable: Result<(), compose::Error>,
 }
@@ -178,7 +178,7 @@ impl Read {
         Ok(())
     }
 
-    /// Decodes masks or pairs: whether the composer accepts them, and the motions they name.
+    /// Decodes masks or pairs, checks that the composer accepts them, and collects the motions that they name.
     fn labels_of<R: Row>(
         &mut self,
         path: &Path,

@@ -35,7 +35,7 @@ pub enum Choice {
 }
 
 impl Choice {
-    /// Reads a list of ids: one a line; empty lines are skipped.
+    /// Reads a list of ids, one per line. Empty lines are skipped.
     ///
     /// # Errors
     /// The file cannot be read or is not text.

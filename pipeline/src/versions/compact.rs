@@ -42,7 +42,7 @@ impl Layout {
 /// Result of [`compact`].
 #[derive(Clone, Debug, Serialize)]
 pub struct Compacted {
-    /// Number of the version that was made; that of the newest one where there was nothing to do.
+    /// Number of the version that was made, or of the newest one if there was nothing to do.
     pub version: u64,
     /// Whether the dataset was as compact as it can be.
     pub already_compact: bool,

@@ -60,7 +60,7 @@ impl Labels {
     }
 }
 
-/// Writes a table and returns its files; none if its rows equal those of `before`.
+/// Writes a table and returns its files; `None` if its rows equal those of `before`.
 fn changed<R: Row + PartialEq>(
     [rows, before]: [&BTreeMap<String, R>; 2],
     split: fn(&R) -> Split,
@@ -81,7 +81,7 @@ pub(crate) fn is_mask_of_source(mask: &MaskRow) -> bool {
     mask.text_origin == "imported" && format_named(&mask.author).is_some()
 }
 
-/// Whether a person made or judged a mask. Such a mask is neither derived by a stage nor read from a source again.
+/// Whether a person made or judged a mask. A stage cannot derive such a mask again, and no source holds it.
 pub(crate) fn is_mask_of_people(mask: &MaskRow) -> bool {
     let derived = mask.text_origin != "human" && mask.author == AUTHOR;
     !is_mask_of_source(mask) && !derived && mask.text_origin != "automatic"

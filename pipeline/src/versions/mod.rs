@@ -48,8 +48,8 @@ pub struct Version {
     pub files: u64,
     /// Total size of the files in bytes.
     pub bytes: u64,
-    /// Tables whose files differ from those of the previous version, with their number of rows now and before; all
-    /// tables of the oldest version.
+    /// Tables whose files differ from those of the previous version, with their numbers of rows before and now; for the
+    /// oldest version, all tables.
     pub changed: BTreeMap<String, [u64; 2]>,
     /// Program and version that wrote it.
     pub tool_version: String,

@@ -26,13 +26,13 @@ pub struct Removed {
     pub clips: u64,
     /// Labels that people made of the removed clips. The previous version keeps them.
     pub lost: Vec<LostLabel>,
-    /// Other masks and pairs of the removed clips, by table.
+    /// Numbers of other masks and pairs of the removed clips, by table.
     pub dropped: BTreeMap<String, u64>,
     /// Tables made of all clips, which the result does not contain; their commands make them again.
     pub left_tables: Vec<String>,
     /// Whether nothing was changed, because a dry run was requested.
     pub dry_run: bool,
-    /// Rows of each table of the result; of the version there is after a dry run.
+    /// Rows of each table of the result, or of the newest version after a dry run.
     pub tables: BTreeMap<String, u64>,
     /// Hash of the newest version.
     pub root_hash: String,

@@ -36,7 +36,7 @@ pub struct Restored {
     pub root_hash: String,
 }
 
-/// Motion and split of every clip.
+/// Hash of the motion, and split, of every clip.
 type Clips = BTreeMap<MotionId, (String, Split)>;
 
 fn clips(dataset: &Dataset) -> Result<Clips, Error> {
@@ -173,7 +173,8 @@ impl Merge {
         });
     }
 
-    /// The split of the clips of a label in the older version. A label without one is noted as lost.
+    /// The split of the clips of a label in the older version. A label whose clips have no common split there is noted
+    /// as lost.
     fn split_of(&mut self, table: &str, id: &str, clips: [&MotionId; 2]) -> Option<Split> {
         let mut splits: Vec<Split> = Vec::new();
         for clip in clips {

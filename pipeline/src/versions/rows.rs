@@ -13,7 +13,7 @@ use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipRow, borrowed, clip_ids};
 use crate::ingest::SHARD_CLIPS;
 
-/// File and row.
+/// Index of a file, and of a row in it.
 type Place = (usize, usize);
 
 /// A clip, or a capture that has only markers.
@@ -119,7 +119,7 @@ impl ClipIndex {
     }
 }
 
-/// A shard being written: its motions, and the rows of their clips in other tables beside them.
+/// A shard being written. Its files in the tables of motions, markers and features share its name.
 struct Shard<'a> {
     transaction: &'a Transaction,
     name: ShardName,
@@ -152,7 +152,7 @@ impl Shard<'_> {
     }
 }
 
-/// The rows at some places of several files, in their order.
+/// The rows at some places of several files, in the order of `places`.
 fn rows_at<R: Row>(files: &[PathBuf], places: &[Place]) -> Result<Vec<R>, Error> {
     let mut by_file: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for (file, row) in places {

@@ -19,7 +19,7 @@ use crate::Error;
 use crate::clip_table::is_composed;
 use crate::ingest::Places;
 
-/// Fact of a manifest: the datasets and conditions that its clips were selected from and by, as JSON.
+/// Fact of a manifest: the datasets from which its clips were selected, with the conditions, as JSON.
 pub const SELECTED_FACT: &str = "selected";
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -36,13 +36,13 @@ pub struct Selected {
     pub clips: u64,
     /// Clips that are not selected.
     pub left: u64,
-    /// Captures without a motion, for which no condition holds; they are among those left.
+    /// Captures without a motion, for which no condition holds; `left` counts them too.
     pub left_captures: u64,
     /// Rows of each table.
     pub tables: BTreeMap<String, u64>,
-    /// Masks of clips that are left.
+    /// Masks of clips that are not selected.
     pub left_masks: u64,
-    /// Pairs whose clips are both left.
+    /// Pairs of which neither clip is selected.
     pub left_pairs: u64,
     /// Pairs with only one selected clip; the result has none of them.
     pub parted_pairs: Vec<String>,
@@ -52,8 +52,8 @@ pub struct Selected {
     pub root_hash: String,
 }
 
-/// Writes the clips for which a condition holds to a new dataset at `out`, with all that belongs to them. They keep their
-/// ids and splits.
+/// Writes the clips for which a condition holds to a new dataset at `out`, with all that belongs to them. They keep
+/// their ids and splits.
 ///
 /// # Errors
 /// The condition holds for no clip, `out` is a dataset already, or reading or writing fails.

@@ -14,12 +14,12 @@ pub fn npy(dictionary: &str, data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// A row-major array of f8.
+/// An npy file with a row-major array of f8.
 pub fn npy_f8(shape: &[usize], values: &[f64]) -> Vec<u8> {
     pickle::npy::encode(shape, values)
 }
 
-/// An npz archive of these members, packed.
+/// An npz archive of these members; `.npy` is added to their names.
 pub fn npz(members: &[(&str, Vec<u8>)]) -> Vec<u8> {
     let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
     for (key, bytes) in members {

@@ -13,10 +13,10 @@ use kinematics::canonical::WINDOW_FRAMES;
 use kinematics::rotation::from_axis_angle;
 use rand::RngExt;
 
-/// Stored frames a window spans at 20 fps.
+/// Number of stored frames, at 20 fps, that a window spans.
 pub const SPAN: usize = 2 * (WINDOW_FRAMES - 1) + 1;
 
-/// A body that walks a curve while every joint swings at a rate and phase of its own.
+/// A body that moves along a line and turns, while every joint swings at rates of its own.
 pub fn wandering(name: &str, num_frames: usize) -> Motion {
     let mut rng = Seed(11).rng(&["fixture", name]);
     let mut vector =
@@ -91,7 +91,7 @@ pub fn rows(split: Split, num_clips: usize) -> (Vec<MotionRow>, Vec<MaskRow>) {
     (motions, masks)
 }
 
-/// The row of a pair of the clips of [`rows`] that are numbered so.
+/// The row of a pair of two clips of [`rows`], given by their numbers.
 pub fn pair_row(kind: &str, split: Split, source: usize, target: usize) -> PairRow {
     let id = |number: usize| MotionId::parse(&format!("clip{number}")).expect("valid id");
     PairRow {
@@ -109,8 +109,7 @@ pub fn pair_row(kind: &str, split: Split, source: usize, target: usize) -> PairR
     }
 }
 
-/// A body that walks on the spot of its own advance: legs and arms swing, knees and elbows
-/// bend, the trunk turns and leans a little.
+/// Poses of a walk along z: legs and arms swing, knees and elbows bend, the trunk turns and leans a little.
 pub fn walk(num_frames: usize) -> Vec<Pose> {
     (0..num_frames)
         .map(|frame| {

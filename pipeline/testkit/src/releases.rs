@@ -26,7 +26,7 @@ pub fn swinging(seed: usize, frames: usize) -> Motion {
     Motion::from_poses(Fps::STORE, &poses).expect("finite")
 }
 
-/// The dictionary the release has for a motion.
+/// The dictionary of a motion in the STANCE release.
 pub fn dictionary(motion: &Motion) -> Value {
     let column = |key: &str, numbers: &[f32]| {
         let shape = [motion.len(), numbers.len() / motion.len()];
@@ -57,7 +57,7 @@ pub fn put(folder: &Path, file: &str, content: impl AsRef<[u8]>) {
     fs::write(path, content).expect("written");
 }
 
-/// A small release in its present layout.
+/// Writes a small STANCE release in its current layout.
 pub fn write_release(folder: &Path) {
     for (stem, seed) in [("000009", 1), ("000010", 2), ("014625", 3), ("000012", 4)] {
         let bytes = encode(&dictionary(&swinging(seed, 30)));
@@ -82,7 +82,7 @@ pub fn write_release(folder: &Path) {
     put(folder, "README.md", "the release");
 }
 
-/// Members of a clip of `frames` frames and `width` pose columns in which everything differs.
+/// Members of an AMASS archive of `frames` frames and `width` pose columns with varied numbers.
 pub fn clip_members(frames: usize, width: usize) -> Vec<(&'static str, Vec<u8>)> {
     let values = |count: usize, scale: f64| -> Vec<f64> {
         let value = |i: usize| scale * ((i * 37 % 101) as f64 / 101.0 - 0.5);

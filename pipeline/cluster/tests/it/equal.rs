@@ -2,7 +2,7 @@
 
 use crate::harness::{Cluster, Job, document, real_data, run_local, run_on};
 
-/// Pieces that began on executors.
+/// Number of pieces that executors began.
 fn begun(lines: &[String]) -> usize {
     lines
         .iter()

@@ -14,7 +14,6 @@ use crate::harness::{
     Cluster, Job, Said, document, real_data, run_local, run_on, stance, stance_json, text,
 };
 
-/// Number of executors to kill.
 fn kills() -> usize {
     std::env::var("STANCE_KILLS").map_or(4, |text| text.parse().expect("a number"))
 }
@@ -145,7 +144,7 @@ fn faults_that_ballista_injects_change_nothing() {
     );
 }
 
-/// A `stance` command that runs `how` in place of one piece.
+/// A script in place of `stance` that runs the shell code `how` before one piece.
 fn spoiled(folder: &Path, piece: &str, how: &str) -> PathBuf {
     let path = folder.join("stance");
     let stance = stance();

@@ -11,13 +11,12 @@ use serde_json::Value;
 
 const CLUSTER: &str = env!("CARGO_BIN_EXE_stance-cluster");
 
-/// The command `stance`.
 pub(crate) fn stance() -> PathBuf {
     let set = std::env::var_os("STANCE_BIN").map(PathBuf::from);
     set.expect("STANCE_BIN names the command; pipeline/cluster/check sets it")
 }
 
-/// The real files, if the environment names them.
+/// Folder of real motion files, if the environment names one.
 #[expect(clippy::print_stderr, reason = "a test says aloud that it is skipped")]
 pub(crate) fn real_data() -> Option<PathBuf> {
     let set = std::env::var_os("STANCE_TEST_DATA").map(PathBuf::from);
@@ -28,7 +27,6 @@ pub(crate) fn real_data() -> Option<PathBuf> {
     found
 }
 
-/// Runs a command to its end.
 pub(crate) fn run(program: &Path, args: &[&str]) -> Output {
     let output = Command::new(program)
         .args(args)
@@ -55,7 +53,7 @@ pub(crate) fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// Folders of a test: sources, and a dataset made by `stance ingest` to compare with.
+/// Sources of a test, and the root hash of the dataset that `stance ingest` makes of them.
 pub(crate) struct Job {
     pub(crate) folder: tempfile::TempDir,
     pub(crate) sources: PathBuf,
@@ -122,7 +120,7 @@ impl Job {
     }
 }
 
-/// A line of stderr, and the process that printed it.
+/// A line of stderr, and the number of the process that printed it.
 pub(crate) struct Said {
     pub(crate) by: usize,
     pub(crate) line: String,
@@ -184,7 +182,6 @@ pub(crate) struct Cluster {
 }
 
 impl Cluster {
-    /// Starts the scheduler and its executors.
     pub(crate) fn start(executors: usize) -> Self {
         let (say, said) = channel();
         let (scheduler, address) = scheduler("127.0.0.1:0");
@@ -202,7 +199,6 @@ impl Cluster {
         cluster
     }
 
-    /// Adds an executor.
     pub(crate) fn add(&mut self, more: &[&str]) {
         let mut args = vec!["executor", "--scheduler", &self.address];
         args.extend(more);
@@ -213,12 +209,11 @@ impl Cluster {
         self.started += 1;
     }
 
-    /// Kills an executor, if it is still there.
+    /// Kills an executor and returns whether it was still there.
     pub(crate) fn lose(&mut self, executor: usize) -> bool {
         self.executors.remove(&executor).is_some()
     }
 
-    /// Kills the scheduler.
     pub(crate) fn lose_scheduler(&mut self) {
         self.scheduler.kill();
     }
@@ -228,7 +223,7 @@ impl Cluster {
         (self.scheduler, _) = scheduler(&self.address);
     }
 
-    /// Ends all processes and returns the executors' output since the last call.
+    /// Kills all processes and returns the lines of executors that were not received yet.
     pub(crate) fn end(mut self) -> Vec<String> {
         self.executors.clear();
         self.scheduler.kill();
@@ -265,7 +260,7 @@ pub(crate) fn run_local(plan: &str, more: &[&str]) -> Output {
     run(Path::new(CLUSTER), &args)
 }
 
-/// The document of a run that ended with a code.
+/// Asserts the exit code of a run and returns its JSON document.
 pub(crate) fn document(output: &Output, code: i32) -> Value {
     assert_eq!(output.status.code(), Some(code), "{}", text(&output.stderr));
     serde_json::from_slice(&output.stdout).expect("one document")

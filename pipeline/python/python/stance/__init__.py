@@ -2,7 +2,7 @@
 
 Motions are SMPL-X parameters, y up, in metres and radians; the character's left is +x at rest and it faces +z.
 Arrays are NumPy's, ``float32`` unless said otherwise. Calls that take more than a moment release Python's lock and
-end on Ctrl-C. What fails raises :class:`stance.Error`, whose ``code`` is that of the command.
+end on Ctrl-C. Failures raise :class:`stance.Error`, with the same ``code`` as in the command.
 """
 
 from __future__ import annotations
@@ -71,16 +71,17 @@ _Path = str | _os.PathLike[str]
 
 
 def ingest(sources: _Path | _Iterable[_Path], out: _Path, **options: _Any) -> dict[str, _Any]:
-    """Turns motion files into one checked dataset at ``out``, or lets one grow, as ``stance ingest`` does.
+    """Turns motion files into one checked dataset at ``out``, or adds to it, as ``stance ingest`` does.
 
-    Both may be URLs (``s3://``, ``gs://``, ``az://``; sources also ``http://``), with credentials from the environment.
+    Sources and ``out`` may be URLs (``s3://``, ``gs://``, ``az://``; sources also ``http://``), with credentials from
+    the environment.
 
     ``options``: ``fps`` (20; ``None`` keeps each clip's own), ``resample`` (``exact`` or ``humanml3d``), ``format``,
     ``seed``, ``license``, ``features`` (``humanml3d``), ``teleports`` (``quarantine``, ``trim`` or ``keep``),
     ``lenient``, ``made_captions``, ``pairs``, ``splits``, ``new_version``, ``prune``, ``drop_labels``, ``progress``.
 
-    Returns the counts: ``sources`` is always ``ingested + quarantined + skipped``, and ``quarantine`` lists what was
-    rejected, with code, reason and byte offset. A bad file is no exception.
+    Returns the counts: ``sources`` is always ``ingested + quarantined + skipped``, and ``quarantine`` lists
+    rejected clips with code, reason and byte offset. A bad file raises no exception.
     """
     if isinstance(sources, (str, _os.PathLike)):
         sources = [sources]
@@ -88,9 +89,9 @@ def ingest(sources: _Path | _Iterable[_Path], out: _Path, **options: _Any) -> di
 
 
 def masks(dataset: _Path) -> None:
-    """Marks which body parts each clip of a dataset is about, by how fast they move, as ``stance masks`` does.
+    """Writes masks of the body parts that each clip is about, by their speed, as ``stance masks`` does.
 
-    :class:`MotionCutMix` needs them. Masks that people have judged are an error.
+    :class:`MotionCutMix` needs masks. Fails if people have judged masks of the dataset.
     """
     _native.masks(dataset)
 

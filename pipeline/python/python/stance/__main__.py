@@ -9,8 +9,8 @@ from stance import _native
 def main() -> int:
     """Runs the command line of this process and returns its exit code."""
     for number in (signal.SIGINT, signal.SIGTERM):
-        # Python's handler only sets a flag, which is not checked while Rust works. A signal that is ignored, as under
-        # nohup, stays ignored.
+        # Python's handler only sets a flag, which is not checked while Rust runs. An ignored signal, as under nohup,
+        # stays ignored.
         if callable(signal.getsignal(number)):
             signal.signal(number, signal.SIG_DFL)
     # Pass this file and not `-m stance`, which would first find a `stance.py` in the working folder.

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 class Dataset(_native.Dataset):
     """A dataset folder, as ``stance ingest`` writes it. Every file is checked against its hash unless ``verify`` is false.
 
-    ``len(dataset)`` counts clips, ``dataset[id]`` is the motion of one (only its pages are read), and iterating gives
-    ``(id, Motion)``.
+    ``len(dataset)`` is the number of clips, ``dataset[id]`` reads the motion of a clip (only its pages), and iterating
+    gives ``(id, Motion)``.
 
-    An address (``s3://``, ``https://``, ``hf://``: what fsspec opens) works too: the files of a table are copied into
+    ``path`` may be a URL that fsspec opens (``s3://``, ``https://``, ``hf://``): the files of a table are copied into
     ``STANCE_CACHE`` (``~/.cache/stance``) when the table is first read.
     """
 
@@ -43,7 +43,7 @@ class Dataset(_native.Dataset):
         return made
 
     def fetch(self, *tables: str) -> Dataset:
-        """Copies the files of these tables, or of all, from where the dataset is; nothing for a local one."""
+        """Copies the files of these tables (default: all) of a remote dataset; does nothing for a local one."""
         if self._remote is not None:
             for table in tables or self.manifest["tables"]:
                 self._remote.fetch(table)
@@ -56,7 +56,7 @@ class Dataset(_native.Dataset):
 
     @property
     def tables(self) -> dict[str, int]:
-        """Rows of each table."""
+        """Number of rows of each table."""
         return {name: self.num_rows(name) for name in self.manifest["tables"]}
 
     def __len__(self) -> int:
@@ -122,7 +122,7 @@ class Dataset(_native.Dataset):
         return self.table(name, split, columns).to_pandas()
 
     def arrays(self, name: str, column: str, split: str | None = None) -> list[np.ndarray]:
-        """A column of frames, such as ``transl`` of ``motions``: an array ``[L, D]`` a row.
+        """A column of frames, such as ``transl`` of ``motions``: one array ``[L, D]`` for each row.
 
         The arrays are read-only views of Arrow's memory; nothing is copied.
         """
@@ -136,7 +136,7 @@ class Dataset(_native.Dataset):
 
 
 def local_path(dataset: str | os.PathLike[str] | _native.Dataset) -> str:
-    """The folder of a dataset, with all its files; those of a remote one are copied first."""
+    """The folder of a dataset; all files of a remote dataset are copied first."""
     if is_url(dataset):
         dataset = Dataset(dataset)
     if isinstance(dataset, Dataset):

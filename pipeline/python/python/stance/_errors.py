@@ -4,10 +4,10 @@ from __future__ import annotations
 
 
 class Error(Exception):
-    """What a call failed with.
+    """Raised by a call that fails.
 
-    ``code`` is one that scripts may rely on, such as ``E-IO`` or a code of the table ``quarantine``; ``E-FAILED``
-    where there is no other. ``item`` is the file, folder or clip it happened to, or ``None``.
+    Scripts may rely on ``code``, such as ``E-IO`` or a code of the table ``quarantine``; ``E-FAILED`` if there is no
+    other. ``item`` is the file, folder or clip that the error concerns, or ``None``.
     """
 
     def __init__(self, message: str, code: str = "E-FAILED", item: str | None = None) -> None:

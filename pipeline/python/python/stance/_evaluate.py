@@ -29,7 +29,7 @@ class Scores:
         return len(self.rows)
 
     def value(self, system: str, metric: str, task: str | None = None) -> float:
-        """The mean of a metric; of the first task where none is named."""
+        """The mean of a metric; without ``task``, that of the first task."""
         for row in self.rows:
             if (row["system"], row["metric"]) == (system, metric) and task in (None, row["task"]):
                 return row["mean"]
@@ -67,10 +67,10 @@ def evaluate(
 ) -> Scores:
     """Scores edits of items as ``stance eval`` does: FID, Diversity, foot score, retrieval and the further metrics.
 
-    ``edits`` holds the motions of each system by the id of the item, ``{"my model": {item.id: motion}}``, or a list
-    of them where a system has several takes of every item; or it names folders that ``stance edit`` wrote. Every item
-    must be answered. The table also gets the real data and the identity editor. ``encoder`` is a run of
-    ``stance train tmr``. ``protocol`` changes settings, such as ``{"gallery": {"batches": 32}, "repeats": 10}``.
+    ``edits`` maps each system to its motions by item, ``{"my model": {item.id: motion}}``, or to lists of motions if a
+    system has several takes of every item; or it names folders that ``stance edit`` wrote. Every item must be
+    answered. The table also shows the real data and the identity editor. ``encoder`` is a run of ``stance train tmr``.
+    ``protocol`` changes settings, such as ``{"gallery": {"batches": 32}, "repeats": 10}``.
     """
     folders: list[_Path] = []
     systems: list[tuple[str, list[tuple[str, int, Motion]]]] = []

@@ -24,7 +24,7 @@ class Batch(NamedTuple):
     progress: np.ndarray
     """Start of each window in its motion, as a fraction of the length, ``[B]``."""
     instructions: list[str]
-    """What is asked for, ``B`` texts."""
+    """``B`` texts."""
 
 
 try:
@@ -32,22 +32,22 @@ try:
 except ImportError:
 
     class _Base:  # type: ignore[no-redef]
-        """In the place of PyTorch's class, where that is not installed."""
+        """Replaces PyTorch's class if PyTorch is not installed."""
 
 
 class MotionCutMix(_Base):
     """The endless stream of training windows that ``stance train`` sees, bit for bit, in batches.
 
-    Window ``n`` is item ``n % epoch_len`` of epoch ``n // epoch_len``; batch ``k`` holds windows ``k * batch_size`` and
-    following. ``epochs`` ends the stream after so many.
+    Window ``n`` is item ``n % epoch_len`` of epoch ``n // epoch_len``; batch ``k`` begins at window ``k * batch_size``.
+    ``epochs`` ends the stream after that number of epochs.
 
     It is an ``IterableDataset``: ``DataLoader(mix, batch_size=None, num_workers=4)`` gives the same batches in the same
-    order as no workers do. ``rank`` and ``world_size`` deal batches out to several processes of a distributed run.
-    ``state_dict()`` is the number of the next batch; a loader with workers has read ahead, so count the batches that
+    order as without workers. ``rank`` and ``world_size`` deal batches out to several processes of a distributed run.
+    ``state_dict()`` holds the number of the next batch. A loader with workers has read ahead, so count the batches that
     you used, and set ``next_batch`` yourself.
 
     ``config`` holds settings of the composer, as in section ``compose`` of a plan (``{"mcm_ratio": 0.2}``);
-    ``normalizer`` is another stream's, for instance that of the training split.
+    ``normalizer`` is that of another stream; by default it is fitted to the training split.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class MotionCutMix(_Base):
         own = json.dumps(self._normalizer) if self._normalizer else None
         return _native.Mix(self._path, json.dumps(self._config), self._seed, self.split, own)
 
-    # Spawned workers make the stream again from its settings; forked ones share its memory.
+    # Spawned workers rebuild the stream from its settings; forked ones share its memory.
     def __getstate__(self) -> dict[str, Any]:
         state = dict(self.__dict__)
         del state["_mix"]
@@ -96,7 +96,7 @@ class MotionCutMix(_Base):
 
     @property
     def epoch_len(self) -> int:
-        """Windows of an epoch."""
+        """Number of windows of an epoch."""
         return self._mix.epoch_len
 
     @property
@@ -111,7 +111,7 @@ class MotionCutMix(_Base):
 
     @property
     def normalizer(self) -> dict[str, list[float]]:
-        """Lower and upper end of each axis in metres, ``min`` and ``max``, that map to -1 and 1."""
+        """``min`` and ``max`` of each axis in metres, which map to -1 and 1."""
         return json.loads(self._mix.normalizer)
 
     @property
@@ -121,7 +121,7 @@ class MotionCutMix(_Base):
 
     @property
     def recipe_hash(self) -> str:
-        """Hash of settings and rules: with dataset and seed it fixes every window."""
+        """Hash of settings and rules: together with dataset and seed, it determines every window."""
         return self._mix.recipe_hash
 
     @cached_property
@@ -138,14 +138,14 @@ class MotionCutMix(_Base):
         return self._mix.triplet(epoch, item)
 
     def to_metres(self, windows: np.ndarray) -> np.ndarray:
-        """Keypoints ``[..., 28, 3]`` in metres of windows ``[..., 84]`` in model units."""
+        """Converts windows ``[..., 84]`` in model units to keypoints ``[..., 28, 3]`` in metres."""
         low, high = (np.asarray(self.normalizer[end], np.float32) for end in ("min", "max"))
         points = np.asarray(windows).reshape(*np.shape(windows)[:-1], 28, 3)
         return (points + 1) / 2 * (high - low) + low
 
     @property
     def num_batches(self) -> int | None:
-        """Batches of the stream, of all ranks together; ``None`` where it is endless."""
+        """Number of batches of the stream, of all ranks together; ``None`` if it is endless."""
         if self.epochs is None:
             return None
         return -(-self.epochs * self.epoch_len // self.batch_size)
@@ -171,17 +171,17 @@ class MotionCutMix(_Base):
                 count = min(count, self.epochs * self.epoch_len - first)
             batch = self.windows(first, count)
             k += num_workers * self.world_size
-            # The same number in all workers of a loader that saves their states.
+            # All workers of a loader have the same number here, so any of their states can be saved.
             self.next_batch = k - ahead
             yield batch
         self.next_batch = 0
 
     def state_dict(self) -> dict[str, Any]:
-        """Where the stream is: the next batch, and what fixes it."""
+        """The number of the next batch, and the settings that determine its content."""
         return {"next_batch": self.next_batch, "batch_size": self.batch_size, "recipe_hash": self.recipe_hash, "seed": self._seed}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Goes on from a state; one of other settings is refused."""
+        """Continues from a state; raises ``ValueError`` if it was saved with other settings."""
         own = self.state_dict()
         for key in ("batch_size", "recipe_hash", "seed"):
             if state[key] != own[key]:

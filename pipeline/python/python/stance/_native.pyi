@@ -1,4 +1,4 @@
-"""Types of the compiled half of the package. Shapes: ``L`` frames, ``N`` and ``M`` sets, ``D`` latent numbers."""
+"""Types of the compiled half of the package. Shapes: ``L`` frames, ``N`` and ``M`` latents of ``D`` numbers."""
 
 import os
 from typing import Any, Mapping, Sequence
@@ -14,12 +14,15 @@ SCHEMA_VERSION: str
 JOINT_NAMES: list[str]
 """Names of the 55 SMPL-X joints."""
 KEYPOINT_JOINTS: list[int]
-"""Places of the 28 keypoints among the joints; the first 22 are the body joints."""
+"""Index of the joint of each of the 28 keypoints; the first 22 are the body joints."""
 KEYPOINT_PARENTS: list[int]
-"""The keypoint above each of the 28; -1 for the pelvis."""
+"""Parent of each keypoint; -1 for the pelvis."""
 
 def main(words: Sequence[str], python: str, script: str) -> int:
-    """Runs a command line, whose first word is the program; its exit code. ``python script`` starts it again."""
+    """Runs a command line, whose first word is the program, and returns its exit code.
+
+    Child processes of the program are started as ``python script``.
+    """
 
 class Motion:
     """A motion of ``L`` frames as SMPL-X parameters, y up, in metres and radians, and the skeleton it drives."""
@@ -33,11 +36,11 @@ class Motion:
     def from_features(features: ArrayLike, recipe: str, first: Motion | None = None) -> Motion:
         """The motion of ``humanml3d`` ``[L, 263]``, ``motionfix`` ``[L, 207]``, ``272`` or ``hy-motion`` ``[L, 201]`` features.
 
-        MotionFix's say how a motion moves on: ``first`` is where it begins.
+        MotionFix's features are changes, which begin at the first pose of ``first``, or at the rest pose.
         """
     @staticmethod
     def from_joints(joints: ArrayLike, fps: float) -> tuple[Motion, float]:
-        """The body fitted to 22 joints ``[L, 22, 3]`` in metres, and the mean distance left."""
+        """Fits the body to 22 joints ``[L, 22, 3]``; also returns the mean distance left. Both are in metres."""
     def to_amass(self) -> dict[str, Any]:
         """The motion as the arrays of an AMASS archive, z up, with the keys of the SMPL-X release."""
     @staticmethod
@@ -57,7 +60,7 @@ class Motion:
         """Length in seconds."""
     @property
     def content_hash(self) -> str:
-        """BLAKE3 of rate and numbers, as the column of the same name."""
+        """BLAKE3 of rate and numbers, as in the column of the same name."""
     @property
     def transl(self) -> _F32:
         """``[L, 3]`` in metres."""
@@ -98,21 +101,21 @@ class Dataset:
     def _motions_of(self, file: _Path) -> list[tuple[str, Motion]]: ...
 
 class Item:
-    """A test question: a motion, what is asked of it, and the motion it should become."""
+    """A test question: a motion, an instruction, and the motion that should result."""
 
     id: str
     task: str
     instruction: str
     parts: list[str]
     joints: list[str]
-    """Joints that are edited; empty where that is not known."""
+    """Joints that are edited; empty if unknown."""
     source_id: str
     target_id: str
     source: Motion
     target: Motion | None
 
 class Triplet:
-    """An original motion, an instruction, and the edited motion it leads to."""
+    """An original motion, an instruction, and the edited motion."""
 
     id: str
     kind: str
@@ -175,27 +178,27 @@ def diversity(latents: ArrayLike, num_pairs: int = 300, seed: int = 0) -> float:
     """Mean distance of random pairs of latents ``[N, D]``."""
 
 def multimodality(latents: ArrayLike, num_pairs: int = 10, seed: int = 0) -> float:
-    """Mean distance of random pairs of takes of one question, over questions: latents ``[N, R, D]``."""
+    """Mean distance of random pairs of the ``R`` takes of a question, over ``N`` questions: ``[N, R, D]``."""
 
 def retrieval(
     queries: ArrayLike, gallery: ArrayLike, gallery_size: int | None = 32, repeats: int = 10, seed: int = 0
 ) -> dict[str, float]:
     """``R@1``, ``R@2``, ``R@3`` in percent, ``MedR`` and ``AvgR`` (best 1) of paired latents ``[N, D]``, by cosine.
 
-    A gallery holds ``gallery_size`` rows, all where it is ``None``; values are means over ``repeats`` draws.
+    A gallery holds ``gallery_size`` rows (``None``: all); values are means over ``repeats`` draws.
     """
 
 def foot_score(keypoints: ArrayLike, fps: float, floor: float | None = None) -> float | None:
     """Foot score in (0, 1] of ``[L, 22 or 28, 3]`` in metres, y up; the floor is the lowest foot unless given."""
 
 def position_error(found: ArrayLike, expected: ArrayLike) -> float:
-    """Mean distance of keypoints ``[L, 28, 3]`` in metres, over the frames both have."""
+    """Mean distance of keypoints ``[L, 28, 3]`` in metres, over the frames that both have."""
 
 def jerk(keypoints: ArrayLike, fps: float) -> float | None:
-    """Mean jerk of keypoints ``[L, 28, 3]`` in m/s³."""
+    """Mean jerk of keypoints ``[L, 28, 3]`` in m/s³; ``None`` for fewer than four frames."""
 
 def foot_slide(keypoints: ArrayLike, fps: float) -> float | None:
-    """Mean horizontal speed in m/s of the lowest foot, of keypoints ``[L, 28, 3]``; none for fewer than two frames."""
+    """Mean horizontal speed of the lowest foot in m/s, of ``[L, 28, 3]``; ``None`` for fewer than two frames."""
 
 def evaluate(
     items: _Path,
@@ -208,4 +211,4 @@ def ingest(sources: Sequence[_Path], out: _Path, **options: Any) -> str: ...
 def masks(dataset: _Path) -> None: ...
 def corpus(out: _Path, clips: int | None = None, seed: int = 0) -> None: ...
 def viewer_page(motions: Sequence[Motion], labels: Sequence[str], title: str, joints: Sequence[str]) -> str:
-    """An HTML page with motions side by side in 3D; it loads nothing."""
+    """An HTML page with motions side by side in 3D, without external resources."""

@@ -28,8 +28,8 @@ def cache_folder() -> Path:
 class Remote:
     """The newest version of a remote dataset, copied file by file when a file is needed.
 
-    Copies lie in a folder that the dataset's root hash names, each is checked against its SHA-256, and appears whole or
-    not at all.
+    Copies lie in a folder named by the root hash of the dataset. Each is checked against its SHA-256, and appears whole
+    or not at all.
     """
 
     def __init__(self, url: str) -> None:

@@ -26,7 +26,7 @@ def to_rerun(
 ) -> None:
     """Writes motions as one recording for `Rerun <https://rerun.io>`_: ``rerun FILE.rrd`` shows it. Needs rerun-sdk.
 
-    Each motion is an entity of its name (``motion0``, ``motion1``, … without ``names``): the 28 keypoints in metres under
+    Each motion is an entity with its name (by default ``motion0``, ``motion1``, …): the 28 keypoints in metres under
     ``keypoints``, with their names and bones; the 22 joints as a tree of transforms from ``pelvis`` on; and the caption
     as text. The timelines are ``time`` in seconds and ``frame``.
     """
@@ -87,7 +87,7 @@ def _log_keypoints(rerun: Any, recording: Any, entity: str, motion: Motion, numb
 
 
 def _log_transforms(rerun: Any, recording: Any, root: str, motion: Motion) -> None:
-    """The rotation of each joint, and its place on the bone above: an entity below that of its parent."""
+    """Logs each joint as an entity below its parent: its local rotation, and its offset from the parent."""
     rest = _rest(motion)
     vectors = np.concatenate([motion.global_orient, motion.body_pose], 1).reshape(len(motion), NUM_BODY_JOINTS, 3)
     turns = _quaternions(vectors)
@@ -108,8 +108,8 @@ def _rest(motion: Motion) -> np.ndarray:
 
 
 def _quaternions(vectors: np.ndarray) -> np.ndarray:
-    """Rotations ``[..., 3]`` as axis times angle in radians, as quaternions ``[..., 4]``, the real part last."""
+    """Converts axis-angle vectors ``[..., 3]`` in radians to quaternions ``[..., 4]``, real part last."""
     vectors = vectors.astype(np.float64)
     half = np.linalg.norm(vectors, axis=-1, keepdims=True) / 2
-    # sin(half) / (2 half), which is 1/2 where nothing turns.
+    # sin(half) / (2 half), which is 1/2 if nothing turns.
     return np.concatenate([np.sinc(half / np.pi) / 2 * vectors, np.cos(half)], -1)

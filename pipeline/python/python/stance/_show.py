@@ -12,7 +12,7 @@ from ._native import Motion, Triplet
 
 
 class Shown:
-    """A page with motions in 3D: a notebook shows it, :meth:`save` writes it as a file of its own."""
+    """A page with motions in 3D: a notebook shows it, and :meth:`save` writes it to a file."""
 
     def __init__(self, page: str, height: int, text: str) -> None:
         self.page = page
@@ -20,7 +20,7 @@ class Shown:
         self._text = text
 
     def _repr_html_(self) -> str:
-        # A frame runs the page's script and keeps its styles from the notebook's; sandboxed, it cannot reach the notebook.
+        # The frame runs the page's script and separates its styles; sandboxed, it cannot reach the notebook.
         return (
             f'<iframe srcdoc="{html.escape(self.page)}" sandbox="allow-scripts" title="Motions in 3D" '
             f'style="width: 100%; height: {self.height}px; border: 0"></iframe>'
@@ -35,7 +35,7 @@ class Shown:
 
 
 def of_each(what: str, given: Iterable[str] | None, motions: Sequence[Motion]) -> list[str]:
-    """One text for each motion; empty ones where none are given."""
+    """One text for each motion; empty texts if ``given`` is ``None``."""
     texts = [""] * len(motions) if given is None else list(given)
     if len(texts) != len(motions):
         raise ValueError(f"{what} has {len(texts)} texts for {len(motions)} motions")
@@ -50,11 +50,11 @@ def show(
     joints: Iterable[str] = (),
     height: int = 440,
 ) -> Shown:
-    """Motions side by side in 3D, on one clock: a notebook shows what this returns.
+    """Shows motions side by side in 3D, in a notebook that displays the result.
 
-    ``names`` and ``captions`` stand above each motion, ``title`` above all. ``joints`` are marked in green, such as
-    those of an edit. ``height`` is in pixels. All motions run at the rate of the first. Positions are kept to 1 mm, in
-    224 bytes a frame.
+    ``names`` and ``captions`` stand above each motion, ``title`` above all. ``joints``, such as those of an edit, are
+    marked in green. ``height`` is in pixels. All motions run at the rate of the first. Positions are rounded to 1 mm;
+    a frame takes 224 bytes.
 
     Drag to turn the camera; after a click the wheel zooms, Space plays, and the arrows step.
     """

@@ -1,5 +1,5 @@
-//! A list of pairs by the user: a CSV file with the columns styled clip, original clip, style,
-//! instruction, kind, body parts and edit type.
+//! A user's list of pairs: a CSV file with the columns styled clip, original clip, style, instruction, kind, body parts
+//! and edit type.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -13,10 +13,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 
-/// Source of pairs from a [`PairList`].
+/// Column `source` of pairs from a [`PairList`].
 pub const LISTED: &str = "csv";
 
-/// The pairs of a file, by its names of clips.
+/// The lines of a CSV file; clips are named as the file names them.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PairList {
     lines: Vec<Line>,
@@ -29,7 +29,7 @@ struct Line {
     number: u64,
     styled: String,
     original: String,
-    /// Empty if a fine-grained pair has none.
+    /// Empty if a fine-grained pair has no style.
     style: String,
     instruction: String,
     #[serde(default = "default_kind", skip_serializing_if = "is_default_kind")]
@@ -68,7 +68,7 @@ impl std::fmt::Display for RefusedLine {
     }
 }
 
-/// Parses the lines of a CSV file, without its header if it has one. Returns them and those that are refused.
+/// Parses the lines of a CSV file, except a header. Returns the parsed lines and the refused ones.
 pub(crate) fn parse_lines<T>(
     bytes: &[u8],
     is_header: impl Fn(&StringRecord) -> bool,
@@ -87,12 +87,12 @@ pub(crate) fn parse_lines<T>(
     (lines, refused)
 }
 
-/// Result of reading a list.
+/// Pairs made from a list, and lines without a pair.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ListedPairs {
-    /// The pairs, by id.
+    /// The pairs, sorted by id.
     pub rows: Vec<PairRow>,
-    /// The lines that gave none, by number.
+    /// The lines that gave no pair, sorted by number.
     pub refused: Vec<RefusedLine>,
 }
 
@@ -134,8 +134,8 @@ impl PairList {
         lines.map(|line| (line.styled.as_str(), line.original.as_str()))
     }
 
-    /// Makes the pairs whose motions are in the dataset, named by id or source file. `known` holds the pairs of
-    /// the dataset that do not come from a list.
+    /// Makes the pairs whose motions are in the dataset. A motion is named by its id, with or without a file extension.
+    /// `known` holds the pairs of the dataset that do not come from a list; a line that repeats one is refused.
     pub fn pairs(&self, motions: &BTreeMap<MotionId, Split>, known: &[PairRow]) -> ListedPairs {
         let known: BTreeMap<(&MotionId, &MotionId), &str> = known
             .iter()
@@ -287,7 +287,7 @@ fn parse_edit_type(word: &str, kind: EditKind) -> Result<Option<String>, String>
     })
 }
 
-/// Parses the names of body parts between semicolons; none for an empty text.
+/// Parses names of body parts, separated by semicolons; an empty text has none.
 fn parse_parts(text: &str) -> Result<Vec<String>, String> {
     let names = text.split(';').map(str::trim);
     names
@@ -299,7 +299,7 @@ fn parse_parts(text: &str) -> Result<Vec<String>, String> {
         .collect()
 }
 
-/// Possible ids of a name: itself, and without a file extension.
+/// Ids that a name may stand for: the name itself, and the name without its file extension.
 pub(crate) fn names_of(name: &str) -> impl Iterator<Item = &str> {
     let stem = match name.rsplit_once('.') {
         Some((stem, extension)) if !extension.contains('/') && !stem.is_empty() => Some(stem),
@@ -308,8 +308,8 @@ pub(crate) fn names_of(name: &str) -> impl Iterator<Item = &str> {
     std::iter::once(name).chain(stem)
 }
 
-/// The source clip whose split each styled clip of a list takes: its original, or the last one in a chain of originals.
-/// Cycles are left out.
+/// Maps each styled clip of a list to the clip whose split it takes: its original, or the last one in a chain of
+/// originals. Clips whose chain is a cycle are left out.
 pub(crate) fn originals<'a>(
     pairs: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> BTreeMap<&'a str, &'a str> {

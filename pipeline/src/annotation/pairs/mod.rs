@@ -1,4 +1,4 @@
-//! Pairs from labels, captures of one action in different styles, and pairs from a list.
+//! Style pairs made from labels (captures of one action in different styles), and pairs from a list.
 
 mod list;
 
@@ -15,7 +15,7 @@ use crate::Error;
 pub use list::{LISTED, ListedPairs, PairList, RefusedLine};
 pub(crate) use list::{names_of, originals, parse_lines};
 
-/// Source of pairs from labels; the number is the version of the rules.
+/// Column `source` of pairs from labels; the number is the version of the rules.
 pub const SOURCE: &str = "style-labels-2";
 /// Prefix of [`SOURCE`] in every version of the rules.
 const SOURCE_OF_LABELS: &str = "style-labels-";
@@ -53,7 +53,7 @@ pub(crate) fn style_group(file: &str, action: &str, style: &str) -> String {
     )
 }
 
-/// Settings of the pairing of captures.
+/// Settings of [`style_pairs`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PairConfig {
@@ -72,12 +72,12 @@ impl Default for PairConfig {
     }
 }
 
-/// Pairs, and motions without one.
+/// Result of [`style_pairs`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StylePairs {
-    /// The pairs, by id.
+    /// The pairs, sorted by id.
     pub rows: Vec<PairRow>,
-    /// Styled motions without a neutral motion of the same action, source and split.
+    /// Styled motions without a neutral motion of the same action, session and split.
     pub alone: Vec<MotionId>,
 }
 
@@ -97,7 +97,7 @@ pub struct LabelledClip {
 }
 
 impl LabelledClip {
-    /// The clips of a dataset, those chosen if some were.
+    /// Reads the clips of a dataset that [`Dataset::has_clip`] accepts.
     ///
     /// # Errors
     /// The table of motions cannot be read.
@@ -109,9 +109,9 @@ impl LabelledClip {
     }
 }
 
-/// Pairs every styled motion with neutral ones of the same action, session and split, drawn by the
-/// seed: those of the same take come first. A session is a folder, apart from folders named after
-/// the style. Motions without a style or an action are skipped.
+/// Pairs every styled motion with neutral ones of the same action, session and split, drawn at random; those of the
+/// same take come first. A session is the folder of a file, without folders named after the style. Motions without a
+/// style or an action are skipped.
 ///
 /// # Source
 /// Paper Sec. 3.2: a style pair is one action, performed neutrally and in a style.
