@@ -1,5 +1,6 @@
 //! `stance build`
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -19,7 +20,7 @@ use crate::cmd::export::layout_named;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::report::accounted;
-use crate::{settings, stages};
+use crate::{local, settings, stages};
 
 /// Build a dataset from one file of settings: motions, masks, pairs, splits, triplets.
 ///
@@ -79,20 +80,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let (count, compose) = (config.triplets, &config.compose);
     let recorded = stages::triplets([&root, &triplets], count, compose, seed, global)?;
     let dataset = Dataset::open(&root)?;
-    let mut exports = Vec::new();
-    for name in &config.export {
-        let layout = layout_named(name).with_context(|| {
-            let known = Layout::ALL.map(Layout::as_str).join(", ");
-            format!("[export] names {name:?}, which is none of {known}")
-        })?;
-        let out = config.out.join(name);
-        // An export appears complete or not at all, so an existing one is complete; it is not written again.
-        if !out.exists() {
-            export(&Clips::all(&dataset), layout, &out, &global.bars())
-                .with_context(|| format!("stage export {name}"))?;
-        }
-        exports.push(out.display().to_string());
-    }
+    let exports = exported(&config, &dataset, global)?;
     let (accounting, manifest) = (&ingested.accounting, dataset.manifest());
     let counts = [MotionRow::TABLE, MaskRow::TABLE, PairRow::TABLE];
     let [motions, masks, pairs] = counts.map(|table| manifest.rows(table, None));
@@ -126,6 +114,47 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     });
     global.say(&document, &lines.join("\n"))?;
     Ok(Exit::quarantined_if(accounting.quarantined > 0))
+}
+
+/// File of a build: the root hash of the dataset that each layout was exported from.
+const EXPORTS: &str = "exports.json";
+
+/// Exports the dataset in every layout of the configuration, and returns the folders. An export of the same dataset is
+/// complete and stays.
+fn exported(
+    config: &BuildConfig,
+    dataset: &Dataset,
+    global: &Global,
+) -> anyhow::Result<Vec<String>> {
+    let (record, root_hash) = (config.out.join(EXPORTS), &dataset.manifest().root_hash);
+    let mut hashes: BTreeMap<String, String> = match record.exists() {
+        true => serde_json::from_slice(&local::read(&record)?)
+            .with_context(|| format!("cannot read {}", record.display()))?,
+        false => BTreeMap::new(),
+    };
+    let mut exports = Vec::new();
+    for name in &config.export {
+        let layout = layout_named(name).with_context(|| {
+            let known = Layout::ALL.map(Layout::as_str).join(", ");
+            format!("[export] names {name:?}, which is none of {known}")
+        })?;
+        let out = config.out.join(name);
+        if !out.exists() {
+            // Recorded first, so that no export is without a record. It appears complete or not at all.
+            hashes.insert(name.clone(), root_hash.clone());
+            local::write(&record, &serde_json::to_vec_pretty(&hashes)?)?;
+            export(&Clips::all(dataset), layout, &out, &global.bars())
+                .with_context(|| format!("stage export {name}"))?;
+        }
+        if hashes.get(name) != Some(root_hash) {
+            bail!(
+                "{} is not an export of the dataset as it is now; move it away, and the same command exports it again",
+                out.display()
+            );
+        }
+        exports.push(out.display().to_string());
+    }
+    Ok(exports)
 }
 
 fn read(args: &Args) -> anyhow::Result<BuildConfig> {

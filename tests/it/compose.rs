@@ -1,6 +1,7 @@
 //! `stance build` makes a dataset with style pairs, and `stance triplets` records windows to train on.
 
 use std::collections::BTreeMap;
+use std::fs;
 use std::path::Path;
 
 use datasets_spec::record::{MotionRow, NormalizerRow, PairRow, TripletRow, WindowRow};
@@ -51,6 +52,18 @@ fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
     for kind in ["style", "semantic"] {
         assert!(triplets.iter().any(|triplet| triplet.kind == kind));
     }
+
+    // An export of the dataset before it grew is not taken for one of today's, nor deleted.
+    let more = CLIPS + 26;
+    folder.run(&format!("corpus --clips {more} --out @more"));
+    let grown = "build --config @build.toml --sources corpus=@more";
+    let ran = folder.typed(grown);
+    ran.expect_refused("is not an export of the dataset as it is now");
+    fs::rename(folder.path("built/stance"), folder.path("before")).expect("moved");
+    folder.run(grown);
+    folder.run(grown);
+    folder.run("ingest @before --out @before-back");
+    assert_eq!(folder.rows::<MotionRow>("before-back").len(), CLIPS);
 
     // The export is read again as a release, with its pairs.
     folder.run("ingest @built/stance --out @back");

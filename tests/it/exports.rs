@@ -313,7 +313,9 @@ fn captions_without_tags_are_said_before_anything_is_written() {
     // The folder cannot be created, and the warning is still printed.
     let file = dir.path().join("file");
     put(&file, "");
-    export("humanml3d", &file.join("out")).expect_refused(&said);
+    for layout in ["humanml3d", "humanml3d-272", "babel-272", "hy-motion"] {
+        export(layout, &file.join("out")).expect_refused(&said);
+    }
     // Planning the export for several processes prints the warning too.
     let (out, plan) = (dir.path().join("out"), dir.path().join("plan"));
     let line = "stage plan export {} --to humanml3d --into {} --out {}";

@@ -162,7 +162,7 @@ impl<R: Row, W: Write + Send> RowWriter<R, W> {
     /// # Panics
     /// If the table has several rows per page ([`Row::PAGE_ROWS`]).
     pub fn new(sink: W, path: &Path, facts: &[(&str, String)]) -> Result<Self, Error> {
-        assert_eq!(R::PAGE_ROWS, 1, "{} holds frames", R::TABLE);
+        assert_eq!(R::PAGE_ROWS, 1, "{} has several rows in a page", R::TABLE);
         Ok(Self {
             writer: writer::<R, W>(sink, facts).map_err(Error::parquet("write", path))?,
             path: path.to_owned(),

@@ -235,9 +235,24 @@ fn captions(shard: &Shard, layout: Layout, counts: &mut Counts) {
     }
 }
 
-/// Number of captions without tokens, whose words get the tag `OTHER` in the layout of HumanML3D; 0 for other layouts.
+/// Whether the captions of a layout are those of HumanML3D, whose words have tags of their part of speech.
+fn has_tags(layout: Layout) -> bool {
+    match layout {
+        Layout::HumanMl3d | Layout::HumanMl3d272 | Layout::Babel272 | Layout::HyMotion => true,
+        Layout::Amass
+        | Layout::Bvh
+        | Layout::Gltf
+        | Layout::WebDataset
+        | Layout::Stance
+        | Layout::MotionMillion
+        | Layout::LeRobot
+        | Layout::MotionFix => false,
+    }
+}
+
+/// Number of captions without tokens, whose words get the tag `OTHER` in a layout with tags; 0 for other layouts.
 pub fn untagged_captions(layout: Layout, clips: &Clips) -> u64 {
-    if layout != Layout::HumanMl3d {
+    if !has_tags(layout) {
         return 0;
     }
     let captions = clips.shards(None).flat_map(said);
@@ -252,7 +267,7 @@ pub fn untagged_captions(layout: Layout, clips: &Clips) -> u64 {
 /// The dataset cannot be read.
 pub fn before(layout: Layout, clips: &Clips) -> Result<Vec<String>, Error> {
     let mut remarks = Vec::new();
-    if layout == Layout::HumanMl3d
+    if has_tags(layout)
         && !clips
             .shards(None)
             .flat_map(said)

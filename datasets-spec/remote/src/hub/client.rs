@@ -67,10 +67,9 @@ impl Hub {
         let endpoint = text("HF_ENDPOINT").unwrap_or_else(|| ENDPOINT.to_owned());
         let proxy = ["HTTPS_PROXY", "https_proxy", "ALL_PROXY", "all_proxy"]
             .into_iter()
-            .find_map(text)
-            .map(|address| {
+            .find_map(|variable| Some((variable, text(variable)?)))
+            .map(|(variable, address)| {
                 Proxy::new(&address).map_err(|error| {
-                    let variable = "HTTPS_PROXY";
                     Error::hub(variable, format!("{variable} names no proxy ({error})"))
                 })
             })

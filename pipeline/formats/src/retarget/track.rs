@@ -63,7 +63,7 @@ impl Track {
         let stride = num_frames.div_ceil(MAX_FRAMES).max(1);
         let mut rotations = Vec::with_capacity(num_frames.div_ceil(stride));
         let mut points = Vec::with_capacity(num_frames.div_ceil(stride));
-        let (mut lost, mut lost_rotation) = (None, None);
+        let mut lost = None;
         let mut legs = 0.0;
         let mut visited = 0;
         rig.follow(&needed(bones, &anchors), &mut |frame, placed| {
@@ -72,12 +72,12 @@ impl Track {
             let reach = frame_points
                 .iter()
                 .fold(0.0, |sum, point| sum + point.abs().element_sum());
-            if lost.is_none() && (reach.is_nan() || reach >= MAX_COORDINATE) {
-                lost = Some(frame);
-            }
             let frame_rotations = rotations_of(&mapping.source_of, placed);
-            if lost_rotation.is_none() && !frame_rotations.iter().all(|q| q.is_finite()) {
-                lost_rotation = Some(visited);
+            let is_lost = reach.is_nan()
+                || reach >= MAX_COORDINATE
+                || !frame_rotations.iter().all(|q| q.is_finite());
+            if is_lost && lost.is_none() {
+                lost = Some(frame);
             }
             legs += leg_length(|joint| frame_points[joint]);
             if visited % stride == 0 {
@@ -86,12 +86,12 @@ impl Track {
             }
             visited += 1;
         });
-        let lost = lost.or(lost_rotation);
         if let Some(frame) = lost {
             return Err(Rejected::retarget(
                 "E-NOT-FINITE",
                 format!(
-                    "found a joint beyond {MAX_COORDINATE:e} units in frame {frame}, expected a body"
+                    "found a joint that is not finite or beyond {MAX_COORDINATE:e} units in frame {frame}, expected a \
+                     body"
                 ),
             ));
         }
