@@ -17,7 +17,7 @@ use crate::lock::lock;
 
 /// Tasks compared at a time.
 const COMPARED: i64 = 1000;
-/// Tasks repaired per transaction. It writes about as much as claiming two bundles.
+/// Tasks repaired per transaction, which thus writes about as much as claiming two bundles.
 const REPAIRED: usize = 16;
 
 impl Store {
@@ -37,7 +37,7 @@ impl Store {
     }
 }
 
-/// State derived from the log up to an entry.
+/// Projections derived from the log, up to and including entry `last`.
 struct Derived {
     scratch: Connection,
     last: i64,
