@@ -502,7 +502,7 @@ fn two_answers_that_differ_come_first_in_the_queue_of_disagreement() {
     });
 }
 
-/// An answer with a change of its first mask, the left arm.
+/// The answer after a change of its first mask, that of the left arm.
 fn changed(mut answer: Answer, change: impl FnOnce(&mut MaskAnswer)) -> Answer {
     if let Answer::MaskText { masks, .. } = &mut answer {
         change(&mut masks[0]);
@@ -752,7 +752,7 @@ fn the_motions_of_the_next_tasks_are_named_gold_ones_too() {
             other => panic!("{other:?}"),
         };
         let (present, following) = next(site.ann);
-        // The rest of the bundle.
+        // The other pairs of the bundle follow.
         let rest = ("bundled0", "bundled1 bundled2 bundled3");
         assert_eq!((present.as_str(), following.as_str()), rest);
         site.make_gold(site.accepted()[0].task.id);
