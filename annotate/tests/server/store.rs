@@ -847,7 +847,7 @@ fn a_returned_answer_waits_for_its_author_through_lost_leases_and_then_goes_to_a
         let comment = site.detail(site.ann, task).comment;
         assert_eq!(comment.as_deref(), Some("because"));
         site.submit(site.bob, other, 0, masks("x"));
-        // She has opened the task and leaves it: the lease is still hers.
+        // She has taken the task and left it: her lease has expired, but the task stays reserved for her.
         site.wait(HOUR);
         assert_eq!((site.open(site.bob), site.claim(site.bob)), (0, None));
         let back = &site.home(site.ann).returned[0];
