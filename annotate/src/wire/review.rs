@@ -59,7 +59,7 @@ messages! {
     pub struct Candidate {
         pub revision: Revision,
         pub author_name: String,
-        /// Body joints of the answer's masks, hard or soft, for the viewer.
+        /// Hard body joints of the answer's parts and masks, for the viewer.
         pub joints: Vec<usize>,
         /// Edit distance of the answer's texts from their drafts, 0 to 1.
         pub draft_distance: Option<f64>,
