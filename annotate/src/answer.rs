@@ -553,7 +553,7 @@ mod tests {
         assert!(says(&ours, &plain) && !says(&plain, &ours));
         let longer = two_arms(|masks| masks[0].range = Some([0, 21]));
         assert!(!says(&ours, &longer));
-        // A ring that is off equals a ring whose joints are all deselected.
+        // Without its soft ring, a mask equals one whose ring joints are all excluded.
         let chosen = two_arms(|masks| masks[1].joints = collar(JointWeight::None));
         assert!(says(&ours, &chosen) && says(&chosen, &two_arms(|masks| masks[1].soft = false)));
     }

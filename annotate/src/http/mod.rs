@@ -325,7 +325,7 @@ async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Resul
     within(patience, "the request", work).await
 }
 
-/// Maximum bytes above the limit of a body that are read and discarded, because a browser whose upload is cut off does
+/// Maximum number of bytes beyond the body limit that are read and discarded: a browser whose upload is cut off does
 /// not show the response.
 const DRAINED_BYTES: usize = 32 * 1024 * 1024;
 

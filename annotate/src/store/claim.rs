@@ -71,11 +71,11 @@ impl Store {
 /// Numbers of tasks of a category that claims would give a user.
 #[derive(Default)]
 struct Offer {
-    /// Tasks that count toward the quota of the category already, and want another answer.
+    /// Tasks that already count toward the quota of the category, and want another answer.
     counted: i64,
     /// Other tasks.
     others: i64,
-    /// Number of tasks with expired leases: the next claim frees quota for as many.
+    /// Tasks that will no longer count toward the quota once the next claim ends their expired leases.
     freed: i64,
 }
 

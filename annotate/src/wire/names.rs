@@ -304,7 +304,7 @@ names! {
         Style = "style",
         /// Next extent.
         Extent = "extent",
-        /// Stretch the longer clip for viewing.
+        /// Show both clips in the duration of the shorter one, or in their own.
         Align = "align",
         BundleNext = "bundle_next",
         BundlePrevious = "bundle_previous",

@@ -382,7 +382,7 @@ fn an_expired_lease_is_given_away_by_the_claim_itself_and_its_late_answer_is_kep
 #[test]
 fn events_are_taken_once_in_order_and_on_the_newest_revision() {
     each("events", mask_tasks(3), |site| {
-        // A key is taken once.
+        // An event is applied once, however often it is sent.
         let task = site.take(site.bob);
         let epoch = site.epoch(site.bob, task);
         let draft = event(EventKind::Draft, epoch, 0, masks("one"));

@@ -255,7 +255,8 @@ export class TaskSession<A extends Answer> implements OpenSession {
     this.history.seal();
     this.history.push(chosen);
     if (!same(chosen, mine)) this.onReplaced(chosen);
-    // Both calls refresh the chip before an event waits, so that the page never shows this version as saved.
+    // Both calls refresh the chip now, before the outbox changes, so that the page never shows an unsaved version as
+    // saved.
     if (same(chosen, other)) this.app.refreshChip();
     else this.schedule();
     await this.app.outbox.discard(this.chain);
