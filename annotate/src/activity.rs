@@ -9,13 +9,13 @@ use crate::body::{NUM_RELEASE_PARTS, RELEASE_PARTS};
 
 /// A part is suggested if it is active in more than this share of the frames.
 const SUGGESTED_SHARE: f64 = 0.2;
-/// Relative speed above which a part is active.
+/// Speed, as a multiple of the reference speed, above which a part is active.
 const ACTIVE: f32 = 0.4;
-/// The chest (SMPL-X spine3), parent of the arms.
+/// The chest (SMPL-X spine3), in whose frame the arms are measured.
 const CHEST: usize = 9;
 
-/// Joints whose speed counts as movement of the part. Root, chest and collars are excluded: they move with
-/// other parts or barely.
+/// Joints whose speed counts as movement of the part. Pelvis, spine1, spine3 and collars are excluded: they move
+/// with other parts or barely.
 fn moving_joints(part: BodyPart) -> Vec<usize> {
     let without = [0, 3, 9, 13, 14];
     part.mask()
@@ -29,8 +29,8 @@ fn moving_joints(part: BodyPart) -> Vec<usize> {
 /// Positions of the joints of the body.
 type Joints = [DVec3; NUM_BODY_JOINTS];
 
-/// Positions of arm joints in the frame of the chest, and of other joints in the frame of pelvis and heading. Movement
-/// of the root or the spine therefore does not count as movement of the arms.
+/// Positions in each frame: of arm joints relative to the chest, and of other joints relative to the pelvis and its
+/// heading. Movement of the root or the spine therefore does not count as movement of the arms.
 fn carried(motion: &Motion, skeleton: &Skeleton) -> Vec<Joints> {
     motion
         .poses()
@@ -51,7 +51,7 @@ fn carried(motion: &Motion, skeleton: &Skeleton) -> Vec<Joints> {
         .collect()
 }
 
-/// Mean distance of joints at two times, or of two motions.
+/// Mean distance of the given joints between two poses.
 fn apart(a: &Joints, b: &Joints, joints: &[usize]) -> f64 {
     let sum: f64 = joints
         .iter()
@@ -75,7 +75,7 @@ pub(crate) fn part_speeds(motion: &Motion, skeleton: &Skeleton) -> [Vec<f64>; NU
     })
 }
 
-/// Speed of the release parts relative to the reference speeds, `[5][T]`.
+/// Speed of each release part divided by its reference speed, `[5][T]`.
 pub(crate) fn heat(
     motion: &Motion,
     skeleton: &Skeleton,
@@ -90,7 +90,7 @@ pub(crate) fn heat(
     })
 }
 
-/// The parts active in more than [`SUGGESTED_SHARE`] of the frames.
+/// The arms and the lower body, if active in more than [`SUGGESTED_SHARE`] of the frames. Two active arms are one part.
 pub(crate) fn active_parts(heat: &[Vec<f32>; NUM_RELEASE_PARTS]) -> Vec<BodyPart> {
     let active = |part: usize| {
         let busy = heat[part].iter().filter(|&&value| value > ACTIVE).count();
@@ -110,7 +110,8 @@ pub(crate) fn active_parts(heat: &[Vec<f32>; NUM_RELEASE_PARTS]) -> Vec<BodyPart
     parts
 }
 
-/// Distance of the root, then of the release parts, in metres: `[6][T]` over the frames of the shorter motion.
+/// Distance of two motions in metres: of the root, then of each release part. `[6][T]`, over the frames of the shorter
+/// motion.
 pub(crate) fn difference(source: &Motion, target: &Motion, skeleton: &Skeleton) -> Vec<Vec<f32>> {
     let frames = source.len().min(target.len());
     let relative = |motion: &Motion| -> Vec<(DVec3, Joints)> {
@@ -127,7 +128,7 @@ pub(crate) fn difference(source: &Motion, target: &Motion, skeleton: &Skeleton) 
             .collect()
     };
     let (a, b) = (relative(source), relative(target));
-    // Takes may start at different places; align them first.
+    // Takes may start at different places, so the first roots are moved together horizontally.
     let offset = DVec3::new(a[0].0.x - b[0].0.x, 0.0, a[0].0.z - b[0].0.z);
     let root = (0..frames)
         .map(|frame| a[frame].0.distance(b[frame].0 + offset) as f32)
@@ -148,7 +149,7 @@ pub(crate) mod tests {
 
     use super::*;
 
-    /// 60 frames of joints that swing while the body walks and turns.
+    /// A motion of 60 frames: `joints` swing while the body walks and turns by `turn` radians per second.
     pub(crate) fn moving(joints: &[usize], turn: f64) -> Motion {
         let poses: Vec<Pose> = (0..60)
             .map(|frame| {

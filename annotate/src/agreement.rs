@@ -17,7 +17,7 @@ pub(crate) const MIN_ITEMS: usize = 30;
 /// Bootstrap resamples of an interval.
 const RESAMPLES: usize = 400;
 
-/// The labels that two people or more gave to one item, from 0.
+/// The labels, numbered from 0, that two or more people gave to one item.
 pub(crate) type Item = Vec<usize>;
 
 /// A figure with its 95 % bootstrap interval, or `None` below [`MIN_ITEMS`] items.

@@ -29,7 +29,7 @@ pub(crate) struct Fields<'a> {
 }
 
 impl Fields<'_> {
-    /// An answer of this kind with these fields. A missing verdict counts as [`Verdict::Keep`].
+    /// Builds an answer of `kind` from these fields. A missing verdict counts as [`Verdict::Keep`].
     pub(crate) fn answer(self, kind: TaskKind) -> Answer {
         let (parts, text) = (self.parts.to_vec(), self.text.to_owned());
         let (verdict, note) = (self.verdict.unwrap_or(Verdict::Keep), self.note.to_owned());
@@ -81,8 +81,8 @@ pub(crate) fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> 
     check_text("answer.note", said.note)
 }
 
-/// Whether an answer agrees with an imported one. Fields that the imported answer leaves empty do not count, because
-/// most layouts cannot represent all of them.
+/// Whether an answer agrees with an imported one. Optional fields that the imported answer leaves empty do not count,
+/// because most layouts cannot represent all of them.
 pub(crate) fn says(ours: &Answer, imported: &Answer) -> bool {
     let kinds = (ours.kind(), imported.kind());
     let (ours, imported) = (ours.fields(), imported.fields());
@@ -165,7 +165,7 @@ fn check_masks(masks: &[MaskAnswer], frames: i64) -> Result<(), Error> {
     Ok(())
 }
 
-/// Checks that there are as many masks as the project asks for, or a reason why not.
+/// Checks that there are as many masks as the project asks for, or that a reason is given.
 fn check_mask_count(
     count: usize,
     reason: Option<CountReason>,
@@ -184,7 +184,7 @@ fn check_mask_count(
     ))
 }
 
-/// Checks the name of a style: one of the project's, or a new one that cannot be confused with those.
+/// Checks the name of a style: one of the project's, or a new one that differs from those in more than capital letters.
 pub(crate) fn check_style_name(style: &str, settings: &Settings) -> Result<(), Error> {
     text_needed("answer.style", style)?;
     let is_name = style.trim() == style && style.chars().count() <= MAX_NAME_CHARS;
@@ -245,7 +245,7 @@ fn normal(text: &str) -> String {
 /// Beginning of a description that is a whole sentence.
 const SUBJECT: &str = "the person is ";
 
-/// A description as the continuation of "The person is …": without these words, and without the full stop after them.
+/// A description as the continuation of "The person is …": these words and the full stop of their sentence are removed.
 pub(crate) fn completion(text: &str) -> &str {
     let bare = text.trim();
     match bare.get(..SUBJECT.len()) {
@@ -257,7 +257,7 @@ pub(crate) fn completion(text: &str) -> &str {
 }
 
 /// A description as a whole sentence, as the tables of a dataset hold it: "waving" becomes "The person is waving.".
-/// Texts that do not continue "The person is" are unchanged.
+/// A text without a word in -ing among its first two words is only trimmed.
 pub(crate) fn sentence(text: &str) -> String {
     let bare = text.trim();
     let is_gerund = |word: &str| {
@@ -272,7 +272,7 @@ pub(crate) fn sentence(text: &str) -> String {
 }
 
 impl Answer {
-    /// Kind of the tasks with such answers.
+    /// Kind of the tasks that such an answer is given to.
     pub fn kind(&self) -> TaskKind {
         match self {
             Self::MaskText { .. } => TaskKind::MaskText,
@@ -281,7 +281,6 @@ impl Answer {
         }
     }
 
-    /// Fields of the answer.
     pub(crate) fn fields(&self) -> Fields<'_> {
         match self {
             Self::MaskText {
@@ -331,7 +330,7 @@ impl Answer {
         }
     }
 
-    /// The verdict on a pair.
+    /// The verdict on a pair; `None` for masks.
     pub fn verdict(&self) -> Option<Verdict> {
         self.fields().verdict
     }
@@ -364,7 +363,7 @@ impl Answer {
         of_masks.chain(said.parts).map(String::as_str).collect()
     }
 
-    /// Joints and frames of each mask in a clip with `frames` frames.
+    /// Hard joints and frames of each mask in a clip with `frames` frames.
     pub(crate) fn cells(&self, frames: i64) -> Vec<Cells> {
         let masks = self.fields().masks.iter();
         masks.map(|mask| mask.cells(frames)).collect()
@@ -386,10 +385,10 @@ impl Answer {
 
 /// Distance of two answers about a clip with `frames` frames, 0 to 1.
 ///
-/// Masks are compared as sets of pairs of a hard joint and a frame. The Jaccard distance of each mask to the nearest
-/// mask of the other answer is averaged over the masks of an answer, and then over both answers. Pairs: 1 for different
-/// verdicts, 0 for the same rejection. Of two kept pairs it is the mean of the Jaccard distance of their joints, and of
-/// 0 for the same edit type or style and 1 for another one.
+/// Masks are compared as sets of (hard joint, frame). The Jaccard distance of each mask to the nearest mask of the
+/// other answer is averaged over the masks of an answer, and then over both answers. Answers to pairs have distance 1
+/// if their verdicts differ, and 0 if both reject with the same verdict. If both keep the pair, it is the mean of two
+/// numbers: the Jaccard distance of their joints, and 0 for the same edit type and style or else 1.
 pub(crate) fn distance(a: &Answer, b: &Answer, frames: i64) -> f64 {
     if a.verdict() != b.verdict() || a.kind() != b.kind() {
         return 1.0;
@@ -409,7 +408,7 @@ pub(crate) fn distance(a: &Answer, b: &Answer, frames: i64) -> f64 {
     }
 }
 
-/// Mean distance of masks to the nearest of the other masks; 0 if both lists are empty, 1 if only the others are not.
+/// Mean distance of each mask to the nearest of the others; 0 if both lists are empty, 1 if only one is.
 fn to_nearest(masks: &[Cells], others: &[Cells]) -> f64 {
     if masks.is_empty() {
         return f64::from(u8::from(!others.is_empty()));
@@ -511,7 +510,7 @@ mod tests {
         }
     }
 
-    /// An answer with two masks of the left arm and the same text, then changed.
+    /// An answer with two equal masks of the left arm, to which `change` is applied.
     fn two_arms(change: impl FnOnce(&mut [MaskAnswer])) -> Answer {
         let mut answer = masks(&[ARM, ARM]);
         if let Answer::MaskText { masks, .. } = &mut answer {
@@ -538,7 +537,8 @@ mod tests {
         ] {
             assert_eq!(code(&doubled), Some(Code::Invalid));
         }
-        // The later mask contains 31 of the 40 frames of the nearest mask; the other three masks have an equal one.
+        // The mask from frame 9 on has 31 of the 40 frames of its nearest mask; each of the other three has an equal
+        // one.
         let apart = distance(&later, &two_arms(|_| ()), FRAMES);
         assert!((apart - 9.0 / 160.0).abs() < 1e-12, "{apart}");
     }
@@ -553,7 +553,7 @@ mod tests {
         assert!(says(&ours, &plain) && !says(&plain, &ours));
         let longer = two_arms(|masks| masks[0].range = Some([0, 21]));
         assert!(!says(&ours, &longer));
-        // A ring that is off equals a ring whose joints are all deselected.
+        // Without its soft ring, a mask equals one whose ring joints are all excluded.
         let chosen = two_arms(|masks| masks[1].joints = collar(JointWeight::None));
         assert!(says(&ours, &chosen) && says(&chosen, &two_arms(|masks| masks[1].soft = false)));
     }

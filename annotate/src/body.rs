@@ -5,9 +5,9 @@ use kinematics::skeleton::KEYPOINT_PARENTS;
 
 use crate::wire::{PartInfo, SkeletonInfo};
 
-/// Rows of heat and difference: the parts of the release.
+/// Number of body parts of the release.
 pub(crate) const NUM_RELEASE_PARTS: usize = 5;
-/// The parts of the release, in the order of their keys and of the strips.
+/// The parts of the release, in the order of the actions `part_1` to `part_5` and of the rows of heat and difference.
 pub(crate) const RELEASE_PARTS: [BodyPart; NUM_RELEASE_PARTS] = [
     BodyPart::UpperBody,
     BodyPart::LowerBody,

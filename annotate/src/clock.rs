@@ -1,4 +1,4 @@
-//! The current time, and the days of a project.
+//! Clocks, and the days and weeks of a project in its time zone.
 
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -10,10 +10,10 @@ use crate::Error;
 use crate::lock::lock;
 use crate::store::Millis;
 
-/// Returns the current time.
+/// Returns the current time in milliseconds since the epoch.
 pub type Clock = Arc<dyn Fn() -> Millis + Send + Sync>;
 
-/// A day of 24 hours.
+/// Milliseconds of 24 hours.
 pub(crate) const DAY: Millis = 24 * 60 * 60 * 1000;
 
 /// Whether this is the name of a time zone, such as `Europe/Berlin`.
@@ -90,7 +90,7 @@ mod tests {
             ("UTC", NOON, 0),
             ("Europe/Berlin", NOON, -HOUR),
             ("Asia/Tokyo", NOON, -9 * HOUR),
-            // The next day has begun there.
+            // In Tokyo the next day has begun.
             ("Asia/Tokyo", SUMMER_TIME_DAY + 16 * HOUR, 15 * HOUR),
             // Summer time began on the day before, which had 23 hours.
             ("Europe/Berlin", NOON + DAY, 22 * HOUR),
@@ -104,7 +104,7 @@ mod tests {
         // Summer time begins on the Sunday of this week, which has an hour less.
         let of_berlin = [monday - HOUR, next - 2 * HOUR];
         assert_eq!(weeks("Europe/Berlin", NOON, 1), of_berlin);
-        // The next week has begun there.
+        // In Tokyo the next week has begun.
         let sunday_evening = SUMMER_TIME_DAY + 20 * HOUR;
         assert_eq!(weeks("Asia/Tokyo", sunday_evening, 1)[0], next - 9 * HOUR);
         assert!(is_zone("UTC") && is_zone("America/New_York"));

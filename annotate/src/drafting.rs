@@ -1,4 +1,5 @@
-//! Drafts by a language model for a whole project, made before people start. Annotators use, edit or discard each.
+//! Drafts by a language model for a whole project, made before people start. Annotators use, edit or discard each
+//! draft.
 
 use std::collections::BTreeSet;
 use std::sync::Mutex;
@@ -19,7 +20,7 @@ use crate::wire::{SuggestionSource, TaskKind};
 const BATCH: usize = 64;
 /// Requests to the model at the same time.
 const PARALLEL: usize = 4;
-/// Maximum number of failures before the run stops: the model is offline, or the key is wrong.
+/// Number of failures after which the run stops: probably the model is offline, or the key is wrong.
 const MAX_FAILURES: usize = 20;
 
 /// Counts of one run that drafts texts with a language model.
@@ -66,8 +67,9 @@ fn each(
     threads.install(|| tasks.par_iter().try_for_each(work))
 }
 
-/// Requests drafts for up to `limit` tasks that still want answers and have no draft of a model: one for each suggested
-/// mask, or for each active part if none is suggested. A repeated run continues where the last one ended.
+/// Requests drafts for up to `limit` tasks that still want answers and have no draft of a model: one draft for each
+/// suggested mask, or, for a mask task without such a suggestion, one for each active part. A repeated run continues
+/// where the last one ended.
 ///
 /// # Errors
 /// A motion cannot be read, or the store fails. Failures of the model are counted.
@@ -99,7 +101,7 @@ pub fn draft_all(
     Ok(done)
 }
 
-/// The parts that each draft of a task describes.
+/// The lists of parts that a task needs drafts for, one list for each draft.
 fn parts_to_describe(
     store: &Store,
     motions: &MotionLibrary,

@@ -88,7 +88,7 @@ impl Error {
         Vec::from_iter(all.map(|error| error.to_string())).join(": ")
     }
 
-    /// An error for an invalid input.
+    /// An [`Error::Import`]: an input cannot be used.
     pub(crate) fn import(what: impl Into<String>, problem: impl Into<String>) -> Self {
         let (what, problem) = (what.into(), problem.into());
         Self::Import { what, problem }
@@ -106,7 +106,7 @@ impl Error {
         Self::Refused(Box::new(problem))
     }
 
-    /// A missing resource, or one that the user may not see.
+    /// An error for a resource that is missing, or that the user may not see.
     pub(crate) fn not_found(what: &str) -> Self {
         Self::refused(
             Code::NotFound,
@@ -150,7 +150,7 @@ impl Problem {
         }
     }
 
-    /// Adds the current revision of the store.
+    /// Adds the revision that the store holds now.
     pub(crate) fn with_theirs(mut self, revision: Revision) -> Self {
         self.theirs = Some(Box::new(revision));
         self

@@ -25,7 +25,7 @@ const KEPT_EXPORTS: i64 = 10;
 /// Milliseconds without a report after which a running job counts as lost.
 const SILENT: Millis = 60_000;
 
-/// Marks jobs as failed whose server stopped. Jobs of other running servers on the same store are unaffected.
+/// Marks the jobs of stopped servers as failed: running jobs without a report for [`SILENT`] milliseconds.
 pub(crate) fn abandon(store: &Store, now: Millis) -> Result<(), Error> {
     store.abandon(now - SILENT, now)
 }
@@ -84,7 +84,7 @@ fn finish(app: &App, mut job: Job, outcome: Result<(), Error>) {
             job.messages.push(error.to_string());
         }
     }
-    // If the store fails here, requests report it.
+    // If the store fails here, it also fails for requests, which report it.
     let _kept = app.store.put_job(job, now);
 }
 
@@ -128,8 +128,8 @@ pub(crate) fn start_import(
     })
 }
 
-/// Stores an upload in the server's data folder. In a shared folder such as /tmp, another user could have
-/// placed a symbolic link under the name.
+/// Writes an upload to the server's data folder. In a shared folder such as /tmp, another user could have placed a
+/// symbolic link under the name.
 fn upload_in(app: &App, job: i64, body: &[u8]) -> Result<PathBuf, Error> {
     let folder = app.config.data.join("imports");
     std::fs::create_dir_all(&folder).map_err(Spec::io("create folder", &folder))?;

@@ -1,4 +1,4 @@
-//! Masks as JSON lines for any editor: drafts out, checked judgements in.
+//! Masks as JSON lines, to be judged in any text editor: [`drafts`] writes them, and [`accept`] reads them back.
 //!
 //! Every line is checked, every problem is reported with its line number, and either all lines are accepted or none.
 
@@ -48,7 +48,7 @@ struct Judgement {
 }
 
 impl Judgement {
-    /// The line of a mask that nobody has edited.
+    /// The line of a mask as the dataset has it.
     fn of(mask: &MaskRow) -> Result<Self, datasets_spec::Error> {
         let joints = BlendMask::of_names(&mask.hard_joints, &mask.soft_joints)?;
         Ok(Self {
@@ -174,7 +174,8 @@ pub fn accept(
     })
 }
 
-/// The id of the judged mask and its replacement (`None` if rejected). `None` for a pending line.
+/// The id of the mask of a line, and its new row (`None` if rejected). Returns `None` for a line without a draft that
+/// adds no mask.
 fn judge(
     line: &str,
     author: &str,
@@ -244,7 +245,7 @@ fn judge(
     Ok(Some((row.id.clone(), Some(row))))
 }
 
-/// The mask of an accepted or edited line. Such a line has a text.
+/// The joints of an accepted or edited line, which must also have a text.
 fn mask_of_line(judgement: &Judgement) -> Result<BlendMask, String> {
     for part in &judgement.parts {
         let part = part.parse::<BodyPart>();

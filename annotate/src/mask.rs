@@ -6,12 +6,12 @@ use datasets_spec::{BlendMask, BodyPart, Joint, JointSet};
 use crate::Error;
 use crate::wire::{JointChoice, JointWeight, MaskAnswer};
 
-/// The known parts among the names.
+/// The body parts with these names, without unknown names.
 pub(crate) fn known_parts(names: &[String]) -> Vec<BodyPart> {
     names.iter().filter_map(|name| name.parse().ok()).collect()
 }
 
-/// The mask of some parts, with or without its soft ring, changed by the choices for single joints.
+/// The mask of some parts, with or without its soft ring, changed by `choices` of single joints.
 pub(crate) fn mask_of(parts: &[String], soft: bool, choices: &[JointChoice]) -> BlendMask {
     let own = BlendMask::of_parts(&known_parts(parts));
     let ring = if soft { own.soft() } else { JointSet::EMPTY };
@@ -160,17 +160,17 @@ impl MaskAnswer {
         }
     }
 
-    /// Joints of the mask.
+    /// Hard and soft joints of the mask.
     pub fn mask(&self) -> BlendMask {
         mask_of(&self.parts, self.soft, &self.joints)
     }
 
-    /// Frames of the mask in a clip with `frames` frames.
+    /// Half-open range of frames of the mask in a clip with `frames` frames.
     fn frames(&self, frames: i64) -> [i64; 2] {
         self.range.map_or([0, frames], |range| range.map(i64::from))
     }
 
-    /// Joints and frames of the mask in a clip with `frames` frames.
+    /// Hard joints and frames of the mask in a clip with `frames` frames.
     pub(crate) fn cells(&self, frames: i64) -> Cells {
         (self.mask().hard(), self.frames(frames))
     }
@@ -250,7 +250,7 @@ mod tests {
             let found = entered(&arm, mask_of(&arm, soft, chosen));
             assert_eq!(found, (soft, chosen.to_vec()));
         }
-        // Legs have no ring: joints are chosen one by one.
+        // Legs have no soft ring, so a soft joint has to be chosen.
         let leg = mask_of(
             &parts(&["LEFT_LEG"]),
             true,

@@ -13,17 +13,17 @@ use crate::Error;
 use crate::store::{NewSuggestion, Store, TaskRecord};
 use crate::wire::{Code, SuggestionSource, TaskKind};
 
-/// Rate limit of model requests per person.
+/// Maximum number of requests to the model that one person can make per minute.
 pub const MAX_REQUESTS_PER_MINUTE: u32 = 30;
 /// Timeout of a request to the model.
 const TIMEOUT: Duration = Duration::from_secs(12);
-/// Maximum length of a draft.
+/// Maximum characters of a draft.
 const MAX_DRAFT_CHARS: usize = 300;
-/// Maximum size of a response.
+/// Maximum bytes of a response.
 const MAX_RESPONSE_BYTES: u64 = 256 * 1024;
-/// Maximum number of characters sent of a caption.
+/// Maximum characters of a caption in a prompt; the rest is cut off.
 const MAX_CAPTION_CHARS: usize = 500;
-/// Maximum number of captions that are sent.
+/// Maximum number of captions in a prompt.
 const MAX_CAPTIONS: usize = 6;
 
 /// Client of a language model.
@@ -195,7 +195,8 @@ fn question<'a>(
     }
 }
 
-/// Collapses the text to one line and removes control and bidirectional-text characters.
+/// A response as one line of up to [`MAX_DRAFT_CHARS`] characters, without quotes around it and without control and
+/// bidirectional-text characters.
 fn plain(text: &str) -> String {
     let turns = |c: &char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     let spaced: String = text

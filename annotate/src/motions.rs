@@ -22,9 +22,9 @@ use crate::activity::{active_parts, difference, heat, part_speeds};
 use crate::body::NUM_RELEASE_PARTS;
 use crate::lock::lock;
 
-/// Activity 1 is this quantile of the part's speed over training frames.
+/// The reference speed of a part, which is activity 1: this quantile of its speed over training frames.
 const REFERENCE_QUANTILE: f64 = 0.95;
-/// Number of training clips that the reference speed is measured on, evenly spaced.
+/// Maximum number of training clips, evenly spaced, on which reference speeds are measured.
 const REFERENCE_CLIPS: usize = 400;
 /// Motions kept in memory.
 const CACHED: usize = 64;
@@ -70,8 +70,8 @@ impl MotionLibrary {
         Ok(library)
     }
 
-    /// The 95th percentile of each part's speed over frames of training clips, or of all clips without a
-    /// training split.
+    /// Reference speeds: the 95th percentile of each part's speed over frames of training clips, or of all clips if
+    /// there is no training split; at least 0.05 m/s.
     fn measure(&self, dataset: &Dataset) -> Result<[f64; NUM_RELEASE_PARTS], Error> {
         let mut hashes = Vec::new();
         for split in [Some(datasets_spec::Split::Train), None] {
@@ -102,7 +102,6 @@ impl MotionLibrary {
         }))
     }
 
-    /// Number of motions.
     pub(crate) fn len(&self) -> usize {
         self.places.len()
     }
@@ -124,7 +123,7 @@ impl MotionLibrary {
         Ok(motion)
     }
 
-    /// Positions of the keypoints in metres as the interface sends them: `[T, 28, 3]`, little-endian `f32`.
+    /// Positions of the keypoints in metres as the API sends them: `[T, 28, 3]`, little-endian `f32`.
     pub(crate) fn joints(&self, hash: &str) -> Result<Vec<u8>, Error> {
         Ok(self.joint_bytes(&*self.motion(hash)?))
     }
@@ -143,13 +142,13 @@ impl MotionLibrary {
         Ok(heat(&*self.motion(hash)?, &self.skeleton, &self.reference))
     }
 
-    /// The parts that move in more than a fifth of the frames.
+    /// The arms and the lower body, if active in more than a fifth of the frames.
     pub(crate) fn active_parts(&self, hash: &str) -> Result<Vec<BodyPart>, Error> {
         Ok(active_parts(&self.heat(hash)?))
     }
 
-    /// Distance of two motions in metres, `[6, T]`: the root, then the parts of the release. `T` is the frames of the
-    /// shorter motion, or of the first one if the second is stretched to it.
+    /// Distance of two motions in metres, `[6, T]`: of the root, then of the parts of the release. `T` is the length of
+    /// the shorter motion, or with `stretch` of the source.
     pub(crate) fn difference(
         &self,
         source: &str,

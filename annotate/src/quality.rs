@@ -24,7 +24,8 @@ pub(crate) fn draft_distance(store: &Store, answer: &Answer) -> Result<Option<f6
     Ok(mean(&draft_distances(answer, &drafts)))
 }
 
-/// Edit distances of the texts of an answer from their drafts. Drafts of masks are shown without "The person is".
+/// Edit distances of the texts of an answer from their drafts. "The person is" is left out of both, because drafts of
+/// masks are shown without it.
 fn draft_distances(answer: &Answer, drafts: &BTreeMap<i64, String>) -> Vec<f64> {
     let texts = answer.texts().into_iter();
     texts
@@ -53,7 +54,7 @@ pub(crate) struct Figures {
     pub(crate) agreed_by_time: Vec<(i64, f64)>,
 }
 
-/// Parts of an answer that the figures are computed from.
+/// Data of an answer that the figures are computed from.
 struct Said {
     author: i64,
     secs: f64,
@@ -65,7 +66,7 @@ struct Said {
     drafts: Vec<f64>,
     /// Index of the verdict in [`Verdict::ALL`]; none for masks.
     verdict: Option<usize>,
-    /// Whether a mask contains all hard joints of each part of the release: BOTH_ARMS marks each arm.
+    /// For each part of the release, whether one mask contains all its hard joints. BOTH_ARMS thus covers each arm.
     covers: [bool; NUM_RELEASE_PARTS],
     /// Joints and frames of the answer's masks.
     cells: Vec<Cells>,
@@ -201,7 +202,7 @@ fn agreement(all: &[&Said], shared: &[Shared<'_>]) -> Agreement {
     }
 }
 
-/// Agreement on each part of the release, and on all their decisions together.
+/// Agreement on whether a mask covers each part of the release, and `overall` on the decisions about all parts.
 fn agreement_by_part(tasks: &[&Shared<'_>]) -> Vec<PartAgreement> {
     let covers = |part: usize| -> Vec<Item> {
         let items = tasks.iter().map(|task| {
@@ -266,7 +267,7 @@ fn drafts_of<'a>(
         .collect())
 }
 
-/// Frames of the clips of answers with a range, by their hash. Without a range, the number of frames does not matter.
+/// Number of frames of the clips, by hash, whose answers have a range. Without a range it does not matter.
 fn frames_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<String, i64>, Error> {
     let ranged: BTreeSet<String> = labels
         .iter()
@@ -309,8 +310,8 @@ fn said(label: &Label, drafts: &BTreeMap<i64, String>, frames: &BTreeMap<String,
     }
 }
 
-/// Cached figures. Each answer is read once; figures are computed again if answers have changed and the last
-/// computation is old enough.
+/// Cached figures. Each answer is read once; figures are computed again if answers have changed and the last figures
+/// are older than [`FIGURES_AGE`].
 #[derive(Default)]
 pub(crate) struct KeptFigures {
     gathered: Mutex<Gathered>,

@@ -47,7 +47,7 @@ names! {
         CapturesPlanned = "captures_planned",
         /// A picture of the guide was stored or deleted.
         GuidePicture = "guide_picture",
-        /// A reviewer judged a paraphrase, which programs up to version 0.1 proposed.
+        /// A reviewer judged a paraphrase. Only versions up to 0.1 of this program proposed paraphrases.
         ParaphraseJudged = "paraphrase_judged",
     }
 }
@@ -121,7 +121,7 @@ pub const MOVES: &[(LogKind, &[TaskState], &[TaskState])] = &[
     (E::ClipKept, TaskState::ALL, SAME),
 ];
 
-/// Possible next states of an event; empty if it is not legal.
+/// Possible states after an event in state `from`; empty if the event is not legal there.
 pub fn targets(from: TaskState, event: LogKind) -> &'static [TaskState] {
     let found = MOVES.iter().find_map(|&(known, before, to)| {
         let state = before.iter().find(|state| **state == from)?;

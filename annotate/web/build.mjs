@@ -1,9 +1,9 @@
 // Builds the browser side: `node build.mjs` writes dist/, `--check` compares dist/ with a fresh
 // build byte for byte, `--test` bundles and runs the unit tests.
 //
-// three.js is a separate chunk, so that it stays in the browser's cache when only the tool changes. The manifest names
-// every source by its hash; a Rust test compares them, so a bundle older than its sources fails the build of people who
-// have no Node.
+// three.js is a separate chunk, so that it stays in the browser's cache when only the tool changes. The manifest holds
+// the hash of every source. A Rust test compares these, so that a bundle older than its sources fails even without
+// Node.
 
 import { createHash } from "node:crypto";
 import { existsSync, mkdirSync, readFileSync, readdirSync, rmSync, writeFileSync } from "node:fs";
@@ -15,7 +15,7 @@ import * as esbuild from "esbuild";
 const here = dirname(fileURLToPath(import.meta.url));
 const dist = join(here, "dist");
 
-/** Bytes of all served files together; three.js alone is most of it. */
+/** Maximum bytes of all served files together; three.js alone takes most of it. */
 const SIZE_BUDGET = 850_000;
 
 const shared = {
@@ -52,7 +52,7 @@ function sha256(bytes) {
   return createHash("sha256").update(bytes).digest("hex");
 }
 
-/** Everything the bundle depends on, by path from here, in a fixed order. */
+/** Sorted paths of all files that the bundle depends on, relative to this folder. */
 function sources() {
   const fixed = ["build.mjs", "index.html", "package-lock.json", "package.json", "app.css", "tsconfig.json"];
   const code = walk(join(here, "src")).map((path) => relative(here, path).replaceAll("\\", "/"));

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 use crate::waits::{PATIENCE, Program, in_time, wait};
 
-/// Starts of the driver before a test gives up.
+/// Number of attempts to start the driver.
 const STARTS: usize = 5;
 
 /// Non-printing keys, as named by WebDriver.
@@ -77,13 +77,13 @@ impl Drop for Browser {
     }
 }
 
-/// The first matching element, in JavaScript.
+/// A JavaScript expression for the first matching element.
 fn element(selector: &str) -> String {
     format!("document.querySelector({})", json!(selector))
 }
 
 impl Browser {
-    /// Starts a driver and a browser of 1280 by 800 pixels.
+    /// Starts a driver and a browser with a window of 1280 by 900 pixels.
     pub fn start(graphics: Graphics) -> Self {
         Self::start_with(graphics, &[])
     }
@@ -92,8 +92,7 @@ impl Browser {
     pub fn start_with(graphics: Graphics, more: &[&str]) -> Self {
         let mut driver = Command::new("chromedriver");
         driver.arg("--port=0").stderr(Stdio::null());
-        // The driver ends if another process holds the port that it has drawn, and draws another one when it is started
-        // again.
+        // The driver draws a port, and ends if another process holds that port. Each start draws another one.
         let mut starts = (0..STARTS).map(|_| Program::start(&mut driver, driver_port));
         let started = starts.find_map(Result::ok);
         let (driver, port) = started.unwrap_or_else(|| panic!("{driver:?} ended {STARTS} times"));
@@ -105,7 +104,7 @@ impl Browser {
             "--disable-sync",
             "--no-first-run",
             "--window-size=1280,900",
-            // A name other than localhost for this machine, to test the page over plain HTTP.
+            // A name of this machine other than localhost, which browsers trust even without TLS.
             "--host-resolver-rules=MAP annotate.test 127.0.0.1",
             // Expose heap size and garbage collection.
             "--js-flags=--expose-gc",
@@ -122,7 +121,7 @@ impl Browser {
         builder.capabilities(capabilities);
         let client = wait(builder.connect(&format!("http://127.0.0.1:{port}")));
         let client = client.expect("Chromium starts");
-        // Software rendering of a few hundred frames is slow on few cores.
+        // Scripts may take longer, because software rendering of a few hundred frames is slow on few cores.
         let mut timeouts = wait(client.get_timeouts()).expect("time limits");
         timeouts.set_script(Some(2 * PATIENCE));
         wait(client.update_timeouts(timeouts)).expect("time limits are set");
@@ -145,7 +144,7 @@ impl Browser {
         wait(self.client.refresh()).expect("the page reloads");
     }
 
-    /// Goes back to the previous page.
+    /// Goes back to the previous page of the history.
     pub fn back(&self) {
         wait(self.client.back()).expect("the page before");
     }
@@ -220,7 +219,7 @@ impl Browser {
         text.as_str().expect("a text").to_owned()
     }
 
-    /// Checks that the text of the first matching element has all of these words.
+    /// Checks that the text of the first matching element contains each of these phrases.
     pub fn reads(&self, selector: &str, words: &[&str]) {
         let text = self.text_of(selector);
         for words in words {

@@ -69,7 +69,7 @@ impl Dataset {
         Self::copy_of(&MADE.path().join("dataset"))
     }
 
-    /// A dataset with style pairs of any two clips, at least `count` of them.
+    /// A dataset with a style pair of any two of its clips, at least `count` pairs.
     pub fn with_pairs(count: i64) -> Self {
         let clips = (1..).find(|clips| clips * (clips - 1) / 2 >= count);
         let clips = clips.expect("a number of clips").to_string();
@@ -91,7 +91,7 @@ impl Dataset {
         Self { folder }
     }
 
-    /// A copy of another dataset, with its store.
+    /// A copy of another dataset, including its store.
     pub fn copy_of(dataset: &Path) -> Self {
         let folder = temporary();
         copy(dataset, &folder.path().join("dataset"));
@@ -208,7 +208,7 @@ fn text(path: &Path) -> String {
     path.to_str().expect("temporary paths are text").to_owned()
 }
 
-/// Names of the clips in a folder, relative to `root`.
+/// Adds the paths of the clips in a folder to `names`, relative to `root`.
 fn clip_files(root: &Path, folder: &Path, names: &mut Vec<String>) {
     for entry in fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();

@@ -37,8 +37,8 @@ pub struct Route {
     pub(super) filter: MethodFilter,
     /// Path, with parameters in braces.
     pub path: &'static str,
-    /// Minimum role of the user; `None` admits everybody. Routes that change something still need the header and origin
-    /// of the page.
+    /// Minimum role of the user; `None` admits everybody. A request that changes something still needs the header and
+    /// the origin of the page, or a bearer token.
     pub role: Option<Role>,
     /// Maximum size of the body in bytes.
     pub max_body: usize,
@@ -69,11 +69,11 @@ pub struct ServerConfig {
     pub secure: bool,
     /// Host names under which browsers reach the server, besides `localhost` and IP addresses.
     pub hosts: Vec<String>,
-    /// Proxies whose `X-Forwarded-For` header is trusted.
+    /// Proxies whose headers `X-Forwarded-For` and `Forwarded` are trusted.
     pub trusted_proxies: Vec<TrustedProxy>,
-    /// Folder for exports.
+    /// Folder for the files of exports, and for uploads while they are imported.
     pub data: PathBuf,
-    /// The dataset, for imports.
+    /// Folder of the dataset, for imports and exports.
     pub dataset: PathBuf,
     /// The language model, if there is one.
     pub model: Option<Model>,
@@ -95,9 +95,9 @@ pub(crate) struct App {
     pub(crate) config: ServerConfig,
     pub(crate) limiter: Limiter,
     pub(crate) metrics: Metrics,
-    /// Why the store accepts no writes; none if it does.
+    /// Why the store accepts no writes; `None` if it does.
     pub(crate) read_only: Mutex<Option<String>>,
-    /// Agreement figures.
+    /// Figures of agreement and of people.
     pub(crate) figures: KeptFigures,
     pub(crate) last_seq: tokio::sync::watch::Sender<i64>,
 }
@@ -197,7 +197,7 @@ pub(super) fn content(mime: &str, cache: &str, body: impl Into<Body>) -> Respons
     (headers, body).into_response()
 }
 
-/// A binary response that caches do not store.
+/// A binary response that caches must not store.
 pub(super) fn binary(bytes: Vec<u8>) -> Response {
     content("application/octet-stream", "no-store", bytes)
 }
@@ -207,7 +207,7 @@ pub(super) fn empty(_: ()) -> Result<Response, Error> {
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
-/// The value of a header that occurs exactly once.
+/// The value of a header; `None` unless it occurs exactly once and is ASCII text.
 pub(super) fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
     let mut all = headers.get_all(name).iter();
     match (all.next(), all.next()) {

@@ -1,4 +1,4 @@
-//! The front end, embedded.
+//! The files of the front end, embedded in the program.
 
 const HTML: &str = "text/html; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
@@ -33,7 +33,7 @@ static FILES: &[Asset] = &[
 ];
 
 impl Asset {
-    /// Weak ETag of the content, which the compressed file shares.
+    /// Weak ETag of the content; a compressed response has the same one.
     pub(super) fn etag(&self) -> String {
         format!("W/\"{}\"", &blake3::hash(self.bytes).to_hex()[..16])
     }
@@ -62,7 +62,7 @@ mod tests {
         let names = entries.map(|entry| entry.expect("an entry").file_name());
         let built: BTreeSet<String> = names
             .map(|name| name.to_string_lossy().into_owned())
-            // The build manifest is used by tests only.
+            // Only tests use the build manifest.
             .filter(|name| name != "manifest.json")
             .collect();
         let embedded: BTreeSet<String> = FILES.iter().map(|asset| asset.name.to_owned()).collect();

@@ -12,14 +12,14 @@ const MINUTE: Millis = 60_000;
 /// Maximum number of client addresses tracked.
 const MAX_CLIENTS: usize = 10_000;
 
-/// Counts of the last minute, by action and client.
+/// Times of the requests of the last minute, by action and client.
 #[derive(Debug, Default)]
 pub(crate) struct Limiter {
     seen: Mutex<HashMap<(&'static str, String), Vec<Millis>>>,
 }
 
 impl Limiter {
-    /// Counts one request.
+    /// Counts one request of `who`, of which `most` are allowed per minute.
     ///
     /// # Errors
     /// `rate_limited`, with the time to wait.

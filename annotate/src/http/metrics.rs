@@ -18,7 +18,7 @@ struct Requests {
     secs: f64,
 }
 
-/// Requests by method and path.
+/// Request counts by the method and path of their route.
 #[derive(Default)]
 pub(crate) struct Metrics(Mutex<BTreeMap<(&'static str, &'static str), Requests>>);
 

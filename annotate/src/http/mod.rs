@@ -1,4 +1,4 @@
-//! The server.
+//! The HTTP server.
 //!
 //! Every route is a row of [`ROUTES`] with its required role. `serve` handles what all requests share: it
 //! authenticates, checks role and origin, limits body and time, and writes the reply.
@@ -54,7 +54,7 @@ const CONNECTIONS: usize = 1024;
 const CSP: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; \
 connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'";
 
-/// Minimum size of compressed bodies: smaller ones fit into one packet.
+/// Minimum bytes of a body that is compressed: smaller ones fit into one packet.
 const WORTHWHILE: u16 = 1400;
 
 /// Interval between write attempts on a store that accepted no writes.
@@ -147,7 +147,7 @@ fn failed(address: SocketAddr) -> impl FnOnce(std::io::Error) -> Error {
     }
 }
 
-/// Checks whether a store that accepted no writes accepts them again.
+/// Checks repeatedly whether a store that accepted no writes accepts them again.
 async fn recover(app: Arc<App>) {
     loop {
         tokio::time::sleep(TRY_AGAIN).await;
@@ -271,7 +271,7 @@ async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Respon
     response
 }
 
-/// Limits the time of a part of a request.
+/// Refuses with `timeout` if `work`, a part of a request that `what` names, takes longer than `patience`.
 async fn within<T>(
     patience: Duration,
     what: &str,
@@ -325,8 +325,8 @@ async fn answer(app: Arc<App>, route: &'static Route, request: Request) -> Resul
     within(patience, "the request", work).await
 }
 
-/// Bytes of a body that is too large, which are read and discarded: a browser whose upload is cut off does not show the
-/// response.
+/// Maximum number of bytes beyond the body limit that are read and discarded: a browser whose upload is cut off does
+/// not show the response.
 const DRAINED_BYTES: usize = 32 * 1024 * 1024;
 
 async fn read_body(body: Body, limit: usize) -> Result<Bytes, Error> {
@@ -354,7 +354,7 @@ async fn read_body(body: Body, limit: usize) -> Result<Bytes, Error> {
     Ok(bytes.into())
 }
 
-/// Authorises a request and identifies its user.
+/// Authorises a request and returns its user; `None` on a route without a role.
 fn admit(
     app: &App,
     route: &Route,

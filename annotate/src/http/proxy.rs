@@ -1,7 +1,7 @@
 //! The address of a client behind proxies.
 //!
-//! Every proxy appends the address it was called from to `X-Forwarded-For` or `Forwarded`, so the list is read
-//! from its end, and only as far as trusted proxies wrote it: a client may send such headers itself.
+//! Every proxy appends the address of its caller to `X-Forwarded-For` or `Forwarded`. A client may send such headers
+//! itself, so the list is read from its end, and only as far as trusted proxies wrote it.
 
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::str::FromStr;
@@ -42,7 +42,7 @@ pub(super) fn client(peer: IpAddr, headers: &HeaderMap, trusted: &[TrustedProxy]
             match hop {
                 Some(address) if is_trusted(address) => known = address,
                 Some(address) => return address,
-                // An untrusted hop hides its client: no trusted proxy confirms the addresses before it.
+                // An entry without an address: no trusted proxy confirms the entries before it.
                 None => return known,
             }
         }
@@ -50,7 +50,7 @@ pub(super) fn client(peer: IpAddr, headers: &HeaderMap, trusted: &[TrustedProxy]
     };
     let by_list = outermost(hops(headers, &X_FORWARDED_FOR, address));
     let by_fields = outermost(hops(headers, &FORWARDED, forwarded_for));
-    // A proxy that writes one of the headers forwards the client's version of the other one.
+    // A proxy that writes one of the headers forwards the client's version of the other one, so both must agree.
     match (
         headers.contains_key(X_FORWARDED_FOR),
         headers.contains_key(FORWARDED),
@@ -61,7 +61,7 @@ pub(super) fn client(peer: IpAddr, headers: &HeaderMap, trusted: &[TrustedProxy]
     }
 }
 
-/// Rate-limit key of a client: its IPv4 address, or its IPv6 /64 network, all of which one host may use.
+/// Rate-limit key of a client: its IPv4 address, or its IPv6 /64 network, because one host may use all of that network.
 pub(super) fn counted(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V4(address) => address.into(),

@@ -9,7 +9,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::Sleep;
 
-/// A socket whose writes fail once the peer has read nothing for a while. A peer that reads a byte now and then is
+/// A socket whose writes fail once the peer has read nothing for `patience`. A peer that reads a byte now and then is
 /// dropped too: the system reports a socket as writable only when much of its buffer is free.
 pub(super) struct Socket {
     stream: TcpStream,
@@ -27,7 +27,7 @@ impl Socket {
         }
     }
 
-    /// Limits the time that a write waits.
+    /// Passes on the result of a write, or fails once a write has waited for `patience`.
     fn limited<T>(
         &mut self,
         context: &mut Context<'_>,

@@ -153,7 +153,7 @@ impl Taking<'_> {
         Ok(held.filter(|held| held.epoch == self.event.lease_epoch))
     }
 
-    /// The author's answer, if it has been submitted.
+    /// The author's answer, if it is submitted and was not sent back.
     fn handed_in(&self) -> Option<&Revision> {
         let is_handed_in = |mine: &&Revision| {
             !matches!(mine.state, RevisionState::Draft | RevisionState::Returned)
@@ -199,7 +199,7 @@ impl Taking<'_> {
         self.log(tx, Some(held.epoch), body, None, None)
     }
 
-    /// Stores an answer that is not based on the current revision, `mine`, only in the log.
+    /// Writes an answer that is not based on the current revision to the log, without making it a revision.
     fn stale(&self, tx: &mut dyn Tx, answer: Answer, rev: i64) -> Result<EventResult> {
         let mut problem = Problem::new(
             Code::StaleRevision,
@@ -233,7 +233,7 @@ impl Taking<'_> {
         self.log(tx, Some(self.event.lease_epoch), body, Some(problem), None)
     }
 
-    /// Submits an answer, scores it if the known answer exists, and applies the rules.
+    /// Submits an answer, scores it if the task has a known answer, and applies the rules.
     fn submit(&self, tx: &mut dyn Tx, answer: Answer, rev: i64, epoch: i64) -> Result<EventResult> {
         let mut answers = others(tx, self.task.id, self.turn.user)?;
         answers.push(answer.clone());
@@ -261,7 +261,7 @@ impl Taking<'_> {
         Ok(result)
     }
 
-    /// Whether another user holds the task, or the task needs no more answers.
+    /// Whether others have taken the task: somebody else holds it, and it takes no more annotators.
     fn taken(&self, tx: &mut dyn Tx) -> Result<bool> {
         tx.has(
             "SELECT 1 FROM task t WHERE t.id = ?1 AND t.claimable = 0
@@ -308,7 +308,7 @@ impl Taking<'_> {
             let problem = "taken back: you have no answer waiting for review";
             return Err(Error::wrong_state(state, problem));
         };
-        // Only a rule has accepted the answer, so undo that acceptance first.
+        // If a rule accepted the answer, and not too long ago, take that acceptance back first.
         if let Some((rule, at)) = rules::accepted_by_rule(tx, self.task.id)?
             && self.turn.now - at <= take_back_window(&self.turn.settings)
         {

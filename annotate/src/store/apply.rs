@@ -1,4 +1,4 @@
-//! Projections: applies log entries to the derived tables.
+//! Applies log entries to the projections, the tables derived from the log.
 
 use super::db::{Result, ToSql, Tx, json, params, unreadable};
 use super::entry::{Body, Entry, LoggedTask};
@@ -16,7 +16,7 @@ use crate::wire::{Answer, Lease, RevisionState, TaskState, Verdict};
 /// plus its index.
 const LEASES_PER_ENTRY: i64 = 100;
 
-/// Checks that an entry is legal in the current state of the task.
+/// Checks that an entry is legal in the current state of the task. `what` completes the error "cannot be …".
 pub(crate) fn check_move(state: TaskState, kind: LogKind, what: &str) -> Result<()> {
     if targets(state, kind).is_empty() {
         return Err(Error::wrong_state(state, what));
@@ -150,7 +150,7 @@ fn import(tx: &mut dyn Tx, seq: i64, entry: &Entry, task: &LoggedTask) -> Result
     }
 }
 
-/// Id of a lease created by an entry.
+/// Id of the lease with index `number` among those that an entry creates.
 fn lease_id(seq: i64, number: usize) -> i64 {
     seq * LEASES_PER_ENTRY + number as i64
 }
@@ -272,7 +272,7 @@ impl Change<'_> {
                 self.put_revision(tx, RevisionState::Submitted, answer, *rev, *secs)?;
                 self.forget(tx, "lease")?;
                 self.forget(tx, "skip")?;
-                // The author saw the current version of the clip.
+                // The author saw the clip as it is now; only answers of others can be about earlier content.
                 tx.run(
                     "UPDATE task SET distance = ?2, changed = CASE WHEN EXISTS (
                        SELECT 1 FROM revision WHERE task = ?1 AND author <> ?3) THEN changed ELSE 0 END
@@ -320,7 +320,7 @@ impl Change<'_> {
         }
     }
 
-    /// Applies events of dataset imports, and decisions about changed clips.
+    /// Applies entries of dataset imports, and decisions about changed clips.
     fn apply_import(&self, tx: &mut dyn Tx) -> Result<()> {
         match &self.entry.body {
             Body::Filled {
@@ -426,7 +426,7 @@ impl Change<'_> {
         tx.run(&sql, params![self.task, value])
     }
 
-    /// Deletes the row of the task and the actor.
+    /// Deletes the actor's row about the task from `table`.
     fn forget(&self, tx: &mut dyn Tx, table: &str) -> Result<()> {
         let sql = format!("DELETE FROM {table} WHERE task = ?1 AND usr = ?2");
         tx.run(&sql, params![self.task, self.actor])
@@ -459,8 +459,8 @@ impl Change<'_> {
         set_state(tx, self.task, TaskState::Accepted)
     }
 
-    /// Derives the state of the task after a lease for `purpose` began or ended. The lease of a review sets the state
-    /// `of_review`.
+    /// Derives the state of the task after a lease for `purpose` began or ended. For the lease of a review, the state
+    /// becomes `of_review`.
     fn after_lease(&self, tx: &mut dyn Tx, purpose: Purpose, of_review: TaskState) -> Result<()> {
         match purpose {
             Purpose::Review => set_state(tx, self.task, of_review),

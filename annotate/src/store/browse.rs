@@ -17,9 +17,9 @@ use crate::wire::{
 /// Query of a page of the task browser.
 #[derive(Clone, Debug, Default)]
 pub struct PageQuery {
-    /// Filter on tasks.
+    /// The tasks to list.
     pub filter: TaskFilter,
-    /// Order.
+    /// Order; by id if missing.
     pub sort: Option<TaskSort>,
     /// Whether to reverse the order.
     pub reverse: bool,
@@ -59,8 +59,8 @@ impl Store {
         })
     }
 
-    /// Decisions of reviewers, newest first, each with the answer it is about, the answer's author, and its current
-    /// state.
+    /// Decisions of reviewers, newest first, each with the authors it concerns and the current state of its task.
+    /// Decisions by rules are included only for reviewer 0.
     pub fn decisions(&self, query: DecisionQuery) -> Result<Decisions> {
         let mut values = Values::default();
         let mut place = format!("v.seq < {}", values.put(query.before.unwrap_or(i64::MAX)));
@@ -164,7 +164,7 @@ fn task_rows(tx: &mut dyn Tx, tasks: Vec<TaskRecord>) -> Result<Vec<TaskRow>> {
     if tasks.is_empty() {
         return Ok(Vec::new());
     }
-    // The original basis of an imported acceptance is left out: it cannot be undone here.
+    // How an imported answer was accepted elsewhere is left out: that acceptance cannot be undone here.
     let mut facts = by_task::<(Option<String>, Option<String>, i64, Option<String>)>(
         tx,
         "SELECT t.id, s.id, o.id, t.touched, CASE WHEN a.basis LIKE 'import%' THEN 'import' ELSE a.basis END

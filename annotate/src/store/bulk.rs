@@ -56,7 +56,8 @@ fn check_bulk(tx: &mut dyn Tx, request: &BulkRequest, act: bool) -> Result<()> {
     }
 }
 
-/// Plans an action on the tasks of a filter, and applies it if `act` is set. Otherwise counts all tasks.
+/// Plans an action on the tasks of a filter. With `act`, applies it to up to [`BULK_AT_ONCE`] of them; otherwise only
+/// counts what it would change, among all of them.
 fn bulk(
     tx: &mut dyn Tx,
     who: i64,
@@ -108,10 +109,10 @@ struct One {
     own: bool,
 }
 
-/// Event to apply to a task, or why the task is skipped.
+/// The entry to write about a task, or why the task is skipped.
 type Planned = Result<Body, &'static str>;
 
-/// Event that a bulk action applies to a task.
+/// Decides what a bulk action does with a task.
 fn planned(tx: &mut dyn Tx, turn: &Turn, request: &BulkRequest, one: &One) -> Result<Planned> {
     let One { task, held, own } = one;
     let comment = request.comment.trim().to_owned();
@@ -162,7 +163,7 @@ fn planned(tx: &mut dyn Tx, turn: &Turn, request: &BulkRequest, one: &One) -> Re
     Ok(Ok(body))
 }
 
-/// Accepts the first answer if all answers agree.
+/// Plans the acceptance of the first answer if all answers agree.
 fn accepted(tx: &mut dyn Tx, turn: &Turn, one: &One, comment: String) -> Result<Planned> {
     let answers = rules::waiting_answers(tx, one.task.id)?;
     let all: Vec<_> = answers.iter().map(|own| own.answer.clone()).collect();
@@ -186,7 +187,7 @@ fn accepted(tx: &mut dyn Tx, turn: &Turn, one: &One, comment: String) -> Result<
     }))
 }
 
-/// Reserves a task for a person who neither holds nor answered it.
+/// Plans the reservation of a task for a person who neither holds nor answered it.
 fn assigned(tx: &mut dyn Tx, task: i64, person: i64, until: Millis) -> Result<Planned> {
     let found = tx.find(
         "SELECT t.wanted - t.submitted - (SELECT COUNT(*) FROM lease l WHERE l.task = t.id AND l.purpose = 'annotate'),

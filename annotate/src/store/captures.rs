@@ -15,7 +15,7 @@ use crate::Error;
 use crate::answer::check_style_name;
 use crate::wire::{Answer, CaptureCell, Captures, PlannedCapture, Settings, TaskState, Verdict};
 
-/// Name of the plan in table `setting`.
+/// Name under which table `setting` holds the plan.
 const PLAN: &str = "captures";
 /// Maximum number of cells. The style set of the paper has fewer than a thousand takes.
 const MAX_CELLS: usize = 10_000;
@@ -25,7 +25,7 @@ const MAX_TAKES: u32 = 1_000;
 /// A source motion and a style.
 type Place = (String, String);
 
-/// Numbers of valid and of rejected takes of a cell.
+/// Numbers of usable and of rejected takes of a cell.
 #[derive(Default)]
 struct Takes {
     arrived: u32,

@@ -68,14 +68,14 @@ impl Store {
     }
 }
 
-/// Tasks of a category that claims would give a user.
+/// Numbers of tasks of a category that claims would give a user.
 #[derive(Default)]
 struct Offer {
-    /// Tasks that count toward the quota of the category already, and want another answer.
+    /// Tasks that already count toward the quota of the category, and want another answer.
     counted: i64,
     /// Other tasks.
     others: i64,
-    /// Number of tasks with expired leases: the next claim frees quota for as many.
+    /// Tasks that will no longer count toward the quota once the next claim ends their expired leases.
     freed: i64,
 }
 
@@ -123,7 +123,7 @@ pub(super) fn on_offer(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<i
         .sum())
 }
 
-/// Adds the tasks that the next claim of a user would free of expired leases.
+/// Adds the tasks whose expired leases the next claim of a user would end.
 fn expired_offers(
     tx: &mut dyn Tx,
     turn: &Turn,
@@ -232,7 +232,7 @@ fn places(
                  ORDER BY t.bundle_index, t.id"
     );
     let mut found: Vec<(i64, i64, Option<String>, bool)> = tx.list(&sql, params![bundle, user])?;
-    // The first task uses the quota first.
+    // The first task uses the quota before the others do.
     found.sort_by_key(|(task, ..)| *task != first);
     let mut places = Vec::new();
     for (task, index, category, counted) in found {
@@ -256,7 +256,7 @@ struct Category {
 }
 
 impl Category {
-    /// Uses the quota for one more pair. Returns whether there was room.
+    /// Uses up the quota for one more pair. Returns whether there was room.
     fn use_one(&mut self) -> bool {
         let has_room = self.room > 0;
         self.room -= i64::from(has_room);
@@ -264,11 +264,11 @@ impl Category {
     }
 }
 
-/// Categories of pairs that can be claimed; tasks without a category form one.
+/// Categories of pairs that can be claimed. Pairs without a category form one of their own.
 type Room = BTreeMap<Option<String>, Category>;
 
-/// Number of pairs of each category that count toward its quota or wait for review. A waiting pair may be kept, or
-/// returned to its author.
+/// Number of pairs of each category that count toward its quota or wait for review. Waiting pairs are included, because
+/// they may still be kept or returned to their authors.
 fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>> {
     let sql = "SELECT p.category, COUNT(*) FROM (
          SELECT category FROM task WHERE kind = 'pair' AND counted = 1
@@ -337,7 +337,7 @@ fn category_limits(room: Option<&Room>) -> Vec<(&'static str, Option<&String>)> 
 
 /// SQL conditions for claiming pairs within a category, in the order in which they are tried: first pairs whose stated
 /// edit type is furthest behind its quota, then all types except those with enough pairs, then the rest. Nothing is
-/// withheld. Without quotas, one condition that is always true.
+/// withheld. Without quotas, the only condition is empty.
 fn type_limits(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Vec<String>> {
     let quotas = turn.settings.edit_type_quota.iter();
     let quotas: Vec<(EditType, i64)> = quotas

@@ -1,4 +1,4 @@
-//! Interface to SQLite and PostgreSQL: values, rows and transactions.
+//! Common interface to SQLite and PostgreSQL: values, rows and transactions.
 //!
 //! Both databases share the SQL statements. Parameters are `?1`, `?2` …; integers are `BIGINT`, booleans are
 //! 0 and 1, other columns are `TEXT`, `BYTEA` or double precision.

@@ -4,10 +4,10 @@ use super::apply::apply;
 use super::db::{Result, Tx, params};
 use super::entry::{ENTRY_COLUMNS, Entry, read_entry};
 
-/// A projection: its table, the column with the id of the task, and its sort columns.
+/// A projection: its table, the column that holds the id of the task, and the columns that give its rows an order.
 pub(super) type Projection = (&'static str, &'static str, &'static str);
 
-/// The projections.
+/// All projections.
 pub(super) const PROJECTIONS: [Projection; 10] = [
     ("task", "id", "id"),
     ("lease", "task", "id"),

@@ -73,7 +73,8 @@ pub(crate) struct Place {
     pub(crate) index: i64,
 }
 
-/// Body of an entry. `request` is a hash of the request; it shows whether a repeated key repeats the request.
+/// Body of an entry. `request` is the hash of the request; it tells a repeated request from another one with the same
+/// key.
 ///
 /// Fields that hold ids of people are called `user`, `author` or `authors`: an export of the log replaces them by
 /// pseudonyms.
@@ -111,7 +112,7 @@ pub(crate) enum Body {
         user: i64,
         purpose: Purpose,
         reason: ReleaseReason,
-        /// Until when the task stays reserved for the user, whose returned answer is still open.
+        /// Time until which the task stays reserved for the user, who still owes a new version of a returned answer.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         reserved: Option<Millis>,
     },
@@ -119,7 +120,7 @@ pub(crate) enum Body {
         answer: Answer,
         rev: i64,
         secs: f64,
-        /// Why the answer did not become a revision; none if it did.
+        /// Why the answer did not become a revision; `None` if it did.
         kept_aside: Option<String>,
         request: String,
     },
@@ -152,10 +153,10 @@ pub(crate) enum Body {
         #[serde(default)]
         secs: f64,
         request: String,
-        /// Name of the rule that accepted the answer; none if the actor did.
+        /// Name of the rule that accepted the answer; `None` if the actor did.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         rule: Option<String>,
-        /// Whether the actor answered the task too.
+        /// Whether the actor accepted their own answer.
         #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         own: bool,
     },
@@ -266,7 +267,8 @@ impl Body {
         }
     }
 
-    /// Seconds of work that an answer, skip or review reports, and the hash of its request. Older logs have no seconds.
+    /// Seconds of work that an answer, skip or review reports, and the hash of its request. In older logs, skips and
+    /// reviews report 0 seconds.
     pub(crate) fn work(&self) -> (f64, Option<&str>) {
         match self {
             Self::DraftSaved { secs, request, .. }
@@ -312,7 +314,7 @@ impl Entry {
     }
 }
 
-/// Columns of [`read_entry`].
+/// The columns that [`read_entry`] reads, in order.
 pub(crate) const ENTRY_COLUMNS: &str = "seq, at, actor, task, epoch, body, version";
 
 /// Reads an entry of [`ENTRY_COLUMNS`] with its sequence number.
@@ -342,7 +344,7 @@ mod tests {
 
     #[test]
     fn what_an_older_store_lacks_is_not_written_either() {
-        // Without the edit type that a source states.
+        // The edit type that a source states is missing.
         same::<Body>(
             r#"{"event":"imported","task":{"key":"pair:1","kind":"pair","source":"a","target":"b","split":"train","bundle":7,"bundle_index":0,"category":null,"hint":"higher","style":null,"priority":0,"shuffle":3,"wanted":1,"gold":null,"extra":null,"accepted":null,"credit":null}}"#,
         );

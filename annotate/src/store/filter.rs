@@ -108,7 +108,7 @@ fn skipped(by: SkipFilter) -> String {
     }
 }
 
-/// The SQL condition for tasks with a text in their answers, their clips or their own fields.
+/// The SQL condition for tasks whose answers, clips or own fields contain a text.
 fn contains(text: &str, values: &mut Values) -> String {
     let like = values.put(like(text));
     let fits = |column: &str| format!("{column} LIKE {like} ESCAPE '\\'");
@@ -137,7 +137,7 @@ fn contains(text: &str, values: &mut Values) -> String {
     format!("({})", any.join(" OR "))
 }
 
-/// Checks a filter.
+/// Refuses a filter with an unknown part, a long search text, or a distance outside 0 to 1.
 pub(super) fn check(filter: &TaskFilter) -> Result<()> {
     const MAX_SEARCH: usize = 200;
     if let Some(part) = &filter.part

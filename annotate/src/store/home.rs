@@ -70,7 +70,7 @@ fn queue(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<QueueInfo> {
     let new = if practice.passed {
         claim::on_offer(tx, turn, kind)?
     } else {
-        // After the last practice task, tasks with a low score are given again.
+        // If all practice tasks are done and the score is too low, the next one is given again.
         (practice.needed - practice.done).max(1)
     };
     Ok(QueueInfo {

@@ -13,7 +13,7 @@ use crate::wire::{Answer, Settings, TaskKind, TaskState};
 
 /// Prefix that turns the key of a task into the key of its gold copy.
 pub(super) const GOLD_KEY: &str = "gold:";
-/// Number of answers that a gold task wants: one from everybody.
+/// Number of answers that a gold task wants: so many that everybody can answer it.
 const GOLD_WANTED: u32 = 1_000_000;
 
 impl Store {
@@ -40,13 +40,14 @@ impl Store {
         Ok(done)
     }
 
-    /// Copies an accepted task as a hidden gold task, to measure people. Refused with `wrong_state`, `not_found`.
+    /// Copies an accepted task as a hidden gold task, to measure people, and returns the id of the copy. Refused with
+    /// `wrong_state`, `not_found`.
     pub fn make_gold(&self, actor: i64, task: i64, now: Millis) -> Result<i64> {
         self.write(move |tx| copy_known(tx, actor, task, false, now))
     }
 
-    /// Copies an accepted task as a practice task, to learn from: the known answer is shown afterwards.
-    /// Refused with `wrong_state`, `not_found`.
+    /// Copies an accepted task as a practice task, which shows the known answer afterwards, and returns the id of the
+    /// copy. Refused with `wrong_state`, `not_found`.
     pub fn make_practice(&self, actor: i64, task: i64, now: Millis) -> Result<i64> {
         self.write(move |tx| copy_known(tx, actor, task, true, now))
     }
@@ -131,7 +132,7 @@ fn put_task(
     settings: &Settings,
     now: Millis,
 ) -> Result<()> {
-    // Ids of bundles are below 2^53, which JavaScript numbers hold exactly.
+    // Ids of bundles are below 2^52, so that JavaScript numbers hold them exactly.
     let bundle = task
         .bundle
         .as_deref()

@@ -15,7 +15,7 @@ const JOBS: i64 = 100;
 const FILE_PART: u64 = 1 << 20;
 
 impl Store {
-    /// Stores a job; id 0 creates a new one.
+    /// Stores a job, with `now` as the time of its last report; id 0 creates a new one.
     pub fn put_job(&self, job: Job, now: Millis) -> Result<Job> {
         self.write(move |tx| put_job(tx, job, now))
     }
@@ -70,7 +70,7 @@ impl Store {
         Ok(content)
     }
 
-    /// Records that a job runs.
+    /// Records that a running job still runs.
     pub fn beat(&self, job: i64, now: Millis) -> Result<()> {
         let sql = "SELECT body FROM job WHERE id = ?1";
         self.write(move |tx| match read_jobs(tx, sql, job)?.pop() {
@@ -98,7 +98,7 @@ impl Store {
         })
     }
 
-    /// Jobs, newest first.
+    /// The last 100 jobs, newest first.
     pub fn jobs(&self) -> Result<Vec<Job>> {
         self.read(jobs)
     }

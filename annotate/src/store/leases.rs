@@ -60,8 +60,8 @@ fn lease_of_id(tx: &mut dyn Tx, id: i64) -> Result<Option<LeaseRow>> {
     Ok(rows::leases(tx, "lease l WHERE l.id = ?1", params![id])?.pop())
 }
 
-/// Ends leases past their deadline, except those of `keep`, who may renew a lease that nobody has
-/// taken. Returns how many it ended.
+/// Ends up to [`EXPIRED_AT_ONCE`] expired leases and returns how many it ended. Leases of user `keep` stay: their
+/// holder may still renew them.
 pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<usize> {
     let from = "lease l WHERE l.expires <= ?1 AND l.usr <> ?2 ORDER BY l.expires, l.id LIMIT ?3";
     let expired = rows::leases(tx, from, params![now, keep, EXPIRED_AT_ONCE])?;
@@ -71,7 +71,8 @@ pub(super) fn expire(tx: &mut dyn Tx, keep: i64, now: Millis) -> Result<usize> {
     Ok(expired.len())
 }
 
-/// Until when the task of an ending lease stays reserved for its holder, whose returned answer is still open.
+/// The time until which the task of an ending lease stays reserved for its holder; `None` if it does not. It does if
+/// the holder's answer was returned and no new one has been submitted.
 pub(super) fn reserved_after(
     tx: &mut dyn Tx,
     held: &LeaseRow,
@@ -150,7 +151,7 @@ impl Turn {
         })
     }
 
-    /// Ends expired leases of others first.
+    /// As [`Self::of`], after ending expired leases of others.
     pub(super) fn begin(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Self> {
         expire(tx, user, now)?;
         Self::of(tx, user, now)
@@ -160,12 +161,13 @@ impl Turn {
         self.now + Millis::from(self.settings.lease_minutes) * MINUTE
     }
 
-    /// Until when a task is reserved for the author of a returned answer, or for the person it is assigned to.
+    /// The time until which a task returned or assigned now is reserved for its author or the assigned person.
     pub(super) fn until_returned(&self) -> Millis {
         self.now + Millis::from(self.settings.returned_days) * DAY
     }
 
-    /// Leases a task; the caller has checked that it is free. A gold task may replace a position in a bundle.
+    /// Leases a task to the user. The caller has checked that it is free. `place` is the position in a bundle that a
+    /// gold task takes.
     pub(super) fn take(
         &self,
         tx: &mut dyn Tx,

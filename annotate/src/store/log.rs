@@ -11,7 +11,7 @@ use super::settings::{is_word, require};
 use crate::Error;
 use crate::wire::Code;
 
-/// Writes an entry without an epoch of a lease.
+/// [`write`] for an entry that belongs to no lease.
 pub(crate) fn note(
     tx: &mut dyn Tx,
     at: Millis,
@@ -62,7 +62,7 @@ fn put(
     )
 }
 
-/// A request with a key, so that it is applied only once.
+/// A request with a key, by which a repetition of the request is recognised.
 pub(super) struct Request {
     /// The client's key prefixed with the user id, so that keys of different people never collide.
     key: String,

@@ -1,4 +1,4 @@
-//! A person's submitted answers and their states.
+//! A person's own answers and their standings.
 
 use serde::Deserialize;
 
@@ -65,7 +65,7 @@ impl Store {
     }
 }
 
-/// An answer, its task, and the accepted answer.
+/// An answer, its task, and the accepted answer with its author, time and basis.
 #[derive(Deserialize)]
 struct Found {
     task: TaskRecord,
@@ -77,8 +77,8 @@ struct Found {
     basis: Option<String>,
 }
 
-/// A person's answer; none if it has another standing than the wanted one. The author may take back what a rule accepted
-/// at `since` or later.
+/// A person's answer; `None` if its standing is not the wanted one. The author can take back an answer that a rule
+/// accepted at `since` or later.
 fn own_answer(
     tx: &mut dyn Tx,
     user: i64,
@@ -147,7 +147,7 @@ fn feedback(tx: &mut dyn Tx, user: i64, task: &TaskRecord) -> Result<Option<Feed
     Ok(known.map(|(score, known)| Feedback { score, known }))
 }
 
-/// The standing of an answer.
+/// The standing of an answer, from the state of its task and its own state.
 fn standing(task: TaskState, mine: RevisionState) -> Standing {
     match mine {
         RevisionState::Returned => Standing::Returned,

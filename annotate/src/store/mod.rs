@@ -1,14 +1,14 @@
 //! The store of tasks, answers and people, on SQLite or PostgreSQL.
 //!
-//! Every change of a task is an entry of the append-only log (`event`). The other tables are projections: each
-//! entry is applied to them in the transaction that writes it, and [`Store::rebuild`] derives them again from
-//! the log.
+//! Every change of a task is an entry of the append-only log (`event`). The tables of `projections.sql` are projections
+//! of the log: each entry is applied to them in the transaction that writes it, and [`Store::rebuild`] derives them
+//! again.
 //!
 //! The operations of [`Store`] are in the module of their kind: `claim` (who gets which task), `leases`, `append`
 //! (drafts, submissions, skips), `review`, `rules` (acceptance without a reviewer), `browse` (the task browser) with
 //! `filter`, `bulk` (actions on many tasks), `home`, `mine`, `work`, `captures` (the capture plan), `import`, `people`,
 //! `jobs` and `pictures`; `read` holds queries, `project` the settings, preferences, motions and suggestions. `apply`
-//! writes the projections, `db` abstracts from the database, whose connections `pool` holds.
+//! writes the projections, `db` is the common interface of both databases, and `pool` holds the connections.
 
 mod append;
 mod apply;

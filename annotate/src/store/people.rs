@@ -61,7 +61,8 @@ impl Store {
         self.write(move |tx| add(tx, actor, &name, role, now))
     }
 
-    /// Changes a user. The last active admin cannot be demoted or disabled. Refused with `invalid`, `not_found`.
+    /// Changes a user. Disabling a user revokes their tokens and ends their leases. The last active admin cannot be
+    /// demoted or disabled. Refused with `invalid`, `not_found`.
     pub fn change_user(
         &self,
         actor: Option<i64>,
@@ -128,8 +129,8 @@ impl Store {
         Ok(self.read(|tx| find(tx, &hash, purposes, now))?.who)
     }
 
-    /// Begins a session with a token, until a time or the end of the token, whichever is earlier. The end of a one-time
-    /// token does not shorten its session. Refused with `unauthenticated`.
+    /// Begins a session with a token. It ends at `until`, or with the token if that is earlier; the end of a one-time
+    /// token does not matter. Refused with `unauthenticated`.
     pub fn log_in(&self, token: &str, until: Millis, now: Millis) -> Result<(Who, IssuedToken)> {
         let hash = hash(token);
         self.write(move |tx| {
@@ -146,7 +147,7 @@ impl Store {
         })
     }
 
-    /// A user's tokens.
+    /// A user's tokens, without sessions.
     pub fn tokens(&self, user: i64) -> Result<Vec<TokenInfo>> {
         let sql = "SELECT id, usr, created, expires, last_used, revoked FROM token
              WHERE usr = ?1 AND purpose <> 'session' ORDER BY id";
@@ -264,11 +265,12 @@ fn issue(
     })
 }
 
-/// Users that one request can add.
+/// Maximum number of users that one request can add.
 const MAX_LINES: usize = 1000;
 
-/// Parses lines of a name, or of a name and a role separated by a comma, a semicolon or a tab. Empty lines and a
-/// heading `name,role` are skipped.
+/// Parses a list of users: each line is a name, or a name and a role separated by a comma, a semicolon or a tab.
+/// Returns each with the number of its line. Empty lines are skipped, and so is a first line with the name `name`, a
+/// heading.
 fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
     let mut users = Vec::new();
     for (index, line) in text.lines().enumerate() {
@@ -300,7 +302,7 @@ fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
     Ok(users)
 }
 
-/// A token and its owner.
+/// A valid token and its owner.
 #[derive(Deserialize)]
 struct Found {
     token: i64,

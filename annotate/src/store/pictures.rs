@@ -1,4 +1,4 @@
-//! Pictures of the guide. They are stored as Base64 text, since both databases hold text.
+//! Pictures of the guide, stored as Base64 text.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -68,7 +68,7 @@ impl Store {
     }
 }
 
-/// The MIME type of a picture; none for other files, including SVG, which may contain scripts.
+/// The MIME type of a picture; `None` for other files, including SVG, which may contain scripts.
 fn mime(bytes: &[u8]) -> Option<&'static str> {
     let (_, mime) = TYPES.iter().find(|(start, _)| bytes.starts_with(start))?;
     let is_webp = bytes.get(8..12) == Some(b"WEBP");

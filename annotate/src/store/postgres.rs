@@ -19,7 +19,7 @@ use super::postgres_address::Address;
 use super::store::Upgrade;
 use crate::Error;
 
-/// Trigger that makes the log append-only.
+/// A trigger that makes the log append-only, and the table that holds the version of the tables.
 const TRIGGERS: &str = "
 CREATE FUNCTION event_only_grows() RETURNS trigger LANGUAGE plpgsql AS $$
 BEGIN RAISE EXCEPTION 'the log only grows'; END $$;
@@ -99,7 +99,7 @@ impl Postgres {
     }
 }
 
-/// Copies all tables into a new schema and returns its name.
+/// Copies all tables into a new schema and returns where that is, for messages.
 fn copy_schema(tx: &mut dyn Tx, schema: &str, version: i64) -> Result<String> {
     let mut copy = format!("{schema}_version_{version}");
     let mut number = 1;
@@ -130,7 +130,7 @@ impl Backend for Postgres {
     type Connection = Connection;
     /// Bounded, because other servers wait for the lock.
     const GROUP: usize = 32;
-    /// The key of the advisory lock that serialises writers is the letters of "annotate".
+    /// The key of the advisory lock that serialises writers is the ASCII code of "annotate" as one number.
     const WRITE: &'static str = "BEGIN; SELECT pg_advisory_xact_lock(7020670294090151013)";
     const READ: &'static str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
     const TIME: Option<&'static str> =

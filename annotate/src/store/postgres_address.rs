@@ -25,9 +25,8 @@ pub(super) struct Address {
 }
 
 impl Address {
-    /// Reads an address `postgres://USER@HOST/DATABASE?…`. Its parameters are those of PostgreSQL's own programs.
-    /// A connection to another host is encrypted, and the server's certificate checked, unless `sslmode` says
-    /// otherwise.
+    /// Parses an address `postgres://USER@HOST/DATABASE?…`, whose parameters are those of PostgreSQL's own programs.
+    /// Unless `sslmode` says otherwise, a connection to another host is encrypted and the server's certificate checked.
     pub(super) fn parse(url: &str) -> Result<Self> {
         let (mut plain, parameters) = match url.rfind('?') {
             Some(at) if url.rfind('@').is_none_or(|host| host < at) => {
@@ -105,7 +104,7 @@ fn ssl_mode(text: &str) -> Option<SslMode> {
     match text {
         "disable" => Some(SslMode::Disable),
         "prefer" => Some(SslMode::Prefer),
-        // `require` alone would not check the certificate in other clients. This one always does.
+        // Other clients do not check the certificate with `require`; this one always does.
         "require" | "verify-full" => Some(SslMode::Require),
         _ => None,
     }

@@ -13,9 +13,9 @@ use crate::wire::{
     Action, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Style, Suggestion, TaskState,
 };
 
-/// Characters of the write test: more than any answer has, so that a nearly full disk fails the test.
+/// Characters that the write test writes: more than any answer has, so that a nearly full disk fails the test.
 const TRIED: usize = 64 * 1024;
-/// Key of the settings.
+/// Name under which table `setting` holds the settings.
 const SETTINGS: &str = "settings";
 /// Upsert clause for a motion that is ingested again.
 const ANEW: &str =
@@ -64,18 +64,18 @@ impl Store {
         })
     }
 
-    /// A stored value, such as the dataset version imported last.
+    /// The note with this name: a stored text, such as the dataset version imported last.
     pub fn note(&self, name: &str) -> Result<Option<String>> {
         self.read(|tx| get(tx, &format!("note:{name}")))
     }
 
-    /// Stores a value.
+    /// Stores a note.
     pub fn put_note(&self, name: &str, text: &str) -> Result<()> {
         let (name, text) = (format!("note:{name}"), text.to_owned());
         self.write(move |tx| put(tx, &name, &text))
     }
 
-    /// Adds or updates motions.
+    /// Adds motions. A motion whose hash is known stays unchanged.
     pub fn put_motions(&self, motions: Vec<MotionRecord>) -> Result<()> {
         for group in motions.chunks(AT_ONCE) {
             let group = group.to_vec();
@@ -87,9 +87,9 @@ impl Store {
         Ok(())
     }
 
-    /// Replaces the content of clips. Tasks on the earlier content get the new content; tasks with an answer are marked
-    /// until somebody has decided about them again ([`TaskRecord::changed`](super::TaskRecord::changed)). Returns the
-    /// number of tasks.
+    /// Replaces the content of clips. Tasks on the earlier content get the new content; those with an answer are marked
+    /// ([`TaskRecord::changed`](super::TaskRecord::changed)) until somebody has decided about them again. Returns the
+    /// number of tasks whose content changed.
     pub fn replace_motions(
         &self,
         actor: Option<i64>,
@@ -159,8 +159,8 @@ impl Store {
         self.read(|tx| motions_where(tx, "current = 1 ORDER BY id", &[]))
     }
 
-    /// Up to `limit` other motions of the same split, for previews: the next ones in cyclic order of hashes. They are
-    /// thus pseudo-random, and the same on every call. Refused with `not_found`.
+    /// Up to `limit` other motions of the same split, for previews: the next ones in the cyclic order of hashes, which
+    /// is pseudo-random but the same on every call. Refused with `not_found`.
     pub fn partners(&self, hash: &str, limit: usize) -> Result<Vec<MotionRecord>> {
         self.read(|tx| {
             let Some(motion) = motions_where(tx, "hash = ?1", params![hash])?.pop() else {
@@ -220,13 +220,13 @@ pub(super) fn settings(tx: &mut dyn Tx) -> Result<Settings> {
     }
 }
 
-/// A stored value.
+/// The value stored under a name.
 pub(super) fn get(tx: &mut dyn Tx, name: &str) -> Result<Option<String>> {
     let sql = "SELECT body FROM setting WHERE name = ?1";
     tx.find(sql, params![name])
 }
 
-/// Note with the last task whose number of people was updated, while an update is in progress.
+/// The note that holds, while `import::retarget` is in progress, the id of the last task it checked.
 pub(super) const RETARGETING: &str = "note:retargeting";
 
 pub(super) fn put_settings(
@@ -274,7 +274,7 @@ pub(super) fn put(tx: &mut dyn Tx, name: &str, body: &str) -> Result<()> {
     tx.run(sql, params![name, body])
 }
 
-/// Checks preferences: keys must be `KeyboardEvent.code` values with modifiers.
+/// Refuses preferences with too many keys for an action, an unknown key, or a speed out of range.
 fn check_prefs(prefs: &Prefs) -> Result<()> {
     const MAX_KEYS: usize = 4;
     for (action, keys) in &prefs.keys {

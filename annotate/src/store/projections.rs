@@ -1,4 +1,4 @@
-//! Projections that several kinds of entries write, and the state of a task, which is derived from them.
+//! Writes the projections that several kinds of entries share, and derives the state of a task from them.
 
 use super::db::{Result, Tx, json, params};
 use super::entry::Entry;
@@ -18,7 +18,7 @@ pub(super) fn is_kept_pair(answer: &Answer) -> bool {
     )
 }
 
-/// Edit type with which an answer keeps a pair, if stated.
+/// The edit type of an answer that keeps a fine-grained pair, if it states one.
 pub(super) fn kept_type(answer: &Answer) -> Option<EditType> {
     match answer {
         Answer::Pair {
@@ -46,7 +46,7 @@ pub(super) struct Acceptance<'a> {
 }
 
 impl<'a> Acceptance<'a> {
-    /// The acceptance of an answer that `author` wrote.
+    /// The acceptance of an answer with `author` as both its author and its reviewer.
     pub(super) fn by(author: i64, answer: &'a Answer, basis: String) -> Self {
         Self {
             author,

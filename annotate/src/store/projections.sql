@@ -49,8 +49,8 @@ CREATE INDEX task_distance ON task (COALESCE(distance, -1), id);
 CREATE INDEX task_touched ON task (touched, id);
 CREATE INDEX task_gold ON task (kind, id) WHERE gold IS NOT NULL;
 
--- A lease on a task: to answer it, to review it, or reserved for an author whose answer was returned or a person whom
--- it was given to.
+-- A lease on a task: to answer it, to review it, or to reserve it for an author whose answer was returned or for a
+-- person to whom it was assigned.
 CREATE TABLE lease (
   id BIGINT PRIMARY KEY,
   task BIGINT NOT NULL,
@@ -97,8 +97,8 @@ CREATE TABLE review (
 );
 CREATE INDEX review_task ON review (task, seq);
 
--- The accepted answer. `credit` is the author that an import named; `keeps` is 1 for a pair that is usable, which
--- has the edit type.
+-- The accepted answer. `credit` is the author that an import named; `keeps` is 1 if the answer keeps a fine-grained
+-- pair, which then has an edit type.
 CREATE TABLE accepted (
   task BIGINT PRIMARY KEY,
   author BIGINT NOT NULL,
@@ -162,7 +162,7 @@ CREATE INDEX work_usr ON work (usr, at);
 CREATE INDEX work_at ON work (at);
 CREATE INDEX work_task ON work (task);
 
--- The place in a bundle where a gold task stands in for another task of a user.
+-- The place in a bundle that a gold task takes for a user, instead of another task.
 CREATE TABLE gold_place (
   task BIGINT NOT NULL,
   usr BIGINT NOT NULL,

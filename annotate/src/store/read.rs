@@ -98,7 +98,7 @@ impl Store {
         })
     }
 
-    /// The range of the next keys after a key, or `None` after the last.
+    /// The range of the next `count` task keys after a key, or `None` after the last.
     pub fn next_keys(&self, after: &str, count: usize) -> Result<Option<KeyRange>> {
         let sql =
             "SELECT MAX(n.key) FROM (SELECT key FROM task WHERE key > ?1 ORDER BY key LIMIT ?2) n";
@@ -116,7 +116,8 @@ impl Store {
         self.read(|tx| accepted(tx, from, params![keys.after, keys.up_to]))
     }
 
-    /// Number of accepted answers by how they were accepted: `review`, `own`, `rule:NAME` or `import`.
+    /// Number of accepted answers by how they were accepted: `review`, `own`, `rule:NAME`, `import`, or `import:` and
+    /// how another store had accepted them.
     pub fn accepted_by(&self) -> Result<Vec<(String, i64)>> {
         let sql = "SELECT basis, COUNT(*) FROM accepted GROUP BY basis ORDER BY basis";
         self.read(|tx| tx.list(sql, &[]))
@@ -136,7 +137,7 @@ impl Store {
         })
     }
 
-    /// Submitted answers to these tasks, by task.
+    /// Answers to these tasks, without drafts, in the order of `tasks`.
     pub fn labels_to(&self, tasks: Vec<i64>) -> Result<Vec<Label>> {
         let sql = labels("", "r.task = ?1 ORDER BY r.author");
         self.read(|tx| {
@@ -148,7 +149,7 @@ impl Store {
         })
     }
 
-    /// Submitted answers to a range of tasks, sorted by task key and author.
+    /// Answers to a range of tasks, without drafts, sorted by task key and author.
     pub fn labels_of(&self, keys: &KeyRange) -> Result<Vec<(TaskRecord, Label)>> {
         let range = "t.key > ?1 AND t.key <= ?2 ORDER BY t.key, r.author";
         let sql = labels(&format!("{TASK},"), range);
@@ -175,7 +176,7 @@ impl Store {
         })
     }
 
-    /// Pairs kept by category and edit type.
+    /// Number of kept pairs by category and edit type.
     pub fn kept(&self) -> Result<Vec<(Option<String>, String, i64)>> {
         let sql = "SELECT category, kept_type, COUNT(*) FROM task
              WHERE kind = 'pair' AND counted = 1 AND kept_type IS NOT NULL
@@ -183,7 +184,7 @@ impl Store {
         self.read(|tx| tx.list(sql, &[]))
     }
 
-    /// Tasks by kind and state.
+    /// Number of tasks by kind and state, without gold tasks.
     pub fn funnel(&self) -> Result<Vec<(TaskKind, TaskState, i64)>> {
         let sql = "SELECT kind, state, COUNT(*) FROM task WHERE gold IS NULL
              GROUP BY kind, state ORDER BY kind, state";
@@ -217,7 +218,7 @@ impl Store {
         self.read(|tx| tx.list(sql, &[]))
     }
 
-    /// All leases.
+    /// Up to 1,000 leases that have not expired, the first to expire first.
     pub fn leases(&self, now: Millis) -> Result<Vec<HeldLease>> {
         let sql = format!(
             "SELECT {LEASE}, COALESCE(u.name, ''), t.kind, l.purpose FROM lease l JOIN task t ON t.id = l.task
@@ -387,7 +388,7 @@ fn bundle(tx: &mut dyn Tx, task: &TaskRecord, user: i64) -> Result<Vec<BundleEnt
             if is_mine(&entry) {
                 return entry;
             }
-            // A gold task replaces this one in the user's queue; if several do, the held one.
+            // A gold task may stand in this place for the user; of several, the held one is shown.
             golds
                 .iter()
                 .filter(|(at, gold)| *at == index && is_mine(gold))

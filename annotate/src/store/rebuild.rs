@@ -17,12 +17,12 @@ use crate::lock::lock;
 
 /// Tasks compared at a time.
 const COMPARED: i64 = 1000;
-/// Tasks repaired per transaction. It writes about as much as claiming two bundles.
+/// Tasks repaired per transaction. Such a transaction writes about as much as claims of two bundles.
 const REPAIRED: usize = 16;
 
 impl Store {
-    /// Derives the projections from the log again and repairs what differs. Returns the names of the tables that
-    /// differed. Writers wait no longer than they wait for each other.
+    /// Derives the projections from the log again and repairs rows that differ, in short transactions. Returns the
+    /// names of the tables that differed.
     ///
     /// # Errors
     /// An entry of the log cannot be read.
@@ -37,7 +37,7 @@ impl Store {
     }
 }
 
-/// State derived from the log up to an entry.
+/// Projections derived from the log, up to and including entry `last`.
 struct Derived {
     scratch: Connection,
     last: i64,

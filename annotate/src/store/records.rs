@@ -64,7 +64,7 @@ impl From<MotionRecord> for MotionInfo {
 pub struct NewTask {
     /// Unique key: importing the same key again changes nothing.
     pub key: String,
-    /// Kind of question.
+    /// Kind of task.
     pub kind: TaskKind,
     /// Hash of the motion; for a pair, of the motion before the edit.
     pub source: String,
@@ -92,8 +92,8 @@ pub struct NewTask {
     pub extra: Option<serde_json::Value>,
     /// Suggestions.
     pub suggestions: Vec<NewSuggestion>,
-    /// A decided answer of the source: the task starts as accepted. If the task exists already and nobody has worked
-    /// on it, it becomes accepted.
+    /// A decided answer of the source, with which the task starts as accepted. A task that exists already becomes
+    /// accepted if nobody has worked on it.
     pub accepted: Option<Answer>,
     /// Author and acceptance of `accepted`, as stated by an export.
     pub credit: Option<Credit>,
@@ -139,15 +139,15 @@ pub struct TaskRecord {
     pub id: i64,
     /// Unique key.
     pub key: String,
-    /// Kind of question.
+    /// Kind of task.
     pub kind: TaskKind,
-    /// Hash of the first motion.
+    /// Hash of the motion; for a pair, of the motion before the edit.
     pub source: String,
-    /// Hash of the second motion.
+    /// Hash of the motion after the edit.
     pub target: Option<String>,
     /// train, val or test.
     pub split: String,
-    /// Bundle.
+    /// Id of its bundle.
     pub bundle: Option<i64>,
     /// Place in the bundle.
     pub bundle_index: i64,
@@ -169,7 +169,7 @@ pub struct TaskRecord {
     pub submitted: u32,
     /// Pseudo-random number from 0 to 99, drawn from its key.
     pub shuffle: i64,
-    /// Largest distance between its answers.
+    /// Largest distance between its answers, 0 to 1; `None` below two answers.
     pub distance: Option<f64>,
     /// Whether it is a practice task: its known answer is shown to those who answered it.
     pub practice: bool,
@@ -177,12 +177,12 @@ pub struct TaskRecord {
     pub changed: bool,
 }
 
-/// A task with everything a user may see of it.
+/// A task with all that its user may see.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TaskDetail {
     /// The task.
     pub task: TaskRecord,
-    /// Clips of the bundle.
+    /// Tasks of the bundle, from the user's point of view.
     pub bundle: Vec<BundleEntry>,
     /// The user's lease.
     pub lease: Option<Lease>,
@@ -194,7 +194,7 @@ pub struct TaskDetail {
     pub suggestions: Vec<Suggestion>,
     /// Whether suggestions are withheld.
     pub blind: bool,
-    /// Whether the clip was ingested again after the user wrote an answer.
+    /// Whether the clip was ingested again, with other content, after the user wrote an answer.
     pub clip_changed: bool,
 }
 
@@ -207,16 +207,16 @@ pub struct ReviewDetail {
     pub lease: Lease,
     /// Submitted answers with the names of their authors.
     pub candidates: Vec<(Revision, String)>,
-    /// Comments of earlier rounds.
+    /// Comments of earlier decisions, oldest first.
     pub comments: Vec<String>,
 }
 
 /// A range of task keys in byte order: above `after`, up to and including `up_to`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KeyRange {
-    /// The key before the first.
+    /// The last key before the range.
     pub after: String,
-    /// The last key.
+    /// The last key of the range.
     pub up_to: String,
 }
 
@@ -267,9 +267,9 @@ pub struct Reject {
     pub task: TaskRecord,
     /// The user who dropped or skipped the task.
     pub user: Option<i64>,
-    /// Reason for dropping or skipping the task.
+    /// `dropped`, or the reason of a skip.
     pub reason: String,
-    /// Note on the reason.
+    /// Comment of the drop, or note of the skip.
     pub note: String,
 }
 
@@ -281,7 +281,7 @@ pub struct ShelfFilter {
     pub kind: Option<TaskKind>,
     /// Only answers with this part.
     pub part: Option<String>,
-    /// Only answers with these words.
+    /// Only answers that contain this text, regardless of case.
     #[serde(rename = "q")]
     pub text: Option<String>,
     /// Only answers before this sequence number of the log.
@@ -327,9 +327,9 @@ pub struct MineQuery {
 pub struct Imported {
     /// New tasks.
     pub new: i64,
-    /// Existing tasks, which stay unchanged.
+    /// Tasks that existed and stay unchanged.
     pub known: i64,
-    /// Existing tasks that nobody had worked on, and that are accepted now.
+    /// Tasks that existed, that nobody had worked on, and that are accepted now.
     pub filled: i64,
     /// Keys of tasks whose imported answer was skipped, because the task already has an answer or a decision.
     pub conflicts: Vec<String>,
@@ -338,11 +338,11 @@ pub struct Imported {
 names! {
     /// Purpose of a token.
     pub enum TokenUse {
-        /// Access token of a user or a program, for login or as a bearer token.
+        /// For any number of logins, or for the bearer header of a program.
         Token = "token",
-        /// Valid for one login.
+        /// For one login.
         Once = "once",
-        /// The cookie of a browser.
+        /// For the cookie of a browser.
         Session = "session",
     }
 }

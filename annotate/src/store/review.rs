@@ -114,7 +114,7 @@ fn next(
     Ok(task)
 }
 
-/// Tasks left to review, of one kind or of all.
+/// Why there is nothing to review: counts of the tasks of one kind, or of all.
 fn empty(tx: &mut dyn Tx, user: i64, kind: &str) -> Result<ReviewEmpty> {
     tx.get(
         "SELECT COUNT(CASE WHEN t.state = 'submitted' THEN 1 END),
@@ -208,7 +208,7 @@ impl Deciding<'_> {
         apply::check_move(self.task.state, kind, "decided so")
     }
 
-    /// Checks that nobody else reviews the task, and that the reviewer holds it if the decision is on answers.
+    /// Checks that nobody else reviews the task, and that the reviewer holds it if the decision is about answers.
     fn check_lease(&self, tx: &mut dyn Tx) -> Result<()> {
         let from = "lease l WHERE l.task = ?1 AND l.purpose = 'review'";
         let held = rows::leases(tx, from, params![self.task.id])?.pop();
@@ -227,7 +227,7 @@ impl Deciding<'_> {
         Ok(())
     }
 
-    /// Authors of the answers that the decision is on.
+    /// Authors of the answers that the decision is about.
     fn authors(&self, tx: &mut dyn Tx) -> Result<Vec<i64>> {
         let sql =
             "SELECT author FROM revision WHERE task = ?1 AND state = 'submitted' ORDER BY author";
@@ -339,8 +339,8 @@ fn log_kind(decision: Decision) -> LogKind {
     }
 }
 
-/// Checks the comment of a decision: it is not too long, and not empty if it is needed. `readers` names the people who
-/// need it, for the error.
+/// The trimmed comment of a decision. It must not be too long, nor empty if it is needed; the error says that `readers`
+/// need it.
 pub(super) fn comment(text: &str, is_needed: bool, readers: &str) -> Result<String> {
     let comment = text.trim().to_owned();
     let is_short = has_up_to(&comment, MAX_TEXT_CHARS);

@@ -19,7 +19,7 @@ use crate::wire::{
 
 /// Maximum number of tasks that one request checks.
 const AT_ONCE: i64 = 2000;
-/// 100 percent, and the number of values of a task's `shuffle`.
+/// 100 percent: the `shuffle` of a task is a number below it.
 const WHOLE: i64 = 100;
 
 /// SQL condition: no reviewer has returned or reopened task `t`.
@@ -27,7 +27,7 @@ const UNTOUCHED: &str = "NOT EXISTS (SELECT 1 FROM review v WHERE v.task = t.id
   AND v.decision IN ('returned', 'reopened') AND v.rule IS NULL)";
 
 impl Store {
-    /// The rules of the settings, and removed rules whose acceptances are still valid, with their counts.
+    /// The rules of the settings, and removed rules with valid acceptances, each with its counts.
     pub fn rules(&self) -> Result<Vec<RuleState>> {
         self.read(states)
     }
@@ -103,8 +103,8 @@ fn is_sampled(seed: u32, task: &TaskRecord, percent: u32) -> bool {
     (task.shuffle + i64::from(seed)) % WHOLE < i64::from(percent)
 }
 
-/// Applies a rule to a task with its answers in the order of submission, about a clip with `frames` frames. A style
-/// that the project does not have is left to reviewers.
+/// What a rule does with a task that has these answers, in the order of submission, about a clip with `frames` frames.
+/// An answer with a style that the project does not have is left to reviewers.
 fn fit(
     rule: &Rule,
     settings: &Settings,

@@ -23,7 +23,7 @@ pub(super) fn require(holds: bool, field: &str, problem: impl Into<String>) -> R
     Err(Error::invalid(field, problem))
 }
 
-/// Checks new settings.
+/// Checks the numbers, names, time zone, rules and guides of new settings.
 pub(super) fn check(settings: &Settings) -> Result<()> {
     let zone = &settings.time_zone;
     check_numbers(settings)?;
@@ -97,7 +97,7 @@ pub(super) fn has_up_to(text: &str, most: usize) -> bool {
     text.chars().count() <= most
 }
 
-/// Whether a text is a word of letters, digits and dashes.
+/// Whether a text has only ASCII letters, digits and dashes, and a length within `lengths`.
 pub(super) fn is_word(text: &str, lengths: std::ops::RangeInclusive<usize>) -> bool {
     let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-';
     lengths.contains(&text.len()) && text.chars().all(allowed)
@@ -193,7 +193,6 @@ fn check_rules(rules: &[Rule]) -> Result<()> {
     Ok(())
 }
 
-/// Checks a name of a picture.
 pub(super) fn check_picture_name(name: &str) -> Result<()> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     require(
@@ -239,7 +238,7 @@ mod tests {
             |settings| settings.rules[0].name = "no spaces".to_owned(),
             |settings| settings.rules[0].review_percent = 101,
             |settings| settings.rules[0].max_distance = f64::NAN,
-            // People are named for rules of trusted people, and for no others.
+            // A rule `trusted` must name people; the others must not.
             |settings| settings.rules[0].people = vec![1],
             |settings| settings.rules[0].accepts = RuleKind::Trusted,
             |settings| settings.rules.push(settings.rules[0].clone()),

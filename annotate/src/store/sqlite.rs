@@ -20,7 +20,7 @@ const BUSY: Duration = Duration::from_secs(10);
 
 /// Name of the backup operation, for errors.
 const COPY: &str = "copy itself";
-/// Trigger that makes the log append-only.
+/// Triggers that make the log append-only.
 const TRIGGERS: &str = "
 CREATE TRIGGER event_no_update BEFORE UPDATE ON event
 BEGIN SELECT RAISE(ABORT, 'the log only grows'); END;
@@ -120,13 +120,13 @@ fn unused(path: &Path, version: i64) -> PathBuf {
     path.with_file_name(name(number))
 }
 
-/// Removes tokens from a copy, including their remains in free pages.
+/// Removes tokens from a copy, including what free pages still hold of them.
 fn forget_tokens(copy: &Path) -> rusqlite::Result<()> {
     Connection::open(copy)?.execute_batch("DELETE FROM token; VACUUM")
 }
 
-/// Syncs a file to the disk, renames it, and syncs the folder: the name never refers to incomplete content. `sync`
-/// syncs a file or a folder.
+/// Syncs a file to the disk, renames it, and syncs the folder, so that the new name never refers to incomplete content.
+/// `sync` syncs a file or a folder.
 fn publish(
     temporary: &Path,
     path: &Path,
@@ -234,7 +234,7 @@ impl Tx for Connection {
     }
 }
 
-/// The network file system of a path, if it can be determined.
+/// A phrase that names the network file system of a path; `None` on a local one, or if unknown.
 fn network_file_system(path: &Path) -> Option<String> {
     let folder = path
         .parent()
@@ -412,7 +412,7 @@ mod tests {
             std::fs::copy(dir.path().join("s.sqlite"), &path).expect("a copy");
             let kept = &log[..log.len() - cut * log.len() / 8];
             std::fs::write(crashed.path().join("s.sqlite-wal"), kept).expect("a copy");
-            // With an empty file, the first transaction is lost together with the tables, which are created again.
+            // The database file is still empty. If the cut removes the first transaction, the tables are created again.
             let (reopened, _) = open(&path).expect("opens without repair");
             let found = names(&reopened);
             assert_eq!(found, written[..found.len()], "a prefix, in order");

@@ -1,4 +1,4 @@
-//! The store as a whole. Its operations on tasks, people and files are in the modules of their kind.
+//! The store as a whole. Its operations on tasks, people and files are in other modules, by topic.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ pub struct Upgrade {
     pub from: i64,
     /// Version of the tables after the upgrade.
     pub to: i64,
-    /// Path of the backup made before the upgrade.
+    /// Where the copy made before the upgrade is.
     pub copy: String,
 }
 

@@ -12,7 +12,7 @@ use crate::clock::{DAY, midnight};
 use crate::wire::{DayWork, Outlook, TaskKind};
 
 const QUARTER: Millis = 15 * 60 * 1000;
-/// Past days whose pace is extrapolated.
+/// Number of past days whose pace is extrapolated.
 const PACE_DAYS: i64 = 7;
 
 impl Store {
@@ -76,7 +76,7 @@ fn outlook(tx: &mut dyn Tx, kind: TaskKind, now: Millis) -> Result<Outlook> {
          FROM work w JOIN task t ON t.id = w.task WHERE w.at >= ?1 AND t.kind = ?2",
         params![recent, kind],
     )?;
-    // For a project younger than the window, the pace is measured over its own age, at least one day.
+    // If the work began within these days, the pace is measured from then on, over at least one day.
     let age = |first: Millis| ((now - first) as f64 / DAY as f64).max(1.0);
     let days = first.map_or(1.0, age);
     let pace = answers as f64 / days;

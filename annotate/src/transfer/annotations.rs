@@ -129,8 +129,8 @@ fn answer(rows: &[AnnotationRow], kind: TaskKind) -> Result<Answer, String> {
     Ok(said.answer(kind))
 }
 
-/// The current key of a task of an export. Earlier versions used a second key for a candidate that was imported from
-/// the dataset.
+/// The current key of a task of an export. Earlier versions gave a candidate that was imported from the dataset a
+/// second key, with the prefix [`PAIR`].
 fn current_key(key: &str) -> &str {
     key.strip_prefix(PAIR)
         .filter(|id| id.starts_with(CANDIDATE))

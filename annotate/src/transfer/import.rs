@@ -32,8 +32,8 @@ pub(super) const PAIR: &str = "pair:";
 /// Maximum number of conflicts that an import lists by name.
 const LISTED_CONFLICTS: usize = 50;
 
-/// Note of a store: the SQL condition on clips for which tasks are created. Without it, tasks are created for all
-/// clips.
+/// Name of a note of the store: an SQL condition that selects the clips for which tasks are created. Without the note,
+/// tasks are created for all clips.
 pub const CHOSEN: &str = "clips of tasks";
 
 /// Result of an import.
@@ -110,7 +110,7 @@ pub(super) fn mask_key(motion: &str) -> String {
     format!("mask:{motion}")
 }
 
-/// Key of the task of a pair. A candidate that was accepted is in table `pairs`, and keeps its key.
+/// Key of the task of a pair. A candidate keeps its key when its acceptance has put it into table `pairs`.
 fn pair_key(pair: &PairRow) -> String {
     if pair.source == PAIR_SOURCE {
         key_of_pair(&pair.id)
@@ -196,7 +196,7 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
 /// a note [`CHOSEN`] with a condition, new tasks are created only for clips that meet it, and for pairs of such clips.
 ///
 /// # Errors
-/// The dataset cannot be read, the condition cannot be answered, or the store fails.
+/// The dataset cannot be read, the condition cannot be evaluated, or the store fails.
 pub fn from_dataset(
     store: &Store,
     root: &Path,
@@ -247,7 +247,7 @@ pub fn from_dataset(
     Ok(taken)
 }
 
-/// The dataset, restricted to the clips for which tasks are created.
+/// The dataset, restricted to the clips that the note [`CHOSEN`] selects.
 fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
     let Some(text) = store.note(CHOSEN)? else {
         return Ok(dataset.clone());
@@ -301,7 +301,7 @@ fn mask_tasks(
     let variants: BTreeSet<&str> = of_variants
         .flat_map(|pair| [pair.source_id.as_str(), pair.target_id.as_str()])
         .collect();
-    // A judged pair has another source, and an unusable pair is removed, so check the manifest too.
+    // A judged pair has another source, and an unusable pair is removed, so the manifest is checked too.
     let are_variants = dataset.manifest().facts.contains_key(VARIANTS_FACT);
     let mut tasks = Vec::new();
     for clip in chosen.iter().filter(|clip| !clip.mirrored) {
@@ -544,10 +544,10 @@ fn mask_task(motion: &MotionRecord, rows: &[MaskRow], taken: &mut Taken) -> Resu
     Ok(new)
 }
 
-/// The mask of a row of a table: its joints, hard and soft, and the ends of its range.
+/// Builds the mask of a table row from its parts, its hard and soft joints, the ends of its range, and its text.
 ///
 /// # Errors
-/// A joint is unknown, or is both hard and soft; or the ends are no range.
+/// A joint is unknown or both hard and soft, or the ends are no range.
 pub(super) fn entered_mask(
     parts: &[String],
     (hard, soft): (&[String], &[String]),

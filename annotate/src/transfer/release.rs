@@ -1,8 +1,8 @@
 //! `mask_all.json` and `part_annotations.json` of a STANCE release, and the files that an export adds to them:
 //! `accepted_by.json` and `pairs.json`.
 //!
-//! The release documents the meaning of keys and values, but not their shape. Readers accept a name, a list of
-//! names, a list of lists, or an object keyed by part, and report which. The writer uses one shape: for each id
+//! The release documents the meaning of keys and values, but not their shape. An import accepts a name, a list of
+//! names, a list of lists, or an object keyed by part, and reports the shape. An export writes one shape: for each id
 //! a list of masks (parts joined by `+`), and a list of as many texts.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -266,7 +266,7 @@ fn parse(document: &Value) -> Result<Release, String> {
     Ok(release)
 }
 
-/// Reads the masks and texts of a motion, and returns what is wrong with them too.
+/// Reads the masks and texts of a motion. Also returns what is wrong with them.
 fn motion(masks: &Value, said: &Value) -> (Said, Vec<String>) {
     let (mut unknown, mut problems) = (Map::new(), Vec::new());
     let names = names(masks);

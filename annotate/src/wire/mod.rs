@@ -1,10 +1,10 @@
 //! Requests and responses of the HTTP API, documented in `API.md`.
 //!
 //! Requests with unknown fields are refused. Times are milliseconds since the epoch, ids are integers, and
-//! names of enums are `snake_case`.
+//! values of enums are `snake_case`.
 
-/// Declares messages: structs that are read from JSON and written to it, and that are types of the page. Fields with
-/// clear names need no docs.
+/// Declares messages: structs that are read from JSON and written to it, and that the page has as TypeScript types.
+/// Fields with clear names need no docs.
 macro_rules! messages {
     ($(
         $(#[doc = $doc:literal])+
@@ -111,7 +111,7 @@ messages! {
         /// Seconds until a retry is allowed.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub retry_after_secs: Option<u64>,
-        /// The current revision of the store, if the request is based on another one.
+        /// The revision in the store, if the request is based on an earlier one.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub theirs: Option<Box<Revision>>,
     }

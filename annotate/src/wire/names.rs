@@ -1,4 +1,4 @@
-//! Enums with their names.
+//! The enums of the API, with their names in JSON and in the store.
 
 /// Declares enums with lists of their values and names.
 macro_rules! names {
@@ -128,7 +128,7 @@ names! {
         Other = "other",
     }
 
-    /// How much of the body a style shows in.
+    /// How much of the body shows a style.
     pub enum Extent {
         /// Pelvis and legs.
         Lower = "lower",
@@ -218,7 +218,7 @@ names! {
 
     /// Layouts of an export.
     pub enum ExportFormat {
-        /// The tables `masks` and `pairs` of the dataset itself, where the other stages look for them.
+        /// The tables `masks` and `pairs`, written into the dataset itself, where the other stages read them.
         Dataset = "dataset",
         /// Tables `annotations`, `labels`, `rejects`, `agreement` and, if asked for, `events`.
         Parquet = "parquet",
@@ -275,7 +275,7 @@ names! {
         Unnatural = "unnatural",
         Unclear = "unclear",
         Identical = "identical",
-        /// Side by side or ghost.
+        /// Switch between bodies side by side and ghosts.
         SideBySide = "side_by_side",
         Swap = "swap",
         LargestDifference = "largest_difference",
@@ -304,7 +304,7 @@ names! {
         Style = "style",
         /// Next extent.
         Extent = "extent",
-        /// Stretch the longer clip for viewing.
+        /// Show both clips in the duration of the shorter one, or in their own.
         Align = "align",
         BundleNext = "bundle_next",
         BundlePrevious = "bundle_previous",
@@ -343,7 +343,7 @@ names! {
         /// Practice: go on after the feedback.
         PracticeNext = "practice_next",
         PracticeAgain = "practice_again",
-        /// Practice: switch the body between the known answer and one's own.
+        /// Practice: switch the view between the known answer and one's own.
         PracticeCompare = "practice_compare",
         ScreenTasks = "screen_tasks",
         /// Set the range of a mask to the loop.
@@ -352,21 +352,21 @@ names! {
         RangeClear = "range_clear",
     }
 
-    /// What a rule of acceptance looks at.
+    /// Which tasks a rule of acceptance accepts. Every rule can leave a share of them to reviewers.
     pub enum RuleKind {
         /// Tasks whose answers all reject the pair.
         Rejects = "rejects",
         /// Tasks that a trusted person answered.
         Trusted = "trusted",
-        /// All tasks, except the share left to reviewers.
+        /// All tasks.
         Sampled = "sampled",
     }
 
     /// What a bulk action does with each task.
     pub enum BulkAction {
-        /// Accept the answer of a task that waits for review; of several equal answers the first one.
+        /// Accept the answer to a task that waits for review. Of several equal answers, the first one is accepted.
         Accept = "accept",
-        /// Return all answers of a task that waits for review.
+        /// Return all answers to a task that waits for review.
         Return = "return",
         /// Drop an undecided task.
         Drop = "drop",
@@ -386,15 +386,15 @@ names! {
         Touched = "touched",
     }
 
-    /// Which skipped tasks the browser lists.
+    /// Which skipped tasks the task browser lists.
     pub enum SkipFilter {
         Any = "any",
-        /// Undecided tasks that nobody is left to get: every annotator skipped or answered them; without annotators,
-        /// every user did.
+        /// Undecided tasks that nobody can get any more: every annotator skipped or answered them, or, in a project
+        /// without annotators, every user did.
         Everybody = "everybody",
     }
 
-    /// What a text of an answer is.
+    /// Form of the texts of an answer.
     pub enum TextForm {
         /// Completes "The person is …": "waving with the left arm".
         Completion = "completion",
@@ -402,7 +402,7 @@ names! {
         Instruction = "instruction",
     }
 
-    /// Where an answer stands, for its author.
+    /// Progress of an answer as its author sees it.
     pub enum Standing {
         Draft = "draft",
         /// The task waits for the answer of another person.
@@ -434,11 +434,11 @@ names! {
         WrongHost = "wrong_host",
         /// 403: reviewers do not review their own work.
         OwnWork = "own_work",
-        /// 404: does not exist, or you may not see it.
+        /// 404: the resource does not exist, or you may not see it.
         NotFound = "not_found",
         /// 405: the route has no such method.
         MethodNotAllowed = "method_not_allowed",
-        /// 400: not the JSON that the route takes; `detail` says where.
+        /// 400: the body is not the JSON that the route takes; `detail` says where.
         BadRequest = "bad_request",
         /// 413: the body is too large.
         TooLarge = "too_large",
@@ -462,7 +462,7 @@ names! {
         NoModel = "no_model",
         /// 502: the language model failed or took too long.
         ModelFailed = "model_failed",
-        /// 503: not finished within 15 seconds.
+        /// 503: the request was not finished in time: within 15 seconds, or within 10 minutes for an upload.
         Timeout = "timeout",
         /// 507: the disk is full or read-only; the store accepts no writes.
         ReadOnly = "read_only",
@@ -472,7 +472,7 @@ names! {
 }
 
 impl TaskKind {
-    /// Form of the texts of answers. It determines the guide, the text box, the phrases and the drafts.
+    /// Form of the texts of answers. The guide, the text box, the phrases and the drafts depend on it.
     pub fn text_form(self) -> TextForm {
         match self {
             Self::MaskText => TextForm::Completion,

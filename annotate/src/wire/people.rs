@@ -36,7 +36,7 @@ messages! {
         pub prefs: Prefs,
         /// Name of the language model, if there is one.
         pub model: Option<String>,
-        /// Why nothing can be saved now; `null` if it can.
+        /// Why the store accepts no writes now; `null` if it does.
         pub read_only: Option<String>,
         /// Version of the server.
         pub version: String,
@@ -85,16 +85,16 @@ messages! {
     #[serde(deny_unknown_fields)]
     pub struct Settings {
         pub name: String,
-        /// Number of people who answer a task, for the share `overlap_percent` of tasks. A change applies to tasks that
-        /// still want answers.
+        /// Number of people who answer each of the `overlap_percent` of tasks; the others are answered by one person.
+        /// A change applies to tasks that still want answers.
         pub answers_per_task: u32,
-        /// Share of tasks that want more than one person.
+        /// Percent of tasks that `answers_per_task` people answer.
         pub overlap_percent: u32,
-        /// Share of tasks given out that are hidden gold tasks.
+        /// Percent of the tasks given out that are hidden gold tasks, whose answer is known.
         pub gold_percent: u32,
-        /// Share of tasks shown without any draft.
+        /// Percent of tasks shown without any draft.
         pub blind_percent: u32,
-        /// Share of the review queue `sample` among submitted tasks.
+        /// Percent of submitted tasks that are in the review queue `sample`.
         pub review_percent: u32,
         pub lease_minutes: u32,
         /// Days a returned task waits for its author.
@@ -116,10 +116,10 @@ messages! {
         pub style_templates: Vec<String>,
         /// Pairs wanted of each category and edit type, for the dashboard; 0 for no bound.
         pub quota: u32,
-        /// Kept pairs of a category after which its other pairs are not given out; 0 for no bound.
+        /// Number of kept pairs of a category at which its other pairs are no longer given out; 0 for no bound.
         pub category_quota: u32,
-        /// Pairs wanted of each edit type, of all categories together; 0, or no entry, for no bound. Pairs whose stated
-        /// type is furthest behind its quota are given out first; no pair is held back.
+        /// Pairs wanted of each edit type, in all categories together; 0, or no entry, for no bound. Pairs whose stated
+        /// type is furthest behind its quota are given out first. No pair is held back.
         #[serde(default)]
         pub edit_type_quota: BTreeMap<EditType, u32>,
         /// The guide, plain text.
@@ -149,8 +149,8 @@ messages! {
         pub solo: bool,
     }
 
-    /// `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before;
-    /// [`super::KEY_CODES`] lists them.
+    /// `GET`/`PUT prefs`. Keys are the `KeyboardEvent.code` values that [`super::KEY_CODES`] lists, with `Ctrl+`,
+    /// `Shift+` or both in front.
     #[derive(Default)]
     #[serde(deny_unknown_fields, default)]
     pub struct Prefs {
@@ -176,7 +176,7 @@ messages! {
     /// `POST users/bulk`: many users at once, all or none.
     #[serde(deny_unknown_fields)]
     pub struct NewUsers {
-        /// Lines of a name, or of a name and a role separated by a comma, a semicolon or a tab.
+        /// A line for each user: a name, or a name and a role separated by a comma, a semicolon or a tab.
         pub lines: String,
         /// Days until their tokens end, 1 to 365.
         #[serde(default = "token_days")]
@@ -272,7 +272,7 @@ impl Style {
     }
 }
 
-/// Stores of version 0.1 have only names.
+/// Reads styles. Stores of version 0.1 have only their names.
 fn styles_or_names<'de, D: Deserializer<'de>>(stored: D) -> Result<Vec<Style>, D::Error> {
     #[derive(Deserialize)]
     #[serde(untagged)]

@@ -32,11 +32,11 @@ messages! {
     /// Why there is nothing to review.
     #[derive(Default)]
     pub struct ReviewEmpty {
-        /// Submitted tasks of the queue.
+        /// Tasks of the kind that wait for review, in any queue.
         pub waiting: i64,
         /// Waiting tasks that I answered.
         pub mine: i64,
-        /// Waiting tasks that are leased by another reviewer.
+        /// Tasks of the kind that other reviewers hold.
         pub in_review: i64,
     }
 
@@ -49,7 +49,7 @@ messages! {
         pub distance: Option<f64>,
         /// Comments of earlier rounds, oldest first.
         pub comments: Vec<String>,
-        /// Suggestions that the annotators were offered, unless theirs was a blind task.
+        /// Suggestions that the annotators were offered. An annotator who got the task blind saw none.
         pub suggestions: Vec<Suggestion>,
         /// Whether the clip was ingested again, with other content, after the answers were written.
         pub clip_changed: bool,
@@ -59,7 +59,7 @@ messages! {
     pub struct Candidate {
         pub revision: Revision,
         pub author_name: String,
-        /// Body joints of the answer's masks, hard or soft, for the viewer.
+        /// Hard body joints of the answer's parts and masks, for the viewer.
         pub joints: Vec<usize>,
         /// Edit distance of the answer's texts from their drafts, 0 to 1.
         pub draft_distance: Option<f64>,
@@ -101,8 +101,8 @@ messages! {
     pub struct TaskFilter {
         pub kind: Option<TaskKind>,
         pub state: Option<TaskState>,
-        /// Words of an answer, a caption, the id of a motion, the category, the hint or the style. Case is ignored;
-        /// names of fields and parts are not searched.
+        /// Text to find in the answers, the captions, the ids of the motions, the category, the hint and the style.
+        /// Case is ignored.
         pub q: Option<String>,
         /// A person who answered, skipped or holds the task.
         pub person: Option<i64>,
@@ -241,7 +241,7 @@ messages! {
         pub accepted: Option<Answer>,
         /// Decisions, oldest first.
         pub decisions: Vec<DecisionRow>,
-        /// Suggestions the annotators were offered.
+        /// Suggestions that the annotators were offered.
         pub suggestions: Vec<Suggestion>,
     }
 
@@ -286,14 +286,14 @@ messages! {
         /// Kinds of task; all if empty.
         #[serde(default)]
         pub kinds: Vec<TaskKind>,
-        /// Ids of the trusted people, for `trusted`: the answer of the first of them is accepted. Other rules accept
-        /// the answer that was submitted first.
+        /// Ids of the trusted people, for `trusted`: the answer of the first one in this list who answered is accepted.
+        /// Other rules accept the answer that was submitted first.
         #[serde(default)]
         pub people: Vec<i64>,
         #[serde(default = "one")]
         pub min_answers: u32,
-        /// Largest distance of the answers of a task, 0 to 1: 0 asks for equal parts and labels. Rejects of different
-        /// verdicts have distance 1.
+        /// Maximum distance between the answers to a task, 0 to 1: 0 asks for equal parts and labels. Rejections with
+        /// different verdicts have distance 1.
         #[serde(default)]
         pub max_distance: f64,
         /// Share of the matching tasks that is left to reviewers, 0 to 100. The choice depends only on the task and the
@@ -304,7 +304,7 @@ messages! {
 
     /// `GET rules`: a rule, and what it does. The rules are edited as a part of the settings.
     pub struct RuleState {
-        /// The rule. A removed rule is listed while tasks are accepted by it.
+        /// The rule. A removed rule stays listed while one of its acceptances is valid.
         pub rule: Rule,
         /// Whether the settings contain the rule.
         pub known: bool,
@@ -344,7 +344,7 @@ messages! {
     }
 }
 
-/// Requests without seconds have the same hash as before this field existed.
+/// Leaves out zero seconds, so that such a request has the same hash as before the field existed.
 #[expect(
     clippy::trivially_copy_pass_by_ref,
     reason = "serde passes a reference"

@@ -36,14 +36,13 @@ messages! {
         pub accepted: i64,
         pub returned: i64,
         pub median_secs: Option<f64>,
-        /// Mean agreement on the tasks whose last answer was submitted in this week: 1 for equal verdicts or joint
-        /// sets.
+        /// Mean agreement on the tasks whose last answer was submitted in this week: 1 for equal verdicts or masks.
         pub agreement: Option<f64>,
         /// Number of tasks behind `agreement`.
         pub shared_items: usize,
     }
 
-    /// `GET stats/people`: one for each person.
+    /// `GET stats/people`: figures of a person.
     pub struct Person {
         pub user: User,
         /// Submitted answers.
@@ -57,7 +56,8 @@ messages! {
         pub draft_distance: Option<f64>,
         pub gold_items: i64,
         pub gold_score: Option<f64>,
-        /// Agreement with others (mean Jaccard index of the joints and frames of masks).
+        /// Mean agreement with others on shared tasks: the Jaccard index of the joints and frames of masks, or 1 for
+        /// equal verdicts and 0 for others.
         pub agreement: Option<Estimate>,
         /// Time of the last log entry.
         pub last_seen: Option<i64>,
@@ -70,13 +70,13 @@ messages! {
         /// Mean Jaccard index of the joints and frames of masks.
         pub jaccard: Option<Estimate>,
         pub verdicts: Option<PartAgreement>,
-        /// Tasks with two answers or more.
+        /// Tasks with two answers or more, without gold tasks.
         pub shared_items: usize,
-        /// Share of answers that reviewers accepted unchanged.
+        /// Share of the decided answers that were accepted unchanged; the others were returned or superseded.
         pub accepted_share: Option<Estimate>,
-        /// Edit distance from the draft, with drafts shown and with drafts withheld.
+        /// Mean edit distance of the texts from their drafts, 0 to 1; `null` only without such texts.
         pub draft_distance: Option<f64>,
-        /// Seconds per answer, with drafts and without.
+        /// Median seconds per answer: of those that started from a draft, and of those to tasks shown without drafts.
         pub secs_with_and_without_draft: Option<[f64; 2]>,
     }
 
@@ -89,9 +89,9 @@ messages! {
         pub gwet_ac1: Option<Estimate>,
     }
 
-    /// `GET stats/quota`: one for each category and edit type.
+    /// `GET stats/quota`: a row for each category and edit type with kept pairs.
     pub struct QuotaRow {
-        /// Category; empty where the source gives none.
+        /// Category; empty for pairs without one.
         pub category: String,
         pub edit_type: EditType,
         /// Pairs kept: answered `keep` and not sent back.
@@ -102,7 +102,7 @@ messages! {
         pub category_wanted: i64,
     }
 
-    /// `GET stats/edit-types`: one for each edit type that the project has a quota of.
+    /// `GET stats/edit-types`: the count of an edit type that has a quota.
     pub struct EditTypeCount {
         pub edit_type: EditType,
         pub kept: i64,
@@ -125,7 +125,7 @@ messages! {
         pub reviews: i64,
     }
 
-    /// `GET stats/outlook`: what is left of a kind, at the pace of the last seven days.
+    /// `GET stats/outlook`: the remaining work on a kind of task, at the pace of the last seven days.
     pub struct Outlook {
         pub kind: TaskKind,
         /// Answers that tasks still want.
@@ -134,7 +134,7 @@ messages! {
         pub reviews_left: i64,
         pub answers_per_day: f64,
         pub reviews_per_day: f64,
-        /// Mean seconds of an answer.
+        /// Mean seconds of an answer, including all reported work on its kind.
         pub secs_per_answer: Option<f64>,
         /// Hours of work left, at the median seconds of an answer.
         pub hours_left: Option<f64>,
@@ -209,7 +209,7 @@ messages! {
         pub heartbeat: i64,
     }
 
-    /// `PUT captures`: the whole plan, in place of the one before.
+    /// `PUT captures`: the whole plan, which replaces the previous one.
     #[serde(deny_unknown_fields)]
     pub struct CapturePlan {
         /// Cells of the plan, each motion with each style once.
@@ -232,7 +232,7 @@ messages! {
     pub struct Captures {
         /// The cells in the order of the plan.
         pub cells: Vec<CaptureCell>,
-        /// Number of style pairs that belong to no cell of the plan. Rejected pairs are not counted.
+        /// Number of style pairs that belong to no cell of the plan, without rejected ones.
         pub unplanned: u32,
     }
 

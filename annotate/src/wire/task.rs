@@ -16,9 +16,9 @@ messages! {
     /// One mask of an answer.
     #[serde(deny_unknown_fields)]
     pub struct MaskAnswer {
-        /// Names of the parts as entered: LEFT_ARM with RIGHT_ARM is not merged to BOTH_ARMS.
+        /// Names of the parts as entered: LEFT_ARM and RIGHT_ARM are not merged into BOTH_ARMS.
         pub parts: Vec<String>,
-        /// Whether the soft ring is blended.
+        /// Whether the soft ring is on: the joints around the parts are interpolated.
         #[serde(default = "yes")]
         pub soft: bool,
         /// Joints whose weight differs from the one that the parts and `soft` give them.
@@ -194,7 +194,7 @@ messages! {
         pub prefetch: Vec<String>,
     }
 
-    /// Why a queue is empty. Counts are tasks of the kind.
+    /// Why a queue is empty, as numbers of tasks of its kind.
     #[derive(Default)]
     pub struct Empty {
         pub total: i64,
@@ -270,22 +270,22 @@ messages! {
         pub feedback: Option<Feedback>,
     }
 
-    /// What a practice task teaches.
+    /// Feedback on an answer to a practice task.
     pub struct Feedback {
         /// Score of the answer: 1 minus its distance from the known one.
         pub score: f64,
         pub known: Answer,
     }
 
-    /// `GET practice`: my practice of a kind. Real work of a kind is open once it is passed; `POST queue/next` gives
-    /// practice tasks before.
+    /// `GET practice`: my progress in the practice of a kind of task. Until it is passed, `POST queue/next` gives
+    /// practice tasks instead of real ones.
     pub struct Practice {
         pub kind: TaskKind,
         /// Practice tasks to do; 0 if the kind needs no practice.
         pub needed: i64,
         /// Practice tasks done, up to `needed`.
         pub done: i64,
-        /// Mean score of the last `needed` ones, 0 to 1.
+        /// Mean score of the last `needed` practice tasks, 0 to 1.
         pub score: Option<f64>,
         /// Score to reach, 0 to 1.
         pub threshold: f64,
@@ -293,7 +293,7 @@ messages! {
         pub passed: bool,
     }
 
-    /// `POST blend`: `soft` and `joints` as in a mask of an answer.
+    /// `POST blend`: a preview. `soft` and `joints` are as in `MaskAnswer`.
     #[serde(deny_unknown_fields)]
     pub struct BlendRequest {
         /// Hash of the edited motion.
@@ -334,7 +334,7 @@ messages! {
         pub today_all: i64,
     }
 
-    /// A queue as I see it.
+    /// The tasks of a kind, from my point of view.
     pub struct QueueInfo {
         pub kind: TaskKind,
         pub total: i64,
@@ -396,7 +396,7 @@ messages! {
         pub accepted: Option<Answer>,
         /// How the answer was accepted: `review`, `own`, `rule:NAME` or `import`.
         pub accepted_by: Option<String>,
-        /// Whether the event `undo` of `POST tasks/{id}/events` can take the answer back now.
+        /// Whether I can take the answer back now, with the event `undo` of `POST tasks/{id}/events`.
         pub can_take_back: bool,
         /// Time from which a returned task is offered to others.
         pub until: Option<i64>,
@@ -409,7 +409,7 @@ fn yes() -> bool {
     true
 }
 
-/// An answer. Which fields count depends on the kind of the task.
+/// An answer; its fields depend on the kind of the task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(ts_rs::TS))]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]

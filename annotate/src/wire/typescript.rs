@@ -1,7 +1,7 @@
 //! The types of the API in TypeScript: `annotate/web/src/wire.ts`, which this test writes and compares.
 //!
-//! Messages are declared by their macro, enums by their names here. A file that differs from the committed one fails
-//! the test. `STANCE_WRITE_WIRE=1 cargo test -p annotate --lib wire` writes the file.
+//! The macro `messages!` lists the messages; the enums are listed here. The test fails if the committed file differs.
+//! `STANCE_WRITE_WIRE=1 cargo test -p annotate --lib wire` writes it.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -27,8 +27,7 @@ pub(super) fn declaration<T: TS>(config: &Config) -> (String, String) {
     )
 }
 
-/// The text of a declaration: its comment on one line, then a line for each field. The Rust source has the comments of
-/// fields.
+/// The text of a declaration: its comment on one line, then a line for each field. Comments of fields are left out.
 fn laid_out(text: &str) -> String {
     let text = text.replace("\n */", " */").replace("/**\n *", "/**");
     let text = text.replace("\n *", "");
@@ -102,7 +101,7 @@ enums! {
     TaskSort TaskState TextForm Verdict
 }
 
-/// The enums, and then the messages by name.
+/// The enums, and then the messages, sorted by name.
 fn declarations(config: &Config) -> Vec<(String, String)> {
     let mut messages = vec![declaration::<super::Answer>(config)];
     for declared in [

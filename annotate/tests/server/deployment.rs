@@ -135,7 +135,7 @@ fn begin(site: &Site, client: &Client, path: &str) -> TcpStream {
     stream
 }
 
-/// What the server says until it closes the connection.
+/// The text that the server sends until it closes the connection.
 fn said(mut stream: TcpStream) -> String {
     let mut answer = Vec::new();
     let read = stream.read_to_end(&mut answer);
@@ -149,7 +149,7 @@ fn requests_that_never_end_are_given_up_and_an_upload_may_take_longer() {
     let given_up = "HTTP/1.1 503 Service Unavailable";
     let site = Site::with(|config| config.patience = Duration::from_secs(2));
     let boss = site.person("boss");
-    // Headers without an end.
+    // These headers never end.
     let mut headers = connect(&site);
     let begun = headers.write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nX-Slow: ");
     begun.expect("the server reads");
@@ -421,7 +421,7 @@ fn two_servers_share_the_clock_of_the_database_and_its_exports() {
         return;
     };
     let ([ann, _], [_, bob]) = (site.person("ann"), site.person("bob"));
-    // The database runs on this machine.
+    // The database runs on this machine, so this is its time too.
     let now = std::time::SystemTime::now()
         .duration_since(std::time::UNIX_EPOCH)
         .expect("after 1970")

@@ -86,7 +86,7 @@ fn agreement_is_told_for_the_week_of_the_last_answer() {
             .collect()
     };
     assert_eq!(weeks(), [(Some(1.0), 1), (Some(0.5), 2), (None, 0)]);
-    // Both answers share one of two arms, and then the legs.
+    // Both answers mask the legs, but only Ann's also the left arm.
     let legs = json!({
         "kind": "mask_text", "count_reason": "single_action",
         "masks": [{ "parts": ["LOWER_BODY"], "text": "swinging, walking" }],
@@ -113,7 +113,7 @@ const DOING: [(&str, &str); 8] = [
     ("UPPER_BODY", "leaning slightly forward"),
 ];
 
-/// Instructions, with the part and the type of the edit.
+/// Part and type of an edit, and its instruction.
 const EDITS: [(&str, &str); 8] = [
     ("LEFT_ARM amplitude", "Raise the left arm higher."),
     ("RIGHT_ARM speed", "Swing the right arm faster."),
@@ -132,7 +132,8 @@ const COMMENTS: [&str; 3] = [
     "Say what changes, not what the second clip shows.",
 ];
 
-/// Masks of a clip, from its drafts unless the person has an opinion of their own.
+/// An answer with two masks: from the drafts of the clip, or from [`DOING`] if the person has an opinion of their own
+/// or drafts are missing.
 fn describe(task: &TaskDetail, number: u64, own: bool) -> Answer {
     let mut said: Vec<Value> = Vec::new();
     let drafts = task.suggestions.iter();
@@ -156,7 +157,7 @@ fn describe(task: &TaskDetail, number: u64, own: bool) -> Answer {
 /// A team that works on a store.
 struct Team {
     store: Arc<Store>,
-    /// Annotators with the seconds that they need for a mask task.
+    /// Annotators, each with the mean seconds they need for a mask task.
     annotators: Vec<(i64, f64)>,
     reviewers: Vec<i64>,
     rng: datasets_spec::Rng,
@@ -289,7 +290,7 @@ impl Team {
         }
     }
 
-    /// Simulates two weeks up to `end`. Work begins at 9 o'clock on weekdays.
+    /// Simulates two weeks up to `end`. Work begins at 8:00 UTC on weekdays.
     fn two_weeks(&mut self, end: i64) {
         let counts = self.store.funnel().expect("a funnel");
         let tasks: i64 = counts.iter().map(|row| row.2).sum();
@@ -302,7 +303,7 @@ impl Team {
             .collect();
         for (day, &morning) in mornings.iter().enumerate() {
             for (index, (person, pace)) in self.annotators.clone().into_iter().enumerate() {
-                // The last one joins later, and the second is away on every third day.
+                // The fourth annotator joins later, and the second is away on every third day.
                 if index == 3 && day < 4 || index == 1 && day % 3 == 2 {
                     continue;
                 }

@@ -25,7 +25,7 @@ fn stated(types: &[Option<EditType>]) -> Vec<NewTask> {
     tasks
 }
 
-/// Gives a person the next pair, and returns the number of its task and its id.
+/// Claims the next pair for a person, and returns the number in the key of its task and the id of its task.
 fn claim(site: &Fixture, user: i64) -> (usize, i64) {
     let id = site.take_pair(user);
     let key = site.record(id).key;
@@ -67,7 +67,7 @@ fn of_a_type_with_enough_pairs_the_last_ones_are_given_out_last() {
     let types = [Some(Speed), Some(Speed), None, Some(Force)];
     each("full edit types", stated(&types), |site| {
         quotas(&site.store, &[(Speed, 1), (Force, 1)]);
-        // A person who works on a pair may still keep it.
+        // A pair that somebody works on counts, because it may be kept.
         assert_eq!(claim(site, site.ann).0, 0);
         assert_eq!(claim(site, site.bob).0, 3);
         assert_eq!(claim(site, site.eve).0, 2);

@@ -34,7 +34,7 @@ impl Fixture {
         self.set(|settings| settings.rules = rules.into());
     }
 
-    /// Applies the rules, and returns the tasks that one of them accepted.
+    /// Applies the rules, and returns the number of tasks that `rule` accepted.
     fn applied(&self, rule: &str) -> i64 {
         let done = self.store.apply_rules(0, START).expect("applies");
         assert_eq!(done.next, None);
@@ -370,7 +370,7 @@ fn tasks_that_everybody_skipped_are_listed_with_the_reasons() {
             let why = skip.reason.map(|reason| reason.as_str());
             assert_eq!((why, skip.note.as_str()), (Some("cannot_tell"), "too dark"));
         }
-        // The task keeps its answer.
+        // An answered task is not listed as skipped by everybody.
         assert_eq!(site.answer(site.bob, "seen"), second);
         check(&[first, second], &[first]);
         // Without annotators, all users count: eve and the admin are left.
@@ -476,7 +476,7 @@ fn an_assigned_task_goes_to_its_person_first_until_the_reservation_ends() {
         assert_eq!(preview.left_alone["held"], 1);
         let refused = site.store.bulk(&site.who(site.eve), assign(999), START);
         assert_eq!(refusal(refused), Code::Invalid);
-        // Nobody else gets the other three, until nobody has taken them up for days.
+        // Nobody else gets the other three until Bob has left them for days.
         site.submit(site.ann, others, 0, waving());
         site.submit(site.bob, last, 0, waving());
         assert_eq!(site.bulk(assign(site.bob)).done, 3);

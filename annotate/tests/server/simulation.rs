@@ -30,8 +30,8 @@ use crate::support::{
 const REVIEWED: u32 = 20;
 /// Categories of the bundles of pairs: there are three times as many walks and runs as jumps and waves.
 const CATEGORIES: [&str; 8] = ["walk", "run", "jump", "walk", "run", "wave", "walk", "run"];
-/// Pairs kept of each category, as a share of all pairs: more than there are usable jumps and waves, and fewer than
-/// usable walks and runs.
+/// Quota of each category, as a share of all pairs: larger than the number of usable jumps or waves, and smaller than
+/// that of usable walks or runs.
 const QUOTA: f64 = 0.135;
 
 #[derive(Default)]
@@ -305,7 +305,7 @@ impl Project {
     }
 }
 
-/// Accepted answers according to the log: the task's key, its author, and the basis.
+/// Accepted answers according to the log: by the id of their task, the author and the rule that accepted the answer.
 fn accepted_by_the_log(store: &Store) -> BTreeMap<i64, (i64, Option<String>)> {
     let mut accepted = BTreeMap::new();
     let mut after = 0;
@@ -404,8 +404,8 @@ fn a_simulated_week_loses_nothing_and_its_export_equals_the_log() {
     }
 }
 
-/// Checks that no category exceeds its quota, and that categories with pairs left were given out evenly. Returns the
-/// number of pairs held back because of the quota.
+/// Checks that no category exceeds its quota, and that pairs of the categories with pairs left were given out evenly.
+/// Returns the number of pairs held back because of the quota.
 fn check_quota(
     now: &BTreeMap<&'static str, [i64; 2]>,
     [pairs, _, people]: [usize; 3],
@@ -434,7 +434,7 @@ fn check_quota(
     held_back
 }
 
-/// Every acknowledged answer is in the store once, and no task has more answers than it needs.
+/// Checks that every acknowledged answer is in the store once, and that no task has more answers than it needs.
 fn check_answers(project: &Project, size: [usize; 3]) {
     let mut stored = BTreeSet::new();
     let (answered, _) = project.store.answered_since(0).expect("tasks");

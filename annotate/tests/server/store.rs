@@ -382,7 +382,7 @@ fn an_expired_lease_is_given_away_by_the_claim_itself_and_its_late_answer_is_kep
 #[test]
 fn events_are_taken_once_in_order_and_on_the_newest_revision() {
     each("events", mask_tasks(3), |site| {
-        // A key is taken once.
+        // An event is applied once, however often it is sent.
         let task = site.take(site.bob);
         let epoch = site.epoch(site.bob, task);
         let draft = event(EventKind::Draft, epoch, 0, masks("one"));
@@ -502,7 +502,7 @@ fn two_answers_that_differ_come_first_in_the_queue_of_disagreement() {
     });
 }
 
-/// An answer with a change of its first mask, the left arm.
+/// The answer after a change of its first mask, that of the left arm.
 fn changed(mut answer: Answer, change: impl FnOnce(&mut MaskAnswer)) -> Answer {
     if let Answer::MaskText { masks, .. } = &mut answer {
         change(&mut masks[0]);
@@ -752,7 +752,7 @@ fn the_motions_of_the_next_tasks_are_named_gold_ones_too() {
             other => panic!("{other:?}"),
         };
         let (present, following) = next(site.ann);
-        // The rest of the bundle.
+        // The other pairs of the bundle follow.
         let rest = ("bundled0", "bundled1 bundled2 bundled3");
         assert_eq!((present.as_str(), following.as_str()), rest);
         site.make_gold(site.accepted()[0].task.id);
@@ -847,7 +847,7 @@ fn a_returned_answer_waits_for_its_author_through_lost_leases_and_then_goes_to_a
         let comment = site.detail(site.ann, task).comment;
         assert_eq!(comment.as_deref(), Some("because"));
         site.submit(site.bob, other, 0, masks("x"));
-        // She has opened the task and leaves it: the lease is still hers.
+        // She has taken the task and left it: her lease has expired, but the task stays reserved for her.
         site.wait(HOUR);
         assert_eq!((site.open(site.bob), site.claim(site.bob)), (0, None));
         let back = &site.home(site.ann).returned[0];

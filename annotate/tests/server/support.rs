@@ -283,7 +283,7 @@ pub(crate) fn agent() -> ureq::Agent {
 /// The admin of every store with [`plain_settings`].
 pub(crate) const ROOT: i64 = 1;
 
-/// Settings without random draws: drafts on every task, and no gold tasks.
+/// Adds the admin [`ROOT`], and settings without random draws: drafts on every task, one answer to each, no gold tasks.
 pub(crate) fn plain_settings(store: &Store) {
     let root = store.add_user(None, "root", Role::Admin, START);
     assert_eq!(root.expect("an admin").id, ROOT);
@@ -566,7 +566,7 @@ pub(crate) fn pair(verdict: Verdict) -> Answer {
     from_json(said)
 }
 
-/// An answer that keeps a pair as an edit of a type.
+/// An answer that keeps a pair, with this edit type.
 pub(crate) fn kept(of_type: EditType) -> Answer {
     let mut answer = pair(Verdict::Keep);
     if let Answer::Pair { edit_type, .. } = &mut answer {
@@ -619,7 +619,7 @@ pub(crate) fn event_of(
     event(kind, epoch, rev, answer)
 }
 
-/// Sends an event to a store without a server, which takes it.
+/// Sends an event to a store without a server, and checks that the store accepts it.
 pub(crate) fn tell(store: &Store, user: i64, task: i64, event: NewEvent, now: i64) -> EventResult {
     let results = store.append(user, task, vec![event], now);
     let result = results.expect("takes events").remove(0);

@@ -1,4 +1,4 @@
-//! Import and export: exported files can be imported unchanged.
+//! Import and export: an import of exported files gives the same answers.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -227,7 +227,7 @@ fn parquet_and_a_release_come_back_as_they_went_from_a_store_with_tasks_or_witho
 fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
     let site = Site::new();
     let [ann, eve] = site.people(["ann", "eve"]);
-    // In the order of their ids in the dataset.
+    // The masks are in the order of their ids in the dataset.
     let ranged = json!({ "kind": "mask_text", "masks": [
         { "parts": ["BOTH_LEGS"], "joints": [{ "joint": "left_hip", "weight": "soft" }], "text": "walking" },
         { "parts": ["LEFT_ARM"], "range": [0, 31], "text": "waving" },
@@ -250,7 +250,7 @@ fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
     assert_eq!(rows[2].hard_joints, hard);
     assert!(rows[2].soft_joints.is_empty());
 
-    // The lists of a release only count these values; the table beside the lists contains them.
+    // The JSON files of a release cannot hold ranges and joints, so they are counted. The table beside them holds both.
     let lists = site.folder.path().join("lists");
     let done = write_to(&site, &site.store, &lists, ExportFormat::Stance);
     assert_eq!(done.counts["masks_of_a_range"], 2);
@@ -275,7 +275,7 @@ fn ranges_and_joints_come_back_from_every_layout_with_a_place_for_them() {
     let store = fresh_store(&site, "of-dataset.sqlite");
     assert_eq!(answers(&store), said);
 
-    // A range that a shorter clip does not have is left out of the dataset.
+    // A mask whose range exceeds its clip, which is shorter now, is left out of the dataset.
     let source = site.store.task_record(task).expect("a task").source;
     let mut clip = site.store.all_motions().expect("motions");
     clip.retain(|motion| motion.hash == source);
@@ -376,7 +376,7 @@ fn a_job_exports_files_to_download_and_splits_are_kept_apart() {
     run(&only).expect("exports");
     let rows: Vec<AnnotationRow> = rows(&folder, "annotations");
     assert!(rows.is_empty(), "all answers are of the training split");
-    // A task of split train with a motion of the test split is not exported.
+    // A task of split train with a motion of the test split makes the export fail.
     let mut motion = site.store.all_motions().expect("motions");
     motion.retain(|motion| motion.split == "test");
     let task = NewTask {
@@ -487,7 +487,7 @@ fn a_candidate_keeps_its_key_and_leaves_the_pairs_when_it_is_judged_unusable() {
     assert_eq!(found.findings, Vec::new());
     // The store imports the dataset again, as a server does at its start.
     assert_eq!(take_dataset(&site, store).counts["new_tasks"], 0);
-    // A new store creates the same key, with the whole answer.
+    // A new store gives the pair the same key, with the whole answer.
     let other = fresh_store(&site, "other.sqlite");
     let whole_answer = BTreeMap::from([(id.to_owned(), pair(Verdict::Keep))]);
     assert_eq!(answers(&other), whole_answer);

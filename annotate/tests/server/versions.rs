@@ -57,7 +57,7 @@ fn user_version(path: &Path) -> i64 {
         .expect("a number")
 }
 
-/// Checks that every kept store passes once it is open.
+/// Checks a store of an older version after its upgrade.
 fn check_upgraded(store: &Arc<Store>, version: i64) {
     let upgrade = store.upgrade().expect("an upgrade");
     assert_eq!(upgrade.from, version);

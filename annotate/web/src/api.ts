@@ -38,7 +38,7 @@ export class Api {
     return this.json<T>("POST", path, body);
   }
 
-  /** Numbers of the server as a typed array. They are little-endian, like all machines that browsers run on. */
+  /** A response of `f32` numbers. They are little-endian, like all machines that browsers run on. */
   async floats(method: string, path: string, body?: unknown): Promise<Float32Array> {
     const response = await this.request(method, path, body);
     return new Float32Array(await response.arrayBuffer());

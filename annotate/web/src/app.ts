@@ -146,7 +146,7 @@ export class App {
     await this.outbox.open();
     this.buildHeader();
     this.listen();
-    // Send unsent events of an earlier page first: a task opened before would be out of date.
+    // Send unsent events of an earlier page first: a task opened before that would be out of date.
     await this.outbox.drained();
     await this.route();
     const frame = (now: number): void => {
@@ -205,7 +205,7 @@ export class App {
     return true;
   }
 
-  /** A button that opens the guide beside the task and leaves the focus in the text field. */
+  /** A button that opens or closes the guide beside the task and leaves the focus in the text field. */
   guideButton(): HTMLButtonElement {
     const button = keyButton("Guide", this.keys.hint("guide_beside"), () => void this.toggleGuide(), "guide-button small");
     button.addEventListener("mousedown", (event) => event.preventDefault());
@@ -484,7 +484,7 @@ export class App {
       leaveTab(sessionStorage);
       for (const session of this.sessions) void session.flushDraft();
     });
-    // After a mouse click return the focus to the stage, so that keys keep working.
+    // Return the focus to the stage after a mouse click on a button, so that keys keep working.
     document.addEventListener("click", (event) => {
       const target = event.target instanceof Element ? event.target.closest("button, summary") : null;
       if (event.detail > 0 && target && !target.closest("dialog") && document.activeElement === target) this.focusStage();

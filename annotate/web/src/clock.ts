@@ -99,7 +99,7 @@ export class Clock {
     this.setLoop(0, Infinity);
   }
 
-  /** The next slower (-1) or faster (1) of [`SPEEDS`]. */
+  /** Changes to the next slower (-1) or faster (1) of `SPEEDS`. */
   changeSpeed(direction: -1 | 1): void {
     const nearest = SPEEDS.reduce((best, speed, index) => {
       const distance = Math.abs(speed - this.state.speed);

@@ -4,7 +4,7 @@ import { maskWords } from "./masks";
 import type { Parts } from "./parts";
 import type { Answer, MaskAnswer } from "./wire";
 
-/** `open` marks free text, which is not scored. */
+/** `open` marks what is not scored: free text, and the extent of a style. */
 export type Mark = "same" | "differs" | "open";
 
 export interface Compared {

@@ -1,7 +1,7 @@
 /** Whether the server can save: shows why not, and polls until it can. */
 
 export interface DiskHooks {
-  /** Requests why the server cannot save; `null` if it can. */
+  /** Asks the server why it cannot save; `null` if it can. */
   ask(): Promise<string | null>;
   show(why: string | null): void;
   sleep(ms: number): Promise<void>;

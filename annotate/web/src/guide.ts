@@ -77,7 +77,7 @@ export function kindGuide(guide: Guide, kind: TaskKind, styles: readonly Style[]
   ];
 }
 
-/** The styles of the project with their guidelines; styles without one follow in one line. */
+/** The styles of the project with their texts and guidelines; styles that have neither follow in one line. */
 function styleList(styles: readonly Style[]): HTMLElement[] {
   const isTold = ({ text, guideline }: Style): boolean => text !== "" || (guideline ?? "") !== "";
   const [told, bare] = [styles.filter(isTold), styles.filter((style) => !isTold(style))];

@@ -156,7 +156,7 @@ export function parseChord(text: string): string | null {
 /** Fields of a key event that the map uses. */
 export type Press = Pick<KeyboardEvent, "code" | "ctrlKey" | "metaKey" | "altKey" | "shiftKey">;
 
-/** The chord of an event; none with Alt, which browsers and keyboard layouts use. */
+/** The chord of an event; `null` for keys that cannot be bound, and with Alt, which browsers and layouts use. */
 export function chordOf(press: Press): string | null {
   if (press.altKey) return null;
   const code = press.code === "NumpadEnter" ? "Enter" : press.code;

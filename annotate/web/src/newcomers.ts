@@ -15,8 +15,8 @@ const MAX_LINES = 1000;
 const MAX_NAME = 64;
 
 /**
- * Parses lines of a name, and a role after a comma, semicolon or tab. Empty lines and a heading are skipped.
- * `known` are the names that are taken.
+ * Parses a user from each line: a name, and optionally a role after a comma, semicolon or tab. Empty lines and a
+ * heading are skipped. `known` are the names that are taken.
  */
 export function readNewcomers(text: string, known: ReadonlySet<string>): Newcomer[] {
   const found: Newcomer[] = [];
@@ -56,7 +56,7 @@ export function linkLines(users: readonly NewUserLink[], origin: string): string
   return users.map((user) => `${user.user.name}\t${user.user.role}\t${linkOf(user, origin)}\n`).join("");
 }
 
-/** A CSV file of name, role, link and the last day. Cells that a spreadsheet would take for formulas are quoted. */
+/** A CSV file of name, role, link and last day. Cells that a spreadsheet would take for formulas get an apostrophe. */
 export function linkTable(users: readonly NewUserLink[], origin: string): string {
   const cell = (text: string): string => {
     const safe = /^[=+\-@\t\r]/.test(text) ? `'${text}` : text;

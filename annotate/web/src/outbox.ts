@@ -29,8 +29,8 @@ export interface OutboxItem {
 }
 
 /**
- * Stores events synchronously until the database has stored them: leaving a page aborts unfinished writes of its
- * database.
+ * Keeps events in synchronous storage until the database has stored them, because leaving a page aborts unfinished
+ * writes of the database.
  */
 export class Journal {
   /** `prefix` identifies the project and the person. */
@@ -87,7 +87,7 @@ export interface OutboxHooks {
 const FIRST_WAIT_MS = 500;
 const LONGEST_WAIT_MS = 5_000;
 
-/** Events stored by earlier versions of the page lack empty fields. */
+/** Whether an event has an answer. Events stored by earlier versions of the page lack empty fields. */
 function hasAnswer(item: OutboxItem): boolean {
   return (item.event.answer ?? null) !== null;
 }
@@ -138,7 +138,10 @@ export class Outbox {
     return own.at(-1)?.event.answer ?? null;
   }
 
-  /** Stores an event and starts sending. It replaces an older unsent draft of the chain. Resolves once it is stored. */
+  /**
+   * Stores an event and starts sending; resolves once it is stored. An event with an answer replaces unsent drafts and
+   * stuck answers of its chain.
+   */
   async add(task: number, chain: string, event: NewEvent): Promise<void> {
     const item: OutboxItem = {
       key: event.idem_key,
@@ -180,7 +183,7 @@ export class Outbox {
     return (await this.store.get<{ rev: number }>("chains", chain))?.rev ?? 0;
   }
 
-  /** Removes stuck events of a chain whose content was merged. */
+  /** Removes all events of a chain that are not being sent, after their content was merged. */
   async discard(chain: string): Promise<void> {
     const own = this.items.filter((item) => item.chain === chain && !this.inFlight.has(item.key));
     this.items = this.items.filter((item) => !own.includes(item));
@@ -240,7 +243,7 @@ export class Outbox {
     this.setPhase("idle", null);
   }
 
-  /** The first event that is neither stuck nor follows a stuck one of its chain. */
+  /** The first event whose chain has no stuck event. */
   private next(): OutboxItem | null {
     const blocked = new Set(this.items.filter((item) => item.problem !== null).map((item) => item.chain));
     return this.items.find((item) => !blocked.has(item.chain)) ?? null;
@@ -323,7 +326,7 @@ export class Outbox {
   }
 }
 
-/** The revision that an answer conflicts with, written by somebody else or in another tab. */
+/** The revision that an answer conflicts with, which the same person wrote in another tab or browser. */
 export function theirsOf({ item, result }: Outcome): Revision | null {
   return result.problem?.code === "stale_revision" && item.event.answer ? (result.problem.theirs ?? null) : null;
 }

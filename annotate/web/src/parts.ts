@@ -58,7 +58,7 @@ export class Parts {
     return has(hard, joint) ? "hard" : has(soft, joint) ? "soft" : "none";
   }
 
-  /** The choices of a mask with the next weight of a joint: hard, soft, none. */
+  /** The joint choices of a mask after a joint has got its next weight, in the order hard, soft, none. */
   nextChoices(mask: MaskAnswer, joint: number): JointChoice[] {
     const next = (JOINT_WEIGHTS.indexOf(this.weightOf(mask, joint)) + 1) % JOINT_WEIGHTS.length;
     const name = this.bodyJoints[joint] ?? "";
@@ -95,7 +95,7 @@ export class Parts {
     return this.all.find((part) => bits(part.hard) === own)?.name ?? null;
   }
 
-  /** Toggles a part; the result is in the order of the release. */
+  /** Toggles a part; the result is in the order of `all`. */
   toggle(names: readonly string[], name: string): string[] {
     const wanted = new Set(names);
     if (!wanted.delete(name)) wanted.add(name);

@@ -138,7 +138,7 @@ export class TaskSession<A extends Answer> implements OpenSession {
     return this.end("postpone", {});
   }
 
-  /** Withdraws a submitted answer; the caller reopens the task. */
+  /** Withdraws a submitted answer. Returns whether the user holds the task again; then the caller opens it. */
   static async takeBack(app: App, task: number): Promise<boolean> {
     const chain = app.chain(task);
     await app.outbox.add(task, chain, newEvent("undo"));
@@ -255,7 +255,8 @@ export class TaskSession<A extends Answer> implements OpenSession {
     this.history.seal();
     this.history.push(chosen);
     if (!same(chosen, mine)) this.onReplaced(chosen);
-    // Refresh the chip before an event waits, so that the page never shows this version as saved.
+    // Both calls refresh the chip now, before the outbox changes, so that the page never shows an unsaved version as
+    // saved.
     if (same(chosen, other)) this.app.refreshChip();
     else this.schedule();
     await this.app.outbox.discard(this.chain);

@@ -32,7 +32,7 @@ export function heatColour(value: number): string {
   return `rgb(${mixed.join(", ")})`;
 }
 
-/** Gaps in seconds that do not end a span. */
+/** The longest gap in seconds that does not end a span. */
 const SAME_SPAN_SECS = 0.15;
 
 /** Time spans in which the values of a row reach `least`: "0.4 to 1.2 s, 2.0 to 2.4 s"; empty if there are none. */
@@ -98,7 +98,7 @@ export class Strip {
     this.forget = onThemeChange(redraw);
   }
 
-  /** Values `[rows][columns]`, spread over the frames of the clock. */
+  /** Sets the values, `[rows][columns]`; each column is a frame of the clock. */
   setValues(values: Float32Array, columns: number): void {
     this.values = values;
     this.columns = columns;

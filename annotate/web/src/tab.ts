@@ -30,7 +30,7 @@ export async function nameOfTab(storage: TabStorage, locks: TabLocks | undefined
   return fresh;
 }
 
-/** Call when the page is left. */
+/** Marks the name as free for the next page of the tab; to be called when the page is left. */
 export function leaveTab(storage: TabStorage): void {
   storage.setItem(FREE, "1");
 }

@@ -5,7 +5,7 @@ import { action, element } from "./components/component";
 import { h, setAttr, type Child } from "./dom";
 import { MAX_TEXT_CHARS, type Estimate } from "./wire";
 
-/** Messages at the lower edge, announced by screen readers. */
+/** Messages below the header, announced by screen readers. */
 export class Toasts {
   readonly element = h("div", { class: "toasts col", attrs: { role: "status", "aria-live": "polite" } });
   private readonly shown = new Map<string, () => void>();

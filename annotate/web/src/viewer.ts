@@ -21,7 +21,7 @@ export interface Clip {
 interface View {
   layout: "single" | "side_by_side" | "ghost";
   swapped: boolean;
-  /** Whether both clips are stretched to the duration of the shorter one. */
+  /** Whether the longer clip is shown in the duration of the shorter one. */
   stretch: boolean;
   /** Whether the ghost has the same position and heading as the other body. */
   together: boolean;

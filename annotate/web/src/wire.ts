@@ -87,7 +87,7 @@ export const EXPORT_FORMATS: readonly ExportFormat[] = [
   "dataset", "parquet", "stance", "csv",
 ];
 
-/** How much of the body a style shows in. */
+/** How much of the body shows a style. */
 export type Extent = "lower" | "upper" | "whole";
 export const EXTENTS: readonly Extent[] = [
   "lower", "upper", "whole",
@@ -123,13 +123,13 @@ export const ROLES: readonly Role[] = [
   "annotator", "reviewer", "admin",
 ];
 
-/** What a rule of acceptance looks at. */
+/** Which tasks a rule of acceptance accepts. Every rule can leave a share of them to reviewers. */
 export type RuleKind = "rejects" | "trusted" | "sampled";
 export const RULE_KINDS: readonly RuleKind[] = [
   "rejects", "trusted", "sampled",
 ];
 
-/** Which skipped tasks the browser lists. */
+/** Which skipped tasks the task browser lists. */
 export type SkipFilter = "any" | "everybody";
 export const SKIP_FILTERS: readonly SkipFilter[] = [
   "any", "everybody",
@@ -141,7 +141,7 @@ export const SKIP_REASONS: readonly SkipReason[] = [
   "broken_motion", "cannot_tell", "wrong_caption", "not_for_me", "other",
 ];
 
-/** Where an answer stands, for its author. */
+/** Progress of an answer as its author sees it. */
 export type Standing = "draft" | "waits_for_others" | "waits_for_review" | "in_review" | "accepted" | "superseded" | "returned" | "dropped" | "practice";
 export const STANDINGS: readonly Standing[] = [
   "draft", "waits_for_others", "waits_for_review", "in_review", "accepted", "superseded", "returned",
@@ -178,7 +178,7 @@ export const TASK_STATES: readonly TaskState[] = [
   "open", "leased", "submitted", "in_review", "accepted", "returned", "dropped",
 ];
 
-/** What a text of an answer is. */
+/** Form of the texts of an answer. */
 export type TextForm = "completion" | "instruction";
 export const TEXT_FORMS: readonly TextForm[] = [
   "completion", "instruction",
@@ -200,7 +200,7 @@ export type Agreement = {
   draft_distance: number | null,
   secs_with_and_without_draft: [number, number] | null, };
 
-/** An answer. Which fields count depends on the kind of the task. */
+/** An answer; its fields depend on the kind of the task. */
 export type Answer = { "kind": "mask_text",
   masks: Array<MaskAnswer>,
   count_reason: CountReason | null,
@@ -249,7 +249,7 @@ export type AuditEntry = {
   task: number | null,
   body: unknown, };
 
-/** `POST blend`: `soft` and `joints` as in a mask of an answer. */
+/** `POST blend`: a preview. `soft` and `joints` are as in `MaskAnswer`. */
 export type BlendRequest = {
   src: string,
   tgt: string,
@@ -302,7 +302,7 @@ export type CaptureCell = {
   missing: number,
   known: boolean, };
 
-/** `PUT captures`: the whole plan, in place of the one before. */
+/** `PUT captures`: the whole plan, which replaces the previous one. */
 export type CapturePlan = {
   cells: Array<PlannedCapture>, };
 
@@ -349,13 +349,13 @@ export type Decisions = {
   items: Array<DecisionRow>,
   next: number | null, };
 
-/** `GET stats/edit-types`: one for each edit type that the project has a quota of. */
+/** `GET stats/edit-types`: the count of an edit type that has a quota. */
 export type EditTypeCount = {
   edit_type: EditType,
   kept: number,
   wanted: number, };
 
-/** Why a queue is empty. Counts are tasks of the kind. */
+/** Why a queue is empty, as numbers of tasks of its kind. */
 export type Empty = {
   total: number,
   done: number,
@@ -398,7 +398,7 @@ export type ExportRequest = {
   splits: Array<string>,
   events: boolean, };
 
-/** What a practice task teaches. */
+/** Feedback on an answer to a practice task. */
 export type Feedback = {
   score: number,
   known: Answer, };
@@ -590,7 +590,7 @@ export type Next = {
 export type NextRequest = {
   kind: TaskKind, };
 
-/** `GET stats/outlook`: what is left of a kind, at the pace of the last seven days. */
+/** `GET stats/outlook`: the remaining work on a kind of task, at the pace of the last seven days. */
 export type Outlook = {
   kind: TaskKind,
   answers_left: number,
@@ -616,7 +616,7 @@ export type PartInfo = {
   hard: Array<number>,
   soft: Array<number>, };
 
-/** `GET stats/people`: one for each person. */
+/** `GET stats/people`: figures of a person. */
 export type Person = {
   user: User,
   done: number,
@@ -642,7 +642,7 @@ export type PlannedCapture = {
   style: string,
   takes: number, };
 
-/** `GET practice`: my practice of a kind. Real work of a kind is open once it is passed; `POST queue/next` gives practice tasks before. */
+/** `GET practice`: my progress in the practice of a kind of task. Until it is passed, `POST queue/next` gives practice tasks instead of real ones. */
 export type Practice = {
   kind: TaskKind,
   needed: number,
@@ -651,7 +651,7 @@ export type Practice = {
   threshold: number,
   passed: boolean, };
 
-/** `GET`/`PUT prefs`. Keys are `KeyboardEvent.code` values, with `Ctrl+`, `Shift+` or both before; [`super::KEY_CODES`] lists them. */
+/** `GET`/`PUT prefs`. Keys are the `KeyboardEvent.code` values that [`super::KEY_CODES`] lists, with `Ctrl+`, `Shift+` or both in front. */
 export type Prefs = {
   keys: { [key in Action]?: Array<string> },
   speed: number | null,
@@ -681,7 +681,7 @@ export type Project = {
   mask_templates: Array<string>,
   time_zone: string, };
 
-/** A queue as I see it. */
+/** The tasks of a kind, from my point of view. */
 export type QueueInfo = {
   kind: TaskKind,
   total: number,
@@ -691,7 +691,7 @@ export type QueueInfo = {
   held_until: number | null,
   open: number, };
 
-/** `GET stats/quota`: one for each category and edit type. */
+/** `GET stats/quota`: a row for each category and edit type with kept pairs. */
 export type QuotaRow = {
   category: string,
   edit_type: EditType,

@@ -27,7 +27,7 @@ export class WorkClock {
     return secs;
   }
 
-  /** Returns seconds that could not be stored. */
+  /** Adds back seconds that were taken but could not be stored. */
   giveBack(secs: number): void {
     this.ms += secs * 1000;
   }

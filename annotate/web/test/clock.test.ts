@@ -9,7 +9,7 @@ function clockOf(frames: number): Clock {
   return clock;
 }
 
-/** A clock with a loop that was set frame by frame. */
+/** A clock whose loop was set by seeking to its ends. */
 function looped(frames: number, loopIn: number, loopOut: number): Clock {
   const clock = clockOf(frames);
   clock.seek(loopIn);

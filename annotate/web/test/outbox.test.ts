@@ -14,7 +14,7 @@ class Server {
   readonly log: { task: number; event: NewEvent }[] = [];
   private readonly results = new Map<string, EventResult>();
   private readonly revs = new Map<number, number>();
-  /** Faults of the next requests, before the server acts; `lost` is after it acts. */
+  /** Faults of the next requests. They come before the server acts, except `lost`, which comes after. */
   readonly faults: (Error | "lost" | Problem)[] = [];
   /** Whether to check `base_rev` like the real server. */
   strict = true;

@@ -188,7 +188,7 @@ test("a task is ended only after the choice between two versions", async () => {
 
 test("working seconds survive drafts that were never sent, and the use of a suggestion", async () => {
   const session = await open();
-  // The server is down: drafts replace each other in the browser.
+  // While the server is down, each draft replaces the previous one in the browser.
   let down = true;
   const broken = (): Partial<EventResult> | Error => (down ? new Unreachable("down") : {});
   for (let attempt = 0; attempt < 2000; attempt += 1) desk.replies.push(broken);

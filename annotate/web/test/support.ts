@@ -38,7 +38,7 @@ export const answer = (...texts: string[]): MaskTextAnswer => ({
 
 export const problem = (status: number, code: Code, rest: Partial<Problem> = {}): Problem => ({ type: "", title: code, status, code, detail: code, ...rest });
 
-/** A draft that somebody else wrote. */
+/** A draft that was written in another window. */
 export const written = (text: string, rev: number): Revision => ({ task: 7, author: 1, rev, state: "draft", answer: answer(text), at: 0, secs: 0 });
 
 export const part = (name: string, hard: number[], soft: number[] = [], release = true): PartInfo => ({

@@ -69,7 +69,7 @@ fn every_page_has_names_contrast_and_one_main_part_and_nothing_is_cut_or_covered
 fn every_page_is_dark_where_the_system_is() {
     let desk = at_a_mask(&["--force-dark-mode"]);
     desk.is("matchMedia('(prefers-color-scheme: dark)').matches", true);
-    // The corner of the stage shows its background, next to a dark panel.
+    // The corner of the stage shows the background, which is dark as well.
     let corner = desk.js_async(
         "{ await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); \
          const canvas = document.querySelector('.stage canvas'); const copy = document.createElement('canvas'); \
@@ -125,7 +125,7 @@ fn the_focus_goes_round_nothing_holds_it_and_parts_and_screens_have_keys() {
     desk.focuses("textarea");
     desk.press(&[keys::ESCAPE]);
     desk.focuses(".stage");
-    // After a click the keys go on working.
+    // Keys still work after a click.
     desk.click_with_mouse(".cameras button");
     desk.focuses(".stage");
     desk.press(&["4"]);

@@ -11,8 +11,8 @@ fn review(desk: &Desk, decision: &str, comment: &str) -> i64 {
     desk.decide(request, decision, comment)
 }
 
-/// A project with two practice tasks of pairs, and an annotator who has not seen it. Returns the practice task whose
-/// known answer also rejects the pair; the known answer of the other task keeps the pair.
+/// A project with two practice tasks of pairs, which Ann has not done yet. Returns the practice task whose known answer
+/// rejects the pair; the known answer of the other one keeps it.
 fn project() -> (Desk, i64) {
     let desk = Desk::of(&["ann", "bob", "eve", "boss"]);
     desk.set(json!({ "overlap_percent": 0 }));

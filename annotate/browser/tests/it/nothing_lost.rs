@@ -128,13 +128,13 @@ fn a_duplicated_tab_is_a_tab_of_its_own() {
     desk.press(&[keys::END]);
     desk.type_text(" More of the first.");
     desk.shows(".conflict .merge");
-    // A reload keeps the name.
+    // A reload keeps the name of the window.
     desk.go("app/mask");
     desk.task();
     desk.is(NAME, name);
 }
 
-/// Keeps both versions in the conflict box, once its keys are active.
+/// Waits until the keys of the conflict box are active, and keeps both versions.
 fn merge(desk: &Desk) {
     desk.shows(".conflict [aria-disabled=false]");
     assert!(desk.reaches(".conflict"), "F6 does not reach the box");

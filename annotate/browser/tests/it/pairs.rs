@@ -61,7 +61,8 @@ fn views_of_a_pair_share_the_frame_and_a_verdict_is_taken_back_at_once() {
     desk.until("both on one stage", "document.querySelector('.stage').dataset.bodies === '2' && document.querySelectorAll('.stage:not([hidden])').length === 1");
     // Changing the view does not move the clock.
     desk.is(FRAME, frame);
-    // The largest difference is of the poses, not of the positions: the ghost keeps its position.
+    // The largest difference is one of poses, so its key moves the ghost onto the other body. Another key moves it
+    // back.
     desk.is(TOGETHER, "false");
     desk.press(&["d"]);
     desk.until("the ghost is moved", &format!("{TOGETHER} === 'true'"));

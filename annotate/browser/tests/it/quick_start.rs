@@ -5,7 +5,7 @@ use annotate_browser::keys;
 
 use crate::steps::Desk;
 
-/// Pastes a person's token into the login page.
+/// Logs a person in by typing their token into the login page.
 fn log_in(desk: &Desk, name: &str) {
     desk.focuses("#token");
     desk.type_text(desk.token(name));

@@ -105,8 +105,8 @@ fn without_webgl_the_same_body_is_drawn_in_2d() {
 /// Frames played between two measurements of the heap.
 const SOAK_FRAMES: usize = 300;
 
-/// Allowed growth of the heap, for code and caches of the browser. A leak of 64 bytes per frame would exceed it
-/// twice within an hour.
+/// Allowed growth of the heap, for code and caches of the browser. A leak of 64 bytes per frame exceeds it within half
+/// an hour of 60 frames per second.
 const SOAK_SLACK_BYTES: u64 = 4 << 20;
 
 /// Plays two bodies at double speed. A short version runs with the other tests; this command runs half an hour (one

@@ -47,7 +47,7 @@ impl Desk {
             dataset,
             tokens,
         };
-        // Turn off all random choices: no gold tasks and no blind tasks.
+        // Give out neither gold tasks nor blind tasks, which are drawn at random.
         desk.set(json!({ "gold_percent": 0, "blind_percent": 0, "review_percent": 100 }));
         desk
     }

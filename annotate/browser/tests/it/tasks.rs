@@ -83,7 +83,7 @@ impl Desk {
         assert_eq!(done, value, "{label}");
     }
 
-    /// Presses buttons of the page or of the open dialog, one after the other.
+    /// Presses buttons of the open dialog, or of the page if none is open, one after the other.
     fn push(&self, labels: &[&str]) {
         for label in labels {
             self.press_button("body", label);

@@ -8,7 +8,7 @@ use crate::http::app::{Context, json};
 use crate::store::TokenUse;
 use crate::wire::{CapturePlan, NewToken, NewUser, NewUserLink, NewUsers, TokenShown, UserChange};
 
-/// Days a new user's token is valid.
+/// Number of days for which a new user's token is valid.
 const TOKEN_DAYS: u32 = 90;
 
 pub(super) fn put_settings(cx: &Context) -> Result<Response, Error> {
@@ -22,13 +22,13 @@ pub(super) fn put_captures(cx: &Context) -> Result<Response, Error> {
     json(&cx.store().captures()?)
 }
 
-/// A new token for a user, which is shown only once.
+/// A response with a new token for a user.
 fn issued(cx: &Context, user: i64, days: u32) -> Result<Response, Error> {
     let (purpose, expires) = (TokenUse::Token, end(cx, days)?);
     json(&cx.store().issue(user, purpose, expires, cx.now)?)
 }
 
-/// Expiry of a token that is issued now.
+/// Expiry of a token that is issued now for this many days. Refused with `invalid`.
 fn end(cx: &Context, days: u32) -> Result<i64, Error> {
     match days {
         1..=365 => Ok(cx.now + i64::from(days) * DAY),

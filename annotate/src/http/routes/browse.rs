@@ -22,7 +22,7 @@ const DECISIONS: [&str; 5] = ["accepted", "merged", "returned", "dropped", "reop
 #[serde(default)]
 struct Page {
     sort: Option<TaskSort>,
-    /// Not 0 for the reverse order.
+    /// Reverses the order unless it is 0.
     reverse: i64,
     after: Option<String>,
     limit: usize,

@@ -35,7 +35,7 @@ pub(super) fn export(cx: &Context) -> Result<Response, Error> {
     json(&jobs::start_export(&cx.app, cx.user()?, request)?)
 }
 
-/// All jobs. Those whose server stopped are marked as failed first.
+/// The last jobs. Jobs of stopped servers are marked as failed first.
 pub(super) fn all(cx: &Context) -> Result<Vec<Job>, Error> {
     jobs::abandon(cx.store(), cx.now)?;
     cx.store().jobs()

@@ -16,7 +16,7 @@ use crate::wire::{Limits, Login, Me, Project, User};
 const WRONG_PER_MINUTE: u32 = 10;
 /// Seconds between renewals of a lease.
 const HEARTBEAT_SECS: i64 = 60;
-/// Maximum lifetime of a session in days; it also ends with the token of its login.
+/// Maximum lifetime of a session in days; it also ends with its token, unless that was for one login.
 const SESSION_DAYS: i64 = 7;
 
 pub(super) fn log_in(cx: &Context) -> Result<Response, Error> {

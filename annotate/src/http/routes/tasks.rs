@@ -13,7 +13,7 @@ use crate::wire::{
     Suggestion, TaskKind, TaskView, TextForm,
 };
 
-/// Tasks whose motions the browser prefetches.
+/// Number of following tasks whose motions the browser prefetches.
 const AHEAD: usize = 3;
 
 /// Converts a suggestion to the text form of a kind of task.

@@ -19,8 +19,8 @@ use crate::wire::{Answer, Extent, TaskKind};
 const STORE_FACT: &str = "annotate_store";
 const SEQ_FACT: &str = "annotate_seq";
 
-/// Judgements of pairs by the id of the pair: the sequence number of the acceptance, and the row of a pair that is
-/// kept.
+/// Judgements of pairs by the id of the pair: the sequence number of the acceptance, and the pair's new row, or `None`
+/// if it is rejected.
 type Judged = BTreeMap<String, (i64, Option<PairRow>)>;
 
 impl Exporter<'_> {
@@ -40,7 +40,7 @@ impl Exporter<'_> {
             }
             exporter.done.count("pairs_judged", 1);
             let id = pair_id(&accepted.task.key).to_owned();
-            // A store of an earlier version may have two tasks for one candidate: the later decision counts.
+            // A store of an earlier version may have two tasks for one candidate. The later decision counts.
             if judged.get(&id).is_none_or(|(seq, _)| *seq < accepted.seq) {
                 let row = exporter.pair_row(&id, &accepted)?;
                 judged.insert(id, (accepted.seq, row));
@@ -131,14 +131,14 @@ impl Exporter<'_> {
         Ok(rows)
     }
 
-    /// The row of a judged pair; none if the pair is rejected.
+    /// The row of a judged pair; `None` if the pair is rejected.
     fn pair_row(&self, id: &str, accepted: &AcceptedAnswer) -> Result<Option<PairRow>, Error> {
         let (source, target) = self.ids(&accepted.task)?;
         let said = accepted.answer.fields();
         let Some(target) = target.filter(|_| !accepted.answer.is_reject()) else {
             return Ok(None);
         };
-        // Missing parts follow from the extent.
+        // If no parts are named, they follow from the extent.
         let parts = match said.extent {
             Some(Extent::Lower) if said.parts.is_empty() => vec!["LOWER_BODY".to_owned()],
             Some(Extent::Upper) if said.parts.is_empty() => vec!["UPPER_BODY".to_owned()],

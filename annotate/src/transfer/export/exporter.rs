@@ -49,7 +49,7 @@ const STORE_CHARS: usize = 6;
 pub(super) struct Exporter<'a> {
     pub(super) store: &'a Store,
     pub(super) splits: &'a [String],
-    /// Motions of the current tasks.
+    /// Motions of the tasks that were read last, by hash.
     motions: BTreeMap<String, MotionRecord>,
     pub(super) done: Exported,
 }
@@ -69,7 +69,7 @@ impl<'a> Exporter<'a> {
         })
     }
 
-    /// Records how answers were accepted, and how many were accepted before their clip was ingested again.
+    /// Adds to the result how answers were accepted, and how many were accepted before their clip was ingested again.
     pub(super) fn note_decisions(&mut self) -> Result<(), Error> {
         let mut own = 0;
         for (basis, count) in self.store.accepted_by()? {
@@ -118,7 +118,7 @@ impl<'a> Exporter<'a> {
         self.splits.is_empty() || self.splits.iter().any(|wanted| wanted == split)
     }
 
-    /// A motion. Its split must equal that of its task, so that no test clip ends up in train.
+    /// The motion of a task, by its hash. It must be in the split of the task, so that no test clip ends up in train.
     fn motion(&self, hash: &str, split: &str) -> Result<&MotionRecord, Error> {
         let motion = self
             .motions

@@ -24,8 +24,8 @@ use crate::wire::{ExportFormat, ExportRequest};
 /// Exports accepted answers from a snapshot of the store. The files are written to `folder`. Layout `dataset` instead
 /// writes the tables `masks` and `pairs` of the dataset in one commit, under the dataset's lock.
 ///
-/// The sequence number of the snapshot is in [`Exported::seq`], in the file `export.json` beside the files, and in the
-/// facts of the dataset's manifest.
+/// The sequence number of the snapshot is in [`Exported::seq`], and in the file `export.json` beside the files or, for
+/// layout `dataset`, in the facts of the manifest.
 ///
 /// # Errors
 /// A file cannot be written, a pair crosses splits, the dataset is locked, or the store fails.
@@ -89,8 +89,8 @@ fn hashes(folder: &Path, names: &[String]) -> Result<BTreeMap<String, String>, E
     names.iter().map(hash).collect()
 }
 
-/// Refuses an export with a file that was changed afterwards: the table repeats the lists, and it is unknown which is
-/// right. Folders without a stamp, or with one of an earlier version, are not checked.
+/// Checks that no file of an export was changed afterwards: the table `annotations` repeats the JSON files, so it would
+/// be unknown which of them is right. Folders without `export.json`, or with one of an earlier version, pass.
 ///
 /// # Errors
 /// A file has another content than it was written with, or cannot be read.

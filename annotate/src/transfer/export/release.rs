@@ -22,7 +22,7 @@ const FILES: [&str; 4] = [
 ];
 
 impl Exporter<'_> {
-    /// Writes [`FILES`] in one pass. The table beside them also holds everything that the files leave out.
+    /// Writes [`FILES`], and beside them [`TABLE`], which also holds everything that the files leave out.
     pub(super) fn stance(&mut self, folder: &Path) -> Result<(), Error> {
         let (mut masks, mut texts, mut marks) = (Map::new(), Map::new(), Map::new());
         let mut pairs = Vec::new();
@@ -82,7 +82,7 @@ impl Exporter<'_> {
     }
 }
 
-/// Data that the release's JSON files cannot hold, by the names of its counts.
+/// Names of the counts of data that the release's JSON files cannot hold, each with words for the message.
 const LOST: [(&str, &str); 5] = [
     ("masks_without_ring", "masks have no soft ring"),
     (

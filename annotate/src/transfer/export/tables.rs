@@ -1,4 +1,4 @@
-//! Layout `parquet`: one table each of annotations, labels, rejects, agreement and events. And layout `csv`, of labels.
+//! Layout `parquet`: the tables `annotations`, `labels`, `rejects`, `agreement` and `events`. Layout `csv`: the labels.
 
 use std::path::Path;
 

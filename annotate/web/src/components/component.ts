@@ -16,7 +16,7 @@ export abstract class Component extends LitElement {
     const field = active instanceof HTMLTextAreaElement && this.contains(active) ? active : null;
     const caret = field && ([field.selectionStart, field.selectionEnd] as const);
     super.update(changed);
-    // Replacing the text by another version moves the caret to its end.
+    // Replacing the text by another version moves the caret to its end, so put it back.
     if (field && caret && field.isConnected && field.selectionStart !== caret[0]) field.setSelectionRange(...caret);
   }
 
@@ -59,7 +59,7 @@ export function action(label: string, hint: string, run: () => void, className =
   return html`<button type="button" class=${className} title=${title || nothing} @click=${run}>${keyHint(hint)}<span class="button-label">${label}</span></button>`;
 }
 
-/** A square of a colour. It is an SVG attribute, because the page's security policy refuses inline styles. */
+/** A square in a colour. The colour is an SVG attribute, because the page's security policy refuses inline styles. */
 export function swatch(colour: string | null): TemplateResult | typeof nothing {
   if (!colour) return nothing;
   return html`<svg class="swatch" viewBox="0 0 1 1" aria-hidden="true"><rect width="1" height="1" fill=${colour}></rect></svg>`;

@@ -14,7 +14,7 @@ const CHOICES: readonly (readonly [Version, string])[] = [
   ["both", "Keep both and edit"],
 ];
 
-/** Milliseconds after opening in which clicks and keys are ignored, because the user meant the previous content. */
+/** Milliseconds after opening in which clicks and keys are ignored, because they were meant for the page behind. */
 const DEAF_MS = 1000;
 
 export class ConflictBox extends Component {

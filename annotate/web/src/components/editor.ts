@@ -44,7 +44,7 @@ export abstract class Editor<A, H extends EditorHost<A>> extends Component {
   protected abstract togglePart(name: string): void;
   protected abstract useDraft(): Promise<void>;
 
-  /** Toggles the part of a key; false if the key has no part. */
+  /** Toggles the part that an action stands for; false if it stands for none. */
   protected performPart(id: ActionId): boolean {
     const part = PART_ACTIONS.indexOf(id);
     const name = this.app.parts.all[part]?.name;

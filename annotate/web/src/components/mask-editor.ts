@@ -173,7 +173,7 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     this.edit({ range: [loopIn, loopOut + 1] });
   }
 
-  /** After an end of the selected mask's range was moved, shows the frame there and loops over the range. */
+  /** Moves an end of the selected mask's range, shows the frame there, and loops over the range. */
   private moveRange(range: [number, number], frame: number): void {
     this.edit({ range }, `range-${this.selected}`);
     const { clock } = this.stage.viewer;
@@ -181,7 +181,10 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
     clock.seek(frame);
   }
 
-  /** Why the server would refuse a mask's parts or text, to follow the mask's name; `null` if it would accept them. */
+  /**
+   * Why the server would refuse a mask's joints or range, in words that follow the mask's name; `null` if it would
+   * not.
+   */
   private problemOf(mask: MaskAnswer): string | null {
     const { hard } = this.app.parts.joints(mask.parts, mask.soft, mask.joints);
     if (mask.parts.length > 0 && hard === 0) return "has no hard joint; make one hard, or delete the mask";
@@ -250,8 +253,8 @@ export class MaskEditor extends Editor<MaskTextAnswer, EditorHost<MaskTextAnswer
   }
 
   /**
-   * The suggestion that the key takes: the next one if the card has no text, and no parts or those of a suggestion;
-   * otherwise the first one.
+   * The suggestion that the key takes. If the card has no text, and no parts or those of a suggestion, it is the next
+   * suggestion, in place of these parts; otherwise it is the first unused one, for a new card.
    */
   private get nextOffer(): Offer | null {
     const offers = this.offers(this.selected);

@@ -32,7 +32,7 @@ interface PairEditorHost extends EditorHost<TwoAnswer> {
   repaint(parts: readonly string[]): void;
 }
 
-/** Verdicts that reject a pair. Their keys have the same names. */
+/** Verdicts that reject a pair. The actions for them have the same names. */
 const REJECTS = [
   ["unnatural", "Unnatural"],
   ["unclear", "Unclear"],
@@ -234,7 +234,7 @@ export class PairEditor extends Editor<TwoAnswer, PairEditorHost> {
   }
 }
 
-/** The project's guideline for the chosen style, or a note that the style is new. */
+/** The project's description of the chosen style, or a note that the style is new. */
 function styleNote(known: Style | undefined, chosen: string | null): TemplateResult | typeof nothing {
   if (known) return known.text ? html`<p class="note">${known.text}</p>` : nothing;
   return chosen?.trim() ? html`<p class="note" data-new-style>“${chosen.trim()}” is new. A reviewer who accepts it adds it to the styles.</p>` : nothing;

@@ -191,7 +191,7 @@ function stateDetail(row: TaskRow): string {
   return row.submitted < row.wanted && row.state !== "dropped" ? `${row.submitted} of ${row.wanted} answers` : "";
 }
 
-/** The first answer with a text, or why the task was skipped, or the edit that the pair was made for. */
+/** The first text of an answer, or a verdict without text, or why the task was skipped, or the edit of the pair. */
 function textOf(row: TaskRow): string {
   const text = row.answers.map((answer) => answer.text).find((own) => own !== "");
   if (text !== undefined) return text;

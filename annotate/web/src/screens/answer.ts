@@ -52,7 +52,7 @@ function emptyScreen(app: App, kind: TaskKind, empty: Empty | null): Screen {
   return pageScreen("Nothing to do", h("div", { class: "page empty" }, title, listOf(lines), h("p", { class: "row" }, home, again)), home);
 }
 
-/** Callbacks of an editor into its session. */
+/** The callbacks through which an editor changes its session. */
 export function hostOf<A extends Answer>(app: App, view: TaskView, session: TaskSession<A>): EditorHost<A> {
   return {
     change: (answer, kind) => session.change(answer, kind),
@@ -68,7 +68,10 @@ type Prepare = () => Promise<(() => Promise<Ending>) | null>;
 /** Ends the work on a task, opens `to` (by default the next task), and then calls `after`. */
 export type Finish = (prepare: Prepare, after?: () => void, to?: string) => Promise<void>;
 
-/** Ends a task and opens the next of `route`. Further calls meanwhile are ignored, so that an answer is sent once. */
+/**
+ * A function that ends a task and opens the next of `route`. It ignores calls while one runs, so that an answer is
+ * sent once.
+ */
 export function finisher(app: App, route: string): Finish {
   let busy = false;
   return async (prepare, after, to = route) => {

@@ -32,7 +32,7 @@ export function leftAlone(counts: BulkDone["left_alone"]): string[] {
   return Object.entries(counts).map(([why, count]) => `${count ?? 0}: ${LEFT_ALONE[why] ?? why}`);
 }
 
-/** The skipped tasks, as a part of a dialog. */
+/** The counts of unchanged tasks by reason, as a part of a dialog. */
 function leftAloneList(counts: BulkDone["left_alone"]): Child[] {
   const lines = leftAlone(counts);
   return lines.length === 0 ? [] : [h("p", {}, "Left alone:"), listOf(lines)];

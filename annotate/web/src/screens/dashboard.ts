@@ -54,11 +54,11 @@ interface Figures {
   outlook: Outlook[];
   leases: HeldLease[];
   days: DayWork[];
-  /** Time of the request, on the last of the days. */
+  /** Time of the request; its day is the last one shown. */
   at: number;
 }
 
-/** The figures. They are redrawn after changes, so that focus and open tables stay. */
+/** The board of figures. It is redrawn in place after changes, so that the focus and open tables stay. */
 class FiguresBoard extends Component {
   private figures: Figures | null = null;
   private days: number;

@@ -50,7 +50,10 @@ export async function openGuide(app: App, argument: string): Promise<Screen> {
 class GuideEditor extends Component {
   private guide: KindGuide;
   private readonly kept: string;
-  /** Pictures that were in the text or uploaded. Those that no guide shows after saving are deleted. */
+  /**
+   * Names of the pictures that the guide had or that were uploaded. Those that no guide shows after saving are
+   * deleted.
+   */
   private readonly touched: Set<string>;
 
   constructor(

@@ -1,4 +1,4 @@
-/** The user's submitted answers, their states, and what the user can still change. */
+/** The user's answers, their states, and what the user can still change. */
 
 import { queryOf } from "../api";
 import type { App, Screen } from "../app";

@@ -17,7 +17,7 @@ export async function notesOf(app: App, view: TaskView): Promise<HTMLElement[]> 
   return notes;
 }
 
-/** Open quota of each edit type; `null` if the project has no quotas, or for another kind of task. */
+/** A note on the open quotas of edit types; `null` if the project has no quotas, or for another kind of task. */
 export async function quotaNote(app: App, kind: TaskKind): Promise<HTMLElement | null> {
   if (kind !== "pair") return null;
   const words = await app.api

@@ -13,7 +13,7 @@ import { ROUTE_OF } from "./home";
 import { notesOf, quotaNote } from "./notes";
 import { PairView } from "./shown";
 
-/** How long the toast for withdrawing a rejection is shown. */
+/** Milliseconds for which a rejection can be withdrawn by its toast or by Ctrl Z. */
 const TOAST_MS = 5000;
 
 export const openPair = (app: App, argument: string): Promise<Screen> => openAnswer(app, "pair", argument, pairScreen);
@@ -91,7 +91,7 @@ async function pairScreen(app: App, view: TaskView): Promise<Screen> {
   });
 }
 
-/** The latest verdict, for Ctrl Z on the next pair. */
+/** The latest rejection, which Ctrl Z on the next pair takes back. */
 let lastVerdict: { takeBack: () => Promise<void>; until: number } | null = null;
 
 function handedIn(item: BundleItem): boolean {

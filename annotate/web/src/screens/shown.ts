@@ -174,7 +174,7 @@ export class PairView {
     this.app.toasts.show(words, { id: "together", ms: 2500 });
   }
 
-  /** Stretches the clips for viewing only; stored data does not change. */
+  /** Toggles whether both clips are shown in the duration of the shorter one. Stored data does not change. */
   private async align(): Promise<void> {
     const stretch = !this.viewer.view.stretch;
     this.viewer.setView({ stretch });

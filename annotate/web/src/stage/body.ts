@@ -86,10 +86,10 @@ export function has(set: JointBits, joint: number): boolean {
 }
 
 export interface Paint {
-  /** Highlighted joints; if there are none, limbs have the colours of their sides. */
+  /** Hard joints of the mask. */
   hard: JointBits;
   soft: JointBits;
-  /** Whether joints outside the mask are greyed. */
+  /** Whether joints outside the mask are greyed; otherwise all limbs have the colours of their sides. */
   masked: boolean;
   glow: JointBits;
 }
@@ -107,7 +107,7 @@ function mix(a: Rgb, b: Rgb, t: number): Rgb {
   return [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t];
 }
 
-/** Base colour of a limb; soft joints are hatched over the resting colour. */
+/** Colour of a limb without hatching: that of its side, or the resting colour outside the mask; tinted if it glows. */
 export function colourOf(paint: Paint, joint: number, side: Side): Rgb {
   const base = toneOf(paint, joint) === "rest" ? restColour(side) : SIDE_COLOURS[side];
   return has(paint.glow, joint) ? mix(base, GLOW, 0.75) : base;
