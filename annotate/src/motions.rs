@@ -12,7 +12,7 @@ use compose::{SlerpRule, blend_motion};
 use datasets_spec::quantile::quantile;
 use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Row as _, ShardReader, read_column};
-use datasets_spec::{BlendMask, BodyPart, Dataset, Motion, Resample, Skeleton};
+use datasets_spec::{BlendMask, BodyPart, Dataset, Fps, Motion, Resample, Skeleton};
 use hashlink::LruCache;
 use kinematics::skeleton::NUM_KEYPOINTS;
 use rayon::prelude::*;
@@ -148,32 +148,21 @@ impl MotionLibrary {
     }
 
     /// Distance of two motions in metres, `[6, T]`: of the root, then of the parts of the release. `T` is the length of
-    /// the shorter motion, or with `stretch` of the source.
+    /// the shorter motion; with `stretch`, both motions are sampled in its frames from begin to end, as the viewer shows
+    /// them.
     pub(crate) fn difference(
         &self,
         source: &str,
         target: &str,
         stretch: bool,
     ) -> Result<Vec<Vec<f32>>, Error> {
-        let source = self.motion(source)?;
-        let target = self.in_step(&source, self.motion(target)?, stretch)?;
-        Ok(difference(&source, &target, &self.skeleton))
-    }
-
-    /// The target at the frame rate of the source, or stretched to the length of the source.
-    fn in_step(
-        &self,
-        source: &Motion,
-        target: Arc<Motion>,
-        stretch: bool,
-    ) -> Result<Arc<Motion>, Error> {
+        let (source, target) = (self.motion(source)?, self.motion(target)?);
         if stretch {
-            return Ok(Arc::new(stretched(&target, source)?));
+            let [source, target] = in_one_duration([&source, &target])?;
+            return Ok(difference(&source, &target, &self.skeleton));
         }
-        if source.fps() == target.fps() {
-            return Ok(target);
-        }
-        Ok(Arc::new(Resample::Exact.apply(&target, source.fps())?))
+        let target = at_rate_of(&source, target)?;
+        Ok(difference(&source, &target, &self.skeleton))
     }
 
     /// Blends the masked joints of `target` into `source`. Returns positions ([`Self::joints`]) over the frames of the
@@ -186,7 +175,7 @@ impl MotionLibrary {
         alpha: f64,
     ) -> Result<Vec<u8>, Error> {
         let source = self.motion(source)?;
-        let target = self.in_step(&source, self.motion(target)?, false)?;
+        let target = at_rate_of(&source, self.motion(target)?)?;
         let frames = source.len().min(target.len());
         let (source, target) = (source.crop(0..frames)?, target.crop(0..frames)?);
         let blended = blend_motion(&source, &target, mask, alpha, SlerpRule::Exact)?;
@@ -194,15 +183,32 @@ impl MotionLibrary {
     }
 }
 
-/// Samples a motion at the relative times of another one's frames (nearest frame).
-fn stretched(motion: &Motion, like: &Motion) -> Result<Motion, Error> {
-    let last = motion.len() - 1;
-    let steps = (like.len() - 1).max(1);
-    let frames: Vec<usize> = (0..like.len())
+/// A motion at the frame rate of another.
+fn at_rate_of(like: &Motion, motion: Arc<Motion>) -> Result<Arc<Motion>, Error> {
+    if motion.fps() == like.fps() {
+        return Ok(motion);
+    }
+    Ok(Arc::new(Resample::Exact.apply(&motion, like.fps())?))
+}
+
+/// Two motions in the duration of the shorter one, at the frame rate of the first. They have as many frames as the clock
+/// of the viewer then has.
+fn in_one_duration(pair: [&Motion; 2]) -> Result<[Motion; 2], Error> {
+    let fps = pair[0].fps();
+    let seconds = pair.map(|motion| motion.len() as f64 / motion.fps().get());
+    let frames = (seconds[0].min(seconds[1]) * fps.get()).round().max(1.0) as usize;
+    let [first, second] = pair.map(|motion| stretched(motion, frames, fps));
+    Ok([first?, second?])
+}
+
+/// Samples a motion in `count` frames from begin to end (nearest frame).
+fn stretched(motion: &Motion, count: usize, fps: Fps) -> Result<Motion, Error> {
+    let (last, steps) = (motion.len() - 1, (count - 1).max(1));
+    let frames: Vec<usize> = (0..count)
         .map(|frame| (frame * last + steps / 2) / steps)
         .collect();
     Ok(Motion::new(
-        like.fps(),
+        fps,
         picked(motion.transl(), &frames),
         picked(motion.global_orient(), &frames),
         picked(motion.body_pose(), &frames),
@@ -225,13 +231,29 @@ mod tests {
     use crate::activity::tests::moving;
 
     #[test]
-    fn stretching_keeps_the_ends() {
+    fn stretching_keeps_the_ends_and_has_the_length_of_the_shorter_motion() {
         let long = moving(&[16], 1.0);
         let short = long.crop(0..20).expect("a crop");
-        let view = stretched(&long, &short).expect("a view");
-        assert_eq!(view.len(), 20);
-        assert_eq!(view.transl()[0], long.transl()[0]);
-        assert_eq!(view.transl()[19], long.transl()[59]);
-        assert_eq!(stretched(&short, &long).expect("a view").len(), 60);
+        let slow = Motion::new(
+            Fps::new(10.0).expect("a rate"),
+            short.transl().to_vec(),
+            short.global_orient().to_vec(),
+            short.body_pose().to_vec(),
+        );
+        let slow = slow.expect("a motion");
+        // The source decides the rate, the shorter motion the seconds: 3 s at 20 fps, 1 s, and 2 s at 10 fps.
+        for (pair, frames) in [
+            ([&long, &short], 20),
+            ([&short, &long], 20),
+            ([&long, &slow], 40),
+            ([&slow, &long], 20),
+        ] {
+            let shown = in_one_duration(pair).expect("motions");
+            for (shown, motion) in shown.iter().zip(pair) {
+                assert_eq!((shown.len(), shown.fps()), (frames, pair[0].fps()));
+                assert_eq!(shown.transl().first(), motion.transl().first());
+                assert_eq!(shown.transl().last(), motion.transl().last());
+            }
+        }
     }
 }

@@ -199,7 +199,10 @@ fn motions_are_sent_as_they_are_documented() {
     assert_eq!(cache, Some("private, max-age=31536000, immutable"));
     let joints = answered.floats();
     assert_eq!(joints.len(), view.task.motions[0].frames * 28 * 3);
-    let heat = ann.get(&format!("motions/{hash}/heat")).floats();
+    let answered = ann.get(&format!("motions/{hash}/heat"));
+    // Activity is relative to the other clips, so no cache may keep it.
+    assert_eq!(answered.header("cache-control"), Some("no-store"));
+    let heat = answered.floats();
     assert_eq!(heat.len(), 5 * view.task.motions[0].frames);
     assert!(heat.iter().all(|value| value.is_finite() && *value >= 0.0));
     let partners: Vec<MotionInfo> = ann.get(&format!("motions/partners?of={hash}&n=4")).ok();
@@ -243,8 +246,12 @@ fn motions_are_sent_as_they_are_documented() {
     assert_eq!(ann.get("motions/none/joints").code(), Code::NotFound);
     let pair = ann.claim(TaskKind::Pair).task;
     assert_eq!(pair.hint.as_deref(), Some("raise the arm higher"));
-    let rows = ann.get(&format!("pairs/{}/diff", pair.id)).floats();
-    assert_eq!(rows.len(), 6 * 40);
+    let difference = |align: &str| {
+        ann.get(&format!("pairs/{}/diff?align={align}", pair.id))
+            .floats()
+    };
+    let rows = difference("none");
+    assert_eq!((rows.len(), difference("stretch").len()), (6 * 40, 6 * 40));
     assert!(rows.iter().any(|apart| *apart > 0.01));
 }
 

@@ -9,18 +9,16 @@ use crate::mask::{check_names, known_parts, mask_of};
 use crate::motions::row_bytes;
 use crate::wire::{BlendRequest, MotionInfo};
 
-/// A response with data of a motion, found by its hash. The data never changes, so caches may keep it.
-fn lasting(bytes: Vec<u8>) -> Response {
-    let cache = "private, max-age=31536000, immutable";
-    content("application/octet-stream", cache, bytes)
-}
-
+/// Positions of a motion, found by its hash. They never change, so caches may keep them.
 pub(super) fn joints(cx: &Context) -> Result<Response, Error> {
-    Ok(lasting(cx.app.motions.joints(cx.param("hash"))?))
+    let bytes = cx.app.motions.joints(cx.param("hash"))?;
+    let cache = "private, max-age=31536000, immutable";
+    Ok(content("application/octet-stream", cache, bytes))
 }
 
+/// Activity of a motion. It is relative to the other clips of the dataset, which may change.
 pub(super) fn heat(cx: &Context) -> Result<Response, Error> {
-    Ok(lasting(row_bytes(&cx.app.motions.heat(cx.param("hash"))?)))
+    Ok(binary(row_bytes(&cx.app.motions.heat(cx.param("hash"))?)))
 }
 
 /// The query of `motions/partners`.

@@ -40,7 +40,7 @@ export async function openReview(app: App, argument: string): Promise<Screen> {
   const next = await app.api.post<ReviewNext>("review/next", { queue });
   if (next.review) return reviewScreen(app, queue, next.review);
   const { waiting = 0, mine = 0, in_review = 0 } = next.empty ?? {};
-  const lines = [`${waiting} submitted tasks are in this queue.`];
+  const lines = [`${waiting} submitted tasks wait for a review, in any queue.`];
   if (mine > 0) lines.push(`${mine} of them you answered yourself; others review those.`);
   if (in_review > 0) lines.push(`${in_review} are with another reviewer.`);
   const own = reviewTabs(app, `review/${queue}`);
