@@ -164,9 +164,10 @@ impl Body {
 
     /// The sum of squared distances to the target in m², and its gradient.
     ///
-    /// A small rotation `w` of a joint moves a point at offset `r` by `w x r`. So the gradient by `w` is the sum of
-    /// `r x f` over all points below the joint, where `f` is the gradient by the point. A change `dv` of a rotation
-    /// vector `v` is the rotation `J(v) dv` in the axes of the parent, with `J` the left Jacobian.
+    /// A small rotation `w` of a joint moves a point at offset `r` by `w x r`. So the gradient with respect to `w` is
+    /// the sum of `r x f` over all points below the joint, where `f` is the gradient with respect to the point. A
+    /// change `dv` of a rotation vector `v` is the rotation `J(v) dv` in the axes of the parent, with `J` the left
+    /// Jacobian.
     fn gradient(
         &self,
         parameters: &Parameters,
