@@ -22,7 +22,7 @@ fn main() {
     divan::main();
 }
 
-/// A body whose joints swing at different rates, within the range of people.
+/// A body whose joints swing at different rates, by angles that people reach.
 fn motion(num_frames: usize) -> Motion {
     let mut rng = Pcg64::seed_from_u64(1);
     let mut vector = |size: f64| DVec3::from_array([0; 3].map(|_| rng.random_range(-size..size)));

@@ -78,16 +78,15 @@ impl Anchor {
     }
 }
 
-/// The ground transform that carries a canonical segment back onto its motion, in which `first` is the first frame of
-/// the segment. It is exact for both anchors. [`world_from_segment`] gives the released numbers instead, which displace
-/// the segment for [`Anchor::Translation`].
+/// The ground transform from a canonical segment to its motion, where `first` is the segment's first frame. It is exact
+/// for both anchors, unlike [`world_from_segment`].
 pub fn motion_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> GroundTransform {
     let yaw_rad = rotation::yaw(DMat3::from_quat(first.rotations[0]));
     let pelvis = first.transl + skeleton.rest(0);
     placed(yaw_rad, pelvis, anchor.pelvis(skeleton))
 }
 
-/// The ground transform of a heading that carries `from` to the horizontal position of `onto`.
+/// The ground transform with this yaw that carries `from` to the horizontal position of `onto`.
 fn placed(yaw_rad: f64, onto: DVec3, from: DVec3) -> GroundTransform {
     let shift = onto - DQuat::from_rotation_y(yaw_rad) * from;
     GroundTransform {
@@ -97,8 +96,8 @@ fn placed(yaw_rad: f64, onto: DVec3, from: DVec3) -> GroundTransform {
     }
 }
 
-/// Placement of a segment whose first frame is `first`: the ground transform that carries canonical coordinates to the
-/// world.
+/// The ground transform from a canonical segment to the world by the released rule, where `first` is the segment's
+/// first frame. With [`Anchor::Translation`] it displaces the segment; [`motion_from_segment`] does not.
 pub fn world_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> GroundTransform {
     let origin = match anchor {
         Anchor::Pelvis => first.transl + skeleton.rest(0),
@@ -111,8 +110,8 @@ pub fn world_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> 
     }
 }
 
-/// Moves a segment so that its first frame stands at the origin facing +z; heights stay. Returns the transform back to
-/// the world; none for an empty segment.
+/// Moves a segment so that its first frame stands at the origin facing +z; heights stay. Returns the
+/// [`world_from_segment`] of the first frame, or `None` for an empty segment.
 ///
 /// # Source
 /// Paper App. B.2 ([`Anchor::Pelvis`]); the released preprocessing ([`Anchor::Translation`]).
@@ -124,8 +123,8 @@ pub fn canonicalise(
     let placement = world_from_segment(segment.first()?, anchor, skeleton);
     let turn = DQuat::from_rotation_y(-placement.yaw_rad);
     let shift = DVec3::new(placement.x, 0.0, placement.z);
-    // The root rotates about its rest position, so a rotation of the whole body about the anchor must be applied to the
-    // point `transl + pivot`.
+    // The body rotates about its pelvis, at `transl + rest(0)`, so a turn of the whole body must act on that point. The
+    // released code lets it act on `transl`.
     let pivot = match anchor {
         Anchor::Pelvis => skeleton.rest(0),
         Anchor::Translation => DVec3::ZERO,
@@ -137,8 +136,8 @@ pub fn canonicalise(
     Some(placement)
 }
 
-/// First frames of the windows that cover a motion: each starts `advance` frames after the one
-/// before. Empty if the motion is shorter than one window.
+/// First frames of the whole windows in a motion, `advance` frames apart (at least 1). Empty if the motion is shorter
+/// than a window.
 pub fn window_starts(num_frames: usize, window: usize, advance: usize) -> Vec<usize> {
     if num_frames < window {
         return Vec::new();
@@ -157,9 +156,8 @@ pub fn kabsch(from: &[DVec3; 3], onto: &[DVec3; 3]) -> (DMat3, DVec3) {
     kabsch_near(from, onto, DMat3::IDENTITY, 0.0)
 }
 
-/// As [`kabsch`], but regularised towards the rotation `near` with a weight in m^2: three unit vectors rotated by
-/// `near` are added to the least squares with this weight. This keeps the orientation of small triangles of noisy
-/// points.
+/// As [`kabsch`], but regularised towards the rotation `near`: the least squares also carry the three unit vectors onto
+/// their images under `near`, with `weight` in m^2. This keeps the orientation of small triangles of noisy points.
 pub fn kabsch_near(
     from: &[DVec3; 3],
     onto: &[DVec3; 3],
@@ -254,8 +252,8 @@ pub fn ground_transform_of(points: &[DVec3; 3], rest_triangle: &[DVec3; 3]) -> G
 
 /// Joins generated windows into one motion, and gives the coordinates of the next window.
 ///
-/// Each window but the first repeats the last two frames of the motion so far. Its copies are dropped, and the window
-/// is placed by the second-to-last frame of the motion.
+/// Each window but the first repeats the last two frames of the motion so far. These copies are dropped, and the
+/// second-to-last frame of the motion places the window.
 ///
 /// # Source
 /// Paper App. B.2; released inference code (`algorithms` section 8).
@@ -279,9 +277,9 @@ impl Stitcher {
         }
     }
 
-    /// Sets the pelvis of each window's first frame to `pelvis` instead of the origin ([`Anchor::pelvis`]). The
-    /// released code assumes the origin in all windows but the first, for both anchors; the network never saw that in
-    /// training.
+    /// Sets where the pelvis is in the first frame of a window, in the window's coordinates ([`Anchor::pelvis`]). The
+    /// default is the origin, which the released code uses in all windows but the first. With [`Anchor::Translation`]
+    /// its network was trained on another position.
     #[must_use]
     pub fn anchored(mut self, pelvis: DVec3) -> Self {
         self.pelvis = pelvis;
@@ -304,8 +302,8 @@ impl Stitcher {
         self.push_over(window, &[]);
     }
 
-    /// Appends a window whose first new frames are blended with `former` ones in the world's coordinates, `[F, 28]`, as
-    /// [`Stitcher::rewind`] returned them. In frame `i` of `F`, counted from 1, the window has weight `i / (F + 1)`.
+    /// Appends a window and blends its first new frames with `former`, `[F, 28]` in world coordinates, which
+    /// [`Stitcher::rewind`] returned. In frame `i` of `F`, counted from 1, the window has weight `i / (F + 1)`.
     pub fn push_over(&mut self, window: &[KeypointFrame], former: &[KeypointFrame]) {
         let new = if self.frames.is_empty() {
             window
@@ -337,8 +335,7 @@ impl Stitcher {
         }
     }
 
-    /// The last two frames in the coordinates of the next window: its fixed frames. None before
-    /// the first window.
+    /// The last two frames in the coordinates of the next window: its fixed frames. `None` if there are fewer than two.
     pub fn next_fixed(&self) -> Option<[KeypointFrame; FIXED_FRAMES]> {
         let window_from_world = self.world_from_window.inverse().mapping();
         let last = self.frames.last_chunk::<FIXED_FRAMES>()?;

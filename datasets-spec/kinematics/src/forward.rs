@@ -45,8 +45,7 @@ impl Skeleton {
         }
     }
 
-    /// The first `K` of the 28 keypoints, in metres, of some frames of a motion; the first 22 are
-    /// the body joints.
+    /// The first `K` of the 28 keypoints, in metres, in a range of frames; the first 22 are the body joints.
     ///
     /// # Shapes
     /// `[T, K]`.
@@ -81,8 +80,8 @@ impl Skeleton {
     }
 }
 
-/// Takes the local rotations and keypoints of a frame, rounded to single precision. Implementations must be
-/// `#[inline(always)]`, see [`Kernel::run`].
+/// Takes the local rotations and keypoints of a frame, rounded to single precision. Its methods must be
+/// `#[inline(always)]`, see [`Kernel`].
 pub trait FrameSink {
     /// Takes the local rotation of one of the 22 body joints, a quaternion x, y, z, w.
     fn set_rotation(&mut self, joint: usize, quaternion: [f32; 4]);
@@ -125,8 +124,8 @@ impl Rest {
         }
     }
 
-    /// The first `K` keypoints of a block of frames, from their translations and local rotations. The local rotations
-    /// are replaced by global ones.
+    /// The first `K` keypoints of a block of frames, from their translations and local rotations. Rotations of joints
+    /// with children are replaced by global ones.
     #[inline(always)]
     fn place<const K: usize>(
         &self,

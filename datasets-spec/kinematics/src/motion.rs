@@ -1,4 +1,4 @@
-//! A motion as SMPL-X parameters, and the 28 keypoints it drives.
+//! A motion as SMPL-X parameters, and its 28 keypoints.
 
 use std::ops::Range;
 
@@ -27,7 +27,7 @@ pub struct Motion {
     body_pose: Vec<[f32; BODY_POSE_WIDTH]>,
 }
 
-/// A motion that grows by a few poses at a time. A pose takes 728 bytes, a stored frame 276.
+/// Builds a motion from a few poses at a time. It keeps 288 bytes a frame; a [`Pose`] takes 728.
 #[derive(Clone, Debug, Default)]
 pub struct MotionBuilder {
     transl: Vec<DVec3>,

@@ -114,7 +114,7 @@ impl Normalizer {
     }
 }
 
-/// The range that keeps the central share of some values; at least a millimetre wide.
+/// The range of the central [`Normalizer::KEPT_SHARE`] of the values, at least a millimetre wide.
 fn central_range(values: &mut [f64]) -> Option<(f64, f64)> {
     values.sort_by(f64::total_cmp);
     let last = values.len().checked_sub(1)?;
@@ -153,7 +153,7 @@ mod tests {
         let frame: KeypointFrame = std::array::from_fn(|i| DVec3::splat(i as f64 * 0.1 - 1.0));
         let back = range.denormalize(&range.normalize(&frame));
         for (a, b) in frame.iter().zip(back) {
-            // One rounding to f32 of a value up to 5 in model units, times a half range of 2.5 m.
+            // One rounding to f32 of a value up to 2 in model units, times a half range of 2.5 m.
             assert!((*a - b).abs().max_element() < 1e-6);
         }
     }

@@ -14,8 +14,7 @@ pub type StoredFrame = [f32; 6 + BODY_POSE_WIDTH];
 /// The 28 keypoints of one frame, in metres.
 pub type KeypointFrame = [DVec3; NUM_KEYPOINTS];
 
-/// One frame of a motion in working precision: translation in metres and the 22 local rotations,
-/// that of the pelvis being `global_orient`.
+/// One frame of a motion in working precision, `f64`. The rotation of the pelvis is `global_orient`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Translation of the body in metres.

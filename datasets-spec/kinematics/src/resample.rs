@@ -20,7 +20,7 @@ pub enum Resample {
     #[default]
     Exact,
     /// The published HumanML3D rule: every `floor(fps / target)`-th frame, no interpolation. The
-    /// true rate then differs from the target unless one divides the other.
+    /// true rate then differs from the target unless the target divides the rate.
     HumanMl3d,
 }
 
@@ -60,8 +60,8 @@ fn exact(motion: &Motion, target: Fps) -> Result<Motion, Error> {
 }
 
 /// Sample positions for bringing a clip of `num_frames` to another rate with [`Resample::Exact`]: for each output
-/// frame, the source frame before it, and the fraction of the interval to the next one, below 1. Empty for a clip
-/// without frames.
+/// frame, the source frame at or before it, and the fraction of the interval to the next one, in [0, 1). Empty for a
+/// clip without frames.
 pub fn grid(num_frames: usize, source: Fps, target: Fps) -> Vec<(usize, f64)> {
     let Some(last) = num_frames.checked_sub(1) else {
         return Vec::new();

@@ -1,7 +1,7 @@
 //! Conversions between the forms of a rotation, and spherical interpolation.
 //!
-//! Rotations are stored as `f32` axis-angle, but computed in `f64` here: otherwise a chain of ten joints would lose
-//! millimetre accuracy. Matrices act on column vectors.
+//! Rotations are stored as `f32` axis-angle, but computed in `f64`, so that a chain of joints adds no error of its own.
+//! Matrices act on column vectors.
 
 use glam::{DMat3, DQuat, DVec3, Quat};
 
@@ -36,8 +36,9 @@ pub fn to_six_d_rows(m: DMat3) -> [f64; 6] {
     [a.x, a.y, a.z, b.x, b.y, b.z]
 }
 
-/// The rotation matrix whose first two rows span the same plane as the two given vectors (Gram-Schmidt; the inverse of
-/// [`to_six_d_rows`]). Vectors of length zero and parallel vectors are replaced by rows of the identity.
+/// The rotation matrix whose first two rows are the two given vectors after Gram-Schmidt: the inverse of
+/// [`to_six_d_rows`]. A first vector of length zero becomes x; a second one that is zero or parallel to the first
+/// becomes any vector orthogonal to it.
 pub fn from_six_d_rows(d: [f64; 6]) -> DMat3 {
     let a = DVec3::new(d[0], d[1], d[2])
         .try_normalize()
@@ -49,8 +50,7 @@ pub fn from_six_d_rows(d: [f64; 6]) -> DMat3 {
     DMat3::from_cols(a, b, a.cross(b)).transpose()
 }
 
-/// The rotation matrix whose first two columns are given: the 6D form of HumanML3D. As
-/// [`from_six_d_rows`] otherwise.
+/// As [`from_six_d_rows`], for the first two columns: the 6D form of HumanML3D.
 pub fn from_six_d_columns(d: [f64; 6]) -> DMat3 {
     from_six_d_rows(d).transpose()
 }

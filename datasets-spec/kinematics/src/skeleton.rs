@@ -253,7 +253,7 @@ impl Joint {
         JOINT_NAMES[self.index()]
     }
 
-    /// The parent of the joint; none for the pelvis.
+    /// The parent of the joint; `None` for the pelvis.
     pub fn parent(self) -> Option<Joint> {
         usize::try_from(PARENTS[self.index()])
             .ok()
@@ -361,8 +361,8 @@ impl Skeleton {
         }
     }
 
-    /// Pelvis, left hip and right hip at rest, relative to the pelvis: the triangle that windows
-    /// are aligned by (`canonical::Stitcher`).
+    /// Pelvis, left hip and right hip at rest, relative to the pelvis: the triangle that aligns windows
+    /// ([`crate::canonical::Stitcher`]).
     pub fn rest_triangle(&self) -> [DVec3; 3] {
         [DVec3::ZERO, self.offset(1), self.offset(2)]
     }

@@ -15,11 +15,11 @@ const MIN_BAND: usize = 10;
 /// motion jerk.
 const SMOOTHING: usize = 3;
 
-/// Joints relative to the pelvis and the heading of the body.
+/// Joints relative to the point on the ground below the pelvis, and to the heading of the body.
 type Posture = [DVec3; NUM_BODY_JOINTS];
 
-/// Warps a motion in time to align its poses with another's: it gets the length of the other, keeps its first
-/// and last pose, and keeps the order of its poses.
+/// Warps a motion in time to align its poses with those of `onto`. The result has the length of `onto`; the motion's
+/// first and last pose and the order of its poses stay.
 ///
 /// # Source
 /// Dynamic time warping (Sakoe and Chiba 1978) on joint positions relative to pelvis and heading,
@@ -78,7 +78,7 @@ fn path(from: &[Posture], to: &[Posture]) -> Vec<f64> {
     let longer = rows.max(columns);
     let band = ((BAND * longer as f64) as usize).max(MIN_BAND) as f64;
     let slope = columns.saturating_sub(1) as f64 / rows.saturating_sub(1).max(1) as f64;
-    // In frames of `from`, wide enough that neighbouring rows always overlap.
+    // Half width of the band in frames of `from`, wide enough that neighbouring rows overlap.
     let reach = band.max(2.0 * slope);
     let bounds = |row: usize| {
         let centre = slope * row as f64;
@@ -185,7 +185,7 @@ mod tests {
             distances.sum::<f64>() / a.len() as f64
         };
         let cropped = slow.crop(0..90).expect("longer");
-        // The joints of the fixture move at about 1 m/s, a frame is a twentieth of a second.
+        // The joints of the fixture move at about 1 m/s, so 5 cm in a frame.
         assert!(mean_apart(&found) < 0.03, "{}", mean_apart(&found));
         assert!(mean_apart(&cropped) > 5.0 * mean_apart(&found));
         let ends = |motion: &Motion| [motion.pose(0), motion.pose(motion.len() - 1)];

@@ -1,16 +1,16 @@
-//! The cache folder for the frames of motions that edits are composed of.
+//! The folder that caches the frames of motions from which edits are composed.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Default limit on the bytes of all files of frames: 3,000 hours.
+/// Default limit on the bytes of all files of frames: 3,000 hours at 20 fps.
 const DEFAULT_KEPT: u64 = 64_000_000_000;
 /// Environment variable that sets [`FrameCache::kept`].
 const SIZE: &str = "STANCE_CACHE_SIZE";
 
-/// Folder of the files of frames that edits are composed of. Results do not depend on the folder.
+/// Folder of files with the frames from which edits are composed. Results do not depend on it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FrameCache {
     /// The folder. It should be on a disk of this machine.
@@ -29,12 +29,12 @@ impl Default for FrameCache {
 }
 
 impl FrameCache {
-    /// Settings from the environment: `STANCE_CACHE` (a folder, else `stance` in `XDG_CACHE_HOME` or in `.cache` of the
-    /// home folder, else in the folder of temporary files) and `STANCE_CACHE_SIZE` (bytes, such as `8GB`). `get` reads
-    /// a variable.
+    /// Settings from the environment; `get` reads a variable. Files lie in the folder `frames` of `STANCE_CACHE`, else
+    /// of `stance` in `XDG_CACHE_HOME`, `LOCALAPPDATA`, `HOME/.cache` or the folder of temporary files, whichever is
+    /// set first. `STANCE_CACHE_SIZE` is the limit in bytes, such as `8GB`.
     ///
     /// # Errors
-    /// A size cannot be read; the text says which.
+    /// `STANCE_CACHE_SIZE` is not a size.
     pub fn from_environment(get: impl Fn(&str) -> Option<OsString>) -> Result<Self, String> {
         let named = |name: &str| get(name).filter(|value| !value.is_empty());
         let otherwise = Self::default();

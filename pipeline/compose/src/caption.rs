@@ -20,7 +20,7 @@ const DETERMINERS: &str = "a an the this one";
 /// Words that may introduce another clause, whose verb would also have to be converted.
 const CONJUNCTIONS: &str =
     "and then while but before after until till as when which who that so because or where if";
-/// Verbs of another clause that are not in the list.
+/// Verbs of another clause that are not in `verbs.txt`.
 const OTHER_FINITE: &str = "is are was were has had seems appears";
 
 /// Words in -s that are not verbs after a conjunction.
@@ -38,7 +38,7 @@ fn is_one_of(word: &str, words: &str) -> bool {
     words.split(' ').any(|one| one == word)
 }
 
-/// The verbs of `verbs.txt`: the gerund by the third person, by the gerund itself and by the bare form.
+/// Gerunds of the verbs in `verbs.txt`, by third person, by gerund and by bare form.
 struct Verbs {
     finite: BTreeMap<String, String>,
     gerunds: BTreeMap<String, String>,
@@ -102,8 +102,8 @@ impl Described {
     }
 }
 
-/// Description of a clip: its first caption of the whole clip, else its first caption, else its action label; none if
-/// it has none of them.
+/// Description of a clip by its first caption of the whole clip, else by its first caption, else by its action label;
+/// `None` without any of these.
 pub fn described(captions: &[Caption], action: Option<&str>) -> Option<Described> {
     let of_whole = |caption: &&Caption| caption.from_s == 0.0 && caption.to_s == 0.0;
     let caption = captions.iter().find(of_whole).or(captions.first());
@@ -120,7 +120,7 @@ fn of_text(text: &str) -> Option<Described> {
     Some(doing.unwrap_or_else(|| Described::AsSaid(text.to_owned())))
 }
 
-/// The words after the subject, the first of them as a gerund; none if the text has no known form.
+/// The words after the subject, with the verb as a gerund; `None` if the text has no known form.
 fn doing(text: &str) -> Option<String> {
     if text.contains(['.', ';', ':', '?', '!', '(', '"']) {
         return None;

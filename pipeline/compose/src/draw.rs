@@ -7,7 +7,7 @@ use datasets_spec::Seed;
 /// Rounds of the Feistel network below; four make it pseudorandom (Luby and Rackoff 1988).
 const FEISTEL_ROUNDS: u64 = 4;
 
-/// A seeded fraction of a list, in order: the items with the smallest draws. A smaller fraction of the same
+/// Indices of a seeded fraction of a list, in order: the items with the smallest draws. A smaller fraction of the same
 /// list is a subset of a larger one, and a new item displaces at most one other.
 pub(super) fn subset(share: f64, seed: Seed, purpose: &str, ids: &[&str]) -> Vec<usize> {
     let num_kept = ((share * ids.len() as f64).ceil() as usize).min(ids.len());

@@ -31,11 +31,10 @@ fn edited_runs(edited: &[Range<usize>]) -> Vec<Range<usize>> {
 
 /// The original with the edited runs of frames in it. Frames outside the runs are copied, bit for bit.
 ///
-/// A run continues the original: it is moved over the ground and turned about the vertical until its preceding
-/// frame matches the original's. If frames follow it, its last frame gets the original's position and heading:
-/// the difference is spread evenly over the frames of the run. At each end that meets frames of
-/// the original, the poses are blended with the original's over 0.4 s inside the run, but at most
-/// over a third of it.
+/// A run continues the original: it is moved over the ground and turned about the vertical such that the edited frame
+/// before it would match the original's. If frames follow the run, its last frame gets the original's position and
+/// heading; the difference is spread evenly over the frames of the run. At each end that meets frames of the original,
+/// the poses are blended with the original's over 0.4 s inside the run, but at most over a third of it.
 ///
 /// # Errors
 /// An edited frame is not finite.
@@ -94,7 +93,7 @@ fn joined(original: &Motion, edited: &Motion, run: Range<usize>) -> Vec<Pose> {
     }
     let longest = (BLEND_SECS * original.fps().get()).round() as usize;
     let blended = longest.min(num_frames / 3);
-    // From the run's end inwards; an end of the motion is not blended.
+    // Weight of the edit, by distance from an end of the run. An end of the motion is not blended.
     let share = |place: usize, is_seam: bool| {
         let share = (place + 1) as f64 / (blended + 1) as f64;
         if is_seam && share < 1.0 {

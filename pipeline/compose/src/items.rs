@@ -100,7 +100,7 @@ pub struct ItemConfig {
     pub tasks: Vec<ItemTask>,
     /// Novelties of the items, in equal parts; if empty, items of any novelty are drawn in random order.
     pub novelty: Vec<Novelty>,
-    /// Number of drawn items to keep: the first ones of each novelty, in equal parts; all if none.
+    /// Number of drawn items to keep: the first ones of each novelty, in equal parts. Not set: all.
     pub part: Option<usize>,
     /// Expected digest of the sorted ids of all drawn items ([`digest_of_ids`]), as of a published set.
     pub digest: Option<String>,
@@ -242,7 +242,7 @@ impl DrawnItems<'_> {
     }
 }
 
-/// An item without its motions, and what they are made from.
+/// An item without its motions, and the draws that make them.
 struct Question {
     subject: Subject,
     draws: Draws,
@@ -267,7 +267,7 @@ pub fn digest_of_ids<'a>(ids: impl Iterator<Item = &'a str>) -> String {
 struct Quota {
     /// Items still to draw, of any novelty.
     left: usize,
-    /// Items still to draw of each requested novelty; none if any novelty is allowed.
+    /// Items still to draw of each requested novelty; `None` if any novelty is allowed.
     of_each: Option<BTreeMap<Novelty, usize>>,
 }
 
@@ -426,7 +426,7 @@ impl Drawer<'_> {
         }))
     }
 
-    /// Novelty of an item of this subject; `source` is the clip of a mask's source.
+    /// Novelty of an item of this subject. `source` is the clip that the edit of a mask is applied to.
     fn novelty(&self, subject: Subject, source: &MotionId) -> Option<Novelty> {
         let library = &self.library;
         let text = library.text_of(subject);
@@ -552,7 +552,7 @@ impl Drawer<'_> {
     }
 
     /// The edited motion of an item, made with another capture of the same action in the same style: an upper bound for
-    /// editors. None without such a capture at least as long as a window.
+    /// editors. `None` without such a capture at least as long as a window or the item.
     fn other_take(&self, item: &Triplet) -> Result<Option<Motion>, Error> {
         let library = &self.library;
         let target = library.captured(&item.target_id);

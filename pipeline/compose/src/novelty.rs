@@ -11,21 +11,21 @@ use serde::{Deserialize, Serialize};
 
 use super::EditKind;
 
-/// How much of a test question the training split contains. Labels of clips, masks and pairs decide (action, style and
-/// performer), not the similarity of motions.
+/// How much of a test question the training split contains. This is decided by instructions and by labels of clips
+/// (action, style and performer), not by the similarity of motions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Novelty {
-    /// All of it, in another take. For a mask: the split has clips of the source's action, style and performer and of
-    /// the target's, or an annotation of the source's action with this instruction. For a pair: it has the action with
-    /// this edit, by any performer.
+    /// All of it, in another take. For a mask: the split has clips with the action, style and performer of the source
+    /// and clips with those of the target, or it has this instruction for the source's action. For a pair: it has this
+    /// edit of this action, by any performer.
     Retake,
     /// Its parts, but not together.
     Combination,
     /// Only the edit, with other actions: no clip has the source's action (for a pair, the action of its motions).
     Action,
-    /// Not even the edit: no clip has the target's action, and no annotation the instruction. The training data cannot
-    /// answer such a question.
+    /// Not even the edit. For a mask: no clip has the target's action, and no annotation has the instruction. The
+    /// training data cannot answer such a question.
     Unshown,
 }
 
@@ -165,7 +165,7 @@ impl Shown {
         self.edits.insert(edit);
     }
 
-    /// The novelty of a question; none if an action is not known, or the dataset has no training split.
+    /// The novelty of a question; `None` if an action is not known, or no training clip has one.
     pub(super) fn novelty(&self, asked: Asked<'_>) -> Option<Novelty> {
         if self.actions.is_empty() {
             return None;

@@ -36,7 +36,7 @@ pub struct StreamStats {
 pub struct TripletStats {
     /// Number of triplets.
     pub triplets: usize,
-    /// Triplets by what is edited: the hard joints of the mask.
+    /// Triplets by kind of edit and hard joints of the mask.
     pub masks: BTreeMap<String, usize>,
     /// Triplets by instruction, the most frequent first.
     pub instructions: Vec<(String, usize)>,
@@ -89,7 +89,8 @@ impl Stream {
             .collect()
     }
 
-    /// Triplets for a picture: the first of every kind with soft joints, then of other masks, if there are any.
+    /// Up to `count` triplets for a picture: first one of every kind and mask, those with soft joints before others,
+    /// then a second one of each, and so on.
     ///
     /// # Errors
     /// The motions cannot be read.
@@ -99,7 +100,7 @@ impl Stream {
         let mut rest = Vec::new();
         for triplet in self.first_triplets(LOOKED_AT.min(2 * self.epoch_len()))? {
             let mask = (triplet.kind, triplet.mask.hard().names());
-            // Prefer soft masks and show one triplet per mask.
+            // A mask is shown again only after all others; soft masks come first.
             let number = seen.entry(mask).or_insert(0);
             let is_soft = !triplet.mask.soft().is_empty();
             rest.push(((*number, !is_soft), triplet));
@@ -114,7 +115,7 @@ impl Stream {
     }
 }
 
-/// Counts triplets.
+/// Computes the statistics of triplets.
 pub fn triplet_stats(triplets: &[Triplet], skeleton: &Skeleton) -> TripletStats {
     let mut masks = BTreeMap::new();
     let mut instructions: BTreeMap<&str, usize> = BTreeMap::new();

@@ -9,8 +9,8 @@ use super::library::{Pairing, Subject};
 use super::{Alignment, ComposeConfig, Error, Library, Stream, blend_motion};
 use crate::during::{keep_outside, leaves_frames};
 
-/// An original motion, an instruction, and the edited motion it leads to. Both motions have the
-/// same length and rate; outside the mask their local rotations are the same to the last bit.
+/// An original motion, an instruction, and the edited motion it leads to. Both motions have the same length and rate.
+/// Outside the mask their local rotations are equal, except in a pair without a donor, which has no mask.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Triplet {
     /// Id in the stream.
@@ -25,7 +25,7 @@ pub struct Triplet {
     pub source_id: MotionId,
     /// The motion that the edit is taken from.
     pub target_id: MotionId,
-    /// Motions blended under both sides; none for semantic edits.
+    /// The donor under both motions of a pair; empty for semantic edits and pairs without a donor.
     pub donor_ids: Vec<MotionId>,
     /// First stored frame that is used of the source.
     pub source_start: usize,
@@ -269,7 +269,7 @@ impl Triplet {
         self.original.fps()
     }
 
-    /// First edited frame and one past the last, as in the tables; none if all frames may change.
+    /// First edited frame and one past the last, as in the tables; both `None` if all frames may change.
     ///
     /// # Panics
     /// As [`Triplet::to_row`].

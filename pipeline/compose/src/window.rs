@@ -2,8 +2,8 @@
 //!
 //! A frame is kept as its 28 keypoints and 22 local rotations, ready to use. Points that a blend does
 //! not touch are copied from their motion. Only the others need forward kinematics, which processes 16 frames
-//! at once with one array per component, in loops that the compiler vectorises. All arithmetic is `f32`:
-//! over a chain of eight joints its error is a micrometre, a thousandth of the model's resolution.
+//! at once with one array per component, in loops that the compiler vectorises. They compute in `f32`:
+//! over a chain of eight joints the error is a micrometre, a thousandth of the model's resolution.
 
 use std::f32::consts::FRAC_PI_2;
 
@@ -106,8 +106,8 @@ enum Origin {
     Both,
 }
 
-/// Points to compute for a blend with a mask. A point whose ancestors all come from one motion keeps its position in
-/// that motion; the other points need forward kinematics.
+/// Points to compute for a blend with a mask. A point keeps its position in the motion that owns the root if the
+/// rotations of all its ancestors come from that motion; the other points need forward kinematics.
 #[derive(Clone, Debug)]
 pub(super) struct BlendPlan {
     origins: [Origin; NUM_BODY_JOINTS],

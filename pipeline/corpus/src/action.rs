@@ -32,8 +32,8 @@ pub(super) enum Action {
     WalkTurn,
 }
 
-/// The actions with their names in clip names and sidecars, in the order of the clips and of the declaration. A small
-/// corpus has only the first actions, so these differ as much as possible.
+/// The name of each action in clip names and sidecars, in the order of the enum and of the clips. A small corpus has
+/// only the first actions, so these differ as much as possible.
 const NAMES: [(Action, &str); 26] = [
     (Action::Walk, "walk"),
     (Action::WaveRight, "wave-right"),
@@ -97,7 +97,7 @@ pub(super) struct Facts {
 pub(super) struct Asked {
     /// Number of repetitions in place of the drawn one.
     pub(super) times: Option<usize>,
-    /// Whether to use the other arm, leg or direction than the take.
+    /// Whether to use the arm, leg or direction opposite to the take's.
     pub(super) is_mirrored: bool,
     /// Minimum duration in seconds; the body stands still at the end.
     pub(super) least_secs: f64,

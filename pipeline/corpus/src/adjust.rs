@@ -13,7 +13,7 @@ pub(super) struct Adjustment {
     pub(super) name: &'static str,
     /// The instruction that leads from the neutral performance to the adjusted one.
     pub(super) instruction: &'static str,
-    /// Words that follow those of an action in captions.
+    /// Words that captions add to those of the action.
     pub(super) manner: &'static str,
     /// The part of the body that moves differently.
     pub(super) part: BodyPart,
@@ -101,8 +101,8 @@ impl Adjustment {
         changed
     }
 
-    /// Draws up to `count` different adjustments that suit an action. A smaller count gives the first ones of a larger
-    /// count.
+    /// Draws up to `count` different adjustments that suit an action. The draws for a smaller count are the first of
+    /// those for a larger one.
     pub(super) fn draw(action: Action, count: usize, rng: &mut Rng) -> Vec<Self> {
         let mut suitable = Self::ALL.to_vec();
         suitable.retain(|adjustment| adjustment.suits(action));

@@ -1,5 +1,4 @@
-//! Turns a script into poses: the plan places the feet, the pelvis follows the legs, trunk and arms follow the legs,
-//! and gestures are added on top.
+//! Turns a script into poses: the script places the feet; pelvis, trunk and arms follow them; gestures come on top.
 
 use datasets_spec::{Fps, Joint, Pose, Rng, Skeleton};
 use glam::{DQuat, DVec3};
@@ -19,7 +18,7 @@ pub(super) struct Script {
     pub(super) path: RootPath,
     pub(super) feet: [FootTrack; 2],
     pub(super) coupling: Coupling,
-    /// Pelvis relative to standing over the path: left, up, forward in metres, then forward tilt.
+    /// Pelvis relative to its place when standing on the path: left, up, forward in metres, then forward tilt.
     pub(super) pelvis: Keys<4>,
     /// Feet relative to their plan: left, up, forward in metres in the frame of the foot, then
     /// pitch.
@@ -28,10 +27,10 @@ pub(super) struct Script {
     pub(super) trunk: Keys<3>,
     /// Head: nod, tilt to the left, turn to the left.
     pub(super) head: Keys<3>,
-    /// Gestures of the arms, written for the left arm; the right one mirrors them. A key holds a weight (0 leaves the
-    /// arm hanging and swinging, 1 follows the gesture), the direction from the shoulder to the wrist (outwards, up,
-    /// forward), the bend of the elbow from straight in radians, the direction in which the elbow points, and 0 if the
-    /// directions turn with the chest, 1 if they keep to the vertical.
+    /// Gestures of the arms, written for the left arm; the right one mirrors them. A key holds a weight (0: the arm
+    /// hangs and swings, 1: it follows the gesture), the direction from the shoulder to the wrist (outwards, up,
+    /// forward), the bend of the elbow from straight in radians, the direction in which the elbow points, and the frame
+    /// of both directions (0: that of the chest, 1: the upright one).
     pub(super) arms: [Keys<9>; 2],
 }
 
@@ -99,13 +98,13 @@ const MIN_KNEE_BEND: f64 = 0.14;
 const MIN_ELBOW_BEND: f64 = 0.08;
 /// Maximum bend of knees and elbows in radians, limited by soft tissue.
 const MAX_BEND: f64 = 2.6;
-/// Look-ahead in seconds in which the pelvis anticipates the limit of a leg.
+/// Time in seconds by which the pelvis anticipates the limit of a leg.
 const PELVIS_FORESIGHT_SECS: f64 = 0.10;
-/// Height in metres by which an unloaded foot is raised above its planned path.
+/// Height in metres above its planned path at which a foot carries no weight.
 const UNLOADED_LIFT: f64 = 0.05;
 const SPINE_SHARES: [f64; 3] = [0.30, 0.35, 0.35];
 
-/// One frame of the legs' part of the plan.
+/// The path and the feet in one frame.
 #[derive(Clone, Copy)]
 struct Ground {
     point: DVec3,
@@ -242,7 +241,7 @@ fn ground_plan(script: &Script, body: &Body, num_frames: usize, fps: Fps) -> Vec
         .collect()
 }
 
-/// How the pelvis and the trunk follow the feet.
+/// Computes how the pelvis and the trunk follow the feet.
 fn answers(script: &Script, grounds: &[Ground], fps: Fps) -> Answers {
     let (mut left, mut forward, mut lead, mut load) = (vec![], vec![], vec![], vec![]);
     for ground in grounds {
@@ -280,17 +279,17 @@ fn answers(script: &Script, grounds: &[Ground], fps: Fps) -> Answers {
 /// Time over which the trunk and the arms average the motion of the legs, in seconds.
 const TRUNK_LAG_SECS: f64 = 0.045;
 
-/// The parts of the skeleton that are solved together.
+/// The skeleton with its limbs and feet, for inverse kinematics.
 struct Body<'a> {
     skeleton: &'a Skeleton,
     legs: [Limb; 2],
     arms: [Limb; 2],
     feet: [FootShape; 2],
-    /// Height of the pelvis of the rest pose standing on its toe joints, in metres.
+    /// Height of the pelvis above the lower toe joint in the rest pose, in metres.
     standing: f64,
 }
 
-/// Pelvis, spine and head of one frame; the chest and heading frames are global.
+/// Pelvis, spine and head of one frame; `rotation`, `chest` and `upright` are global.
 struct Torso {
     pelvis: DVec3,
     rotation: DQuat,
@@ -368,7 +367,7 @@ impl<'a> Body<'a> {
         let bend = limb
             .bend_at(to_ankle.length())
             .clamp(MIN_KNEE_BEND, MAX_BEND);
-        // Knees point between the pelvis and the toes, and open as they bend.
+        // Knees point midway between the headings of pelvis and foot, and outwards as they bend.
         let yaw = 0.5 * (torso.yaw + foot.yaw) + side.sign() * KNEE_SPLAY * (0.3 + bend);
         let lateral = DQuat::from_rotation_y(yaw) * DVec3::X;
         let placed = limb.place(
@@ -527,7 +526,7 @@ impl Tracks {
         // The left arm is ahead when the left foot is behind.
         let driven = -side.sign() * coupling.arm_swing * style.arm_swing * lead;
         let swing = MAX_ARM_SWING * (driven / MAX_ARM_SWING).tanh() + noise[0];
-        // If running bends the elbows already, the style adds little.
+        // The smaller of the two bends adds little: running bends the elbows already.
         let (more, less) = if style.elbow_bend > coupling.elbow_bend {
             (style.elbow_bend, coupling.elbow_bend)
         } else {
@@ -577,7 +576,7 @@ impl Tracks {
 const MAX_ARM_SWING: f64 = 0.95;
 /// Palmward bend of a relaxed wrist in radians.
 const WRIST_DROP: f64 = 0.12;
-/// How far outwards the elbow of a hanging arm points, relative to backwards.
+/// Outward component of the direction in which the elbow of a hanging arm points; the rest has length 1.
 const HANGING_ELBOW_OUT: f64 = 0.30;
 
 /// Direction of a left arm that swings forward by `swing` and outwards by `out` radians.
@@ -588,7 +587,7 @@ fn hanging_direction(swing: f64, out: f64) -> DVec3 {
 /// Time over which the bob begins and ends, in seconds.
 const BOB_FADE_SECS: f64 = 0.3;
 
-/// Rise of the body in the middle of each stance and its drop between them.
+/// Keys of the body's rise in the middle of each stance and its drop between stances.
 fn bob_keys(script: &Script, style: &Style) -> Keys<1> {
     let size = script.coupling.bob + script.coupling.bounce * style.bounce;
     if size == 0.0 {

@@ -5,9 +5,9 @@ use std::f64::consts::TAU;
 use datasets_spec::Rng;
 use rand::RngExt;
 
-/// Keyframes of `N` numbers, joined by a monotone cubic: it passes through every key, never
-/// overshoots between two of them, and is exactly constant between two equal ones, which is what
-/// keeps a planted foot planted. Before the first and after the last key it holds their value.
+/// Keyframes of `N` numbers, joined by a monotone cubic. It passes through every key, never overshoots between two of
+/// them, and is exactly constant between equal ones, so that a planted foot stays planted. Before the first and after
+/// the last key it holds their value.
 ///
 /// # Source
 /// Fritsch and Butland, "A method for constructing local monotone piecewise cubic interpolants",
@@ -140,7 +140,8 @@ pub(super) fn smooth(signal: &mut [f64], sigma_frames: f64) {
     convolve(signal, &kernel);
 }
 
-/// A smooth signal that never exceeds the given one: the minimum within `radius` frames, averaged over as many frames.
+/// Replaces a signal by a smooth one that never exceeds it: the minimum within `radius` frames, averaged over as many
+/// frames.
 pub(super) fn smooth_lower_bound(signal: &mut [f64], radius: usize) {
     let lowest: Vec<f64> = (0..signal.len())
         .map(|at| {
@@ -149,7 +150,7 @@ pub(super) fn smooth_lower_bound(signal: &mut [f64], radius: usize) {
         })
         .collect();
     signal.copy_from_slice(&lowest);
-    // A raised cosine over the same frames: every averaged minimum covers this frame.
+    // A raised cosine over the same frames: every minimum that is averaged includes this frame.
     let kernel: Vec<f64> = (0..=radius)
         .map(|lag| 0.5 + 0.5 * (std::f64::consts::PI * lag as f64 / (radius + 1) as f64).cos())
         .collect();

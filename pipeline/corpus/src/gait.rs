@@ -99,7 +99,7 @@ impl RootPath {
         path
     }
 
-    /// A path given as a function of time: the point on the floor and the heading.
+    /// Samples a function of time that gives the point on the floor and the heading, from 0 to `to_secs`.
     pub(super) fn sample(to_secs: f64, place: impl Fn(f64) -> (DVec3, f64)) -> Self {
         let steps = (to_secs * PATH_HZ).ceil() as usize;
         Self {
@@ -151,9 +151,8 @@ impl FootShape {
         -self.toe.y
     }
 
-    /// Position of the ankle and rotation of the foot, if the foot that stands flat at `flat_ankle` is pitched
-    /// about its contact point: about the toe joint if the toes point down (positive pitch), about the heel if
-    /// they point up.
+    /// Position of the ankle and rotation of a foot that stood flat at `flat_ankle` and is pitched about its contact
+    /// point: the toe joint if the toes point down (positive pitch), the heel if they point up.
     pub(super) fn roll(&self, flat_ankle: DVec3, yaw: f64, pitch: f64) -> (DVec3, DQuat) {
         let flat = DQuat::from_rotation_y(yaw);
         let rotation = flat * DQuat::from_rotation_x(pitch);

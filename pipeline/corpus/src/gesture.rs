@@ -1,6 +1,6 @@
-//! Gestures of arms and trunk on top of standing or walking. Each gesture starts at a time, adds its
-//! keyframes to a script and returns its end time. Directions are given for the
-//! left arm (outwards, up, forward); the right arm mirrors them.
+//! Gestures of arms and trunk on top of standing or walking. Each function adds the keyframes of a gesture to a script;
+//! those without a given end return the end time. Directions are given for the left arm (outwards, up, forward); the
+//! right arm mirrors them.
 
 use datasets_spec::Rng;
 use glam::DVec3;
@@ -232,7 +232,7 @@ pub(super) fn raise_arms(script: &mut Script, style: &Style, from: f64, times: u
     end
 }
 
-/// Boxes at the air: both fists in guard, punches by the given sides one after the other.
+/// Punches the air from a guard with both fists. `order` holds the side of each punch and the pause before it.
 pub(super) fn punches(script: &mut Script, style: &Style, from: f64, order: &[(Side, f64)]) -> f64 {
     let beat = 1.0 / style.tempo;
     let mut end = from;
@@ -281,7 +281,7 @@ pub(super) fn punches(script: &mut Script, style: &Style, from: f64, order: &[(S
     end
 }
 
-/// Keeps both fists before the chin for a while.
+/// Keeps both fists before the chin between two times.
 pub(super) fn guard(script: &mut Script, style: &Style, from: f64, to: f64) {
     for side in Side::BOTH {
         let pose = GUARD.towards([0.10, 0.30, 0.85]).scaled(style.amplitude);
@@ -292,7 +292,7 @@ pub(super) fn guard(script: &mut Script, style: &Style, from: f64, to: f64) {
     }
 }
 
-/// Throws overarm; the ball leaves the hand 1.3 seconds, at neutral tempo, after the start.
+/// Throws overarm; the ball leaves the hand about 1.4 seconds, at neutral tempo, after the start.
 pub(super) fn throw(script: &mut Script, style: &Style, side: Side, from: f64) -> f64 {
     let elbow_out = [1.0, 0.05, -0.2];
     let drawn_back = hold([0.72, 0.20, -0.62], 1.25, [0.9, -0.2, -0.5]);

@@ -6,7 +6,7 @@
 //! | one style of every action; the third performer | actions, styles and movements that training has shown, but not together, or not at this size and tempo |
 //! | one of the four takes of every action by the first two performers | another take of what training has shown |
 //!
-//! Style pairs need a neutral and a styled clip of one take in one split; the third performer's takes have both.
+//! Style pairs need a neutral and a styled clip of one take in one split; the third performer's take has both.
 
 use datasets_spec::Split;
 

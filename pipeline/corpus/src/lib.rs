@@ -54,17 +54,17 @@ pub use limits::{Limit, SEEN_PAIR_LIST, write_limits};
 /// Frame rate of the clips in frames per second: a common rate of captures, and a multiple of the store's 20 and the
 /// model's 10.
 pub const CORPUS_FPS: f64 = 60.0;
-/// Clips of one take: every action in every style.
+/// Number of clips of one take: every action in every style.
 pub const CLIPS_PER_TAKE: usize = Action::ALL.len() * style::ALL.len();
-/// Clips of a corpus that [`write_held_out_corpus`] is meant for.
+/// Number of clips that [`write_held_out_corpus`] is meant for.
 pub const HELD_OUT_CLIPS: usize = held_out::TAKES * CLIPS_PER_TAKE;
 const DEFAULT_TAKES: usize = 2;
 /// The licence of the clips, which are generated.
 const LICENSE: &str = "CC0-1.0";
-/// Name of the list of pairs of neutral and adjusted clips, in the folder of the corpus. It is a list that
-/// `stance ingest --pairs` reads.
+/// Name of the list of pairs of neutral and adjusted clips, in the folder of the corpus. `stance ingest --pairs` reads
+/// it.
 pub const PAIR_LIST: &str = "pairs.csv";
-/// Folder of the AMASS half, in place of the subset of an AMASS release.
+/// Folder of the AMASS archives, where a release has the name of a subset.
 const AMASS_SUBSET: &str = "Stance";
 
 /// A corpus that could not be written.
@@ -86,7 +86,7 @@ pub enum Error {
 pub struct CorpusOptions {
     /// Number of clips without the adjusted ones. [`CLIPS_PER_TAKE`] clips contain every action in every style once.
     pub clips: usize,
-    /// Adjusted clips of each neutral one, as far as there are adjustments that suit its action: at least four.
+    /// Adjusted clips of each neutral one; fewer if fewer adjustments suit its action. At least four suit every action.
     pub adjusted: usize,
     /// Seed of all clips.
     pub seed: Seed,
@@ -134,9 +134,9 @@ pub struct CorpusSummary {
     pub clips: usize,
     /// Adjusted clips, each of which is in a pair with a neutral one.
     pub adjusted: usize,
-    /// Clips of both kinds that are written as AMASS archives.
+    /// Clips that are written as AMASS archives, adjusted ones included.
     pub amass: usize,
-    /// Clips of both kinds that are written as BVH.
+    /// Clips that are written as BVH, adjusted ones included.
     pub bvh: usize,
     /// Frames of all clips.
     pub frames: usize,
@@ -183,8 +183,8 @@ pub fn clip(index: usize, options: &CorpusOptions) -> CorpusClip {
     }
 }
 
-/// Generates the adjusted performances of the clip of an index; none if it is not neutral. They depend on the seed and
-/// the index alone; a smaller number gives the first ones of a larger number.
+/// Generates the adjusted performances of the clip of an index; empty if the clip is not neutral. They depend on the
+/// seed and the index alone; a smaller [`CorpusOptions::adjusted`] gives the first of those of a larger one.
 pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip> {
     let (action, style, take) = cast(index);
     if style.name != style::NEUTRAL.name {
@@ -293,9 +293,10 @@ fn clip_id(path: &Path) -> String {
     names.join("/")
 }
 
-/// Writes a corpus below `out`: half of the takes as AMASS archives under `amass/`, half as BVH under `bvh/`, and
-/// beside each motion its sidecar `<stem>.stance.json`. Adjusted clips lie beside the neutral ones, and [`PAIR_LIST`]
-/// pairs them. Files of the same names are replaced, each atomically. The bytes depend on the options alone.
+/// Writes a corpus below `out`: half of the actions of a take as AMASS archives under `amass/`, half as BVH under
+/// `bvh/`, and beside each motion its sidecar `<stem>.stance.json`. Adjusted clips lie beside the neutral ones, and
+/// [`PAIR_LIST`] pairs them. Files of the same names are replaced, each atomically. The bytes depend on the options
+/// alone.
 ///
 /// # Errors
 /// A folder or file cannot be written.
@@ -307,8 +308,8 @@ pub fn write_corpus(
     write_with(out, options, |_| None, progress)
 }
 
-/// Like [`write_corpus`], with sidecars that state splits: actions, a performer, and one style of every action are held
-/// out of training.
+/// Like [`write_corpus`], with sidecars that state splits: some actions, one performer, one style of every action and
+/// one take of every action are held out of training.
 ///
 /// # Errors
 /// A folder or file cannot be written.

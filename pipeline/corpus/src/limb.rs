@@ -4,8 +4,7 @@ use datasets_spec::{Joint, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation::arc;
 
-/// A limb of two bones whose middle joint is a hinge, so that a knee or an elbow can only bend the
-/// way it does on a body.
+/// A limb of two bones whose middle joint is a hinge, so that a knee or an elbow only bends as on a body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limb {
     /// First bone at rest, from the root joint to the hinge.
@@ -84,7 +83,7 @@ impl Limb {
     /// Places the limb: its end lies in the direction `to_end` from its root, at the distance that `bend` gives, and
     /// the hinge bulges towards `pole`.
     ///
-    /// A pole along the limb leaves the bulge undefined; any direction is then as good.
+    /// If the pole lies along the limb, the hinge may bulge in any direction.
     pub(super) fn place(&self, to_end: DVec3, bend: f64, pole: DVec3) -> LimbPose {
         let hinge = DQuat::from_axis_angle(self.hinge, self.straight + bend);
         let rest = frame(self.upper + hinge * self.lower, self.hinge);

@@ -22,7 +22,7 @@ use super::{
 
 /// Name of the list that pairs the motions of [`Limit::Wording`] with the instructions of the training split.
 pub const SEEN_PAIR_LIST: &str = "pairs-seen.csv";
-/// Takes per question of a limit.
+/// Takes per question of [`Limit::Repetition`]; [`Limit::Spatial`] has twice as many.
 const TAKES: usize = 5;
 
 /// Ability that a test set checks.
@@ -67,7 +67,8 @@ struct Question {
     instruction: String,
     parts: Vec<BodyPart>,
     kind: EditKind,
-    /// The instruction in the training split's words; none for a style, whose instruction follows from its name.
+    /// For [`Limit::Wording`], the instruction in the training split's words; `None` for a style, whose instruction
+    /// follows from its name.
     seen: Option<&'static str>,
 }
 
@@ -211,9 +212,9 @@ fn wordings() -> Vec<Question> {
     questions
 }
 
-/// Writes the questions of every limit below `out`: a folder for each with the motions as AMASS archives, their
+/// Writes the questions of every limit below `out`: a folder for each limit with the motions as AMASS archives, their
 /// sidecars, and [`PAIR_LIST`] with one question per line. The folder of [`Limit::Wording`] also has
-/// [`SEEN_PAIR_LIST`], which pairs the same motions in the training split's words. All clips are of the test split. The
+/// [`SEEN_PAIR_LIST`], with the same pairs and the training split's instructions. All clips are of the test split. The
 /// bytes depend on the seed alone.
 ///
 /// # Errors

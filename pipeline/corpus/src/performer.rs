@@ -5,7 +5,7 @@ use rand::RngExt;
 
 use super::style::Style;
 
-/// Consecutive takes by one performer.
+/// Number of consecutive takes by one performer.
 const TAKES_PER_PERFORMER: usize = 2;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

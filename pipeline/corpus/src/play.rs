@@ -20,7 +20,7 @@ pub(super) fn script(
     scatter: &mut Rng,
 ) -> (Script, Facts) {
     let facts = facts(action, asked, take);
-    // Default for actions that are always done twice.
+    // Some actions are done twice unless a number is asked for.
     let times = asked.times.unwrap_or(2);
     let mut script = match action {
         Action::Walk => Travel::walk(take).perform(style, take, scatter),

@@ -239,7 +239,7 @@ pub(super) fn throwing(style: &Style, facts: Facts, scatter: &mut Rng) -> Script
         DVec3::new(side.sign() * half_width, 0.0, forward - Gait::ANKLE_BEHIND)
     };
     let leading = facts.side.other();
-    // Two steps: the leading foot towards the target just before the release, then the other foot.
+    // Each throw has two steps: the leading foot towards the target before the release, then the other foot.
     let mut steps = [Vec::new(), Vec::new()];
     let mut way = vec![(0.0, [0.0])];
     let mut starts = Vec::new();

@@ -10,15 +10,15 @@ use pipeline::stage::IngestConfig;
 use super::limb::Limb;
 use super::*;
 
-/// Actions with a flight phase, to which no foot score applies.
+/// Actions with a flight phase, whose foot score may be lower.
 const AIRBORNE: [&str; 4] = ["run", "jog", "jump", "hop"];
 
 fn least(values: impl Iterator<Item = f64>) -> f64 {
     values.fold(f64::INFINITY, f64::min)
 }
 
-/// The foot score of DIMOS at 20 fps with the lowest foot joint on the floor: how still and how
-/// low the stillest and the lowest of ankles and toes are.
+/// The foot score of DIMOS at 20 fps with the lowest foot joint on the floor. In each frame, it falls with the speed of
+/// the slowest and the height of the lowest of ankles and toes.
 fn foot_score(points: &[[glam::DVec3; 28]]) -> f64 {
     let frames = points.iter().step_by(3);
     let feet: Vec<_> = frames.map(|p| [p[7], p[8], p[10], p[11]]).collect();

@@ -7,9 +7,9 @@ use rand::RngExt;
 use super::action::{Action, Facts};
 use super::gait::Side;
 
-/// Words of each action, in indented lines below its name: sentences about the whole body, and after the name of a part
-/// and a colon what the part does, if that can be described. Such a phrase completes "The person is ... with their
-/// <part>." Below the names of adjustments and styles are instructions for them in words that training does not show.
+/// Words of each action, in indented lines below its name. A line is a sentence about the whole body, or the name of a
+/// part, a colon and what the part does. Such a phrase completes "The person is ... with their <part>." Below the name
+/// of an adjustment or a style are instructions for it in words that training does not show.
 const WORDS: &str = include_str!("words.txt");
 
 /// Stands in [`WORDS`] for the arm on the side of a take.
@@ -40,8 +40,8 @@ pub(super) fn describe(
     (captions, parts)
 }
 
-/// Captions of the whole body for an action in one of the manners, each empty or with a leading space; there must
-/// be one.
+/// Captions of the whole body for an action. `manners` holds at least one phrase for how it is done, each empty or with
+/// a leading space.
 pub(super) fn captions(
     action: Action,
     manners: &[&'static str],
@@ -104,7 +104,7 @@ fn fill(template: &str, who: &str, how: &str, facts: Facts) -> String {
         .replace("{turn}", turn)
 }
 
-/// Words of a style for the whole body.
+/// Phrases for how the whole body moves in a style.
 fn manners(style: &str) -> &'static [&'static str] {
     match style {
         "proud" => &[

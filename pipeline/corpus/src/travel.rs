@@ -209,13 +209,13 @@ impl Travel {
     }
 
     pub(super) fn pivot(facts: Facts, style: &Style) -> Self {
-        // A half turn, or a full one, at about a quarter turn a second.
+        // A half turn, or a full one, at 1.15 rad/s on average.
         let turned = facts.side.sign() * (facts.count - 1) as f64 * PI;
         let turn_secs = turned.abs() / 1.15;
         let duration_secs = (turn_secs + 1.6).max(MIN_SECS * style.tempo);
         let from = 0.5 * (duration_secs - turn_secs) / duration_secs;
         let steps = 9;
-        // A steady turn with short ramps: equal keys of a monotone cubic keep the rate.
+        // A steady turn with short ramps: a monotone cubic through evenly spaced keys keeps the rate.
         let heading = (0..=steps)
             .map(|step| {
                 let u = f64::from(step) / f64::from(steps);
@@ -335,7 +335,7 @@ impl Travel {
 
 pub(super) fn walk_wave(style: &Style, facts: Facts, take: &mut Rng, scatter: &mut Rng) -> Script {
     let mut script = Travel::walk(take).perform(style, take, scatter);
-    // The wave takes 3.2 to 3.8 s at neutral tempo; it begins early enough to fit.
+    // The wave takes 2.8 to 3.6 s at neutral tempo; it begins early enough to fit.
     let from = (script.duration_secs - 3.9 / style.tempo).max(0.1) * take.random_range(0.2..0.8);
     gesture::wave(&mut script, style, facts.side, from, facts.count, scatter);
     script

@@ -1,4 +1,4 @@
-//! Height of the floor: it varies among files, and is y = 0 in the store.
+//! Puts motions on the floor: its height differs between files, and is y = 0 in the store.
 
 use datasets_spec::quantile::quantile;
 use datasets_spec::{Fps, Pose, Skeleton};
@@ -12,18 +12,17 @@ pub const FOOT_JOINTS: [usize; 4] = [7, 8, 10, 11];
 /// frame would lift the whole clip off the floor.
 const FLOOR_PERCENTILE: f64 = 0.02;
 
-/// Height in metres above the floor, and speed in m/s, below which a foot joint may be standing.
+/// Height in metres above the floor, and speed in m/s, below which a foot joint touches the floor.
 const CONTACT_HEIGHT_M: f64 = 0.05;
 const CONTACT_SPEED: f64 = 0.5;
-/// Height in metres of the lowest foot above the file's own zero from which a clip without any
-/// contact counts as airborne.
+/// Height in metres above the file's own zero from which the floor of a clip without contact makes the clip airborne.
 const AIRBORNE_HEIGHT_M: f64 = 0.3;
 
 /// Shifts a motion vertically so that the floor is at y = 0, and returns the shift in metres.
 ///
-/// The floor is the 2nd percentile over the frames of the height of the lowest of both ankle and
-/// both foot joints. A clip that never touches it (no foot joint slower than 0.5 m/s within 5 cm of
-/// it) and stays 0.3 m above the file's own zero counts as airborne and is not moved.
+/// The floor is the 2nd percentile, over the frames, of the height of the lowest ankle or foot joint. A clip of several
+/// frames counts as airborne and is not moved if no such joint is slower than 0.5 m/s within 5 cm of that floor, and
+/// the floor would be more than 0.3 m above the file's own zero.
 pub fn put_on_floor(poses: &mut [Pose], fps: Fps, skeleton: &Skeleton) -> f64 {
     let feet: Vec<[DVec3; 4]> = skeleton
         .points_of_poses::<NUM_BODY_JOINTS>(poses)

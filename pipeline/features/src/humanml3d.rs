@@ -4,11 +4,11 @@
 //! frame becomes root motion, joint positions, joint rotations, joint velocities and foot contacts, all relative to the
 //! heading of the root. Its quirks are part of the recipe, because the output must be equal:
 //!
-//! * the heading of the features is found from a forward vector in which the hips are swapped and
-//!   the shoulders are not, smoothed over 20 frames;
-//! * the first frame has no heading, whatever its forward vector says;
+//! * the heading comes from a forward vector in which the hips are swapped and the shoulders are not, smoothed by a
+//!   Gaussian with a standard deviation of 20 frames;
+//! * the first frame counts as facing +z, whatever its forward vector says;
 //! * the chains of the arms start from the root's rotation, not from that of the chest;
-//! * the yaw velocity is half the angle.
+//! * the yaw velocity is half of the angle from frame to frame.
 //!
 //! For a bone exactly opposite to its rest direction, the published code divides by zero; here the rotation is a half
 //! turn about a perpendicular axis.
@@ -32,7 +32,7 @@ use self::recipe::{
     RIGHT_SHOULDER, SHORTEST_BONE_M,
 };
 
-/// The 22 body joints of a motion.
+/// The 22 body joints of every frame of a motion, in metres.
 pub fn joints_of_motion(motion: &Motion, skeleton: &Skeleton) -> Vec<Joints> {
     skeleton.points_of_frames(motion, 0..motion.len())
 }
@@ -68,7 +68,7 @@ pub fn process_joints(
 }
 
 /// Gives every bone its length in `bones` and keeps its direction; scales the path of the root by
-/// the ratio of the leg lengths.
+/// the ratio of the right leg's lengths, the old one measured in the first frame.
 fn unified(joints: &[Joints], bones: &[f64; NUM_BODY_JOINTS]) -> Result<Clip, FeatureError> {
     let Some(first) = joints.first() else {
         return Err(FeatureError::TooShort { frames: 0 });
@@ -80,8 +80,8 @@ fn unified(joints: &[Joints], bones: &[f64; NUM_BODY_JOINTS]) -> Result<Clip, Fe
     Ok(clip)
 }
 
-/// Placement of a clip of at least one frame: on the floor, its first frame at x = z = 0 and facing +z by
-/// hips and shoulders, without the swap.
+/// Placement of a clip of at least one frame: on the floor, its first frame at x = z = 0 and facing +z. Hips and
+/// shoulders give the facing, without the swap.
 fn start(clip: &Clip) -> Placement {
     let first = clip.frame(0);
     let across = first[RIGHT_HIP] - first[LEFT_HIP] + first[RIGHT_SHOULDER] - first[LEFT_SHOULDER];
@@ -138,7 +138,7 @@ fn recover_root(features: &[Features]) -> Vec<(Heading, DVec3)> {
     roots
 }
 
-/// World joints from the positions of the features.
+/// World joints from the joint positions among the features.
 ///
 /// # Shapes
 /// As many frames as there are features.
@@ -159,7 +159,7 @@ pub fn recover_joints(features: &[Features]) -> Vec<Joints> {
         .collect()
 }
 
-/// World direction of each bone, by the rotations of a frame.
+/// World direction of each bone, from the rotations among the features of a frame.
 fn directions_of(frame: &Features, heading: Heading) -> Joints {
     let mut rotations = [DMat3::from_quat(heading.quaternion()); NUM_BODY_JOINTS];
     for joint in 1..NUM_BODY_JOINTS {
@@ -170,7 +170,7 @@ fn directions_of(frame: &Features, heading: Heading) -> Joints {
     std::array::from_fn(|joint| rotations[joint] * REST_AXES[joint])
 }
 
-/// Position of the root and directions of the bones in the world, by the rotations of the features.
+/// Position of the root and directions of the bones in the world, from the rotations among the features.
 pub(crate) fn recover_directions(features: &[Features]) -> Vec<(DVec3, Joints)> {
     recover_root(features)
         .into_iter()
@@ -265,7 +265,7 @@ mod tests {
         for case in CASES {
             let offsets = joints(&read(case), "in.tgt_offsets")[0];
             for joint in 1..NUM_BODY_JOINTS {
-                // Nine digits of a number in f32.
+                // Both have the nine digits of an f32.
                 let uniform = REST_AXES[joint] * UNIFORM_BONES[joint];
                 assert!(offsets[joint].distance(uniform) < 1e-9, "{case}: {joint}");
             }
@@ -501,7 +501,7 @@ mod tests {
             let features = features_of_processed(&[frame; 3]);
             let directions = recover_directions(&features);
             for &joint in joints {
-                // A direction within 1e-12 of the opposite, in f32.
+                // The direction is at most 1e-12 from the opposite, and is rounded to f32.
                 let missed = directions[0].1[joint] + REST_AXES[joint];
                 assert!(missed.length() < 1e-6, "{joint}: {missed}");
             }

@@ -29,7 +29,7 @@ use super::representation_272::faced_poses;
 
 /// Name and version of the recipe. Any change of its numbers is a new version.
 pub const RECIPE: &str = "hy-motion@1";
-/// Features of a frame.
+/// Number of features of a frame.
 pub const WIDTH: usize = 201;
 /// The features of a frame.
 pub type Features = [f32; WIDTH];

@@ -30,7 +30,7 @@ use crate::floor;
 
 /// Name and version of the recipe. Any change of its numbers is a new version.
 pub const RECIPE: &str = "272@1";
-/// Features of a frame.
+/// Number of features of a frame.
 pub const WIDTH: usize = 272;
 /// The features of a frame.
 pub type Features = [f32; WIDTH];
@@ -71,8 +71,8 @@ pub(crate) fn faced_poses(motion: &Motion) -> Result<Vec<Pose>, kinematics::Erro
     Ok(poses)
 }
 
-/// Turns a clip about the vertical axis through the origin, so that its first frame faces +z. The translation
-/// is turned and the rest pelvis is not, as published, which moves the whole clip by a constant.
+/// Turns a clip about the vertical axis through the origin, so that its first frame faces +z. As published, the
+/// translation is turned but not the rest position of the pelvis, which moves the whole clip by a constant.
 pub fn face_front(poses: &mut [Pose]) {
     let Some(first) = poses.first() else { return };
     let turn = DQuat::from_rotation_y(-heading(first));
@@ -86,7 +86,7 @@ fn heading(pose: &Pose) -> f64 {
     yaw(DMat3::from_quat(pose.rotations[0]))
 }
 
-/// The features of consecutive frames at 30 fps, given with their joints.
+/// The features of consecutive poses at 30 fps and their joints.
 ///
 /// # Shapes
 /// `[L]` poses and joints give `[L, 272]`.
@@ -140,7 +140,7 @@ fn numbers<const N: usize>(frame: &Features, at: usize) -> [f64; N] {
     std::array::from_fn(|column| f64::from(frame[at + column]))
 }
 
-/// The rotation that undoes "seen", and the root's position on the ground, of every frame.
+/// For every frame, the rotation that undoes "seen" and the root's position on the ground.
 fn recover_root(features: &[Features]) -> Vec<(DMat3, DVec3)> {
     let (mut unturn, mut ground) = (DMat3::IDENTITY, DVec3::ZERO);
     features
@@ -196,8 +196,8 @@ pub fn recover_poses(features: &[Features], rest_pelvis: DVec3) -> Vec<Pose> {
         .collect()
 }
 
-/// The motion of the body that the features describe, at 30 fps and on the floor. The path is scaled by the ratio of
-/// the body's leg length to that of the features, because their body may have another shape. Also returns the mean
+/// The motion that the features describe, on the body `skeleton`, at 30 fps and on the floor. The path is scaled by the
+/// ratio of the two bodies' leg lengths, because the body of the features may have another shape. Also returns the mean
 /// distance in metres between the scaled joints of the features and the joints of the motion, both relative to the
 /// pelvis.
 ///

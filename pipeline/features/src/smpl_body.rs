@@ -1,12 +1,11 @@
-//! The body of HumanML3D's joints, for motions of another body.
+//! The SMPL body, to which HumanML3D's joints belong, for motions of another body.
 
 use datasets_spec::Skeleton;
 use glam::DVec3;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_JOINTS, PARENTS};
 
-/// Bones of the neutral SMPL body at rest, by the joint at the bone's end, in metres. HumanML3D uses this
-/// body, whose spine and shoulders differ from SMPL-X's. Rotations are measured from these directions and
-/// drive either body.
+/// Bones of the neutral SMPL body at rest, by the joint at the bone's end, in metres. HumanML3D uses this body, whose
+/// spine and shoulders differ from SMPL-X's. Rotations relative to these bones drive either body.
 ///
 /// # Source
 /// Stanford-TML/EDGE, the offset table of its visualisation.
@@ -46,7 +45,7 @@ pub fn smpl_body(skeleton: &Skeleton) -> Skeleton {
     for joint in 0..NUM_JOINTS {
         let offset = skeleton.offset(joint);
         let smpl = SMPL_REST_BONES.get(joint).copied().unwrap_or_default();
-        // Zero for the root, whose rest position is kept, and for joints that SMPL lacks.
+        // The SMPL bone is zero for the root, whose rest position is kept, and for joints that SMPL lacks.
         let bone = match DVec3::from_array(smpl).try_normalize() {
             Some(direction) => direction * offset.length(),
             None => offset,

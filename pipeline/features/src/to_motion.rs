@@ -33,8 +33,8 @@ fn rest_bone(joint: usize) -> DVec3 {
     DVec3::from_array(SMPL_REST_BONES[joint])
 }
 
-/// Fits the body to the positions of the 22 joints: the bones of the source are scaled to the body's
-/// lengths, and the least-squares pose is found. Also returns the mean distance in metres.
+/// Fits the body to the positions of the 22 joints: scales the bones of the source to the body's lengths, and finds the
+/// least-squares pose. Also returns the mean distance in metres between the scaled joints and those of the pose.
 ///
 /// The mean distance on a published clip is 0.9 cm, because SMPL bodies differ in shape. Aligning bone
 /// directions alone, as [`motion_of_features`] does, gives 1.1 cm and less smooth rotations.
@@ -76,10 +76,10 @@ pub fn motion_of_joints(
 }
 
 /// Poses the body with the bone directions given by the rotations of HumanML3D features. Also returns the mean distance
-/// in metres between the joints of the source and those of the pose, both with the bones of SMPL at rest.
+/// in metres between the joints of the source and those of the pose, both with the bone lengths of SMPL.
 ///
 /// # Errors
-/// There is no frame, or the features hold no rotations.
+/// There is no frame, or a number is not finite.
 pub fn motion_of_features(
     features: &[Features],
     fps: Fps,
@@ -242,8 +242,8 @@ mod tests {
         let motion = wandering("to-motion", 40);
         let joints = smpl_joints(&motion);
         let (found, error) = motion_of_joints(&joints, Fps::STORE, &skeleton).expect("a body");
-        // The three bones at pelvis and chest are rigid both in the source and here, so only the twists of hands and
-        // head are free, and no bone of the body shows these.
+        // The three bones at pelvis and chest are rigid both in the source and here. Only the twists of hands and head
+        // are free, and no joint position depends on these.
         assert!(error < 1e-6, "{error}");
         for (a, b) in smpl_joints(&found).iter().zip(&joints) {
             for joint in 1..NUM_BODY_JOINTS {
@@ -290,7 +290,7 @@ mod tests {
     #[test]
     fn a_body_of_other_proportions_is_fitted_nearby() {
         let skeleton = Skeleton::smplx_neutral();
-        // The joints of SMPL-X, whose pelvis and chest are other triangles than SMPL's.
+        // The joints of SMPL-X. The triangles at its pelvis and chest differ from SMPL's.
         let joints = joints_of_motion(&wandering("proportions", 40), &skeleton);
         let directions = directions_of_joints(&joints).expect("bones");
         let leg = body_leg(&skeleton);

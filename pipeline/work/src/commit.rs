@@ -193,7 +193,7 @@ fn already_committed(plan: &Plan) -> Result<Committed, Error> {
     })
 }
 
-/// Pieces that failed, as rows of the table of quarantined items, for jobs whose items are not source files.
+/// Failed pieces as rows of the quarantine table, for jobs whose items are not source files.
 #[derive(Clone, Debug, Default)]
 pub struct Quarantine {
     rows: Vec<QuarantineRow>,
@@ -230,7 +230,8 @@ impl Quarantine {
         (made, quarantine)
     }
 
-    /// Adds the table to those of a commit, and returns the counts; nothing where no piece failed.
+    /// Adds the quarantine table to the tables of a commit, and returns the counts. If no piece failed, it adds nothing
+    /// and returns `None`.
     ///
     /// # Errors
     /// The table cannot be written.

@@ -10,7 +10,7 @@ use datasets_spec::{Dataset, Skeleton, Split};
 
 use crate::{Error, Quarantine};
 
-/// Commits items and edits of them together.
+/// Commits items and the edits of these items together.
 ///
 /// # Errors
 /// The folder is locked or cannot be written.
@@ -27,7 +27,7 @@ pub fn commit_edits(
     commit_edits_in(transaction, items, edits, skeleton, plan_hash, &none)
 }
 
-/// [`commit_edits`] within a transaction that has begun, with the pieces that failed.
+/// As [`commit_edits`], in a transaction that has begun, and with the pieces that failed.
 ///
 /// # Errors
 /// The folder cannot be written.

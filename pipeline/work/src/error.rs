@@ -8,7 +8,7 @@ use datasets_spec::Code;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The folder of an export exists.
+    /// A folder that a run would make already exists and is not empty.
     #[error("{} exists and is not empty; name a new folder", path.display())]
     Occupied {
         /// The folder.

@@ -13,15 +13,15 @@ use datasets_spec::store::temporary_beside;
 
 use crate::Error;
 
-/// Begin and end of the name of a partial folder. The destination is not part of it: with more characters, a name of
-/// the longest length would be too long.
+/// Begin and end of the name of a partial folder. The destination's name is not part of it: a name of the maximum
+/// length would become too long.
 const BEGIN: &str = "stance";
 const END: &str = "partial";
 /// Contents of a partial folder: the new folder, and the locked file.
 const CONTENT: &str = "new";
 const LOCK: &str = "LOCK";
 
-/// Whether a file or a folder that is not empty is at the path of a new folder.
+/// Whether a file or a non-empty folder exists at `out`.
 pub fn is_occupied(out: &Path) -> bool {
     match fs::read_dir(out) {
         Ok(mut entries) => entries.next().is_some(),
@@ -90,7 +90,7 @@ impl NewFolder {
         &self.content
     }
 
-    /// Partial folders of another machine beside it; that machine may still be writing them.
+    /// Partial folders of other machines beside this one; those machines may still be writing them.
     pub fn left_by_others(&self) -> Vec<PathBuf> {
         self.abandoned.clone()
     }
@@ -110,12 +110,12 @@ impl Drop for NewFolder {
     }
 }
 
-/// A lock of a partial folder; without a file where the file system has no locks.
+/// The lock of a partial folder; `file` is `None` if the file system has no locks.
 struct Held {
     file: Option<File>,
 }
 
-/// Locks a partial folder that this process made; none if another process removed it meanwhile.
+/// Locks a partial folder that this process made; `None` if another process removed it or is removing it.
 fn lock(place: &Path) -> io::Result<Option<Held>> {
     let path = place.join(LOCK);
     let opened = File::options()
@@ -137,11 +137,11 @@ fn lock(place: &Path) -> io::Result<Option<Held>> {
         // No other process can lock it either, so none can mistake the folder for an abandoned one.
         Err(TryLockError::Error(_)) => None,
     };
-    // Locking a file that was removed since it was opened succeeds too.
+    // A file that was removed after it was opened can be locked too.
     Ok(path.exists().then_some(Held { file }))
 }
 
-/// Removes partial folders in a folder whose process has ended, and returns those of other machines, whose processes
+/// Removes the partial folders in `parent` whose process has ended. Returns those of other machines, whose processes
 /// cannot be checked. Folders that cannot be removed are left to the next run.
 fn remove_abandoned(parent: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(parent).into_iter().flatten().flatten();
@@ -204,8 +204,9 @@ fn machine() -> String {
     format!("{} {}", said("random/boot_id"), said("hostname"))
 }
 
-/// Whether a lock file names this machine: containers of one machine differ in name, and a restarted machine differs in
-/// boot id. An empty file belongs to a process that was killed right after it made the file.
+/// Whether a lock file names this machine by its boot id or by its host name: containers of one machine differ in host
+/// name, and a restarted machine differs in boot id. An empty file belongs to a process that was killed right after it
+/// made the file.
 fn is_this_machine(said: &str, own: &str) -> bool {
     let (said, own) = (said.trim_end(), own.trim_end());
     let mut names = said.split(' ').zip(own.split(' '));

@@ -40,7 +40,7 @@ pub trait Job: Send + Sync {
     ) -> Result<Committed, Error>;
 }
 
-/// Notes of a piece for the commit.
+/// Parses the notes that a job left with a piece for its commit.
 ///
 /// # Errors
 /// The notes are those of another job.
@@ -58,7 +58,7 @@ pub type Open = Box<dyn Fn(&Plan) -> Result<Box<dyn Job>, Failed> + Send + Sync>
 pub struct Jobs(BTreeMap<&'static str, Open>);
 
 impl Jobs {
-    /// No job.
+    /// Knows no job.
     pub fn none() -> Self {
         Self(BTreeMap::new())
     }

@@ -71,10 +71,10 @@ impl Piece {
         }
     }
 
-    /// Inputs of the job for this piece.
+    /// Parses the field `detail`.
     ///
     /// # Errors
-    /// The detail is of another job.
+    /// The detail is that of another job.
     pub fn detail<T: DeserializeOwned>(&self) -> Result<T, Error> {
         serde_json::from_str(&self.detail).map_err(|error| Error::BadPlan {
             path: PathBuf::from("pieces.parquet"),

@@ -26,7 +26,7 @@ const VERSION: u32 = 2;
 const TOOL_VERSION: &str = concat!("stance ", env!("CARGO_PKG_VERSION"));
 const HEADER: &str = "plan.json";
 const PIECES: &str = "pieces.parquet";
-/// Note of a commit to a folder of files.
+/// File with the result of a commit to a folder of files.
 const COMMITTED: &str = "committed.json";
 /// Folder of files before it is published.
 const RESULT: &str = "result";
@@ -60,13 +60,13 @@ struct Header {
 pub struct Draft {
     /// The job.
     pub job: &'static str,
-    /// Settings of the plan.
+    /// Settings of the job.
     pub settings: Value,
     /// Destination of the result.
     pub destination: PathBuf,
     /// Whether the destination is a dataset; otherwise it is a folder of files.
     pub is_dataset: bool,
-    /// Hash of everything that decides about the result.
+    /// Hash of everything that determines the result.
     pub plan_hash: String,
     /// Version of the dataset that the plan starts from, by [`Staging::base`].
     pub base: (u64, BTreeSet<String>),
@@ -155,7 +155,7 @@ pub fn hash_file(path: &Path) -> Result<String, Error> {
     ByPath.hash(path).map_err(Error::io("read", path))
 }
 
-/// A path that is valid for every worker.
+/// The absolute path, which is valid for every worker; a URL stays as it is.
 ///
 /// # Errors
 /// The path is empty, or the current folder is gone.
@@ -173,11 +173,11 @@ pub enum State {
     Open,
     /// The plan was committed.
     Committed,
-    /// The destination has another version now, with this number.
+    /// The destination changed, and has this version now; 0 for a folder of files.
     Changed(u64),
 }
 
-/// A plan that was made.
+/// A plan in a folder.
 #[derive(Clone, Debug)]
 pub struct Plan {
     path: PathBuf,
@@ -233,7 +233,7 @@ impl Plan {
         &self.header.job
     }
 
-    /// Hash of everything that decides about the result.
+    /// Hash of everything that determines the result.
     pub fn hash(&self) -> &str {
         &self.header.plan_hash
     }
@@ -289,15 +289,15 @@ impl Plan {
         self.home().join(RESULT)
     }
 
-    /// Renames the folder at [`Plan::result`] to the destination. A note is written before and after, so that the next
-    /// commit sees whether a killed one had renamed it.
+    /// Renames the folder at [`Plan::result`] to the destination. `committed` is written to a file before and after, so
+    /// that the next commit sees whether a commit that was killed had renamed the folder.
     pub fn publish(&self, committed: &Committed) -> Result<(), Error> {
         write_json(&self.home().join(COMMITTED), committed)?;
         publish(&self.result(), self.destination())?;
         self.settle(committed)
     }
 
-    /// Keeps the note of a published folder with the plan, and removes its pieces.
+    /// Keeps the result of the commit in the folder of the plan, and removes the pieces.
     pub(crate) fn settle(&self, committed: &Committed) -> Result<(), Error> {
         let kept = self.path.join(COMMITTED);
         let text = serde_json::to_vec_pretty(committed).expect("notes are numbers and texts");
@@ -310,7 +310,8 @@ impl Plan {
         }
     }
 
-    /// Notes of the commit of a folder of files.
+    /// The result of the commit to a folder of files; `None` if there was none. Completes a commit that was killed
+    /// after the rename.
     pub(crate) fn published(&self) -> Result<Option<Committed>, Error> {
         let kept = self.path.join(COMMITTED);
         if kept.is_file() {

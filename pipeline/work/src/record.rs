@@ -94,7 +94,7 @@ impl Failed {
         }
     }
 
-    /// The failure of an error with its causes; `E-FAILED` if the error has no code.
+    /// Describes an error with its causes; the code is `E-FAILED` if the error has none.
     pub fn of(code: Option<datasets_spec::Code>, error: &dyn StdError) -> Self {
         let mut reason = error.to_string();
         let mut cause = error.source();
@@ -128,7 +128,7 @@ impl From<datasets_spec::Error> for Failed {
     }
 }
 
-/// A piece that is staged: its record, and what its job notes for the commit.
+/// A staged piece: its record, and the job's notes for the commit.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Stored {
     pub record: Record,
@@ -144,7 +144,7 @@ pub fn keep(staging: &Staging, piece: &Piece, made: Made) -> Result<(), Error> {
     Ok(staging.put(&piece.id, &stored)?)
 }
 
-/// A staged piece, if its files are complete. Only their hashes are checked.
+/// A staged piece; `None` if a file of it is missing or differs from its size or hash.
 pub fn staged(staging: &Staging, piece: &str) -> Result<Option<Stored>, Error> {
     let Some(stored) = staging.get::<Stored>(piece) else {
         return Ok(None);
@@ -206,7 +206,7 @@ pub struct Committed {
     pub failed: u64,
     /// Rows of each table.
     pub tables: BTreeMap<String, u64>,
-    /// Counts of the sources, for a job that has some.
+    /// Counts of the sources, if the job has any.
     pub accounting: Option<Accounting>,
     /// Hash over all files.
     pub root_hash: String,

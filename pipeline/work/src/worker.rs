@@ -32,7 +32,7 @@ pub struct Sample {
 }
 
 impl Worker {
-    /// Opens a plan for some jobs.
+    /// Opens a plan; `jobs` are those that this program knows.
     ///
     /// # Errors
     /// As [`Plan::open`].
@@ -87,7 +87,7 @@ impl Worker {
     /// Records that a piece failed. A piece that exists is kept.
     pub fn fail(&self, piece: &Piece, failed: Failed, secs: f64) -> Record {
         let record = Record::failed(piece, failed, secs);
-        // On a full disk the record cannot be kept either; the piece is then missing and not failed.
+        // On a full disk the record cannot be kept either; the piece then counts as missing, not as failed.
         let _kept = self.staging.put(&failed_name(&piece.id), &record);
         record
     }
@@ -117,7 +117,8 @@ impl Worker {
         Ok(stored.record)
     }
 
-    /// Makes some items of the largest piece without keeping them, to time them.
+    /// Makes up to `count` items of the largest piece without keeping them, to time them. `None` if the plan has no
+    /// piece.
     ///
     /// # Errors
     /// The items cannot be made.

@@ -16,8 +16,8 @@ const EPS: f64 = 1e-8;
 /// Translation in metres and rotation vectors in radians of a frame, `[69]`.
 pub type Parameters = [f64; PARAMETERS];
 
-/// A fit by Adam. The mean squared distance of all coordinates of all frames is minimised, with
-/// the gradient in closed form.
+/// A fit by Adam. It minimises the mean squared error over all coordinates of the counted keypoints of all frames; the
+/// gradient is in closed form.
 ///
 /// # Source
 /// Paper App. B.3 and the released `optimize_smpl`.
@@ -72,7 +72,7 @@ impl AdamFit {
         }
     }
 
-    /// The parameters of poses.
+    /// The parameters of poses, `[T, 69]`.
     pub fn parameters_of(poses: &[Pose]) -> Vec<Parameters> {
         poses
             .iter()
@@ -164,9 +164,10 @@ impl Body {
 
     /// The sum of squared distances to the target in m², and its gradient.
     ///
-    /// A small rotation `w` of a joint moves a point at offset `r` by `w x r`, so the gradient of `w` is the sum of `r
-    /// x f` over all points below the joint, where `f` is the gradient of a point. A change `dv` of a rotation vector
-    /// `v` is the rotation `J(v) dv` in the axes of the parent, with `J` the left Jacobian.
+    /// A small rotation `w` of a joint moves a point at offset `r` by `w x r`. So the gradient with respect to `w` is
+    /// the sum of `r x f` over all points below the joint, where `f` is the gradient with respect to the point. A
+    /// change `dv` of a rotation vector `v` is the rotation `J(v) dv` in the axes of the parent, with `J` the left
+    /// Jacobian.
     fn gradient(
         &self,
         parameters: &Parameters,
@@ -263,7 +264,7 @@ mod tests {
                 more[index] += STEP;
                 less[index] -= STEP;
                 let slope = (cost(&more) - cost(&less)) / (2.0 * STEP);
-                // Truncation error of the finite difference: third derivative times squared step, for a cost of about
+                // The finite difference errs by about the third derivative times the squared step. The cost is about
                 // 50 m².
                 prop_assert!((gradient[index] - slope).abs() < 1e-6, "{index}");
             }

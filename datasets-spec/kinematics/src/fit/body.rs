@@ -65,13 +65,12 @@ impl<'a> Fitter<'a> {
         sum / count.max(1) as f64
     }
 
-    /// Interpolates, with weight `alpha`, from `own` to the pose that changes from `before` as `own` does
-    /// from `own_before`.
+    /// Interpolates by `alpha` from `own` to `before` moved by the change from `own_before` to `own`.
     pub(super) fn carried(&self, own: &Pose, before: &Pose, own_before: &Pose, alpha: f64) -> Pose {
         let [own, before, own_before] = [own, before, own_before].map(|pose| self.body_of(pose));
         let mut body = own.clone();
         for joint in 0..NUM_BODY_JOINTS {
-            // In the joint's local axes, so that the result does not depend on the heading of the body.
+            // The change is in the joint's local axes, so that the result does not depend on the heading of the body.
             let turn = own_before.global[joint].inverse() * own.global[joint];
             let carried = (before.global[joint] * turn).normalize();
             body.global[joint] = slerp(own.global[joint], carried, alpha);

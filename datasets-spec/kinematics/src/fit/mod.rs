@@ -3,11 +3,11 @@
 //! The position of a point relative to its parent depends only on the *global* rotation of the
 //! parent, so the unknowns are global rotations. The normal matrix then couples a joint only to its
 //! ancestors: elimination from the leaves to the root causes no fill-in, and a step takes a few
-//! microseconds instead of a dense 69 x 69 factorisation.
+//! microseconds, without a dense 69 x 69 factorisation.
 //!
-//! The twist of a joint with a single keypoint child about that bone is unobservable, and the ends of
-//! the feet have no child. The start pose sets these angles by anatomy (see [`fit_pose`]); the damped
-//! steps never move them.
+//! If a joint has one keypoint child, its twist about the bone to that child is unobservable. So is the rotation of the
+//! ends of the feet, which have no child. The start pose sets these angles (see [`fit_pose`]); the damped steps never
+//! move them.
 
 mod adam;
 mod body;
@@ -124,8 +124,8 @@ fn fit_frames<'a>(
     let mut poses: Vec<Pose> = Vec::with_capacity(frames.len());
     let mut error_m = Vec::with_capacity(frames.len());
     for (frame, target) in frames.iter().enumerate() {
-        // Each frame starts independently: twists carried over from the frame before would drift with
-        // the swing of the limbs.
+        // Without `continuity`, no frame starts from the one before: twists that are carried over would drift with the
+        // swing of the limbs.
         let own = twists(frame);
         let held = options.continuity * fitter.squared_drift(target);
         let carried = own
@@ -154,8 +154,7 @@ fn fit_frames<'a>(
 }
 
 impl Fitter<'_> {
-    /// Fits a frame, starting at `init`; `prior` pulls rotations towards it with weight `held` in
-    /// m^2/rad^2.
+    /// Fits a frame, starting at `init`. Rotations are pulled towards `prior` with weight `held` in m^2/rad^2.
     fn fit(
         &self,
         target: &KeypointFrame,
@@ -193,7 +192,7 @@ impl Fitter<'_> {
                 damping *= DAMPING_FACTOR;
                 curved = false;
             }
-            // A step this short that raises the cost is rounding noise.
+            // So short a step ends the fit even if it raised the cost, which is then rounding noise.
             if moved_m <= self.options.tolerance_m {
                 break;
             }

@@ -16,16 +16,16 @@ pub struct FitOptions {
     pub max_iterations: u32,
     /// The fit ends when no point moves further than this in a step, in metres.
     pub tolerance_m: f64,
-    /// Weight in m^2/rad^2 of the squared angle between a joint's global rotation and its start
-    /// ([`super::fit_pose`], [`super::fit_motion_from`]) or the frame before ([`super::fit_motion`]). At
-    /// 0, the default, exact keypoints are recovered exactly; about 1e-4 smooths jittering points, and
-    /// also keeps unobservable twists as in the first frame.
+    /// Weight in m^2/rad^2 of the squared angle between each joint's global rotation and that in the given pose
+    /// ([`super::fit_pose`], [`super::fit_motion_from`]) or in the frame before ([`super::fit_motion`]). At 0, the
+    /// default, exact keypoints are recovered exactly. About 1e-4 smooths jittering points; in [`super::fit_motion`] it
+    /// also keeps the unobservable twists of the first frame.
     pub smoothness: f64,
-    /// Temporal prior of [`super::fit_motion_from`] for points that do not lie on the body. The prior continues the
-    /// fitted frame before by the change of the given poses; its weight on the squared angle of each global rotation is
-    /// `continuity` times the frame's mean squared error of bone lengths. Set it to the inverse square of the angle in
-    /// radians by which motions are expected to differ in a frame. Points on the body are fitted exactly with any
-    /// value.
+    /// Temporal prior of [`super::fit_motion_from`] for points that do not lie on the body. The prior is the fitted
+    /// pose of the frame before, moved by the change between the given poses. Its weight on the squared angle of each
+    /// global rotation is `continuity` times the frame's mean squared error of bone lengths. Set it to the inverse
+    /// square of the angle in radians by which the two motions' changes per frame are expected to differ. Points on the
+    /// body are fitted exactly with any value.
     pub continuity: f64,
 }
 

@@ -9,14 +9,14 @@ use crate::pose::{KeypointFrame, Pose};
 use crate::rotation::{arc, from_axis_angle, slerp};
 use crate::skeleton::{NUM_BODY_JOINTS, parent_of};
 
-/// Sine of the bend at which a hinge sets half of a limb's twist. For smaller bends the plane is mostly
-/// noise: 1 cm on a 25 cm forearm tilts it by a sine of 0.04.
+/// Sine of the bend at which a hinge sets half of a limb's twist. Smaller bends are mostly noise: 1 cm at the end of a
+/// 25 cm forearm changes the sine by 0.04.
 const HINGE_SINE: f64 = 0.2;
 
 /// A limb whose twist about its own bone follows from the direction in which the next bone bends.
 struct Hinge {
     joint: usize,
-    /// Axis of the hinge at the far end in the rest pose; a positive rotation about it flexes.
+    /// Axis of the hinge at the bone's far end, in the rest pose; a positive rotation about it flexes.
     axis: DVec3,
 }
 
@@ -60,7 +60,7 @@ const TRIANGLES: [(usize, [usize; 3]); 5] = [
 ];
 
 impl Fitter<'_> {
-    /// An initial body from geometry only; exact if the keypoints lie on the skeleton.
+    /// An initial body from geometry only. Its points equal the targets if these lie on the skeleton.
     pub(super) fn start(&self, target: &KeypointFrame) -> Body {
         let mut global = [DQuat::IDENTITY; NUM_BODY_JOINTS];
         global[0] = self.aligned(target, 0).unwrap_or(DQuat::IDENTITY);
@@ -99,7 +99,7 @@ impl Fitter<'_> {
         }
     }
 
-    /// A body whose bones point at the target's, with the twists of `init`.
+    /// An initial body with the twists of `init` and its bones turned towards the targets.
     pub(super) fn start_from(&self, target: &KeypointFrame, init: &Pose, held: f64) -> Body {
         let mut global = init.rotations;
         for joint in 0..NUM_BODY_JOINTS {
@@ -116,8 +116,7 @@ impl Fitter<'_> {
         }
     }
 
-    /// The rotation of a joint with a triangle of points; none for other joints, or if one of the points
-    /// has no weight.
+    /// The rotation of a joint by its triangle of points; `None` if it has none, or if one of the points has no weight.
     fn aligned(&self, target: &KeypointFrame, joint: usize) -> Option<DQuat> {
         self.aligned_near(target, joint, DQuat::IDENTITY, 0.0)
     }
@@ -182,8 +181,8 @@ impl Fitter<'_> {
         ) else {
             return base;
         };
-        // A rotation about the hinge keeps the component of the next bone along it. Projected along
-        // the bone, the next one must be at the angle `wanted` from the hinge, towards flexion.
+        // A rotation about the hinge keeps the next bone's component along the hinge. Seen along this bone, the next
+        // one must therefore be at the angle `wanted` from the hinge, towards flexion.
         let Some(across) = (hinge.axis - bone * bone.dot(hinge.axis)).try_normalize() else {
             return base;
         };

@@ -71,8 +71,8 @@ impl Fitter<'_> {
     /// the bone to `c`. So the coupling of `j` with an ancestor `a`, whose bone towards `j` is `v`, is
     /// `(V . v) I - v V^T`, where `V` sums the bones of `j`, weighted by their subtrees.
     ///
-    /// With `curved`, the diagonal blocks get the remaining second derivative, the pulls along the bones.
-    /// It is large for points off the skeleton; without it, steps towards them converge linearly.
+    /// With `curved`, the diagonal blocks include the second derivative that Gauss-Newton leaves out: the pulls along
+    /// the bones. It is large for targets off the skeleton, where convergence is linear without it.
     pub(super) fn step(&self, now: &Evaluation, damping: f64, curved: bool, held: f64) -> Step {
         let ridge = DMat3::from_diagonal(DVec3::splat(damping + held));
         let mut diagonal = [ridge; NUM_BODY_JOINTS];
@@ -84,8 +84,8 @@ impl Fitter<'_> {
                 let (bone, weight) = (now.bones[child], self.subtree_weights[child]);
                 let pull = match (curved, TREE.num_children[joint]) {
                     (false, _) => DVec3::ZERO,
-                    // The pull across an only child vanishes at the minimum; elsewhere it would move
-                    // the free twist.
+                    // For an only child, the pull across its bone is left out: it vanishes at the minimum, and
+                    // elsewhere it would move the free twist.
                     (true, 1) => now.pulls[child].project_onto(bone),
                     (true, _) => now.pulls[child],
                 };

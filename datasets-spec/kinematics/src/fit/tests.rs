@@ -57,8 +57,8 @@ proptest! {
         let fit = fit_pose(&skeleton, &target, None, &FitOptions::default());
         let noise_m = clean.iter().zip(&target).map(|(a, b)| a.distance(*b)).sum::<f64>()
             / NUM_KEYPOINTS as f64;
-        // The least-squares body is at least as near as the true one in the mean square; the
-        // mean distance may exceed that by the spread of the distances.
+        // The fitted body is at least as near as the true one in the mean square; in the mean distance it may be a
+        // little farther.
         prop_assert!(fit.error_m < 1.1 * noise_m);
     }
 
@@ -79,8 +79,8 @@ proptest! {
                 .fold(now.pulls[0].length(), f64::max)
         };
         let fit = fit_pose(&skeleton, &target, None, &options);
-        // The last step is below 1e-5 m, and the step before it was not. Convergence is faster than linear, so the rest
-        // after the last step is a small part of 28 points times 1e-5 m.
+        // The last step is below 1e-5 m. Convergence is faster than linear, so the remaining slope is a small part of
+        // 28 points times 1e-5 m.
         prop_assert!(slope(&fit.pose) < 1e-4);
         prop_assert!(slope(&fitter.pose_of(&fitter.start(&target), None)) > 1e-3);
     }
@@ -194,7 +194,7 @@ fn points_off_the_body_do_not_flip_joints_and_points_on_it_are_met() {
             skeleton.keypoints(&pose)
         })
         .collect();
-    // Noise of 4 cm, as in generated points, on eyes and knuckles that are 3 to 8 cm apart.
+    // Noise of 4 cm, as in generated points; eyes and knuckles are only 3 to 8 cm apart.
     let trembling = (0..)
         .zip(&exact)
         .map(|(seed, points)| noisy(points, 0.04, seed));

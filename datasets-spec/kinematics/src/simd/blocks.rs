@@ -1,5 +1,5 @@
-//! Blocks of frames with a plane for every component, so that one instruction works on several
-//! frames; and poses gathered into them.
+//! Blocks of [`LANES`] frames with a plane for every component, so that one instruction works on several frames; and
+//! the conversion of poses to blocks and back.
 
 use glam::{DQuat, DVec3};
 
@@ -13,13 +13,13 @@ pub type Vectors<T = f64> = [[T; LANES]; 3];
 /// A quaternion in every frame of a block, by x, y, z, w.
 pub type Quaternions<T = f64> = [[T; LANES]; 4];
 
-/// One lane of some planes.
+/// The components of one lane.
 #[inline(always)]
 pub fn lane<T: Copy, const N: usize>(planes: &[[T; LANES]; N], lane: usize) -> [T; N] {
     std::array::from_fn(|component| planes[component][lane])
 }
 
-/// Writes one lane of some planes.
+/// Writes the components of one lane.
 #[inline(always)]
 pub fn set<T, const N: usize>(planes: &mut [[T; LANES]; N], lane: usize, value: [T; N]) {
     for (plane, value) in planes.iter_mut().zip(value) {
@@ -44,7 +44,7 @@ fn quaternions_of_any(vectors: &Vectors) -> Quaternions {
         let [x, y, z] = lane(vectors, at);
         longest = longest.max(x.abs().max(y.abs()).max(z.abs()));
     }
-    // A bound on the largest component leaves room for the other two.
+    // The length is at most sqrt(3) times the largest component.
     if longest < 0.5 * MAX_TURN {
         return quaternions(vectors);
     }
@@ -56,7 +56,7 @@ fn quaternions_of_any(vectors: &Vectors) -> Quaternions {
     out
 }
 
-/// Frame in a lane of the block that begins with frame `first`; past the end, the last one.
+/// The frame in lane `at` of the block that begins with frame `first`; past the end, the last frame.
 #[inline(always)]
 pub(crate) fn frame_of(first: usize, at: usize, num_frames: usize) -> usize {
     (first + at).min(num_frames - 1)
@@ -66,7 +66,7 @@ pub(crate) fn frame_of(first: usize, at: usize, num_frames: usize) -> usize {
 pub(crate) trait Frames: Copy {
     fn len(self) -> usize;
     fn transl(self, frame: usize) -> [f64; 3];
-    /// The local rotations of a joint in the frames from `first` on.
+    /// The local rotations of a joint in the block that begins with frame `first`.
     fn turns(self, first: usize, joint: usize) -> Quaternions;
 }
 

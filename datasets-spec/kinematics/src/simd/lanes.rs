@@ -9,7 +9,7 @@
 
 use pulp::Arch;
 
-/// Numbers in a block: two to four vectors of `f64`, depending on the machine.
+/// Numbers in a block: two vectors of `f64` with AVX-512, four with AVX2, eight with NEON.
 pub const LANES: usize = 16;
 
 /// Loops for [`dispatch`]. [`Kernel::run`] and everything it calls must be `#[inline(always)]`: a

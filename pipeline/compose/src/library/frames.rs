@@ -95,7 +95,7 @@ impl FrameFile {
             .ok_or_else(|| damaged(&path, "it was removed or changed as soon as it was written"))
     }
 
-    /// The file at a path; none if it does not exist or is incomplete.
+    /// The file at a path; `None` if it does not exist or is incomplete.
     fn found(path: &Path, num_frames: u64, fps: Fps) -> Result<Option<Self>, Error> {
         let file = match Disk.open_at(path) {
             Ok(file) => file,
@@ -197,7 +197,7 @@ impl FrameWriter {
         written.map_err(|source| self.unwritten(source))
     }
 
-    /// Appends the motions of clips, given their lengths in frames. A few hundred are in memory at a time.
+    /// Appends the motions of clips, given their lengths in frames; at most [`CLIPS_IN_MEMORY`] are in memory at once.
     pub(super) fn extend(
         &mut self,
         lens: &[usize],

@@ -30,7 +30,7 @@ pub use rows::{check_mask, check_pair, motion_on};
 #[derive(Clone, Debug)]
 pub(super) struct Clip {
     pub(super) id: MotionId,
-    /// Number shared by all clips of one source clip: mirrored and cropped copies.
+    /// Number shared by all clips that are made from one source clip, such as mirrored and cropped copies.
     pub(super) origin: usize,
     /// Kind of the clip's source.
     pub(super) source: Arc<str>,
@@ -161,7 +161,7 @@ impl Library {
         &self.skeleton
     }
 
-    /// Number of motions.
+    /// Number of motions, time-warped copies included.
     pub fn num_motions(&self) -> usize {
         self.clips.len()
     }
@@ -207,8 +207,8 @@ impl Library {
         &captured[found.expect("a motion of this library")]
     }
 
-    /// Other captures of the same action in the same style; none if the action is not known. Targets of fine-grained
-    /// pairs are left out: they vary the action in a way that no label states.
+    /// Other captures of the same action in the same style; empty if the action is not known. Targets of fine-grained
+    /// pairs neither have nor are other takes: they vary the action in a way that no label states.
     pub(super) fn other_takes(&self, target: &Clip) -> impl Iterator<Item = &Clip> {
         let varied: BTreeSet<&MotionId> = self
             .pairs

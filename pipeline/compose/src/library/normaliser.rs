@@ -10,7 +10,7 @@ use super::Library;
 use crate::config::RangeRule;
 use crate::{ComposeConfig, Error};
 
-/// Limit on the windows a normaliser is fitted on. The quantiles of 13 million coordinates per axis
+/// Limit on the windows a normaliser is fitted on. The quantiles of 4.5 million coordinates per axis
 /// are accurate to about 1e-4 of the distribution; more windows would only take memory.
 const MAX_RANGE_WINDOWS: usize = 10_000;
 

@@ -24,7 +24,7 @@ pub(crate) enum Subject {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pairing {
     pub(crate) subject: Subject,
-    /// Index of the clip from the base: the source of a semantic edit, the donor of a pair; none for
+    /// Index of the clip from the base: the source of a semantic edit, or the donor of a pair; `None` for
     /// a pair without a donor.
     pub(crate) partner: Option<usize>,
     /// Half of the body that a blended pair is edited in.
@@ -32,9 +32,9 @@ pub(crate) struct Pairing {
     pub(crate) alpha: f64,
     /// Position of the chosen wording among all wordings of the instruction, in [0, 1).
     pub(crate) wording: f64,
-    /// Overlap of the partner with the annotated motion, or of the two motions of a pair.
+    /// Common frames of the partner and the annotated motion, or of the two motions of a pair.
     pub(crate) crop: Crop,
-    /// Overlap of the donor with the pair's common frames (whole-clip triplets only).
+    /// Common frames of the donor and of `crop` (whole-clip triplets only).
     pub(crate) donor: Crop,
 }
 
@@ -114,7 +114,7 @@ impl Library {
         }
     }
 
-    /// Halves of the body that a pair may be edited in; none for an annotation, which has a mask.
+    /// Halves of the body that a pair may be edited in; empty for an annotation, which has a mask.
     pub(crate) fn halves_of(&self, subject: Subject) -> &[BodyPart] {
         match subject {
             Subject::Annotation(_) => &[],

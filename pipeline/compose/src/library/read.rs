@@ -79,7 +79,7 @@ impl Library {
         let num_frames = all().map(|clip| len_of(clip) as u64).sum();
         let file = FrameFile::open(cache, &key, num_frames, fps, |writer| {
             for (path, _, clips) in &shards {
-                // The cached file stays valid: its name contains the hash of its inputs.
+                // All rows are read, and the cache keeps them, so a file at a URL is verified first.
                 let shard = ShardReader::open_whole(path)?;
                 let lens: Vec<usize> = clips.iter().map(|(_, clip)| len_of(clip)).collect();
                 writer.extend(&lens, |places| motions_of(&shard, &clips[places]))?;

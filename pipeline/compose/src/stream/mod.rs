@@ -221,9 +221,9 @@ impl Stream {
     /// Composes the items `first_item..first_item + num_items` of an epoch. The bytes are the same
     /// on any number of threads.
     ///
-    /// Original and edited windows are each canonicalised by their own first frame: the model sees every
-    /// original window as a canonical segment, and its fixed frames are in the canonical frame of the
-    /// edited window.
+    /// Original and edited windows are each canonicalised by their own first frame. So the model sees every
+    /// original window as a canonical segment, and the fixed frames it is given are in the canonical frame of
+    /// the edited window.
     ///
     /// # Errors
     /// The motions cannot be read.
@@ -392,7 +392,7 @@ impl Stream {
         self.seed.derive(&["compose", &epoch.to_string()])
     }
 
-    /// Reads the frames of a window into `room`; only `parts` of them hold values.
+    /// Reads the frames of a window into `room`; only `parts` of them are computed.
     pub(super) fn window_of<'a>(
         &self,
         at: WindowPlace,
@@ -506,7 +506,7 @@ pub(super) fn item_rng(epoch_seed: Seed, item: u64) -> Rng {
 struct DrawnWindow<'a> {
     /// Windows before and after the edit; before a semantic edit there is only the partner.
     windows: [Option<WindowPlace>; 2],
-    /// The partner's window, which the source is blended with.
+    /// The partner's window, which takes joints of the others.
     under: Option<WindowPlace>,
     plan: Option<&'a BlendPlan>,
     alpha: f64,

@@ -1,5 +1,4 @@
-//! The recipe on blocks of frames, with an array over the frames per coordinate, so that loops over a
-//! block vectorise.
+//! The recipe on blocks of frames. Each coordinate has an array over the frames of a block, so that loops vectorise.
 //!
 //! Positions are computed in `f64`, rotations in `f32`: they depend on bone directions alone, which `f32`
 //! holds to 1e-7, and the features are stored in `f32`.
@@ -56,7 +55,7 @@ impl Placement {
         DVec3::new(x, moved.y, z)
     }
 
-    /// A direction on the ground, after the rotation.
+    /// Rotates a direction on the ground.
     #[inline(always)]
     pub(super) fn turned(&self, [x, z]: [f64; 2]) -> [f64; 2] {
         see(self.turn.y, self.turn.x, x, z)
@@ -124,8 +123,8 @@ impl Clip {
         lowest.into_iter().fold(f64::INFINITY, f64::min)
     }
 
-    /// The forward vector on the ground, x and z, of every frame: as in the published inverse kinematics, which swaps
-    /// the hips and not the shoulders.
+    /// The forward vector on the ground, x and z, of every frame. As in the published inverse kinematics, the hips are
+    /// swapped and the shoulders are not.
     pub(super) fn forwards(&self) -> Vec<[f64; 2]> {
         let mut forwards = Vec::with_capacity(self.blocks.len() * LANES);
         for block in &self.blocks {
@@ -185,8 +184,8 @@ impl Clip {
     }
 }
 
-/// Sets the bones of a block to their lengths and keeps their directions. Returns a mask of the frames in
-/// which every bone has a direction (all bits set).
+/// Sets the bones of a block to their lengths and keeps their directions. Returns a mask for each frame: all bits are
+/// set if every bone has a direction.
 struct LayBones<'a> {
     source: &'a Block,
     bones: &'a [f64; NUM_BODY_JOINTS],
@@ -216,7 +215,7 @@ impl Kernel for LayBones<'_> {
     }
 }
 
-/// The features of a clip, into rows of frames.
+/// Writes the features of a clip, a row for each frame.
 struct WriteFeatures<'a> {
     clip: &'a Clip,
     placement: Placement,
@@ -271,12 +270,13 @@ fn square([x, y, z]: [f64; 3]) -> f64 {
 /// All bits set if a bone of this squared length has a direction.
 #[inline(always)]
 fn is_sound(squared: f64) -> u64 {
-    // Also false for a NaN length. Directions are computed in f32.
+    // False for NaN too. The upper bound is there because directions are computed in f32.
     let sound = squared > SHORTEST_BONE_M * SHORTEST_BONE_M && squared < f64::from(f32::MAX);
     if sound { u64::MAX } else { 0 }
 }
 
-/// The first joint of a block without a position or bone, if any.
+/// Returns an error that names the first frame of a block with an unsound bone, and the joint at its end; the root if
+/// the root has no finite position.
 fn check(sound: &[u64; LANES], block: &Block, start: usize) -> Result<(), FeatureError> {
     let Some(lane) = sound.iter().position(|&sound| sound == 0) else {
         return Ok(());
@@ -406,8 +406,8 @@ fn turn_root((cosines, sines): Angles<'_>, root: &mut Turns) {
     }
 }
 
-/// The first two columns of each joint's rotation relative to the one before it in its chain, given the
-/// root's. A joint's rotation takes the rest axis of the bone that ends in it to the bone's direction.
+/// Writes the first two columns of each joint's rotation relative to the joint before it in its chain. `turns[0]` holds
+/// the root's rotation. A joint's rotation takes the rest axis of the bone that ends in it to the bone's direction.
 #[inline(always)]
 fn write_rotations(run: &Run, turns: &mut [Turns; NUM_BODY_JOINTS], columns: &mut Columns) {
     let (columns, _) = columns[67..193].as_chunks_mut::<6>();
@@ -476,7 +476,7 @@ fn turn_from_axis<const AXIS: usize>(sign: f32, directions: &Vectors<f32>, turns
     }
 }
 
-/// Vectors in the local frames of rotations: transposes times vectors.
+/// Expresses vectors in the local frames of rotations: transposes times vectors.
 #[inline(always)]
 fn see_column(turns: &Turns, vectors: &Vectors<f32>, seen: &mut [[f32; LANES]]) {
     for (seen, axis) in seen.iter_mut().zip(turns) {

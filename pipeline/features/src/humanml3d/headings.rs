@@ -12,8 +12,8 @@ const SMOOTHING_REACH: usize = 80;
 /// Frames smoothed at a time: their sums stay in registers.
 const SMOOTHED_AT_ONCE: usize = 8;
 
-/// The rotation about the vertical from the root's heading to +z, for every frame of a clip in blocks and one more:
-/// sine and cosine of the angle and of its half.
+/// The rotation about the vertical from the root's heading to +z: sine and cosine of the angle and of its half. There
+/// is one for every frame of a clip, padded to whole blocks, and one more.
 pub(super) struct Headings {
     cosine: Vec<f64>,
     sine: Vec<f64>,
@@ -22,8 +22,8 @@ pub(super) struct Headings {
 }
 
 impl Headings {
-    /// Smooths the forward vectors of at least one frame. The first frame has no heading, whatever
-    /// its forward vector says, as published.
+    /// Smooths the forward vectors of at least one frame. As published, the first frame counts as facing +z, whatever
+    /// its forward vector says.
     pub(super) fn of(forwards: &[[f64; 2]]) -> Self {
         let count = forwards.len().next_multiple_of(LANES) + 1;
         let mut headings = Self {
@@ -37,7 +37,7 @@ impl Headings {
         for ((cosine, sine), (half_cosine, half_sine)) in wholes.zip(halves) {
             let (ahead, aside) = (*cosine, -*sine);
             let length = (ahead * ahead + aside * aside).sqrt();
-            // A forward vector without length has no heading.
+            // A forward vector without length counts as +z.
             let inverse = if length > 0.0 { 1.0 / length } else { 0.0 };
             *cosine = if length > 0.0 { ahead * inverse } else { 1.0 };
             *sine = aside * inverse;
@@ -79,7 +79,7 @@ fn run(values: &[f64], index: usize) -> &[f64; LANES + 1] {
         .expect("headings reach one frame past the last block")
 }
 
-/// A Gaussian over one coordinate of the frames with clamped ends, for `count` frames.
+/// Smooths one coordinate of the frames by the Gaussian. The end frames are repeated, and `count` values returned.
 fn smoothed(values: &[[f64; 2]], coordinate: usize, count: usize) -> Vec<f64> {
     let last = values.len() - 1;
     let chunks = count.div_ceil(SMOOTHED_AT_ONCE);
@@ -125,7 +125,7 @@ impl Kernel for Smooth<'_> {
     }
 }
 
-/// The kernel from its centre to its reach.
+/// Weights of the Gaussian from its centre outwards.
 fn weights() -> [f64; SMOOTHING_REACH + 1] {
     let gaussian: [f64; SMOOTHING_REACH + 1] =
         std::array::from_fn(|step| (-0.5 * (step as f64 / SMOOTHING_FRAMES).powi(2)).exp());

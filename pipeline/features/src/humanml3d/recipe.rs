@@ -82,8 +82,7 @@ pub(super) const REST_AXES: [DVec3; NUM_BODY_JOINTS] = {
     ]
 };
 
-/// The joint whose rotation each joint's is relative to: its parent, except for the joints that begin a chain, whose
-/// rotations are relative to the root's.
+/// For each joint, the joint that its rotation is relative to: the root if it begins a chain, otherwise its parent.
 pub(super) const RELATIVE_TO: [usize; NUM_BODY_JOINTS] = {
     let mut relative_to = [0; NUM_BODY_JOINTS];
     let mut joint = 0;
@@ -124,9 +123,9 @@ pub enum FeatureError {
         kinematics::skeleton::JOINT_NAMES[*joint]
     )]
     NoDirection {
-        /// The joint.
+        /// Index of the joint.
         joint: usize,
-        /// The frame.
+        /// Index of the frame.
         frame: usize,
     },
     /// Recovered features do not give a motion of a body.
