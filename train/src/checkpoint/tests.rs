@@ -1,0 +1,89 @@
+use datasets_spec::Skeleton;
+
+use super::*;
+
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Settings {
+    width: usize,
+    rate: f64,
+}
+
+fn record(width: usize) -> RunRecord<Settings> {
+    // The shortest decimal form of this number needs 17 digits.
+    let rate = 0.1 + 0.2;
+    let settings = Settings { width, rate };
+    RunRecord::new("test", "hash", &Skeleton::smplx_neutral(), settings)
+}
+
+fn files(value: u8) -> Files {
+    [("a.bin".to_owned(), vec![value; 9])].into()
+}
+
+#[test]
+fn a_run_is_opened_again_by_the_same_settings_alone() {
+    let dir = tempfile::tempdir().expect("a folder");
+    Run::open(dir.path(), &record(4)).expect("started");
+    Run::open(dir.path(), &record(4)).expect("opened again");
+    let other = Run::open(dir.path(), &record(8));
+    assert!(matches!(other, Err(Error::OtherRun { field, .. }) if field == "config.width"));
+    let read: RunRecord<Settings> = read_record(dir.path(), "test").expect("read");
+    assert_eq!(read.config.width, 4);
+    let error = read_record::<Settings>(dir.path(), "tmr").expect_err("another kind");
+    assert!(error.to_string().contains("is not a tmr run"), "{error}");
+}
+
+/// A folder with a run.
+fn started() -> (tempfile::TempDir, Run) {
+    let dir = tempfile::tempdir().expect("a folder");
+    let run = Run::open(dir.path(), &record(4)).expect("started");
+    (dir, run)
+}
+
+#[test]
+fn a_checkpoint_is_replaced_whole_and_survives_a_crash_between_renames() {
+    let (dir, run) = started();
+    assert!(read(dir.path(), Slot::Last).expect("read").is_none());
+    run.write(Slot::Last, &files(1)).expect("written");
+    run.write(Slot::Last, &files(2)).expect("written");
+    assert_eq!(read(dir.path(), Slot::Last).expect("read"), Some(files(2)));
+    assert!(read(dir.path(), Slot::Best).expect("read").is_none());
+
+    let checkpoints = dir.path().join("checkpoint");
+    fs::rename(checkpoints.join("last"), checkpoints.join(".last.old")).expect("renamed");
+    assert_eq!(read(dir.path(), Slot::Last).expect("read"), Some(files(2)));
+}
+
+#[test]
+fn a_damaged_checkpoint_is_refused_with_the_reason() {
+    let (dir, run) = started();
+    let path = dir.path().join("checkpoint/last/a.bin");
+    for (bytes, reason) in [
+        (Some(vec![1; 8]), "8 bytes"),
+        (Some(vec![7; 9]), "BLAKE3"),
+        (None, "missing"),
+    ] {
+        run.write(Slot::Last, &files(1)).expect("written");
+        match bytes {
+            Some(bytes) => fs::write(&path, bytes).expect("damaged"),
+            None => fs::remove_file(&path).expect("removed"),
+        }
+        let error = read(dir.path(), Slot::Last).expect_err(reason);
+        assert!(error.to_string().contains(reason), "{error}");
+    }
+}
+
+#[test]
+fn the_log_is_rewound_to_the_checkpoint() {
+    let (dir, run) = started();
+    run.rewind_log(3).expect("nothing to rewind");
+    for step in [2, 4, 6] {
+        run.log(&serde_json::json!({ "step": step }))
+            .expect("logged");
+    }
+    run.rewind_log(4).expect("rewound");
+    let text = fs::read_to_string(dir.path().join(METRICS)).expect("read");
+    assert_eq!(text, "{\"step\":2}\n{\"step\":4}\n");
+    let lines = [2, 4].map(|step| events::of_line(&serde_json::json!({ "step": step })));
+    let expected = [events::head(), lines.concat()].concat();
+    assert_eq!(fs::read(dir.path().join(EVENTS)).expect("read"), expected);
+}
