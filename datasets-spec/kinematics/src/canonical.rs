@@ -78,8 +78,8 @@ impl Anchor {
     }
 }
 
-/// The ground transform from a canonical segment to its motion, where `first` is the segment's first frame. It is exact
-/// for both anchors, unlike [`world_from_segment`].
+/// The ground transform from a canonical segment to its motion; `first` is the frame of the motion with which the
+/// segment begins. It is exact for both anchors, unlike [`world_from_segment`].
 pub fn motion_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> GroundTransform {
     let yaw_rad = rotation::yaw(DMat3::from_quat(first.rotations[0]));
     let pelvis = first.transl + skeleton.rest(0);
@@ -96,8 +96,8 @@ fn placed(yaw_rad: f64, onto: DVec3, from: DVec3) -> GroundTransform {
     }
 }
 
-/// The ground transform from a canonical segment to the world by the released rule, where `first` is the segment's
-/// first frame. With [`Anchor::Translation`] it displaces the segment; [`motion_from_segment`] does not.
+/// The ground transform from a canonical segment to its motion by the released rule, which displaces the segment with
+/// [`Anchor::Translation`]. `first` is as in [`motion_from_segment`].
 pub fn world_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> GroundTransform {
     let origin = match anchor {
         Anchor::Pelvis => first.transl + skeleton.rest(0),

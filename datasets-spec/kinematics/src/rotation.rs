@@ -69,9 +69,9 @@ pub fn slerp(from: DQuat, to: DQuat, alpha: f64) -> DQuat {
     DQuat::from_array(lanes::slerp(from.to_array(), to.to_array(), alpha))
 }
 
-/// Spherical interpolation as the released MotionReFit code computes it, in `f32`: where the sine of the half angle is
-/// below 1e-3 it returns the plain average whatever `alpha` is, and where the cosine is 1 or more it returns `from`.
-/// Used only by the `official` preset.
+/// Spherical interpolation as the released MotionReFit code computes it, in `f32`. If the sine of the half angle is
+/// below 1e-3, it returns the plain average for any `alpha`; if the cosine is 1 or more, it returns `from`. Only the
+/// `official` preset uses it.
 pub fn slerp_official(from: Quat, to: Quat, alpha: f32) -> Quat {
     let mut cosine = from.dot(to);
     let to = if cosine < 0.0 { -to } else { to };

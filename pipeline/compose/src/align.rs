@@ -65,7 +65,7 @@ fn apart(a: &Posture, b: &Posture) -> f64 {
     a.iter().zip(b).map(|(a, b)| a.distance_squared(*b)).sum()
 }
 
-/// For every frame of `to`, the mean of the frames of `from` that the optimal path matches with it.
+/// For every frame of `to`, the mean index of the frames of `from` that the optimal path matches with it.
 fn path(from: &[Posture], to: &[Posture]) -> Vec<f64> {
     /// Predecessor on a path.
     #[derive(Clone, Copy)]

@@ -52,7 +52,7 @@ impl Shuffle {
     pub(super) fn at(&self, place: u64) -> u64 {
         assert!(place < self.len, "item {place} of {}", self.len);
         // The network permutes the numbers below a power of four. Repeating it from a number below `len` leads back
-        // below `len`, in about four steps at most on average.
+        // below `len`, on average in at most about four steps.
         let mut item = self.permuted(place);
         while item >= self.len {
             item = self.permuted(item);

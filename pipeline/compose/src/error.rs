@@ -277,7 +277,7 @@ pub enum Error {
     SingleOrigin {
         /// The split.
         split: Split,
-        /// The clip all motions of the base are made of; none if the base is empty.
+        /// The clip that all motions of the base are made of; `None` if the base is empty.
         clip: Option<String>,
     },
     /// Statistics were requested for this split, which is not train.

@@ -101,7 +101,7 @@ pub(super) enum Asked<'a> {
 pub struct Shown {
     /// Groups of all clips with a known action, of every split.
     groups: BTreeMap<MotionId, Group>,
-    /// Groups, actions, and edits of the training split; each edit with the action of its clip.
+    /// Groups, actions and edits of the training split, and its edits with the action of their clip.
     trained: BTreeSet<Group>,
     actions: BTreeSet<String>,
     edits: BTreeSet<Edit>,

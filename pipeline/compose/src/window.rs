@@ -256,8 +256,8 @@ impl Composer {
         });
     }
 
-    /// Writes the canonical, normalised keypoints of a blend, `[W, 84]`. The window is canonical by
-    /// its own first frame, whichever motion that is from.
+    /// Writes the canonical, normalised keypoints of a blend, `[W, 84]`. The window is canonicalised by
+    /// its own first frame, whichever motion owns the root.
     pub(super) fn blended(
         &self,
         source: &[Frame],

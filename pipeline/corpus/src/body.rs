@@ -533,7 +533,7 @@ impl Tracks {
             (coupling.elbow_bend, style.elbow_bend)
         };
         let hanging_bend = (more + 0.3 * less + 0.55 * swing).max(MIN_ELBOW_BEND);
-        // The upper arm swings about the vertical; the wrist of a bent arm leads it.
+        // The upper arm swings about the vertical; the wrist of a bent arm is ahead of it.
         let ahead = swing + 0.45 * hanging_bend;
         let hanging = hanging_direction(ahead, style.arms_out + 0.5 * noise[1]);
         let hanging_elbow = DVec3::new(HANGING_ELBOW_OUT, -ahead.sin(), -ahead.cos());
@@ -576,7 +576,7 @@ impl Tracks {
 const MAX_ARM_SWING: f64 = 0.95;
 /// Palmward bend of a relaxed wrist in radians.
 const WRIST_DROP: f64 = 0.12;
-/// Outward component of the direction in which the elbow of a hanging arm points; the rest has length 1.
+/// Outward component of the direction in which a hanging elbow points; the other two components have length 1.
 const HANGING_ELBOW_OUT: f64 = 0.30;
 
 /// Direction of a left arm that swings forward by `swing` and outwards by `out` radians.

@@ -346,7 +346,7 @@ fn the_bytes_do_not_depend_on_the_threads_and_can_be_read() {
     assert_eq!((&files, summary), (&write(5).0, summary));
     assert_eq!((summary.clips, summary.adjusted), (14, 6));
     assert_eq!((summary.amass, summary.bvh), (12, 8));
-    // Every clip has a sidecar, and all have one list.
+    // Every clip has a sidecar; there is one list.
     assert_eq!(files.len(), 41);
     let bytes = files.values().map(|content| content.len() as u64);
     assert_eq!(summary.bytes, bytes.sum::<u64>());

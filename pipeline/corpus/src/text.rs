@@ -56,7 +56,7 @@ pub(super) fn captions(
         .map(|_| {
             let sentence = sentences.swap_remove(rng.random_range(0..sentences.len()));
             let who = SUBJECTS[rng.random_range(0..SUBJECTS.len())];
-            // Manners do not repeat within a clip, as far as there are enough.
+            // Manners do not repeat within a clip if there are enough.
             let how = if manners.len() > 1 {
                 manners.swap_remove(rng.random_range(0..manners.len()))
             } else {

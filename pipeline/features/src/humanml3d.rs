@@ -8,7 +8,7 @@
 //!   Gaussian with a standard deviation of 20 frames;
 //! * the first frame counts as facing +z, whatever its forward vector says;
 //! * the chains of the arms start from the root's rotation, not from that of the chest;
-//! * the yaw velocity is half of the angle from frame to frame.
+//! * the yaw velocity is half of the turn from frame to frame.
 //!
 //! For a bone exactly opposite to its rest direction, the published code divides by zero; here the rotation is a half
 //! turn about a perpendicular axis.

@@ -98,7 +98,7 @@ pub enum Error {
 }
 
 impl Error {
-    /// The code of the error, if it has one, and the item it happened to.
+    /// The code of the error, if it has one, and the item it happened to. [`Error::Job`] has its code only in the text.
     pub fn code(&self) -> Option<Code> {
         let (code, path) = match self {
             Self::Spec(error) => return error.code(),

@@ -44,7 +44,7 @@ pub struct NewFolder {
     content: PathBuf,
     out: PathBuf,
     abandoned: Vec<PathBuf>,
-    /// Lock that is held until the partial folder is gone; none if the file system has no locks.
+    /// Lock that is held until the partial folder is gone; `None` if the file system has no locks.
     _lock: Option<File>,
 }
 
@@ -269,7 +269,7 @@ mod tests {
         // The process was killed before it took a lock.
         let empty = at(".stance.4-0.partial");
         fs::create_dir(&empty).expect("made");
-        // Folders of an earlier version, whose process holds no lock, and of another machine.
+        // A folder of an earlier version, which has another form of name, and a folder without a lock file.
         let foreign = [at(".a.123.partial"), dead("5-0", None)];
         fs::create_dir_all(foreign[0].join("file")).expect("made");
         let next = NewFolder::beside(&at("b")).expect("begun");

@@ -76,7 +76,7 @@ pub struct Draft {
 
 impl Draft {
     /// Writes the plan as a new folder, whole or not at all. `tables` writes its other files. An existing plan with the
-    /// same hash stays.
+    /// same hash and destination stays.
     ///
     /// # Errors
     /// The folder holds something else, or cannot be written.

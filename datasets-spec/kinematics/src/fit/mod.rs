@@ -55,7 +55,7 @@ const NEAR_M: f64 = 0.01;
 ///
 /// # Source
 /// The paper's App. B.3 fits axis-angle parameters by 120 steps of Adam; Levenberg-Marquardt
-/// (More 1978) minimises the same squared distances in a few.
+/// (More 1978) minimises the same squared distances in a few steps.
 pub fn fit_pose(
     skeleton: &Skeleton,
     target: &KeypointFrame,

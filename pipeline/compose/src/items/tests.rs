@@ -169,7 +169,7 @@ fn other_takes_are_of_the_same_action_and_style_and_blended_alike() {
         let other = other.expect("three more clips wave in plain style");
         let (source, target) = (item.source().expect("valid"), item.target().expect("valid"));
         assert!(other.len() <= source.len() && other.len() >= fixture::SPAN);
-        // Outside the mask the edited motion equals the original, inside it does not equal the target.
+        // Outside the mask the other take equals the original; inside, it differs from the target.
         let masked = [item.hard_joints.as_slice(), item.soft_joints.as_slice()].concat();
         let masked = JointSet::try_from(masked).expect("known joints");
         for joint in 0..22 {

@@ -66,8 +66,8 @@ pub(super) struct Room {
 ///
 /// An epoch visits every window of every annotated motion and of every pair once, in a shuffled order. For a semantic
 /// edit, an item draws its window's first frame within its part of the annotated motion, a partner from the motion base
-/// and a crop of it, and the weight of the soft joints. For a pair, it draws the half of the body to edit and a donor,
-/// which is blended into both motions.
+/// and a crop of it, and the weight of the soft joints. For a pair, it draws the half of the body to edit, and a donor
+/// that gets this half once from each of the two motions.
 ///
 /// # Source
 /// Paper Sec. 4.3.
