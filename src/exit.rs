@@ -55,7 +55,7 @@ impl Exit {
             matches!(cause.downcast_ref(), Some(train::Error::Stopped { .. }))
                 || cause.is::<Stopped>()
         };
-        match Failure::of_error(error).code {
+        match Failure::of_error(error).code.as_ref() {
             "E-LOCKED" | "E-OVERTAKEN" => Self::Locked,
             _ if error.chain().any(is_stop) => Self::Interrupted,
             "E-SOURCE-NAME" => Self::Usage,

@@ -1,5 +1,6 @@
 //! Failures for programs: a code, the item concerned, and the reason.
 
+use std::borrow::Cow;
 use std::error::Error;
 
 use datasets_spec::Code;
@@ -9,7 +10,7 @@ use serde::Serialize;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct Failure {
     /// Code that scripts may rely on, such as `E-IO` or a code of the quarantine table.
-    pub(crate) code: &'static str,
+    pub(crate) code: Cow<'static, str>,
     /// The file, folder or clip that is concerned, if there is one.
     pub(crate) item: Option<String>,
     /// What happened, as printed on stderr.
@@ -20,7 +21,7 @@ const FAILED: &str = "E-FAILED";
 
 impl Failure {
     pub(crate) fn of_error(error: &anyhow::Error) -> Self {
-        let (code, item) = error.chain().find_map(known).unwrap_or((FAILED, None));
+        let (code, item) = (error.chain().find_map(known)).unwrap_or((FAILED.into(), None));
         Self {
             code,
             item,
@@ -33,7 +34,7 @@ impl Failure {
         // The usage and a hint follow after an empty line.
         let reason = text.split("\n\n").next().unwrap_or(&text);
         Self {
-            code: "E-USAGE",
+            code: "E-USAGE".into(),
             item: None,
             reason: reason.trim_start_matches("error: ").to_owned(),
         }
@@ -41,7 +42,15 @@ impl Failure {
 }
 
 /// Code and item of an error, if its type states them.
-fn known(cause: &(dyn Error + 'static)) -> Option<Code> {
+fn known(cause: &(dyn Error + 'static)) -> Option<(Cow<'static, str>, Option<String>)> {
+    if let Some(work::Error::Job { code, .. }) = cause.downcast_ref() {
+        return Some((code.clone().into(), None));
+    }
+    let (code, item) = code_of(cause)?;
+    Some((code.into(), item))
+}
+
+fn code_of(cause: &(dyn Error + 'static)) -> Option<Code> {
     macro_rules! code_of {
         ($($error:ty),*) => {$(
             if let Some(error) = cause.downcast_ref::<$error>() {

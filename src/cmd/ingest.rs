@@ -300,7 +300,7 @@ fn without_motions(done: &IngestReport) -> Option<Failure> {
     let lists = lists.into_iter().filter(|(_, rows)| *rows > 0);
     let lists = lists.map(|(list, _)| format!("`stance inspect {root} --list {list}`"));
     Some(Failure {
-        code: "E-NO-MOTION",
+        code: "E-NO-MOTION".into(),
         reason: format!(
             "the dataset has no motion: {} sources were rejected and {} skipped; see {}",
             accounting.quarantined,

@@ -360,7 +360,7 @@ fn foreign(path: &Path) -> anyhow::Result<Foreign> {
                 name => format!("{file}#{name}"),
             };
             failure = Some(Failure {
-                code,
+                code: code.into(),
                 item: Some(item),
                 reason,
             });

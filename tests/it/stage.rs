@@ -596,12 +596,20 @@ fn windows_triplets_edits_and_variants_in_pieces_are_those_of_one_process() {
     }
 
     // A changed dataset would give other windows, so the piece fails.
-    let job = Job::planned(&workshop, "late", "triplets @dataset --windows 100");
+    let [made, job] = ["made", "late"]
+        .map(|name| Job::planned(&workshop, name, "triplets @dataset --windows 100"));
+    made.work(&[], 0);
     fs::remove_file(workshop.clip()).expect("removed");
     workshop.run("ingest @corpus --out @dataset --prune --drop-labels");
-    let made = job.work(&[], 3).remove(0);
-    let code = made.code.as_deref();
-    assert_eq!(code, Some("E-SOURCE-CHANGED"), "{made:?}");
+    let failed = job.work(&[], 3).remove(0);
+    let code = failed.code.as_deref();
+    assert_eq!(code, Some("E-SOURCE-CHANGED"), "{failed:?}");
+    // Pieces that were made before are not committed either.
+    let refused = made.typed("--json stage commit", &[]).expect_code(1);
+    assert_eq!(
+        refused.json::<serde_json::Value>()["code"],
+        "E-SOURCE-CHANGED"
+    );
 }
 
 #[test]

@@ -4,6 +4,8 @@ use std::ffi::OsString;
 use std::io;
 use std::path::PathBuf;
 
+use datasets_spec::cache;
+
 use crate::hub::HubCache;
 
 /// Settings for serving URLs.
@@ -29,10 +31,6 @@ impl Settings {
     /// # Errors
     /// A variable is malformed.
     pub fn from_variables(variable: impl Fn(&str) -> Option<OsString>) -> io::Result<Self> {
-        let folder = |name: &str| {
-            let value = variable(name).filter(|value| !value.is_empty());
-            value.map(PathBuf::from)
-        };
         let text = |name: &str| variable(name).map(|value| value.to_string_lossy().into_owned());
         let malformed = |name: &str, expected: &str, found: &str| {
             let text = format!("{name} must be {expected}, found {found:?}");
@@ -40,7 +38,7 @@ impl Settings {
         };
         let size = match text("STANCE_REMOTE_CACHE_SIZE") {
             None => CACHE_SIZE,
-            Some(found) => bytes_of(&found).ok_or_else(|| {
+            Some(found) => cache::parse_bytes(&found).ok_or_else(|| {
                 malformed(
                     "STANCE_REMOTE_CACHE_SIZE",
                     "a size such as 500MB or 20GB, or 0",
@@ -54,31 +52,15 @@ impl Settings {
                 .parse()
                 .map_err(|_| malformed("STANCE_REMOTE_RETRIES", "a count", &found))?,
         };
-        let home = || folder("HOME").or_else(|| folder("USERPROFILE"));
-        let cache = folder("STANCE_CACHE")
-            .or_else(|| Some(folder("XDG_CACHE_HOME")?.join("stance")))
-            .or_else(|| Some(home()?.join(".cache/stance")));
         Ok(Self {
-            cache: cache.filter(|_| size > 0).map(|folder| (folder, size)),
+            cache: (size > 0)
+                .then(|| cache::folder(&variable))
+                .flatten()
+                .map(|folder| (folder, size)),
             retries,
             hub: HubCache::from_variables(&variable),
         })
     }
-}
-
-/// Bytes of a size such as `20GB`.
-fn bytes_of(text: &str) -> Option<u64> {
-    let text = text.trim().to_ascii_uppercase();
-    let digits = text.trim_end_matches(|letter: char| letter.is_ascii_alphabetic());
-    let unit = match &text[digits.len()..] {
-        "" | "B" => 1,
-        "KB" => 1_000,
-        "MB" => 1_000_000,
-        "GB" => 1_000_000_000,
-        "TB" => 1_000_000_000_000,
-        _ => return None,
-    };
-    digits.trim().parse::<u64>().ok()?.checked_mul(unit)
 }
 
 #[cfg(test)]

@@ -5,6 +5,8 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use datasets_spec::cache;
+
 /// Default limit on the bytes of all files of frames: 3,000 hours at 20 fps.
 const DEFAULT_KEPT: u64 = 64_000_000_000;
 /// Environment variable that sets [`FrameCache::kept`].
@@ -29,27 +31,22 @@ impl Default for FrameCache {
 }
 
 impl FrameCache {
-    /// Settings from the environment; `get` reads a variable. Files lie in the folder `frames` of `STANCE_CACHE`, else
-    /// of `stance` in `XDG_CACHE_HOME`, `LOCALAPPDATA`, `HOME/.cache` or the folder of temporary files, whichever is
-    /// set first. `STANCE_CACHE_SIZE` is the limit in bytes, such as `8GB`.
+    /// Settings from the environment; `get` reads a variable. Files lie in the folder `frames` of the
+    /// [cache](datasets_spec::cache::folder), else of the folder of temporary files. `STANCE_CACHE_SIZE` is the limit in
+    /// bytes, such as `8GB`.
     ///
     /// # Errors
     /// `STANCE_CACHE_SIZE` is not a size.
     pub fn from_environment(get: impl Fn(&str) -> Option<OsString>) -> Result<Self, String> {
-        let named = |name: &str| get(name).filter(|value| !value.is_empty());
         let otherwise = Self::default();
-        let kept = match named(SIZE) {
+        let kept = match get(SIZE).filter(|value| !value.is_empty()) {
             None => otherwise.kept,
-            Some(text) => parse_bytes(&text.to_string_lossy())
-                .map_err(|problem| format!("{SIZE}: {problem}"))?,
+            Some(found) => cache::parse_bytes(&found.to_string_lossy()).ok_or_else(|| {
+                format!("{SIZE}: {found:?} is no size; write a number and a unit, such as 2GB")
+            })?,
         };
-        let folder = |name: &str| named(name).map(PathBuf::from);
-        let cache = folder("STANCE_CACHE")
-            .or_else(|| Some(folder("XDG_CACHE_HOME")?.join("stance")))
-            .or_else(|| Some(folder("LOCALAPPDATA")?.join("stance")))
-            .or_else(|| Some(folder("HOME")?.join(".cache").join("stance")));
         Ok(Self {
-            folder: cache.map_or(otherwise.folder, |cache| cache.join("frames")),
+            folder: cache::folder(get).map_or(otherwise.folder, |cache| cache.join("frames")),
             kept,
         })
     }
@@ -104,47 +101,9 @@ fn is_being_written(path: &Path) -> bool {
         && File::open(path).is_ok_and(|file| file.try_lock().is_err())
 }
 
-/// Reads a number of bytes: digits, then `kB`, `MB`, `GB` or `TB` (powers of 1,000) or nothing.
-fn parse_bytes(text: &str) -> Result<u64, String> {
-    let text = text.trim();
-    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
-    let factor = match text[digits.len()..].to_ascii_uppercase().as_str() {
-        "" | "B" => Some(1.0),
-        "KB" | "K" => Some(1e3),
-        "MB" | "M" => Some(1e6),
-        "GB" | "G" => Some(1e9),
-        "TB" | "T" => Some(1e12),
-        _ => None,
-    };
-    let number = digits.trim().parse::<f64>().ok();
-    factor
-        .zip(number)
-        .map(|(factor, number)| factor * number)
-        .filter(|bytes| bytes.is_finite() && *bytes >= 0.0)
-        .map(|bytes| bytes as u64)
-        .ok_or_else(|| format!("{text:?} is no size; write a number and a unit, such as 2GB"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn sizes_have_units_of_a_thousand() {
-        for (text, bytes) in [
-            ("0", 0),
-            ("12", 12),
-            ("1kB", 1_000),
-            ("2 MB", 2_000_000),
-            ("1.5GB", 1_500_000_000),
-            ("3t", 3_000_000_000_000),
-        ] {
-            assert_eq!(parse_bytes(text), Ok(bytes), "{text}");
-        }
-        for text in ["", "GB", "-1GB", "2 pages", "nan"] {
-            assert!(parse_bytes(text).is_err(), "{text}");
-        }
-    }
 
     #[test]
     fn the_environment_names_folder_and_size() {
