@@ -54,7 +54,7 @@ fn a_source_that_is_added_changes_no_id_and_no_split() {
     let (dir, source, more) = halves(24);
     let dataset = dir.path().join("dataset");
     // It speaks of the clips of this source alone, whichever sources are given beside it.
-    put(&source.join("LICENSE"), "Free to use.\n");
+    put(source.join("LICENSE"), "Free to use.\n");
     ingest(&[&source], &dataset, &[], 0);
     let before = clips(&dataset);
     let grown = ingest(&[&source, &more], &dataset, &[], 0);
