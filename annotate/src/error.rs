@@ -45,7 +45,7 @@ pub enum Error {
     Closed,
     /// A row of the store is invalid.
     #[error(
-        "table {table} of the store holds a row that cannot be read ({problem}); restore a backup, or rebuild the tables from the log with `stance annotate DATASET rebuild`"
+        "table {table} of the store holds a row that cannot be read ({problem}); rebuild the tables from the log with `stance annotate DATASET rebuild`, or restore a backup, and first move the store and its files -wal and -shm to another folder"
     )]
     Row {
         /// Table.

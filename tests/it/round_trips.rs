@@ -448,6 +448,16 @@ fn a_packed_project_goes_on_where_it_is_unpacked() {
     assert_eq!(moved["changed"], len_of(&run(&["changed"])));
     assert_eq!(run(&["check"])["findings"], json!([]));
 
+    // A log that a killed server left behind is of another store, so it is not applied to this one.
+    let log = made.path("left.sqlite-wal");
+    put(&log, "the last answers");
+    for words in [&unpack[..], &["import"]] {
+        let refused = made.try_annotate("dataset", "left.sqlite", words);
+        refused.expect_refused("left.sqlite-wal belongs to a store");
+    }
+    assert!(!made.path("left.sqlite").exists());
+    assert_eq!(std::fs::read(&log).expect("it stays"), b"the last answers");
+
     // If the file is not a project, no store remains.
     let text = made.path("text");
     put(&text, "no project");

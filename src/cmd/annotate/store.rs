@@ -63,8 +63,34 @@ fn find_or_create(args: &Args) -> anyhow::Result<Arc<Store>> {
         Place::Postgres(url) => return open_postgres(url),
         Place::File(file) => file,
     };
-    create_parent(&file)?;
+    if !file.exists() {
+        refuse_leftovers(&file)?;
+        create_parent(&file)?;
+    }
     Ok(store::open_sqlite(&file)?)
+}
+
+/// The files that SQLite keeps beside a store that is open, or was when its program or the machine stopped.
+fn beside(file: &Path) -> [PathBuf; 2] {
+    ["-wal", "-shm"].map(|suffix| {
+        let mut path = file.as_os_str().to_owned();
+        path.push(suffix);
+        path.into()
+    })
+}
+
+/// Refuses to create a store where the last changes of another one lie: SQLite would apply them to the new store.
+fn refuse_leftovers(file: &Path) -> anyhow::Result<()> {
+    let found = beside(file).into_iter().find(|path| path.exists());
+    if let Some(found) = found {
+        bail!(
+            "{} belongs to a store that is no longer at {}, and may hold its last answers; move it to where that store \
+             is now, or to another folder, and run the command again",
+            found.display(),
+            file.display()
+        );
+    }
+    Ok(())
 }
 
 fn create_parent(file: &Path) -> anyhow::Result<()> {
@@ -124,7 +150,8 @@ pub(super) fn check(store: &Store, global: &Global) -> anyhow::Result<Exit> {
     global.say(&json!({ "findings": findings }), &text)?;
     if !findings.is_empty() {
         report::note(
-            "run `stance annotate DATASET rebuild`, or restore a backup if the log itself is damaged",
+            "run `stance annotate DATASET rebuild`, or restore a backup if the log itself is damaged: end the server, \
+             and first move the store and its files -wal and -shm to another folder",
         );
     }
     Ok(Exit::done_if(findings.is_empty()))
@@ -149,6 +176,7 @@ pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Resul
             to.display()
         );
     }
+    refuse_leftovers(&to)?;
     let mut begin = Vec::new();
     File::open(file)
         .and_then(|from| from.take(MAGIC.len() as u64).read_to_end(&mut begin))
@@ -172,8 +200,10 @@ pub(super) fn unpack(args: &Args, file: &Path, global: &Global) -> anyhow::Resul
     let (store, people) = match opened {
         Ok(opened) => opened,
         Err(error) => {
-            // This command created the file, so it may remove it.
-            let _removed = std::fs::remove_file(&to);
+            // This command created the files, so it may remove them.
+            for path in beside(&to).iter().chain([&to]) {
+                let _removed = std::fs::remove_file(path);
+            }
             return Err(error).with_context(|| format!("{} is no packed project", file.display()));
         }
     };
