@@ -272,6 +272,11 @@ fn an_exported_dataset_gives_its_answers_to_a_project() {
     let import = ["import", arg(&folder)];
     let refused = made.try_annotate("other-dataset", "other.sqlite", &import);
     refused.expect_refused("its content is");
+    made.answers("dataset", "store.sqlite");
+    let table = made.path("store.sqlite-answers");
+    let import = ["import", arg(&table)];
+    let refused = made.try_annotate("other-dataset", "other.sqlite", &import);
+    refused.expect_refused("its content is");
 
     let pairs: Vec<PairRow> = made.rows("dataset");
     // A dataset of the same motions in which targets of pairs are in another split than sources.

@@ -6,7 +6,9 @@ use std::path::Path;
 use datasets_spec::table::read_rows;
 use datasets_spec::{BodyPart, MASK_DEF_VERSION};
 
-use super::import::{CANDIDATE, PAIR, Taken, credit, entered_mask, known_motions, task};
+use super::import::{
+    CANDIDATE, PAIR, Taken, credit, entered_mask, known_motions, other_content, task,
+};
 use super::tables::AnnotationRow;
 use crate::Error;
 use crate::answer::Fields;
@@ -17,7 +19,8 @@ use crate::wire::{Answer, CountReason, EditType, Extent, MaskAnswer, TaskKind, V
 /// new, accepted task. Answers to tasks with another answer are left out and reported.
 ///
 /// # Errors
-/// The file cannot be read, names an unknown motion, or holds an invalid answer; then nothing is imported.
+/// The file cannot be read, names a motion that is unknown or has another content, or holds an invalid answer; then
+/// nothing is imported.
 pub fn from_annotations(
     store: &Store,
     path: &Path,
@@ -27,13 +30,20 @@ pub fn from_annotations(
     let motions = known_motions(store)?;
     let rows: Vec<AnnotationRow> = read_rows(path)?;
     let mut taken = Taken::default();
-    let mut tasks = Vec::new();
+    let (mut tasks, mut by_id) = (Vec::new(), 0);
     for group in rows.chunk_by(|a, b| a.task == b.task) {
         let what = || format!("task {:?} of {}", group[0].task, path.display());
         let task = annotation_task(group, &motions);
         tasks.push(task.map_err(|problem| Error::import(what(), problem))?);
+        by_id += usize::from(group[0].motion_hash.is_none());
     }
     taken.take(store.import(actor, tasks, now)?);
+    taken.report("found_by_id_alone", by_id, || {
+        format!(
+            "the motions of {by_id} answers were found by their ids alone: the file is of an earlier version, without \
+             content hashes; make sure that it is of this dataset"
+        )
+    });
     Ok(taken)
 }
 
@@ -42,16 +52,25 @@ fn annotation_task(
     motions: &BTreeMap<String, MotionRecord>,
 ) -> Result<NewTask, String> {
     let first = &rows[0];
-    let find = |id: &str| {
-        motions
+    let find = |id: &str, exported: Option<&String>| {
+        let motion = motions
             .get(id)
-            .ok_or_else(|| format!("motion {id:?} is not known; import its dataset first"))
+            .ok_or_else(|| format!("motion {id:?} is not known; import its dataset first"))?;
+        match exported.filter(|hash| **hash != motion.hash) {
+            Some(exported) => Err(format!(
+                "motion {id:?}: {}",
+                other_content(&motion.hash, exported)
+            )),
+            None => Ok(motion),
+        }
     };
     let kind = TaskKind::parse(&first.kind)
         .ok_or_else(|| format!("kind {:?} is not known", first.kind))?;
-    let source = find(&first.motion_id)?;
+    let source = find(&first.motion_id, first.motion_hash.as_ref())?;
     let mut new = task(current_key(&first.task).to_owned(), kind, source);
-    let target = first.target_id.as_deref().map(find).transpose()?;
+    let target = first.target_id.as_deref();
+    let target = target.map(|id| find(id, first.target_hash.as_ref()));
+    let target = target.transpose()?;
     new.target = target.map(|motion| motion.hash.clone());
     new.category.clone_from(&first.category);
     new.hint.clone_from(&first.hint);

@@ -50,8 +50,8 @@ impl Taken {
         *self.counts.entry(what.to_owned()).or_default() += count;
     }
 
-    /// Counts skipped items, if there are any, and adds a message.
-    fn report(&mut self, what: &str, count: usize, message: impl FnOnce() -> String) {
+    /// Counts items to report, if there are any, and adds a message.
+    pub(super) fn report(&mut self, what: &str, count: usize, message: impl FnOnce() -> String) {
         if count > 0 {
             self.count(what, count as i64);
             self.messages.push(message());
@@ -98,6 +98,14 @@ pub(super) fn task(key: String, kind: TaskKind, motion: &MotionRecord) -> NewTas
         accepted: None,
         credit: None,
     }
+}
+
+/// Why labels of a motion are refused whose content in the dataset is not the exported one.
+pub(super) fn other_content(hash: &str, exported: &str) -> String {
+    format!(
+        "its content is {hash} in this dataset and {exported} in the export; import them into the dataset that was \
+         exported, or ingest the export"
+    )
 }
 
 /// All motions of a store by their ids.
@@ -405,11 +413,7 @@ pub fn from_labels(
         let exported = labels.motions.get(id);
         if let Some(exported) = exported.filter(|hashes| !hashes.contains(hash)) {
             let exported: Vec<&str> = exported.iter().map(String::as_str).collect();
-            let problem = format!(
-                "its content is {hash} in this dataset and {} in the export; import them into the dataset that was \
-                 exported, or ingest the export",
-                exported.join(" or ")
-            );
+            let problem = other_content(hash, &exported.join(" or "));
             return Err(Error::import(
                 format!("the labels of motion {id:?}"),
                 problem,

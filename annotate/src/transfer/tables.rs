@@ -60,6 +60,10 @@ table! {
         pub extra: Option<String> [""],
         /// How it was accepted: review, own (by its author), rule:NAME, or import if the imported file does not say
         pub accepted_by: Option<String> ["", newer],
+        /// Content hash of the motion
+        pub motion_hash: Option<String> ["", newer],
+        /// Content hash of the motion after the edit
+        pub target_hash: Option<String> ["", newer],
     }
 }
 

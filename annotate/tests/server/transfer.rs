@@ -14,7 +14,7 @@ use annotate::wire::{
     ReviewQueue, Role, TaskKind, TaskState, Verdict,
 };
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
-use datasets_spec::table::{Row, read_rows};
+use datasets_spec::table::{Row, read_rows, write_rows};
 use datasets_spec::{Dataset, Transaction};
 use serde_json::{Value, json};
 
@@ -97,6 +97,19 @@ fn release(folder: &Path) -> Value {
 fn take(store: &Store, folder: &Path) -> Taken {
     let table = folder.join("annotations.parquet");
     from_annotations(store, &table, None, START).expect("takes")
+}
+
+/// Writes a table `annotations` of a version without content hashes, and imports it.
+fn take_without_hashes(store: &Store, rows: &[AnnotationRow], file: &Path) -> Taken {
+    let rows = rows.iter().cloned().map(|row| AnnotationRow {
+        motion_hash: None,
+        target_hash: None,
+        ..row
+    });
+    let rows: Vec<AnnotationRow> = rows.collect();
+    let bytes = write_rows(Vec::new(), file, &rows, &[]).expect("a table");
+    std::fs::write(file, bytes).expect("written");
+    from_annotations(store, file, None, START).expect("takes")
 }
 
 /// A store with motions but no tasks.
@@ -199,6 +212,10 @@ fn parquet_and_a_release_come_back_as_they_went_from_a_store_with_tasks_or_witho
     let third = write(&site, &store, "third", ExportFormat::Parquet);
     same_files(&first, &third, &["annotations.parquet", "rejects.parquet"]);
     assert_eq!(counted(take(&store, &first), known), [0, 6, 0]);
+    let old = site.folder.path().join("old.parquet");
+    let old = take_without_hashes(&store, &annotations, &old);
+    let by_id = ["found_by_id_alone", "known_tasks", "conflicts"];
+    assert_eq!(counted(old, by_id), [6, 6, 0]);
     whole(&store);
 
     let first = write(&site, &site.store, "release", ExportFormat::Stance);

@@ -106,6 +106,8 @@ impl Exporter<'_> {
             merged: u32::from(accepted.merged),
             extra: task.extra.as_ref().map(ToString::to_string),
             accepted_by: Some(accepted.accepted_by.clone()),
+            motion_hash: Some(task.source.clone()),
+            target_hash: task.target.clone(),
         };
         if said.masks.is_empty() {
             return put(row);
