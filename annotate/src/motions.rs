@@ -5,7 +5,7 @@
 //! only draws.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 use compose::{SlerpRule, blend_motion};
@@ -29,23 +29,28 @@ const REFERENCE_CLIPS: usize = 400;
 /// Motions kept in memory.
 const CACHED: usize = 64;
 
-/// The motions of one dataset, by content hash.
+/// The motions of one dataset, by content hash. The dataset is read again when it has a new version and a motion is
+/// asked for that is not known.
 pub struct MotionLibrary {
+    root: PathBuf,
+    clips: Mutex<Arc<Clips>>,
+    /// Held while the dataset is read again, so that only one request does it.
+    reading: Mutex<()>,
+    cache: Mutex<LruCache<String, Arc<Motion>>>,
+}
+
+/// The motions of one version of a dataset.
+struct Clips {
+    root_hash: String,
     skeleton: Skeleton,
     shards: Vec<ShardReader>,
     /// Shard and row of each motion.
     places: BTreeMap<String, (usize, usize)>,
     reference: [f64; NUM_RELEASE_PARTS],
-    cache: Mutex<LruCache<String, Arc<Motion>>>,
 }
 
-impl MotionLibrary {
-    /// Opens the motions of a dataset and measures the reference speeds of its training clips.
-    ///
-    /// # Errors
-    /// The dataset cannot be read or holds no motions.
-    pub fn open(root: &Path) -> Result<Self, Error> {
-        let dataset = Dataset::open_unverified(root)?;
+impl Clips {
+    fn open(dataset: &Dataset) -> Result<Self, Error> {
         let mut shards = Vec::new();
         let mut places = BTreeMap::new();
         for (path, _) in dataset.files(MotionRow::TABLE, None) {
@@ -57,17 +62,17 @@ impl MotionLibrary {
         }
         if places.is_empty() {
             let problem = "it holds no motions; run `stance ingest SOURCE --out DATASET` first";
-            return Err(Error::import(root.display().to_string(), problem));
+            return Err(Error::import(dataset.root().display().to_string(), problem));
         }
-        let mut library = Self {
+        let mut clips = Self {
+            root_hash: dataset.manifest().root_hash.clone(),
             skeleton: dataset.skeleton()?,
             shards,
             places,
             reference: [1.0; NUM_RELEASE_PARTS],
-            cache: Mutex::new(LruCache::new(CACHED)),
         };
-        library.reference = library.measure(&dataset)?;
-        Ok(library)
+        clips.reference = clips.measure(dataset)?;
+        Ok(clips)
     }
 
     /// Reference speeds: the 95th percentile of each part's speed over frames of training clips, or of all clips if
@@ -102,15 +107,53 @@ impl MotionLibrary {
         }))
     }
 
-    pub(crate) fn len(&self) -> usize {
-        self.places.len()
-    }
-
     fn read(&self, hash: &str) -> Result<Motion, Error> {
         let unknown = || Error::not_found("motion");
         let &(shard, row) = self.places.get(hash).ok_or_else(unknown)?;
         let rows: Vec<MotionRow> = self.shards[shard].rows_at(&[row])?;
         Ok(rows.first().ok_or_else(unknown)?.motion()?)
+    }
+}
+
+impl MotionLibrary {
+    /// Opens the motions of a dataset and measures the reference speeds of its training clips.
+    ///
+    /// # Errors
+    /// The dataset cannot be read or holds no motions.
+    pub fn open(root: &Path) -> Result<Self, Error> {
+        let clips = Clips::open(&Dataset::open_unverified(root)?)?;
+        Ok(Self {
+            root: root.to_owned(),
+            clips: Mutex::new(Arc::new(clips)),
+            reading: Mutex::new(()),
+            cache: Mutex::new(LruCache::new(CACHED)),
+        })
+    }
+
+    fn clips(&self) -> Arc<Clips> {
+        Arc::clone(&lock(&self.clips))
+    }
+
+    /// The clips, of the newest version of the dataset if this motion is not among those that were read.
+    fn clips_with(&self, hash: &str) -> Result<Arc<Clips>, Error> {
+        let clips = self.clips();
+        if clips.places.contains_key(hash) {
+            return Ok(clips);
+        }
+        let _reading = lock(&self.reading);
+        // Another request may have read the dataset meanwhile.
+        let clips = self.clips();
+        let dataset = Dataset::open_unverified(&self.root)?;
+        if clips.places.contains_key(hash) || clips.root_hash == dataset.manifest().root_hash {
+            return Ok(clips);
+        }
+        let clips = Arc::new(Clips::open(&dataset)?);
+        *lock(&self.clips) = Arc::clone(&clips);
+        Ok(clips)
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.clips().places.len()
     }
 
     /// A motion by its content hash.
@@ -118,7 +161,7 @@ impl MotionLibrary {
         if let Some(motion) = lock(&self.cache).get(hash) {
             return Ok(Arc::clone(motion));
         }
-        let motion = Arc::new(self.read(hash)?);
+        let motion = Arc::new(self.clips_with(hash)?.read(hash)?);
         lock(&self.cache).insert(hash.to_owned(), Arc::clone(&motion));
         Ok(motion)
     }
@@ -129,7 +172,8 @@ impl MotionLibrary {
     }
 
     fn joint_bytes(&self, motion: &Motion) -> Vec<u8> {
-        let frames = self
+        let clips = self.clips();
+        let frames = clips
             .skeleton
             .points_of_frames::<NUM_KEYPOINTS>(motion, 0..motion.len());
         let points = frames.iter().flatten();
@@ -139,7 +183,8 @@ impl MotionLibrary {
 
     /// Activity of the parts of the release, `[5, T]`; 1 is the 95th percentile over frames of training clips.
     pub(crate) fn heat(&self, hash: &str) -> Result<[Vec<f32>; NUM_RELEASE_PARTS], Error> {
-        Ok(heat(&*self.motion(hash)?, &self.skeleton, &self.reference))
+        let (motion, clips) = (self.motion(hash)?, self.clips());
+        Ok(heat(&motion, &clips.skeleton, &clips.reference))
     }
 
     /// The arms and the lower body, if active in more than a fifth of the frames.
@@ -159,10 +204,10 @@ impl MotionLibrary {
         let (source, target) = (self.motion(source)?, self.motion(target)?);
         if stretch {
             let [source, target] = in_one_duration([&source, &target])?;
-            return Ok(difference(&source, &target, &self.skeleton));
+            return Ok(difference(&source, &target, &self.clips().skeleton));
         }
         let target = at_rate_of(&source, target)?;
-        Ok(difference(&source, &target, &self.skeleton))
+        Ok(difference(&source, &target, &self.clips().skeleton))
     }
 
     /// Blends the masked joints of `target` into `source`. Returns positions ([`Self::joints`]) over the frames of the

@@ -657,6 +657,9 @@ fn a_clip_that_was_ingested_anew_stops_nobody_and_its_tasks_ask() {
     let (before, untouched) = (hash("clip00"), hash("clip05"));
     let draft = answer_in(store, ann, None);
     assert_eq!(store.task_record(draft).expect("a task").key, "mask:clip03");
+    let boss = site.person("boss");
+    let is_shown = |hash: &str| boss.get(&format!("motions/{hash}/joints")).status == 200;
+    assert!(is_shown(&untouched) && !is_shown("unknown"));
     ingest_anew(&site, &[(0, 30), (3, 33), (5, 35)], "anew");
     let taken = take_dataset(&site, store);
     assert_eq!(taken.counts["changed_motions"], 3);
@@ -665,6 +668,8 @@ fn a_clip_that_was_ingested_anew_stops_nobody_and_its_tasks_ask() {
     assert!(taken.messages.iter().any(is_said), "{:?}", taken.messages);
     assert_ne!(hash("clip00"), before);
     assert_ne!(hash("clip05"), untouched);
+    // The server that is running shows the new content.
+    assert!(is_shown(&hash("clip05")) && !is_shown("unknown"));
     let asking = || {
         let tasks = store.changed_tasks().expect("tasks").into_iter();
         tasks.map(|task| task.key).collect::<Vec<_>>()
