@@ -448,6 +448,18 @@ fn the_command_says_what_to_do_when_it_cannot() {
     let nowhere = dataset.with_file_name("nowhere");
     annotate(&nowhere, &["user", "list"]).expect_refused("is not a dataset");
     assert!(!nowhere.exists(), "no folder is made of a typing error");
+    let copy = dataset.with_file_name("copy.sqlite");
+    for words in [
+        &["check"][..],
+        &["export"],
+        &["backup", arg(&copy)],
+        &["pack", arg(&copy)],
+        &["user", "list"],
+        &["styles"],
+    ] {
+        run(words).expect_refused("there is no store");
+    }
+    assert!(!copy.exists() && !dataset.join("annotate").exists());
     let token = run(&["user", "add", "ann"]).printed();
     assert!(token.trim().starts_with("ann_") && token.trim().len() == 68);
     run(&["user", "add", "ann"]).expect_refused("choose another name");
@@ -457,7 +469,6 @@ fn the_command_says_what_to_do_when_it_cannot() {
     let users: Value = run(&["--json", "user", "list"]).done();
     assert_eq!(users[0]["name"], "ann");
     run(&["user", "disable", "ann"]).expect_code(0);
-    let copy = dataset.with_file_name("copy.sqlite");
     run(&["backup", arg(&copy)]).expect_code(0);
     run(&["backup", arg(&copy)]).expect_code(1);
     let imported: Value = run(&["--json", "import"]).done();

@@ -63,6 +63,18 @@ impl Args {
     pub(super) fn folder(&self) -> PathBuf {
         self.dataset.join("annotate")
     }
+
+    /// Whether the command may begin a project: the server, an import, and new users. All others are about a store that
+    /// exists; an empty one would answer them wrongly.
+    pub(super) fn may_create_store(&self) -> bool {
+        match &self.action {
+            None | Some(Action::Import { .. }) => true,
+            Some(Action::User { action }) => {
+                matches!(action, UserAction::Add { .. } | UserAction::Import { .. })
+            }
+            Some(_) => false,
+        }
+    }
 }
 
 #[derive(clap::Subcommand, Debug)]

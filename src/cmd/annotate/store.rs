@@ -19,7 +19,8 @@ use crate::report;
 /// First bytes of an SQLite file.
 const MAGIC: &[u8] = b"SQLite format 3\0";
 
-/// Opens or creates the store. Warns about a password on the command line, and reports an upgrade of the store.
+/// Opens the store, or creates it for a command that may begin a project. Warns about a password on the command line,
+/// and reports an upgrade of the store.
 pub(super) fn open(args: &Args) -> anyhow::Result<Arc<Store>> {
     let is_typed = args.store.is_some() && std::env::var(STORE).ok() != args.store;
     if is_typed && args.store.as_deref().is_some_and(has_password) {
@@ -64,6 +65,12 @@ fn find_or_create(args: &Args) -> anyhow::Result<Arc<Store>> {
         Place::File(file) => file,
     };
     if !file.exists() {
+        if !args.may_create_store() {
+            bail!(
+                "there is no store {}; name the store with --store or {STORE}, or create it: stance annotate DATASET import",
+                file.display()
+            );
+        }
         refuse_leftovers(&file)?;
         create_parent(&file)?;
     }
