@@ -460,6 +460,14 @@ fn the_command_says_what_to_do_when_it_cannot() {
         run(words).expect_refused("there is no store");
     }
     assert!(!copy.exists() && !dataset.join("annotate").exists());
+    for (line, option) in [
+        ("--where TRUE export", "--where has no effect"),
+        ("--backup-hours 1 check", "--backup-hours has no effect"),
+        ("export --to files", "--to has no effect"),
+        ("export --events", "--events has no effect"),
+    ] {
+        run(&Vec::from_iter(line.split(' '))).expect_refused(option);
+    }
     let token = run(&["user", "add", "ann"]).printed();
     assert!(token.trim().starts_with("ann_") && token.trim().len() == 68);
     run(&["user", "add", "ann"]).expect_refused("choose another name");

@@ -4,6 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use annotate::http::TrustedProxy;
+use anyhow::bail;
 use datasets_spec::Split;
 use tables::Condition;
 
@@ -62,6 +63,43 @@ impl Args {
     /// Folder of the store and of exports.
     pub(super) fn folder(&self) -> PathBuf {
         self.dataset.join("annotate")
+    }
+
+    /// Refuses options that the subcommand does not use: their user expects an effect.
+    ///
+    /// # Errors
+    /// There is such an option; the error names it.
+    pub(super) fn check(&self) -> anyhow::Result<()> {
+        let Some(action) = &self.action else {
+            return Ok(());
+        };
+        let imports = matches!(action, Action::Import { .. } | Action::Unpack { .. });
+        for (option, is_unused) in [
+            ("--where", self.condition.is_some() && !imports),
+            ("--secure", self.secure),
+            ("--trusted-proxy", !self.trusted_proxy.is_empty()),
+            ("--metrics", self.metrics.is_some()),
+            ("--backup-hours", self.backup_hours.is_some()),
+        ] {
+            if is_unused {
+                bail!("{option} has no effect on this subcommand; leave it out");
+            }
+        }
+        if let Action::Export {
+            format, to, events, ..
+        } = action
+        {
+            if to.is_some() && format == "dataset" {
+                bail!(
+                    "--to has no effect on format dataset, which writes into the dataset; name another format with \
+                     --format, or leave --to out"
+                );
+            }
+            if *events && format != "parquet" {
+                bail!("--events has no effect on format {format}; the log is for --format parquet");
+            }
+        }
+        Ok(())
     }
 
     /// Whether the command may begin a project: the server, an import, and new users. All others are about a store that

@@ -27,6 +27,7 @@ use crate::exit::Exit;
 use crate::global::Global;
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
+    args.check()?;
     // Open the dataset first, so that no store is created for a folder that is not a dataset.
     Dataset::open_unverified(&args.dataset)?;
     if let Some(Action::Unpack { file }) = &args.action {
