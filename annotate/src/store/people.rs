@@ -269,10 +269,11 @@ fn issue(
 const MAX_LINES: usize = 1000;
 
 /// Parses a list of users: each line is a name, or a name and a role separated by a comma, a semicolon or a tab.
-/// Returns each with the number of its line. Empty lines are skipped, and so is a first line with the name `name`, a
-/// heading.
+/// Returns each with the number of its line. Empty lines are skipped, and so are a first line with the name `name`, a
+/// heading, and the byte order mark that spreadsheets write.
 fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
     let mut users = Vec::new();
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     for (index, line) in text.lines().enumerate() {
         let number = index + 1;
         let unquoted = |text: &str| text.trim().trim_matches('"').trim().to_owned();

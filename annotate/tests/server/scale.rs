@@ -701,7 +701,7 @@ fn users_come_in_bulk_with_a_token_each_or_not_at_all() {
             assert_eq!(problem.field.as_deref(), Some(field), "{lines:?}");
         }
         assert_eq!(count(), before);
-        let added = add("name,role\r\ncleo\r\n\"dora\";reviewer\r\n\r\n").expect("users");
+        let added = add("\u{feff}name,role\r\ncleo\r\n\"dora\";reviewer\r\n\r\n").expect("users");
         let users = added.iter().map(|issued| &issued.user);
         let roles: Vec<_> = users.map(|user| (user.name.as_str(), user.role)).collect();
         assert_eq!(roles, [("cleo", Role::Annotator), ("dora", Role::Reviewer)]);
