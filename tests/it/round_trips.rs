@@ -395,6 +395,14 @@ fn every_answer_of_a_project_comes_back_and_what_a_layout_leaves_out_is_counted(
     let tasks: BTreeSet<&String> = answers.iter().map(|row| &row.task).collect();
     assert_eq!(own["counts"]["labels"], tasks.len(), "{own}");
     assert!(own["counts"]["merged_or_imported"].is_null(), "{own}");
+    // A later export into the folder of a table leaves the table there, which is not of that export.
+    let twice = made.path("twice");
+    for format in ["parquet", "csv"] {
+        let export = ["export", "--format", format, "--to", arg(&twice)];
+        made.annotate("store.sqlite", &export);
+    }
+    made.try_annotate("dataset", "third.sqlite", &["import", arg(&twice)])
+        .expect_refused("annotations.parquet is not of this export");
     made.annotate("sheet.sqlite", &["import", arg(&table)]);
     let none = made.annotate("sheet.sqlite", &export);
     assert_eq!(none["counts"]["labels"], 0, "{none}");

@@ -11,6 +11,7 @@ use std::path::Path;
 use datasets_spec::Dataset;
 use datasets_spec::dataset::Transaction;
 use datasets_spec::store::replace_file;
+use datasets_spec::table::Row as _;
 use serde_json::{Value, json};
 
 pub use exporter::Exported;
@@ -19,6 +20,7 @@ use exporter::STAMP;
 
 use crate::Error;
 use crate::store::Store;
+use crate::transfer::tables::AnnotationRow;
 use crate::wire::{ExportFormat, ExportRequest};
 
 /// Exports accepted answers from a snapshot of the store. The files are written to `folder`. Layout `dataset` instead
@@ -90,10 +92,11 @@ fn hashes(folder: &Path, names: &[String]) -> Result<BTreeMap<String, String>, E
 }
 
 /// Checks that no file of an export was changed afterwards: the table `annotations` repeats the JSON files, so it would
-/// be unknown which of them is right. Folders without `export.json`, or with one of an earlier version, pass.
+/// be unknown which of them is right. An earlier export into the same folder may have left such a table behind. Folders
+/// without `export.json`, or with one of an earlier version, pass.
 ///
 /// # Errors
-/// A file has another content than it was written with, or cannot be read.
+/// A file has another content than it was written with, cannot be read, or is a table `annotations` of another export.
 pub fn check_files(folder: &Path) -> Result<(), Error> {
     let path = folder.join(STAMP);
     if !path.is_file() {
@@ -104,7 +107,16 @@ pub fn check_files(folder: &Path) -> Result<(), Error> {
     let refused = |problem: String| Error::import(&what, problem);
     let stamp: Value =
         serde_json::from_slice(&bytes).map_err(|error| refused(format!("{STAMP}: {error}")))?;
-    let written = stamp["blake3"].as_object().into_iter().flatten();
+    let Some(written) = stamp["blake3"].as_object() else {
+        return Ok(());
+    };
+    let annotations = format!("{}.parquet", AnnotationRow::TABLE);
+    if !written.contains_key(&annotations) && folder.join(&annotations).is_file() {
+        return Err(refused(format!(
+            "{annotations} is not of this export: {STAMP} does not list it; export into an empty folder, or import the \
+             file alone if it is to count"
+        )));
+    }
     for (name, written) in written {
         if !folder.join(name).is_file() {
             continue;
