@@ -32,6 +32,8 @@ pub struct Drafted {
     pub texts: usize,
     /// Tasks without parts to describe.
     pub without_parts: usize,
+    /// Tasks of pairs and styles among them. Their parts are known once a person names them.
+    pub pairs_without_parts: usize,
     /// Requests that failed; run the command again for them.
     pub failures: usize,
     /// Cause of the last failure.
@@ -46,12 +48,16 @@ fn each(
 ) -> Result<(), Error> {
     done.looked_at += tasks.len();
     let done = Mutex::new(done);
-    let work = |task| {
+    let work = |task: &TaskRecord| {
         if lock(&done).failures >= MAX_FAILURES {
             return Ok(());
         }
         match ask(task) {
-            Ok(0) => lock(&done).without_parts += 1,
+            Ok(0) => {
+                let mut done = lock(&done);
+                done.without_parts += 1;
+                done.pairs_without_parts += usize::from(task.kind != TaskKind::MaskText);
+            }
             Ok(texts) => lock(&done).texts += texts,
             Err(Error::Refused(problem)) => {
                 let mut done = lock(&done);

@@ -127,11 +127,12 @@ fn drafts_are_asked_for_in_bulk_and_once_and_a_model_that_is_gone_is_named() {
     let site = Site::new();
     let motions = MotionLibrary::open(&site.dataset).expect("motions");
     let store = site.store.as_ref();
-    let ask = |model: &Model, limit: usize| {
-        let kind = Some(TaskKind::MaskText);
+    let ask_for = |kind, model: &Model, limit: usize| {
+        let kind = Some(kind);
         let done = drafting::draft_all(store, &motions, model, kind, limit, START, &mut |_| {});
         done.expect("drafts")
     };
+    let ask = |model: &Model, limit: usize| ask_for(TaskKind::MaskText, model, limit);
     let none = ask(&gone, usize::MAX);
     assert_eq!(none.texts, 0);
     assert!(none.failures > 0);
@@ -139,6 +140,9 @@ fn drafts_are_asked_for_in_bulk_and_once_and_a_model_that_is_gone_is_named() {
     let first = ask(&model, 3);
     assert_eq!((first.looked_at, first.failures), (3, 0));
     assert!(first.texts >= 3 - first.without_parts);
+    assert_eq!(first.pairs_without_parts, 0);
+    let pairs = ask_for(TaskKind::Pair, &model, 3);
+    assert_eq!((pairs.without_parts, pairs.pairs_without_parts), (3, 3));
     let prompt = fake.asked.lock().expect("no panic")[0].clone();
     assert!(prompt.contains("Leave out what other parts"), "{prompt}");
     let ann = site.person("ann");

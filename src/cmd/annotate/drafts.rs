@@ -50,10 +50,16 @@ pub(super) fn ask_drafts(
         "{} new texts for {} tasks",
         done.texts, done.looked_at
     )];
-    if done.without_parts > 0 {
+    let clips = done.without_parts - done.pairs_without_parts;
+    if clips > 0 {
         lines.push(format!(
-            "  {} tasks have no part to describe; `stance masks` suggests some",
-            done.without_parts
+            "  {clips} clips have no part to describe; `stance masks` suggests some"
+        ));
+    }
+    if done.pairs_without_parts > 0 {
+        lines.push(format!(
+            "  {} pairs have no part to describe until a person names it, and then asks for a draft on the screen of the pair",
+            done.pairs_without_parts
         ));
     }
     if let Some(failure) = &done.last_failure {
