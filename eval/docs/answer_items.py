@@ -5,7 +5,8 @@
     stance edits import ANSWERS --items ITEMS --name "Raised arm" --out EDITS
 
 It reads the source and the instruction of each item. If the instruction names an arm, that arm is raised;
-otherwise the source is returned. Replace `edited` by your model.
+otherwise the source is returned. If an item asks about only some frames, the others stay. Replace `edited` by your
+model.
 """
 
 import json
@@ -34,7 +35,9 @@ def main(questions: pathlib.Path, answers: pathlib.Path) -> None:
     answers.mkdir(parents=True)
     for item in json.loads((questions / "items.json").read_text())["items"]:
         source = numpy.load(questions / item["source"]["file"])
-        poses, trans = edited(source["poses"][:, :66], source["trans"], item["instruction"])
+        poses, trans = source["poses"][:, :66], source["trans"]
+        asked = slice(item.get("edit_start"), item.get("edit_end"))
+        poses[asked], trans[asked] = edited(poses[asked], trans[asked], item["instruction"])
         numpy.savez(answers / f"{item['id']}.npz", poses=poses, trans=trans, mocap_frame_rate=item["fps"])
 
 

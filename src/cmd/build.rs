@@ -14,7 +14,8 @@ use pipeline::clips::Clips;
 use pipeline::export::{Layout, export};
 use pipeline::ingest::SourceArg;
 use pipeline::stage::IngestConfig;
-use serde::Deserialize;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
 
 use crate::cmd::export::layout_named;
 use crate::exit::Exit;
@@ -49,8 +50,8 @@ struct BuildConfig {
     #[serde(default = "default_triplets")]
     triplets: u64,
     /// Layouts written beside the dataset.
-    #[serde(default)]
-    export: Vec<String>,
+    #[serde(default, deserialize_with = "layouts")]
+    export: Vec<Layout>,
     #[serde(default)]
     ingest: IngestConfig,
     #[serde(default)]
@@ -63,6 +64,17 @@ struct BuildConfig {
 
 fn default_triplets() -> u64 {
     256
+}
+
+fn layouts<'de, D: Deserializer<'de>>(names: D) -> Result<Vec<Layout>, D::Error> {
+    let names = Vec::<String>::deserialize(names)?;
+    let layouts = names.iter().map(|name| {
+        layout_named(name).ok_or_else(|| {
+            let known = Layout::ALL.map(Layout::as_str).join(", ");
+            D::Error::custom(format!("export names {name:?}, which is none of {known}"))
+        })
+    });
+    layouts.collect()
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
@@ -133,15 +145,12 @@ fn exported(
         false => BTreeMap::new(),
     };
     let mut exports = Vec::new();
-    for name in &config.export {
-        let layout = layout_named(name).with_context(|| {
-            let known = Layout::ALL.map(Layout::as_str).join(", ");
-            format!("[export] names {name:?}, which is none of {known}")
-        })?;
+    for &layout in &config.export {
+        let name = layout.as_str();
         let out = config.out.join(name);
         if !out.exists() {
             // Recorded first, so that no export is without a record. It appears complete or not at all.
-            hashes.insert(name.clone(), root_hash.clone());
+            hashes.insert(name.to_owned(), root_hash.clone());
             local::write(&record, &serde_json::to_vec_pretty(&hashes)?)?;
             export(&Clips::all(dataset), layout, &out, &global.bars())
                 .with_context(|| format!("stage export {name}"))?;

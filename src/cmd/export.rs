@@ -136,9 +136,11 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let mut remarks = Vec::new();
     let done = if layout == Layout::MotionFix && composed {
         if args.chosen.condition.is_some() || sides != Sides::default() {
+            let (triplets, items) = (TripletRow::TABLE, ItemRow::TABLE);
             bail!(
-                "{} holds triplets; --where is of motions, --sources and --targets are of edits",
-                args.dataset.display()
+                "{} holds {}; --where is of motions, and dumps of MotionFix have no --sources and --targets",
+                args.dataset.display(),
+                if has(triplets) { triplets } else { items }
             );
         }
         export_triplets(&dataset, &args.out, &bars)?

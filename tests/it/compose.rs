@@ -16,6 +16,13 @@ const CLIPS: usize = 156;
 #[test]
 fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
     let folder = Folder::of_clips(CLIPS);
+    // A layout that does not exist is refused before anything is made.
+    let wrong = "sources = [\"corpus\"]\nout = \"built\"\nexport = [\"stance\", \"bvx\"]\n";
+    folder.put("wrong.toml", wrong);
+    let refused = folder.typed("build --config @wrong.toml").expect_code(1);
+    refused.expect_said("wrong.toml:3:");
+    refused.expect_said("export names \"bvx\", which is none of amass, ");
+    assert!(!folder.path("built").exists());
     folder.put(
         "build.toml",
         r#"

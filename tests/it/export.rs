@@ -137,6 +137,9 @@ fn triplets_and_items_become_dumps_of_motionfix() {
         let name = format!("{verb}-motionfix");
         let (made, out) = (dir.join(verb), dir.join(&name));
         typed("{} {} --count 6 --out {}", &[&verb, &dataset, &made]).expect_code(0);
+        let refused = "export {} --to motionfix --where 1=1 --out {}";
+        let held = format!("holds {verb}; --where is of motions");
+        typed(refused, &[&made, &out]).expect_refused(&held);
         let said = exported(&made, "motionfix", &out, &[]);
         let count = said["clips"].as_u64().expect("a count") as usize;
         assert!((1..=6).contains(&count), "{verb}: {count}");

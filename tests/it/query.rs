@@ -209,6 +209,25 @@ fn a_condition_that_names_nothing_says_what_there_is() {
 }
 
 #[test]
+fn a_column_named_as_a_keyword_and_a_missing_table_are_said() {
+    let (_dir, dataset) = dataset_of(2, &[]);
+    let opened = Dataset::open(&dataset).expect("a dataset");
+    let mut tables = Tables::of(&opened).expect("tables");
+    let mut refused = |query: &str| tables.ask(query).expect_err(query).to_string();
+    for query in [
+        "SELECT id,end FROM masks",
+        "SELECT id FROM motions end of it",
+    ] {
+        let error = refused(query);
+        let said = "keyword end stands; a column of this name stands in double quotes: \"end\"";
+        assert!(error.contains(said), "{error}");
+    }
+    let error = refused("SELECT id");
+    assert!(error.contains("it names no table"), "{error}");
+    assert!(error.contains("motions"), "{error}");
+}
+
+#[test]
 fn hostile_queries_end_with_an_error_and_read_nothing_else() {
     let (dir, dataset, _) = made(4);
     let secret = dir.path().join("secret.csv");

@@ -2,9 +2,9 @@
 
 use datasets_spec::Split;
 use datasets_spec::record::{EditRow, MaskRow};
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use crate::util::{Folder, json_lines};
+use crate::util::{Folder, json_lines, json_of, len_of, list_of};
 
 #[test]
 fn the_range_of_a_mask_reaches_items_edits_and_exports() {
@@ -39,6 +39,17 @@ fn the_range_of_a_mask_reaches_items_edits_and_exports() {
     let asked = folder.dataset_at("edits").items().expect("items");
     let made: Vec<EditRow> = folder.rows("edits");
     assert_eq!((asked.len(), made.len()), (tested.len(), tested.len()));
+    // Systems outside this program are told the same frames.
+    folder.run("items export @items --out @questions");
+    let questions: Value = json_of(folder.path("questions/items.json"));
+    assert_eq!(len_of(&questions["items"]), asked.len());
+    for question in list_of(&questions["items"]) {
+        let item = asked.iter().find(|item| question["id"] == item.id.as_str());
+        let item = item.expect("an item");
+        assert_eq!(question["edit_start"], json!(item.edit_start));
+        assert_eq!(question["edit_end"], json!(item.edit_end));
+    }
+    assert!(asked.iter().any(|item| item.edit_end.is_some()));
     let mut changed = 0;
     for item in &asked {
         let frames = item.edited_frames().expect("a range");

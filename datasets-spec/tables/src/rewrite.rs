@@ -122,9 +122,17 @@ fn parser(text: &str) -> Result<Parser<'static>, String> {
 }
 
 pub(crate) fn rewrite_query(text: &str, names: &Names) -> Result<String, String> {
-    let mut statements = parser(text)?
+    let mut parser = parser(text)?;
+    let mut statements = parser
         .parse_statements()
         .map_err(|error| error.to_string())?;
+    // The parser takes the keyword END for the end of a block of statements, and does not read on.
+    let next = parser.peek_token().token;
+    if next != Token::EOF {
+        return Err(format!(
+            "the query ends where the keyword {next} stands; a column of this name stands in double quotes: \"{next}\""
+        ));
+    }
     let [Statement::Query(query)] = statements.as_mut_slice() else {
         return Err("it is not one SELECT, the only statement there is".to_owned());
     };
@@ -576,6 +584,10 @@ pub(crate) fn problem_of(query: &str, error: &PolarsError, names: &Names) -> Str
     let columns: BTreeSet<&String> = tables.flat_map(|(_, columns)| columns).collect();
     let columns: Vec<String> = columns.into_iter().cloned().collect();
     match error {
+        PolarsError::ColumnNotFound(_) if named.is_empty() => format!(
+            "it names no table; write FROM and one of {}",
+            listed(names.tables.keys())
+        ),
         PolarsError::ColumnNotFound(name) => {
             let name = name.to_string();
             let name = name.trim().trim_start_matches("unable to find column ");

@@ -180,6 +180,16 @@ impl ItemTask {
             Self::MotionFix => "motionfix",
         }
     }
+
+    /// The command that brings masks or pairs of the task into a dataset.
+    pub(crate) fn made_by(self) -> &'static str {
+        match self {
+            Self::Semantic => "`stance masks DATASET` makes masks",
+            Self::Style => "`stance pairs DATASET` makes pairs from labels",
+            Self::FineGrained => "`stance pairs DATASET --csv LIST` adds pairs of a list",
+            Self::MotionFix => "`stance ingest` reads pairs from a dump of MotionFix",
+        }
+    }
 }
 
 impl FromStr for ItemTask {

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use datasets_spec::{Code, MotionId, Split};
 use work::Failed;
 
+use crate::ItemTask;
+
 /// An error that names the row, motion or setting it happened to.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -234,6 +236,17 @@ pub enum Error {
         /// Stored frames a window spans.
         frames: usize,
     },
+    /// No mask or pair is of the requested tasks.
+    #[error(
+        "split {split} has no mask or pair for items of task {}",
+        made_by(tasks)
+    )]
+    NoTask {
+        /// The split.
+        split: Split,
+        /// The requested tasks.
+        tasks: Vec<ItemTask>,
+    },
     /// The drawn items differ from those of a published set.
     #[error(
         "{count} items were drawn whose ids come to {found}, and those of the set come to {expected}: the dataset is not that \
@@ -310,6 +323,14 @@ pub enum Error {
         /// Rate of the target.
         target_fps: f64,
     },
+}
+
+/// Tasks, each with the command that brings its masks or pairs into a dataset.
+fn made_by(tasks: &[ItemTask]) -> String {
+    let tasks = tasks
+        .iter()
+        .map(|task| format!("{task} ({})", task.made_by()));
+    tasks.collect::<Vec<_>>().join(", ")
 }
 
 impl Error {

@@ -146,27 +146,7 @@ pub fn draw_items<'a>(
     let library = Arc::clone(library).aligned(compose.alignment)?;
     let stride = compose.stride(library.fps())?;
     let span = compose.span(stride);
-    let is_wanted = |task: ItemTask| config.tasks.is_empty() || config.tasks.contains(&task);
-    let mut subjects: Vec<(u64, Subject)> = library
-        .all_subjects()
-        .filter(|subject| is_wanted(library.task_of(*subject)))
-        .filter(|subject| {
-            library.is_asked_as_is(*subject)
-                || (compose.kinds.contains(&library.kind_of(*subject))
-                    && library.frames_of(*subject) >= span)
-        })
-        .map(|subject| {
-            let id = library.subject_id(subject);
-            (seed.draw_u64(&["evaluation order", id]), subject)
-        })
-        .collect();
-    subjects.sort_unstable_by_key(|(order, _)| *order);
-    if subjects.is_empty() {
-        return Err(Error::NoItem {
-            split: library.split(),
-            frames: span,
-        });
-    }
+    let subjects = subjects_of(&library, config, span, seed)?;
     let drawer = Drawer {
         base: library.base(&compose, seed, span)?,
         library,
@@ -204,6 +184,43 @@ pub fn draw_items<'a>(
         questions,
         num_drawn,
     })
+}
+
+/// The usable masks and pairs of the requested tasks, each with its draw, by which they are ordered.
+fn subjects_of(
+    library: &Library,
+    config: &ItemConfig,
+    span: usize,
+    seed: Seed,
+) -> Result<Vec<(u64, Subject)>, Error> {
+    let split = library.split();
+    let is_wanted = |task: ItemTask| config.tasks.is_empty() || config.tasks.contains(&task);
+    let mut wanted = library
+        .all_subjects()
+        .filter(|subject| is_wanted(library.task_of(*subject)))
+        .peekable();
+    if wanted.peek().is_none() {
+        let tasks = ItemTask::ALL.into_iter().filter(|task| is_wanted(*task));
+        let tasks = tasks.collect();
+        return Err(Error::NoTask { split, tasks });
+    }
+    let mut subjects: Vec<(u64, Subject)> = wanted
+        .filter(|subject| {
+            library.is_asked_as_is(*subject)
+                || (config.compose.kinds.contains(&library.kind_of(*subject))
+                    && library.frames_of(*subject) >= span)
+        })
+        .map(|subject| {
+            let id = library.subject_id(subject);
+            (seed.draw_u64(&["evaluation order", id]), subject)
+        })
+        .collect();
+    if subjects.is_empty() {
+        let frames = span;
+        return Err(Error::NoItem { split, frames });
+    }
+    subjects.sort_unstable_by_key(|(order, _)| *order);
+    Ok(subjects)
 }
 
 /// Drawn items without their motions, which are made when rows are asked for.

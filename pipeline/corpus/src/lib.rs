@@ -35,6 +35,7 @@ mod style;
 mod text;
 mod travel;
 
+use std::collections::BTreeSet;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -66,6 +67,8 @@ const LICENSE: &str = "CC0-1.0";
 pub const PAIR_LIST: &str = "pairs.csv";
 /// Folder of the AMASS archives, where a release has the name of a subset.
 const AMASS_SUBSET: &str = "Stance";
+const AMASS_FOLDER: &str = "amass";
+const BVH_FOLDER: &str = "bvh";
 
 /// A corpus that could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -79,6 +82,9 @@ pub enum Error {
         /// Error of the system.
         source: io::Error,
     },
+    /// The folder holds a motion or a list of another corpus, which would be ingested with this one.
+    #[error("{} is no file of this corpus and would be ingested with it; name a new folder", .0.display())]
+    Foreign(PathBuf),
 }
 
 /// Size and seed of a corpus.
@@ -187,12 +193,8 @@ pub fn clip(index: usize, options: &CorpusOptions) -> CorpusClip {
 /// seed and the index alone; a smaller [`CorpusOptions::adjusted`] gives the first of those of a larger one.
 pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip> {
     let (action, style, take) = cast(index);
-    if style.name != style::NEUTRAL.name {
-        return Vec::new();
-    }
     let take_name = take.to_string();
-    let of_take = ["corpus", "adjustment", action.name(), &take_name];
-    Adjustment::draw(action, options.adjusted, &mut options.seed.rng(&of_take))
+    adjustments(index, options)
         .into_iter()
         .map(|adjustment| {
             // The style's name, and therefore every random draw, equals that of the neutral performance.
@@ -205,10 +207,9 @@ pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip
                 &take_name,
             ]);
             let captions = text::captions(action, &[adjustment.manner], facts, &mut words);
-            let neutral = clip_name(action, style, take);
             AdjustedClip {
                 clip: CorpusClip {
-                    name: format!("{neutral}_adjusted-{}", adjustment.name),
+                    name: adjusted_name(index, &adjustment),
                     motion,
                     sidecar: Sidecar {
                         captions: captions.into_iter().map(Into::into).collect(),
@@ -220,6 +221,17 @@ pub fn adjusted_clips(index: usize, options: &CorpusOptions) -> Vec<AdjustedClip
             }
         })
         .collect()
+}
+
+/// The adjustments of the clip of an index; none if it is not neutral.
+fn adjustments(index: usize, options: &CorpusOptions) -> Vec<Adjustment> {
+    let (action, style, take) = cast(index);
+    if style.name != style::NEUTRAL.name {
+        return Vec::new();
+    }
+    let take = take.to_string();
+    let of_take = ["corpus", "adjustment", action.name(), &take];
+    Adjustment::draw(action, options.adjusted, &mut options.seed.rng(&of_take))
 }
 
 /// Labels that the sidecars of all performances of a take share.
@@ -259,6 +271,13 @@ fn clip_name(action: Action, style: &style::Style, take: usize) -> String {
     format!("{}_{}_{:03}", action.name(), style.name, take + 1)
 }
 
+/// Name of an adjusted performance of the clip of an index.
+fn adjusted_name(index: usize, adjustment: &Adjustment) -> String {
+    let (action, style, take) = cast(index);
+    let neutral = clip_name(action, style, take);
+    format!("{neutral}_adjusted-{}", adjustment.name)
+}
+
 /// Action, style and take of an index: all styles of an action follow one another, so that even a
 /// small corpus has style pairs.
 fn cast(index: usize) -> (Action, &'static style::Style, usize) {
@@ -274,16 +293,69 @@ fn is_amass(index: usize) -> bool {
     (action + take).is_multiple_of(2)
 }
 
-/// Path of a clip relative to the folder of the corpus.
-fn clip_path(index: usize, clip: &CorpusClip) -> PathBuf {
+/// Path of a clip of this name relative to the folder of the corpus.
+fn clip_path(index: usize, name: &str) -> PathBuf {
     let (_, style, _) = cast(index);
     match is_amass(index) {
-        true => Path::new("amass")
+        true => Path::new(AMASS_FOLDER)
             .join(AMASS_SUBSET)
             .join(style.name)
-            .join(format!("{}_poses.npz", clip.name)),
-        false => Path::new("bvh").join(format!("{}.bvh", clip.name)),
+            .join(format!("{name}_poses.npz")),
+        false => Path::new(BVH_FOLDER).join(format!("{name}.bvh")),
     }
+}
+
+/// Paths of the motions of a corpus and of their list, relative to its folder.
+fn own_paths(options: &CorpusOptions) -> BTreeSet<PathBuf> {
+    let mut paths = BTreeSet::new();
+    for index in 0..options.clips {
+        let (action, style, take) = cast(index);
+        paths.insert(clip_path(index, &clip_name(action, style, take)));
+        for adjustment in adjustments(index, options) {
+            paths.insert(clip_path(index, &adjusted_name(index, &adjustment)));
+            paths.insert(PathBuf::from(PAIR_LIST));
+        }
+    }
+    paths
+}
+
+/// Refuses a folder with motions or a list that are not of this corpus, and would mix with it.
+fn check_folder(out: &Path, options: &CorpusOptions) -> Result<(), Error> {
+    let mut found = Vec::new();
+    for name in [AMASS_FOLDER, BVH_FOLDER, PAIR_LIST] {
+        files_below(&out.join(name), &mut found).map_err(|source| Error::Write {
+            path: out.to_owned(),
+            source,
+        })?;
+    }
+    found.sort_unstable();
+    let own = own_paths(options);
+    let is_foreign = |path: &PathBuf| {
+        let is_read = [".npz", ".bvh", PAIR_LIST];
+        let is_read = is_read.map(|end| path.to_string_lossy().ends_with(end));
+        let is_own = path.strip_prefix(out).is_ok_and(|path| own.contains(path));
+        is_read.contains(&true) && !is_own
+    };
+    match found.into_iter().find(is_foreign) {
+        Some(path) => Err(Error::Foreign(path)),
+        None => Ok(()),
+    }
+}
+
+/// Adds a file, or the files of a folder and of the folders in it; nothing if there is none.
+fn files_below(path: &Path, found: &mut Vec<PathBuf>) -> io::Result<()> {
+    if path.is_file() {
+        found.push(path.to_owned());
+        return Ok(());
+    }
+    let entries = match std::fs::read_dir(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        entries => entries?,
+    };
+    for entry in entries {
+        files_below(&entry?.path(), found)?;
+    }
+    Ok(())
 }
 
 /// The id that ingestion gives a clip: its path without extension, with `/` between folders.
@@ -299,7 +371,7 @@ fn clip_id(path: &Path) -> String {
 /// alone.
 ///
 /// # Errors
-/// A folder or file cannot be written.
+/// A folder or file cannot be written, or the folder holds motions or a list of another corpus.
 pub fn write_corpus(
     out: &Path,
     options: &CorpusOptions,
@@ -312,7 +384,7 @@ pub fn write_corpus(
 /// one take of every action are held out of training.
 ///
 /// # Errors
-/// A folder or file cannot be written.
+/// As [`write_corpus`].
 pub fn write_held_out_corpus(
     out: &Path,
     options: &CorpusOptions,
@@ -333,6 +405,7 @@ fn write_with(
     split: impl Fn(usize) -> Option<Split> + Sync,
     progress: &dyn Progress,
 ) -> Result<CorpusSummary, Error> {
+    check_folder(out, options)?;
     progress.begin("corpus", Some(options.clips as u64));
     let written: Vec<(CorpusSummary, String)> = (0..options.clips)
         .into_par_iter()
@@ -373,7 +446,7 @@ fn write_clips(
 ) -> Result<(CorpusSummary, String), Error> {
     let mut neutral = clip(index, options);
     neutral.sidecar.split = split;
-    let write = |clip: &CorpusClip| write_clip(out, &clip_path(index, clip), clip);
+    let write = |clip: &CorpusClip| write_clip(out, &clip_path(index, &clip.name), clip);
     let mut summary = CorpusSummary {
         clips: 1,
         ..write(&neutral)?
@@ -389,8 +462,8 @@ fn write_clips(
         // No field has a comma or a quotation mark.
         lines += &format!(
             "{},{},,{},{},{}\n",
-            clip_id(&clip_path(index, &adjusted.clip)),
-            clip_id(&clip_path(index, &neutral)),
+            clip_id(&clip_path(index, &adjusted.clip.name)),
+            clip_id(&clip_path(index, &neutral.name)),
             adjusted.instruction,
             EditKind::FineGrained.as_str(),
             adjusted.part.name(),

@@ -352,7 +352,7 @@ fn the_bytes_do_not_depend_on_the_threads_and_can_be_read() {
     assert_eq!(summary.bytes, bytes.sum::<u64>());
     for index in 0..options.clips {
         let clip = clip(index, &options);
-        let path = clip_path(index, &clip);
+        let path = clip_path(index, &clip.name);
         let content = &files[&path];
         let frames = match is_amass(index) {
             true => {
@@ -403,6 +403,27 @@ fn the_list_names_clips_by_their_ids_and_no_line_is_refused() {
     }
     let is_one = |splits: &Vec<Split>| splits.windows(2).all(|two| two[0] == two[1]);
     assert!(of_action.values().all(is_one), "{of_action:?}");
+}
+
+#[test]
+fn a_folder_takes_the_same_corpus_again_and_no_other() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let write = |options: &CorpusOptions| write_corpus(dir.path(), options, &NoProgress);
+    let first = write(&options(2)).expect("written");
+    let written = files(dir.path());
+    assert_eq!(write(&options(2)).expect("written again"), first);
+    assert_eq!(files(dir.path()), written);
+    write(&options(3)).expect("has all clips of the first");
+    // The clips that these lack would be ingested with them.
+    let unadjusted = CorpusOptions {
+        adjusted: 0,
+        ..options(3)
+    };
+    let written = files(dir.path());
+    for other in [options(2), unadjusted] {
+        assert!(matches!(write(&other), Err(Error::Foreign(_))));
+        assert_eq!(files(dir.path()), written);
+    }
 }
 
 #[test]

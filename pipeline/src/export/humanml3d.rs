@@ -213,13 +213,18 @@ pub(super) fn ids(clips: &Clips) -> Result<Vec<(String, Option<String>)>, Error>
     Ok(ids)
 }
 
+/// Separates the fields of a caption. A blank replaces it in the text and the tokens, because published loaders split a
+/// line at each of these signs and pass over a clip whose times they cannot read.
+pub(super) const HASH_SIGN: char = '#';
+
 /// A caption as `text#tokens#from#to`.
 pub(super) fn caption_line(caption: &Caption) -> String {
-    // A line break would end the caption; a hash sign in the tokens would end them.
-    let text = caption.text.replace(['\r', '\n'], " ");
+    // A line break would end the caption, and a hash sign would end the text or the tokens.
+    let in_field = |text: &str| text.replace(['\r', '\n', HASH_SIGN], " ");
+    let text = in_field(&caption.text);
     let tokens = match caption.tokens.as_str() {
         "" => words(&text),
-        tokens => tokens.replace(['\r', '\n', '#'], " "),
+        tokens => in_field(tokens),
     };
     format!("{text}#{tokens}#{:?}#{:?}\n", caption.from_s, caption.to_s)
 }
@@ -270,12 +275,15 @@ mod tests {
         let motion = Motion::from_poses(Fps::STORE, &walk(60)).expect("valid");
         let bytes = formats::write::amass::encode(&motion, &skeleton).expect("encoded");
         fs::write(at("in/KIT/walk_poses.npz"), bytes).expect("written");
-        let captions = "a man walks#a/DET man/NOUN walk/VERB#0.0#0.0\nhe walks, fast##0.5#1.5\n";
+        let captions = "a man walks#a/DET man/NOUN walk/VERB#0.0#0.0\n\
+                        he walks, fast##0.5#1.5\nhe takes step #2##1.0#1.5\n";
         fs::write(at("in/KIT/walk_poses.txt"), captions).expect("written");
         let first = ingested(&at("in"), &at("first"));
         let clips = Clips::all(&first);
         let done = export(&clips, Layout::HumanMl3d, &at("out"), &NoProgress).expect("written");
         assert_eq!(done.clips, 1);
+        // A hash sign in a text would be read as the end of the text.
+        assert_eq!(done.left_out["caption_hash_signs"], 1);
 
         let rows = |dataset: &Dataset| dataset.read::<MotionRow>(None).expect("read");
         let before = rows(&first)[0].clone();
@@ -291,7 +299,8 @@ mod tests {
         let ids = "name,id,left_out,license\n000000,KIT/walk_poses,,\n";
         assert_eq!(read(at("out/ids.csv")), ids);
         let texts = "a man walks#a/DET man/NOUN walk/VERB#0.0#0.0\n\
-                     he walks, fast#he/OTHER walks/OTHER fast/OTHER#0.5#1.5\n";
+                     he walks, fast#he/OTHER walks/OTHER fast/OTHER#0.5#1.5\n\
+                     he takes step  2#he/OTHER takes/OTHER step/OTHER#1.0#1.5\n";
         assert_eq!(read(at("out/texts/000000.txt")), texts);
         assert_eq!(read(at("out/all.txt")), "000000\n");
 

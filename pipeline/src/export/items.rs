@@ -34,6 +34,11 @@ struct Item<'a> {
     split: &'a str,
     instruction: &'a str,
     parts: &'a [String],
+    /// The frames of the source that the question is about; absent where it is about all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    edit_start: Option<i32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    edit_end: Option<i32>,
     fps: f32,
     source: File,
     /// Frames of the target: published protocols give systems the length of the answer.
@@ -104,6 +109,8 @@ pub fn export_items(
                 split: item.split.as_str(),
                 instruction: &item.instruction,
                 parts: &item.parts,
+                edit_start: item.edit_start,
+                edit_end: item.edit_end,
                 fps: item.fps,
                 source,
                 target_frames: item.target_frames,

@@ -10,6 +10,7 @@ use features::released_fps;
 use serde::{Deserialize, Serialize};
 
 use super::Layout;
+use super::humanml3d::HASH_SIGN;
 use super::paths::is_shortened;
 use crate::Error;
 use crate::clips::{Clips, Shard};
@@ -213,7 +214,7 @@ fn said(shard: &Shard) -> impl Iterator<Item = (Caption, bool)> {
     })
 }
 
-/// Counts the captions of a file that a layout cannot hold, and the lost times and tokens of the others.
+/// Counts the captions of a file that a layout cannot hold, and the lost times, tokens and hash signs of the others.
 fn captions(shard: &Shard, layout: Layout, counts: &mut Counts) {
     let held = held(layout);
     for (caption, is_made) in said(shard) {
@@ -231,6 +232,11 @@ fn captions(shard: &Shard, layout: Layout, counts: &mut Counts) {
             if is_there && !held.contains(&name) {
                 put(counts, name, 1);
             }
+        }
+        if has_tags(layout) {
+            let fields = [&caption.text, &caption.tokens].into_iter();
+            let signs = fields.map(|field| field.matches(HASH_SIGN).count());
+            put(counts, "caption_hash_signs", signs.sum::<usize>() as u64);
         }
     }
 }

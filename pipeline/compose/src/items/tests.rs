@@ -1,4 +1,4 @@
-use datasets_spec::{JointSet, Split};
+use datasets_spec::{BodyPart, JointSet, Split};
 
 use super::*;
 use crate::fixture;
@@ -146,7 +146,25 @@ fn pairs_of_motionfix_are_asked_about_as_they_are() {
         ..ItemConfig::default()
     };
     let shown = Shown::default();
-    let drawn = draw_items(&library, &style, &shown, Seed(3));
+    let Err(error) = draw_items(&library, &style, &shown, Seed(3)) else {
+        panic!("items of a task without data")
+    };
+    assert_eq!(
+        error.to_string(),
+        "split test has no mask or pair for items of task style (`stance pairs DATASET` makes pairs from labels)"
+    );
+}
+
+#[test]
+fn a_split_of_short_masks_is_not_taken_for_one_without_masks() {
+    let (motions, _) = fixture::rows(Split::Test, 3);
+    let short = fixture::wandering("short", fixture::SPAN - 1);
+    let row = fixture::motion_row("short", Split::Test, &short);
+    let rows = [motions, vec![row]].concat();
+    let mask = fixture::mask_row("short", Split::Test, BodyPart::LeftArm);
+    let library = Arc::new(fixture::library_of(Split::Test, &rows, &[mask], &[]));
+    let shown = Shown::default();
+    let drawn = draw_items(&library, &ItemConfig::default(), &shown, Seed(3));
     assert!(matches!(drawn, Err(Error::NoItem { .. })));
 }
 
