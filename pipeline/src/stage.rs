@@ -19,7 +19,7 @@ pub use work::Context;
 use crate::Error;
 use crate::annotation::masks::{self, MaskConfig};
 use crate::annotation::pairs::{
-    self, LabelledClip, PairConfig, PairList, RefusedLine, is_from_labels, style_pairs,
+    self, LabelledClip, PairConfig, PairList, RefusedLine, is_from_labels, new_pairs, style_pairs,
 };
 use crate::catalogue::other_than_motions;
 use crate::ingest::{IngestOptions, SplitBy};
@@ -196,7 +196,8 @@ pub fn masks(
     Ok(dataset)
 }
 
-/// Makes style pairs from the labels of a dataset and commits them beside those of its sources. Also returns the styled
+/// Makes style pairs from the labels of a dataset and commits them beside those of its sources and of people: two clips
+/// that have a pair there get no second one, nor do those whose pair people judged unusable. Also returns the styled
 /// motions without a counterpart. With a condition, only clips that fulfil it are paired, and pairs of other clips stay
 /// as they are.
 ///
@@ -220,14 +221,18 @@ pub fn pairs(
     };
     let chosen = chosen(&dataset, condition)?;
     let made = style_pairs(&LabelledClip::read(&chosen)?, config, seed);
-    if dataset.manifest().plan(PairRow::TABLE) == plan {
+    let before: Vec<PairRow> = dataset.read(None)?;
+    let is_chosen = |row: &PairRow| row.clips().into_iter().all(|clip| chosen.has_clip(clip));
+    let mut rows = before.clone();
+    rows.retain(|row| !is_from_labels(row) || !is_chosen(row));
+    let new = new_pairs(made.rows, &rows, dataset.manifest().rejected_pairs());
+    rows.extend(new);
+    // A condition may choose other clips than before, so the plan alone does not tell whether there is work.
+    let is_same_plan = dataset.manifest().plan(PairRow::TABLE) == plan;
+    if is_same_plan && are_same_rows([&rows, &before], |row| row.id.as_str()) {
         return Ok((dataset, made.alone));
     }
     context.progress.begin("pairs", None);
-    let mut rows: Vec<PairRow> = dataset.read(None)?;
-    let is_chosen = |row: &PairRow| row.clips().into_iter().all(|clip| chosen.has_clip(clip));
-    rows.retain(|row| !is_from_labels(row) || !is_chosen(row));
-    rows.extend(made.rows);
     context.progress.finish(&format!("{} pairs", rows.len()));
     if rows.is_empty() && !dataset.manifest().tables.contains_key(PairRow::TABLE) {
         return Ok((dataset, made.alone));
@@ -235,6 +240,16 @@ pub fn pairs(
     let skeleton = dataset.skeleton()?;
     let dataset = context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)?;
     Ok((dataset, made.alone))
+}
+
+/// Whether two lists hold the same rows of a table, in any order.
+fn are_same_rows<R: PartialEq>(rows: [&[R]; 2], id: fn(&R) -> &str) -> bool {
+    let [a, b] = rows.map(|rows| {
+        let mut rows: Vec<&R> = rows.iter().collect();
+        rows.sort_by(|a, b| id(a).cmp(id(b)));
+        rows
+    });
+    a == b
 }
 
 /// Adds the pairs of a list to those of a dataset. They replace earlier pairs of a list with the
