@@ -177,7 +177,9 @@ pub fn masks(
     let mut rows: Vec<MaskRow> = present
         .into_iter()
         .filter(|mask| {
-            let stays = judged == Judged::Add || mask.text_origin == "imported";
+            // Texts of parts are imported too, into masks that this stage derives.
+            let is_of_source = mask.text_origin == masks::IMPORTED && mask.author != masks::AUTHOR;
+            let stays = judged == Judged::Add || is_of_source;
             stays || !chosen.has_clip(&mask.motion_id)
         })
         .collect();
