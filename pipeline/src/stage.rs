@@ -11,13 +11,13 @@ use datasets_spec::dataset::{commit_table, table_facts};
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, ShardReader, read_column};
-use datasets_spec::{Dataset, Fps, MotionId, Resample, Seed, Split};
+use datasets_spec::{Dataset, Fps, MotionId, Resample, Seed, Skeleton, Split};
 use serde::{Deserialize, Serialize};
 use tables::{Condition, chosen};
 pub use work::Context;
 
 use crate::Error;
-use crate::annotation::masks::{self, MaskConfig};
+use crate::annotation::masks::{self, Activity, MaskConfig};
 use crate::annotation::pairs::{
     self, LabelledClip, PairConfig, PairList, RefusedLine, is_from_labels, new_pairs, style_pairs,
 };
@@ -136,10 +136,12 @@ pub fn masks(
         None => plan_hash("masks", &(motions_plan, config)),
         Some(condition) => plan_hash("masks", &(motions_plan, config, condition.text())),
     };
-    if dataset.manifest().plan(MaskRow::TABLE) == plan {
-        return Ok(dataset);
-    }
-    let chosen = chosen(&dataset, condition)?;
+    let is_same_plan = dataset.manifest().plan(MaskRow::TABLE) == plan;
+    let chosen = match chosen(&dataset, condition) {
+        // Once the stage has run, no clip fulfils a condition such as `NOT has_mask`.
+        Err(tables::Error::NoneChosen { .. }) if is_same_plan => return Ok(dataset),
+        chosen => chosen?,
+    };
     let present: Vec<MaskRow> = dataset.read(None)?;
     let by_people = present
         .iter()
@@ -157,31 +159,23 @@ pub fn masks(
         }
         Judged::Keep | Judged::Refuse | Judged::Replace | Judged::Add => {}
     }
+    // The plan does not tell which masks were kept, nor which clips a condition chose.
+    if is_same_plan && condition.is_none() && judged != Judged::Replace {
+        return Ok(dataset);
+    }
     let num_clips = dataset.manifest().rows(MotionRow::TABLE, None);
     context.progress.begin("masks", Some(num_clips));
     let skeleton = dataset.skeleton()?;
-    let (mut motions, mut activities) = (Vec::new(), Vec::new());
-    for (path, _) in dataset.files(MotionRow::TABLE, None) {
-        let shard = ShardReader::open_whole(&path)?;
-        for first in (0..shard.num_rows()).step_by(CLIPS_AT_ONCE) {
-            let places: Vec<usize> = (first..first + CLIPS_AT_ONCE).collect();
-            let mut clips: Vec<MotionRow> = shard.rows_at(&places)?;
-            activities.extend(masks::activities(&clips, &skeleton, config)?);
-            for clip in &mut clips {
-                clip.forget_frames();
-            }
-            context.progress.advance(clips.len() as u64);
-            motions.extend(clips);
-        }
-    }
+    let (motions, activities) = measured(&dataset, &skeleton, config, context)?;
     let mut rows: Vec<MaskRow> = present
-        .into_iter()
+        .iter()
         .filter(|mask| {
             // Texts of parts are imported too, into masks that this stage derives.
             let is_of_source = mask.text_origin == masks::IMPORTED && mask.author != masks::AUTHOR;
             let stays = judged == Judged::Add || is_of_source;
             stays || !chosen.has_clip(&mask.motion_id)
         })
+        .cloned()
         .collect();
     let masked: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
     let automatic = masks::masks_from(&motions, &activities, config)?;
@@ -194,8 +188,35 @@ pub fn masks(
     context
         .progress
         .finish(&format!("{} masks on {} clips", rows.len(), motions.len()));
+    if is_same_plan && are_same_rows([&rows, &present], |row| row.id.as_str()) {
+        return Ok(dataset);
+    }
     let dataset = context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)?;
     Ok(dataset)
+}
+
+/// The clips of a dataset without their frames, and how much the parts of the body move in each.
+fn measured(
+    dataset: &Dataset,
+    skeleton: &Skeleton,
+    config: &MaskConfig,
+    context: &Context<'_>,
+) -> Result<(Vec<MotionRow>, Vec<Activity>), Error> {
+    let (mut motions, mut activities) = (Vec::new(), Vec::new());
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let shard = ShardReader::open_whole(&path)?;
+        for first in (0..shard.num_rows()).step_by(CLIPS_AT_ONCE) {
+            let places: Vec<usize> = (first..first + CLIPS_AT_ONCE).collect();
+            let mut clips: Vec<MotionRow> = shard.rows_at(&places)?;
+            activities.extend(masks::activities(&clips, skeleton, config)?);
+            for clip in &mut clips {
+                clip.forget_frames();
+            }
+            context.progress.advance(clips.len() as u64);
+            motions.extend(clips);
+        }
+    }
+    Ok((motions, activities))
 }
 
 /// Makes style pairs from the labels of a dataset and commits them beside those of its sources and of people: two clips
