@@ -59,7 +59,7 @@ impl Judgement {
             start: mask.start,
             end: mask.end,
             text: mask.text.clone(),
-            verdict: if mask.text_origin == "human" {
+            verdict: if mask.text_origin == HUMAN {
                 Verdict::Accept
             } else {
                 Verdict::Todo
@@ -122,6 +122,8 @@ pub struct Taken {
     pub open_edits: usize,
 }
 
+/// Origin of a mask text that a person accepted.
+const HUMAN: &str = "human";
 /// Origin of a mask text that a person wrote and nobody has judged.
 const DRAFT: &str = "draft";
 
@@ -207,7 +209,10 @@ fn judge(
         Verdict::Todo | Verdict::Accept => {}
     }
     let edited = judgement.is_edited(draft);
-    if judgement.verdict == Verdict::Todo && !edited.map_err(|error| error.to_string())? {
+    // A mask that a person has accepted is drafted as accepted: such a line is no judgement of another person.
+    let is_as_drafted =
+        judgement.verdict == Verdict::Todo || draft.is_some_and(|draft| draft.text_origin == HUMAN);
+    if is_as_drafted && !edited.map_err(|error| error.to_string())? {
         // The line does not change its draft, or has no content yet.
         return Ok(draft.map(|draft| (judgement.mask, Some(draft.clone()))));
     }
@@ -231,7 +236,7 @@ fn judge(
         text: judgement.text.trim().to_owned(),
         text_origin: match judgement.verdict {
             Verdict::Todo => DRAFT.to_owned(),
-            _ => "human".to_owned(),
+            _ => HUMAN.to_owned(),
         },
         author: author.to_owned(),
         accepted_by: None,
@@ -336,6 +341,18 @@ mod tests {
         assert_eq!(rows[1], masks[2]);
         assert_eq!(rows[2].id, "c#UPPER_BODY+HEAD");
         assert!(rows[2].hard_joints.contains(&"head".to_owned()));
+
+        // Another reviewer becomes the author of the masks that they judge, not of those accepted before.
+        let mut before = rows;
+        before[0].accepted_by = Some("review".to_owned());
+        let mut lines = judgements(&before);
+        lines[1].verdict = Verdict::Accept;
+        lines[2].text = "The person is nodding.".to_owned();
+        let lines: String = lines.iter().map(Judgement::line).collect();
+        let after = accept(&lines, "bob", &before, &motions).expect("all lines are fine");
+        assert_eq!(after.masks[0], before[0]);
+        let authors = after.masks[1..].iter().map(|mask| mask.author.as_str());
+        assert_eq!(authors.collect::<Vec<_>>(), ["bob", "bob"]);
     }
 
     #[test]

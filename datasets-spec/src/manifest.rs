@@ -1,14 +1,18 @@
 //! The manifest: the files of a dataset and their hashes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
-use crate::Split;
+use crate::{MotionId, Split};
 
 /// Key of the fact that names the label by which splits were drawn, such as `subject`: clips with the same value of the
 /// label are in the same split.
 pub const SPLIT_BY_FACT: &str = "split_by";
+
+/// Key of the fact that lists, as JSON, source and target of the pairs that people judged unusable. It stays when a
+/// dataset grows; see [`Manifest::rejected_pairs`].
+pub const REJECTED_PAIRS_FACT: &str = "rejected_pairs";
 
 /// Value of `format` in every manifest.
 pub const FORMAT: &str = "stance-dataset";
@@ -128,6 +132,13 @@ impl Manifest {
     /// not run again when another table changes.
     pub fn plan(&self, table: &str) -> &str {
         self.plans.get(table).map_or("", String::as_str)
+    }
+
+    /// Source and target of the pairs that people judged unusable: no stage makes them again.
+    pub fn rejected_pairs(&self) -> BTreeSet<[MotionId; 2]> {
+        let fact = self.facts.get(REJECTED_PAIRS_FACT);
+        fact.and_then(|text| serde_json::from_str(text).ok())
+            .unwrap_or_default()
     }
 
     /// Computes the root hash of all files.

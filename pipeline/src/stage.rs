@@ -11,15 +11,15 @@ use datasets_spec::dataset::{commit_table, table_facts};
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, ShardReader, read_column};
-use datasets_spec::{Dataset, Fps, MotionId, Resample, Seed, Split};
+use datasets_spec::{Dataset, Fps, MotionId, Resample, Seed, Skeleton, Split};
 use serde::{Deserialize, Serialize};
 use tables::{Condition, chosen};
 pub use work::Context;
 
 use crate::Error;
-use crate::annotation::masks::{self, MaskConfig};
+use crate::annotation::masks::{self, Activity, MaskConfig};
 use crate::annotation::pairs::{
-    self, LabelledClip, PairConfig, PairList, RefusedLine, is_from_labels, style_pairs,
+    self, LabelledClip, PairConfig, PairList, RefusedLine, is_from_labels, new_pairs, style_pairs,
 };
 use crate::catalogue::other_than_motions;
 use crate::ingest::{IngestOptions, SplitBy};
@@ -136,10 +136,12 @@ pub fn masks(
         None => plan_hash("masks", &(motions_plan, config)),
         Some(condition) => plan_hash("masks", &(motions_plan, config, condition.text())),
     };
-    if dataset.manifest().plan(MaskRow::TABLE) == plan {
-        return Ok(dataset);
-    }
-    let chosen = chosen(&dataset, condition)?;
+    let is_same_plan = dataset.manifest().plan(MaskRow::TABLE) == plan;
+    let chosen = match chosen(&dataset, condition) {
+        // Once the stage has run, no clip fulfils a condition such as `NOT has_mask`.
+        Err(tables::Error::NoneChosen { .. }) if is_same_plan => return Ok(dataset),
+        chosen => chosen?,
+    };
     let present: Vec<MaskRow> = dataset.read(None)?;
     let by_people = present
         .iter()
@@ -157,29 +159,23 @@ pub fn masks(
         }
         Judged::Keep | Judged::Refuse | Judged::Replace | Judged::Add => {}
     }
+    // The plan does not tell which masks were kept, nor which clips a condition chose.
+    if is_same_plan && condition.is_none() && judged != Judged::Replace {
+        return Ok(dataset);
+    }
     let num_clips = dataset.manifest().rows(MotionRow::TABLE, None);
     context.progress.begin("masks", Some(num_clips));
     let skeleton = dataset.skeleton()?;
-    let (mut motions, mut activities) = (Vec::new(), Vec::new());
-    for (path, _) in dataset.files(MotionRow::TABLE, None) {
-        let shard = ShardReader::open_whole(&path)?;
-        for first in (0..shard.num_rows()).step_by(CLIPS_AT_ONCE) {
-            let places: Vec<usize> = (first..first + CLIPS_AT_ONCE).collect();
-            let mut clips: Vec<MotionRow> = shard.rows_at(&places)?;
-            activities.extend(masks::activities(&clips, &skeleton, config)?);
-            for clip in &mut clips {
-                clip.forget_frames();
-            }
-            context.progress.advance(clips.len() as u64);
-            motions.extend(clips);
-        }
-    }
+    let (motions, activities) = measured(&dataset, &skeleton, config, context)?;
     let mut rows: Vec<MaskRow> = present
-        .into_iter()
+        .iter()
         .filter(|mask| {
-            let stays = judged == Judged::Add || mask.text_origin == "imported";
+            // Texts of parts are imported too, into masks that this stage derives.
+            let is_of_source = mask.text_origin == masks::IMPORTED && mask.author != masks::AUTHOR;
+            let stays = judged == Judged::Add || is_of_source;
             stays || !chosen.has_clip(&mask.motion_id)
         })
+        .cloned()
         .collect();
     let masked: BTreeSet<MotionId> = rows.iter().map(|mask| mask.motion_id.clone()).collect();
     let automatic = masks::masks_from(&motions, &activities, config)?;
@@ -192,11 +188,39 @@ pub fn masks(
     context
         .progress
         .finish(&format!("{} masks on {} clips", rows.len(), motions.len()));
+    if is_same_plan && are_same_rows([&rows, &present], |row| row.id.as_str()) {
+        return Ok(dataset);
+    }
     let dataset = context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)?;
     Ok(dataset)
 }
 
-/// Makes style pairs from the labels of a dataset and commits them beside those of its sources. Also returns the styled
+/// The clips of a dataset without their frames, and how much the parts of the body move in each.
+fn measured(
+    dataset: &Dataset,
+    skeleton: &Skeleton,
+    config: &MaskConfig,
+    context: &Context<'_>,
+) -> Result<(Vec<MotionRow>, Vec<Activity>), Error> {
+    let (mut motions, mut activities) = (Vec::new(), Vec::new());
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let shard = ShardReader::open_whole(&path)?;
+        for first in (0..shard.num_rows()).step_by(CLIPS_AT_ONCE) {
+            let places: Vec<usize> = (first..first + CLIPS_AT_ONCE).collect();
+            let mut clips: Vec<MotionRow> = shard.rows_at(&places)?;
+            activities.extend(masks::activities(&clips, skeleton, config)?);
+            for clip in &mut clips {
+                clip.forget_frames();
+            }
+            context.progress.advance(clips.len() as u64);
+            motions.extend(clips);
+        }
+    }
+    Ok((motions, activities))
+}
+
+/// Makes style pairs from the labels of a dataset and commits them beside those of its sources and of people: two clips
+/// that have a pair there get no second one, nor do those whose pair people judged unusable. Also returns the styled
 /// motions without a counterpart. With a condition, only clips that fulfil it are paired, and pairs of other clips stay
 /// as they are.
 ///
@@ -220,14 +244,18 @@ pub fn pairs(
     };
     let chosen = chosen(&dataset, condition)?;
     let made = style_pairs(&LabelledClip::read(&chosen)?, config, seed);
-    if dataset.manifest().plan(PairRow::TABLE) == plan {
+    let before: Vec<PairRow> = dataset.read(None)?;
+    let is_chosen = |row: &PairRow| row.clips().into_iter().all(|clip| chosen.has_clip(clip));
+    let mut rows = before.clone();
+    rows.retain(|row| !is_from_labels(row) || !is_chosen(row));
+    let new = new_pairs(made.rows, &rows, dataset.manifest().rejected_pairs());
+    rows.extend(new);
+    // A condition may choose other clips than before, so the plan alone does not tell whether there is work.
+    let is_same_plan = dataset.manifest().plan(PairRow::TABLE) == plan;
+    if is_same_plan && are_same_rows([&rows, &before], |row| row.id.as_str()) {
         return Ok((dataset, made.alone));
     }
     context.progress.begin("pairs", None);
-    let mut rows: Vec<PairRow> = dataset.read(None)?;
-    let is_chosen = |row: &PairRow| row.clips().into_iter().all(|clip| chosen.has_clip(clip));
-    rows.retain(|row| !is_from_labels(row) || !is_chosen(row));
-    rows.extend(made.rows);
     context.progress.finish(&format!("{} pairs", rows.len()));
     if rows.is_empty() && !dataset.manifest().tables.contains_key(PairRow::TABLE) {
         return Ok((dataset, made.alone));
@@ -235,6 +263,16 @@ pub fn pairs(
     let skeleton = dataset.skeleton()?;
     let dataset = context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)?;
     Ok((dataset, made.alone))
+}
+
+/// Whether two lists hold the same rows of a table, in any order.
+fn are_same_rows<R: PartialEq>(rows: [&[R]; 2], id: fn(&R) -> &str) -> bool {
+    let [a, b] = rows.map(|rows| {
+        let mut rows: Vec<&R> = rows.iter().collect();
+        rows.sort_by(|a, b| id(a).cmp(id(b)));
+        rows
+    });
+    a == b
 }
 
 /// Adds the pairs of a list to those of a dataset. They replace earlier pairs of a list with the

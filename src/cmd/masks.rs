@@ -54,6 +54,12 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(file) = &args.drafts {
+        if file.exists() {
+            bail!(
+                "{} exists already and may hold verdicts; name another file, or move it away",
+                file.display()
+            );
+        }
         let dataset = args.chosen.open(&args.dataset)?;
         let lines = annotate::drafts(&dataset.read::<MaskRow>(None)?)?;
         local::write(file, lines.as_bytes())?;

@@ -161,4 +161,17 @@ fn people_correct_masks_and_the_pipeline_does_not_overwrite_them() {
         .expect_refused("2 masks judged by people");
     folder.put("masks.jsonl", "{}\n");
     folder.typed(accept).expect_refused("masks.jsonl:1");
+    // Masks that were kept stay judged by people, until they are given up in so many words.
+    let added: Value = folder.json("masks @dataset --add");
+    assert_eq!(added["origins"]["human"], 2);
+    folder
+        .typed("masks @dataset")
+        .expect_refused("2 masks judged by people");
+    let replaced: Value = folder.json("masks @dataset --replace");
+    assert_eq!(replaced["masks"], lines.lines().count());
+    assert!(replaced["origins"]["human"].is_null(), "{replaced}");
+    for again in ["masks @dataset", "masks @dataset --replace"] {
+        let again: Value = folder.json(again);
+        assert_eq!(again["root_hash"], replaced["root_hash"]);
+    }
 }

@@ -305,6 +305,9 @@ fn masks_that_a_stage_derived_are_no_loss_when_their_file_changes() {
     let (_dir, source, more, dataset) = begun_with_half(12);
     stance(&["masks", arg(&dataset)]).expect_code(0);
     let derived = masks(&dataset);
+    // They are derived again for every clip that a condition chooses.
+    typed("masks {} --where {}", &[&dataset, &"fps = 20"]).expect_code(0);
+    assert_eq!(masks(&dataset), derived);
     // The texts of these masks were imported, but `stance masks` derived the masks.
     assert!(derived.values().any(|mask| mask.text_origin == "imported"));
     let is_derived = |row: &MotionRow| {
@@ -319,4 +322,9 @@ fn masks_that_a_stage_derived_are_no_loss_when_their_file_changes() {
     assert_eq!(grown["growth"]["lost"], json!([]), "{grown}");
     let left = masks(&dataset);
     assert!(left.values().all(|mask| mask.motion_id != row.id));
+    stance(&["masks", arg(&dataset)]).expect_code(0);
+    let fresh = dataset.with_file_name("fresh");
+    ingest(&[&source], &fresh, &[], 0);
+    stance(&["masks", arg(&fresh)]).expect_code(0);
+    assert_eq!(masks(&dataset), masks(&fresh));
 }

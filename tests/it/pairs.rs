@@ -5,17 +5,21 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use annotate::store::open_sqlite;
+use annotate::wire::{Role, TaskKind};
 use corpus::{CLIPS_PER_TAKE, CorpusOptions};
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow, TripletRow};
 use datasets_spec::{MotionId, Split};
 use pickle::{Array, Value};
 use serde_json::{Value as Json, json};
 
+use crate::annotate::{accept, from_json, settings};
 use crate::tables::tables;
 use crate::train::Workshop;
 use crate::util::{
     Ran, arg, assert_has, commit, corpus, dataset_of, exported, files_with_extension, ingested,
-    list_of, name_of, put, real_data, rows_of, stance, text_of, texts_in, typed, typed_with,
+    len_of, list_of, name_of, put, real_data, rows_of, stance, text_of, texts_in, typed,
+    typed_with,
 };
 
 /// A dataset of the corpus, with masks and pairs.
@@ -159,28 +163,73 @@ fn a_list_adds_pairs_and_every_line_it_does_not_take_is_named() {
     let same = known.iter().filter(|(_, split)| *split == of_first);
     let same: Vec<&MotionId> = same.map(|(id, _)| id).collect();
     let list = dir.path().join("pairs.csv");
+    // The last pair is also one from labels, which is made later.
     let lines = format!(
-        "styled,original,style,text\n{},{},old,\"Move, as if old\"\n{},{},proud\nnobody,{},old,x\none,two\n",
-        same[1], same[0], same[2], same[0], same[0]
+        "styled,original,style,text\n{},{},old,\"Move, as if old\"\n{},{},proud\n{},{},cross\nnobody,{},old,x\none,two\n",
+        same[1], same[0], same[2], same[0], same[0], same[2], same[0]
     );
     put(&list, lines);
     let add = || typed("--json pairs {} --csv {}", &[&dataset, &list]).expect_code(3);
     let ran = add();
     let added: Json = ran.json();
-    assert_eq!(added["pairs"], 2);
+    assert_eq!(added["pairs"], 3);
     let refused = list_of(&added["refused"]).iter();
     let lines: Vec<&Json> = refused.map(|line| &line["line"]).collect();
-    assert_eq!(lines, [4, 5]);
-    ran.expect_said("line 4: no motion of the dataset has the id \"nobody\"");
-    ran.expect_said("line 5: it has 2 fields");
+    assert_eq!(lines, [5, 6]);
+    ran.expect_said("line 5: no motion of the dataset has the id \"nobody\"");
+    ran.expect_said("line 6: it has 2 fields");
     let rows = rows_of::<PairRow>(&dataset);
     let texts: BTreeSet<&str> = rows.iter().map(|row| row.instruction.as_str()).collect();
-    let expected = ["Move, as if old", "Replace a person with a proud look"];
+    let expected = [
+        "Move, as if old",
+        "Replace a person with a proud look",
+        "Replace a person with a cross look",
+    ];
     assert_eq!(texts, BTreeSet::from(expected));
     // A second run changes nothing; pairs from labels are added to those of the list.
     let again: Json = add().json();
     assert_eq!(again["root_hash"], added["root_hash"]);
-    assert_eq!(paired(&dataset)["pairs"], 2 + 10);
+    assert_eq!(paired(&dataset)["pairs"], 3 + 9);
+    stance(&["verify", arg(&dataset)]).expect_code(0);
+}
+
+#[test]
+fn pairs_made_again_stay_as_people_judged_them() {
+    let (dir, dataset) = dataset_of(12, &[]);
+    assert_eq!(paired(&dataset)["pairs"], 10);
+    stance(&["annotate", arg(&dataset), "import"]).expect_code(0);
+    let store = open_sqlite(&dataset.join("annotate/store.sqlite")).expect("a store");
+    store.put_settings(1, settings(), 0).expect("settings");
+    let id = |name: &str, role| store.add_user(None, name, role, 0).expect("a user").id;
+    let people = (id("ann", Role::Annotator), id("eve", Role::Reviewer));
+    for answer in [
+        json!({ "kind": "style", "verdict": "keep", "style": "proud", "extent": "whole", "text": "walk like a lion" }),
+        json!({ "kind": "style", "verdict": "unnatural" }),
+    ] {
+        accept(store.as_ref(), people, TaskKind::Style, from_json(answer));
+    }
+    drop(store);
+    stance(&["annotate", arg(&dataset), "export"]).expect_code(0);
+    let pairs = || -> BTreeMap<String, PairRow> {
+        let rows = rows_of::<PairRow>(&dataset).into_iter();
+        rows.map(|row| (row.id.clone(), row)).collect()
+    };
+    let judged = pairs();
+    assert_eq!(judged.len(), 9);
+    let written = judged.values().filter(|row| row.source == "annotate");
+    assert_eq!(written.count(), 1);
+    let again = paired(&dataset);
+    assert_eq!(again["pairs"], 9);
+    assert_eq!(pairs(), judged);
+    assert_eq!(paired(&dataset)["root_hash"], again["root_hash"]);
+    // A file that is read again brings no rejected pair back.
+    let source = dir.path().join("corpus");
+    let sidecar = files_with_extension(&source, "bvh")[0].with_extension("stance.json");
+    put(&sidecar, text_of(&sidecar).replace("person", "human"));
+    let grown = ingested(&source, &dataset, &[]);
+    assert_eq!(len_of(&grown["growth"]["read_again"]), 1, "{grown}");
+    assert_eq!(paired(&dataset)["pairs"], 9);
+    assert_eq!(pairs(), judged);
     stance(&["verify", arg(&dataset)]).expect_code(0);
 }
 

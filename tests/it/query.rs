@@ -429,4 +429,15 @@ fn every_verb_takes_some_clips_of_a_dataset() {
     assert!(first >= walks as u64 / 2 && first > 0, "{first}");
     assert_eq!(import(&[]), 0, "the condition is kept");
     assert!(import(&["--where", "TRUE"]) > 0);
+
+    // A condition may choose other clips when its command is repeated.
+    let left = || count("SELECT count(*) AS n FROM motions WHERE has_pair AND NOT has_mask");
+    let mask = || -> Value { stance(&["--json", "masks", folder, "--where", "has_pair"]).done() };
+    mask();
+    assert_eq!(left(), 0);
+    stance(&["pairs", folder]).expect_code(0);
+    assert!(left() > 0);
+    let masked = mask();
+    assert_eq!(left(), 0);
+    assert_eq!(mask()["root_hash"], masked["root_hash"]);
 }

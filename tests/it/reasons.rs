@@ -237,7 +237,12 @@ fn edited_texts_without_a_verdict_are_kept() {
     assert_eq!(row.text, "The person is thinking about it.");
     assert_eq!(row.text_origin, "draft");
     assert_eq!(row.author, "ann");
-    // The mask still waits for a verdict, and writing the drafts again keeps its text.
+    // Writing the drafts again does not overwrite the lines of a review.
+    let reviewed = text_of(&file);
+    stance(&["masks", arg(&out), "--drafts", arg(&file)]).expect_refused("exists already");
+    assert_eq!(text_of(&file), reviewed);
+    // The mask still waits for a verdict, and other drafts keep its text.
+    let file = dir.path().join("again.jsonl");
     stance(&["masks", arg(&out), "--drafts", arg(&file)]).expect_code(0);
     let lines = text_of(&file);
     let mut lines = lines.lines();

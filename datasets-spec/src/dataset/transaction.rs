@@ -10,7 +10,7 @@ use super::layout::{
     DATA, META, SKELETON_FACT, manifest_path, newest_manifest, staged_folder, tables_until,
 };
 use super::open::Dataset;
-use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest};
+use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest, REJECTED_PAIRS_FACT};
 use crate::store::{ByPath, Lock, Locking, Store, write_atomically, write_new};
 use crate::table::SCHEMA_VERSION;
 use crate::{Error, Skeleton};
@@ -45,8 +45,8 @@ pub struct Commit {
     pub accounting: Option<Accounting>,
     /// Facts to add.
     pub facts: BTreeMap<String, String>,
-    /// Whether to drop the facts of the previous version, and its tables except those in `carried`. Set if the motions
-    /// that they derive from are replaced.
+    /// Whether to drop the facts of the previous version except [`REJECTED_PAIRS_FACT`], and its tables except those in
+    /// `carried`. Set if the motions that they derive from are replaced.
     pub fresh: bool,
     /// Tables of the previous version that a fresh commit keeps unchanged, with their plans.
     pub carried: BTreeSet<String>,
@@ -148,7 +148,7 @@ impl Transaction {
             manifest
                 .plans
                 .retain(|table, _| commit.carried.contains(table));
-            manifest.facts.clear();
+            manifest.facts.retain(|name, _| name == REJECTED_PAIRS_FACT);
         }
         manifest.schema_version = newer_version(&manifest.schema_version).to_owned();
         manifest.skeleton = commit.skeleton.name().to_owned();

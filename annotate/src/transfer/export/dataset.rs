@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::dataset::{Commit, Transaction};
+use datasets_spec::manifest::REJECTED_PAIRS_FACT;
 use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MASK_DEF_VERSION, MotionId, Split};
@@ -12,7 +13,7 @@ use crate::Error;
 use crate::answer::sentence;
 use crate::mask::check_range;
 use crate::store::AcceptedAnswer;
-use crate::transfer::import::{PAIR_SOURCE, pair_id};
+use crate::transfer::import::{CANDIDATE, PAIR_SOURCE, pair_id};
 use crate::wire::{Answer, Extent, TaskKind};
 
 /// Facts of the manifest that name the store and the point in its log that the tables were exported from.
@@ -50,10 +51,7 @@ impl Exporter<'_> {
         let others = dataset.read::<MaskRow>(None)?.into_iter();
         masks.extend(others.filter(|row| !answered.contains(row.motion_id.as_str())));
         masks.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));
-        let mut pairs: Vec<PairRow> = dataset.read(None)?;
-        pairs.retain(|pair| !judged.contains_key(&pair.id));
-        pairs.extend(judged.into_values().filter_map(|(_, row)| row));
-        pairs.sort_by(|a, b| a.id.cmp(&b.id));
+        let (pairs, rejected) = pairs_after(&dataset, judged)?;
         self.done.count("masks", masks.len());
         self.done.count("motions_described", answered.len());
         self.done.count("pairs", pairs.len());
@@ -61,7 +59,8 @@ impl Exporter<'_> {
         let plan = plan.to_hex().to_string();
         let manifest = dataset.manifest();
         let is_there = |table: &str| manifest.plans.get(table) == Some(&plan);
-        if is_there(MaskRow::TABLE) && is_there(PairRow::TABLE) {
+        let is_recorded = rejected == manifest.rejected_pairs();
+        if is_there(MaskRow::TABLE) && is_there(PairRow::TABLE) && is_recorded {
             return Ok(());
         }
         let skeleton = dataset.skeleton()?;
@@ -73,10 +72,14 @@ impl Exporter<'_> {
             (MaskRow::TABLE.to_owned(), masks),
             (PairRow::TABLE.to_owned(), pairs),
         ]);
-        let facts = BTreeMap::from([
+        let mut facts = BTreeMap::from([
             (STORE_FACT.to_owned(), self.done.store.clone()),
             (SEQ_FACT.to_owned(), self.done.seq.to_string()),
         ]);
+        if !is_recorded {
+            let rejected = serde_json::to_string(&rejected).expect("texts serialise");
+            facts.insert(REJECTED_PAIRS_FACT.to_owned(), rejected);
+        }
         transaction.commit(Commit {
             tables,
             plan_hash: plan,
@@ -162,6 +165,32 @@ impl Exporter<'_> {
             accepted_by: Some(accepted.accepted_by.clone()),
         }))
     }
+}
+
+/// The pairs of a dataset after people judged some of them, and the clips of all pairs that people rejected.
+fn pairs_after(
+    dataset: &Dataset,
+    judged: Judged,
+) -> Result<(Vec<PairRow>, BTreeSet<[MotionId; 2]>), Error> {
+    let mut rejected = dataset.manifest().rejected_pairs();
+    let clips_of = |pair: &PairRow| [pair.source_id.clone(), pair.target_id.clone()];
+    let mut pairs: Vec<PairRow> = Vec::new();
+    for pair in dataset.read::<PairRow>(None)? {
+        match judged.get(&pair.id) {
+            None => pairs.push(pair),
+            // Two takes that people find too different for a candidate can still be a style pair.
+            Some((_, None)) if !pair.id.starts_with(CANDIDATE) => {
+                rejected.insert(clips_of(&pair));
+            }
+            Some(_) => {}
+        }
+    }
+    for row in judged.into_values().filter_map(|(_, row)| row) {
+        rejected.remove(&clips_of(&row));
+        pairs.push(row);
+    }
+    pairs.sort_by(|a, b| a.id.cmp(&b.id));
+    Ok((pairs, rejected))
 }
 
 /// Counts the parts of an answer that the tables cannot hold.

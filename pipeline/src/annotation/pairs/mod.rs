@@ -2,7 +2,7 @@
 
 mod list;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use compose::{EditKind, style_instruction};
 use datasets_spec::record::PairRow;
@@ -175,6 +175,21 @@ pub fn style_pairs(motions: &[LabelledClip], config: &PairConfig, seed: Seed) ->
     }
     pairs.rows.sort_by(|a, b| a.id.cmp(&b.id));
     pairs
+}
+
+/// Those of the made pairs that a dataset takes beside the `kept` ones: none with the id or with source and target of a
+/// kept pair, and none that people rejected.
+pub(crate) fn new_pairs(
+    made: Vec<PairRow>,
+    kept: &[PairRow],
+    rejected: BTreeSet<[MotionId; 2]>,
+) -> Vec<PairRow> {
+    let clips_of = |row: &PairRow| [row.source_id.clone(), row.target_id.clone()];
+    let ids: BTreeSet<&str> = kept.iter().map(|row| row.id.as_str()).collect();
+    let mut taken = rejected;
+    taken.extend(kept.iter().map(clips_of));
+    let is_new = |row: &PairRow| !ids.contains(row.id.as_str()) && !taken.contains(&clips_of(row));
+    made.into_iter().filter(is_new).collect()
 }
 
 #[cfg(test)]
