@@ -6,7 +6,7 @@ use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use clip::{Rejected, rejected};
+use clip::{LabelProblem, Rejected, rejected};
 use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::store::Store;
 use datasets_spec::{MotionId, Progress, Split};
@@ -60,6 +60,11 @@ pub(super) struct PlanNotes {
     pub(super) said: Vec<String>,
     /// Remarks on the clips that the user's choice left out, and on its lines that name no clip.
     pub(super) choice: Vec<String>,
+    /// Labels of folders that could not be used, and names in them that no motion has.
+    pub(super) label_problems: Vec<LabelProblem>,
+    /// Motions that are not read although labels may name them; known only while the plan is made.
+    #[serde(skip)]
+    pub(super) left_out: Vec<Entry>,
     /// Lines of the list of splits that gave no clip a split.
     pub(super) refused_splits: Vec<RefusedLine>,
     /// Grouping whose clips share one drawn split.
@@ -199,6 +204,7 @@ impl Plan {
         if let Some(list) = &options.ids {
             plan.choose(list);
         }
+        plan.note_label_problems();
         plan.take_own_splits(options.splits.as_ref());
         if let Some(list) = &options.pairs {
             plan.follow_originals(list);
@@ -418,16 +424,28 @@ impl Plan {
                 let remark = format!("{} stays as it was: {}", item.id, reason.reason);
                 self.notes.remarks.push(remark);
                 self.notes.staying.insert(item.entry.file.clone());
+                self.notes.left_out.push(item.entry.clone());
                 false
             }
             Some(reason) => {
                 let Entry { file, key, .. } = &item.entry;
                 let row = self.rejected_row(file, key, reason);
                 self.rejected.push(row);
+                self.notes.left_out.push(item.entry.clone());
                 false
             }
         });
         self.items = items;
+    }
+
+    /// Notes the labels of folders that cannot be used, and names in them that no motion has, read in this run or not.
+    fn note_label_problems(&mut self) {
+        let left_out = std::mem::take(&mut self.notes.left_out);
+        let entries = self.items.iter().map(|item| &item.entry);
+        let problems = self
+            .folder_labels
+            .problems(&self.files, entries.chain(&left_out));
+        self.notes.label_problems = problems;
     }
 
     /// Gives clips the splits that the user states: those of the list, otherwise those of their labels. All motions of

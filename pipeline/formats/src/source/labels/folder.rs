@@ -26,7 +26,7 @@ const LICENSES: [&str; 6] = [
 const MAX_BYTES: u64 = 64 << 20;
 
 /// Whether a file holds labels of the motions in its folder, by its name in lower case.
-pub(crate) fn is_label_file(name: &str) -> bool {
+pub fn is_label_file(name: &str) -> bool {
     name == TOML || name == CSV
 }
 
