@@ -1,8 +1,8 @@
 //! Places of the files of each version, and pruning.
 //!
-//! The files of the newest version lie under `data/`, and no others of the program do, so that a search for Parquet files
-//! finds its rows once. Files of older versions, and files that a run has written but not committed, lie aside (see
-//! [`aside`]). Readers find a file in either place, so a run may be killed between its commit and the moves that
+//! The files of the newest version lie under `data/`, and no others of the program do, so that a search for Parquet
+//! files finds its rows once. Files of older versions, and files that a run has written but not committed, lie aside
+//! (see [`aside`]). Readers find a file in either place, so a run may be killed between its commit and the moves that
 //! follow; the next run completes them.
 
 use std::collections::{BTreeMap, BTreeSet};
