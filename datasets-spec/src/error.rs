@@ -160,6 +160,18 @@ pub enum Error {
         /// Expected and found.
         detail: String,
     },
+    /// A folder is no dataset, and a first commit to it would replace a file, or mix its tables with others.
+    #[error(
+        "{} is no dataset and holds {file}, which a dataset there would replace or mix with its own; name a new \
+         folder, or move that file away",
+        path.display()
+    )]
+    Occupied {
+        /// The folder.
+        path: PathBuf,
+        /// The file, relative to the folder.
+        file: String,
+    },
     /// Another run writes to the same folder.
     #[error("{} is locked by another run ({holder}); wait for it or choose another folder", path.display())]
     Locked {
@@ -234,6 +246,7 @@ impl Error {
             Self::Io { path, .. } => ("E-IO", path),
             Self::Locked { path, .. } => ("E-LOCKED", path),
             Self::Overtaken { path, .. } => ("E-OVERTAKEN", path),
+            Self::Occupied { path, .. } => ("E-OCCUPIED", path),
             Self::NotADataset { path, .. } => ("E-DATASET", path),
             Self::Version { path, .. } => ("E-VERSION", path),
             Self::Corrupt { path, .. } | Self::Parquet { path, .. } | Self::Json { path, .. } => {

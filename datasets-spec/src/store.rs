@@ -236,6 +236,22 @@ pub fn temporary_beside(path: &Path) -> PathBuf {
     path.with_file_name(format!(".{name}.{process:016x}-{count}.tmp"))
 }
 
+/// Whether a file name is one that [`temporary_beside`] makes.
+pub(crate) fn is_temporary(name: &str) -> bool {
+    let inner = name
+        .strip_prefix('.')
+        .and_then(|name| name.strip_suffix(".tmp"));
+    let numbers = inner
+        .and_then(|inner| inner.rsplit_once('.'))
+        .and_then(|(_, numbers)| numbers.split_once('-'));
+    numbers.is_some_and(|(process, count)| {
+        process.len() == 16
+            && process.bytes().all(|byte| byte.is_ascii_hexdigit())
+            && !count.is_empty()
+            && count.bytes().all(|byte| byte.is_ascii_digit())
+    })
+}
+
 /// The path of a table's file while the newest version of its dataset does not name it: `data/masks/train.parquet`
 /// becomes `meta/aside/masks/train`, which no search for Parquet files finds. `None` if the file belongs to no table.
 pub fn aside(path: &Path) -> Option<PathBuf> {

@@ -46,7 +46,7 @@ impl Recording {
     pub(crate) fn says(&self) -> &'static str {
         match self {
             Self::Clip(..) => "made of the same source clip",
-            Self::File(_) | Self::Member(..) => "read from the same file",
+            Self::File(_) | Self::Member(..) => "whose file has the same content",
             Self::Motion(_) => "the same motion",
         }
     }

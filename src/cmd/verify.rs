@@ -27,6 +27,9 @@ pub(crate) struct Args {
     reference: Option<PathBuf>,
 }
 
+/// How clips of several splits get one.
+const GIVE_SPLITS: &str = "ingest --splits FILE --new-version";
+
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let verification = verify(&args.dataset, &global.bars())?;
     let comparison = match &args.reference {
@@ -71,12 +74,19 @@ fn text(verification: &Verification) -> String {
         };
         text += &format!("{:<12} {verdict}\n", check.name());
         text += &listing(&found);
+        if check == Check::Splits && !found.is_empty() {
+            text += &format!("  give the clips of one recording one split: {GIVE_SPLITS}\n");
+        }
     }
     if !verification.duplicates.is_empty() {
         let duplicates: Vec<String> = verification.duplicates.iter().map(line).collect();
+        // Findings are never accepted.
+        let or = match verification.passed(true) {
+            true => ", or pass --accept-duplicates where the splits are published",
+            false => "",
+        };
         text += &format!(
-            "{} motions are the same as one of another split; give them one split (ingest --splits), or pass \
-             --accept-duplicates where the splits are published\n",
+            "{} motions are the same as one of another split; give them one split ({GIVE_SPLITS}){or}\n",
             duplicates.len()
         );
         text += &listing(&duplicates);
@@ -135,4 +145,31 @@ fn compared(comparison: &Comparison) -> String {
 
 fn line(finding: &Finding) -> String {
     format!("{}: {}", finding.item, finding.problem)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn accepting_duplicates_is_offered_only_where_it_helps() {
+        let finding = |problem: &str| Finding {
+            check: Check::Splits,
+            item: "b".to_owned(),
+            problem: problem.to_owned(),
+        };
+        let mut verification = Verification {
+            files: 2,
+            rows: 2,
+            findings: vec![finding("has a file with the content of another")],
+            duplicates: vec![finding("is the same motion")],
+        };
+        let offer = "--accept-duplicates";
+        let refused = text(&verification);
+        assert!(!refused.contains(offer), "{refused}");
+        assert_eq!(refused.matches(GIVE_SPLITS).count(), 2, "{refused}");
+        verification.findings.clear();
+        let accepted = text(&verification);
+        assert!(accepted.contains(offer), "{accepted}");
+    }
 }

@@ -317,6 +317,29 @@ fn half_a_set_is_told_from_none_and_parts_may_be_left_at_rest() {
 }
 
 #[test]
+fn labels_that_would_part_the_people_of_a_capture_are_reported() {
+    let (dir, source) = place();
+    let person = |name, fps, who| Capture::of(set(name), &walk(60, fps)).named(who);
+    let take = person("cmu-41", 60.0, "Anna:").and(person("plug-in-gait", 40.0, "Ben:"));
+    put(&source, "take.c3d", take.c3d());
+    let labels = "clip,split\ntake.c3d#Anna,test\ntake.c3d#Ben,val\n";
+    put(&source, "captions.csv", labels);
+    let labelled = dir.path().join("labelled");
+    let done: Value = typed("--json ingest {} --out {}", &[&source, &labelled]).done();
+    let reason = "line 3: split val of take.c3d#Ben was not used: take.c3d#Anna, of the same source clip, has split test";
+    let problem = json!([{"file": "captions.csv", "reason": reason}]);
+    assert_eq!(done["label_problems"], problem);
+    let splits = rows_of::<MotionRow>(&labelled).into_iter();
+    assert!(splits.map(|row| row.split).eq([Split::Test; 2]));
+    // Where a list decides, no label does.
+    let (listed, list) = (dir.path().join("listed"), dir.path().join("splits.csv"));
+    put(dir.path(), "splits.csv", "take.c3d,val\n");
+    let values: [&dyn AsRef<OsStr>; 3] = [&source, &listed, &list];
+    let done: Value = typed("--json ingest {} --out {} --splits {}", &values).done();
+    assert_eq!(done["label_problems"], json!([]));
+}
+
+#[test]
 fn each_person_of_a_capture_is_a_clip() {
     let (dir, source) = place();
     // Each person walks at a different pace.

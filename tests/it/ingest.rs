@@ -12,8 +12,8 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use crate::util::{
-    Ran, arg, assert_quarantined, command, corpus, files_with_extension, put, real_data, rows_of,
-    stance, text_of, typed, typed_with,
+    Ran, arg, assert_quarantined, command, corpus, dataset_of, everything, files_with_extension,
+    put, real_data, rows_of, stance, text_of, typed, typed_with,
 };
 
 /// The document of `ingest --json`, with the fields that scripts rely on.
@@ -125,6 +125,40 @@ fn bad_files_are_quarantined_with_a_reason_and_the_rest_goes_on() {
     ingest(&source, &allowed, &["--allow-quarantine", "2"], 0);
     let strict = dir.path().join("strict");
     ingest(&source, &strict, &["--allow-quarantine", "1%"], 3);
+}
+
+#[test]
+fn a_folder_that_holds_a_project_is_refused_and_stays_as_it_is() {
+    let (dir, dataset) = dataset_of(4, &[]);
+    let [source, project, plan] = ["corpus", "project", "plan"].map(|name| dir.path().join(name));
+    put(project.join("README.md"), "# my project");
+    put(project.join("data/metadata/clips.parquet"), "of a user");
+    let before = everything(&project);
+    for (line, from, more) in [
+        ("ingest {} --out {}", &source, &["--dry-run"][..]),
+        ("ingest {} --out {}", &source, &[]),
+        (
+            "stage plan ingest {} --into {}",
+            &source,
+            &["--out", arg(&plan)],
+        ),
+        (
+            "dataset select {} --out {}",
+            &dataset,
+            &["--where", "id like '%'"],
+        ),
+        ("dataset merge {} --out {}", &dataset, &[arg(&dataset)]),
+    ] {
+        let ran = typed_with(&format!("--json {line}"), &[from, &project], more);
+        let refused: Value = ran.expect_code(1).json();
+        assert_eq!(refused["code"], "E-OCCUPIED", "{line}: {refused}");
+        assert_eq!(everything(&project), before, "{line}");
+    }
+    // Other files are not in the way of a dataset, and stay.
+    fs::rename(project.join("README.md"), project.join("notes.md")).expect("renamed");
+    fs::rename(project.join("data"), project.join("tables")).expect("renamed");
+    ingest(&source, &project, &[], 0);
+    assert_eq!(text_of(project.join("notes.md")), "# my project");
 }
 
 /// A write that fails half-way, as on a full disk: the process may write no file larger than 64 KB.

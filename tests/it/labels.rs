@@ -193,6 +193,33 @@ fn a_bad_label_costs_the_label_and_not_the_motion_and_stays_listed_until_it_is_c
     sources.write("a.stance.json", r#"{"captions": ["a person walks"]}"#);
     let (mended, _) = sources.ingest("out", &[]);
     assert_eq!(problems(&mended), found[1..]);
+    // Nor is a name that a motion has now.
+    sources.motions("a b inner/c d ghost");
+    let (named, _) = sources.ingest("out", &[]);
+    assert_eq!(problems(&named), [found[1].clone(), found[3].clone()]);
+}
+
+#[test]
+fn names_of_motions_that_are_left_out_are_known_to_label_files() {
+    let sources = Sources::new();
+    sources.motions("walk run sit");
+    sources.write("bad.bvh", "HIERARCHY\n");
+    let lines =
+        "clip,text\nwalk,he walks\nrun,he runs\nsit,he sits\nbad,he lies\nghost,he floats\n";
+    sources.write("captions.csv", lines);
+    let ghost = ["captions.csv: line 6: no motion of its folder is called \"ghost\""];
+    let list = sources.path("ids.txt");
+    put(&list, "walk\nrun\nbad\nh*\n");
+    let more = ["--ids", arg(&list), "--allow-quarantine", "1"];
+    let (chosen, rows) = sources.ingest("out", &more);
+    assert_eq!(rows.len(), 2, "sit is not chosen, and bad is quarantined");
+    assert_eq!(problems(&chosen), ghost);
+    let out = sources.path("out");
+    typed("dataset remove {} --where {}", &[&out, &"id='run'"]).expect_code(0);
+    sources.motions("walk run sit hop");
+    let (grown, rows) = sources.ingest("out", &more);
+    assert_eq!(rows.into_keys().collect::<Vec<_>>(), ["hop", "walk"]);
+    assert_eq!(problems(&grown), ghost);
 }
 
 #[test]

@@ -346,7 +346,8 @@ fn clips_that_their_owner_removes_stay_away_and_their_labels_are_asked_for() {
     assert_eq!(masks(&dataset), judged);
     // Errors name the wrong id or condition.
     put(&list, "nobody\n");
-    stance(&remove).expect_refused("nobody");
+    let refused = stance(&remove).refusal();
+    assert_has(&refused, &["nobody", "--list clips` shows the ids"]);
     let line = "dataset remove {} --where {} --drop-labels";
     typed(line, &[&dataset, &"n_frames > 0"]).expect_refused("every clip");
     stance(&["dataset", "remove", arg(&dataset)]).expect_code(2);
@@ -435,5 +436,6 @@ fn clips_of_one_file_share_a_split_when_datasets_are_merged() {
         }
     });
     let found = stance(&["verify", arg(&out)]).expect_code(1).stdout;
-    assert_has(&found, &["read from the same file", moved]);
+    assert_has(&found, &["whose file has the same content", moved]);
+    assert_has(&found, &["ingest --splits FILE --new-version"]);
 }

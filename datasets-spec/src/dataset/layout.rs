@@ -1,16 +1,20 @@
 //! Names of a dataset's folders, and its manifests.
 
 use std::collections::BTreeSet;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::manifest::{FORMAT, Manifest};
-use crate::store::Store;
+use crate::record::all_tables;
+use crate::store::{Store, is_url};
 use crate::table::SCHEMA_VERSION;
-use crate::{Error, Split};
+use crate::{Error, Split, card, croissant};
 
 pub(super) const META: &str = "meta";
 pub(super) const DATA: &str = "data";
 pub(super) const STAGED: &str = "staged";
+/// Begin of the names of the files of a table without splits.
+const UNSPLIT: &str = "all";
 /// Folder of files that the newest version does not name.
 pub(super) const ASIDE: &str = "meta/aside";
 /// Folder for data of this copy of a dataset only, such as the paths of its sources. No manifest names its files.
@@ -33,7 +37,7 @@ pub(super) fn manifest_versions(store: &dyn Store, root: &Path) -> Result<Vec<u6
     let meta = root.join(META);
     let entries = match store.list(&meta) {
         Ok(entries) => entries,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
         Err(error) => return Err(Error::io("list", meta)(error)),
     };
     let mut versions = Vec::new();
@@ -49,6 +53,71 @@ pub(super) fn manifest_versions(store: &dyn Store, root: &Path) -> Result<Vec<u6
     }
     versions.sort_unstable();
     Ok(versions)
+}
+
+/// Checks that a folder is a dataset, or that a first commit to it replaces no file of the user's.
+///
+/// # Errors
+/// The folder is no dataset and holds such a file, or it cannot be listed.
+pub(super) fn check_free(store: &dyn Store, root: &Path) -> Result<(), Error> {
+    let is_dataset = || manifest_versions(store, root).map(|versions| !versions.is_empty());
+    if is_dataset()? {
+        return Ok(());
+    }
+    match occupant(store, root)? {
+        // Another run may have committed a first version meanwhile.
+        Some(file) if !is_dataset()? => Err(Error::Occupied {
+            path: root.to_owned(),
+            file,
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// A file that the first commit to a folder would replace, or a Parquet file under its `data`, where an interrupted
+/// first run leaves none. At a URL, such a run leaves some, and no run replaces or removes others.
+fn occupant(store: &dyn Store, root: &Path) -> Result<Option<String>, Error> {
+    for name in [card::FILE, croissant::FILE] {
+        let path = root.join(name);
+        match store.size(&path) {
+            Ok(_) => return Ok(Some(name.to_owned())),
+            Err(error) if error.kind() == ErrorKind::NotFound => {}
+            Err(error) => return Err(Error::io("read", path)(error)),
+        }
+    }
+    if is_url(root) {
+        return Ok(None);
+    }
+    let data = root.join(DATA);
+    let files = match store.files_below(&data) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
+        files => files.map_err(Error::io("list", &data))?,
+    };
+    let is_table = |file: &&PathBuf| file.extension().is_some_and(|end| end == "parquet");
+    Ok(files.iter().find(is_table).map(|file| {
+        let relative = file.strip_prefix(root).unwrap_or(file);
+        relative.display().to_string()
+    }))
+}
+
+/// Whether a path relative to a dataset is one that this program gives to a file of a table:
+/// `data/<table>/<split>-<i>-of-<n>.parquet`, where a version and a number may follow `<n>`.
+pub(super) fn is_shard(relative: &str) -> bool {
+    let parts: Vec<&str> = relative.split('/').collect();
+    let [DATA, table, name] = parts[..] else {
+        return false;
+    };
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    let mut stem = name.strip_suffix(".parquet").unwrap_or("").split('.');
+    let shard: Vec<&str> = stem.next().unwrap_or("").split('-').collect();
+    let [split, index, "of", of] = shard[..] else {
+        return false;
+    };
+    (split == UNSPLIT || split.parse::<Split>().is_ok())
+        && is_number(index)
+        && is_number(of)
+        && stem.all(|part| is_number(part.strip_prefix('v').unwrap_or(part)))
+        && all_tables().iter().any(|(known, _)| *known == table)
 }
 
 /// Returns the names of all tables in a version and in those older versions that were not pruned.
@@ -125,7 +194,7 @@ impl std::fmt::Display for ShardName {
 
 impl ShardName {
     pub(super) fn stem(&self) -> String {
-        let split = self.split.map_or("all", Split::as_str);
+        let split = self.split.map_or(UNSPLIT, Split::as_str);
         format!("{split}-{:05}-of-{:05}", self.index, self.of)
     }
 }

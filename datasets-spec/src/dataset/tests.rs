@@ -122,14 +122,74 @@ fn half_written_files_go_when_the_next_run_begins() {
     let left = "data/motions/.x meta/.manifest-2.json .stance/..gitignore".split(' ');
     let left = left.map(|name| dir.path().join(format!("{name}.0123456789abcdef-1.tmp")));
     let left: Vec<_> = left.collect();
-    let of_a_user = dir.path().join(".notes.tmp");
+    let of_a_user = [".notes.tmp", "data/motions/.notes.tmp"].map(|name| dir.path().join(name));
     fs::create_dir_all(dir.path().join(PRIVATE)).expect("made");
-    for path in left.iter().chain([&of_a_user]) {
+    for path in left.iter().chain(&of_a_user) {
         fs::write(path, b"x").expect("writes");
     }
     drop(Transaction::begin(dir.path(), "t").expect("lock"));
     assert!(left.iter().all(|path| !path.exists()), "{left:?}");
-    assert!(of_a_user.is_file());
+    assert!(of_a_user.iter().all(|path| path.is_file()));
+}
+
+#[test]
+fn a_folder_with_files_that_a_dataset_would_replace_is_refused_and_stays_as_it_is() {
+    for name in [
+        "README.md",
+        "croissant.json",
+        "data/metadata/clips.parquet",
+        "data/motions/train-00000-of-00001.parquet",
+    ] {
+        let dir = tempfile::tempdir().expect("dir");
+        let path = dir.path().join(name);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+        fs::write(&path, b"of a user").expect("writes");
+        let begun = Transaction::begin(dir.path(), "t").map(|_| ());
+        let planned = Staging::newest(&Disk, dir.path()).map(|_| ());
+        for refused in [begun, planned] {
+            let error = refused.expect_err("refused");
+            assert_eq!(error.code().expect("a code").0, "E-OCCUPIED");
+            assert!(error.to_string().contains(&name[..4]), "{error}");
+        }
+        assert_eq!(Disk.files_below(dir.path()).expect("listed"), [path]);
+        assert!(!dir.path().join("meta").exists());
+    }
+    // What an interrupted first run leaves is not in the way, nor are other files.
+    let dir = tempfile::tempdir().expect("dir");
+    let transaction = Transaction::begin(dir.path(), "t").expect("lock");
+    transaction
+        .write_shard(&shard(0, 1), &[row(0)], &[])
+        .expect("writes");
+    drop(transaction);
+    fs::write(dir.path().join("data/walk.bvh"), b"of a user").expect("writes");
+    commit_motions(dir.path(), &[row(1)]);
+    assert!(dir.path().join("data/walk.bvh").is_file());
+}
+
+#[test]
+fn files_that_users_put_beside_the_tables_stay() {
+    let dir = tempfile::tempdir().expect("dir");
+    commit_motions(dir.path(), &[row(0)]);
+    let users = [
+        "data/notes.parquet",
+        "data/english/train-00000-of-00001.parquet",
+        "data/motions/notes.parquet",
+        "data/motions/train-00000-of-00001.old.parquet",
+    ];
+    let left = [
+        "data/motions/train-00001-of-00002.v7.parquet",
+        "data/skipped/all-00000-of-00001.2.parquet",
+    ];
+    for name in users.iter().chain(&left) {
+        let path = dir.path().join(name);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+        fs::write(path, b"x").expect("writes");
+    }
+    commit_motions(dir.path(), &[row(1)]);
+    let transaction = Transaction::begin(dir.path(), "t").expect("lock");
+    transaction.prune(1, false).expect("prunes");
+    assert!(users.iter().all(|name| dir.path().join(name).is_file()));
+    assert!(!left.iter().any(|name| dir.path().join(name).exists()));
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! Places of the files of each version, and pruning.
 //!
-//! The files of the newest version lie under `data/`, and nothing else does, so that a search for Parquet files finds
-//! its rows once. Files of older versions, and files that a run has written but not committed, lie aside (see
-//! [`aside`]). Readers find a file in either place, so a run may be killed between its commit and the moves that
+//! The files of the newest version lie under `data/`, and no others of the program do, so that a search for Parquet
+//! files finds its rows once. Files of older versions, and files that a run has written but not committed, lie aside
+//! (see [`aside`]). Readers find a file in either place, so a run may be killed between its commit and the moves that
 //! follow; the next run completes them.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,11 +12,11 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::layout::{
-    ASIDE, DATA, META, PRIVATE, STAGED, manifest_path, manifest_versions, read_manifest,
+    ASIDE, DATA, META, PRIVATE, STAGED, is_shard, manifest_path, manifest_versions, read_manifest,
 };
 use super::transaction::Transaction;
 use crate::manifest::Manifest;
-use crate::store::{aside, write_atomically};
+use crate::store::{aside, is_temporary, write_atomically};
 use crate::{Error, card, croissant};
 
 /// Names and texts of the files in a dataset's root that describe it. They are made from its manifest only.
@@ -184,13 +184,13 @@ impl Transaction {
         Ok(())
     }
 
-    /// Removes data files that no manifest names.
+    /// Removes files of tables that no manifest names. Other files under `data/` are the user's.
     fn remove_unnamed(&self) -> Result<(), Error> {
         let versions = manifest_versions(self.store.as_ref(), &self.root)?;
         let named = self.files_of(&versions)?;
         let aside: BTreeSet<String> = named.keys().map(|path| beside(path)).collect();
         for relative in self.files_below(DATA)? {
-            if relative.ends_with(".parquet") && !named.contains_key(&relative) {
+            if is_shard(&relative) && !named.contains_key(&relative) {
                 self.remove(&self.root.join(relative))?;
             }
         }
@@ -205,21 +205,20 @@ impl Transaction {
     /// Removes half-written files of a killed run. Staged files stay, because their writers hold no lock. In the
     /// dataset's root, only half-written cards and Croissant files are removed: others may be the user's.
     pub(super) fn remove_half_written(&self) -> Result<(), Error> {
-        let is_half_written = |name: &str| name.starts_with('.') && name.ends_with(".tmp");
         let ours = |name: &str| {
             let mut files = [card::FILE, croissant::FILE].into_iter();
             files.any(|file| name.starts_with(&format!(".{file}.")))
         };
         let folders = [DATA, META, PRIVATE].map(|folder| self.files_below(folder));
         for relative in folders.into_iter().collect::<Result<Vec<_>, _>>()?.concat() {
-            if is_half_written(relative.rsplit('/').next().unwrap_or(&relative)) {
+            if is_temporary(relative.rsplit('/').next().unwrap_or(&relative)) {
                 self.remove(&self.root.join(relative))?;
             }
         }
         let root = self.store.list(&self.root);
         for (path, _) in root.map_err(Error::io("list", &self.root))? {
             let name = path.file_name().unwrap_or_default().to_string_lossy();
-            if is_half_written(&name) && ours(&name) {
+            if is_temporary(&name) && ours(&name) {
                 self.remove(&path)?;
             }
         }

@@ -7,7 +7,8 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::layout::{
-    DATA, META, SKELETON_FACT, manifest_path, newest_manifest, staged_folder, tables_until,
+    DATA, META, SKELETON_FACT, check_free, manifest_path, newest_manifest, staged_folder,
+    tables_until,
 };
 use super::open::Dataset;
 use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest, REJECTED_PAIRS_FACT};
@@ -57,7 +58,8 @@ impl Transaction {
     /// other runs while this one holds the lock. Staged files stay, because their writers hold no lock.
     ///
     /// # Errors
-    /// Another run holds the lock, or the folder cannot be written.
+    /// The folder is no dataset and holds files that a dataset would replace, another run holds the lock, or the folder
+    /// cannot be written.
     pub fn begin(root: &Path, holder: &str) -> Result<Self, Error> {
         Self::begin_on(ByPath::store(), root, holder)
     }
@@ -67,11 +69,14 @@ impl Transaction {
     /// # Errors
     /// As [`Transaction::begin`].
     pub fn begin_on(store: Arc<dyn Store>, root: &Path, holder: &str) -> Result<Self, Error> {
-        for folder in [root.to_owned(), root.join(META), root.join(DATA)] {
-            store
-                .create_dir_all(&folder)
-                .map_err(Error::io("create folder", &folder))?;
-        }
+        let create = |folder: &Path| {
+            let created = store.create_dir_all(folder);
+            created.map_err(Error::io("create folder", folder))
+        };
+        create(root)?;
+        check_free(store.as_ref(), root)?;
+        create(&root.join(META))?;
+        create(&root.join(DATA))?;
         let path = root.to_owned();
         let lock = match store.lock(root, holder).map_err(Error::io("lock", root))? {
             Locking::Held(lock) => Some(lock),

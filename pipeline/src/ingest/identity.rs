@@ -70,7 +70,11 @@ impl Plan {
             let (quarantined, skipped) = (quarantine.get(&place), skipped.get(&place));
             self.rejected.extend(quarantined.copied().cloned());
             self.skipped.extend(skipped.copied().cloned());
-            quarantined.is_none() && skipped.is_none()
+            let is_left = quarantined.is_some() || skipped.is_some();
+            if is_left {
+                self.notes.left_out.push(item.entry.clone());
+            }
+            !is_left
         });
     }
 

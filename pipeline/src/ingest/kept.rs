@@ -6,6 +6,7 @@ use clip::LabelProblem;
 use datasets_spec::record::{MaskRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use datasets_spec::{MotionId, Split};
+use formats::source::labels::is_label_file;
 
 use super::fates::{Fate, Fates};
 use super::growth::{Growth, LostLabel};
@@ -82,7 +83,8 @@ impl Fates<'_> {
 }
 
 impl Plan {
-    /// Recorded label problems of files that have not changed or are not of this run.
+    /// Recorded label problems of files that have not changed or are not of this run. Those of the label files of
+    /// folders are left out: every run that reads such a file finds them again.
     pub(super) fn recorded_problems(
         &self,
         recorded: &Recorded,
@@ -95,12 +97,14 @@ impl Plan {
             let source = self.sources.get(&problem.file);
             let now = source.and_then(|source| source.hash.as_deref().ok());
             let row = rows.get(problem.file.as_str());
+            let name = problem.file.rsplit('/').next().unwrap_or("");
+            let is_found_again = source.is_some() && is_label_file(&name.to_lowercase());
             let is_same = now.is_some() && now == row.map(|row| row.source_hash.as_str());
             let is_of_run = match row {
                 Some(row) => self.is_of_run(&row.source_name, &row.path),
                 None => source.is_some(),
             };
-            is_same || !is_of_run
+            !is_found_again && (is_same || !is_of_run)
         };
         problems.into_iter().filter(stays).collect()
     }

@@ -6,7 +6,7 @@ use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use clip::{Rejected, rejected};
+use clip::{LabelProblem, Rejected, rejected};
 use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::store::Store;
 use datasets_spec::{MotionId, Progress, Split};
@@ -60,6 +60,11 @@ pub(super) struct PlanNotes {
     pub(super) said: Vec<String>,
     /// Remarks on the clips that the user's choice left out, and on its lines that name no clip.
     pub(super) choice: Vec<String>,
+    /// Labels of folders that could not be used, names in them that no motion has, and contradicting splits.
+    pub(super) label_problems: Vec<LabelProblem>,
+    /// Motions that are not read although labels may name them; known only while the plan is made.
+    #[serde(skip)]
+    pub(super) left_out: Vec<Entry>,
     /// Lines of the list of splits that gave no clip a split.
     pub(super) refused_splits: Vec<RefusedLine>,
     /// Grouping whose clips share one drawn split.
@@ -199,6 +204,7 @@ impl Plan {
         if let Some(list) = &options.ids {
             plan.choose(list);
         }
+        plan.note_label_problems();
         plan.take_own_splits(options.splits.as_ref());
         if let Some(list) = &options.pairs {
             plan.follow_originals(list);
@@ -418,25 +424,39 @@ impl Plan {
                 let remark = format!("{} stays as it was: {}", item.id, reason.reason);
                 self.notes.remarks.push(remark);
                 self.notes.staying.insert(item.entry.file.clone());
+                self.notes.left_out.push(item.entry.clone());
                 false
             }
             Some(reason) => {
                 let Entry { file, key, .. } = &item.entry;
                 let row = self.rejected_row(file, key, reason);
                 self.rejected.push(row);
+                self.notes.left_out.push(item.entry.clone());
                 false
             }
         });
         self.items = items;
     }
 
+    /// Notes the labels of folders that cannot be used, and names in them that no motion has, read in this run or not.
+    fn note_label_problems(&mut self) {
+        let left_out = std::mem::take(&mut self.notes.left_out);
+        let entries = self.items.iter().map(|item| &item.entry);
+        let problems = self
+            .folder_labels
+            .problems(&self.files, entries.chain(&left_out));
+        self.notes.label_problems = problems;
+    }
+
     /// Gives clips the splits that the user states: those of the list, otherwise those of their labels. All motions of
-    /// a source clip get one split, by the first line that names any of them.
+    /// a source clip get one split, by the first line or label that names any of them. Labels that state another one
+    /// are label problems.
     fn take_own_splits(&mut self, list: Option<&SplitList>) {
         let mut lines: BTreeMap<String, usize> = BTreeMap::new();
-        let mut stated: BTreeMap<String, Split> = BTreeMap::new();
+        let mut stated: BTreeMap<String, (Split, usize)> = BTreeMap::new();
+        let mut unused: Vec<([usize; 2], [Split; 2])> = Vec::new();
         let mut known: BTreeSet<String> = BTreeSet::new();
-        for item in &self.items {
+        for (place, item) in self.items.iter().enumerate() {
             let clip = item.clip();
             let names = item.names();
             if let Some(line) = list.and_then(|list| list.line_of(&names)) {
@@ -444,22 +464,53 @@ impl Plan {
                 *first = line.min(*first);
             }
             if let Some(split) = item.labelled_split {
-                stated.entry(clip).or_insert(split);
+                let (used, first) = *stated.entry(clip).or_insert((split, place));
+                if used != split {
+                    unused.push(([place, first], [split, used]));
+                }
             }
             if list.is_some() {
                 known.extend(names);
             }
         }
+        // Where the list decides, no label does.
+        unused.retain(|([place, _], _)| !lines.contains_key(&self.items[*place].clip()));
+        for (places, splits) in unused {
+            let problem = self.contradiction(places, splits);
+            self.notes.label_problems.push(problem);
+        }
+        let stated = stated.into_iter();
+        let mut splits: BTreeMap<String, Split> =
+            stated.map(|(clip, (split, _))| (clip, split)).collect();
         if let Some(list) = list {
             self.notes.refused_splits = list.refused(&known);
-            stated.extend(
+            splits.extend(
                 lines
                     .into_iter()
                     .map(|(clip, line)| (clip, list.split(line))),
             );
         }
         for item in &mut self.items {
-            item.own_split = stated.get(&item.clip()).copied();
+            item.own_split = splits.get(&item.clip()).copied();
+        }
+    }
+
+    /// The problem of a motion whose label states `split`, while the first of its source clip states `used`.
+    fn contradiction(&self, places: [usize; 2], [split, used]: [Split; 2]) -> LabelProblem {
+        let [item, first] = places.map(|place| &self.items[place]);
+        let name = |item: &Planned| list::path_of(&item.entry.file, &item.entry.key);
+        let line = self
+            .folder_labels
+            .line_of_split(&self.files, &item.entry, split);
+        let (file, line) = line.unwrap_or((item.entry.file.as_str(), None));
+        let line = line.map_or(String::new(), |line| format!("line {line}: "));
+        LabelProblem {
+            file: file.to_owned(),
+            reason: format!(
+                "{line}split {split} of {} was not used: {}, of the same source clip, has split {used}",
+                name(item),
+                name(first)
+            ),
         }
     }
 

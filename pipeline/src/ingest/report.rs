@@ -129,8 +129,7 @@ impl Tally {
     /// Labels that could not be used, of clips and of folders.
     pub(super) fn label_problems(&self, plan: &Plan) -> Vec<LabelProblem> {
         let mut problems = self.label_problems.clone();
-        let entries = plan.items.iter().map(|item| &item.entry);
-        problems.extend(plan.folder_labels.problems(&plan.files, entries));
+        problems.extend(plan.notes.label_problems.iter().cloned());
         problems.into_iter().collect()
     }
 

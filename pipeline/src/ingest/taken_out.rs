@@ -31,7 +31,7 @@ impl Plan {
             .iter()
             .map(|clip| clip.path.as_str())
             .collect();
-        let mut left = Vec::new();
+        let (mut left, mut entries) = (Vec::new(), Vec::new());
         items.retain(|item| {
             let file = item.entry.file.as_str();
             let rows = by_hash.get(self.hash_of(item)).into_iter().flatten();
@@ -40,20 +40,23 @@ impl Plan {
                 let moved = !is_there && !known.contains(file);
                 (row.path == file || moved) && item.is_of(id)
             });
-            left.extend(found.map(|(_, row)| SkippedRow {
+            let Some((_, row)) = found else { return true };
+            left.push(SkippedRow {
                 path: file.to_owned(),
                 ..(*row).clone()
-            }));
-            found.is_none()
+            });
+            entries.push(item.entry.clone());
+            false
         });
         self.skipped.extend(left);
+        self.notes.left_out.extend(entries);
     }
 
     /// Skips the clips that the user did not choose. Those that the dataset has stay unchanged.
     pub(super) fn choose(&mut self, list: &IdList) {
         const SHOWN: usize = 10;
         let mut known = BTreeSet::new();
-        let (mut skipped, mut stay) = (Vec::new(), 0u64);
+        let (mut skipped, mut left, mut stay) = (Vec::new(), Vec::new(), 0u64);
         let staying = &mut self.notes.staying;
         self.items.retain(|item| {
             let names = item.names();
@@ -62,6 +65,7 @@ impl Plan {
             if is_chosen {
                 return true;
             }
+            left.push(item.entry.clone());
             let Entry { file, key, .. } = &item.entry;
             if item.known.is_some() {
                 stay += 1;
@@ -71,6 +75,7 @@ impl Plan {
             }
             false
         });
+        self.notes.left_out.extend(left);
         for (file, key, inputs) in skipped {
             let row = self.skipped_row(&file, &key, &inputs, NOT_CHOSEN.to_owned());
             self.skipped.push(row);

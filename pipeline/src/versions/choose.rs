@@ -72,8 +72,8 @@ impl Choice {
                         unknown.iter().take(SHOWN).map(|id| id.as_str()).collect();
                     let root = dataset.root().display();
                     return Err(Error::refused(format!(
-                        "{} ids of {} name no clip of {root}: {}; nothing was changed. `stance inspect {root} --list` \
-                         shows the ids",
+                        "{} ids of {} name no clip of {root}: {}; nothing was changed. `stance inspect {root} --list \
+                         clips` shows the ids",
                         unknown.len(),
                         path.display(),
                         shown.join(", ")

@@ -9,6 +9,7 @@ use super::{csv_file, license_text, toml_file};
 use crate::sidecar::{Content, Sidecar};
 use crate::source::{Entry, Files, text_of_name};
 use clip::{LabelProblem, Rejected};
+use datasets_spec::Split;
 
 /// Names of the files with labels.
 const TOML: &str = "stance.toml";
@@ -26,7 +27,7 @@ const LICENSES: [&str; 6] = [
 const MAX_BYTES: u64 = 64 << 20;
 
 /// Whether a file holds labels of the motions in its folder, by its name in lower case.
-pub(crate) fn is_label_file(name: &str) -> bool {
+pub fn is_label_file(name: &str) -> bool {
     name == TOML || name == CSV
 }
 
@@ -257,6 +258,21 @@ impl FolderLabels {
         }));
         problems.sort();
         problems
+    }
+
+    /// The file and line that give a motion this split by its name; `None` if none does. Files of TOML tell no line.
+    pub fn line_of_split<'a>(
+        &'a self,
+        files: &'a Files,
+        entry: &'a Entry,
+        split: Split,
+    ) -> Option<(&'a str, Option<u64>)> {
+        self.around(files, entry).find_map(|(folder, relative)| {
+            let named = folder.naming(&relative, entry).into_iter();
+            let mut named = named.map(|place| &folder.clips[place]);
+            let clips = named.find(|clips| clips.labels.split == Some(split))?;
+            Some((clips.file.as_str(), clips.line))
+        })
     }
 
     /// Files and lines that could not be used.
