@@ -9,13 +9,16 @@ use datasets_spec::manifest::{Accounting, FileEntry};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow, QuarantineRow, SkippedRow};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, MotionId, Split};
+use formats::source::Entry;
 use serde::Serialize;
 
 use super::alike::{Alike, AlikeClips};
 use super::growth::Growth;
+use super::identity::key_of;
 use super::kept::Outside;
 use super::options::{LABEL_PROBLEMS_FACT, REFUSED_PAIRS_FACT};
 use super::plan::Plan;
+use super::recorded::Recorded;
 use super::shard::ShardNotes;
 use crate::Error;
 use crate::annotation::pairs::{ListedPairs, PairList, RefusedLine};
@@ -127,9 +130,19 @@ impl Tally {
     }
 
     /// Labels that could not be used, of clips and of folders.
-    pub(super) fn label_problems(&self, plan: &Plan) -> Vec<LabelProblem> {
+    pub(super) fn label_problems(&self, plan: &Plan, recorded: &Recorded) -> Vec<LabelProblem> {
         let mut problems = self.label_problems.clone();
-        let entries = plan.items.iter().map(|item| &item.entry);
+        // Labels may name clips that stay although no item of this run gives them.
+        let staying = recorded.clips.iter();
+        let staying = staying.filter(|clip| plan.notes.staying.contains(&clip.path));
+        let staying = staying.map(|clip| Entry {
+            file: clip.path.clone(),
+            id: clip.id.to_string(),
+            key: key_of(clip.id.as_str()).to_owned(),
+            ..Entry::default()
+        });
+        let staying: Vec<Entry> = staying.collect();
+        let entries = plan.items.iter().map(|item| &item.entry).chain(&staying);
         problems.extend(plan.folder_labels.problems(&plan.files, entries));
         problems.into_iter().collect()
     }

@@ -50,7 +50,7 @@ impl Plan {
     }
 
     /// Skips the clips that the user did not choose. Those that the dataset has stay unchanged.
-    pub(super) fn choose(&mut self, list: &IdList) {
+    pub(super) fn choose(&mut self, list: &IdList, recorded: &Recorded) {
         const SHOWN: usize = 10;
         let mut known = BTreeSet::new();
         let (mut skipped, mut stay) = (Vec::new(), 0u64);
@@ -63,9 +63,9 @@ impl Plan {
                 return true;
             }
             let Entry { file, key, .. } = &item.entry;
-            if item.known.is_some() {
+            if let Some(clip) = item.known {
                 stay += 1;
-                staying.insert(file.clone());
+                staying.insert(recorded.clips[clip].path.clone());
             } else {
                 skipped.push((file.clone(), key.clone(), item.inputs.clone()));
             }
