@@ -195,6 +195,7 @@ impl Plan {
         }
         plan.note_inputs();
         plan.identify(recorded, same_settings);
+        plan.keep_described(recorded);
         plan.take_labels(recorded);
         if let Some(list) = &options.ids {
             plan.choose(list, recorded);
