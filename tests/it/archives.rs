@@ -277,6 +277,21 @@ fn releases_are_found_in_archives_by_their_layout() {
     let plain = captions("humanml3d-plain");
     assert!(plain.values().any(|count| *count > 0), "{plain:?}");
     assert_eq!(captions("repository-dataset"), plain);
+    // While the archive is damaged, the clips keep their captions.
+    let whole = zipped(&texts);
+    place.put("repository/texts.zip", &whole[..whole.len() / 2]);
+    for is_first in [true, false] {
+        let done = place.ingest("repository", "repository-dataset", 3);
+        assert_eq!(done["already_complete"], !is_first, "{done}");
+        assert_has(
+            &done["remarks"].to_string(),
+            &["stay as they were", "texts.zip"],
+        );
+        assert_eq!(captions("repository-dataset"), plain);
+    }
+    place.put("repository/texts.zip", &whole);
+    place.ingest("repository", "repository-dataset", 0);
+    assert_eq!(captions("repository-dataset"), plain);
     // A dataset in an archive is read as a dataset.
     let dataset = files_below(&place.path("dataset"));
     place.put("packed/dataset.zip", zipped(&dataset));
@@ -398,7 +413,7 @@ fn hostile_archives_are_quarantined_and_the_rest_goes_on() {
         ("cut.zip", "E-ARCHIVE-DAMAGED"),
         ("altered.zip/a_poses.npz", "E-ARCHIVE-DAMAGED"),
         ("second.zip/b_poses.npz", "E-ARCHIVE-DAMAGED"),
-        ("cut.tar/b_poses.npz", "E-ARCHIVE-DAMAGED"),
+        ("cut.tar", "E-ARCHIVE-DAMAGED"),
         ("cut.tar.gz", "E-ARCHIVE-DAMAGED"),
         ("cut.tar.bz2", "E-ARCHIVE-DAMAGED"),
         ("no.tar.xz", "E-ARCHIVE-DAMAGED"),
@@ -444,6 +459,27 @@ fn clips_of_a_damaged_archive_stay_and_what_a_killed_run_unpacked_is_removed() {
     place.put("in/walks.zip", &whole[..whole.len() - 30]);
     place.ingest("in", "out", 3);
     assert_eq!(place.clips("out", ""), before);
+    // Neither labels nor clips behind the place of the damage are lost, even if clips may be pruned.
+    let mut labelled = place.walks(&["a_poses.npz", "b_poses.npz"]);
+    labelled.insert("stance.toml".to_owned(), b"style = \"old\"\n".to_vec());
+    for name in ["walks.tar", "walks.tar.gz"] {
+        let (source, out) = (format!("in-{name}"), format!("out-{name}"));
+        let (archive, whole) = (format!("{source}/{name}"), packed(name, &labelled));
+        place.put(&archive, &whole);
+        place.ingest(&source, &out, 0);
+        let styles = || -> BTreeMap<String, Option<String>> {
+            let rows = place.motions(&out).into_iter();
+            rows.map(|row| (row.id.to_string(), row.style)).collect()
+        };
+        let before = styles();
+        assert_eq!(before.len(), 2);
+        assert!(before.values().all(|style| style.as_deref() == Some("old")));
+        place.put(&archive, &whole[..whole.len() * 2 / 3]);
+        let (source, dataset) = (place.path(&source), place.path(&out));
+        let args = ["ingest", arg(&source), "--prune", "--out", arg(&dataset)];
+        place.run(&args, 3);
+        assert_eq!(styles(), before, "{name}");
+    }
     // `ingest` checks that nothing is left in the folder for temporary files.
     place.put("packed/walks.tar.gz", packed("walks.tar.gz", &files));
     place.put("tmp/stance-unpacked-dead/LOCK", "");

@@ -254,6 +254,23 @@ fn a_file_that_could_not_be_read_is_tried_again_by_the_same_command() {
     let again = ingest(&[&source], &dataset, &[], 0);
     assert_tells(&again["remarks"], "stays as it was");
     assert_eq!(clips(&dataset), before);
+    // So does one whose captions cannot be read, even if clips may be pruned.
+    fs::remove_file(&file).expect("removed");
+    fs::rename(&aside, &file).expect("moved");
+    let texts = file.with_extension("txt");
+    put(&texts, "a person is described\n");
+    ingest(&[&source], &dataset, &[], 0);
+    let captions = || -> Vec<_> {
+        let rows = motions(&dataset).into_iter();
+        rows.map(|row| (row.id, row.captions)).collect()
+    };
+    let described = captions();
+    fs::remove_file(&texts).expect("removed");
+    std::os::unix::fs::symlink(&texts, &texts).expect("a link to itself");
+    let again = ingest(&[&source], &dataset, &["--prune"], 3);
+    assert_tells(&again["remarks"], "1 clips stay as they were");
+    assert_eq!(again["growth"]["pruned"], json!([]));
+    assert_eq!(captions(), described);
 }
 
 #[test]

@@ -153,6 +153,7 @@ fn a_bad_label_costs_the_label_and_not_the_motion_and_stays_listed_until_it_is_c
     let lines = "clip,text,split\nb,a person runs,everything\nghost,he floats,\n";
     sources.write("captions.csv", lines);
     sources.write("inner/stance.toml", "license = CC0");
+    sources.write("inner/c.txt", "a person sits\n12 34\n# #0#0\n");
     let (document, labelled) = sources.ingest("out", &[]);
     assert_eq!(document["ingested"], 3);
     assert_eq!(document["quarantined"], 0);
@@ -161,6 +162,7 @@ fn a_bad_label_costs_the_label_and_not_the_motion_and_stays_listed_until_it_is_c
         "a.stance.json: unknown field `acton`",
         "captions.csv: line 2:",
         "captions.csv: line 3: no motion",
+        "inner/c.txt: line 2: it is the first of 2 lines",
         "inner/stance.toml: ",
     ];
     assert_eq!(found.len(), expected.len(), "{found:?}");
@@ -182,7 +184,7 @@ fn a_bad_label_costs_the_label_and_not_the_motion_and_stays_listed_until_it_is_c
     assert_eq!(problems(&again), found);
     let (source, out) = (sources.path("in"), sources.path("text"));
     let text = stance(&["ingest", arg(&source), "--out", arg(&out)]).expect_code(0);
-    text.expect_printed("4 labels could not be used");
+    text.expect_printed("5 labels could not be used");
     text.expect_printed("ghost");
     // When a clip is added, those with bad labels are not read again.
     sources.motions("a b inner/c d");

@@ -319,6 +319,20 @@ fn a_dataset_that_grows_in_pieces_is_that_of_one_process() {
     let job = Job::planned(&folder, "two", verb);
     job.by_four();
     assert_eq!(job.commit(&[], 0).root_hash, clean);
+
+    // A file that changes after planning fails its piece, and its clip is not pruned.
+    let clips = || {
+        let dataset = folder.dataset_at("two");
+        dataset.manifest().rows("motions", None)
+    };
+    let before = clips();
+    put(&files[1], fs::read(&files[3]).expect("a file"));
+    folder.run(&format!("stage plan {verb} --into @two --out @late"));
+    put(&files[1], &text);
+    folder.typed("stage work @late").expect_code(3);
+    let commit = "stage commit @late --quarantine-failed";
+    folder.typed(commit).expect_code(3);
+    assert_eq!(clips(), before);
 }
 
 #[test]

@@ -41,8 +41,8 @@ pub fn c3d(bytes: &[u8]) {
 pub fn captions(bytes: &[u8]) {
     let _labels = Timelines::parse(bytes, &|_| true);
     let text = String::from_utf8_lossy(bytes);
-    let (captions, num_other) = parse_captions(&text);
-    assert!(captions.len() + num_other <= text.lines().count());
+    let (captions, others) = parse_captions(&text);
+    assert!(captions.len() + others.len() <= text.lines().count());
     let _sidecar = serde_json::from_slice::<Sidecar>(bytes);
 }
 

@@ -23,12 +23,22 @@ pub(super) enum Fate {
     },
     /// The clip's file is missing, and the clip stays.
     Missing,
-    /// The file no longer gives the clip, and the clip stays as it was.
+    /// The file no longer gives the clip or could not be read this time, and the clip stays as it was.
     Unusable,
     /// The clip is removed, because its file is missing or no longer gives it.
     Pruned {
         is_there: bool,
     },
+}
+
+/// How a clip fared that was read again.
+#[derive(Clone, Copy)]
+pub(super) enum Reread {
+    Ingested,
+    /// Its file no longer gives it.
+    Refused,
+    /// It could not be read this time, which says nothing about its file.
+    Unread,
 }
 
 #[derive(Clone)]
@@ -72,14 +82,17 @@ impl<'a> Fates<'a> {
         fates
     }
 
-    /// Decides the fate of clips that were read again but not ingested: they stay unchanged, or are pruned.
-    pub(super) fn settle(&mut self, ingested: impl Fn(&str) -> bool) {
+    /// Decides the fate of clips that were read again but not ingested: they stay unchanged, or are pruned if their
+    /// files no longer give them.
+    pub(super) fn settle(&mut self, reread: impl Fn(&str) -> Reread) {
         for (clip, fate) in self.recorded.clips.iter().zip(&mut self.fates) {
-            if matches!(fate, Fate::ReadAgain { .. }) && !ingested(clip.id.as_str()) {
-                *fate = match self.prune {
-                    true => Fate::Pruned { is_there: true },
-                    false => Fate::Unusable,
-                };
+            if !matches!(fate, Fate::ReadAgain { .. }) {
+                continue;
+            }
+            match reread(clip.id.as_str()) {
+                Reread::Ingested => {}
+                Reread::Refused if self.prune => *fate = Fate::Pruned { is_there: true },
+                Reread::Refused | Reread::Unread => *fate = Fate::Unusable,
             }
         }
     }
@@ -242,14 +255,15 @@ impl<'a> Fates<'a> {
 impl Plan {
     /// Fate of a recorded clip that is not among the items of this run.
     fn fate(&self, recorded: &Recorded, clip: &RecordedClip, prune: bool) -> Fate {
-        let leaves = |is_there: bool, stays: Fate| match prune {
-            true => Fate::Pruned { is_there },
-            false => stays,
-        };
+        let is_there = self.sources.contains_key(&clip.path);
+        // A member of an archive that is refused alone is listed by its own path.
+        let is_refused = self.notes.unlisted.contains(&clip.path);
         match self.is_of_run(&recorded.sources[clip.source].name, &clip.path) {
             false => Fate::Elsewhere,
-            true if self.sources.contains_key(&clip.path) => leaves(true, Fate::Unusable),
-            true => leaves(false, Fate::Missing),
+            true if is_refused => Fate::Elsewhere,
+            true if prune && !self.is_unread(&clip.path) => Fate::Pruned { is_there },
+            true if is_there => Fate::Unusable,
+            true => Fate::Missing,
         }
     }
 
@@ -261,16 +275,10 @@ impl Plan {
             return false;
         };
         match self.sources.get(path) {
-            Some(source) => source.hash.is_ok() && !self.notes.staying.contains(path),
-            None => given.is_whole && !self.is_unlisted(path),
+            _ if self.notes.staying.contains(path) => false,
+            Some(source) => source.hash.is_ok(),
+            None => given.is_whole && self.unlisted_around(path).is_none(),
         }
-    }
-
-    fn is_unlisted(&self, path: &str) -> bool {
-        self.notes.unlisted.iter().any(|folder| {
-            let folder = folder.strip_suffix('.').unwrap_or(folder);
-            folder.is_empty() || path.starts_with(&format!("{}/", folder.trim_end_matches('/')))
-        })
     }
 }
 

@@ -19,7 +19,8 @@ pub struct Growth {
     pub moved: Vec<String>,
     /// Clips whose files are missing; the clips stay in the dataset.
     pub missing: Vec<String>,
-    /// Clips whose files exist and no longer give them: damaged, without the key, or not chosen. They stay unchanged.
+    /// Clips whose files exist and no longer give them (damaged, without the key, or not asked for), or could not be
+    /// read this time. They stay unchanged.
     pub kept_unusable: Vec<String>,
     /// Clips that were removed, because pruning was requested.
     pub pruned: Vec<String>,

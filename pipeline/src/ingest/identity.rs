@@ -392,7 +392,7 @@ impl Planned {
 }
 
 /// The key in an id, which tells motions of one file apart; empty if the file holds only one.
-fn key_of(id: &str) -> &str {
+pub(super) fn key_of(id: &str) -> &str {
     id.split_once('#').map_or("", |(_, key)| key)
 }
 

@@ -31,6 +31,7 @@ mod split_by;
 mod split_list;
 mod stored;
 mod taken_out;
+mod unread;
 
 use std::path::Path;
 

@@ -52,7 +52,7 @@ pub(super) struct Plan {
 pub(super) struct PlanNotes {
     pub(super) given: Vec<Given>,
     pub(super) unlisted: Vec<String>,
-    /// Files whose clips stay unchanged, because their labels cannot be read now.
+    /// Recorded files whose clips stay unchanged, because their labels cannot be read now or they were not chosen.
     pub(super) staying: BTreeSet<String>,
     /// Remarks on the splits of the dataset.
     pub(super) remarks: Vec<String>,
@@ -200,11 +200,12 @@ impl Plan {
         }
         plan.note_inputs();
         plan.identify(recorded, same_settings);
-        plan.take_labels();
+        plan.keep_described(recorded);
+        plan.take_labels(recorded);
         if let Some(list) = &options.ids {
-            plan.choose(list);
+            plan.choose(list, recorded);
         }
-        plan.note_label_problems();
+        plan.note_label_problems(recorded);
         plan.take_own_splits(options.splits.as_ref());
         if let Some(list) = &options.pairs {
             plan.follow_originals(list);
@@ -392,7 +393,7 @@ impl Plan {
     /// Takes the labels that decide on splits, and gives single files with labels of action and style the group of
     /// their original. A motion is rejected if labels beside it or in its folders cannot be read now: they may be
     /// readable next time and change the split of the clip.
-    fn take_labels(&mut self) {
+    fn take_labels(&mut self, recorded: &Recorded) {
         let mut items = std::mem::take(&mut self.items);
         let (files, folder_labels) = (&self.files, &self.folder_labels);
         let unreadable: Vec<Option<Rejected>> = items
@@ -419,33 +420,23 @@ impl Plan {
         let mut unreadable = unreadable.into_iter();
         items.retain(|item| match unreadable.next().flatten() {
             None => true,
-            // A clip of the dataset stays unchanged.
-            Some(reason) if item.known.is_some() => {
-                let remark = format!("{} stays as it was: {}", item.id, reason.reason);
-                self.notes.remarks.push(remark);
-                self.notes.staying.insert(item.entry.file.clone());
-                self.notes.left_out.push(item.entry.clone());
-                false
-            }
             Some(reason) => {
-                let Entry { file, key, .. } = &item.entry;
-                let row = self.rejected_row(file, key, reason);
-                self.rejected.push(row);
+                if let Some(clip) = item.known {
+                    // A clip of the dataset stays unchanged.
+                    let remark = format!("{} stays as it was: {}", item.id, reason.reason);
+                    self.notes.remarks.push(remark);
+                    let path = recorded.clips[clip].path.clone();
+                    self.notes.staying.insert(path);
+                } else {
+                    let Entry { file, key, .. } = &item.entry;
+                    let row = self.rejected_row(file, key, reason);
+                    self.rejected.push(row);
+                }
                 self.notes.left_out.push(item.entry.clone());
                 false
             }
         });
         self.items = items;
-    }
-
-    /// Notes the labels of folders that cannot be used, and names in them that no motion has, read in this run or not.
-    fn note_label_problems(&mut self) {
-        let left_out = std::mem::take(&mut self.notes.left_out);
-        let entries = self.items.iter().map(|item| &item.entry);
-        let problems = self
-            .folder_labels
-            .problems(&self.files, entries.chain(&left_out));
-        self.notes.label_problems = problems;
     }
 
     /// Gives clips the splits that the user states: those of the list, otherwise those of their labels. All motions of

@@ -15,7 +15,7 @@ use datasets_spec::{NoProgress, Progress, Split, Transaction};
 
 use super::alike::Alike;
 use super::deal::{Dealt, Item};
-use super::fates::{Fates, Files};
+use super::fates::{Fates, Files, Reread};
 use super::growth::Growth;
 use super::kept::{Labels, Outside};
 use super::options::{
@@ -27,6 +27,7 @@ use super::prepared::Prepared;
 use super::report::{IngestReport, Tally, already_complete, counted};
 use super::shard::{Done, ShardNotes};
 use super::sources::SOURCES_FACT;
+use super::unread::is_passing;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
 use crate::clip_table::{ClipRow, is_composed};
@@ -258,7 +259,16 @@ impl Run<'_> {
             staged.extend(notes.files(&entry).cloned());
             tally.take(entry, notes);
         }
-        self.fates.settle(|id| tally.ingested.contains(id));
+        let unread = self.plan.unread_ids(&tally.quarantine);
+        self.fates.settle(|id| {
+            if tally.ingested.contains(id) {
+                Reread::Ingested
+            } else if unread.contains(id) {
+                Reread::Unread
+            } else {
+                Reread::Refused
+            }
+        });
         let transaction = &self.transaction;
         self.prepared
             .refuse_mixture(transaction.root(), &self.fates)?;
@@ -433,8 +443,8 @@ impl Run<'_> {
 
     /// Label problems of this run, and recorded ones of files that have not changed.
     fn label_problems(&self, tally: &Tally) -> Vec<LabelProblem> {
-        let mut problems = tally.label_problems(self.plan);
         let base = &self.prepared.base;
+        let mut problems = tally.label_problems(self.plan);
         let recorded = base.label_problems.clone();
         problems.extend(self.plan.recorded_problems(&base.recorded, recorded));
         problems.sort();
@@ -544,12 +554,18 @@ impl Prepared {
         let clips: BTreeSet<&str> = lost.iter().map(|label| label.clip.as_str()).collect();
         let items = plan.items_with_ids(&clips);
         let done = plan.read_items(&items, &self.options, &NoProgress);
-        let failed: BTreeSet<&str> = std::iter::zip(&items, done)
-            .filter(|(_, done)| !matches!(done, Done::Clip(..)))
-            .filter_map(|(item, _)| Some(item.id.as_ref().ok()?.as_str()))
+        let failed: BTreeMap<&str, Reread> = std::iter::zip(&items, done)
+            .filter_map(|(item, done)| {
+                let reread = match done {
+                    Done::Clip(..) => return None,
+                    Done::Rejected(row) if is_passing(&row) => Reread::Unread,
+                    Done::Rejected(_) | Done::Skipped(_) => Reread::Refused,
+                };
+                Some((item.id.as_ref().ok()?.as_str(), reread))
+            })
             .collect();
         if !failed.is_empty() {
-            foreseen.settle(|id| !failed.contains(id));
+            foreseen.settle(|id| failed.get(id).copied().unwrap_or(Reread::Ingested));
         }
         foreseen
     }

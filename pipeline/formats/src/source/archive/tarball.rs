@@ -65,8 +65,11 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
             continue;
         };
         if start.saturating_add(size) > budget.size {
-            let reason = "the archive ends before the member does; it is cut short".to_owned();
-            content.refuse(&name, DAMAGED, reason, start);
+            // The archive is refused, not the member alone: members behind this one cannot be read either.
+            let reason = format!(
+                "it is cut short: it ends before its member {name} does; the members before this place are read"
+            );
+            content.refuse("", DAMAGED, reason, start);
             break;
         }
         let file = Arc::clone(&file);

@@ -158,7 +158,8 @@ pub fn read_captions(
 ) -> Result<(Vec<Caption>, Option<String>), Rejected> {
     let bytes = files.read(file)?;
     refuse_pointer(&bytes)?;
-    let (captions, num_other) = labels::parse_captions(&String::from_utf8_lossy(&bytes));
+    let (captions, others) = labels::parse_captions(&String::from_utf8_lossy(&bytes));
+    let num_other = others.len();
     let note = (num_other > 0)
         .then(|| format!("{num_other} lines of {file} are no captions and were passed over"));
     Ok((captions, note))

@@ -3,28 +3,49 @@
 use datasets_spec::table::Caption;
 
 use crate::sidecar::caption;
+use crate::source::head::refuse_pointer;
 
 /// Maximum length of a caption line in bytes.
 const MAX_LINE_BYTES: usize = 1000;
 /// Maximum number of captions of one file; further lines count as no captions.
 const MAX_CAPTIONS: usize = 1000;
 
-/// Parses one caption per line, and counts the lines that are not captions. A line is a text about the whole clip, or
+/// Parses one caption per line, and returns the numbers of the other lines, from 1. A line is a text about the whole clip, or
 /// HumanML3D's `caption#lemma/POS lemma/POS#start#end` with times in seconds. A time that is not a number is read as 0,
 /// which is how the published loader reads the `nan` that some of the files contain.
 ///
 /// # Source
 /// HumanML3D's text format.
-pub fn parse_captions(text: &str) -> (Vec<Caption>, usize) {
+pub fn parse_captions(text: &str) -> (Vec<Caption>, Vec<usize>) {
     let mut captions = Vec::new();
-    let mut num_other = 0;
-    for line in text.lines().map(str::trim).filter(|line| !line.is_empty()) {
+    let mut others = Vec::new();
+    let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
+    for (number, line) in (1..).zip(lines).filter(|(_, line)| !line.is_empty()) {
         match parse_line(line) {
             Some(caption) if captions.len() < MAX_CAPTIONS => captions.push(caption),
-            _ => num_other += 1,
+            _ => others.push(number),
         }
     }
-    (captions, num_other)
+    (captions, others)
+}
+
+/// The captions of a file beside a motion, and what of it cannot be used.
+pub(super) fn captions_beside(bytes: &[u8]) -> (Vec<Caption>, Option<String>) {
+    if let Err(rejected) = refuse_pointer(bytes) {
+        return (Vec::new(), Some(rejected.reason));
+    }
+    let (captions, others) = parse_captions(&String::from_utf8_lossy(bytes));
+    let problem = match others[..] {
+        [] => None,
+        [line] => Some(format!("line {line}: it is no caption")),
+        [line, ..] => {
+            let count = others.len();
+            Some(format!(
+                "line {line}: it is the first of {count} lines that are no captions"
+            ))
+        }
+    };
+    (captions, problem)
 }
 
 fn parse_line(line: &str) -> Option<Caption> {
@@ -39,6 +60,9 @@ fn parse_line(line: &str) -> Option<Caption> {
             && !line.chars().any(is_foreign);
         return is_text.then(|| caption(line));
     };
+    if text.trim().is_empty() {
+        return None;
+    }
     let (from_s, to_s) = (from.trim().parse::<f32>(), to.trim().parse::<f32>());
     let finite = |seconds: f32| if seconds.is_finite() { seconds } else { 0.0 };
     Some(Caption {
@@ -55,12 +79,13 @@ mod tests {
 
     #[test]
     fn captions_keep_their_tokens_and_times_and_plain_lines_count() {
-        let (captions, num_other) = parse_captions(
-            "a man kicks.#a/DET man/NOUN kick/VERB#0.0#0.0\r\n\
+        let (captions, others) = parse_captions(
+            "\u{feff}a man kicks.#a/DET man/NOUN kick/VERB#0.0#0.0\r\n\
              take step #2#take/VERB#1.5#nan\n\na man kicks twice, as in take #1\nbad#times#a#b\n\
-             12 34.5\n\u{fffd}PNG\n",
+             12 34.5\n\u{fffd}PNG\n # x/DET#0#0\n",
         );
-        assert_eq!(num_other, 3);
+        assert_eq!(others, [5, 6, 7, 8]);
+        assert_eq!(captions[0].text, "a man kicks.");
         assert_eq!(captions.len(), 3);
         assert_eq!(captions[0].tokens, "a/DET man/NOUN kick/VERB");
         assert_eq!(captions[1].text, "take step #2");

@@ -14,11 +14,13 @@ use std::path::Path;
 use datasets_spec::BodyPart;
 
 use self::bandai_namco::BandaiNamcoLabel;
+use self::captions::captions_beside;
 pub use self::captions::parse_captions;
 pub use self::folder::ClipLabels;
 pub use self::folder::{FolderLabels, is_label_file, names_in_folder};
 pub use self::pattern::{is_pattern, matches};
 use crate::sidecar::{LabelCaption, Sidecar};
+use crate::source::head::{UTF8_BOM, refuse_pointer};
 use clip::{LabelProblem, SourceClip};
 
 /// Reads a file beside a motion by its name; `None` if it does not exist.
@@ -47,12 +49,13 @@ pub fn attach(
     }
     let captions_name = format!("{stem}.txt");
     if let Some(bytes) = companions(&captions_name) {
-        let (captions, num_other) = parse_captions(&String::from_utf8_lossy(&bytes));
-        if num_other > 0 {
-            clip.notes.push(format!(
-                "{num_other} lines of {captions_name} are no captions and were passed over"
-            ));
-        }
+        let (captions, problem) = captions_beside(&bytes);
+        let file = path.with_file_name(&captions_name);
+        clip.label_problems
+            .extend(problem.map(|reason| LabelProblem {
+                file: file.to_string_lossy().into_owned(),
+                reason,
+            }));
         let captions = captions.into_iter().map(Into::into).collect();
         take_captions(&mut clip, captions);
     }
@@ -152,13 +155,18 @@ fn sidecar(path: &Path, companions: &Companions<'_>) -> (Sidecar, Vec<LabelProbl
     };
     let file = path.with_file_name(&name).to_string_lossy().into_owned();
     let mut reasons = Vec::new();
-    let sidecar = match serde_json::from_slice::<Sidecar>(&bytes) {
+    let parsed = refuse_pointer(&bytes).map_err(|rejected| rejected.reason);
+    let parsed = parsed.and_then(|()| {
+        let json = bytes.strip_prefix(UTF8_BOM).unwrap_or(&bytes);
+        serde_json::from_slice::<Sidecar>(json).map_err(|error| error.to_string())
+    });
+    let sidecar = match parsed {
         Ok(mut sidecar) => {
             sidecar.clean(|reason| reasons.push(reason));
             sidecar
         }
-        Err(error) => {
-            reasons.push(error.to_string());
+        Err(reason) => {
+            reasons.push(reason);
             Sidecar::default()
         }
     };
@@ -366,6 +374,38 @@ mod tests {
         };
         let clip = labelled("clip.bvh", &|_| None, &silent);
         assert_eq!(texts(&clip.captions), ["a person moves"]);
+    }
+
+    #[test]
+    fn pointers_give_no_labels_and_byte_order_marks_are_left_out() {
+        let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n";
+        let beside = |name: &str| {
+            let is_label = name.ends_with(".txt") || name.ends_with(Sidecar::SUFFIX);
+            is_label.then(|| pointer.to_vec())
+        };
+        let clip = labelled("a/clip.bvh", &beside, &ClipLabels::default());
+        assert!(clip.captions.is_empty(), "{:?}", clip.captions);
+        let problems = clip.label_problems.iter().map(ToString::to_string);
+        let problems: Vec<String> = problems.collect();
+        let is_told = |problem: &String| problem.contains("git lfs pull");
+        assert!(problems.iter().all(is_told), "{problems:?}");
+        let files = ["a/clip.stance.json: ", "a/clip.txt: "];
+        let is_named = |(problem, file): (&String, &str)| problem.starts_with(file);
+        assert!(
+            std::iter::zip(&problems, files).all(is_named),
+            "{problems:?}"
+        );
+        assert_eq!(problems.len(), files.len());
+        let beside = |name: &str| match name {
+            "clip.txt" => Some(b"\xef\xbb\xbfa man waves\n\n#x#0#0\n1 2\n".to_vec()),
+            "clip.stance.json" => Some(b"\xef\xbb\xbf{\"action\": \"wave\"}".to_vec()),
+            _ => None,
+        };
+        let clip = labelled("a/clip.bvh", &beside, &ClipLabels::default());
+        assert_eq!(texts(&clip.captions), ["a man waves"]);
+        assert_eq!(clip.action.as_deref(), Some("wave"));
+        let problem = clip.label_problems[0].to_string();
+        assert!(problem.starts_with("a/clip.txt: line 3: "), "{problem}");
     }
 
     #[test]

@@ -1,0 +1,244 @@
+//! Files that cannot be read now. They cost no clip of the dataset, and none of its labels.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use datasets_spec::record::QuarantineRow;
+use formats::source::archive::DAMAGED;
+use formats::source::labels::names_beside;
+
+use super::inputs;
+use super::list::{Source, path_of};
+use super::plan::Plan;
+use super::recorded::Recorded;
+use super::shard::PIECE_STAGE;
+use super::sources::below;
+
+/// Whether a rejection says nothing about the content of an item, which may be readable next time.
+pub(super) fn is_passing(row: &QuarantineRow) -> bool {
+    row.stage == PIECE_STAGE || matches!(row.code.as_str(), "E-IO" | "E-INTERNAL" | DAMAGED)
+}
+
+/// A recorded file that lies in a folder or an archive that cannot be read now.
+struct Hidden<'a> {
+    path: &'a str,
+    /// Index of its source in [`PlanNotes::given`](super::plan::PlanNotes).
+    of: usize,
+    /// The folder or archive.
+    place: &'a str,
+}
+
+impl Plan {
+    /// Ids of the clips of the dataset among these rejected items that could not be read this time.
+    pub(super) fn unread_ids(&self, rejected: &[QuarantineRow]) -> BTreeSet<&str> {
+        let passing = rejected.iter().filter(|row| is_passing(row));
+        let paths: BTreeSet<&str> = passing.map(|row| row.path.as_str()).collect();
+        let known = self.items.iter().filter(|item| item.known.is_some());
+        let unread = known.filter(|item| {
+            let path = path_of(&item.entry.file, &item.entry.key);
+            paths.contains(path.as_str())
+        });
+        unread.map(|item| item.id.as_str()).collect()
+    }
+
+    /// Whether a file, or a motion of it, could not be read while planning.
+    pub(super) fn is_unread(&self, path: &str) -> bool {
+        let mut passing = self.rejected.iter().filter(|row| is_passing(row));
+        passing.any(|row| {
+            let key = row.path.strip_prefix(path);
+            key.is_some_and(|key| key.is_empty() || key.starts_with('#'))
+        })
+    }
+
+    /// The folder or archive around a path that cannot be read now.
+    pub(super) fn unlisted_around(&self, path: &str) -> Option<&str> {
+        let mut unlisted = self.notes.unlisted.iter().map(String::as_str);
+        unlisted.find(|&folder| {
+            // A source that cannot be listed itself is the folder `.`.
+            let folder = match folder.strip_suffix('.') {
+                Some(above) if above.is_empty() || above.ends_with('/') => above,
+                _ => folder,
+            };
+            below(folder.trim_end_matches('/'), path).is_some()
+        })
+    }
+
+    /// Keeps clips as they were if files that may describe them cannot be read now: read again, the clips would lose
+    /// these labels.
+    pub(super) fn keep_described(&mut self, recorded: &Recorded) {
+        let mut sources = self.sources.values();
+        if self.notes.unlisted.is_empty() && sources.all(|source| source.hash.is_ok()) {
+            return;
+        }
+        let described = self.described(recorded);
+        let is_read = |known: usize| !described.contains_key(&known);
+        self.items.retain(|item| item.known.is_none_or(is_read));
+        if !described.is_empty() {
+            let places: BTreeSet<&str> = described.values().map(String::as_str).collect();
+            self.notes.remarks.push(format!(
+                "{} clips stay as they were, because files that may describe them cannot be read now: {}",
+                described.len(),
+                some_of(&places)
+            ));
+        }
+        let num_new = self.num_new_beside_unlisted();
+        if num_new > 0 {
+            let places = self.notes.unlisted.iter().map(String::as_str);
+            let places: BTreeSet<&str> = places.collect();
+            self.notes.remarks.push(format!(
+                "{num_new} new clips have no labels from what cannot be read now: {}",
+                some_of(&places)
+            ));
+        }
+        let staying = described.keys().map(|clip| &recorded.clips[*clip].path);
+        self.notes.staying.extend(staying.cloned());
+    }
+
+    /// The recorded clips that a file may describe that cannot be read now, by index in [`Recorded::clips`], each with
+    /// the file, or the folder or archive that holds it.
+    fn described(&self, recorded: &Recorded) -> BTreeMap<usize, String> {
+        let rows = recorded.skipped.iter();
+        let rows = rows.filter(|row| !row.source_hash.is_empty());
+        let hidden = rows.filter_map(|row| self.hidden(&row.source_name, &row.path));
+        let hidden: Vec<Hidden<'_>> = hidden.collect();
+        let of_source: BTreeMap<usize, &str> =
+            hidden.iter().map(|file| (file.of, file.place)).collect();
+        let of_single = self.hidden_inputs(recorded, &hidden);
+        let releases = self.releases.iter();
+        let of_release: Vec<_> = releases
+            .map(|(_, release)| inputs::files_of_release(release.contents()))
+            .collect();
+        let is_unread = |file: &str| {
+            let source = self.sources.get(file);
+            source.is_some_and(|source| source.hash.is_err())
+        };
+        let common: Vec<Option<&str>> = of_release
+            .iter()
+            .map(|files| files.common.iter().copied().find(|&file| is_unread(file)))
+            .collect();
+        let mut described = BTreeMap::new();
+        let mut given = BTreeSet::new();
+        for item in &self.items {
+            let Some(clip) = item.known else { continue };
+            given.insert(clip);
+            if item.is_kept {
+                continue;
+            }
+            let file = item.entry.file.as_str();
+            let place = match item.release {
+                Some(release) => {
+                    let own = of_release[release].own.get(file).into_iter().flatten();
+                    let of = self.sources.get(file).map(|source| source.of);
+                    let own = own.copied().find(|&file| is_unread(file));
+                    own.or(common[release])
+                        .or_else(|| of_source.get(&of?).copied())
+                }
+                None => {
+                    let hidden = of_single.get(file).copied();
+                    hidden.or_else(|| self.unread_beside(file))
+                }
+            };
+            described.extend(place.map(|place| (clip, place.to_owned())));
+        }
+        // Without the hidden files, a release may not have been found.
+        for (index, clip) in recorded.clips.iter().enumerate() {
+            let source = self.sources.get(&clip.path);
+            let source = source.filter(|_| !given.contains(&index));
+            let place = source.and_then(|source| of_source.get(&source.of));
+            described.extend(place.map(|place| (index, (*place).to_owned())));
+        }
+        described
+    }
+
+    /// A recorded file of a source of this name, if it is hidden now.
+    fn hidden<'a>(&'a self, name: &str, path: &'a str) -> Option<Hidden<'a>> {
+        let place = self.unlisted_around(path)?;
+        let mut given = self.notes.given.iter();
+        let of = given.position(|given| given.label.name == name)?;
+        let is_hidden = !self.sources.contains_key(path);
+        is_hidden.then_some(Hidden { path, of, place })
+    }
+
+    /// The single files that were read from hidden files, each with the folder or archive that holds one of these.
+    fn hidden_inputs<'a>(
+        &'a self,
+        recorded: &'a Recorded,
+        hidden: &[Hidden<'a>],
+    ) -> BTreeMap<&'a str, &'a str> {
+        if hidden.is_empty() {
+            return BTreeMap::new();
+        }
+        let (mut motions, mut others) = self.single_files();
+        let mut sources = self.sources.clone();
+        let mut add = |file: &Hidden<'a>| {
+            let source = Source {
+                of: file.of,
+                hash: Ok(String::new()),
+                damaged_at: None,
+                head: Vec::new(),
+                bytes: 0,
+            };
+            sources.insert(file.path.to_owned(), source);
+        };
+        for clip in &recorded.clips {
+            let name = recorded.sources[clip.source].name.as_str();
+            if let Some(motion) = self.hidden(name, &clip.path) {
+                add(&motion);
+                motions.insert(motion.path);
+            }
+        }
+        for file in hidden {
+            add(file);
+            others.insert(file.path);
+        }
+        let places: BTreeMap<&str, &'a str> =
+            hidden.iter().map(|file| (file.path, file.place)).collect();
+        let files = inputs::files_of_single(&motions, &others, &sources).into_iter();
+        files
+            .filter_map(|(motion, files)| {
+                let place = files.into_iter().find_map(|file| places.get(file))?;
+                Some((motion, *place))
+            })
+            .collect()
+    }
+
+    /// A label file beside a motion that cannot be read now.
+    fn unread_beside(&self, file: &str) -> Option<&str> {
+        let path = Path::new(file);
+        let names = names_beside(path).into_iter();
+        let mut beside = names.filter_map(|name| {
+            let place = path.with_file_name(name);
+            self.sources.get_key_value(place.to_str()?)
+        });
+        let unread = beside.find(|(_, source)| source.hash.is_err());
+        unread.map(|(name, _)| name.as_str())
+    }
+
+    /// Number of clips that the dataset does not have, in sources of which a part cannot be read now.
+    fn num_new_beside_unlisted(&self) -> usize {
+        let mut new = BTreeMap::new();
+        for item in self.items.iter().filter(|item| item.known.is_none()) {
+            if let Some(source) = self.sources.get(&item.entry.file) {
+                *new.entry(source.of).or_insert(0) += 1;
+            }
+        }
+        let is_part = |of: &usize| {
+            let label = self.notes.given[*of].label.label.as_str();
+            let mut unlisted = self.notes.unlisted.iter();
+            unlisted.any(|place| below(label, place).is_some())
+        };
+        let new = new.into_iter().filter(|(of, _)| is_part(of));
+        new.map(|(_, count)| count).sum()
+    }
+}
+
+/// The first of some names, and the number of the others.
+fn some_of(names: &BTreeSet<&str>) -> String {
+    const SHOWN: usize = 3;
+    let shown: Vec<&str> = names.iter().copied().take(SHOWN).collect();
+    let shown = shown.join(", ");
+    match names.len().saturating_sub(SHOWN) {
+        0 => shown,
+        more => format!("{shown} and {more} more"),
+    }
+}
