@@ -3,11 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::dataset::{Commit, Transaction};
-use datasets_spec::record::{MaskRow, PairRow};
-use datasets_spec::table::Row;
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::table::{Row, read_column};
 use datasets_spec::{Dataset, MASK_DEF_VERSION, MotionId, Split};
 
-use super::exporter::{Exported, Exporter};
+use super::exporter::{Clips, Exported, Exporter};
 use crate::Error;
 use crate::answer::sentence;
 use crate::mask::check_range;
@@ -28,6 +28,7 @@ impl Exporter<'_> {
     /// masks, the others keep theirs; accepted pairs replace the pairs they judge.
     pub(super) fn dataset(&mut self, transaction: Transaction) -> Result<(), Error> {
         let dataset = Dataset::open(transaction.root())?;
+        self.clips = Some(clips_of(&dataset)?);
         let mut masks: Vec<MaskRow> = Vec::new();
         let mut judged = Judged::new();
         let mut answered: BTreeSet<String> = BTreeSet::new();
@@ -162,6 +163,20 @@ impl Exporter<'_> {
             accepted_by: Some(accepted.accepted_by.clone()),
         }))
     }
+}
+
+/// The clips of a dataset.
+fn clips_of(dataset: &Dataset) -> Result<Clips, Error> {
+    let mut clips = Clips::new();
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let ids: Vec<MotionId> = read_column::<MotionRow, _>(&path, "id")?;
+        let splits: Vec<Split> = read_column::<MotionRow, _>(&path, "split")?;
+        let frames: Vec<i32> = read_column::<MotionRow, _>(&path, "n_frames")?;
+        let ids = ids.into_iter().map(|id| id.to_string());
+        let frames = frames.into_iter().map(i64::from);
+        clips.extend(ids.zip(splits.into_iter().zip(frames)));
+    }
+    Ok(clips)
 }
 
 /// Counts the parts of an answer that the tables cannot hold.

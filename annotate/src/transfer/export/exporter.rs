@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use datasets_spec::Split;
 use datasets_spec::store::replace_file;
 use serde::Serialize;
 
@@ -46,11 +47,18 @@ pub(super) const STAMP: &str = "export.json";
 /// Characters of the store's id in a pseudonym.
 const STORE_CHARS: usize = 6;
 
+/// Clips of a dataset by their ids: the split and the number of frames.
+pub(super) type Clips = BTreeMap<String, (Split, i64)>;
+
 pub(super) struct Exporter<'a> {
     pub(super) store: &'a Store,
     pub(super) splits: &'a [String],
-    /// Motions of the tasks that were read last, by hash.
+    /// The clips of the dataset that the export writes into; `None` for layouts of files.
+    pub(super) clips: Option<Clips>,
+    /// Motions of the tasks that were read last, by hash; only those of `clips`, if these are known.
     motions: BTreeMap<String, MotionRecord>,
+    /// Ids of clips with answers that `clips` lacks.
+    gone: BTreeSet<String>,
     pub(super) done: Exported,
 }
 
@@ -60,13 +68,28 @@ impl<'a> Exporter<'a> {
         Ok(Self {
             store,
             splits,
+            clips: None,
             motions: BTreeMap::new(),
+            gone: BTreeSet::new(),
             done: Exported {
                 store: store.id()?,
                 seq: store.last_seq()?,
                 ..Exported::default()
             },
         })
+    }
+
+    /// Adds to the result what was left out with its clips.
+    pub(super) fn note_left_out(&mut self) {
+        if let Some(first) = self.gone.first() {
+            let count = self.gone.len();
+            let message = format!(
+                "{count} clips with accepted answers are not in the dataset, for example {first}; these answers are \
+                 left out and stay in the project"
+            );
+            self.done.count("clips_gone", count);
+            self.done.messages.push(message);
+        }
     }
 
     /// Adds to the result how answers were accepted, and how many were accepted before their clip was ingested again.
@@ -164,12 +187,21 @@ impl<'a> Exporter<'a> {
     /// Accepted answers of the chosen splits in a range, by the key of their task.
     pub(super) fn accepted(&mut self, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error> {
         let mut all = self.store.accepted(keys)?;
-        all.retain(|answer| self.wanted(&answer.task.split));
         self.meet(all.iter().map(|answer| &answer.task))?;
+        all.retain(|answer| self.fits(&answer.task));
         Ok(all)
     }
 
-    /// Loads the motions of a batch of tasks, and drops all other motions.
+    /// Whether the export has a place for a task: it is of the chosen splits, and its clips are in the dataset.
+    pub(super) fn fits(&self, task: &TaskRecord) -> bool {
+        let is_here = |hash: &String| self.motions.contains_key(hash);
+        // A motion that the store itself lacks is a defect of the store, which files report.
+        let are_here = self.clips.is_none()
+            || (is_here(&task.source) && task.target.as_ref().is_none_or(is_here));
+        self.wanted(&task.split) && are_here
+    }
+
+    /// Loads the motions of a batch of tasks, and drops all other motions. Motions that the dataset lacks are noted.
     pub(super) fn meet<'t>(
         &mut self,
         tasks: impl Iterator<Item = &'t TaskRecord>,
@@ -178,11 +210,20 @@ impl<'a> Exporter<'a> {
             .flat_map(|task| [Some(&task.source), task.target.as_ref()])
             .flatten()
             .collect();
-        let found = self.store.motions(hashes.into_iter().cloned().collect())?;
-        self.motions = found
-            .into_iter()
-            .map(|motion| (motion.hash.clone(), motion))
-            .collect();
+        self.motions.clear();
+        for mut motion in self.store.motions(hashes.into_iter().cloned().collect())? {
+            if let Some(clips) = &self.clips {
+                let Some((_, frames)) = clips.get(&motion.id) else {
+                    if self.wanted(&motion.split) {
+                        self.gone.insert(motion.id);
+                    }
+                    continue;
+                };
+                // The range of a mask must fit the clip that people saw and the one that is there now.
+                motion.frames = motion.frames.min(*frames);
+            }
+            self.motions.insert(motion.hash.clone(), motion);
+        }
         Ok(())
     }
 

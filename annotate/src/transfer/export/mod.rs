@@ -44,6 +44,7 @@ pub fn export(
         let now = store.snapshot()?;
         let mut exporter = Exporter::new(&now, &selection.splits)?;
         exporter.dataset(transaction)?;
+        exporter.note_left_out();
         exporter.note_decisions()?;
         return Ok(exporter.done);
     }
