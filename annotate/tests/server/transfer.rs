@@ -458,6 +458,61 @@ fn a_clip_in_another_split_takes_its_answers_along() {
     whole(store);
 }
 
+#[test]
+fn an_acceptance_that_was_taken_back_leaves_the_dataset() {
+    let site = annotated();
+    let store = site.store.as_ref();
+    let folder = site.folder.path().join("unused");
+    let export_it = || write_to(&site, store, &folder, ExportFormat::Dataset);
+    let users = store.users().expect("users");
+    let eve = users
+        .iter()
+        .find(|user| user.name == "eve")
+        .expect("a user");
+    let reopen = |key: &str| {
+        let reopened = decision(task_of(store, key).id, 0, Decision::Reopen);
+        store.review(eve.id, reopened, START).expect("reopens");
+    };
+    let described = || -> BTreeSet<String> {
+        let masks: Vec<MaskRow> = read(&site.dataset);
+        masks.iter().map(|row| row.motion_id.to_string()).collect()
+    };
+    assert!(!export_it().counts.contains_key("taken_back"));
+    reopen("mask:clip00");
+    reopen("pair:fine-grained0");
+    let done = export_it();
+    assert_eq!(done.counts["taken_back"], 2 + 1, "two masks and a pair");
+    let is_said = |message: &String| message.contains("taken back");
+    assert!(done.messages.iter().any(is_said), "{:?}", done.messages);
+    assert_eq!(described(), BTreeSet::from(["clip01".to_owned()]));
+    assert!(!pair_rows(&site).contains_key("fine-grained0"));
+    sound(&site);
+    assert!(!export_it().counts.contains_key("taken_back"));
+
+    // After an export of another store, only the author of a mask tells which store wrote it.
+    let other = fresh_store(&site, "other.sqlite");
+    let candidate = task_of(&other, "takes:clip12|clip13");
+    let judged = NewTask {
+        key: candidate.key,
+        source: candidate.source,
+        target: candidate.target,
+        accepted: Some(pair(Verdict::Keep)),
+        ..bare_task(0, TaskKind::Pair)
+    };
+    let done = other.import(None, vec![judged], START).expect("imports");
+    assert_eq!(done.filled, 1);
+    commit_answers(&site, &other);
+    reopen("mask:clip01");
+    reopen("pair:style10");
+    let done = export_it();
+    assert_eq!(done.counts["taken_back"], 1);
+    assert_eq!(done.counts["taken_back_but_kept"], 1);
+    assert_eq!(described(), BTreeSet::new());
+    let kept = pair_rows(&site);
+    assert!(kept.contains_key("style10") && kept.contains_key("takes:clip12|clip13"));
+    sound(&site);
+}
+
 /// Checks that `stance verify` finds nothing wrong with the dataset.
 fn sound(site: &Site) {
     let found = pipeline::verify::verify(&site.dataset, &datasets_spec::NoProgress);
