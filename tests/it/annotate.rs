@@ -386,6 +386,23 @@ fn an_export_fills_a_new_store_of_the_dataset_and_comes_out_equal() {
     for store in ["first.sqlite", "second.sqlite", "third.sqlite"] {
         assert_eq!(run(store, &["check"])["findings"], json!([]));
     }
+    // Answers about a clip that leaves the dataset stay in the project, and do not come back with an export.
+    let mut described = rows_of::<MaskRow>(&dataset).into_iter();
+    let gone = described.find(|row| row.text_origin == "human");
+    let gone = gone.expect("a mask of a person").motion_id;
+    let condition = format!("id = '{gone}'");
+    typed_with(
+        "dataset remove {} --drop-labels",
+        &[&dataset],
+        &["--where", &condition],
+    )
+    .expect_code(0);
+    let done = run("first.sqlite", &["export"]);
+    assert_eq!(done["counts"]["clips_gone"], 1, "{done}");
+    assert_has(&done["messages"].to_string(), &[gone.as_str()]);
+    let masks = rows_of::<MaskRow>(&dataset);
+    assert!(masks.iter().all(|row| row.motion_id != gone));
+    stance(&["verify", arg(&dataset)]).expect_code(0);
 }
 
 #[test]

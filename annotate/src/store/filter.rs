@@ -40,7 +40,9 @@ pub(super) fn condition(filter: &TaskFilter, values: &mut Values) -> String {
     equal += &values.equal("t.kind", filter.kind);
     equal += &values.equal("t.state", filter.state);
     equal += &values.equal("t.category", filter.category.clone());
-    equal += &values.equal("t.split", filter.split.clone());
+    // As in the columns of a task, the split that its first motion has now.
+    let split = "COALESCE((SELECT m.split FROM motion m WHERE m.hash = t.source), t.split)";
+    equal += &values.equal(split, filter.split.clone());
     equal += &values.equal("t.id", filter.task);
     let mut all = vec![equal];
     if let Some(person) = filter.person {

@@ -17,10 +17,6 @@ use crate::wire::{
 const TRIED: usize = 64 * 1024;
 /// Name under which table `setting` holds the settings.
 const SETTINGS: &str = "settings";
-/// Upsert clause for a motion that is ingested again.
-const ANEW: &str =
-    "UPDATE SET id = excluded.id, split = excluded.split, captions = excluded.captions,
-  style = excluded.style, action = excluded.action, current = 1";
 /// Motions or tasks written per transaction; bounds how long others wait.
 pub(super) const AT_ONCE: usize = 500;
 
@@ -75,13 +71,13 @@ impl Store {
         self.write(move |tx| put(tx, &name, &text))
     }
 
-    /// Adds motions. A motion whose hash is known stays unchanged.
+    /// Adds motions. A motion whose hash is known gets the id, split, captions, style and action that it has now.
     pub fn put_motions(&self, motions: Vec<MotionRecord>) -> Result<()> {
         for group in motions.chunks(AT_ONCE) {
             let group = group.to_vec();
             self.write(move |tx| {
                 let mut motions = group.iter();
-                motions.try_for_each(|motion| put_motion(tx, motion, "NOTHING"))
+                motions.try_for_each(|motion| put_motion(tx, motion))
             })?;
         }
         Ok(())
@@ -111,7 +107,7 @@ impl Store {
                 tx.run(sql, params![hash])?;
             }
             for motion in &motions {
-                put_motion(tx, motion, ANEW)?;
+                put_motion(tx, motion)?;
             }
             let mut count = 0;
             let sql = "SELECT id, source, target FROM task ORDER BY id";
@@ -296,14 +292,12 @@ fn check_prefs(prefs: &Prefs) -> Result<()> {
     require(is_allowed, "speed", "0.1 to 2 will do")
 }
 
-fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord, on_conflict: &str) -> Result<()> {
-    let sql = format!(
+fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord) -> Result<()> {
+    tx.run(
         "INSERT INTO motion (hash, id, split, frames, fps, captions, style, action, current)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, 1)
-         ON CONFLICT (hash) DO {on_conflict}"
-    );
-    tx.run(
-        &sql,
+         ON CONFLICT (hash) DO UPDATE SET id = excluded.id, split = excluded.split, captions = excluded.captions,
+           style = excluded.style, action = excluded.action, current = 1",
         params![
             motion.hash,
             motion.id,

@@ -1,5 +1,7 @@
 //! Queries on tasks and answers, for people, figures, exports and the log.
 
+use std::collections::BTreeMap;
+
 use super::db::{Params, Result, Tx, params};
 use super::filter::{Values, like};
 use super::project;
@@ -121,6 +123,22 @@ impl Store {
     pub fn accepted_by(&self) -> Result<Vec<(String, i64)>> {
         let sql = "SELECT basis, COUNT(*) FROM accepted GROUP BY basis ORDER BY basis";
         self.read(|tx| tx.list(sql, &[]))
+    }
+
+    /// Keys of the tasks that were reopened and are not accepted now, each with whether it was accepted when entry `seq`
+    /// was the last of the log.
+    pub fn reopened(&self, seq: i64) -> Result<BTreeMap<String, bool>> {
+        // Only accepted and dropped tasks can be reopened.
+        let decision = "SELECT e.kind FROM event e WHERE e.task = t.id
+           AND e.kind IN ('imported', 'filled', 'accepted', 'merged', 'dropped', 'reopened')";
+        let sql = format!(
+            "SELECT t.key, CASE WHEN ({decision} AND e.seq > ?1 ORDER BY e.seq LIMIT 1) = 'reopened'
+               AND ({decision} AND e.seq <= ?1 ORDER BY e.seq DESC LIMIT 1) <> 'dropped' THEN 1 ELSE 0 END
+             FROM task t WHERE t.gold IS NULL AND t.state <> 'accepted'
+               AND EXISTS (SELECT 1 FROM review v WHERE v.task = t.id AND v.decision = 'reopened')"
+        );
+        let found: Vec<(String, bool)> = self.read(|tx| tx.list(&sql, params![seq]))?;
+        Ok(found.into_iter().collect())
     }
 
     /// Tasks whose answers changed after a sequence number, and the last sequence number of the log.

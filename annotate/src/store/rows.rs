@@ -8,8 +8,10 @@ use crate::Error;
 use crate::state::Purpose;
 use crate::wire::{Lease, Revision};
 
-/// Columns of a [`TaskRecord`].
-pub(crate) const TASK: &str = "t.id, t.key, t.kind, t.source, t.target, t.split, t.bundle, t.bundle_index,
+/// Columns of a [`TaskRecord`]. The split is that of its first motion now, which may have another than when the task
+/// was made.
+pub(crate) const TASK: &str = "t.id, t.key, t.kind, t.source, t.target,
+  COALESCE((SELECT m.split FROM motion m WHERE m.hash = t.source), t.split), t.bundle, t.bundle_index,
   t.category, t.hint, t.style, t.wanted, t.gold, t.extra, t.state, t.submitted, t.shuffle, t.distance, t.practice,
   t.changed";
 

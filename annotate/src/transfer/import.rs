@@ -200,8 +200,9 @@ fn clips(dataset: &Dataset) -> Result<Vec<Clip>, Error> {
 /// pair. Masks of the pipeline become suggestions; masks by people and pairs written by this program become accepted
 /// answers. Clips of one action are paired as candidates.
 ///
-/// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on. If the store has
-/// a note [`CHOSEN`] with a condition, new tasks are created only for clips that meet it, and for pairs of such clips.
+/// Existing tasks stay unchanged, except that an accepted answer fills one that nobody has worked on. Known motions get
+/// the id, split, captions, style and action of the dataset, and their tasks the split. If the store has a note
+/// [`CHOSEN`] with a condition, new tasks are created only for clips that meet it, and for pairs of such clips.
 ///
 /// # Errors
 /// The dataset cannot be read, the condition cannot be evaluated, or the store fails.
@@ -216,12 +217,13 @@ pub fn from_dataset(
     let dataset = chosen(store, &whole)?;
     let mut taken = Taken::default();
     let all = clips(&whole)?;
-    let clips = without_copies(&all, &mut taken);
+    let known = store.all_motions()?;
+    let clips = without_copies(&all, &known, &mut taken);
     let by_id: BTreeMap<&str, &Clip> = clips
         .iter()
         .map(|clip| (clip.record.id.as_str(), *clip))
         .collect();
-    compare_with_known(store, &all, &clips, actor, now, &mut taken)?;
+    compare_with_known(store, &known, &all, &clips, actor, now, &mut taken)?;
     store.put_motions(clips.iter().map(|clip| clip.record.clone()).collect())?;
     taken.count("motions", clips.len() as i64);
 
@@ -267,12 +269,23 @@ fn chosen(store: &Store, dataset: &Dataset) -> Result<Dataset, Error> {
     chosen.map_err(|error| Error::import(what(), error.to_string()))
 }
 
-/// The clips without those that repeat an earlier clip's motion.
-fn without_copies<'a>(clips: &'a [Clip], taken: &mut Taken) -> Vec<&'a Clip> {
-    let mut by_hash: BTreeSet<&str> = BTreeSet::new();
-    let (clips, copies): (Vec<&Clip>, Vec<&Clip>) = clips
-        .iter()
-        .partition(|clip| by_hash.insert(&clip.record.hash));
+/// The clips without those that repeat the motion of another: of a known clip, or of an earlier one.
+fn without_copies<'a>(
+    clips: &'a [Clip],
+    known: &[MotionRecord],
+    taken: &mut Taken,
+) -> Vec<&'a Clip> {
+    let known = known.iter().map(|motion| (&motion.hash, &motion.id));
+    let known: BTreeSet<(&String, &String)> = known.collect();
+    let names = |clip: &'a Clip| (&clip.record.hash, &clip.record.id);
+    let (old, new): (Vec<&Clip>, Vec<&Clip>) =
+        clips.iter().partition(|&clip| known.contains(&names(clip)));
+    let mut by_hash: BTreeMap<&String, &String> = BTreeMap::new();
+    for (hash, id) in old.into_iter().chain(new).map(names) {
+        by_hash.entry(hash).or_insert(id);
+    }
+    let is_first = |clip: &&'a Clip| by_hash.get(&clip.record.hash) == Some(&&clip.record.id);
+    let (clips, copies): (Vec<&Clip>, Vec<&Clip>) = clips.iter().partition(is_first);
     taken.report("copies", copies.len(), || {
         format!(
             "{} clips repeat the motion of another clip and get no task, for example {}",
@@ -459,33 +472,32 @@ pub fn from_labels(
     Ok(taken)
 }
 
-/// Updates the content of clips that were ingested again under the same id, and reports how many known clips are not in
-/// the dataset. `all` are the clips of the dataset, `clips` those without copies.
+/// Updates the content of clips that were ingested again under the same id, and reports how many known clips have other
+/// labels now, or are not in the dataset. `known` are the clips of the store, `all` those of the dataset, and `clips`
+/// those of the dataset without copies.
 fn compare_with_known(
     store: &Store,
+    known: &[MotionRecord],
     all: &[Clip],
     clips: &[&Clip],
     actor: Option<i64>,
     now: Millis,
     taken: &mut Taken,
 ) -> Result<(), Error> {
-    let known = store.all_motions()?;
     let hashes = known
         .iter()
         .map(|motion| (motion.id.as_str(), &motion.hash));
     let hashes: BTreeMap<&str, &String> = hashes.collect();
     let motions = clips.iter().map(|clip| &clip.record);
-    let changed: Vec<MotionRecord> = motions
-        .filter(|motion| {
-            hashes
-                .get(motion.id.as_str())
-                .is_some_and(|hash| **hash != motion.hash)
-        })
-        .cloned()
-        .collect();
+    let (changed, same): (Vec<&MotionRecord>, Vec<&MotionRecord>) = motions.partition(|motion| {
+        let known = hashes.get(motion.id.as_str());
+        known.is_some_and(|hash| **hash != motion.hash)
+    });
+    note_corrected(known, &same, taken);
     if !changed.is_empty() {
         taken.count("changed_motions", changed.len() as i64);
-        let tasks = store.replace_motions(actor, changed, now)?;
+        let changed = changed.into_iter().cloned();
+        let tasks = store.replace_motions(actor, changed.collect(), now)?;
         taken.count("changed_tasks", tasks);
         let asked = store.changed_tasks()?.len();
         if asked > 0 {
@@ -505,6 +517,30 @@ fn compare_with_known(
         )
     });
     Ok(())
+}
+
+/// Counts the clips whose content is as before, but whose id, split, captions, style or action are corrected.
+fn note_corrected(known: &[MotionRecord], clips: &[&MotionRecord], taken: &mut Taken) {
+    let by_hash = known.iter().map(|motion| (motion.hash.as_str(), motion));
+    let by_hash: BTreeMap<&str, &MotionRecord> = by_hash.collect();
+    let is_other = |clip: &&&MotionRecord| {
+        by_hash.get(clip.hash.as_str()).is_some_and(|known| {
+            known.id != clip.id
+                || known.split != clip.split
+                || known.captions != clip.captions
+                || known.style != clip.style
+                || known.action != clip.action
+        })
+    };
+    let corrected: Vec<&&MotionRecord> = clips.iter().filter(is_other).collect();
+    taken.report("corrected_clips", corrected.len(), || {
+        format!(
+            "{} clips have another id, split, caption, style or action than at the last import, for example {}; the \
+             project shows them as they are in the dataset now",
+            corrected.len(),
+            corrected[0].id
+        )
+    });
 }
 
 fn mask_task(motion: &MotionRecord, rows: &[MaskRow], taken: &mut Taken) -> Result<NewTask, Error> {

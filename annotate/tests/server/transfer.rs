@@ -15,7 +15,7 @@ use annotate::wire::{
 };
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, read_rows, write_rows};
-use datasets_spec::{Dataset, Transaction};
+use datasets_spec::{Dataset, Split, Transaction};
 use serde_json::{Value, json};
 
 use crate::support::{
@@ -393,18 +393,147 @@ fn a_job_exports_files_to_download_and_splits_are_kept_apart() {
     run(&only).expect("exports");
     let rows: Vec<AnnotationRow> = rows(&folder, "annotations");
     assert!(rows.is_empty(), "all answers are of the training split");
-    // A task of split train with a motion of the test split makes the export fail.
-    let mut motion = site.store.all_motions().expect("motions");
-    motion.retain(|motion| motion.split == "test");
+    // A pair of a training and a test clip is left out.
+    let motions = site.store.all_motions().expect("motions");
+    let of = |split: &str| {
+        let mut of_split = motions.iter().filter(|motion| motion.split == split);
+        of_split.next().expect("a motion").hash.clone()
+    };
     let task = NewTask {
-        source: motion[0].hash.clone(),
-        accepted: Some(masks("leak")),
-        ..bare_task(1, TaskKind::MaskText)
+        source: of("train"),
+        target: Some(of("test")),
+        accepted: Some(pair(Verdict::Keep)),
+        ..bare_task(1, TaskKind::Pair)
     };
     let imported = site.store.import(None, vec![task], START + MINUTE);
     imported.expect("a task");
-    let leak = run(&selection(ExportFormat::Parquet)).expect_err("a leak");
-    assert!(leak.to_string().contains("split"), "{leak}");
+    let done = run(&selection(ExportFormat::Parquet)).expect("exports");
+    assert_eq!(done.counts["pairs_across_splits"], 1);
+    let rows: Vec<AnnotationRow> = self::rows(&folder, "annotations");
+    assert!(
+        rows.iter()
+            .all(|row| row.split == "train" && row.task != "task000001")
+    );
+}
+
+#[test]
+fn a_clip_in_another_split_takes_its_answers_along() {
+    let site = annotated();
+    let store = site.store.as_ref();
+    let mut clips: Vec<MotionRow> = read(&site.dataset);
+    let clip = clips.iter_mut().find(|row| row.id.as_str() == "clip00");
+    let clip = clip.expect("a clip");
+    clip.split = Split::Test;
+    clip.style = Some("old".to_owned());
+    commit(&site.dataset, &clips, |row| row.split, "another seed");
+    let mut pairs: Vec<PairRow> = pair_rows(&site).into_values().collect();
+    pairs.retain(|pair| pair.id != "fine-grained0");
+    commit(&site.dataset, &pairs, |row| row.split, "pairs anew");
+
+    // The dataset tells the splits, also before it is imported again.
+    let folder = site.folder.path().join("files");
+    let done = write_to(&site, store, &folder, ExportFormat::Dataset);
+    assert_eq!(done.counts["pairs_across_splits"], 1);
+    let is_said = |message: &String| message.contains("pair:fine-grained0");
+    assert!(done.messages.iter().any(is_said), "{:?}", done.messages);
+    let masks: Vec<MaskRow> = read(&site.dataset);
+    let mut of_clip = masks
+        .iter()
+        .filter(|row| row.motion_id.as_str() == "clip00");
+    assert!(of_clip.all(|row| row.split == Split::Test), "{masks:?}");
+    assert!(!pair_rows(&site).contains_key("fine-grained0"));
+    sound(&site);
+
+    let taken = take_dataset(&site, store);
+    assert_eq!(taken.counts["corrected_clips"], 1);
+    let is_said = |message: &String| message.contains("clip00");
+    assert!(taken.messages.iter().any(is_said), "{:?}", taken.messages);
+    let mut known = store.all_motions().expect("motions").into_iter();
+    let known = known
+        .find(|motion| motion.id == "clip00")
+        .expect("a motion");
+    assert_eq!(
+        (known.split.as_str(), known.style.as_deref()),
+        ("test", Some("old"))
+    );
+    assert_eq!(task_of(store, "mask:clip00").split, "test");
+    let done = write_to(&site, store, &folder, ExportFormat::Parquet);
+    assert_eq!(done.counts["pairs_across_splits"], 1);
+    let rows: Vec<AnnotationRow> = rows(&folder, "annotations");
+    let of = |task: &str| -> Vec<&str> {
+        let of_task = rows.iter().filter(|row| row.task == task);
+        of_task.map(|row| row.split.as_str()).collect()
+    };
+    assert_eq!(of("mask:clip00"), ["test", "test"]);
+    assert_eq!(of("mask:clip01"), ["train"]);
+    assert_eq!(of("pair:fine-grained0"), Vec::<&str>::new());
+    assert!(
+        !take_dataset(&site, store)
+            .counts
+            .contains_key("corrected_clips")
+    );
+    whole(store);
+}
+
+#[test]
+fn an_acceptance_that_was_taken_back_leaves_the_dataset() {
+    let site = annotated();
+    let store = site.store.as_ref();
+    let folder = site.folder.path().join("unused");
+    let export_it = || write_to(&site, store, &folder, ExportFormat::Dataset);
+    let users = store.users().expect("users");
+    let eve = users
+        .iter()
+        .find(|user| user.name == "eve")
+        .expect("a user");
+    let reopen = |key: &str| {
+        let reopened = decision(task_of(store, key).id, 0, Decision::Reopen);
+        store.review(eve.id, reopened, START).expect("reopens");
+    };
+    let described = || -> BTreeSet<String> {
+        let masks: Vec<MaskRow> = read(&site.dataset);
+        masks.iter().map(|row| row.motion_id.to_string()).collect()
+    };
+    assert!(!export_it().counts.contains_key("taken_back"));
+    reopen("mask:clip00");
+    reopen("pair:fine-grained0");
+    let done = export_it();
+    assert_eq!(done.counts["taken_back"], 2 + 1, "two masks and a pair");
+    let is_said = |message: &String| message.contains("taken back");
+    assert!(done.messages.iter().any(is_said), "{:?}", done.messages);
+    assert_eq!(described(), BTreeSet::from(["clip01".to_owned()]));
+    assert!(!pair_rows(&site).contains_key("fine-grained0"));
+    sound(&site);
+    assert!(!export_it().counts.contains_key("taken_back"));
+
+    // After an export of another store, only the author of a mask tells which store wrote it.
+    let other = fresh_store(&site, "other.sqlite");
+    let candidate = task_of(&other, "takes:clip12|clip13");
+    let judged = NewTask {
+        key: candidate.key,
+        source: candidate.source,
+        target: candidate.target,
+        accepted: Some(pair(Verdict::Keep)),
+        ..bare_task(0, TaskKind::Pair)
+    };
+    let done = other.import(None, vec![judged], START).expect("imports");
+    assert_eq!(done.filled, 1);
+    commit_answers(&site, &other);
+    reopen("mask:clip01");
+    reopen("pair:style10");
+    let done = export_it();
+    assert_eq!(done.counts["taken_back"], 1);
+    assert_eq!(done.counts["taken_back_but_kept"], 1);
+    assert_eq!(described(), BTreeSet::new());
+    let kept = pair_rows(&site);
+    assert!(kept.contains_key("style10") && kept.contains_key("takes:clip12|clip13"));
+    sound(&site);
+}
+
+/// Checks that `stance verify` finds nothing wrong with the dataset.
+fn sound(site: &Site) {
+    let found = pipeline::verify::verify(&site.dataset, &datasets_spec::NoProgress);
+    assert_eq!(found.expect("a dataset").findings, Vec::new());
 }
 
 #[test]
@@ -499,9 +628,7 @@ fn a_candidate_keeps_its_key_and_leaves_the_pairs_when_it_is_judged_unusable() {
     let row = pair_rows(&site)[id].clone();
     assert_eq!(row.source, "annotate");
     assert_eq!(row.edit_type.as_deref(), Some("amplitude"));
-    let found =
-        pipeline::verify::verify(&site.dataset, &datasets_spec::NoProgress).expect("a dataset");
-    assert_eq!(found.findings, Vec::new());
+    sound(&site);
     // The store imports the dataset again, as a server does at its start.
     assert_eq!(take_dataset(&site, store).counts["new_tasks"], 0);
     // A new store gives the pair the same key, with the whole answer.

@@ -4,56 +4,51 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::dataset::{Commit, Transaction};
 use datasets_spec::manifest::REJECTED_PAIRS_FACT;
-use datasets_spec::record::{MaskRow, PairRow};
-use datasets_spec::table::Row;
+use datasets_spec::record::{MaskRow, MotionRow, PairRow};
+use datasets_spec::table::{Row, read_column};
 use datasets_spec::{Dataset, MASK_DEF_VERSION, MotionId, Split};
 
-use super::exporter::{Exported, Exporter};
+use super::exporter::{Clips, Exported, Exporter};
 use crate::Error;
 use crate::answer::sentence;
 use crate::mask::check_range;
 use crate::store::AcceptedAnswer;
-use crate::transfer::import::{CANDIDATE, PAIR_SOURCE, pair_id};
+use crate::transfer::import::{CANDIDATE, PAIR_SOURCE, key_of_pair, mask_key, pair_id};
 use crate::wire::{Answer, Extent, TaskKind};
 
 /// Facts of the manifest that name the store and the point in its log that the tables were exported from.
 const STORE_FACT: &str = "annotate_store";
 const SEQ_FACT: &str = "annotate_seq";
+/// Fact of the manifest with the splits of the last export, separated by spaces; missing or empty for all splits.
+const SPLITS_FACT: &str = "annotate_splits";
 
+/// Masks of accepted answers by the id of their motion, each with the sequence number of the acceptance.
+type Described = BTreeMap<String, (i64, Vec<MaskRow>)>;
 /// Judgements of pairs by the id of the pair: the sequence number of the acceptance, and the pair's new row, or `None`
 /// if it is rejected.
 type Judged = BTreeMap<String, (i64, Option<PairRow>)>;
 
 impl Exporter<'_> {
     /// Writes the tables `masks` and `pairs` of the dataset in one commit. Motions with an accepted answer get its
-    /// masks, the others keep theirs; accepted pairs replace the pairs they judge.
+    /// masks, the others keep theirs; accepted pairs replace the pairs they judge. Labels whose acceptance was taken back
+    /// are removed.
     pub(super) fn dataset(&mut self, transaction: Transaction) -> Result<(), Error> {
         let dataset = Dataset::open(transaction.root())?;
-        let mut masks: Vec<MaskRow> = Vec::new();
-        let mut judged = Judged::new();
-        let mut answered: BTreeSet<String> = BTreeSet::new();
-        self.each_accepted(|exporter, accepted| {
-            count_losses(&accepted.answer, &mut exporter.done);
-            if accepted.task.kind == TaskKind::MaskText {
-                masks.extend(exporter.mask_rows(&accepted)?);
-                answered.insert(exporter.ids(&accepted.task)?.0);
-                return Ok(());
-            }
-            exporter.done.count("pairs_judged", 1);
-            let id = pair_id(&accepted.task.key).to_owned();
-            // A store of an earlier version may have two tasks for one candidate. The later decision counts.
-            if judged.get(&id).is_none_or(|(seq, _)| *seq < accepted.seq) {
-                let row = exporter.pair_row(&id, &accepted)?;
-                judged.insert(id, (accepted.seq, row));
-            }
-            Ok(())
-        })?;
-        let others = dataset.read::<MaskRow>(None)?.into_iter();
-        masks.extend(others.filter(|row| !answered.contains(row.motion_id.as_str())));
+        self.clips = Some(clips_of(&dataset)?);
+        let (described, judged) = self.decided()?;
+        let mut masks: Vec<MaskRow> = dataset.read(None)?;
+        masks.retain(|row| !described.contains_key(row.motion_id.as_str()));
+        let (mut pairs, mut rejected) = unjudged(&dataset, &judged)?;
+        self.take_back(&dataset, &mut masks, &mut pairs)?;
+        self.done.count("motions_described", described.len());
+        masks.extend(described.into_values().flat_map(|(_, rows)| rows));
         masks.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));
-        let (pairs, rejected) = pairs_after(&dataset, judged)?;
+        for row in judged.into_values().filter_map(|(_, row)| row) {
+            rejected.remove(&clips_of_pair(&row));
+            pairs.push(row);
+        }
+        pairs.sort_by(|a, b| a.id.cmp(&b.id));
         self.done.count("masks", masks.len());
-        self.done.count("motions_described", answered.len());
         self.done.count("pairs", pairs.len());
         let plan = blake3::hash(format!("annotate {masks:?} {pairs:?}").as_bytes());
         let plan = plan.to_hex().to_string();
@@ -80,6 +75,9 @@ impl Exporter<'_> {
             let rejected = serde_json::to_string(&rejected).expect("texts serialise");
             facts.insert(REJECTED_PAIRS_FACT.to_owned(), rejected);
         }
+        if !self.splits.is_empty() || manifest.facts.contains_key(SPLITS_FACT) {
+            facts.insert(SPLITS_FACT.to_owned(), self.splits.join(" "));
+        }
         transaction.commit(Commit {
             tables,
             plan_hash: plan,
@@ -90,9 +88,88 @@ impl Exporter<'_> {
         Ok(())
     }
 
-    /// The masks of an accepted answer that the table can hold.
-    fn mask_rows(&mut self, accepted: &AcceptedAnswer) -> Result<Vec<MaskRow>, Error> {
-        let motion = self.ids(&accepted.task)?.0;
+    /// The rows of all accepted answers. Two tasks may be about one clip that got another id, or, in a store of an
+    /// earlier version, about one candidate. The later decision counts.
+    fn decided(&mut self) -> Result<(Described, Judged), Error> {
+        let (mut described, mut judged) = (Described::new(), Judged::new());
+        self.each_accepted(|exporter, accepted| {
+            count_losses(&accepted.answer, &mut exporter.done);
+            if accepted.task.kind == TaskKind::MaskText {
+                let motion = exporter.ids(&accepted.task)?.0;
+                let rows = exporter.mask_rows(&motion, &accepted)?;
+                put_later(&mut described, motion, (accepted.seq, rows));
+                return Ok(());
+            }
+            exporter.done.count("pairs_judged", 1);
+            let id = pair_id(&accepted.task.key).to_owned();
+            let row = exporter.pair_row(&id, &accepted)?;
+            put_later(&mut judged, id, (accepted.seq, row));
+            Ok(())
+        })?;
+        Ok((described, judged))
+    }
+
+    /// Removes the labels that this store wrote and whose acceptance was taken back. A label that another store may have
+    /// written stays and is counted: the facts tell what the last export wrote, and the author of a mask tells its store.
+    fn take_back(
+        &mut self,
+        dataset: &Dataset,
+        masks: &mut Vec<MaskRow>,
+        pairs: &mut Vec<PairRow>,
+    ) -> Result<(), Error> {
+        let facts = &dataset.manifest().facts;
+        let is_last = facts.get(STORE_FACT) == Some(&self.done.store);
+        let seq = facts.get(SEQ_FACT).filter(|_| is_last);
+        let seq = seq.and_then(|seq| seq.parse().ok());
+        let reopened = self.store.reopened(seq.unwrap_or(i64::MAX))?;
+        let splits = facts.get(SPLITS_FACT).filter(|splits| !splits.is_empty());
+        let is_written = |split: Split| {
+            splits.is_none_or(|splits| splits.split(' ').any(|one| one == split.as_str()))
+        };
+        let before = masks.len() + pairs.len();
+        let mut unsure = 0;
+        let mut stays = |key: &str, split: Split, is_own: bool| match reopened.get(key) {
+            Some(was_accepted) if is_own || (*was_accepted && is_written(split)) => false,
+            Some(_) => {
+                unsure += 1;
+                true
+            }
+            None => true,
+        };
+        masks.retain(|row| {
+            // Exports say of every label how it was accepted.
+            let is_exported = row.text_origin == "human" && row.accepted_by.is_some();
+            let key = mask_key(row.motion_id.as_str());
+            !is_exported || stays(&key, row.split, self.is_own(&row.author))
+        });
+        pairs.retain(|pair| {
+            let is_exported = pair.source == PAIR_SOURCE;
+            !is_exported || stays(&key_of_pair(&pair.id), pair.split, false)
+        });
+        let taken_back = before - masks.len() - pairs.len();
+        self.done.lose("taken_back", taken_back);
+        if taken_back > 0 {
+            self.done.messages.push(format!(
+                "{taken_back} masks and pairs left the dataset, because their acceptance was taken back; `stance masks` \
+                 and `stance pairs` make automatic ones in their place"
+            ));
+        }
+        self.done.lose("taken_back_but_kept", unsure);
+        if unsure > 0 {
+            self.done.messages.push(format!(
+                "{unsure} masks and pairs stay in the dataset although their tasks were reopened and are not accepted: the \
+                 last export of this project did not write them; accept other answers to replace them"
+            ));
+        }
+        Ok(())
+    }
+
+    /// The masks of an accepted answer about a motion that the table can hold.
+    fn mask_rows(
+        &mut self,
+        motion: &str,
+        accepted: &AcceptedAnswer,
+    ) -> Result<Vec<MaskRow>, Error> {
         let frames = self.frames(&accepted.task)?;
         let mut rows: Vec<MaskRow> = Vec::new();
         for mask in accepted.answer.fields().masks {
@@ -117,7 +194,7 @@ impl Exporter<'_> {
             };
             rows.push(MaskRow {
                 id,
-                motion_id: MotionId::parse(&motion)?,
+                motion_id: MotionId::parse(motion)?,
                 split: accepted.task.split.parse()?,
                 parts: mask.parts.clone(),
                 hard_joints: joints.hard().names(),
@@ -167,30 +244,49 @@ impl Exporter<'_> {
     }
 }
 
-/// The pairs of a dataset after people judged some of them, and the clips of all pairs that people rejected.
-fn pairs_after(
+/// The pairs of a dataset that no decision is about, and the clips of all pairs that people rejected.
+fn unjudged(
     dataset: &Dataset,
-    judged: Judged,
+    judged: &Judged,
 ) -> Result<(Vec<PairRow>, BTreeSet<[MotionId; 2]>), Error> {
     let mut rejected = dataset.manifest().rejected_pairs();
-    let clips_of = |pair: &PairRow| [pair.source_id.clone(), pair.target_id.clone()];
     let mut pairs: Vec<PairRow> = Vec::new();
     for pair in dataset.read::<PairRow>(None)? {
         match judged.get(&pair.id) {
             None => pairs.push(pair),
             // Two takes that people find too different for a candidate can still be a style pair.
             Some((_, None)) if !pair.id.starts_with(CANDIDATE) => {
-                rejected.insert(clips_of(&pair));
+                rejected.insert(clips_of_pair(&pair));
             }
             Some(_) => {}
         }
     }
-    for row in judged.into_values().filter_map(|(_, row)| row) {
-        rejected.remove(&clips_of(&row));
-        pairs.push(row);
-    }
-    pairs.sort_by(|a, b| a.id.cmp(&b.id));
     Ok((pairs, rejected))
+}
+
+fn clips_of_pair(pair: &PairRow) -> [MotionId; 2] {
+    [pair.source_id.clone(), pair.target_id.clone()]
+}
+
+/// Puts a decision under an id, unless a later one is there.
+fn put_later<T>(decisions: &mut BTreeMap<String, (i64, T)>, id: String, new: (i64, T)) {
+    if decisions.get(&id).is_none_or(|(seq, _)| *seq < new.0) {
+        decisions.insert(id, new);
+    }
+}
+
+/// The clips of a dataset.
+fn clips_of(dataset: &Dataset) -> Result<Clips, Error> {
+    let mut clips = Clips::new();
+    for (path, _) in dataset.files(MotionRow::TABLE, None) {
+        let ids: Vec<MotionId> = read_column::<MotionRow, _>(&path, "id")?;
+        let splits: Vec<Split> = read_column::<MotionRow, _>(&path, "split")?;
+        let frames: Vec<i32> = read_column::<MotionRow, _>(&path, "n_frames")?;
+        let ids = ids.into_iter().map(|id| id.to_string());
+        let frames = frames.into_iter().map(i64::from);
+        clips.extend(ids.zip(splits.into_iter().zip(frames)));
+    }
+    Ok(clips)
 }
 
 /// Counts the parts of an answer that the tables cannot hold.

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use datasets_spec::Split;
 use datasets_spec::store::replace_file;
 use serde::Serialize;
 
@@ -46,11 +47,20 @@ pub(super) const STAMP: &str = "export.json";
 /// Characters of the store's id in a pseudonym.
 const STORE_CHARS: usize = 6;
 
+/// Clips of a dataset by their ids: the split and the number of frames.
+pub(super) type Clips = BTreeMap<String, (Split, i64)>;
+
 pub(super) struct Exporter<'a> {
     pub(super) store: &'a Store,
     pub(super) splits: &'a [String],
-    /// Motions of the tasks that were read last, by hash.
+    /// The clips of the dataset that the export writes into; `None` for layouts of files.
+    pub(super) clips: Option<Clips>,
+    /// Motions of the tasks that were read last, by hash; only those of `clips`, if these are known.
     motions: BTreeMap<String, MotionRecord>,
+    /// Ids of clips with answers that `clips` lacks.
+    gone: BTreeSet<String>,
+    /// Keys of tasks whose two clips are in different splits.
+    across: BTreeSet<String>,
     pub(super) done: Exported,
 }
 
@@ -60,13 +70,38 @@ impl<'a> Exporter<'a> {
         Ok(Self {
             store,
             splits,
+            clips: None,
             motions: BTreeMap::new(),
+            gone: BTreeSet::new(),
+            across: BTreeSet::new(),
             done: Exported {
                 store: store.id()?,
                 seq: store.last_seq()?,
                 ..Exported::default()
             },
         })
+    }
+
+    /// Adds to the result what was left out with its clips.
+    pub(super) fn note_left_out(&mut self) {
+        if let Some(first) = self.gone.first() {
+            let count = self.gone.len();
+            let message = format!(
+                "{count} clips with accepted answers are not in the dataset, for example {first}; these answers are \
+                 left out and stay in the project"
+            );
+            self.done.count("clips_gone", count);
+            self.done.messages.push(message);
+        }
+        if let Some(first) = self.across.first() {
+            let count = self.across.len();
+            let message = format!(
+                "{count} pairs have their clips in two splits, for example {first}; their answers are left out and \
+                 stay in the project"
+            );
+            self.done.count("pairs_across_splits", count);
+            self.done.messages.push(message);
+        }
     }
 
     /// Adds to the result how answers were accepted, and how many were accepted before their clip was ingested again.
@@ -108,6 +143,15 @@ impl<'a> Exporter<'a> {
         format!("a{user:03}-{store}")
     }
 
+    /// Whether an author is the pseudonym of a person of this store.
+    pub(super) fn is_own(&self, author: &str) -> bool {
+        let rest = author.strip_prefix('a').unwrap_or_default();
+        let number = rest
+            .split_once('-')
+            .map(|(number, _)| number.parse::<i64>());
+        number.is_some_and(|user| user.is_ok_and(|user| self.pseudonym(user) == author))
+    }
+
     /// The author of an accepted answer: the pseudonym of a person of this store, or the author that an import named.
     pub(super) fn author(&self, accepted: &AcceptedAnswer) -> String {
         let credit = accepted.credit.clone();
@@ -118,34 +162,21 @@ impl<'a> Exporter<'a> {
         self.splits.is_empty() || self.splits.iter().any(|wanted| wanted == split)
     }
 
-    /// The motion of a task, by its hash. It must be in the split of the task, so that no test clip ends up in train.
-    fn motion(&self, hash: &str, split: &str) -> Result<&MotionRecord, Error> {
-        let motion = self
-            .motions
-            .get(hash)
-            .ok_or_else(|| Error::not_found("motion"))?;
-        if motion.split != split {
-            let what = format!("motion {} into split {split}", motion.id);
-            let problem = format!(
-                "its split is {}; correct the pair in the dataset",
-                motion.split
-            );
-            return Err(Error::import(what, problem));
-        }
-        Ok(motion)
+    /// The motion of a task, by its hash.
+    fn motion(&self, hash: &str) -> Result<&MotionRecord, Error> {
+        let motion = self.motions.get(hash);
+        motion.ok_or_else(|| Error::not_found("motion"))
     }
 
     pub(super) fn ids(&self, task: &TaskRecord) -> Result<(String, Option<String>), Error> {
-        let id = |hash: &String| -> Result<String, Error> {
-            Ok(self.motion(hash, &task.split)?.id.clone())
-        };
+        let id = |hash: &String| -> Result<String, Error> { Ok(self.motion(hash)?.id.clone()) };
         let target = task.target.as_ref().map(id);
         Ok((id(&task.source)?, target.transpose()?))
     }
 
     /// Frames of the first motion of a task.
     pub(super) fn frames(&self, task: &TaskRecord) -> Result<i64, Error> {
-        Ok(self.motion(&task.source, &task.split)?.frames)
+        Ok(self.motion(&task.source)?.frames)
     }
 
     /// Visits the tasks in the order of their keys, a batch at a time, so that not all of them are in memory.
@@ -164,25 +195,60 @@ impl<'a> Exporter<'a> {
     /// Accepted answers of the chosen splits in a range, by the key of their task.
     pub(super) fn accepted(&mut self, keys: &KeyRange) -> Result<Vec<AcceptedAnswer>, Error> {
         let mut all = self.store.accepted(keys)?;
-        all.retain(|answer| self.wanted(&answer.task.split));
-        self.meet(all.iter().map(|answer| &answer.task))?;
+        self.meet(all.iter_mut().map(|answer| &mut answer.task))?;
+        all.retain(|answer| self.fits(&answer.task));
         Ok(all)
     }
 
-    /// Loads the motions of a batch of tasks, and drops all other motions.
+    /// Whether the export has a place for a task of the batch: it is of the chosen splits, and its clips are in the
+    /// dataset, both in one split, so that no test clip ends up in train. Pairs across splits are noted.
+    pub(super) fn fits(&mut self, task: &TaskRecord) -> bool {
+        if !self.wanted(&task.split) {
+            return false;
+        }
+        let target = task.target.as_ref().map(|hash| self.motions.get(hash));
+        let split = target.flatten().map(|motion| &motion.split);
+        if split.is_some_and(|split| *split != task.split) {
+            self.across.insert(task.key.clone());
+            return false;
+        }
+        // A motion that the store itself lacks is a defect of the store, which files report.
+        let are_here =
+            self.motions.contains_key(&task.source) && target.is_none_or(|motion| motion.is_some());
+        self.clips.is_none() || are_here
+    }
+
+    /// Loads the motions of a batch of tasks, and drops all other motions. The tasks get the split that their first
+    /// motion has in the dataset. Motions that the dataset lacks are noted.
     pub(super) fn meet<'t>(
         &mut self,
-        tasks: impl Iterator<Item = &'t TaskRecord>,
+        tasks: impl Iterator<Item = &'t mut TaskRecord>,
     ) -> Result<(), Error> {
-        let hashes: BTreeSet<&String> = tasks
-            .flat_map(|task| [Some(&task.source), task.target.as_ref()])
-            .flatten()
-            .collect();
-        let found = self.store.motions(hashes.into_iter().cloned().collect())?;
-        self.motions = found
-            .into_iter()
-            .map(|motion| (motion.hash.clone(), motion))
-            .collect();
+        let tasks: Vec<&mut TaskRecord> = tasks.collect();
+        let sides = tasks
+            .iter()
+            .flat_map(|task| [Some(&task.source), task.target.as_ref()]);
+        let hashes: BTreeSet<&String> = sides.flatten().collect();
+        self.motions.clear();
+        for mut motion in self.store.motions(hashes.into_iter().cloned().collect())? {
+            if let Some(clips) = &self.clips {
+                let Some((split, frames)) = clips.get(&motion.id) else {
+                    if self.wanted(&motion.split) {
+                        self.gone.insert(motion.id);
+                    }
+                    continue;
+                };
+                // The range of a mask must fit the clip that people saw and the one that is there now.
+                motion.frames = motion.frames.min(*frames);
+                motion.split = split.to_string();
+            }
+            self.motions.insert(motion.hash.clone(), motion);
+        }
+        for task in tasks {
+            if let Some(motion) = self.motions.get(&task.source) {
+                task.split.clone_from(&motion.split);
+            }
+        }
         Ok(())
     }
 

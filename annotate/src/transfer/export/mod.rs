@@ -24,13 +24,14 @@ use crate::transfer::tables::AnnotationRow;
 use crate::wire::{ExportFormat, ExportRequest};
 
 /// Exports accepted answers from a snapshot of the store. The files are written to `folder`. Layout `dataset` instead
-/// writes the tables `masks` and `pairs` of the dataset in one commit, under the dataset's lock.
+/// writes the tables `masks` and `pairs` of the dataset in one commit, under the dataset's lock. Splits and ids are
+/// those of the dataset, for files those of its last import. Pairs whose clips are in two splits are left out and counted.
 ///
 /// The sequence number of the snapshot is in [`Exported::seq`], and in the file `export.json` beside the files or, for
 /// layout `dataset`, in the facts of the manifest.
 ///
 /// # Errors
-/// A file cannot be written, a pair crosses splits, the dataset is locked, or the store fails.
+/// A file cannot be written, the dataset is locked, or the store fails.
 pub fn export(
     store: &Store,
     dataset: &Path,
@@ -46,6 +47,7 @@ pub fn export(
         let now = store.snapshot()?;
         let mut exporter = Exporter::new(&now, &selection.splits)?;
         exporter.dataset(transaction)?;
+        exporter.note_left_out();
         exporter.note_decisions()?;
         return Ok(exporter.done);
     }
@@ -65,6 +67,7 @@ pub fn export(
         ExportFormat::Csv => exporter.csv(folder)?,
         ExportFormat::Dataset => {}
     }
+    exporter.note_left_out();
     exporter.note_decisions()?;
     let stamp = json!({
         "store": exporter.done.store,

@@ -131,10 +131,10 @@ impl Exporter<'_> {
     fn labels(&mut self, put: Put<'_, LabelRow>) -> Result<(), Error> {
         self.each_range(|exporter, keys| {
             let mut rows = Vec::new();
-            let labels = exporter.store.labels_of(keys)?;
-            exporter.meet(labels.iter().map(|(task, _)| task))?;
+            let mut labels = exporter.store.labels_of(keys)?;
+            exporter.meet(labels.iter_mut().map(|(task, _)| task))?;
             for (task, label) in labels {
-                if !exporter.wanted(&task.split) {
+                if !exporter.fits(&task) {
                     continue;
                 }
                 let (motion_id, target_id) = exporter.ids(&task)?;
@@ -215,8 +215,8 @@ impl Exporter<'_> {
 
     fn rejects_of(&mut self, keys: &KeyRange) -> Result<Vec<RejectRow>, Error> {
         let mut rows = Vec::new();
-        let rejects = self.store.rejects(keys)?;
-        self.meet(rejects.iter().map(|reject| &reject.task))?;
+        let mut rejects = self.store.rejects(keys)?;
+        self.meet(rejects.iter_mut().map(|reject| &mut reject.task))?;
         for Reject {
             task,
             user,
@@ -224,7 +224,7 @@ impl Exporter<'_> {
             note,
         } in rejects
         {
-            if self.wanted(&task.split) && task.gold.is_none() {
+            if task.gold.is_none() && self.fits(&task) {
                 let author = self.pseudonym(user.unwrap_or(0));
                 let row = self.reject(&task, reason, author)?;
                 rows.push(RejectRow { note, ..row });
