@@ -386,8 +386,14 @@ fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit
         session.save(&history)?;
         session.read_lines(&mut history)?;
     } else {
-        for layer in asked(args, &history.current()?) {
-            session.edit(&mut history, layer)?;
+        if !args.during.is_empty() {
+            session.edit(&mut history, args.during.clone())?;
+        }
+        for text in &args.text {
+            // An edit may have another number of frames than the motion before it.
+            let asked = whole(text, &history.current()?);
+            session.edit(&mut history, vec![asked])?;
+            session.save(&history)?;
         }
         session.save(&history)?;
     }
