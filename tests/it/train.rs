@@ -312,11 +312,11 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
     }
     assert!(!workshop.path("none.bvh").exists());
 
-    check_history(&workshop, &clip);
+    check_history(&workshop, &clip, row);
 }
 
-/// Checks that a history goes on and back.
-fn check_history(workshop: &Workshop, clip: &Path) {
+/// Checks that a history goes on and back, and names its system as the row of an edit by the guided editor does.
+fn check_history(workshop: &Workshop, clip: &Path, row: &EditRow) {
     let edit = |more: &str, input: &str| -> Ran {
         let mut child = workshop
             .command(&format!(
@@ -340,10 +340,18 @@ fn check_history(workshop: &Workshop, clip: &Path) {
     };
     edit("", "").expect_refused("--motion");
     let begin = format!(
-        "--motion {} --text 'The person is waving.' --text 'The person is nodding.'",
+        "--motion {} --text 'The person is waving.' --text 'The person is nodding.' \
+         --coordinator @guide --coordinator-strength 2.5 --out @kept",
         clip.display()
     );
     assert_eq!(counts(edit(&begin, "")), (2, 0));
+    assert_eq!(counts(edit("--name ours --out @renamed", "")), (2, 0));
+    for (table, name) in [("kept", row.system.as_str()), ("renamed", "ours")] {
+        let kept: Vec<EditRow> = workshop.rows(table);
+        assert_eq!(kept[0].system, name);
+        assert_eq!(kept[0].checkpoint_hash, row.checkpoint_hash);
+        assert_eq!(kept[0].settings, row.settings);
+    }
     // The file has another rate than its edit. The second instruction is for all frames of that edit.
     let document: Value = json_of(workshop.path("walk.history.json"));
     let made = len_of(&document["edits"][0]["result"]["transl"]);

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::error::motion_error;
 use crate::sample::TimedInstruction;
-use crate::system::{Edited, Misfit};
+use crate::system::{Edited, Misfit, SystemIdentity};
 
 const VERSION: u32 = 2;
 
@@ -36,9 +36,31 @@ pub struct HistoryStep {
     pub guidance: f64,
     /// Hash of the weights that made the edit.
     pub editor: String,
+    /// Name of the system that made the edit.
+    #[serde(default = "unnamed")]
+    pub system: String,
+    /// Settings of that system as a JSON object; empty if they are not known.
+    #[serde(default)]
+    pub settings: String,
     /// Distances between the generated points and the fitted body.
     pub misfit: Misfit,
     result: StoredMotion,
+}
+
+/// Earlier versions did not store the name of a system.
+fn unnamed() -> String {
+    "unnamed".to_owned()
+}
+
+impl HistoryStep {
+    /// Name, weights and settings of the system that made the edit.
+    pub fn identity(&self) -> SystemIdentity {
+        SystemIdentity {
+            name: self.system.clone(),
+            checkpoint_hash: self.editor.clone(),
+            settings: self.settings.clone(),
+        }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -161,7 +183,7 @@ impl EditHistory {
         instructions: Vec<TimedInstruction>,
         seed: u64,
         guidance: f64,
-        editor: &str,
+        system: &SystemIdentity,
         edited: &Edited,
     ) {
         self.edits.truncate(self.held);
@@ -169,7 +191,9 @@ impl EditHistory {
             instructions,
             seed,
             guidance,
-            editor: editor.to_owned(),
+            editor: system.checkpoint_hash.clone(),
+            system: system.name.clone(),
+            settings: system.settings.clone(),
             misfit: edited.misfit,
             result: StoredMotion::of(&edited.motion),
         });
@@ -218,7 +242,34 @@ mod tests {
             frames: 0..3,
             text: format!("to {height}"),
         };
-        history.push(vec![asked], 7, 2.0, "hash", &edited);
+        history.push(vec![asked], 7, 2.0, &system(), &edited);
+    }
+
+    fn system() -> SystemIdentity {
+        SystemIdentity {
+            name: "ours".to_owned(),
+            checkpoint_hash: "hash".to_owned(),
+            settings: "{}".to_owned(),
+        }
+    }
+
+    #[test]
+    fn an_edit_keeps_its_system_and_one_of_an_earlier_version_has_no_name() {
+        let mut history = EditHistory::open("walk", &motion(0.0));
+        push(&mut history, 1.0);
+        assert_eq!(history.edits()[0].identity(), system());
+
+        let mut document: serde_json::Value =
+            serde_json::from_str(&history.to_json()).expect("JSON");
+        let edit = document["edits"][0].as_object_mut().expect("an edit");
+        for field in ["system", "settings"] {
+            edit.remove(field).expect(field);
+        }
+        let read = EditHistory::from_json(&document.to_string()).expect("read");
+        let identity = read.edits()[0].identity();
+        assert_eq!(identity.name, "unnamed");
+        assert_eq!(identity.checkpoint_hash, "hash");
+        assert_eq!(identity.settings_hash(), "");
     }
 
     #[test]
