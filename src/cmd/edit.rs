@@ -359,11 +359,14 @@ fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit
             path.display()
         ),
         (Some(motion), false) => {
-            EditHistory::open(motion.as_str(), &opened(args, motion, &skeleton)?)
+            let original = opened(args, motion, &skeleton)?;
+            EditHistory::open(motion.as_str(), &original, &skeleton)
         }
         (None, true) => {
             let text = local::read_text(path)?;
-            EditHistory::from_json(&text).with_context(|| format!("in {}", path.display()))?
+            let checked = EditHistory::from_json(&text)
+                .and_then(|history| history.check_skeleton(&skeleton).map(|()| history));
+            checked.with_context(|| format!("in {}", path.display()))?
         }
         (None, false) => bail!("{} does not exist; begin it with --motion", path.display()),
     };

@@ -1,7 +1,7 @@
 //! The history of an interactive edit: every result is the original of the next instruction, and every step can be
 //! undone.
 
-use datasets_spec::{Fps, Motion};
+use datasets_spec::{Fps, Motion, Skeleton};
 use kinematics::motion::BODY_POSE_WIDTH;
 use serde::{Deserialize, Serialize};
 
@@ -18,6 +18,9 @@ const VERSION: u32 = 2;
 pub struct EditHistory {
     version: u32,
     id: String,
+    /// The skeleton of the motions; earlier versions did not store it.
+    #[serde(default)]
+    skeleton: Option<StoredSkeleton>,
     opened: StoredMotion,
     edits: Vec<HistoryStep>,
     /// Number of edits in effect; later ones were undone.
@@ -65,6 +68,13 @@ impl HistoryStep {
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+struct StoredSkeleton {
+    name: String,
+    hash: String,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct StoredMotion {
     fps: f64,
     transl: Vec<[f32; 3]>,
@@ -103,11 +113,15 @@ impl StoredMotion {
 }
 
 impl EditHistory {
-    /// Starts a history from a motion.
-    pub fn open(id: impl Into<String>, motion: &Motion) -> Self {
+    /// Starts a history from a motion on a skeleton.
+    pub fn open(id: impl Into<String>, motion: &Motion, skeleton: &Skeleton) -> Self {
         Self {
             version: VERSION,
             id: id.into(),
+            skeleton: Some(StoredSkeleton {
+                name: skeleton.name().to_owned(),
+                hash: skeleton.hash(),
+            }),
             opened: StoredMotion::of(motion),
             edits: Vec::new(),
             held: 0,
@@ -136,6 +150,28 @@ impl EditHistory {
             edit.result.motion(&history.id)?;
         }
         Ok(history)
+    }
+
+    /// Checks that the motions are on the given skeleton. A history of an earlier version, which does not name its
+    /// skeleton, passes.
+    ///
+    /// # Errors
+    /// The motions are on another skeleton.
+    pub fn check_skeleton(&self, skeleton: &Skeleton) -> Result<(), Error> {
+        let hash = skeleton.hash();
+        match &self.skeleton {
+            Some(own) if own.hash != hash => Err(Error::item(
+                self.id.as_str(),
+                format!(
+                    "is on skeleton {} ({:.12}), and this edit is on {} ({hash:.12}); name the dataset of \
+                     the motion, or another one on its skeleton, with --dataset",
+                    own.name,
+                    own.hash,
+                    skeleton.name()
+                ),
+            )),
+            _ => Ok(()),
+        }
     }
 
     /// The history as a JSON document.
@@ -229,6 +265,10 @@ mod tests {
         Motion::from_poses(Fps::STORE, &[pose; 3]).expect("finite")
     }
 
+    fn opened() -> EditHistory {
+        EditHistory::open("walk", &motion(0.0), &Skeleton::smplx_neutral())
+    }
+
     fn push(history: &mut EditHistory, height: f64) {
         let edited = Edited {
             motion: motion(height),
@@ -255,7 +295,7 @@ mod tests {
 
     #[test]
     fn an_edit_keeps_its_system_and_one_of_an_earlier_version_has_no_name() {
-        let mut history = EditHistory::open("walk", &motion(0.0));
+        let mut history = opened();
         push(&mut history, 1.0);
         assert_eq!(history.edits()[0].identity(), system());
 
@@ -274,7 +314,7 @@ mod tests {
 
     #[test]
     fn edits_can_be_taken_back_and_made_again_until_another_is_made() {
-        let mut history = EditHistory::open("walk", &motion(0.0));
+        let mut history = opened();
         assert!(!history.undo());
         push(&mut history, 1.0);
         push(&mut history, 2.0);
@@ -292,8 +332,23 @@ mod tests {
     }
 
     #[test]
+    fn another_skeleton_is_refused_by_a_history_that_names_its_own() {
+        let own = Skeleton::smplx_neutral();
+        let tall = Skeleton::new("tall", std::array::from_fn(|joint| 1.1 * own.rest(joint)));
+        let mut history = opened();
+        history.check_skeleton(&own).expect("its own");
+        let error = history.check_skeleton(&tall).expect_err("another");
+        let said = error.to_string();
+        for part in [own.name(), "tall", &own.hash()[..12], &tall.hash()[..12]] {
+            assert!(said.contains(part), "{part:?} is not in: {said}");
+        }
+        history.skeleton = None;
+        history.check_skeleton(&tall).expect("not known");
+    }
+
+    #[test]
     fn damaged_histories_are_refused() {
-        let mut history = EditHistory::open("walk", &motion(0.0));
+        let mut history = opened();
         push(&mut history, 1.0);
         let text = history.to_json();
         for (from, to, reason) in [
