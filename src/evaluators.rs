@@ -38,10 +38,7 @@ impl EvaluatorRuns<'_> {
         skeleton: &Skeleton,
         act: impl FnOnce(Evaluators<'_>) -> Result<T, eval::Error>,
     ) -> anyhow::Result<T> {
-        match judge::is_builtin(self.encoder) {
-            true => judge::check_skeleton(skeleton)?,
-            false => check_skeleton(self.encoder, "the encoder", skeleton)?,
-        }
+        check_encoder(self.encoder, skeleton)?;
         if let Some(run) = self.coordinator {
             check_skeleton(run, "the coordinator", skeleton)?;
         }
@@ -59,6 +56,14 @@ impl EvaluatorRuns<'_> {
             classifier: classifier.as_ref().map(|it| it as &dyn MotionClassifier),
             skeleton,
         })?)
+    }
+}
+
+/// Fails if the encoder of a run folder, or the built-in one, was trained on another skeleton.
+fn check_encoder(run: &Path, skeleton: &Skeleton) -> anyhow::Result<()> {
+    match judge::is_builtin(run) {
+        true => judge::check_skeleton(skeleton),
+        false => Ok(check_skeleton(run, "the encoder", skeleton)?),
     }
 }
 
@@ -137,8 +142,10 @@ pub(crate) fn encoder_retrieval(
     protocol: &Protocol,
 ) -> anyhow::Result<(usize, Vec<CrossRetrieval>)> {
     protocol.check()?;
+    let dataset = Dataset::open(root)?;
+    check_encoder(run, &dataset.skeleton()?)?;
     let encoder = network(run)?;
-    let mut clips = captioned_clips(&Dataset::open(root)?, split)?;
+    let mut clips = captioned_clips(&dataset, split)?;
     let kept: BTreeSet<usize> = protocol.scored_items(clips.len())?.into_iter().collect();
     let mut places = 0..;
     clips.retain(|_| places.next().is_some_and(|place| kept.contains(&place)));

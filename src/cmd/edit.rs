@@ -12,7 +12,7 @@ use eval::draw::strip::{self, Style};
 use eval::format::grid::Grid;
 use pipeline::open::{clip_of_file, stored_clip};
 use train::checkpoint::Slot;
-use train::history::EditHistory;
+use train::history::{EditHistory, HistoryStep};
 use train::registry::open_system;
 use train::sample::{EditTimes, FitMethod, TimedInstruction};
 use train::system::{
@@ -359,11 +359,14 @@ fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit
             path.display()
         ),
         (Some(motion), false) => {
-            EditHistory::open(motion.as_str(), &opened(args, motion, &skeleton)?)
+            let original = opened(args, motion, &skeleton)?;
+            EditHistory::open(motion.as_str(), &original, &skeleton)
         }
         (None, true) => {
             let text = local::read_text(path)?;
-            EditHistory::from_json(&text).with_context(|| format!("in {}", path.display()))?
+            let checked = EditHistory::from_json(&text)
+                .and_then(|history| history.check_skeleton(&skeleton).map(|()| history));
+            checked.with_context(|| format!("in {}", path.display()))?
         }
         (None, false) => bail!("{} does not exist; begin it with --motion", path.display()),
     };
@@ -386,8 +389,14 @@ fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit
         session.save(&history)?;
         session.read_lines(&mut history)?;
     } else {
-        for layer in asked(args, &history.current()?) {
-            session.edit(&mut history, layer)?;
+        if !args.during.is_empty() {
+            session.edit(&mut history, args.during.clone())?;
+        }
+        for text in &args.text {
+            // An edit may have another number of frames than the motion before it.
+            let asked = whole(text, &history.current()?);
+            session.edit(&mut history, vec![asked])?;
+            session.save(&history)?;
         }
         session.save(&history)?;
     }
@@ -433,8 +442,8 @@ impl Interactive<'_> {
             edit_motion(system, id, &current, &instructions, seed, session)
         })?;
         self.times += edited.times;
-        let editor = &system.identity().checkpoint_hash;
-        history.push(instructions, seed.0, system.guidance(), editor, &edited);
+        let (guidance, identity) = (system.guidance(), system.identity());
+        history.push(instructions, seed.0, guidance, identity, &edited);
         Ok(())
     }
 
@@ -456,15 +465,24 @@ impl Interactive<'_> {
             original: &history.original()?,
             edited: &edited,
             text: &texts.join(" / "),
-            // Several systems may have made the edits; the hash is that of the last one.
-            system: &SystemIdentity {
-                name: "MotionReFit".to_owned(),
-                checkpoint_hash: last.map_or_else(String::new, |edit| edit.editor.clone()),
-                settings: String::new(),
-            },
+            system: &self.system_of(last),
             seed: Seed(last.map_or(0, |edit| edit.seed)),
         }
         .write(out, self.global)
+    }
+
+    /// The system that a table names. Several systems may have made the edits; it is that of the last one.
+    fn system_of(&self, last: Option<&HistoryStep>) -> SystemIdentity {
+        let unedited = || SystemIdentity {
+            name: "unedited".to_owned(),
+            checkpoint_hash: String::new(),
+            settings: String::new(),
+        };
+        let made = last.map_or_else(unedited, HistoryStep::identity);
+        SystemIdentity {
+            name: self.args.name.clone().unwrap_or(made.name),
+            ..made
+        }
     }
 
     /// Reads instructions until end of file. On a terminal a failing line is reported and the next is read.

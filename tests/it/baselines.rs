@@ -68,4 +68,9 @@ fn tmed_with_and_without_motion_cut_mix_stand_in_one_table() {
     bench
         .typed(&format!("{edit} {ranges}"))
         .expect_refused("one instruction");
+    for range in ["0:900000", "20:5", "10:10"] {
+        bench
+            .typed(&format!("{edit} --during '{range} wave'"))
+            .expect_refused("does not fit");
+    }
 }

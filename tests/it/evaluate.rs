@@ -588,7 +588,12 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     refused(&format!("edit @editor {asked}"));
     refused(&format!("{own} --coordinator @guide"));
     refused(&format!("{own} --poses @poses"));
+    bench.put("nearest.toml", "triplets = 8\n");
+    bench.run("train nearest @dataset --out @nearest --config @nearest.toml");
+    refused(&format!("edit @nearest {asked}"));
     assert!(!bench.path("answers").exists());
+    refused("eval encoder @tall --encoder builtin");
+    refused("eval encoder @tall --encoder @encoder");
     bench.run(&own);
     let eval = "eval @answers --weak-judge --repeats 2 --encoder";
     refused(&format!("{eval} @encoder"));
@@ -600,6 +605,11 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     let asked = format!("--dataset @tall --motion {id} --text wave --out @one");
     refused(&format!("edit @editor {asked}"));
     bench.run(&format!("edit @tall-motionrefit {asked}"));
+    let begin = format!("edit @tall-motionrefit --history @history.json {asked}");
+    bench.run(&begin.replace("@one", "@one.bvh"));
+    refused("edit @tall-motionrefit --history @history.json --out @two.bvh");
+    bench.run("edit @tall-motionrefit --history @history.json --dataset @tall --out @two.bvh");
+    assert_eq!(bench.text("one.bvh"), bench.text("two.bvh"));
     for made in ["answers", "tall-scores", "one"] {
         let skeleton = bench.dataset_at(made).skeleton().expect("a body");
         assert_eq!(skeleton.hash(), tall.hash(), "{made}");

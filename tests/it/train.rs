@@ -312,7 +312,11 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
     }
     assert!(!workshop.path("none.bvh").exists());
 
-    // A history goes on and back.
+    check_history(&workshop, &clip, row);
+}
+
+/// Checks that a history goes on and back, and names its system as the row of an edit by the guided editor does.
+fn check_history(workshop: &Workshop, clip: &Path, row: &EditRow) {
     let edit = |more: &str, input: &str| -> Ran {
         let mut child = workshop
             .command(&format!(
@@ -335,24 +339,41 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
         (edits, document["undone"].as_u64().expect("a count"))
     };
     edit("", "").expect_refused("--motion");
-    let begin = format!("--motion {} --text 'The person is waving.'", clip.display());
-    assert_eq!(counts(edit(&begin, "")), (1, 0));
+    let begin = format!(
+        "--motion {} --text 'The person is waving.' --text 'The person is nodding.' \
+         --coordinator @guide --coordinator-strength 2.5 --out @kept",
+        clip.display()
+    );
+    assert_eq!(counts(edit(&begin, "")), (2, 0));
+    assert_eq!(counts(edit("--name ours --out @renamed", "")), (2, 0));
+    for (table, name) in [("kept", row.system.as_str()), ("renamed", "ours")] {
+        let kept: Vec<EditRow> = workshop.rows(table);
+        assert_eq!(kept[0].system, name);
+        assert_eq!(kept[0].checkpoint_hash, row.checkpoint_hash);
+        assert_eq!(kept[0].settings, row.settings);
+    }
+    // The file has another rate than its edit. The second instruction is for all frames of that edit.
+    let document: Value = json_of(workshop.path("walk.history.json"));
+    let made = len_of(&document["edits"][0]["result"]["transl"]);
+    assert_ne!(made, len_of(&document["opened"]["transl"]));
+    let frames = &document["edits"][1]["instructions"][0]["frames"];
+    assert_eq!(*frames, serde_json::json!({ "start": 0, "end": made }));
     edit(&begin, "").expect_refused("exists");
-    assert_eq!(counts(edit("--text 'The person is nodding.'", "")), (2, 0));
-    assert_eq!(counts(edit("--undo", "")), (1, 1));
-    assert_eq!(counts(edit("--redo", "")), (2, 0));
+    assert_eq!(counts(edit("--text 'The person is turning.'", "")), (3, 0));
+    assert_eq!(counts(edit("--undo", "")), (2, 1));
+    assert_eq!(counts(edit("--redo", "")), (3, 0));
     let saved = workshop.path("saved.npz");
     let lines = format!(
         ":undo\n\nThe person is bowing.\n0:28 The person is clapping.\n:save {}\n:quit\nnever read\n",
         saved.display()
     );
-    assert_eq!(counts(edit("", &lines)), (3, 0));
+    assert_eq!(counts(edit("", &lines)), (4, 0));
     assert!(saved.exists());
     // Undo followed by redo leaves the file as it was.
     let history = || workshop.text("walk.history.json");
     let before = history();
-    assert_eq!(counts(edit("--undo", "")), (2, 1));
-    assert_eq!(counts(edit("--redo", "")), (3, 0));
+    assert_eq!(counts(edit("--undo", "")), (3, 1));
+    assert_eq!(counts(edit("--redo", "")), (4, 0));
     assert!(before == history());
     edit("", ":sing\n").expect_refused(":undo");
 }

@@ -1,14 +1,14 @@
 //! The history of an interactive edit: every result is the original of the next instruction, and every step can be
 //! undone.
 
-use datasets_spec::{Fps, Motion};
+use datasets_spec::{Fps, Motion, Skeleton};
 use kinematics::motion::BODY_POSE_WIDTH;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::error::motion_error;
 use crate::sample::TimedInstruction;
-use crate::system::{Edited, Misfit};
+use crate::system::{Edited, Misfit, SystemIdentity};
 
 const VERSION: u32 = 2;
 
@@ -18,6 +18,9 @@ const VERSION: u32 = 2;
 pub struct EditHistory {
     version: u32,
     id: String,
+    /// The skeleton of the motions; earlier versions did not store it.
+    #[serde(default)]
+    skeleton: Option<StoredSkeleton>,
     opened: StoredMotion,
     edits: Vec<HistoryStep>,
     /// Number of edits in effect; later ones were undone.
@@ -36,9 +39,38 @@ pub struct HistoryStep {
     pub guidance: f64,
     /// Hash of the weights that made the edit.
     pub editor: String,
+    /// Name of the system that made the edit.
+    #[serde(default = "unnamed")]
+    pub system: String,
+    /// Settings of that system as a JSON object; empty if they are not known.
+    #[serde(default)]
+    pub settings: String,
     /// Distances between the generated points and the fitted body.
     pub misfit: Misfit,
     result: StoredMotion,
+}
+
+/// Earlier versions did not store the name of a system.
+fn unnamed() -> String {
+    "unnamed".to_owned()
+}
+
+impl HistoryStep {
+    /// Name, weights and settings of the system that made the edit.
+    pub fn identity(&self) -> SystemIdentity {
+        SystemIdentity {
+            name: self.system.clone(),
+            checkpoint_hash: self.editor.clone(),
+            settings: self.settings.clone(),
+        }
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StoredSkeleton {
+    name: String,
+    hash: String,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -81,11 +113,15 @@ impl StoredMotion {
 }
 
 impl EditHistory {
-    /// Starts a history from a motion.
-    pub fn open(id: impl Into<String>, motion: &Motion) -> Self {
+    /// Starts a history from a motion on a skeleton.
+    pub fn open(id: impl Into<String>, motion: &Motion, skeleton: &Skeleton) -> Self {
         Self {
             version: VERSION,
             id: id.into(),
+            skeleton: Some(StoredSkeleton {
+                name: skeleton.name().to_owned(),
+                hash: skeleton.hash(),
+            }),
             opened: StoredMotion::of(motion),
             edits: Vec::new(),
             held: 0,
@@ -114,6 +150,28 @@ impl EditHistory {
             edit.result.motion(&history.id)?;
         }
         Ok(history)
+    }
+
+    /// Checks that the motions are on the given skeleton. A history of an earlier version, which does not name its
+    /// skeleton, passes.
+    ///
+    /// # Errors
+    /// The motions are on another skeleton.
+    pub fn check_skeleton(&self, skeleton: &Skeleton) -> Result<(), Error> {
+        let hash = skeleton.hash();
+        match &self.skeleton {
+            Some(own) if own.hash != hash => Err(Error::item(
+                self.id.as_str(),
+                format!(
+                    "is on skeleton {} ({:.12}), and this edit is on {} ({hash:.12}); name the dataset of \
+                     the motion, or another one on its skeleton, with --dataset",
+                    own.name,
+                    own.hash,
+                    skeleton.name()
+                ),
+            )),
+            _ => Ok(()),
+        }
     }
 
     /// The history as a JSON document.
@@ -161,7 +219,7 @@ impl EditHistory {
         instructions: Vec<TimedInstruction>,
         seed: u64,
         guidance: f64,
-        editor: &str,
+        system: &SystemIdentity,
         edited: &Edited,
     ) {
         self.edits.truncate(self.held);
@@ -169,7 +227,9 @@ impl EditHistory {
             instructions,
             seed,
             guidance,
-            editor: editor.to_owned(),
+            editor: system.checkpoint_hash.clone(),
+            system: system.name.clone(),
+            settings: system.settings.clone(),
             misfit: edited.misfit,
             result: StoredMotion::of(&edited.motion),
         });
@@ -205,6 +265,10 @@ mod tests {
         Motion::from_poses(Fps::STORE, &[pose; 3]).expect("finite")
     }
 
+    fn opened() -> EditHistory {
+        EditHistory::open("walk", &motion(0.0), &Skeleton::smplx_neutral())
+    }
+
     fn push(history: &mut EditHistory, height: f64) {
         let edited = Edited {
             motion: motion(height),
@@ -218,12 +282,39 @@ mod tests {
             frames: 0..3,
             text: format!("to {height}"),
         };
-        history.push(vec![asked], 7, 2.0, "hash", &edited);
+        history.push(vec![asked], 7, 2.0, &system(), &edited);
+    }
+
+    fn system() -> SystemIdentity {
+        SystemIdentity {
+            name: "ours".to_owned(),
+            checkpoint_hash: "hash".to_owned(),
+            settings: "{}".to_owned(),
+        }
+    }
+
+    #[test]
+    fn an_edit_keeps_its_system_and_one_of_an_earlier_version_has_no_name() {
+        let mut history = opened();
+        push(&mut history, 1.0);
+        assert_eq!(history.edits()[0].identity(), system());
+
+        let mut document: serde_json::Value =
+            serde_json::from_str(&history.to_json()).expect("JSON");
+        let edit = document["edits"][0].as_object_mut().expect("an edit");
+        for field in ["system", "settings"] {
+            edit.remove(field).expect(field);
+        }
+        let read = EditHistory::from_json(&document.to_string()).expect("read");
+        let identity = read.edits()[0].identity();
+        assert_eq!(identity.name, "unnamed");
+        assert_eq!(identity.checkpoint_hash, "hash");
+        assert_eq!(identity.settings_hash(), "");
     }
 
     #[test]
     fn edits_can_be_taken_back_and_made_again_until_another_is_made() {
-        let mut history = EditHistory::open("walk", &motion(0.0));
+        let mut history = opened();
         assert!(!history.undo());
         push(&mut history, 1.0);
         push(&mut history, 2.0);
@@ -241,8 +332,23 @@ mod tests {
     }
 
     #[test]
+    fn another_skeleton_is_refused_by_a_history_that_names_its_own() {
+        let own = Skeleton::smplx_neutral();
+        let tall = Skeleton::new("tall", std::array::from_fn(|joint| 1.1 * own.rest(joint)));
+        let mut history = opened();
+        history.check_skeleton(&own).expect("its own");
+        let error = history.check_skeleton(&tall).expect_err("another");
+        let said = error.to_string();
+        for part in [own.name(), "tall", &own.hash()[..12], &tall.hash()[..12]] {
+            assert!(said.contains(part), "{part:?} is not in: {said}");
+        }
+        history.skeleton = None;
+        history.check_skeleton(&tall).expect("not known");
+    }
+
+    #[test]
     fn damaged_histories_are_refused() {
-        let mut history = EditHistory::open("walk", &motion(0.0));
+        let mut history = opened();
         push(&mut history, 1.0);
         let text = history.to_json();
         for (from, to, reason) in [

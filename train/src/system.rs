@@ -18,7 +18,7 @@ use work::commit_edits;
 
 use crate::checkpoint::Slot;
 use crate::error::{json_error, motion_error};
-use crate::sample::{EditTimes, FitMethod, TimedInstruction};
+use crate::sample::{EditTimes, FitMethod, TimedInstruction, check_ranges};
 use crate::text::source::TextEncoderSource;
 use crate::{Error, Session};
 
@@ -427,8 +427,8 @@ pub struct Edited {
 /// shorter) are blended with the original, and the range ends at the position and heading of the original.
 ///
 /// # Errors
-/// The motion has no frame, earlier instructions cover all frames of an instruction, the generated motion is not
-/// finite, or the fit needs a pose network that the editor lacks.
+/// The motion has no frame, a range is empty or ends after the motion, earlier instructions cover all frames of an
+/// instruction, the generated motion is not finite, or the fit needs a pose network that the editor lacks.
 pub fn edit_motion(
     system: &dyn EditSystem,
     id: &str,
@@ -437,6 +437,7 @@ pub fn edit_motion(
     seed: Seed,
     session: &Session<'_>,
 ) -> Result<Edited, Error> {
+    check_ranges(motion, instructions).map_err(|problem| Error::item(id, problem))?;
     let ranges = ranges_of(instructions);
     let fps = if leaves_frames(motion.len(), &ranges) {
         motion.fps()

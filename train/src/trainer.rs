@@ -251,14 +251,24 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
         if due.line {
             self.log()?;
         }
-        if due.validation {
-            self.validate(model)?;
+        if due.validation && self.validate(model)? {
+            self.keep(Slot::Best, model)?;
         }
         if let Some(epoch) = due.epoch {
-            let files = self.used(model).to_files(self.run.dir())?;
-            self.run.write(Slot::Epoch(epoch), &files)?;
+            self.keep(Slot::Epoch(epoch), model)?;
+        }
+        // A run continues from this checkpoint, so it is the last one written: a run that is killed before makes the
+        // step again, and with it the checkpoints above.
+        if due.validation {
+            self.save(model)?;
         }
         Ok(())
+    }
+
+    /// Writes the weights for use.
+    fn keep(&self, slot: Slot, model: &M) -> Result<(), Error> {
+        let files = self.used(model).to_files(self.run.dir())?;
+        self.run.write(slot, &files)
     }
 
     fn log(&mut self) -> Result<(), Error> {
@@ -284,7 +294,8 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
         Ok(())
     }
 
-    fn validate(&mut self, model: &M) -> Result<(), Error> {
+    /// Measures the validation loss, and returns whether it is the lowest so far.
+    fn validate(&mut self, model: &M) -> Result<bool, Error> {
         let used = self.used(model);
         let pass = Pass::new(self.session.arithmetic);
         let device = self.session.device;
@@ -306,12 +317,7 @@ impl<'a, M: Networks, B: Send + Sync> Training<'a, M, B> {
             val_loss,
             is_best,
         })?;
-        self.save(model)?;
-        if is_best {
-            let files = used.to_files(self.run.dir())?;
-            self.run.write(Slot::Best, &files)?;
-        }
-        Ok(())
+        Ok(is_best)
     }
 
     /// The model for validation and inference: with EMA weights if the settings ask for them.

@@ -493,6 +493,31 @@ fn an_interrupted_run_ends_as_an_uninterrupted_one() {
     }
 }
 
+#[test]
+fn a_run_killed_between_two_checkpoints_of_a_step_writes_both_again() {
+    // The last step is validated for the first time, and ends an epoch that is kept.
+    let mut config = small_config(3);
+    config.run.keep_epochs = 1;
+    let files = ["best", "epoch-1", "last"].map(|slot| format!("{slot}/denoiser.safetensors"));
+    let files = files.each_ref().map(String::as_str);
+    let source = waves(20);
+    let whole = tempfile::tempdir().expect("a folder");
+    train(whole.path(), &config, &source);
+    for slot in ["best", "epoch-1", "last"] {
+        let killed = tempfile::tempdir().expect("a folder");
+        // A file where a checkpoint is written ends the run there.
+        let checkpoints = killed.path().join("checkpoint");
+        let obstacle = checkpoints.join(format!(".{slot}.new"));
+        std::fs::create_dir(&checkpoints).expect("a folder");
+        std::fs::write(&obstacle, "").expect("writes");
+        refused(try_to_train(killed.path(), &config, &source), "cannot");
+        std::fs::remove_file(&obstacle).expect("removed");
+        train(killed.path(), &config, &source);
+        assert_eq!(logged_losses(killed.path()), logged_losses(whole.path()));
+        check_same(whole.path(), killed.path(), &files);
+    }
+}
+
 /// A run that uses everything a checkpoint stores: micro-batches, clipped gradients, averaged weights, dropout.
 fn rich_config(num_steps: u64) -> TrainConfig {
     let mut config = small_config(num_steps);

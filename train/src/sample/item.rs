@@ -195,7 +195,10 @@ impl EditItem {
 ///
 /// # Errors
 /// Describes the first wrong range.
-fn check_ranges(motion: &Motion, instructions: &[TimedInstruction]) -> Result<(), String> {
+pub(crate) fn check_ranges(
+    motion: &Motion,
+    instructions: &[TimedInstruction],
+) -> Result<(), String> {
     for asked in instructions {
         let Range { start, end } = asked.frames;
         if start >= end || end > motion.len() {

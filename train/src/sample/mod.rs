@@ -9,7 +9,7 @@ mod windows;
 
 pub use self::editor::Editor;
 pub(crate) use self::editor::keypoint_parent;
-pub(crate) use self::item::covering;
+pub(crate) use self::item::{check_ranges, covering};
 pub use self::item::{EditItem, EditWindow, TimedInstruction, model_frames};
 pub use self::sampler::{Condition, Guide, Sampler, reverse};
 pub use self::settings::{EditSettings, EditTimes, FitMethod};
