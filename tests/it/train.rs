@@ -276,6 +276,14 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
         ("png", b"\x89PNG"),
         ("gif", b"GIF8"),
     ];
+    for (more, said) in [
+        ("--temperature=-1", "setting temperature is not usable"),
+        ("--prior=-1", "setting prior is not usable"),
+        ("--guidance nan", "setting guidance is not usable"),
+    ] {
+        let line = format!("{edit} --text wave --out @none.npz {more}");
+        workshop.typed(&line).expect_refused(said);
+    }
     let outs = magic.map(|(ending, _)| format!(" --out @edit.{ending}"));
     let made: Value = workshop.json(&format!(
         "{edit} --coordinator @guide --coordinator-strength 2.5 --out @table {} \

@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use work::commit_edits;
 
 use crate::checkpoint::Slot;
+use crate::config::{finite, not_negative};
 use crate::error::{json_error, motion_error};
 use crate::sample::{EditTimes, FitMethod, TimedInstruction};
 use crate::text::source::TextEncoderSource;
@@ -302,6 +303,26 @@ impl Default for EditConfig {
             start: None,
             release: None,
         }
+    }
+}
+
+impl EditConfig {
+    /// Refuses numbers with which no motion can be made.
+    ///
+    /// # Errors
+    /// A number is not finite; or the temperature or the prior is negative.
+    pub fn check(&self) -> Result<(), Error> {
+        for (field, value) in [
+            ("guidance", self.guidance),
+            ("source_guidance", self.source_guidance),
+            ("coordinator_strength", self.coordinator_strength),
+        ] {
+            value.map_or(Ok(()), |value| finite(field, value))?;
+        }
+        for (field, value) in [("temperature", self.temperature), ("prior", self.prior)] {
+            value.map_or(Ok(()), |value| not_negative(field, value))?;
+        }
+        Ok(())
     }
 }
 
@@ -612,6 +633,40 @@ mod tests {
             "{}",
             line(15)
         );
+    }
+
+    #[test]
+    fn numbers_that_make_no_motion_are_refused() {
+        let default = EditConfig::default;
+        let sound = EditConfig {
+            guidance: Some(-1.0),
+            temperature: Some(0.0),
+            prior: Some(0.0),
+            ..default()
+        };
+        for config in [default(), sound] {
+            config.check().expect("usable");
+        }
+        for number in [f64::NAN, f64::INFINITY] {
+            let guidance = Some(number);
+            let config = EditConfig {
+                guidance,
+                ..default()
+            };
+            assert!(config.check().is_err(), "{number}");
+        }
+        for (temperature, prior, said) in [
+            (Some(-1.0), None, "temperature"),
+            (None, Some(-1.0), "prior"),
+        ] {
+            let config = EditConfig {
+                temperature,
+                prior,
+                ..default()
+            };
+            let error = config.check().expect_err("negative").to_string();
+            assert!(error.contains(said), "{error}");
+        }
     }
 
     #[test]

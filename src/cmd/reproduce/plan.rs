@@ -486,15 +486,17 @@ impl Plan {
         let poses = system
             .poses
             .then(|| self.training(POSES, Value::Null, None, global));
+        let edit = EditConfig {
+            name: Some(system.name.clone()),
+            ..settings::over(&EditConfig::default(), "edit", &own("edit"))?
+        };
+        edit.check()?;
         Ok(Spec {
             name: system.name.clone(),
             training,
             coordinator,
             poses: poses.transpose()?,
-            edit: EditConfig {
-                name: Some(system.name.clone()),
-                ..settings::over(&EditConfig::default(), "edit", &own("edit"))?
-            },
+            edit,
             epoch,
         })
     }
