@@ -454,6 +454,9 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     assert!(guide == back);
     workshop.put("broken.pth", b"PK\x03\x04 no archive");
     import("broken.pth").expect_refused("broken.pth");
+    let turned = r#"{"min": [1, 1, 1], "max": [-1, 2, 2]}"#;
+    workshop.put("out/range.json", turned);
+    import("out/coordinator.safetensors").expect_refused("min must be below max");
 }
 
 #[test]
