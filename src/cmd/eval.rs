@@ -6,7 +6,7 @@ use anyhow::bail;
 use clap::ValueEnum as _;
 use datasets_spec::{Seed, Split};
 use eval::answers::{Answered, Scores};
-use eval::compare::compare;
+use eval::compare::{Comparison, compare};
 use eval::format;
 use eval::metric::cross_retrieval::CrossRetrieval;
 use eval::metric::interval::Interval;
@@ -440,23 +440,36 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
     })?;
     let unranked = comparisons.iter().find_map(|found| found.unranked.clone());
     let exit = args.measure.weak_judge.exit(unranked, Exit::Done);
-    if args.measure.format(global) == FormatArg::Json {
-        report::json(&comparisons)?;
-        return Ok(exit);
+    let said = |comparison: &Comparison| -> Vec<String> {
+        let notes = comparison.notes.iter().cloned();
+        notes.chain(comparison.claim()).collect()
+    };
+    match args.measure.format(global) {
+        FormatArg::Json => {
+            report::json(&comparisons)?;
+            return Ok(exit);
+        }
+        FormatArg::Csv => {
+            report::text(&Comparison::csv(&comparisons));
+            // CSV has no place for a sentence.
+            for comparison in &comparisons {
+                for line in said(comparison) {
+                    report::note(&format!("{}: {line}", comparison.task));
+                }
+            }
+            return Ok(exit);
+        }
+        FormatArg::Text | FormatArg::Markdown | FormatArg::Latex => {}
     }
     let texts: Vec<String> = comparisons
         .iter()
         .map(|comparison| {
             let mut text = printed(&comparison.grid(), args.measure.format);
-            for line in comparison.notes.iter().cloned().chain(comparison.claim()) {
-                match args.measure.format {
-                    // CSV has no place for a sentence.
-                    FormatArg::Csv => report::note(&line),
-                    FormatArg::Latex => text += &format!("% {line}\n"),
-                    FormatArg::Text | FormatArg::Markdown | FormatArg::Json => {
-                        text += &format!("\n{line}\n");
-                    }
-                }
+            for line in said(comparison) {
+                text += &match args.measure.format {
+                    FormatArg::Latex => format!("% {line}\n"),
+                    _ => format!("\n{line}\n"),
+                };
             }
             text
         })
