@@ -25,7 +25,7 @@ use crate::device::DeviceArgs;
 use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs, encoder_retrieval, judge_hash};
 use crate::exit::Exit;
 use crate::global::{Global, Names, one_of};
-use crate::{report, stages};
+use crate::{local, report, stages};
 
 /// Score tables of edits, print the result table, or compare two systems.
 ///
@@ -390,13 +390,10 @@ fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
 
 /// Prints Table A4.
 fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let mut rows: Vec<(String, WindowTimes)> = args
-        .edits
-        .iter()
-        .map(|path| {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            Ok((name.into_owned(), WindowTimes::read(path)?))
-        })
+    let names = local::names_of(&args.edits).into_iter();
+    let mut rows: Vec<(String, WindowTimes)> = names
+        .zip(&args.edits)
+        .map(|(name, path)| Ok((name, WindowTimes::read(path)?)))
         .collect::<anyhow::Result<_>>()?;
     if args.published {
         rows.extend(times::published());

@@ -19,6 +19,7 @@ use crate::cmd::triplets::ComposeArgs;
 use crate::device::TrainDeviceArgs;
 use crate::exit::Exit;
 use crate::global::{Global, PRESETS, one_of};
+use crate::local;
 use crate::session::text_encoder;
 use crate::settings;
 use crate::stages::{ENCODER, trained};
@@ -195,10 +196,10 @@ pub(crate) fn loss_curves(run: &Path, before: &str) -> anyhow::Result<[Curve; 2]
 
 fn draw(args: &PlotArgs, global: &Global) -> anyhow::Result<Exit> {
     let mut curves = Vec::new();
-    for run in &args.runs {
+    for (run, name) in args.runs.iter().zip(local::names_of(&args.runs)) {
         let name = match args.runs.len() {
             1 => String::new(),
-            _ => format!("{} ", run.file_name().unwrap_or_default().to_string_lossy()),
+            _ => format!("{name} "),
         };
         curves.extend(loss_curves(run, &name)?);
     }
