@@ -247,6 +247,19 @@ impl SystemSource {
             text_encoder,
         }
     }
+
+    /// Refuses a coordinator and a pose network for a system that uses neither.
+    pub(crate) fn check_alone(&self, why: &str) -> Result<(), Error> {
+        for (helper, what) in [
+            (&self.coordinator, "the coordinator"),
+            (&self.poses, "the pose network"),
+        ] {
+            if helper.is_some() {
+                return Err(Error::misfit(what, why));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Section `[edit]` of a plan: settings with which items are edited.

@@ -111,6 +111,9 @@ fn open(
     skeleton: &Skeleton,
     _device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
+    source.check_alone(
+        "the nearest neighbour returns motions of the training set and uses no network",
+    )?;
     let record = read_record::<NearestRecord>(&source.run, KIND)?;
     let folder = Dataset::open(&source.run.join(TRIPLETS))?;
     let mut targets: BTreeMap<String, Vec<Motion>> = BTreeMap::new();
