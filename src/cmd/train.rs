@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 use train::checkpoint::Start;
 use train::config::{Preset, RunLength, TrainConfig};
 use train::features::FeatureRecipe;
-use train::kind::TrainRequest;
+use train::kind::{Input, ModelKind, TrainRequest};
 use train::registry::{self, MODELS};
 
 use crate::chosen::ChosenArgs;
@@ -130,6 +130,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         bail!("name a model, a dataset and --out");
     };
     let kind = registry::model(model).context("the parser knows the models")?;
+    refuse_unused(args, kind)?;
     let mut own: Map<String, Value> = match &args.config {
         Some(path) => settings::read(path)?,
         None => Map::new(),
@@ -181,6 +182,34 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     } else {
         Exit::Interrupted
     })
+}
+
+/// Refuses options that the model would ignore.
+fn refuse_unused(args: &Args, kind: &ModelKind) -> anyhow::Result<()> {
+    let has_length = args.steps.is_some() || args.epochs.is_some();
+    for (options, input, is_given) in [
+        (
+            "--compose and --phrases",
+            Input::Compose,
+            args.compose.is_given(),
+        ),
+        ("--windows", Input::Windows, args.windows.is_some()),
+        (
+            "--text-encoder",
+            Input::TextEncoder,
+            args.text_encoder.is_some(),
+        ),
+        ("--steps and --epochs", Input::Length, has_length),
+        ("--memory", Input::Memory, args.memory.is_some()),
+    ] {
+        if is_given && !kind.uses.contains(&input) {
+            bail!(
+                "the model {} makes no use of {options}; train it without",
+                kind.name
+            );
+        }
+    }
+    Ok(())
 }
 
 /// The training and validation losses of a run over its steps. `before` is the prefix of the names of the curves.

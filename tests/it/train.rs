@@ -508,6 +508,18 @@ fn devices_are_listed_on_any_command_line_and_measured_and_others_are_refused() 
     refused("--device gpu", 2).expect_said("wgpu:software");
     refused("--devices 2", 1).expect_said("one device");
     refused("--memory -1", 2);
+    for (model, unused) in [
+        ("tmr", "--memory 8"),
+        ("tmr", "--text-encoder none"),
+        ("coordinator", "--windows none"),
+        ("j2s", "--text-encoder none"),
+        ("mdm", "--compose none"),
+        ("nearest", "--steps 3"),
+    ] {
+        let line = format!("train {model} x --out y {unused}");
+        let option = unused.split(' ').next().expect("an option");
+        typed(&line, &[]).expect_refused(&format!("the model {model} makes no use of {option}"));
+    }
     if !cfg!(feature = "cuda") {
         refused("--device cuda", 1).expect_said("--features cuda");
     }

@@ -650,35 +650,24 @@ mod tests {
 
     #[test]
     fn numbers_that_make_no_motion_are_refused() {
-        let default = EditConfig::default;
-        let sound = EditConfig {
-            guidance: Some(-1.0),
-            temperature: Some(0.0),
-            prior: Some(0.0),
-            ..default()
-        };
-        for config in [default(), sound] {
-            config.check().expect("usable");
-        }
-        for number in [f64::NAN, f64::INFINITY] {
-            let guidance = Some(number);
+        let check = |guidance, temperature, prior| {
             let config = EditConfig {
                 guidance,
-                ..default()
-            };
-            assert!(config.check().is_err(), "{number}");
-        }
-        for (temperature, prior, said) in [
-            (Some(-1.0), None, "temperature"),
-            (None, Some(-1.0), "prior"),
-        ] {
-            let config = EditConfig {
                 temperature,
                 prior,
-                ..default()
+                ..EditConfig::default()
             };
-            let error = config.check().expect_err("negative").to_string();
-            assert!(error.contains(said), "{error}");
+            config.check().map_err(|error| error.to_string())
+        };
+        assert_eq!(check(None, None, None), Ok(()));
+        assert_eq!(check(Some(-1.0), Some(0.0), Some(0.0)), Ok(()));
+        for (refused, field) in [
+            (check(Some(f64::NAN), None, None), "guidance"),
+            (check(None, Some(-1.0), None), "temperature"),
+            (check(None, None, Some(f64::INFINITY)), "prior"),
+        ] {
+            let error = refused.expect_err("not usable");
+            assert!(error.contains(field), "{error}");
         }
     }
 

@@ -17,7 +17,7 @@ use work::Context;
 
 use crate::checkpoint::{Run, RunRecord, read_record};
 use crate::error::motion_error;
-use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::kind::{Input, ModelKind, TrainRequest, Trained};
 use crate::sample::EditTimes;
 use crate::system::{
     EditConfig, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource,
@@ -28,6 +28,7 @@ use crate::{Error, Session};
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: KIND,
     about: "The training target whose instruction is closest: no network, a row to compare with",
+    uses: &[Input::Compose],
     preset: |_| serde_json::Value::Null,
     train,
     open: Some(open),
