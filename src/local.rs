@@ -35,3 +35,53 @@ pub(crate) fn read_text(path: &Path) -> anyhow::Result<String> {
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     replace_file(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
+
+/// Names of folders, in the order of their paths: the last part of each path, or the whole path where two have the same
+/// last part.
+pub(crate) fn names_of(paths: &[PathBuf]) -> Vec<String> {
+    let names: Vec<String> = paths.iter().map(|path| name_of(path)).collect();
+    let name = |(name, path): (&String, &PathBuf)| match names
+        .iter()
+        .filter(|other| *other == name)
+        .count()
+    {
+        1 => name.clone(),
+        _ => path.display().to_string(),
+    };
+    names.iter().zip(paths).map(name).collect()
+}
+
+/// The last part of a path. Paths such as `.` have none, and get that of the folder that they lead to.
+fn name_of(path: &Path) -> String {
+    let found = match path.file_name() {
+        Some(name) => Some(name.to_owned()),
+        None => fs::canonicalize(path)
+            .ok()
+            .and_then(|path| path.file_name().map(ToOwned::to_owned)),
+    };
+    found.map_or_else(
+        || path.display().to_string(),
+        |name| name.to_string_lossy().into_owned(),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_are_named_apart() {
+        let named = |paths: &[&str]| {
+            let paths: Vec<PathBuf> = paths.iter().map(PathBuf::from).collect();
+            names_of(&paths)
+        };
+        assert_eq!(named(&["aa/run", "bb/other"]), ["run", "other"]);
+        assert_eq!(
+            named(&["aa/run", "bb/run", "bb/other"]),
+            ["aa/run", "bb/run", "other"]
+        );
+        let here = std::env::current_dir().expect("a folder");
+        assert_eq!(named(&["."]), [name_of(&here)]);
+        assert_eq!(named(&["/"]), ["/"]);
+    }
+}

@@ -9,6 +9,7 @@ use crate::Error;
 use crate::answered::Answered;
 use crate::evaluators::{Evaluators, MotionEncoder};
 use crate::format::ABSENT;
+use crate::format::csv::line;
 use crate::format::grid::Grid;
 use crate::linalg::Matrix;
 use crate::metric::fid::{self, FID, MIN_ROWS};
@@ -25,6 +26,25 @@ use crate::table::notes::{shortage_of_fid, shortage_of_targets};
 
 /// Number of resamples for the interval of a Fréchet distance; each decomposes up to three large matrices.
 const FID_RESAMPLES: usize = 200;
+
+/// Columns of [`Comparison::csv`]. Those of the table of scores have the same names there (`format::csv`).
+const CSV_HEAD: [&str; 15] = [
+    "task",
+    "system_a",
+    "system_b",
+    "metric",
+    "protocol",
+    "encoder_hash",
+    "n",
+    "targets",
+    "items_digest",
+    "a",
+    "b",
+    "difference",
+    "from",
+    "to",
+    "better",
+];
 
 /// Share of the resamples outside the interval at each end.
 const TAIL: f64 = 0.025;
@@ -402,6 +422,39 @@ impl Comparison {
         Some(format!("{b} against {a}: {}.", found.join("; ")))
     }
 
+    /// Comparisons as one table of comma-separated values, one line per metric of each task. Numbers keep all their
+    /// digits.
+    pub fn csv(comparisons: &[Self]) -> String {
+        let head = CSV_HEAD.map(str::to_owned);
+        let rows = comparisons.iter().flat_map(|comparison| {
+            let [a, b] = &comparison.systems;
+            comparison.differences.iter().map(move |row| {
+                let end = |at: usize| {
+                    row.interval
+                        .map_or_else(String::new, |ends| ends[at].to_string())
+                };
+                line(&[
+                    comparison.task.clone(),
+                    a.clone(),
+                    b.clone(),
+                    row.metric.clone(),
+                    comparison.protocol.clone(),
+                    comparison.encoder_hash.clone(),
+                    comparison.n.to_string(),
+                    comparison.targets.to_string(),
+                    comparison.items_digest.clone(),
+                    row.a.to_string(),
+                    row.b.to_string(),
+                    row.difference.to_string(),
+                    end(0),
+                    end(1),
+                    row.better.unwrap_or_default().to_owned(),
+                ])
+            })
+        });
+        line(&head) + &rows.collect::<String>()
+    }
+
     /// The comparison as a table.
     pub fn grid(&self) -> Grid {
         let [a, b] = &self.systems;
@@ -562,6 +615,24 @@ mod tests {
             assert_eq!(distance.metric, "Foot slide (m/s) from the target's");
             assert!((distance.a - (values[0] - values[2]).abs()).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn every_line_of_csv_names_its_task_systems_items_protocol_and_encoder() {
+        let comparison = |task: &str, count: usize| Comparison {
+            task: task.to_owned(),
+            items_digest: "a1b2".to_owned(),
+            protocol: "galleries of 32, seed 0".to_owned(),
+            encoder_hash: "0123".to_owned(),
+            ..compared(count, &ALL_FOUR[..1])
+        };
+        let both = [comparison("semantic", 10), comparison("style", 9)];
+        let named = "Identity,ours,E2T R@1,\"galleries of 32, seed 0\",0123";
+        let expected = format!(
+            "task,system_a,system_b,metric,protocol,encoder_hash,n,targets,items_digest,a,b,difference,from,to,better\n\
+             semantic,{named},10,10,a1b2,40,64,24,24,24,B\nstyle,{named},9,9,a1b2,40,64,24,,,\n"
+        );
+        assert_eq!(Comparison::csv(&both), expected);
     }
 
     #[test]

@@ -183,7 +183,8 @@ impl Protocol {
     /// Refuses settings with which nothing is measured.
     ///
     /// # Errors
-    /// There are no repeats, no Diversity pairs, a limit of no items, or galleries of fewer than two items.
+    /// There are no repeats, no Diversity pairs, a limit of no items, or galleries of fewer than two items; or the
+    /// height of the floor is not finite.
     pub fn check(&self) -> Result<(), Error> {
         let at_least = |field: &str, needed: usize, found: usize| match found < needed {
             true => Err(Error::Invalid(format!(
@@ -195,6 +196,13 @@ impl Protocol {
         at_least("diversity_pairs", 1, self.diversity_pairs)?;
         if let Some(limit) = self.limit {
             at_least("limit.items", 1, limit.items)?;
+        }
+        if let Floor::At(height) = self.floor
+            && !height.is_finite()
+        {
+            return Err(Error::Invalid(format!(
+                "protocol: floor must be a finite height in metres, got {height}"
+            )));
         }
         match self.gallery {
             Gallery::Full => Ok(()),
@@ -450,6 +458,10 @@ mod tests {
             },
             Protocol {
                 gallery: Gallery::Batches(1),
+                ..default
+            },
+            Protocol {
+                floor: Floor::At(f64::NAN),
                 ..default
             },
             limited(0, 0),

@@ -6,7 +6,7 @@ use anyhow::bail;
 use clap::ValueEnum as _;
 use datasets_spec::{Seed, Split};
 use eval::answers::{Answered, Scores};
-use eval::compare::compare;
+use eval::compare::{Comparison, compare};
 use eval::format;
 use eval::metric::cross_retrieval::CrossRetrieval;
 use eval::metric::interval::Interval;
@@ -25,7 +25,7 @@ use crate::device::DeviceArgs;
 use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs, encoder_retrieval, judge_hash};
 use crate::exit::Exit;
 use crate::global::{Global, Names, one_of};
-use crate::{report, stages};
+use crate::{local, report, stages};
 
 /// Score tables of edits, print the result table, or compare two systems.
 ///
@@ -390,13 +390,10 @@ fn paper_tables(scores: &Scores, table: PaperTable) -> Vec<Table> {
 
 /// Prints Table A4.
 fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let mut rows: Vec<(String, WindowTimes)> = args
-        .edits
-        .iter()
-        .map(|path| {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            Ok((name.into_owned(), WindowTimes::read(path)?))
-        })
+    let names = local::names_of(&args.edits).into_iter();
+    let mut rows: Vec<(String, WindowTimes)> = names
+        .zip(&args.edits)
+        .map(|(name, path)| Ok((name, WindowTimes::read(path)?)))
         .collect::<anyhow::Result<_>>()?;
     if args.published {
         rows.extend(times::published());
@@ -440,23 +437,36 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
     })?;
     let unranked = comparisons.iter().find_map(|found| found.unranked.clone());
     let exit = args.measure.weak_judge.exit(unranked, Exit::Done);
-    if args.measure.format(global) == FormatArg::Json {
-        report::json(&comparisons)?;
-        return Ok(exit);
+    let said = |comparison: &Comparison| -> Vec<String> {
+        let notes = comparison.notes.iter().cloned();
+        notes.chain(comparison.claim()).collect()
+    };
+    match args.measure.format(global) {
+        FormatArg::Json => {
+            report::json(&comparisons)?;
+            return Ok(exit);
+        }
+        FormatArg::Csv => {
+            report::text(&Comparison::csv(&comparisons));
+            // CSV has no place for a sentence.
+            for comparison in &comparisons {
+                for line in said(comparison) {
+                    report::note(&format!("{}: {line}", comparison.task));
+                }
+            }
+            return Ok(exit);
+        }
+        FormatArg::Text | FormatArg::Markdown | FormatArg::Latex => {}
     }
     let texts: Vec<String> = comparisons
         .iter()
         .map(|comparison| {
             let mut text = printed(&comparison.grid(), args.measure.format);
-            for line in comparison.notes.iter().cloned().chain(comparison.claim()) {
-                match args.measure.format {
-                    // CSV has no place for a sentence.
-                    FormatArg::Csv => report::note(&line),
-                    FormatArg::Latex => text += &format!("% {line}\n"),
-                    FormatArg::Text | FormatArg::Markdown | FormatArg::Json => {
-                        text += &format!("\n{line}\n");
-                    }
-                }
+            for line in said(comparison) {
+                text += &match args.measure.format {
+                    FormatArg::Latex => format!("% {line}\n"),
+                    _ => format!("\n{line}\n"),
+                };
             }
             text
         })

@@ -470,8 +470,15 @@ fn weights(file: &Path, options: &StateDictOptions<'_>) -> anyhow::Result<Vec<u8
 fn range(path: &Path) -> anyhow::Result<Normalizer> {
     let bytes = local::read(path)?;
     if path.extension().is_some_and(|ending| ending == "json") {
-        return serde_json::from_slice(&bytes)
-            .with_context(|| format!("{} is no normaliser", path.display()));
+        let range: Normalizer = serde_json::from_slice(&bytes)
+            .with_context(|| format!("{} is no normaliser", path.display()))?;
+        if !std::iter::zip(range.min, range.max).all(|(min, max)| min < max) {
+            bail!(
+                "{} is no normaliser: on every axis, min must be below max",
+                path.display()
+            );
+        }
+        return Ok(range);
     }
     Ok(exchange::read_released_range(&bytes, path)?)
 }

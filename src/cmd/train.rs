@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 use train::checkpoint::Start;
 use train::config::{Preset, RunLength, TrainConfig};
 use train::features::FeatureRecipe;
-use train::kind::TrainRequest;
+use train::kind::{Input, ModelKind, TrainRequest};
 use train::registry::{self, MODELS};
 
 use crate::chosen::ChosenArgs;
@@ -19,6 +19,7 @@ use crate::cmd::triplets::ComposeArgs;
 use crate::device::TrainDeviceArgs;
 use crate::exit::Exit;
 use crate::global::{Global, PRESETS, one_of};
+use crate::local;
 use crate::session::text_encoder;
 use crate::settings;
 use crate::stages::{ENCODER, trained};
@@ -129,6 +130,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         bail!("name a model, a dataset and --out");
     };
     let kind = registry::model(model).context("the parser knows the models")?;
+    refuse_unused(args, kind)?;
     let mut own: Map<String, Value> = match &args.config {
         Some(path) => settings::read(path)?,
         None => Map::new(),
@@ -182,6 +184,34 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     })
 }
 
+/// Refuses options that the model would ignore.
+fn refuse_unused(args: &Args, kind: &ModelKind) -> anyhow::Result<()> {
+    let has_length = args.steps.is_some() || args.epochs.is_some();
+    for (options, input, is_given) in [
+        (
+            "--compose and --phrases",
+            Input::Compose,
+            args.compose.is_given(),
+        ),
+        ("--windows", Input::Windows, args.windows.is_some()),
+        (
+            "--text-encoder",
+            Input::TextEncoder,
+            args.text_encoder.is_some(),
+        ),
+        ("--steps and --epochs", Input::Length, has_length),
+        ("--memory", Input::Memory, args.memory.is_some()),
+    ] {
+        if is_given && !kind.uses.contains(&input) {
+            bail!(
+                "the model {} makes no use of {options}; train it without",
+                kind.name
+            );
+        }
+    }
+    Ok(())
+}
+
 /// The training and validation losses of a run over its steps. `before` is the prefix of the names of the curves.
 pub(crate) fn loss_curves(run: &Path, before: &str) -> anyhow::Result<[Curve; 2]> {
     let metrics = train::metrics::read(run)?;
@@ -195,10 +225,10 @@ pub(crate) fn loss_curves(run: &Path, before: &str) -> anyhow::Result<[Curve; 2]
 
 fn draw(args: &PlotArgs, global: &Global) -> anyhow::Result<Exit> {
     let mut curves = Vec::new();
-    for run in &args.runs {
+    for (run, name) in args.runs.iter().zip(local::names_of(&args.runs)) {
         let name = match args.runs.len() {
             1 => String::new(),
-            _ => format!("{} ", run.file_name().unwrap_or_default().to_string_lossy()),
+            _ => format!("{name} "),
         };
         curves.extend(loss_curves(run, &name)?);
     }

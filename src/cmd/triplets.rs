@@ -68,6 +68,10 @@ pub(crate) struct ComposeArgs {
 }
 
 impl ComposeArgs {
+    pub(crate) fn is_given(&self) -> bool {
+        self.compose.is_some() || self.phrases.is_some()
+    }
+
     pub(crate) fn config(&self) -> anyhow::Result<ComposeConfig> {
         self.over(&ComposeConfig::default())
     }

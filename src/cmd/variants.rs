@@ -44,11 +44,11 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", requires = "generator")]
     count: Option<usize>,
     /// Variants per instruction
-    #[arg(long, value_name = "N", default_value_t = MakeVariants::default().variants, value_parser = clap::value_parser!(usize))]
+    #[arg(long, value_name = "N", default_value_t = MakeVariants::default().variants, requires = "generator")]
     variants: usize,
     /// Standard deviation of the noise between variants, in standard deviations of the latent vectors of motions
     /// [default: 0.1 units of the latent space]
-    #[arg(long, value_name = "SHARE")]
+    #[arg(long, value_name = "SHARE", requires = "generator")]
     relative_noise: Option<f64>,
     /// Root mean square distance in metres between joints below which variants are identical
     #[arg(long, value_name = "M", default_value_t = VariantConfig::default().min_distance_m)]
@@ -64,7 +64,7 @@ pub(crate) struct Args {
     max_drift: f32,
     /// Folder of CLIP or BERT, or a table of vectors (`stance model table`), for a generator with a frozen text encoder
     /// [default: CLIP in the hub's cache]
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, value_name = "PATH", requires = "generator")]
     text_encoder: Option<PathBuf>,
     /// Dataset folder to write
     #[arg(long)]
@@ -146,6 +146,13 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 fn read_instructions(file: &Path, condition: Option<String>) -> anyhow::Result<Instructions> {
     if file == Path::new("captions") {
         return Ok(Instructions::Captions(condition));
+    }
+    if condition.is_some() {
+        bail!(
+            "--where chooses clips of the dataset, and the instructions of {} are of no clip; leave it out, or sample \
+             --instructions captions",
+            file.display()
+        );
     }
     let text = std::fs::read_to_string(file)
         .with_context(|| format!("cannot read the instructions in {}", file.display()))?;

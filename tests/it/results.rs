@@ -159,6 +159,14 @@ fn a_table_says_what_it_measured_and_how_sure_it_is() {
         ["Metric", "A", "B", "B - A", "from", "to", "better"]
     );
     assert_eq!(printed[0].names(), names);
+    let csv = compare("--format csv").stdout;
+    let lines: Vec<&str> = csv.lines().collect();
+    let heads = lines.iter().filter(|line| line.starts_with("task,"));
+    assert_eq!(heads.count(), 1, "{csv}");
+    assert!(
+        lines[1..].iter().all(|line| line.contains(",strong (B),")),
+        "{csv}"
+    );
 }
 
 #[test]

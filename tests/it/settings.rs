@@ -66,6 +66,55 @@ fn a_wrong_setting_is_named_once_by_file_line_and_column_and_a_training_by_its_f
 }
 
 #[test]
+fn a_plan_whose_results_would_replace_each_other_is_refused() {
+    let folder = Folder::empty();
+    let plan = "dataset = \"dataset\"\nout = \"made\"\n[[system]]\nname = \"one\"\n";
+    let table = |paper: &str| format!("[[table]]\npaper = \"{paper}\"\n");
+    let picture = |name: &str| format!("[[picture]]\nname = \"{name}\"\n");
+    let figure = |name: &str, metric: &str| {
+        format!(
+            "[[figure]]\nname = \"{name}\"\nkey = \"compose.mcm_ratio\"\nvalues = [0.5]\n\
+             metrics = [\"{metric}\"]\n"
+        )
+    };
+    let begun = |results: [String; 2]| {
+        folder.put("plan.toml", format!("{plan}{}", results.concat()));
+        folder.typed("reproduce @plan.toml --dry-run")
+    };
+    for (results, said) in [
+        (
+            [table("main"), table("main")],
+            "table main and table main would both be written to tables/table-main;",
+        ),
+        (
+            [figure("guid", "FS"), figure("Guid", "FID")],
+            "figure \"guid\" and figure \"Guid\" would both be written to tables/guid;",
+        ),
+        (
+            [table("1"), figure("Table 1", "FS")],
+            "table 1 and figure \"Table 1\" would both be written to tables/table-1;",
+        ),
+        (
+            [picture("Body parts"), picture("body_parts")],
+            "picture \"Body parts\" and picture \"body_parts\" would both be written to figures/body-parts;",
+        ),
+        (
+            [figure("guid", "FS"), picture("guid-fs")],
+            "figure \"guid\" and picture \"guid-fs\" would both be written to figures/guid-fs;",
+        ),
+    ] {
+        begun(results).expect_refused(said);
+    }
+    for results in [
+        [table("main"), table("1")],
+        // Drawings of figures have the names of their metrics, so a picture may have the name of a figure.
+        [figure("guid", "FS"), picture("guid")],
+    ] {
+        begun(results).expect_code(0);
+    }
+}
+
+#[test]
 fn a_split_without_pairs_is_said() {
     let folder = Folder::of_clips(120);
     let pairs = |lines: &str, name: &str| -> String {

@@ -276,6 +276,14 @@ fn an_editor_is_guided_and_writes_what_is_asked_for_and_its_history_goes_on_and_
         ("png", b"\x89PNG"),
         ("gif", b"GIF8"),
     ];
+    for (more, said) in [
+        ("--temperature=-1", "setting temperature is not usable"),
+        ("--prior=-1", "setting prior is not usable"),
+        ("--guidance nan", "setting guidance is not usable"),
+    ] {
+        let line = format!("{edit} --text wave --out @none.npz {more}");
+        workshop.typed(&line).expect_refused(said);
+    }
     let outs = magic.map(|(ending, _)| format!(" --out @edit.{ending}"));
     let made: Value = workshop.json(&format!(
         "{edit} --coordinator @guide --coordinator-strength 2.5 --out @table {} \
@@ -467,6 +475,9 @@ fn networks_go_out_under_the_released_names_and_come_back() {
     assert!(guide == back);
     workshop.put("broken.pth", b"PK\x03\x04 no archive");
     import("broken.pth").expect_refused("broken.pth");
+    let turned = r#"{"min": [1, 1, 1], "max": [-1, 2, 2]}"#;
+    workshop.put("out/range.json", turned);
+    import("out/coordinator.safetensors").expect_refused("min must be below max");
 }
 
 #[test]
@@ -518,6 +529,18 @@ fn devices_are_listed_on_any_command_line_and_measured_and_others_are_refused() 
     refused("--device gpu", 2).expect_said("wgpu:software");
     refused("--devices 2", 1).expect_said("one device");
     refused("--memory -1", 2);
+    for (model, unused) in [
+        ("tmr", "--memory 8"),
+        ("tmr", "--text-encoder none"),
+        ("coordinator", "--windows none"),
+        ("j2s", "--text-encoder none"),
+        ("mdm", "--compose none"),
+        ("nearest", "--steps 3"),
+    ] {
+        let line = format!("train {model} x --out y {unused}");
+        let option = unused.split(' ').next().expect("an option");
+        typed(&line, &[]).expect_refused(&format!("the model {model} makes no use of {option}"));
+    }
     if !cfg!(feature = "cuda") {
         refused("--device cuda", 1).expect_said("--features cuda");
     }

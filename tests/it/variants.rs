@@ -33,6 +33,33 @@ pub(crate) const SMALL: &str = "
 pub(crate) const ANY: &str =
     "--min-distance 0 --max-distance 1000 --max-skate 1000 --max-drift 1000";
 
+/// Checks that settings with which the generator makes nothing are refused, and options that would have no effect.
+fn refuse_what_makes_none(workshop: &Workshop) {
+    workshop.put("texts.txt", "The person is waving.\n");
+    for (more, said) in [
+        (
+            "captions --variants 0",
+            "setting variants is not usable: it must be at least 1",
+        ),
+        (
+            "captions --relative-noise nan",
+            "setting relative_noise is not usable",
+        ),
+        (
+            "@texts.txt --where 'fps > 0'",
+            "--where chooses clips of the dataset",
+        ),
+    ] {
+        let line = format!("variants @dataset --generator @mld --out @none --instructions {more}");
+        workshop.typed(&line).expect_refused(said);
+    }
+    // Without a generator nothing is sampled.
+    workshop
+        .typed("variants @dataset --variants 8 --out @none")
+        .expect_code(2)
+        .expect_said("--generator");
+}
+
 #[test]
 fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
     let workshop = Workshop::open();
@@ -42,6 +69,7 @@ fn variants_of_captions_come_to_annotators_in_bundles_of_eight() {
             "variants @dataset --generator @mld --instructions captions --count 3 --out @{out} {ANY}"
         ))
     };
+    refuse_what_makes_none(&workshop);
     let first = made("candidates");
     let count = |of: &Value, name: &str| of["counts"][name].as_u64().expect("a count");
     assert_eq!((count(&first, "bases"), count(&first, "variants")), (3, 48));

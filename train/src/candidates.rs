@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use work::Quarantine;
 
 use crate::Error;
+use crate::config::ensure;
 
 /// Source name of candidate pairs; the number is the version of the rules.
 pub const SOURCE: &str = "variants-1";
@@ -40,6 +41,24 @@ impl Default for VariantConfig {
             max_foot_skate: 0.6,
             max_bone_drift_m: 0.05,
         }
+    }
+}
+
+impl VariantConfig {
+    /// Refuses bounds that are no numbers: no pair breaks them.
+    ///
+    /// # Errors
+    /// A bound is NaN.
+    pub fn check(&self) -> Result<(), Error> {
+        for (field, bound) in [
+            ("min_distance", self.min_distance_m),
+            ("max_distance", self.max_distance_m),
+            ("max_skate", self.max_foot_skate.into()),
+            ("max_drift", self.max_bone_drift_m.into()),
+        ] {
+            ensure(!bound.is_nan(), field, "it is no number")?;
+        }
+        Ok(())
     }
 }
 

@@ -24,12 +24,29 @@ pub struct ModelKind {
     pub name: &'static str,
     /// Description of the model in one line.
     pub about: &'static str,
+    /// Inputs of a training that the model uses; it ignores the others.
+    pub uses: &'static [Input],
     /// All settings of a preset: a JSON object, or null for a model without settings.
     pub preset: fn(Preset) -> Value,
     /// Trains a model of this kind on a dataset.
     pub train: fn(&TrainRequest<'_>, &Session<'_>) -> Result<Trained, Error>,
     /// Opens a trained model as an editing system; `None` for models that do not edit motions.
     pub open: Option<OpenSystem>,
+}
+
+/// An input of a training that not every model uses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Input {
+    /// Composition settings of edits.
+    Compose,
+    /// Recorded windows.
+    Windows,
+    /// Source of a frozen text encoder, for settings that use one.
+    TextEncoder,
+    /// Length of the training.
+    Length,
+    /// Memory of the device.
+    Memory,
 }
 
 pub(crate) fn document<T: Serialize>(settings: &T) -> Value {
@@ -40,7 +57,7 @@ pub(crate) fn document<T: Serialize>(settings: &T) -> Value {
 pub type OpenSystem =
     fn(&SystemSource, &EditConfig, &Skeleton, &Device) -> Result<Box<dyn EditSystem>, Error>;
 
-/// A request to train a model. Models ignore inputs that they do not need.
+/// A request to train a model. Models ignore inputs that they do not use ([`ModelKind::uses`]).
 #[derive(Clone, Copy, Debug)]
 pub struct TrainRequest<'a> {
     /// The dataset, or the selected part of it.

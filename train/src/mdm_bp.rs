@@ -53,6 +53,7 @@ pub(crate) fn open(
     skeleton: &Skeleton,
     device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
+    source.check_alone("MDM-BP makes whole bodies and uses no other network")?;
     let mut opened = open_for_use::<MdmRecord>(&source.run, source.slot, KIND)?;
     let record = opened.record.config;
     record.train.check()?;

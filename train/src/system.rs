@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use work::commit_edits;
 
 use crate::checkpoint::Slot;
+use crate::config::{finite, not_negative};
 use crate::error::{json_error, motion_error};
 use crate::sample::{EditTimes, FitMethod, TimedInstruction, check_ranges};
 use crate::text::source::TextEncoderSource;
@@ -246,6 +247,19 @@ impl SystemSource {
             text_encoder,
         }
     }
+
+    /// Refuses a coordinator and a pose network for a system that uses neither.
+    pub(crate) fn check_alone(&self, why: &str) -> Result<(), Error> {
+        for (helper, what) in [
+            (&self.coordinator, "the coordinator"),
+            (&self.poses, "the pose network"),
+        ] {
+            if helper.is_some() {
+                return Err(Error::misfit(what, why));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Section `[edit]` of a plan: settings with which items are edited.
@@ -302,6 +316,26 @@ impl Default for EditConfig {
             start: None,
             release: None,
         }
+    }
+}
+
+impl EditConfig {
+    /// Refuses numbers with which no motion can be made.
+    ///
+    /// # Errors
+    /// A number is not finite; or the temperature or the prior is negative.
+    pub fn check(&self) -> Result<(), Error> {
+        for (field, value) in [
+            ("guidance", self.guidance),
+            ("source_guidance", self.source_guidance),
+            ("coordinator_strength", self.coordinator_strength),
+        ] {
+            value.map_or(Ok(()), |value| finite(field, value))?;
+        }
+        for (field, value) in [("temperature", self.temperature), ("prior", self.prior)] {
+            value.map_or(Ok(()), |value| not_negative(field, value))?;
+        }
+        Ok(())
     }
 }
 
@@ -613,6 +647,29 @@ mod tests {
             "{}",
             line(15)
         );
+    }
+
+    #[test]
+    fn numbers_that_make_no_motion_are_refused() {
+        let check = |guidance, temperature, prior| {
+            let config = EditConfig {
+                guidance,
+                temperature,
+                prior,
+                ..EditConfig::default()
+            };
+            config.check().map_err(|error| error.to_string())
+        };
+        assert_eq!(check(None, None, None), Ok(()));
+        assert_eq!(check(Some(-1.0), Some(0.0), Some(0.0)), Ok(()));
+        for (refused, field) in [
+            (check(Some(f64::NAN), None, None), "guidance"),
+            (check(None, Some(-1.0), None), "temperature"),
+            (check(None, None, Some(f64::INFINITY)), "prior"),
+        ] {
+            let error = refused.expect_err("not usable");
+            assert!(error.contains(field), "{error}");
+        }
     }
 
     #[test]

@@ -4,12 +4,11 @@ use std::path::PathBuf;
 
 use datasets_spec::record::ScoreRow;
 use eval::format::grid::Grid;
-use eval::names::ALL_TASKS;
 use eval::report::Chart;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::files::{Failed, file_name};
+use super::files::{Failed, chart_name};
 use super::plan::{FigureSpecs, Plan, Trained};
 use super::work::{Work, in_json};
 use crate::global::Global;
@@ -122,11 +121,7 @@ fn charts(
             ));
         }
         for &metric in &specs.metrics {
-            let of_task = match task {
-                ALL_TASKS => String::new(),
-                task => format!("-{task}"),
-            };
-            let name = file_name(&format!("{}{of_task}-{}", figure.name, metric.name));
+            let name = chart_name(figure, task, metric.name);
             charts.push((name, figure.chart(metric, task, &specs.points, scores)));
         }
     }

@@ -4,7 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use eval::draw::raster::png;
+use eval::figure::Figure;
+use eval::names::ALL_TASKS;
 
+use crate::cmd::eval::TableArg;
 use crate::exit::Exit;
 use crate::{local, report};
 
@@ -43,6 +46,20 @@ pub(super) fn write_drawing(out: &Path, name: &str, svg: &str) -> anyhow::Result
     write(&path, svg.as_bytes())?;
     write(&path.with_extension("png"), &png(svg, PNG_ZOOM)?)?;
     Ok(path)
+}
+
+/// Name of a table, and of its files.
+pub(super) fn table_name(paper: TableArg) -> String {
+    format!("table-{}", paper.name())
+}
+
+/// Name of the files of a chart.
+pub(super) fn chart_name(figure: &Figure, task: &str, metric: &str) -> String {
+    let of_task = match task {
+        ALL_TASKS => String::new(),
+        task => format!("-{task}"),
+    };
+    file_name(&format!("{}{of_task}-{metric}", figure.name))
 }
 
 pub(super) fn file_name(text: &str) -> String {

@@ -8,6 +8,7 @@ use eval::judge::Judges;
 use eval::table::Table;
 use eval::times::{self, WindowTimes};
 
+use super::files::table_name;
 use super::plan::{PaperTable, Plan};
 use super::work::{Scored, Work};
 use crate::cmd::eval::result_tables;
@@ -68,7 +69,7 @@ pub(super) fn tables(
         return Ok(None);
     }
     let published = published || table.published;
-    let name = format!("table-{}", table.paper.name());
+    let name = table_name(table.paper);
     let Some(paper) = table.paper.scored() else {
         let mut rows: Vec<(String, WindowTimes)> = found
             .into_iter()

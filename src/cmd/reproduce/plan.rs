@@ -1,6 +1,6 @@
 //! The plan of `stance reproduce`: its file, and the trainings and edits that it needs.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -25,6 +25,7 @@ use train::system::EditConfig;
 use train::text::bert::BertFiles;
 use train::tmr::TmrConfig;
 
+use super::files::{chart_name, file_name, table_name};
 use super::pictures::Picture;
 use crate::cmd::eval::TableArg;
 use crate::global::Global;
@@ -309,6 +310,42 @@ impl Plan {
         for name in of_tables.chain(of_figures).chain(of_pictures) {
             self.system(Some(name))?;
         }
+        self.check_files()
+    }
+
+    /// Checks that every table, figure and picture has files of its own. Names of files keep neither capitals nor
+    /// punctuation, so results with different names can have the same files.
+    fn check_files(&self) -> anyhow::Result<()> {
+        let tables = self.tables.iter().map(|table| {
+            let files = BTreeSet::from([format!("tables/{}", table_name(table.paper))]);
+            (format!("table {}", table.paper.name()), files)
+        });
+        let figures = self.figures.iter().map(|figure| {
+            let of_task = |task: &str| -> Vec<String> {
+                let charts = figure.metrics.iter();
+                let charts = charts.map(|metric| chart_name(figure, task, metric));
+                charts.map(|name| format!("figures/{name}")).collect()
+            };
+            let mut files = BTreeSet::from([format!("tables/{}", file_name(&figure.name))]);
+            files.extend(tasks(figure).into_iter().flat_map(of_task));
+            (format!("figure {:?}", figure.name), files)
+        });
+        let pictures = self.pictures.iter().map(|picture| {
+            let files = BTreeSet::from([format!("figures/{}", file_name(&picture.name))]);
+            (format!("picture {:?}", picture.name), files)
+        });
+        let mut owners: BTreeMap<String, String> = BTreeMap::new();
+        for (owner, files) in tables.chain(figures).chain(pictures) {
+            for file in files {
+                if let Some(other) = owners.get(&file) {
+                    bail!(
+                        "{other} and {owner} would both be written to {file}; give figures and pictures names that \
+                         differ in a letter or a digit, and a second table of the same name a plan of its own"
+                    );
+                }
+                owners.insert(file, owner.clone());
+            }
+        }
         Ok(())
     }
 
@@ -366,16 +403,11 @@ impl Plan {
                     Ok(Trained { name, specs })
                 });
                 let window = |point: &Point| point.value("train.window")?.as_u64();
-                let tasks: Vec<&str> = figure.tasks.iter().map(String::as_str).collect();
                 Ok(FigureSpecs {
                     figure,
                     trained: trained.collect::<anyhow::Result<_>>()?,
                     metrics: metrics(&figure.metrics)?,
-                    tasks: if tasks.is_empty() {
-                        vec![ALL_TASKS]
-                    } else {
-                        tasks
-                    },
+                    tasks: tasks(figure),
                     min_frames: points
                         .iter()
                         .filter_map(window)
@@ -454,15 +486,17 @@ impl Plan {
         let poses = system
             .poses
             .then(|| self.training(POSES, Value::Null, None, global));
+        let edit = EditConfig {
+            name: Some(system.name.clone()),
+            ..settings::over(&EditConfig::default(), "edit", &own("edit"))?
+        };
+        edit.check()?;
         Ok(Spec {
             name: system.name.clone(),
             training,
             coordinator,
             poses: poses.transpose()?,
-            edit: EditConfig {
-                name: Some(system.name.clone()),
-                ..settings::over(&EditConfig::default(), "edit", &own("edit"))?
-            },
+            edit,
             epoch,
         })
     }
@@ -550,6 +584,14 @@ fn twice<T: PartialEq>(values: &[T]) -> Option<&T> {
     let mut places = 0..values.len();
     let place = places.find(|&place| values[..place].contains(&values[place]))?;
     Some(&values[place])
+}
+
+/// The tasks of a figure, each with drawings of its own.
+fn tasks(figure: &Figure) -> Vec<&str> {
+    match figure.tasks.is_empty() {
+        true => vec![ALL_TASKS],
+        false => figure.tasks.iter().map(String::as_str).collect(),
+    }
 }
 
 fn metrics(names: &[String]) -> anyhow::Result<Vec<&'static Metric>> {

@@ -155,6 +155,7 @@ impl Plan {
         let poses = Model::over(&J2sConfig::of(preset), "poses", own, seeds, global)?;
         let compose = &TrainConfig::compose_preset(preset);
         let compose = settings::over(compose, "compose", &config.compose)?;
+        config.edit.check()?;
         Ok(Self {
             config,
             compose,

@@ -33,13 +33,15 @@ pub fn model(name: &str) -> Option<&'static ModelKind> {
 /// Opens a run folder of any model as an editing system for motions on a skeleton.
 ///
 /// # Errors
-/// The folder does not hold a model that edits motions, or the model or a network that it uses cannot be loaded.
+/// A number of the settings is not usable, the folder does not hold a model that edits motions, or the model or a
+/// network that it uses cannot be loaded.
 pub fn open_system(
     source: &SystemSource,
     config: &EditConfig,
     skeleton: &Skeleton,
     device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
+    config.check()?;
     let kind = read_kind(&source.run)?;
     match model(&kind).and_then(|kind| kind.open) {
         Some(open) => open(source, config, skeleton, device),

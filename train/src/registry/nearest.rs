@@ -17,7 +17,7 @@ use work::Context;
 
 use crate::checkpoint::{Run, RunRecord, check_skeleton, read_record};
 use crate::error::motion_error;
-use crate::kind::{ModelKind, TrainRequest, Trained};
+use crate::kind::{Input, ModelKind, TrainRequest, Trained};
 use crate::sample::EditTimes;
 use crate::system::{
     EditConfig, EditRequest, EditSystem, Misfit, Remarks, SystemIdentity, SystemSource,
@@ -28,6 +28,7 @@ use crate::{Error, Session};
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: KIND,
     about: "The training target whose instruction is closest: no network, a row to compare with",
+    uses: &[Input::Compose],
     preset: |_| serde_json::Value::Null,
     train,
     open: Some(open),
@@ -111,6 +112,9 @@ fn open(
     skeleton: &Skeleton,
     _device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
+    source.check_alone(
+        "the nearest neighbour returns motions of the training set and uses no network",
+    )?;
     check_skeleton(&source.run, "the editor", skeleton)?;
     let record = read_record::<NearestRecord>(&source.run, KIND)?;
     let folder = Dataset::open(&source.run.join(TRIPLETS))?;

@@ -9,8 +9,8 @@ mod windows;
 
 pub use self::editor::Editor;
 pub(crate) use self::editor::keypoint_parent;
-pub(crate) use self::item::{check_ranges, covering};
 pub use self::item::{EditItem, EditWindow, TimedInstruction, model_frames};
+pub(crate) use self::item::{check_ranges, covering};
 pub use self::sampler::{Condition, Guide, Sampler, reverse};
 pub use self::settings::{EditSettings, EditTimes, FitMethod};
 pub use self::windows::{WindowModel, WindowRequest, edit_windows};

@@ -7,7 +7,7 @@ use super::{MOTIONS, kept};
 use crate::captioned::{CaptionedClip, CaptionedCorpus};
 use crate::config::TextEncoder;
 use crate::error::motion_error;
-use crate::kind::{ModelKind, TrainRequest, Trained, document};
+use crate::kind::{Input, ModelKind, TrainRequest, Trained, document};
 use crate::mdm::{self, MdmConfig, train_mdm};
 use crate::mdm_bp;
 use crate::mld::{self, MldConfig, train_mld};
@@ -18,6 +18,7 @@ use crate::{Error, Session};
 pub(crate) const MDM: ModelKind = ModelKind {
     name: mdm::KIND,
     about: "MDM, on motions and their captions; it edits body parts as MDM-BP",
+    uses: &[Input::TextEncoder, Input::Length, Input::Memory],
     preset: |preset| document(&MdmConfig::preset(preset)),
     train: |request, session| {
         let mut config = request.settings(&MdmConfig::preset(request.preset))?;
@@ -35,6 +36,7 @@ pub(crate) const MDM: ModelKind = ModelKind {
 pub(crate) const MLD: ModelKind = ModelKind {
     name: mld::KIND,
     about: "MLD, an autoencoder of motions and a diffusion of its latents, for `stance variants`",
+    uses: &[Input::TextEncoder, Input::Length, Input::Memory],
     preset: |preset| document(&MldConfig::preset(preset)),
     train: |request, session| {
         let mut config = request.settings(&MldConfig::preset(request.preset))?;

@@ -6,13 +6,14 @@ use datasets_spec::Dataset;
 use super::Streams;
 use crate::checkpoint::Start;
 use crate::coordinator::{self, CoordinatorConfig, Segments};
-use crate::kind::{ModelKind, TrainRequest, Trained, document};
+use crate::kind::{Input, ModelKind, TrainRequest, Trained, document};
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
 
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: coordinator::KIND,
     about: "The body-part coordinator, on natural segments and composed ones",
+    uses: &[Input::Compose, Input::Length, Input::Memory],
     preset: |preset| document(&CoordinatorConfig::preset(preset)),
     train,
     open: None,

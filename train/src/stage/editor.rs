@@ -13,7 +13,7 @@ use crate::checkpoint::Start;
 use crate::config::TrainConfig;
 use crate::edit;
 use crate::fit::{self, Corpus, train_motionrefit};
-use crate::kind::{ModelKind, TrainRequest, Trained, document};
+use crate::kind::{Input, ModelKind, TrainRequest, Trained, document};
 use crate::text::clip::ClipModel;
 use crate::text::source::TextEncoderSource;
 use crate::trainer::TrainReport;
@@ -22,6 +22,13 @@ use crate::{Error, Session};
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: fit::KIND,
     about: "The MotionReFit editor, on triplets composed from motions and masks",
+    uses: &[
+        Input::Compose,
+        Input::Windows,
+        Input::TextEncoder,
+        Input::Length,
+        Input::Memory,
+    ],
     preset: |preset| document(&TrainConfig::preset(preset)),
     train,
     open: Some(edit::open),

@@ -7,7 +7,7 @@ use super::MOTIONS;
 use crate::captioned::{CaptionedClip, CaptionedCorpus};
 use crate::checkpoint::Start;
 use crate::error::motion_error;
-use crate::kind::{ModelKind, TrainRequest, Trained, document};
+use crate::kind::{Input, ModelKind, TrainRequest, Trained, document};
 use crate::tmr::{self, TmrConfig, train_tmr};
 use crate::trainer::TrainReport;
 use crate::{Error, Session};
@@ -15,6 +15,7 @@ use crate::{Error, Session};
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: tmr::KIND,
     about: "The encoder of motions and texts that evaluation measures with",
+    uses: &[Input::Length],
     preset: |preset| document(&TmrConfig::preset(preset)),
     train,
     open: None,

@@ -7,12 +7,13 @@ use super::MOTIONS;
 use crate::checkpoint::Start;
 use crate::error::motion_error;
 use crate::j2s::{self, J2sConfig, J2sReport};
-use crate::kind::{ModelKind, TrainRequest, Trained, document};
+use crate::kind::{Input, ModelKind, TrainRequest, Trained, document};
 use crate::{Error, Session};
 
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: j2s::KIND,
     about: "The network from keypoints to rotations, measured beside the fits that follow it",
+    uses: &[Input::Length],
     preset: |preset| document(&J2sConfig::of(preset)),
     train,
     open: None,

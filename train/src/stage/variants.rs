@@ -21,6 +21,7 @@ use serde::{Deserialize, Serialize};
 use tables::chosen;
 use work::Quarantine;
 
+use crate::config::{not_negative, positive};
 use crate::humanml3d::mean_bone_drift_m;
 use crate::mld::{Base, Generator, LatentNoise};
 use crate::text::source::TextEncoderSource;
@@ -67,6 +68,21 @@ impl Default for MakeVariants {
     }
 }
 
+impl MakeVariants {
+    /// Refuses settings with which no variants can be made.
+    ///
+    /// # Errors
+    /// There are no variants, the noise is negative or not finite, or a bound is no number.
+    pub fn check(&self) -> Result<(), Error> {
+        positive("variants", self.variants as u64)?;
+        match self.noise {
+            LatentNoise::Absolute(noise) => not_negative("noise", noise)?,
+            LatentNoise::Relative(share) => not_negative("relative_noise", share)?,
+        }
+        self.filter.check()
+    }
+}
+
 /// Result of [`make_variants`] and [`pair_variants`].
 #[derive(Clone, Debug, Serialize)]
 pub struct VariantReport {
@@ -86,8 +102,9 @@ pub struct VariantReport {
 /// Captions keep the split of their clip; the split of other texts is drawn at random.
 ///
 /// # Errors
-/// The generator or the dataset cannot be loaded, there are no instructions, a text cannot be encoded, a generated
-/// motion is not finite, the session is stopped, or the folder holds another dataset or cannot be written.
+/// A setting is not usable, the generator or the dataset cannot be loaded, there are no instructions, a text cannot be
+/// encoded, a generated motion is not finite, the session is stopped, or the folder holds another dataset or cannot be
+/// written.
 ///
 /// # Source
 /// MotionReFit, Sec. 4.1 and App. D.3.
@@ -145,6 +162,7 @@ impl Making {
         seed: Seed,
         device: &Device,
     ) -> Result<Self, Error> {
+        config.check()?;
         let dataset = Dataset::open(root)?;
         let skeleton = dataset.skeleton()?;
         let generator = Generator::load(run, device)?;
@@ -228,7 +246,7 @@ impl Making {
 /// Pairs variants made by other programs: motions of a dataset whose ids share a folder, as `base/variant`.
 ///
 /// # Errors
-/// The dataset cannot be read, no folder of it has two motions, or `out` holds another dataset or cannot be
+/// A bound is no number, the dataset cannot be read, no folder of it has two motions, or `out` holds another dataset or cannot be
 /// written.
 pub fn pair_variants(
     dataset: &Dataset,
@@ -236,6 +254,7 @@ pub fn pair_variants(
     config: &VariantConfig,
     holder: &str,
 ) -> Result<VariantReport, Error> {
+    config.check()?;
     let skeleton = dataset.skeleton()?;
     let motions = dataset.manifest().plan(MotionRow::TABLE);
     let plan = match dataset.condition() {

@@ -56,17 +56,7 @@ pub(crate) fn open(
     device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
     check_skeleton(&source.run, "the editor", skeleton)?;
-    for (helper, what) in [
-        (&source.coordinator, "the coordinator"),
-        (&source.poses, "the pose network"),
-    ] {
-        if helper.is_some() {
-            return Err(Error::misfit(
-                what,
-                "TMED makes whole motions of rotations and uses no other network",
-            ));
-        }
-    }
+    source.check_alone("TMED makes whole motions of rotations and uses no other network")?;
     let mut opened = open_for_use::<TmedRecord>(&source.run, source.slot, KIND)?;
     let record = opened.record.config;
     record.check()?;

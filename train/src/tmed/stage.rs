@@ -11,13 +11,19 @@ use super::edit;
 use super::task::{KIND, TmedCorpus, train_tmed};
 use crate::compose::ComposeRecord;
 use crate::config::ensure;
-use crate::kind::{ModelKind, TrainRequest, Trained, document};
+use crate::kind::{Input, ModelKind, TrainRequest, Trained, document};
 use crate::stage::{kept, validation_stream};
 use crate::{Error, Session};
 
 pub(crate) const MODEL: ModelKind = ModelKind {
     name: KIND,
     about: "TMED, a diffusion over whole motions, on composed clips or on captured pairs",
+    uses: &[
+        Input::Compose,
+        Input::TextEncoder,
+        Input::Length,
+        Input::Memory,
+    ],
     preset: |preset| document(&TmedConfig::preset(preset)),
     train,
     open: Some(edit::open),
