@@ -26,7 +26,13 @@ pub(super) fn manifest_path(root: &Path, version: u64) -> PathBuf {
     root.join(META).join(format!("manifest-{version}.json"))
 }
 
+/// The newest manifest of a folder that a run will write to; see [`check_free`].
 pub(super) fn newest_manifest(store: &dyn Store, root: &Path) -> Result<Option<Manifest>, Error> {
+    check_free(store, root)?;
+    read_newest(store, root)
+}
+
+pub(super) fn read_newest(store: &dyn Store, root: &Path) -> Result<Option<Manifest>, Error> {
     let Some(version) = manifest_versions(store, root)?.pop() else {
         return Ok(None);
     };

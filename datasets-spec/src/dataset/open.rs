@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::layout::{SKELETON_FACT, manifest_versions, newest_manifest, read_manifest};
+use super::layout::{SKELETON_FACT, manifest_versions, read_manifest, read_newest};
 use crate::manifest::{FileEntry, Manifest};
 use crate::record::ItemRow;
 use crate::store::{ByPath, Store, is_url};
@@ -138,7 +138,7 @@ impl Dataset {
     /// The folder is not a dataset or has an incompatible format.
     pub fn open_unverified(root: &Path) -> Result<Self, Error> {
         let store = ByPath::store();
-        let manifest = newest_manifest(store.as_ref(), root)?;
+        let manifest = read_newest(store.as_ref(), root)?;
         let manifest = manifest.ok_or_else(|| Error::NotADataset {
             path: root.to_owned(),
             reason: if is_url(root) || root.is_dir() {

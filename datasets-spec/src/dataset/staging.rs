@@ -9,7 +9,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::layout::{
-    DATA, ShardName, check_free, manifest_versions, newest_manifest, staged_folder, tables_until,
+    DATA, ShardName, manifest_versions, newest_manifest, staged_folder, tables_until,
 };
 use super::shards::{holds, shard_path, write_shard_at};
 use super::transaction::{Transaction, write_json};
@@ -65,7 +65,6 @@ impl Staging {
     /// # Errors
     /// A manifest exists but cannot be read, or there is none and the folder holds files that a dataset would replace.
     pub fn newest(store: &dyn Store, root: &Path) -> Result<Option<Manifest>, Error> {
-        check_free(store, root)?;
         newest_manifest(store, root)
     }
 

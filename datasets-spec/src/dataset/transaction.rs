@@ -7,8 +7,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::layout::{
-    DATA, META, SKELETON_FACT, check_free, manifest_path, newest_manifest, staged_folder,
-    tables_until,
+    DATA, META, SKELETON_FACT, check_free, manifest_path, read_newest, staged_folder, tables_until,
 };
 use super::open::Dataset;
 use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest, REJECTED_PAIRS_FACT};
@@ -83,7 +82,7 @@ impl Transaction {
             Locking::Taken { holder } => return Err(Error::Locked { path, holder }),
             Locking::NoLocks => None,
         };
-        let base = newest_manifest(store.as_ref(), root)?;
+        let base = read_newest(store.as_ref(), root)?;
         let transaction = Self {
             taken: tables_until(store.as_ref(), root, base.as_ref())?,
             base,

@@ -111,9 +111,6 @@ impl Failed {
 
 impl From<Error> for Failed {
     fn from(error: Error) -> Self {
-        if let Error::Job { code, reason } = error {
-            return Self { code, reason };
-        }
         Self::of(error.code(), &error)
     }
 }
