@@ -7,7 +7,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use compose::{COMPOSED, ItemConfig, ItemCount, Shown, draw_items, library};
-use datasets_spec::dataset::{commit_table, table_facts};
+use datasets_spec::dataset::{Commit, Transaction, commit_table, table_facts};
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{ItemRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, ShardReader, read_column};
@@ -191,7 +191,29 @@ pub fn masks(
     if is_same_plan && are_same_rows([&rows, &present], |row| row.id.as_str()) {
         return Ok(dataset);
     }
-    let dataset = context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)?;
+    commit_changed(&dataset, &rows, |row| row.split, &plan, context)
+}
+
+/// Commits the rows of a table, even if the table was made by the same plan.
+fn commit_changed<R: Row>(
+    dataset: &Dataset,
+    rows: &[R],
+    split_of: fn(&R) -> Split,
+    plan: &str,
+    context: &Context<'_>,
+) -> Result<Dataset, Error> {
+    let (root, skeleton) = (dataset.root(), &dataset.skeleton()?);
+    if dataset.manifest().plan(R::TABLE) != plan {
+        return Ok(context.commit(root, rows, Some(split_of), skeleton, plan)?);
+    }
+    let transaction = Transaction::begin(root, context.holder)?;
+    let files = transaction.write_rows(rows, Some(split_of), skeleton, plan)?;
+    let dataset = transaction.commit(Commit {
+        tables: BTreeMap::from([(R::TABLE.to_owned(), files)]),
+        plan_hash: plan.to_owned(),
+        skeleton: skeleton.clone(),
+        ..Commit::default()
+    })?;
     Ok(dataset)
 }
 
@@ -260,8 +282,7 @@ pub fn pairs(
     if rows.is_empty() && !dataset.manifest().tables.contains_key(PairRow::TABLE) {
         return Ok((dataset, made.alone));
     }
-    let skeleton = dataset.skeleton()?;
-    let dataset = context.commit(root, &rows, Some(|row| row.split), &skeleton, &plan)?;
+    let dataset = commit_changed(&dataset, &rows, |row| row.split, &plan, context)?;
     Ok((dataset, made.alone))
 }
 

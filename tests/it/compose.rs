@@ -63,12 +63,12 @@ fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
     // An export of the dataset before it grew is not taken for one of today's, nor deleted.
     let more = CLIPS + 26;
     folder.run(&format!("corpus --clips {more} --out @more"));
-    let grown = "build --config @build.toml --sources corpus=@more";
-    let ran = folder.typed(grown);
-    ran.expect_refused("is not an export of the dataset as it is now");
+    let more = format!("corpus={}", folder.path("more").display());
+    let grown = || folder.typed_with("build --config @build.toml --sources", &[&more]);
+    grown().expect_refused("is not an export of the dataset as it is now");
     fs::rename(folder.path("built/stance"), folder.path("before")).expect("moved");
-    folder.run(grown);
-    folder.run(grown);
+    grown().expect_code(0);
+    grown().expect_code(0);
     folder.run("ingest @before --out @before-back");
     assert_eq!(folder.rows::<MotionRow>("before-back").len(), CLIPS);
 

@@ -46,7 +46,7 @@ fn a_result_that_cannot_be_written_is_an_error() {
     for line in [
         ["--version"].as_slice(),
         &["train", "--help"],
-        &["corpus", "--json"],
+        &["completions", "bash"],
     ] {
         let full = fs::File::options().write(true).open("/dev/full");
         let mut command = command(line);

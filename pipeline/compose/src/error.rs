@@ -5,8 +5,6 @@ use std::path::PathBuf;
 use datasets_spec::{Code, MotionId, Split};
 use work::Failed;
 
-use crate::ItemTask;
-
 /// An error that names the row, motion or setting it happened to.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -237,15 +235,12 @@ pub enum Error {
         frames: usize,
     },
     /// No mask or pair is of the requested tasks.
-    #[error(
-        "split {split} has no mask or pair for items of task {}",
-        made_by(tasks)
-    )]
+    #[error("split {split} has no mask or pair for items of task {tasks}")]
     NoTask {
         /// The split.
         split: Split,
-        /// The requested tasks.
-        tasks: Vec<ItemTask>,
+        /// The requested tasks, each with the command that brings its masks or pairs into a dataset.
+        tasks: String,
     },
     /// The drawn items differ from those of a published set.
     #[error(
@@ -323,14 +318,6 @@ pub enum Error {
         /// Rate of the target.
         target_fps: f64,
     },
-}
-
-/// Tasks, each with the command that brings its masks or pairs into a dataset.
-fn made_by(tasks: &[ItemTask]) -> String {
-    let tasks = tasks
-        .iter()
-        .map(|task| format!("{task} ({})", task.made_by()));
-    tasks.collect::<Vec<_>>().join(", ")
 }
 
 impl Error {

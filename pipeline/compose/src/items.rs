@@ -201,7 +201,8 @@ fn subjects_of(
         .peekable();
     if wanted.peek().is_none() {
         let tasks = ItemTask::ALL.into_iter().filter(|task| is_wanted(*task));
-        let tasks = tasks.collect();
+        let tasks = tasks.map(|task| format!("{task} ({})", task.made_by()));
+        let tasks = tasks.collect::<Vec<_>>().join(", ");
         return Err(Error::NoTask { split, tasks });
     }
     let mut subjects: Vec<(u64, Subject)> = wanted
