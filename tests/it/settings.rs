@@ -23,7 +23,7 @@ fn a_wrong_setting_is_named_once_by_file_line_and_column_and_a_training_by_its_f
     let model = "batch_size = 16\n[model]\n width = 98\n";
     refused(&config, model, "3:2", "setting model.width is not usable");
     let compose = format!("{train} --compose @own.toml");
-    let problem = "setting undonored_ratio must be between 0 and 1, got 2";
+    let problem = "setting undonored_ratio must be from 0 to 1, got 2";
     refused(&compose, "\nundonored_ratio = 2.0\n", "2:1", problem);
     refused(&compose, "fsp = 10\n", "1:1", "unknown field `fsp`");
     // Keys of the same name in different sections are told apart, and keys outside of sections are found.
