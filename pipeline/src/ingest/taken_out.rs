@@ -6,7 +6,6 @@ use datasets_spec::record::SkippedRow;
 use formats::source::Entry;
 
 use super::id_list::IdList;
-use super::identity::key_of;
 use super::plan::{Plan, Planned};
 use super::recorded::Recorded;
 use crate::versions::taken_out;
@@ -51,24 +50,6 @@ impl Plan {
         });
         self.skipped.extend(left);
         self.notes.left_out.extend(entries);
-    }
-
-    /// Notes the labels of folders that cannot be used, and names in them that no motion has, read in this run or not.
-    pub(super) fn note_label_problems(&mut self, recorded: &Recorded) {
-        // No item of this run need give a clip that stays.
-        let staying = recorded.clips.iter();
-        let staying = staying.filter(|clip| self.notes.staying.contains(&clip.path));
-        let staying = staying.map(|clip| Entry {
-            file: clip.path.clone(),
-            id: clip.id.to_string(),
-            key: key_of(clip.id.as_str()).to_owned(),
-            ..Entry::default()
-        });
-        let mut left_out = std::mem::take(&mut self.notes.left_out);
-        left_out.extend(staying);
-        let entries = self.items.iter().map(|item| &item.entry);
-        let entries = entries.chain(&left_out);
-        self.notes.label_problems = self.folder_labels.problems(&self.files, entries);
     }
 
     /// Skips the clips that the user did not choose. Those that the dataset has stay unchanged.

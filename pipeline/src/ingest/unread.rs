@@ -4,9 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use datasets_spec::record::QuarantineRow;
+use formats::source::Entry;
 use formats::source::archive::DAMAGED;
 use formats::source::labels::names_beside;
 
+use super::identity::key_of;
 use super::inputs;
 use super::list::{Source, path_of};
 use super::plan::Plan;
@@ -92,6 +94,24 @@ impl Plan {
         }
         let staying = described.keys().map(|clip| &recorded.clips[*clip].path);
         self.notes.staying.extend(staying.cloned());
+    }
+
+    /// Notes the labels of folders that cannot be used, and names in them that no motion has, read in this run or not.
+    pub(super) fn note_label_problems(&mut self, recorded: &Recorded) {
+        // No item of this run need give a clip that stays.
+        let staying = recorded.clips.iter();
+        let staying = staying.filter(|clip| self.notes.staying.contains(&clip.path));
+        let staying = staying.map(|clip| Entry {
+            file: clip.path.clone(),
+            id: clip.id.to_string(),
+            key: key_of(clip.id.as_str()).to_owned(),
+            ..Entry::default()
+        });
+        let mut left_out = std::mem::take(&mut self.notes.left_out);
+        left_out.extend(staying);
+        let entries = self.items.iter().map(|item| &item.entry);
+        let entries = entries.chain(&left_out);
+        self.notes.label_problems = self.folder_labels.problems(&self.files, entries);
     }
 
     /// The recorded clips that a file may describe that cannot be read now, by index in [`Recorded::clips`], each with
