@@ -157,7 +157,7 @@ fn exported(
         }
         if hashes.get(name) != Some(root_hash) {
             bail!(
-                "{} is not an export of the dataset as it is now; move it away, and the same command exports it again",
+                "{} is not recorded as an export of the dataset as it is now; move it away, and the same command exports it again",
                 out.display()
             );
         }

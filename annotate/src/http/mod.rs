@@ -147,7 +147,7 @@ fn failed(address: SocketAddr) -> impl FnOnce(std::io::Error) -> Error {
     }
 }
 
-/// Checks repeatedly whether a store that accepted no writes accepts them again.
+/// After a failed write, checks the store every [`TRY_AGAIN`] until it accepts writes again.
 async fn recover(app: Arc<App>) {
     loop {
         tokio::time::sleep(TRY_AGAIN).await;

@@ -272,7 +272,7 @@ impl Style {
     }
 }
 
-/// Reads styles. Stores of version 0.1 have only their names.
+/// Reads the styles of a project. Version 0.1 stored only their names.
 fn styles_or_names<'de, D: Deserializer<'de>>(stored: D) -> Result<Vec<Style>, D::Error> {
     #[derive(Deserialize)]
     #[serde(untagged)]

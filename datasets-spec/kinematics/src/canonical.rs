@@ -302,8 +302,8 @@ impl Stitcher {
         self.push_over(window, &[]);
     }
 
-    /// Appends a window and blends its first new frames with `former`, `[F, 28]` in world coordinates, which
-    /// [`Stitcher::rewind`] returned. In frame `i` of `F`, counted from 1, the window has weight `i / (F + 1)`.
+    /// Appends a window. Its first new frames are blended with `former`, the frames that [`Stitcher::rewind`] returned,
+    /// `[F, 28]` in world coordinates. In frame `i` of `F`, counted from 1, the window has weight `i / (F + 1)`.
     pub fn push_over(&mut self, window: &[KeypointFrame], former: &[KeypointFrame]) {
         let new = if self.frames.is_empty() {
             window

@@ -20,7 +20,7 @@ fn fixture(index: usize) -> (&'static str, Vec<u8>) {
     (name, STANDARD.decode(base64).expect("valid base64"))
 }
 
-/// A joblib dump: index 0 is uncompressed, the others have one compressor each.
+/// A joblib dump. That of index 0 is not compressed; each other one is compressed by another method.
 pub(crate) fn dump(index: usize) -> (&'static str, Vec<u8>) {
     fixture(index)
 }

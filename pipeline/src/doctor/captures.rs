@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::Looked;
 use super::findings::{CaptureFindings, EXAMPLES};
 
-/// Reads the captures of markers like ingestion, but without solving, and reports those that give no motion.
+/// Reads marker captures as ingestion does, without solving motions. Counts by code the motions that cannot be solved.
 pub(super) fn captures(rest: &[&Looked], options: &ReadOptions) -> Vec<CaptureFindings> {
     let captures: Vec<(&Looked, Format, ReadCapture)> = rest
         .iter()

@@ -428,8 +428,8 @@ fn bent(bone: DVec3, next: DVec3) -> Option<(DVec3, f64)> {
     (sine > MIN_SINE).then(|| (axis / sine, sine * sine))
 }
 
-/// Aligns an ankle by the frames in which the foot stands flat: both ankle and foot are then close to their lowest
-/// heights, and the vertical is the sole's normal. `None` if there is no foot or no plausible sole.
+/// Aligns an ankle by the frames in which the foot stands flat: there, ankle and foot are close to their lowest heights,
+/// and the sole's normal is vertical. `None` if there is no foot or no plausible sole.
 fn by_sole(track: &Track, ankle: usize, foot: usize, skeleton: &Skeleton) -> Option<DQuat> {
     /// Height band of a flat foot above its lowest heights, as a fraction of the leg's length (3 cm for a leg of 0.8
     /// m), and the quantile of the heights that counts as lowest.

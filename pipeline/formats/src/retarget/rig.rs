@@ -56,7 +56,7 @@ impl Placed {
 pub struct Rest {
     /// Name of the pose in the file's format.
     pub name: &'static str,
-    /// World transform of every bone, `[B]`. The axes need not be those of the motion.
+    /// World transform of every bone, `[B]`. Its axes may differ from those of the motion.
     pub bones: Vec<Placed>,
 }
 

@@ -120,7 +120,8 @@ fn unquote(line: &[u8]) -> Option<String> {
     Some(text)
 }
 
-/// Decodes a text line of protocol 0: Latin-1 with the escapes `\uXXXX` and `\UXXXXXXXX`.
+/// Decodes a text line of protocol 0: Latin-1, where `\u` before four hexadecimal digits and `\U` before eight stand for a
+/// character.
 fn unescape_unicode(line: &[u8]) -> String {
     let mut text = String::new();
     let mut rest = line;
