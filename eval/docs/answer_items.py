@@ -36,8 +36,11 @@ def main(questions: pathlib.Path, answers: pathlib.Path) -> None:
     for item in json.loads((questions / "items.json").read_text())["items"]:
         source = numpy.load(questions / item["source"]["file"])
         poses, trans = source["poses"][:, :66], source["trans"]
-        asked = slice(item.get("edit_start"), item.get("edit_end"))
-        poses[asked], trans[asked] = edited(poses[asked], trans[asked], item["instruction"])
+        # Frames around the asked ones stay; an answer about all frames may have another length than the source.
+        start, end = item.get("edit_start", 0), item.get("edit_end", len(trans))
+        answer = edited(poses[start:end], trans[start:end], item["instruction"])
+        parts = zip((poses, trans), answer)
+        poses, trans = (numpy.concatenate([whole[:start], part, whole[end:]]) for whole, part in parts)
         numpy.savez(answers / f"{item['id']}.npz", poses=poses, trans=trans, mocap_frame_rate=item["fps"])
 
 

@@ -264,7 +264,12 @@ pub fn pairs(
             plan_hash(pairs::SOURCE, &inputs)
         }
     };
-    let chosen = chosen(&dataset, condition)?;
+    let is_same_plan = dataset.manifest().plan(PairRow::TABLE) == plan;
+    let chosen = match chosen(&dataset, condition) {
+        // Once the stage has run, no clip fulfils a condition such as `NOT has_pair`.
+        Err(tables::Error::NoneChosen { .. }) if is_same_plan => return Ok((dataset, Vec::new())),
+        chosen => chosen?,
+    };
     let made = style_pairs(&LabelledClip::read(&chosen)?, config, seed);
     let before: Vec<PairRow> = dataset.read(None)?;
     let is_chosen = |row: &PairRow| row.clips().into_iter().all(|clip| chosen.has_clip(clip));
@@ -273,7 +278,6 @@ pub fn pairs(
     let new = new_pairs(made.rows, &rows, dataset.manifest().rejected_pairs());
     rows.extend(new);
     // A condition may choose other clips than before, so the plan alone does not tell whether there is work.
-    let is_same_plan = dataset.manifest().plan(PairRow::TABLE) == plan;
     if is_same_plan && are_same_rows([&rows, &before], |row| row.id.as_str()) {
         return Ok((dataset, made.alone));
     }

@@ -442,4 +442,9 @@ fn every_verb_takes_some_clips_of_a_dataset() {
     let masked = mask();
     assert!(left() < paired);
     assert_eq!(mask()["root_hash"], masked["root_hash"]);
+    // Nor is it an error that it chooses none any more.
+    let (_dir, fresh) = dataset_of(12, &[]);
+    for _ in 0..2 {
+        stance(&["pairs", arg(&fresh), "--where", "NOT has_pair"]).expect_code(0);
+    }
 }

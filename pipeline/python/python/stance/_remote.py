@@ -21,7 +21,7 @@ def is_url(path: Any) -> bool:
 def cache_folder() -> Path:
     """Where files of remote datasets are kept: ``STANCE_CACHE``, or ``stance`` in the user's cache folder."""
     own = os.environ.get("STANCE_CACHE")
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or Path.home() / ".cache"
     return Path(own) if own else Path(base) / "stance"
 
 
