@@ -203,6 +203,26 @@ fn a_bad_label_costs_the_label_and_not_the_motion_and_stays_listed_until_it_is_c
 }
 
 #[test]
+fn git_lfs_pointers_cost_no_clip_and_no_label() {
+    let sources = Sources::new();
+    sources.motions("a b k/c gone");
+    sources.write("a.stance.json", r#"{"captions": ["a person walks"]}"#);
+    sources.write("b.txt", "a person runs\n");
+    sources.write("k/stance.toml", "license = 'CC0-1.0'\n");
+    sources.write("captions.csv", "clip,text\ngone,he leaves\n");
+    let (_, before) = sources.ingest("out", &[]);
+    assert_eq!(texts(&before["gone"]), ["he leaves"]);
+    let pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:2f90\nsize 49950\n";
+    for file in ["a.stance.json", "b.txt", "k/stance.toml", "gone.bvh"] {
+        sources.write(file, pointer);
+    }
+    let (grown, after) = sources.ingest("out", &["--prune", "--allow-quarantine", "100%"]);
+    assert_eq!(grown["growth"]["pruned"], json!([]), "{grown}");
+    assert_eq!(after, before);
+    assert_eq!(problems(&grown), [""; 0]);
+}
+
+#[test]
 fn names_of_motions_that_are_left_out_are_known_to_label_files() {
     let sources = Sources::new();
     sources.motions("walk run sit");

@@ -58,7 +58,10 @@ pub(super) type Files = BTreeMap<String, Vec<FileEntry>>;
 impl<'a> Fates<'a> {
     pub(super) fn of(plan: &Plan, recorded: &'a Recorded, prune: bool) -> Self {
         let clips = recorded.clips.iter();
-        let mut fates: Vec<Fate> = clips.map(|clip| plan.fate(recorded, clip, prune)).collect();
+        let unread = plan.unread_files();
+        let is_pruned = |clip: &RecordedClip| prune && !unread.contains(clip.path.as_str());
+        let fates = clips.map(|clip| plan.fate(recorded, clip, is_pruned(clip)));
+        let mut fates: Vec<Fate> = fates.collect();
         for item in &plan.items {
             let Some(index) = item.known else { continue };
             fates[index] = match item.is_kept {
@@ -261,7 +264,7 @@ impl Plan {
         match self.is_of_run(&recorded.sources[clip.source].name, &clip.path) {
             false => Fate::Elsewhere,
             true if is_refused => Fate::Elsewhere,
-            true if prune && !self.is_unread(&clip.path) => Fate::Pruned { is_there },
+            true if prune => Fate::Pruned { is_there },
             true if is_there => Fate::Unusable,
             true => Fate::Missing,
         }

@@ -98,11 +98,11 @@ impl Plan {
             let now = source.and_then(|source| source.hash.as_deref().ok());
             let row = rows.get(problem.file.as_str());
             let name = problem.file.rsplit('/').next().unwrap_or("");
-            let is_found_again = source.is_some() && is_label_file(&name.to_lowercase());
+            let is_found_again = now.is_some() && is_label_file(&name.to_lowercase());
             let is_same = now.is_some() && now == row.map(|row| row.source_hash.as_str());
             let is_of_run = match row {
                 Some(row) => self.is_of_run(&row.source_name, &row.path),
-                None => source.is_some(),
+                None => now.is_some(),
             };
             !is_found_again && (is_same || !is_of_run)
         };

@@ -10,8 +10,8 @@ use datasets_spec::dataset::PRIVATE;
 use datasets_spec::record::QuarantineRow;
 use datasets_spec::store::{ByPath, Store, is_url};
 use formats::source::archive::{self, Archives};
-use formats::source::read_head;
 use formats::source::text_of_name;
+use formats::source::{Entry, read_head};
 use rayon::prelude::*;
 
 use super::places::Places;
@@ -379,6 +379,14 @@ fn numbered_labels(listed: &[Listed]) -> Vec<String> {
 }
 
 /// A path relative to a source, prefixed with the label of the source.
+/// The only motion of a file.
+pub(super) fn whole(file: &str) -> Entry {
+    Entry {
+        file: file.to_owned(),
+        ..Entry::default()
+    }
+}
+
 pub(crate) fn labelled(label: &str, name: &str) -> String {
     match label {
         "" => name.to_owned(),

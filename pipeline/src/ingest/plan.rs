@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use super::inputs;
 use super::known::Identified;
-use super::list::{self, Source, hash_files, quarantine_row, without_extension};
+use super::list::{self, Source, hash_files, quarantine_row, whole, without_extension};
 use super::options::{IngestOptions, Settings};
 use super::recorded::Recorded;
 use super::sources::{self, Given};
@@ -276,6 +276,7 @@ impl Plan {
             let (format, release) = (*format, release.contents());
             claimed.extend(release.entries.iter().map(|entry| entry.file.clone()));
             if options.format.is_some_and(|only| only != format) {
+                self.notes.left_out.extend(release.entries.iter().cloned());
                 let files = release.entries.iter().map(|entry| entry.file.as_str());
                 for file in BTreeSet::from_iter(files) {
                     self.skipped
@@ -317,12 +318,8 @@ impl Plan {
             match self.keys_of_single(relative, source, options) {
                 Ok((format, keys)) => self.items.extend(keys.into_iter().map(|key| {
                     let entry = Entry {
-                        file: relative.clone(),
-                        id: String::new(),
                         key,
-                        split: None,
-                        group: None,
-                        mirrored_of: None,
+                        ..whole(relative)
                     };
                     Planned::new(entry, format, None)
                 })),
@@ -330,8 +327,14 @@ impl Plan {
                     self.skipped
                         .push(self.skipped_row(relative, "", "", reason));
                 }
+                Err(NoMotion::NotAskedFor(reason)) => {
+                    self.skipped
+                        .push(self.skipped_row(relative, "", "", reason));
+                    self.notes.left_out.push(whole(relative));
+                }
                 Err(NoMotion::Rejected(why)) => {
                     self.rejected.push(self.rejected_row(relative, "", why));
+                    self.notes.left_out.push(whole(relative));
                 }
             }
         }
@@ -351,7 +354,7 @@ impl Plan {
         match recognise(Path::new(relative), &source.head) {
             Recognised::NotMotion { reason } => Err(NoMotion::Skipped(reason)),
             Recognised::Motion(format) if options.format.is_some_and(|only| only != format) => {
-                Err(NoMotion::Skipped(not_asked_for(format)))
+                Err(NoMotion::NotAskedFor(not_asked_for(format)))
             }
             Recognised::Motion(format) => {
                 let keys = keys_of(format, &self.files, relative, &options.read);
@@ -588,6 +591,7 @@ impl Plan {
 /// Why a file gives no motion.
 enum NoMotion {
     Skipped(String),
+    NotAskedFor(String),
     Rejected(Rejected),
 }
 

@@ -10,7 +10,7 @@ use formats::source::labels::names_beside;
 
 use super::identity::key_of;
 use super::inputs;
-use super::list::{Source, path_of};
+use super::list::{Source, labelled, path_of};
 use super::plan::Plan;
 use super::recorded::Recorded;
 use super::shard::PIECE_STAGE;
@@ -18,7 +18,8 @@ use super::sources::below;
 
 /// Whether a rejection says nothing about the content of an item, which may be readable next time.
 pub(super) fn is_passing(row: &QuarantineRow) -> bool {
-    row.stage == PIECE_STAGE || matches!(row.code.as_str(), "E-IO" | "E-INTERNAL" | DAMAGED)
+    let codes = ["E-IO", "E-INTERNAL", "E-LFS-POINTER", DAMAGED];
+    row.stage == PIECE_STAGE || codes.contains(&row.code.as_str())
 }
 
 /// A recorded file that lies in a folder or an archive that cannot be read now.
@@ -43,13 +44,15 @@ impl Plan {
         unread.map(|item| item.id.as_str()).collect()
     }
 
-    /// Whether a file, or a motion of it, could not be read while planning.
-    pub(super) fn is_unread(&self, path: &str) -> bool {
-        let mut passing = self.rejected.iter().filter(|row| is_passing(row));
-        passing.any(|row| {
-            let key = row.path.strip_prefix(path);
-            key.is_some_and(|key| key.is_empty() || key.starts_with('#'))
-        })
+    /// The files that could not be read while planning, or a motion of which could not.
+    pub(super) fn unread_files(&self) -> BTreeSet<&str> {
+        let passing = self.rejected.iter().filter(|row| is_passing(row));
+        let files = passing.flat_map(|row| {
+            let path = row.path.as_str();
+            let ends = path.match_indices('#').map(|(end, _)| &path[..end]);
+            ends.chain([path])
+        });
+        files.collect()
     }
 
     /// The folder or archive around a path that cannot be read now.
@@ -69,7 +72,8 @@ impl Plan {
     /// these labels.
     pub(super) fn keep_described(&mut self, recorded: &Recorded) {
         let mut sources = self.sources.values();
-        if self.notes.unlisted.is_empty() && sources.all(|source| source.hash.is_ok()) {
+        let is_all_read = sources.all(|source| source.hash.is_ok());
+        if self.notes.unlisted.is_empty() && is_all_read && !self.rejected.iter().any(is_passing) {
             return;
         }
         let described = self.described(recorded);
@@ -98,16 +102,18 @@ impl Plan {
 
     /// Notes the labels of folders that cannot be used, and names in them that no motion has, read in this run or not.
     pub(super) fn note_label_problems(&mut self, recorded: &Recorded) {
-        // No item of this run need give a clip that stays.
-        let staying = recorded.clips.iter();
-        let staying = staying.filter(|clip| self.notes.staying.contains(&clip.path));
+        let mut left_out = std::mem::take(&mut self.notes.left_out);
+        // Labels may name clips that stay although no item of this run gives them.
+        let staying = recorded.clips.iter().filter(|clip| {
+            let source = &recorded.sources[clip.source].name;
+            !self.is_of_run(source, &clip.path)
+        });
         let staying = staying.map(|clip| Entry {
             file: clip.path.clone(),
             id: clip.id.to_string(),
             key: key_of(clip.id.as_str()).to_owned(),
             ..Entry::default()
         });
-        let mut left_out = std::mem::take(&mut self.notes.left_out);
         left_out.extend(staying);
         let entries = self.items.iter().map(|item| &item.entry);
         let entries = entries.chain(&left_out);
@@ -124,6 +130,8 @@ impl Plan {
         let of_source: BTreeMap<usize, &str> =
             hidden.iter().map(|file| (file.of, file.place)).collect();
         let of_single = self.hidden_inputs(recorded, &hidden);
+        let passing = self.rejected.iter().filter(|row| is_passing(row));
+        let passing: BTreeSet<&str> = passing.map(|row| row.path.as_str()).collect();
         let releases = self.releases.iter();
         let of_release: Vec<_> = releases
             .map(|(_, release)| inputs::files_of_release(release.contents()))
@@ -155,7 +163,7 @@ impl Plan {
                 }
                 None => {
                     let hidden = of_single.get(file).copied();
-                    hidden.or_else(|| self.unread_beside(file))
+                    hidden.or_else(|| self.unread_beside(file, &passing))
                 }
             };
             described.extend(place.map(|place| (clip, place.to_owned())));
@@ -222,15 +230,14 @@ impl Plan {
             .collect()
     }
 
-    /// A label file beside a motion that cannot be read now.
-    fn unread_beside(&self, file: &str) -> Option<&str> {
-        let path = Path::new(file);
-        let names = names_beside(path).into_iter();
-        let mut beside = names.filter_map(|name| {
-            let place = path.with_file_name(name);
-            self.sources.get_key_value(place.to_str()?)
-        });
-        let unread = beside.find(|(_, source)| source.hash.is_err());
+    /// A label file beside a motion that cannot be read now; `passing` are the rejected files of [`is_passing`].
+    fn unread_beside(&self, file: &str, passing: &BTreeSet<&str>) -> Option<&str> {
+        let folder = file.rsplit_once('/').map_or("", |(folder, _)| folder);
+        let names = names_beside(Path::new(file)).into_iter();
+        let mut beside =
+            names.filter_map(|name| self.sources.get_key_value(&labelled(folder, &name)));
+        let unread =
+            beside.find(|(name, source)| source.hash.is_err() || passing.contains(name.as_str()));
         unread.map(|(name, _)| name.as_str())
     }
 

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use super::pattern::{is_pattern, matches};
 use super::{csv_file, license_text, toml_file};
 use crate::sidecar::{Content, Sidecar};
+use crate::source::head::refuse_pointer;
 use crate::source::{Entry, Files, text_of_name};
 use clip::{LabelProblem, Rejected};
 use datasets_spec::Split;
@@ -152,7 +153,11 @@ impl FolderLabels {
             self.problems.push(problem);
             return;
         }
-        let bytes = match files.read_beside(path) {
+        let read = files.read_beside(path).and_then(|bytes| {
+            bytes.as_deref().map_or(Ok(()), refuse_pointer)?;
+            Ok(bytes)
+        });
+        let bytes = match read {
             Ok(Some(bytes)) => bytes,
             Ok(None) => return,
             Err(rejected) => {

@@ -50,12 +50,9 @@ pub fn attach(
     let captions_name = format!("{stem}.txt");
     if let Some(bytes) = companions(&captions_name) {
         let (captions, problem) = captions_beside(&bytes);
-        let file = path.with_file_name(&captions_name);
-        clip.label_problems
-            .extend(problem.map(|reason| LabelProblem {
-                file: file.to_string_lossy().into_owned(),
-                reason,
-            }));
+        let file = beside(path, &captions_name);
+        let problem = problem.map(|reason| LabelProblem { file, reason });
+        clip.label_problems.extend(problem);
         let captions = captions.into_iter().map(Into::into).collect();
         take_captions(&mut clip, captions);
     }
@@ -147,13 +144,22 @@ pub fn stated(
     stated
 }
 
+/// The path of a file beside a motion. Paths of sources have `/` on every system.
+fn beside(path: &Path, name: &str) -> String {
+    let path = path.to_string_lossy();
+    match path.rsplit_once('/') {
+        Some((folder, _)) => format!("{folder}/{name}"),
+        None => name.to_owned(),
+    }
+}
+
 /// The sidecar of a motion file, empty if there is none or if it cannot be used.
 fn sidecar(path: &Path, companions: &Companions<'_>) -> (Sidecar, Vec<LabelProblem>) {
     let name = format!("{}{}", stem_of(path), Sidecar::SUFFIX);
     let Some(bytes) = companions(&name) else {
         return Default::default();
     };
-    let file = path.with_file_name(&name).to_string_lossy().into_owned();
+    let file = beside(path, &name);
     let mut reasons = Vec::new();
     let parsed = refuse_pointer(&bytes).map_err(|rejected| rejected.reason);
     let parsed = parsed.and_then(|()| {
