@@ -58,7 +58,7 @@ pub(super) fn ask_drafts(
     }
     if done.pairs_without_parts > 0 {
         lines.push(format!(
-            "  {} pairs have no part to describe until a person names it, and then asks for a draft on the screen of the pair",
+            "  {} pairs have no part to describe yet; who names one can ask for a draft on the screen of the pair",
             done.pairs_without_parts
         ));
     }

@@ -19,7 +19,7 @@ use crate::wire::{Answer, Extent, TaskKind};
 /// Facts of the manifest that name the store and the point in its log that the tables were exported from.
 const STORE_FACT: &str = "annotate_store";
 const SEQ_FACT: &str = "annotate_seq";
-/// Fact of the manifest with the splits of the last export, separated by spaces; missing or empty for all splits.
+/// Fact of the manifest with the splits that this store has exported, separated by spaces; missing or empty for all.
 const SPLITS_FACT: &str = "annotate_splits";
 
 /// Masks of accepted answers by the id of their motion, each with the sequence number of the acceptance.
@@ -75,8 +75,9 @@ impl Exporter<'_> {
             let rejected = serde_json::to_string(&rejected).expect("texts serialise");
             facts.insert(REJECTED_PAIRS_FACT.to_owned(), rejected);
         }
-        if !self.splits.is_empty() || manifest.facts.contains_key(SPLITS_FACT) {
-            facts.insert(SPLITS_FACT.to_owned(), self.splits.join(" "));
+        let splits = self.written_splits(&manifest.facts);
+        if !splits.is_empty() || manifest.facts.contains_key(SPLITS_FACT) {
+            facts.insert(SPLITS_FACT.to_owned(), splits);
         }
         transaction.commit(Commit {
             tables,
@@ -86,6 +87,23 @@ impl Exporter<'_> {
             ..Commit::default()
         })?;
         Ok(())
+    }
+
+    /// The splits of this export and of those of this store before it, back to the last export of another store; empty
+    /// for all splits.
+    fn written_splits(&self, facts: &BTreeMap<String, String>) -> String {
+        let is_own = facts.get(STORE_FACT) == Some(&self.done.store);
+        let before = facts.get(SPLITS_FACT).map_or("", String::as_str);
+        if self.splits.is_empty() || (is_own && before.is_empty()) {
+            return String::new();
+        }
+        let before = before
+            .split(' ')
+            .filter(|split| is_own && !split.is_empty());
+        let all: BTreeSet<&str> = before
+            .chain(self.splits.iter().map(String::as_str))
+            .collect();
+        Vec::from_iter(all).join(" ")
     }
 
     /// The rows of all accepted answers. Two tasks may be about one clip that got another id, or, in a store of an
@@ -281,10 +299,9 @@ fn clips_of(dataset: &Dataset) -> Result<Clips, Error> {
     for (path, _) in dataset.files(MotionRow::TABLE, None) {
         let ids: Vec<MotionId> = read_column::<MotionRow, _>(&path, "id")?;
         let splits: Vec<Split> = read_column::<MotionRow, _>(&path, "split")?;
-        let frames: Vec<i32> = read_column::<MotionRow, _>(&path, "n_frames")?;
+        let hashes: Vec<String> = read_column::<MotionRow, _>(&path, "content_hash")?;
         let ids = ids.into_iter().map(|id| id.to_string());
-        let frames = frames.into_iter().map(i64::from);
-        clips.extend(ids.zip(splits.into_iter().zip(frames)));
+        clips.extend(ids.zip(splits.into_iter().zip(hashes)));
     }
     Ok(clips)
 }

@@ -47,8 +47,8 @@ pub(super) const STAMP: &str = "export.json";
 /// Characters of the store's id in a pseudonym.
 const STORE_CHARS: usize = 6;
 
-/// Clips of a dataset by their ids: the split and the number of frames.
-pub(super) type Clips = BTreeMap<String, (Split, i64)>;
+/// Clips of a dataset by their ids: the split and the content hash.
+pub(super) type Clips = BTreeMap<String, (Split, String)>;
 
 pub(super) struct Exporter<'a> {
     pub(super) store: &'a Store,
@@ -59,6 +59,8 @@ pub(super) struct Exporter<'a> {
     motions: BTreeMap<String, MotionRecord>,
     /// Ids of clips with answers that `clips` lacks.
     gone: BTreeSet<String>,
+    /// Ids of clips with answers that have another content in `clips`.
+    other: BTreeSet<String>,
     /// Keys of tasks whose two clips are in different splits.
     across: BTreeSet<String>,
     pub(super) done: Exported,
@@ -73,6 +75,7 @@ impl<'a> Exporter<'a> {
             clips: None,
             motions: BTreeMap::new(),
             gone: BTreeSet::new(),
+            other: BTreeSet::new(),
             across: BTreeSet::new(),
             done: Exported {
                 store: store.id()?,
@@ -91,6 +94,15 @@ impl<'a> Exporter<'a> {
                  left out and stay in the project"
             );
             self.done.count("clips_gone", count);
+            self.done.messages.push(message);
+        }
+        if let Some(first) = self.other.first() {
+            let count = self.other.len();
+            let message = format!(
+                "{count} clips with accepted answers have another content in the dataset than in the project, for \
+                 example {first}; these answers are left out: import the dataset first (stance annotate DATASET import)"
+            );
+            self.done.count("clips_of_other_content", count);
             self.done.messages.push(message);
         }
         if let Some(first) = self.across.first() {
@@ -232,14 +244,18 @@ impl<'a> Exporter<'a> {
         self.motions.clear();
         for mut motion in self.store.motions(hashes.into_iter().cloned().collect())? {
             if let Some(clips) = &self.clips {
-                let Some((split, frames)) = clips.get(&motion.id) else {
+                let Some((split, hash)) = clips.get(&motion.id) else {
                     if self.wanted(&motion.split) {
                         self.gone.insert(motion.id);
                     }
                     continue;
                 };
-                // The range of a mask must fit the clip that people saw and the one that is there now.
-                motion.frames = motion.frames.min(*frames);
+                if *hash != motion.hash {
+                    if self.wanted(split.as_str()) {
+                        self.other.insert(motion.id);
+                    }
+                    continue;
+                }
                 motion.split = split.to_string();
             }
             self.motions.insert(motion.hash.clone(), motion);

@@ -24,8 +24,8 @@ use crate::transfer::tables::AnnotationRow;
 use crate::wire::{ExportFormat, ExportRequest};
 
 /// Exports accepted answers from a snapshot of the store. The files are written to `folder`. Layout `dataset` instead
-/// writes the tables `masks` and `pairs` of the dataset in one commit, under the dataset's lock. Splits and ids are
-/// those of the dataset, for files those of its last import. Pairs whose clips are in two splits are left out and counted.
+/// writes the tables `masks` and `pairs` of the dataset in one commit, under the dataset's lock. Splits are those of the
+/// dataset, for files those of its last import. Pairs whose clips are in two splits are left out and counted.
 ///
 /// The sequence number of the snapshot is in [`Exported::seq`], and in the file `export.json` beside the files or, for
 /// layout `dataset`, in the facts of the manifest.
