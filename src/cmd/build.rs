@@ -156,8 +156,12 @@ fn exported(
                 .with_context(|| format!("stage export {name}"))?;
         }
         if hashes.get(name) != Some(root_hash) {
+            let found = match hashes.contains_key(name) {
+                true => "is not an export of the dataset as it is now",
+                false => "is in no record of exports, and may be of another dataset",
+            };
             bail!(
-                "{} is not recorded as an export of the dataset as it is now; move it away, and the same command exports it again",
+                "{} {found}; move it away, and the same command exports it again",
                 out.display()
             );
         }

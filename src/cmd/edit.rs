@@ -396,7 +396,6 @@ fn interactive(args: &Args, path: &Path, global: &Global) -> anyhow::Result<Exit
             // An edit may have another number of frames than the motion before it.
             let asked = whole(text, &history.current()?);
             session.edit(&mut history, vec![asked])?;
-            session.save(&history)?;
         }
         session.save(&history)?;
     }

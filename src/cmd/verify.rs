@@ -75,7 +75,9 @@ fn text(verification: &Verification) -> String {
         text += &format!("{:<12} {verdict}\n", check.name());
         text += &listing(&found);
         if check == Check::Splits && !found.is_empty() {
-            text += &format!("  give the clips of one recording one split: {GIVE_SPLITS}\n");
+            text += &format!(
+                "  if clips of one recording are in several splits, give them one: {GIVE_SPLITS}\n"
+            );
         }
     }
     if !verification.duplicates.is_empty() {

@@ -65,7 +65,7 @@ fn one_file_builds_a_dataset_with_pairs_and_the_layout_of_the_release() {
     folder.run(&format!("corpus --clips {more} --out @more"));
     let more = format!("corpus={}", folder.path("more").display());
     let grown = || folder.typed_with("build --config @build.toml --sources", &[&more]);
-    grown().expect_refused("is not recorded as an export of the dataset as it is now");
+    grown().expect_refused("is not an export of the dataset as it is now");
     fs::rename(folder.path("built/stance"), folder.path("before")).expect("moved");
     grown().expect_code(0);
     grown().expect_code(0);

@@ -105,6 +105,18 @@ fn a_plan_whose_results_would_replace_each_other_is_refused() {
     ] {
         begun(results).expect_refused(said);
     }
+    // What a system cannot use is refused before anything is trained.
+    for (settings, said) in [
+        ("model = \"tmr\"", "is of model tmr, which edits no motions"),
+        (
+            "model = \"nearest\"\nposes = true",
+            "uses no coordinator and no pose network",
+        ),
+    ] {
+        folder.put("plan.toml", format!("{plan}{settings}\n{}", table("main")));
+        let ran = folder.typed("reproduce @plan.toml --dry-run");
+        ran.expect_refused(said);
+    }
     for results in [
         [table("main"), table("1")],
         // Drawings of figures have the names of their metrics, so a picture may have the name of a figure.

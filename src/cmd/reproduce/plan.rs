@@ -283,6 +283,17 @@ impl Plan {
                 );
             }
         }
+        for system in &self.systems {
+            let (name, model) = (&system.name, &system.model);
+            if registry::model(model).is_some_and(|kind| kind.open.is_none()) {
+                bail!("system {name:?} is of model {model}, which edits no motions");
+            }
+            if (system.coordinator || system.poses) && model != EDITOR {
+                bail!(
+                    "system {name:?} is of model {model}, which uses no coordinator and no pose network; leave both out"
+                );
+            }
+        }
         let own = self.systems.iter().flat_map(|system| &system.train_seeds);
         for seeds in own.chain([&self.train_seeds]) {
             if seeds.len() > MOST_TRAININGS {
