@@ -134,6 +134,14 @@ impl Error {
     }
 }
 
+/// Refuses a field with `invalid` unless a condition holds.
+pub(crate) fn require(holds: bool, field: &str, problem: impl Into<String>) -> Result<(), Error> {
+    if holds {
+        return Ok(());
+    }
+    Err(Error::invalid(field, problem))
+}
+
 impl Problem {
     /// A problem with the HTTP status and title of its code.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {

@@ -5,11 +5,11 @@ use super::entry::{Body, Entry};
 use super::leases::{MINUTE, Turn};
 use super::log::{self, Request};
 use super::records::{Millis, TaskRecord};
-use super::settings::{has_up_to, require};
+use super::settings::has_up_to;
 use super::store::Store;
 use super::{apply, project, read, rows, rules};
-use crate::Error;
 use crate::answer;
+use crate::error::{Error, require};
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
     Answer, Code, EventKind, EventResult, Feedback, Lease, MAX_TEXT_CHARS, NewEvent, Problem,

@@ -8,11 +8,10 @@ use datasets_spec::MotionId;
 use super::db::{Result, Tx, json, params};
 use super::entry::Body;
 use super::records::Millis;
-use super::settings::require;
 use super::store::Store;
 use super::{log, project};
-use crate::Error;
 use crate::answer::check_style_name;
+use crate::error::{Error, require};
 use crate::wire::{Answer, CaptureCell, Captures, PlannedCapture, Settings, TaskState, Verdict};
 
 /// Name under which table `setting` holds the plan.

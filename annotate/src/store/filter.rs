@@ -1,8 +1,8 @@
 //! Filters of tasks, as conditions in SQL.
 
 use super::db::{Result, ToSql};
-use super::settings::{has_up_to, require};
-use crate::Error;
+use super::settings::has_up_to;
+use crate::error::{Error, require};
 use crate::wire::{SkipFilter, TaskFilter};
 
 /// Parameters of a query under construction.

@@ -7,8 +7,8 @@ use super::apply::apply;
 use super::db::{Result, Tx, json, params, unreadable};
 use super::entry::{Body, Entry, VERSION};
 use super::records::Millis;
-use super::settings::{is_word, require};
-use crate::Error;
+use super::settings::is_word;
+use crate::error::{Error, require};
 use crate::wire::Code;
 
 /// [`write`] for an entry that belongs to no lease.

@@ -6,10 +6,10 @@ use sha2::{Digest, Sha256};
 use super::db::{Result, Tx, params};
 use super::entry::Body;
 use super::records::{IssuedToken, Millis, TokenUse, Who};
-use super::settings::{has_up_to, require};
+use super::settings::has_up_to;
 use super::store::Store;
 use super::{leases, log, rows};
-use crate::Error;
+use crate::error::{Error, require};
 use crate::state::ReleaseReason;
 use crate::wire::{Code, Role, TokenInfo, User};
 

@@ -7,9 +7,9 @@ use super::db::{Result, Tx, params, unreadable};
 use super::entry::Body;
 use super::log;
 use super::records::Millis;
-use super::settings::{check_picture_name, require};
+use super::settings::check_picture_name;
 use super::store::Store;
-use crate::Error;
+use crate::error::{Error, require};
 use crate::wire::{MAX_PICTURE_BYTES, PictureInfo};
 
 /// Maximum number of pictures.

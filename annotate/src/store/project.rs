@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use super::db::{Params, Result, Tx, json, params};
 use super::entry::{Body, read_stored};
 use super::records::{Millis, MotionRecord, NewSuggestion};
-use super::settings::{check, is_name, require};
+use super::settings::{check, is_name};
 use super::store::Store;
 use super::{log, rows};
-use crate::Error;
+use crate::error::{Error, require};
 use crate::wire::{
     Action, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Style, Suggestion, TaskState,
 };

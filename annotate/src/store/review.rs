@@ -6,11 +6,11 @@ use super::entry::{Body, Entry};
 use super::leases::Turn;
 use super::log::Request;
 use super::records::{Millis, ReviewDetail, TaskRecord};
-use super::settings::{has_up_to, require};
+use super::settings::has_up_to;
 use super::store::Store;
 use super::{apply, project, rows};
-use crate::Error;
 use crate::answer;
+use crate::error::{Error, require};
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
     Code, Decision, MAX_TEXT_CHARS, NewReview, ReviewDone, ReviewEmpty, ReviewQueue, Revision,

@@ -1,7 +1,7 @@
 //! Checks of new settings.
 
 use super::db::Result;
-use crate::Error;
+use crate::error::require;
 use crate::wire::{
     MAX_GUIDELINE_CHARS, MAX_MASKS, MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style,
 };
@@ -14,14 +14,6 @@ const MAX_QUOTA: u32 = 10_000_000;
 const WEEK: u32 = 7 * 24 * 60;
 /// Maximum number of styles. Published datasets have about a hundred.
 const MAX_STYLES: usize = 2_000;
-
-/// Refuses a field unless a condition holds.
-pub(super) fn require(holds: bool, field: &str, problem: impl Into<String>) -> Result<()> {
-    if holds {
-        return Ok(());
-    }
-    Err(Error::invalid(field, problem))
-}
 
 /// Checks the numbers, names, time zone, rules and guides of new settings.
 pub(super) fn check(settings: &Settings) -> Result<()> {
