@@ -181,9 +181,14 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// SHA-256 of a token, hexadecimal.
+/// SHA-256, hexadecimal.
+pub(crate) fn sha256(bytes: &[u8]) -> String {
+    hex(&Sha256::digest(bytes))
+}
+
+/// The hash by which a token is stored.
 fn hash(token: &str) -> String {
-    hex(&Sha256::digest(token.trim().as_bytes()))
+    sha256(token.trim().as_bytes())
 }
 
 /// Random bytes, hexadecimal.
