@@ -175,13 +175,11 @@ fn check_mask_count(
     if is_asked_for || reason.is_some() {
         return Ok(());
     }
-    Err(Error::refused(
-        Code::MaskCount,
-        format!(
-            "{count} masks where {} to {} are asked for; add or delete some, or choose a reason",
-            settings.min_masks, settings.max_masks
-        ),
-    ))
+    let problem = format!(
+        "{count} masks where {} to {} are asked for; add or delete some, or choose a reason",
+        settings.min_masks, settings.max_masks
+    );
+    Err(Error::refused(Code::MaskCount, problem))
 }
 
 /// Checks the name of a style: one of the project's, or a new one that differs from those in more than capital letters.
@@ -195,13 +193,11 @@ pub(crate) fn check_style_name(style: &str, settings: &Settings) -> Result<(), E
     if !settings.has_style(style)
         && let Some(known) = settings.styles.iter().find(alike)
     {
-        return Err(Error::invalid(
-            "answer.style",
-            format!(
-                "{style:?} differs from the style {:?} in capital letters alone; choose that one",
-                known.name
-            ),
-        ));
+        let problem = format!(
+            "{style:?} differs from the style {:?} in capital letters alone; choose that one",
+            known.name
+        );
+        return Err(Error::invalid("answer.style", problem));
     }
     Ok(())
 }

@@ -38,10 +38,8 @@ const SYSTEM: &str =
 
 /// A failure of the model. Its own error text is not passed on: it could contain the key.
 fn failed(problem: &str) -> Error {
-    Error::refused(
-        Code::ModelFailed,
-        format!("the language model {problem}; write the text yourself or ask again"),
-    )
+    let problem = format!("the language model {problem}; write the text yourself or ask again");
+    Error::refused(Code::ModelFailed, problem)
 }
 
 impl Model {

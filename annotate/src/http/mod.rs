@@ -279,13 +279,11 @@ async fn within<T>(
 ) -> Result<T, Error> {
     let ended = tokio::time::timeout(patience, work).await;
     ended.unwrap_or_else(|_| {
-        Err(Error::refused(
-            Code::Timeout,
-            format!(
-                "{what} took more than {} seconds; send it again: a request with a key takes effect only once",
-                patience.as_secs_f64()
-            ),
-        ))
+        let problem = format!(
+            "{what} took more than {} seconds; send it again: a request with a key takes effect only once",
+            patience.as_secs_f64()
+        );
+        Err(Error::refused(Code::Timeout, problem))
     })
 }
 
@@ -346,10 +344,8 @@ async fn read_body(body: Body, limit: usize) -> Result<Bytes, Error> {
         }
     }
     if total > limit {
-        return Err(Error::refused(
-            Code::TooLarge,
-            format!("the body exceeds {limit} bytes; send less at a time"),
-        ));
+        let problem = format!("the body exceeds {limit} bytes; send less at a time");
+        return Err(Error::refused(Code::TooLarge, problem));
     }
     Ok(bytes.into())
 }
@@ -371,10 +367,8 @@ fn admit(
     let (token, purpose) = credential(app, headers)?;
     let who = app.store.authenticate(&token, &[purpose], app.now())?;
     if who.role < needed {
-        return Err(Error::refused(
-            Code::Forbidden,
-            format!("this requires the role {needed}, yours is {}", who.role),
-        ));
+        let problem = format!("this requires the role {needed}, yours is {}", who.role);
+        return Err(Error::refused(Code::Forbidden, problem));
     }
     Ok(Some(who))
 }
@@ -392,21 +386,18 @@ fn check_host(headers: &HeaderMap, hosts: &[String]) -> Result<(), Error> {
     if is_own {
         return Ok(());
     }
-    Err(Error::refused(
-        Code::WrongHost,
-        format!(
-            "{name:?} is no name of this server; whoever runs it names it with --host if it should be one"
-        ),
-    ))
+    let problem = format!(
+        "{name:?} is no name of this server; whoever runs it names it with --host if it should be one"
+    );
+    Err(Error::refused(Code::WrongHost, problem))
 }
 
 /// Checks that a changing request with a cookie comes from the page itself (CSRF protection).
 fn check_own(app: &App, headers: &HeaderMap) -> Result<(), Error> {
     if text(headers, &HeaderName::from_static("x-annotate")) != Some("1") {
-        return Err(Error::refused(
-            Code::Csrf,
-            "requests that change something need the header X-Annotate: 1, or a bearer token",
-        ));
+        let problem =
+            "requests that change something need the header X-Annotate: 1, or a bearer token";
+        return Err(Error::refused(Code::Csrf, problem));
     }
     let scheme = if app.config.secure { "https" } else { "http" };
     let own = text(headers, &header::HOST).map(|host| format!("{scheme}://{host}"));

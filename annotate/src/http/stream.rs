@@ -53,10 +53,8 @@ pub(super) fn open(cx: &Context) -> Result<Response, Error> {
     let app = Arc::clone(&cx.app);
     let login = credential(&app, &cx.headers)?;
     if app.last_seq.receiver_count() >= LISTENERS {
-        return Err(Error::refused(
-            Code::RateLimited,
-            format!("{LISTENERS} pages are already connected; reload later"),
-        ));
+        let problem = format!("{LISTENERS} pages are already connected; reload later");
+        return Err(Error::refused(Code::RateLimited, problem));
     }
     let newest = app.store.last_seq()?;
     let from = text(&cx.headers, &HeaderName::from_static("last-event-id"));

@@ -326,21 +326,16 @@ fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Resu
         params![hash],
     )?;
     let fits = |found: &Found| purposes.contains(&found.purpose) && found.expires > now;
-    found.filter(fits).ok_or_else(|| {
-        Error::refused(
-            Code::Unauthenticated,
-            "this token is unknown, revoked or expired; ask an admin for a new one",
-        )
-    })
+    let problem = "this token is unknown, revoked or expired; ask an admin for a new one";
+    let found = found.filter(fits);
+    found.ok_or_else(|| Error::refused(Code::Unauthenticated, problem))
 }
 
 /// Like [`find`], but also records the use. A one-time token becomes invalid.
 fn used(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
     let found = find(tx, hash, purposes, now)?;
     let sql = "UPDATE token SET last_used = ?2, revoked = ?3 WHERE id = ?1";
-    tx.run(
-        sql,
-        params![found.token, now, found.purpose == TokenUse::Once],
-    )?;
+    let is_over = found.purpose == TokenUse::Once;
+    tx.run(sql, params![found.token, now, is_over])?;
     Ok(found.who)
 }

@@ -109,23 +109,17 @@ pub(super) fn suggest(cx: &Context) -> Result<Response, Error> {
     let request: SuggestRequest = cx.body()?;
     let who = cx.who()?;
     let Some(model) = &cx.app.config.model else {
-        return Err(Error::refused(
-            Code::NoModel,
-            "no language model is configured; write the text yourself",
-        ));
+        let problem = "no language model is configured; write the text yourself";
+        return Err(Error::refused(Code::NoModel, problem));
     };
     let detail = cx.store().task(who, cx.id()?)?;
     if detail.lease.is_none() {
-        return Err(Error::refused(
-            Code::LeaseLost,
-            "you hold no lease on this task",
-        ));
+        let problem = "you hold no lease on this task";
+        return Err(Error::refused(Code::LeaseLost, problem));
     }
     if detail.blind {
-        return Err(Error::wrong_state(
-            detail.task.state,
-            "given a draft: its drafts are withheld",
-        ));
+        let problem = "given a draft: its drafts are withheld";
+        return Err(Error::wrong_state(detail.task.state, problem));
     }
     let parts = known_parts(&request.parts);
     let are_known = !parts.is_empty() && parts.len() == request.parts.len();
@@ -134,10 +128,9 @@ pub(super) fn suggest(cx: &Context) -> Result<Response, Error> {
     let (who, limiter) = (who.id.to_string(), &cx.app.limiter);
     limiter.count("suggestions", &who, MAX_REQUESTS_PER_MINUTE, cx.now)?;
     let suggestion = model.suggest(cx.store(), &detail.task, &parts)?;
-    let kept = cx
-        .store()
-        .put_suggestion(detail.task.id, suggestion, cx.now)?;
-    json(&shown(kept, detail.task.kind))
+    let task = &detail.task;
+    let kept = cx.store().put_suggestion(task.id, suggestion, cx.now)?;
+    json(&shown(kept, task.kind))
 }
 
 pub(super) fn make_gold(cx: &Context) -> Result<Response, Error> {
