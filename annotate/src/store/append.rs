@@ -281,12 +281,8 @@ impl Taking<'_> {
     fn skip(&self, tx: &mut dyn Tx) -> Result<EventResult> {
         let event = self.event;
         let postponed = event.kind == EventKind::Postpone;
-        let has_reason = postponed || event.reason.is_some();
-        require(
-            has_reason,
-            "reason",
-            "choose a reason for skipping the task",
-        )?;
+        let problem = "choose a reason for skipping the task";
+        require(postponed || event.reason.is_some(), "reason", problem)?;
         let problem = "your lease on this task expired; there is nothing to skip";
         let held = self.held(tx)?;
         let held = held.ok_or_else(|| Error::refused(Code::LeaseLost, problem))?;

@@ -194,12 +194,10 @@ fn hash(token: &str) -> String {
 /// Random bytes, hexadecimal.
 pub(super) fn random<const BYTES: usize>() -> Result<String> {
     let mut bytes = [0; BYTES];
+    let source = "the operating system";
     getrandom::fill(&mut bytes)
         .map_err(|error| std::io::Error::other(error.to_string()))
-        .map_err(datasets_spec::Error::io(
-            "read random bytes from",
-            "the operating system",
-        ))?;
+        .map_err(datasets_spec::Error::io("read random bytes from", source))?;
     Ok(hex(&bytes))
 }
 
@@ -221,17 +219,12 @@ fn logged(tx: &mut dyn Tx, actor: Option<i64>, user: &User, now: Millis) -> Resu
 
 fn add(tx: &mut dyn Tx, actor: Option<i64>, name: &str, role: Role, now: Millis) -> Result<User> {
     let name = name.trim();
-    let bad = |c: char| c.is_control();
-    require(
-        !name.is_empty() && has_up_to(name, 64) && !name.chars().any(bad),
-        "name",
-        "a name must have 1 to 64 characters and no control characters",
-    )?;
-    require(
-        !tx.has("SELECT 1 FROM usr WHERE name = ?1", params![name])?,
-        "name",
-        format!("there is a user {name:?} already; choose another name"),
-    )?;
+    let is_name = !name.is_empty() && has_up_to(name, 64) && !name.contains(char::is_control);
+    let problem = "a name must have 1 to 64 characters and no control characters";
+    require(is_name, "name", problem)?;
+    let is_taken = tx.has("SELECT 1 FROM usr WHERE name = ?1", params![name])?;
+    let problem = format!("there is a user {name:?} already; choose another name");
+    require(!is_taken, "name", problem)?;
     let id = tx.next_id("usr")?;
     let sql = "INSERT INTO usr (id, name, role, active, created) VALUES (?1, ?2, ?3, 1, ?4)";
     tx.run(sql, params![id, name, role, now])?;
@@ -300,11 +293,9 @@ fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
         };
         users.push((number, name, role));
     }
-    require(
-        (1..=MAX_LINES).contains(&users.len()),
-        "lines",
-        format!("write 1 to {MAX_LINES} lines, each a name or NAME,ROLE"),
-    )?;
+    let fits = (1..=MAX_LINES).contains(&users.len());
+    let problem = format!("write 1 to {MAX_LINES} lines, each a name or NAME,ROLE");
+    require(fits, "lines", problem)?;
     Ok(users)
 }
 

@@ -345,10 +345,7 @@ pub(super) fn comment(text: &str, is_needed: bool, readers: &str) -> Result<Stri
     let comment = text.trim().to_owned();
     let is_short = has_up_to(&comment, MAX_TEXT_CHARS);
     require(is_short, "comment", "the comment is too long")?;
-    require(
-        !is_needed || !comment.is_empty(),
-        "comment",
-        format!("write a comment; the {readers} and the log need it"),
-    )?;
+    let problem = format!("write a comment; the {readers} and the log need it");
+    require(!is_needed || !comment.is_empty(), "comment", problem)?;
     Ok(comment)
 }
