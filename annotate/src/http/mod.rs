@@ -251,23 +251,16 @@ async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Respon
         let problem = error.problem();
         match problem.code {
             Code::Internal => {
-                (app.config.log)(&format!(
-                    "{} {}: {}",
-                    route.method,
-                    route.path,
-                    error.full()
-                ));
+                let (method, path) = (route.method, route.path);
+                (app.config.log)(&format!("{method} {path}: {}", error.full()));
             }
             Code::ReadOnly => *lock(&app.read_only) = Some(error.to_string()),
             _ => {}
         }
         problem_response(&problem)
     });
-    app.metrics.count(
-        (route.method, route.path),
-        response.status().as_u16(),
-        begun.elapsed(),
-    );
+    let (name, status) = ((route.method, route.path), response.status().as_u16());
+    app.metrics.count(name, status, begun.elapsed());
     response
 }
 

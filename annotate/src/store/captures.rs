@@ -63,10 +63,8 @@ fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<()> {
         } = cell;
         let refuse = |field: &str, problem: String| {
             let place = format!("cells.{index}.{field}");
-            Err(Error::invalid(
-                &place,
-                format!("{motion:?} in style {style:?}: {problem}"),
-            ))
+            let problem = format!("{motion:?} in style {style:?}: {problem}");
+            Err(Error::invalid(&place, problem))
         };
         if let Err(error) = MotionId::parse(motion) {
             return refuse("motion", error.to_string());
@@ -83,10 +81,8 @@ fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<()> {
             return refuse("takes", format!("plan 1 to {MAX_TAKES} takes, not {takes}"));
         }
         if !places.insert((motion, style)) {
-            return refuse(
-                "motion",
-                "it is planned twice; write the sum of the takes once".to_owned(),
-            );
+            let problem = "it is planned twice; write the sum of the takes once";
+            return refuse("motion", problem.to_owned());
         }
     }
     Ok(())
