@@ -175,13 +175,10 @@ async fn accept(listener: TcpListener, router: axum::Router, patience: Duration)
         let Ok(place) = Arc::clone(&places).acquire_owned().await else {
             return;
         };
-        let (socket, peer) = match listener.accept().await {
-            Ok(accepted) => accepted,
-            Err(_) => {
-                // Most likely out of file descriptors: wait until some are closed.
-                tokio::time::sleep(Duration::from_millis(50)).await;
-                continue;
-            }
+        let Ok((socket, peer)) = listener.accept().await else {
+            // Most likely out of file descriptors: wait until some are closed.
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            continue;
         };
         let router = router.clone();
         tokio::spawn(async move {
@@ -195,14 +192,13 @@ async fn accept(listener: TcpListener, router: axum::Router, patience: Duration)
                     router.clone().call(request)
                 },
             );
-            let served = hyper::server::conn::http1::Builder::new()
+            // Ignore browsers that disconnect in mid-request.
+            let _served = hyper::server::conn::http1::Builder::new()
                 .timer(TokioTimer::new())
                 .header_read_timeout(patience)
                 .max_buf_size(64 * 1024)
                 .serve_connection(TokioIo::new(Socket::new(socket, patience)), service)
                 .await;
-            // Ignore browsers that disconnect in mid-request.
-            drop(served);
         });
     }
 }
@@ -358,7 +354,7 @@ fn admit(
         return Ok(None);
     };
     let (token, purpose) = credential(app, headers)?;
-    let who = app.store.authenticate(&token, &[purpose], app.now())?;
+    let who = app.store.authenticate(&token, purpose, app.now())?;
     if who.role < needed {
         let problem = format!("this requires the role {needed}, yours is {}", who.role);
         return Err(Error::refused(Code::Forbidden, problem));

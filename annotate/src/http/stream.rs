@@ -39,11 +39,8 @@ pub(super) async fn watch(app: Arc<App>) {
         let store = Arc::clone(&app.store);
         // Skip this poll if the store does not answer.
         if let Ok(seq) = blocking(move || store.last_seq()).await {
-            app.last_seq.send_if_modified(|known| {
-                let news = *known != seq;
-                *known = seq;
-                news
-            });
+            app.last_seq
+                .send_if_modified(|known| std::mem::replace(known, seq) != seq);
         }
     }
 }
@@ -92,7 +89,7 @@ async fn listen(
     loop {
         let (store, (token, purpose), now) = (Arc::clone(&app.store), login.clone(), app.now());
         let work = move || {
-            let who = store.recognise(&token, &[purpose], now)?;
+            let who = store.recognise(&token, purpose, now)?;
             changes(&store, &who, after)
         };
         let (seq, events) = blocking(work).await.ok()?;

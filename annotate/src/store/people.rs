@@ -112,21 +112,20 @@ impl Store {
 
     /// The user of a token, if it is valid for this purpose. A one-time token becomes invalid.
     /// Refused with `unauthenticated`.
-    pub fn authenticate(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
+    pub fn authenticate(&self, token: &str, purpose: TokenUse, now: Millis) -> Result<Who> {
         let hash = hash(token);
-        let found = self.read(|tx| find(tx, &hash, purposes, now))?;
+        let found = self.read(|tx| find(tx, &hash, &[purpose], now))?;
         let is_old = |at: Millis| now - at > NOTE_EVERY;
-        if found.purpose == TokenUse::Once || found.last_used.is_none_or(is_old) {
-            let purposes = purposes.to_vec();
-            return self.write(move |tx| used(tx, &hash, &purposes, now));
+        if purpose == TokenUse::Once || found.last_used.is_none_or(is_old) {
+            return self.write(move |tx| used(tx, &hash, &[purpose], now));
         }
         Ok(found.who)
     }
 
     /// [`Self::authenticate`] without a record of the use. Refused with `unauthenticated`.
-    pub fn recognise(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
+    pub fn recognise(&self, token: &str, purpose: TokenUse, now: Millis) -> Result<Who> {
         let hash = hash(token);
-        Ok(self.read(|tx| find(tx, &hash, purposes, now))?.who)
+        Ok(self.read(|tx| find(tx, &hash, &[purpose], now))?.who)
     }
 
     /// Begins a session with a token. It ends at `until`, or with the token if that is earlier; the end of a one-time
