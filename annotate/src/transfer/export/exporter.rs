@@ -157,11 +157,9 @@ impl<'a> Exporter<'a> {
 
     /// Whether an author is the pseudonym of a person of this store.
     pub(super) fn is_own(&self, author: &str) -> bool {
-        let rest = author.strip_prefix('a').unwrap_or_default();
-        let number = rest
-            .split_once('-')
-            .map(|(number, _)| number.parse::<i64>());
-        number.is_some_and(|user| user.is_ok_and(|user| self.pseudonym(user) == author))
+        let rest = author.strip_prefix('a');
+        let user = rest.and_then(|rest| rest.split_once('-')?.0.parse().ok());
+        user.is_some_and(|user| self.pseudonym(user) == author)
     }
 
     /// The author of an accepted answer: the pseudonym of a person of this store, or the author that an import named.
