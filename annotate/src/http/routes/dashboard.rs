@@ -11,7 +11,7 @@ use crate::clock::{self, DAY};
 use crate::http::app::{Context, json, page_size};
 use crate::quality::Figures;
 use crate::store::AuditFilter;
-use crate::wire::{EditType, EditTypeCount, Funnel, QuotaRow, TaskKind};
+use crate::wire::{EditTypeCount, Funnel, QuotaRow, TaskKind};
 
 /// Weeks the dashboard shows.
 const WEEKS: i64 = 12;
@@ -66,21 +66,15 @@ pub(super) fn people(cx: &Context) -> Result<Response, Error> {
 
 pub(super) fn quota(cx: &Context) -> Result<Response, Error> {
     let settings = cx.store().settings()?;
-    let rows: Vec<QuotaRow> = cx
-        .store()
-        .kept()?
-        .into_iter()
-        .filter_map(|(category, edit_type, kept)| {
-            Some(QuotaRow {
-                category: category.unwrap_or_default(),
-                edit_type: EditType::parse(&edit_type)?,
-                kept,
-                wanted: settings.quota.into(),
-                category_wanted: settings.category_quota.into(),
-            })
-        })
-        .collect();
-    json(&rows)
+    let kept = cx.store().kept()?.into_iter();
+    let rows = kept.map(|(category, edit_type, kept)| QuotaRow {
+        category: category.unwrap_or_default(),
+        edit_type,
+        kept,
+        wanted: settings.quota.into(),
+        category_wanted: settings.category_quota.into(),
+    });
+    json(&Vec::from_iter(rows))
 }
 
 pub(super) fn edit_types(cx: &Context) -> Result<Response, Error> {
@@ -97,7 +91,7 @@ pub(super) fn edit_types(cx: &Context) -> Result<Response, Error> {
             edit_type,
             kept: kept
                 .iter()
-                .filter(|(_, name, _)| name == edit_type.as_str())
+                .filter(|(_, known, _)| *known == edit_type)
                 .map(|(.., count)| count)
                 .sum(),
             wanted: wanted.into(),
