@@ -10,7 +10,7 @@ use rusqlite::Connection;
 
 use super::apply::apply;
 use super::db::{Result, Row, ToSql, Tx, Value, params};
-use super::derived::{PROJECTIONS, Projection, SCHEMA, entries};
+use super::derived::{PROJECTIONS, Projection, SCHEMA, follow};
 use super::sqlite::scratch;
 use super::store::Store;
 use crate::lock::lock;
@@ -68,16 +68,10 @@ impl Derived {
 
     /// Applies the log entries that were added since the last call.
     fn catch_up(&mut self, log: &mut dyn Tx) -> Result<()> {
-        loop {
-            let some = entries(log, self.last)?;
-            if some.is_empty() {
-                return Ok(());
-            }
-            for (seq, entry) in some {
-                apply(&mut self.scratch, seq, &entry)?;
-                self.last = seq;
-            }
-        }
+        let scratch = &mut self.scratch;
+        follow(log, &mut self.last, |_, seq, entry| {
+            apply(scratch, seq, entry)
+        })
     }
 
     /// Replaces the rows of a task by rows derived from the log.
