@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use datasets_spec::{BodyPart, JointSet};
 
-use crate::Error;
+use crate::error::{Error, require};
 use crate::mask::{
     Cells, check_choices, check_names, check_ranges, jaccard, jaccard_in_time, joints,
 };
@@ -65,10 +65,10 @@ impl Fields<'_> {
 pub(crate) fn check_draft(answer: &Answer, kind: TaskKind) -> Result<(), Error> {
     let (said, own) = (answer.fields(), answer.kind());
     let problem = format!("the task is of kind {kind}, the answer of kind {own}");
-    needed(own == kind, "answer.kind", &problem)?;
+    require(own == kind, "answer.kind", problem)?;
     let count = said.masks.len();
     let problem = format!("{count} masks are too many; {MAX_MASKS} fit");
-    needed(count <= MAX_MASKS, "answer.masks", &problem)?;
+    require(count <= MAX_MASKS, "answer.masks", problem)?;
     for mask in said.masks {
         check_parts(&mask.parts)?;
         check_names(&mask.joints)
@@ -130,14 +130,14 @@ pub(crate) fn check_submission(
         TaskKind::Pair => {
             text_needed("answer.text", said.text)?;
             let no_part = "choose the parts the edit changes";
-            needed(!said.parts.is_empty(), "answer.parts", no_part)?;
+            require(!said.parts.is_empty(), "answer.parts", no_part)?;
             let no_type = "choose what the edit changes";
-            needed(said.edit_type.is_some(), "answer.edit_type", no_type)
+            require(said.edit_type.is_some(), "answer.edit_type", no_type)
         }
         TaskKind::Style => {
             check_style_name(said.style.unwrap_or_default(), settings)?;
             let problem = "choose how much of the body the style shows in";
-            needed(said.extent.is_some(), "answer.extent", problem)
+            require(said.extent.is_some(), "answer.extent", problem)
         }
     }
 }
@@ -147,7 +147,7 @@ fn check_masks(masks: &[MaskAnswer], frames: i64) -> Result<(), Error> {
     for (index, mask) in masks.iter().enumerate() {
         let (number, field) = (index + 1, format!("answer.masks.{index}"));
         let problem = format!("mask {number} has no part; choose one or delete the mask");
-        needed(!mask.parts.is_empty(), &format!("{field}.parts"), &problem)?;
+        require(!mask.parts.is_empty(), &format!("{field}.parts"), problem)?;
         check_choices(&mask.parts, mask.soft, &mask.joints).map_err(|problem| {
             let problem = format!("mask {number}: {problem}");
             Error::invalid(&format!("{field}.joints"), problem)
@@ -175,13 +175,11 @@ fn check_mask_count(
     if is_asked_for || reason.is_some() {
         return Ok(());
     }
-    Err(Error::refused(
-        Code::MaskCount,
-        format!(
-            "{count} masks where {} to {} are asked for; add or delete some, or choose a reason",
-            settings.min_masks, settings.max_masks
-        ),
-    ))
+    let problem = format!(
+        "{count} masks where {} to {} are asked for; add or delete some, or choose a reason",
+        settings.min_masks, settings.max_masks
+    );
+    Err(Error::refused(Code::MaskCount, problem))
 }
 
 /// Checks the name of a style: one of the project's, or a new one that differs from those in more than capital letters.
@@ -190,32 +188,23 @@ pub(crate) fn check_style_name(style: &str, settings: &Settings) -> Result<(), E
     let is_name = style.trim() == style && style.chars().count() <= MAX_NAME_CHARS;
     let problem =
         format!("name the style in up to {MAX_NAME_CHARS} characters, without spaces around it");
-    needed(is_name, "answer.style", &problem)?;
+    require(is_name, "answer.style", problem)?;
     let alike = |known: &&Style| known.name.to_lowercase() == style.to_lowercase();
     if !settings.has_style(style)
         && let Some(known) = settings.styles.iter().find(alike)
     {
-        return Err(Error::invalid(
-            "answer.style",
-            format!(
-                "{style:?} differs from the style {:?} in capital letters alone; choose that one",
-                known.name
-            ),
-        ));
+        let problem = format!(
+            "{style:?} differs from the style {:?} in capital letters alone; choose that one",
+            known.name
+        );
+        return Err(Error::invalid("answer.style", problem));
     }
     Ok(())
 }
 
 fn text_needed(field: &str, text: &str) -> Result<(), Error> {
     let problem = "a text is missing: say what the parts do";
-    needed(!text.trim().is_empty(), field, problem)
-}
-
-fn needed(is_there: bool, field: &str, problem: &str) -> Result<(), Error> {
-    match is_there {
-        true => Ok(()),
-        false => Err(Error::invalid(field, problem)),
-    }
+    require(!text.trim().is_empty(), field, problem)
 }
 
 fn check_parts(parts: &[String]) -> Result<(), Error> {
@@ -223,7 +212,7 @@ fn check_parts(parts: &[String]) -> Result<(), Error> {
         let known = part.parse::<BodyPart>();
         known.map_err(|error| Error::invalid("parts", error.to_string()))?;
         let problem = format!("{part} is named twice");
-        needed(!parts[..index].contains(part), "parts", &problem)?;
+        require(!parts[..index].contains(part), "parts", problem)?;
     }
     Ok(())
 }
@@ -231,10 +220,10 @@ fn check_parts(parts: &[String]) -> Result<(), Error> {
 fn check_text(field: &str, text: &str) -> Result<(), Error> {
     let chars = text.chars().count();
     let problem = format!("{chars} characters are too many; {MAX_TEXT_CHARS} fit");
-    needed(chars <= MAX_TEXT_CHARS, field, &problem)?;
+    require(chars <= MAX_TEXT_CHARS, field, problem)?;
     let has_control = text.contains(|c: char| c.is_control() && c != '\n' && c != '\t');
     let problem = "the text holds a control character; remove it";
-    needed(!has_control, field, problem)
+    require(!has_control, field, problem)
 }
 
 fn normal(text: &str) -> String {

@@ -108,17 +108,13 @@ impl Error {
 
     /// An error for a resource that is missing, or that the user may not see.
     pub(crate) fn not_found(what: &str) -> Self {
-        Self::refused(
-            Code::NotFound,
-            format!("no such {what}, or you may not see it"),
-        )
+        let problem = format!("no such {what}, or you may not see it");
+        Self::refused(Code::NotFound, problem)
     }
 
     pub(crate) fn wrong_state(state: TaskState, what: &str) -> Self {
-        Self::refused(
-            Code::WrongState,
-            format!("a task that is {state} cannot be {what}"),
-        )
+        let problem = format!("a task that is {state} cannot be {what}");
+        Self::refused(Code::WrongState, problem)
     }
 
     /// The problem sent to the client. Details of internal errors appear only in the server log.
@@ -132,6 +128,14 @@ impl Error {
             ),
         }
     }
+}
+
+/// Refuses a field with `invalid` unless a condition holds.
+pub(crate) fn require(holds: bool, field: &str, problem: impl Into<String>) -> Result<(), Error> {
+    if holds {
+        return Ok(());
+    }
+    Err(Error::invalid(field, problem))
 }
 
 impl Problem {

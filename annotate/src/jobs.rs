@@ -176,12 +176,10 @@ pub(crate) fn file(store: &Store, data: &Path, job: i64, name: &str) -> Result<V
         let path = folder(data, job).join(name);
         return Ok(std::fs::read(&path).map_err(Spec::io("read", path))?);
     }
-    store.file(job, name)?.ok_or_else(|| {
-        Error::refused(
-            Code::NotFound,
-            format!("the store keeps the files of the last {KEPT_EXPORTS} exports; export again"),
-        )
-    })
+    let problem =
+        format!("the store keeps the files of the last {KEPT_EXPORTS} exports; export again");
+    let bytes = store.file(job, name)?;
+    bytes.ok_or_else(|| Error::refused(Code::NotFound, problem))
 }
 
 /// Records an export in the log.

@@ -7,10 +7,9 @@ use std::time::Duration;
 
 use datasets_spec::BodyPart;
 use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
 
 use crate::Error;
-use crate::store::{NewSuggestion, Store, TaskRecord};
+use crate::store::{NewSuggestion, Store, TaskRecord, sha256};
 use crate::wire::{Code, SuggestionSource, TaskKind};
 
 /// Maximum number of requests to the model that one person can make per minute.
@@ -39,17 +38,8 @@ const SYSTEM: &str =
 
 /// A failure of the model. Its own error text is not passed on: it could contain the key.
 fn failed(problem: &str) -> Error {
-    Error::refused(
-        Code::ModelFailed,
-        format!("the language model {problem}; write the text yourself or ask again"),
-    )
-}
-
-fn sha(bytes: &[u8]) -> String {
-    Sha256::digest(bytes)
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    let problem = format!("the language model {problem}; write the text yourself or ask again");
+    Error::refused(Code::ModelFailed, problem)
 }
 
 impl Model {
@@ -110,7 +100,7 @@ impl Model {
         request["model"] = json!(self.name);
         request["messages"] = json!(messages);
         let body = request.to_string();
-        let prompt_hash = sha(format!("{}\n{body}", self.url).as_bytes());
+        let prompt_hash = sha256(format!("{}\n{body}", self.url).as_bytes());
         if let Some(known) = store.cached_suggestion(&prompt_hash)? {
             return Ok(known);
         }
@@ -130,7 +120,7 @@ impl Model {
             prompt_hash,
             params,
             tokens: answer["usage"]["total_tokens"].as_i64(),
-            response_hash: sha(&response),
+            response_hash: sha256(&response),
         })
     }
 

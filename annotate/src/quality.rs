@@ -286,8 +286,8 @@ fn frames_of(store: &Store, labels: &[Label]) -> Result<BTreeMap<String, i64>, E
 
 fn said(label: &Label, drafts: &BTreeMap<i64, String>, frames: &BTreeMap<String, i64>) -> Said {
     let revision = &label.revision;
-    let verdict = revision.answer.verdict();
-    let masks = revision.answer.fields().masks.iter();
+    let said = revision.answer.fields();
+    let masks = said.masks.iter();
     let sets: Vec<JointSet> = masks.map(|mask| mask.mask().hard()).collect();
     Said {
         author: revision.author,
@@ -297,9 +297,7 @@ fn said(label: &Label, drafts: &BTreeMap<i64, String>, frames: &BTreeMap<String,
         gold: label.gold,
         state: revision.state,
         drafts: draft_distances(&revision.answer, drafts),
-        verdict: Verdict::ALL
-            .iter()
-            .position(|known| Some(*known) == verdict),
+        verdict: said.verdict.map(|verdict| verdict as usize),
         covers: RELEASE_PARTS.map(|part| {
             let hard = part.mask().hard();
             sets.iter().any(|set| hard.difference(*set).is_empty())

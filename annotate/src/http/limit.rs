@@ -40,10 +40,8 @@ impl Limiter {
         if times.len() >= most as usize {
             let wait = times.first().map_or(MINUTE, |&first| first + MINUTE - now);
             let seconds = u64::try_from(wait).unwrap_or(0).div_ceil(1000).max(1);
-            let mut problem = Problem::new(
-                Code::RateLimited,
-                format!("more than {most} {what} per minute; wait {seconds} s"),
-            );
+            let detail = format!("more than {most} {what} per minute; wait {seconds} s");
+            let mut problem = Problem::new(Code::RateLimited, detail);
             problem.retry_after_secs = Some(seconds);
             return Err(Error::Refused(Box::new(problem)));
         }

@@ -1,7 +1,6 @@
 //! Prometheus metrics.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::sync::Mutex;
 use std::time::Duration;
 
@@ -46,20 +45,16 @@ impl Metrics {
         for ((method, path), requests) in lock(&self.0).iter() {
             let label = format!("method=\"{method}\",path=\"{path}\"");
             for (status, count) in &requests.by_status {
-                // Writing to a string cannot fail, here and below.
-                let _written = writeln!(
-                    text,
-                    "annotate_requests_total{{{label},status=\"{status}\"}} {count}"
-                );
+                text +=
+                    &format!("annotate_requests_total{{{label},status=\"{status}\"}} {count}\n");
             }
             let name = "annotate_request_seconds";
             for (end, count) in CLASSES.iter().zip(requests.by_class) {
-                let _written = writeln!(times, "{name}_bucket{{{label},le=\"{end}\"}} {count}");
+                times += &format!("{name}_bucket{{{label},le=\"{end}\"}} {count}\n");
             }
             let (count, secs) = (requests.by_status.values().sum::<u64>(), requests.secs);
-            let _written = writeln!(
-                times,
-                "{name}_bucket{{{label},le=\"+Inf\"}} {count}\n{name}_sum{{{label}}} {secs}\n{name}_count{{{label}}} {count}"
+            times += &format!(
+                "{name}_bucket{{{label},le=\"+Inf\"}} {count}\n{name}_sum{{{label}}} {secs}\n{name}_count{{{label}}} {count}\n"
             );
         }
         text + "# TYPE annotate_request_seconds histogram\n" + &times

@@ -175,13 +175,10 @@ async fn accept(listener: TcpListener, router: axum::Router, patience: Duration)
         let Ok(place) = Arc::clone(&places).acquire_owned().await else {
             return;
         };
-        let (socket, peer) = match listener.accept().await {
-            Ok(accepted) => accepted,
-            Err(_) => {
-                // Most likely out of file descriptors: wait until some are closed.
-                tokio::time::sleep(Duration::from_millis(50)).await;
-                continue;
-            }
+        let Ok((socket, peer)) = listener.accept().await else {
+            // Most likely out of file descriptors: wait until some are closed.
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            continue;
         };
         let router = router.clone();
         tokio::spawn(async move {
@@ -195,14 +192,13 @@ async fn accept(listener: TcpListener, router: axum::Router, patience: Duration)
                     router.clone().call(request)
                 },
             );
-            let served = hyper::server::conn::http1::Builder::new()
+            // Ignore browsers that disconnect in mid-request.
+            let _served = hyper::server::conn::http1::Builder::new()
                 .timer(TokioTimer::new())
                 .header_read_timeout(patience)
                 .max_buf_size(64 * 1024)
                 .serve_connection(TokioIo::new(Socket::new(socket, patience)), service)
                 .await;
-            // Ignore browsers that disconnect in mid-request.
-            drop(served);
         });
     }
 }
@@ -251,23 +247,16 @@ async fn serve(app: Arc<App>, route: &'static Route, request: Request) -> Respon
         let problem = error.problem();
         match problem.code {
             Code::Internal => {
-                (app.config.log)(&format!(
-                    "{} {}: {}",
-                    route.method,
-                    route.path,
-                    error.full()
-                ));
+                let (method, path) = (route.method, route.path);
+                (app.config.log)(&format!("{method} {path}: {}", error.full()));
             }
             Code::ReadOnly => *lock(&app.read_only) = Some(error.to_string()),
             _ => {}
         }
         problem_response(&problem)
     });
-    app.metrics.count(
-        (route.method, route.path),
-        response.status().as_u16(),
-        begun.elapsed(),
-    );
+    let (name, status) = ((route.method, route.path), response.status().as_u16());
+    app.metrics.count(name, status, begun.elapsed());
     response
 }
 
@@ -279,13 +268,11 @@ async fn within<T>(
 ) -> Result<T, Error> {
     let ended = tokio::time::timeout(patience, work).await;
     ended.unwrap_or_else(|_| {
-        Err(Error::refused(
-            Code::Timeout,
-            format!(
-                "{what} took more than {} seconds; send it again: a request with a key takes effect only once",
-                patience.as_secs_f64()
-            ),
-        ))
+        let problem = format!(
+            "{what} took more than {} seconds; send it again: a request with a key takes effect only once",
+            patience.as_secs_f64()
+        );
+        Err(Error::refused(Code::Timeout, problem))
     })
 }
 
@@ -346,10 +333,8 @@ async fn read_body(body: Body, limit: usize) -> Result<Bytes, Error> {
         }
     }
     if total > limit {
-        return Err(Error::refused(
-            Code::TooLarge,
-            format!("the body exceeds {limit} bytes; send less at a time"),
-        ));
+        let problem = format!("the body exceeds {limit} bytes; send less at a time");
+        return Err(Error::refused(Code::TooLarge, problem));
     }
     Ok(bytes.into())
 }
@@ -369,12 +354,10 @@ fn admit(
         return Ok(None);
     };
     let (token, purpose) = credential(app, headers)?;
-    let who = app.store.authenticate(&token, &[purpose], app.now())?;
+    let who = app.store.authenticate(&token, purpose, app.now())?;
     if who.role < needed {
-        return Err(Error::refused(
-            Code::Forbidden,
-            format!("this requires the role {needed}, yours is {}", who.role),
-        ));
+        let problem = format!("this requires the role {needed}, yours is {}", who.role);
+        return Err(Error::refused(Code::Forbidden, problem));
     }
     Ok(Some(who))
 }
@@ -392,21 +375,18 @@ fn check_host(headers: &HeaderMap, hosts: &[String]) -> Result<(), Error> {
     if is_own {
         return Ok(());
     }
-    Err(Error::refused(
-        Code::WrongHost,
-        format!(
-            "{name:?} is no name of this server; whoever runs it names it with --host if it should be one"
-        ),
-    ))
+    let problem = format!(
+        "{name:?} is no name of this server; whoever runs it names it with --host if it should be one"
+    );
+    Err(Error::refused(Code::WrongHost, problem))
 }
 
 /// Checks that a changing request with a cookie comes from the page itself (CSRF protection).
 fn check_own(app: &App, headers: &HeaderMap) -> Result<(), Error> {
     if text(headers, &HeaderName::from_static("x-annotate")) != Some("1") {
-        return Err(Error::refused(
-            Code::Csrf,
-            "requests that change something need the header X-Annotate: 1, or a bearer token",
-        ));
+        let problem =
+            "requests that change something need the header X-Annotate: 1, or a bearer token";
+        return Err(Error::refused(Code::Csrf, problem));
     }
     let scheme = if app.config.secure { "https" } else { "http" };
     let own = text(headers, &header::HOST).map(|host| format!("{scheme}://{host}"));

@@ -39,11 +39,8 @@ pub(super) async fn watch(app: Arc<App>) {
         let store = Arc::clone(&app.store);
         // Skip this poll if the store does not answer.
         if let Ok(seq) = blocking(move || store.last_seq()).await {
-            app.last_seq.send_if_modified(|known| {
-                let news = *known != seq;
-                *known = seq;
-                news
-            });
+            app.last_seq
+                .send_if_modified(|known| std::mem::replace(known, seq) != seq);
         }
     }
 }
@@ -53,10 +50,8 @@ pub(super) fn open(cx: &Context) -> Result<Response, Error> {
     let app = Arc::clone(&cx.app);
     let login = credential(&app, &cx.headers)?;
     if app.last_seq.receiver_count() >= LISTENERS {
-        return Err(Error::refused(
-            Code::RateLimited,
-            format!("{LISTENERS} pages are already connected; reload later"),
-        ));
+        let problem = format!("{LISTENERS} pages are already connected; reload later");
+        return Err(Error::refused(Code::RateLimited, problem));
     }
     let newest = app.store.last_seq()?;
     let from = text(&cx.headers, &HeaderName::from_static("last-event-id"));
@@ -94,7 +89,7 @@ async fn listen(
     loop {
         let (store, (token, purpose), now) = (Arc::clone(&app.store), login.clone(), app.now());
         let work = move || {
-            let who = store.recognise(&token, &[purpose], now)?;
+            let who = store.recognise(&token, purpose, now)?;
             changes(&store, &who, after)
         };
         let (seq, events) = blocking(work).await.ok()?;

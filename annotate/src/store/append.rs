@@ -5,11 +5,11 @@ use super::entry::{Body, Entry};
 use super::leases::{MINUTE, Turn};
 use super::log::{self, Request};
 use super::records::{Millis, TaskRecord};
-use super::settings::{has_up_to, require};
+use super::settings::has_up_to;
 use super::store::Store;
 use super::{apply, project, read, rows, rules};
-use crate::Error;
 use crate::answer;
+use crate::error::{Error, require};
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
     Answer, Code, EventKind, EventResult, Feedback, Lease, MAX_TEXT_CHARS, NewEvent, Problem,
@@ -281,17 +281,11 @@ impl Taking<'_> {
     fn skip(&self, tx: &mut dyn Tx) -> Result<EventResult> {
         let event = self.event;
         let postponed = event.kind == EventKind::Postpone;
-        require(
-            postponed || event.reason.is_some(),
-            "reason",
-            "choose a reason for skipping the task",
-        )?;
-        let held = self.held(tx)?.ok_or_else(|| {
-            Error::refused(
-                Code::LeaseLost,
-                "your lease on this task expired; there is nothing to skip",
-            )
-        })?;
+        let problem = "choose a reason for skipping the task";
+        require(postponed || event.reason.is_some(), "reason", problem)?;
+        let problem = "your lease on this task expired; there is nothing to skip";
+        let held = self.held(tx)?;
+        let held = held.ok_or_else(|| Error::refused(Code::LeaseLost, problem))?;
         let body = Body::Skipped {
             postponed,
             reason: event.reason.filter(|_| !postponed),
@@ -312,15 +306,9 @@ impl Taking<'_> {
         if let Some((rule, at)) = rules::accepted_by_rule(tx, self.task.id)?
             && self.turn.now - at <= take_back_window(&self.turn.settings)
         {
+            let (user, now) = (self.turn.user, self.turn.now);
             let comment = "taken back by its author";
-            rules::reopen(
-                tx,
-                self.turn.user,
-                self.task.id,
-                &rule,
-                comment,
-                self.turn.now,
-            )?;
+            rules::reopen(tx, user, self.task.id, &rule, comment, now)?;
             state = TaskState::Submitted;
         }
         apply::check_move(state, LogKind::Undone, "taken back")?;

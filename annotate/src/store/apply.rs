@@ -331,10 +331,8 @@ impl Change<'_> {
                 if let Some(extra) = extra {
                     self.set(tx, "extra", json(extra)?)?;
                 }
-                self.accept(
-                    tx,
-                    &Acceptance::imported(answer, credit.as_ref(), self.entry),
-                )
+                let acceptance = Acceptance::imported(answer, credit.as_ref(), self.entry);
+                self.accept(tx, &acceptance)
             }
             // A task without an answer needs no new decision.
             Body::ClipChanged { source, target } => tx.run(

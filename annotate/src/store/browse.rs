@@ -98,13 +98,14 @@ fn page(tx: &mut dyn Tx, query: &PageQuery) -> Result<TaskPage> {
         ("ASC", ">")
     };
     if let Some(cursor) = &query.after {
-        let bad = || Error::invalid("after", "this is no cursor of a page; begin at the first");
-        let (value, id) = cursor.split_once(':').ok_or_else(bad)?;
-        let id: i64 = id.parse().map_err(|_| bad())?;
-        let value = match sort {
-            TaskSort::Distance => values.put(value.parse::<f64>().map_err(|_| bad())?),
+        let (value, id) = match sort {
+            TaskSort::Distance => {
+                let (value, id) = filter::cursor::<f64>("after", cursor)?;
+                (values.put(value), id)
+            }
             TaskSort::Id | TaskSort::Touched => {
-                values.put(value.parse::<i64>().map_err(|_| bad())?)
+                let (value, id) = filter::cursor::<i64>("after", cursor)?;
+                (values.put(value), id)
             }
         };
         let id = values.put(id);

@@ -7,11 +7,10 @@ use super::entry::Body;
 use super::filter::{self, Values, condition};
 use super::leases::Turn;
 use super::records::{Millis, TaskRecord, Who};
-use super::settings::require;
 use super::store::Store;
 use super::{log, project, review, rows, rules};
-use crate::Error;
 use crate::answer;
+use crate::error::{Error, require};
 use crate::state::{LogKind, targets};
 use crate::wire::{BulkAction, BulkDone, BulkRequest};
 

@@ -8,11 +8,10 @@ use datasets_spec::MotionId;
 use super::db::{Result, Tx, json, params};
 use super::entry::Body;
 use super::records::Millis;
-use super::settings::require;
 use super::store::Store;
 use super::{log, project};
-use crate::Error;
 use crate::answer::check_style_name;
+use crate::error::{Error, require};
 use crate::wire::{Answer, CaptureCell, Captures, PlannedCapture, Settings, TaskState, Verdict};
 
 /// Name under which table `setting` holds the plan.
@@ -64,10 +63,8 @@ fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<()> {
         } = cell;
         let refuse = |field: &str, problem: String| {
             let place = format!("cells.{index}.{field}");
-            Err(Error::invalid(
-                &place,
-                format!("{motion:?} in style {style:?}: {problem}"),
-            ))
+            let problem = format!("{motion:?} in style {style:?}: {problem}");
+            Err(Error::invalid(&place, problem))
         };
         if let Err(error) = MotionId::parse(motion) {
             return refuse("motion", error.to_string());
@@ -84,10 +81,8 @@ fn check(cells: &[PlannedCapture], settings: &Settings) -> Result<()> {
             return refuse("takes", format!("plan 1 to {MAX_TAKES} takes, not {takes}"));
         }
         if !places.insert((motion, style)) {
-            return refuse(
-                "motion",
-                "it is planned twice; write the sum of the takes once".to_owned(),
-            );
+            let problem = "it is planned twice; write the sum of the takes once";
+            return refuse("motion", problem.to_owned());
         }
     }
     Ok(())

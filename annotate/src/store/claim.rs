@@ -12,6 +12,7 @@ use super::rows::{self, LEASE, LeaseRow};
 use super::store::Store;
 use super::{apply, read};
 use crate::Error;
+use crate::agreement::mean;
 use crate::state::{LogKind, Purpose, ReleaseReason};
 use crate::wire::{Code, EditType, Empty, Practice, RevisionState, TaskKind, TaskState};
 
@@ -277,7 +278,7 @@ fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>> {
     counts(tx, sql)
 }
 
-/// Runs a query for names and their counts.
+/// Runs a query for names, each once, and their counts.
 fn counts(tx: &mut dyn Tx, sql: &str) -> Result<BTreeMap<Option<String>, i64>> {
     let counts: Vec<(Option<String>, i64)> = tx.list(sql, &[])?;
     Ok(BTreeMap::from_iter(counts))
@@ -296,21 +297,17 @@ fn room(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Option<Room>> {
     };
     let counted = counted(tx)?;
     let sql = "SELECT category, CAST(SUM(1 - counted) AS BIGINT) FROM task WHERE kind = 'pair' AND claimable = 1 GROUP BY category";
-    let mut room = Room::new();
-    for (category, others) in tx.list::<(Option<String>, i64)>(sql, &[])? {
-        let counted = counted.get(&category).copied().unwrap_or(0);
-        let left = (quota - counted).max(0);
-        let held_back = if left == 0 { others } else { 0 };
-        room.insert(
-            category,
-            Category {
-                counted,
-                room: left,
-                held_back,
-            },
-        );
-    }
-    Ok(Some(room))
+    let room = counts(tx, sql)?.into_iter().map(|(name, others)| {
+        let counted = counted.get(&name).copied().unwrap_or(0);
+        let room = (quota - counted).max(0);
+        let category = Category {
+            counted,
+            room,
+            held_back: if room == 0 { others } else { 0 },
+        };
+        (name, category)
+    });
+    Ok(Some(room.collect()))
 }
 
 /// SQL conditions for claiming, in the order in which they are tried, each with its category: the category with the
@@ -366,13 +363,10 @@ fn type_limits(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<Vec<Strin
         .map(|(edit_type, ..)| format!("AND t.stated_type = '{edit_type}'"))
         .collect();
     if !full.is_empty() {
-        let names: Vec<String> = full
-            .iter()
-            .map(|(edit_type, ..)| format!("'{edit_type}'"))
-            .collect();
+        let full = full.iter().map(|(edit_type, ..)| format!("'{edit_type}'"));
         limits.push(format!(
             "AND (t.stated_type IS NULL OR t.stated_type NOT IN ({}))",
-            names.join(", ")
+            Vec::from_iter(full).join(", ")
         ));
     }
     limits.push(String::new());
@@ -589,8 +583,7 @@ pub(super) fn standing(tx: &mut dyn Tx, turn: &Turn, kind: TaskKind) -> Result<P
          WHERE g.usr = ?1 AND t.practice = 1 AND t.kind = ?2 ORDER BY g.at DESC, g.task DESC LIMIT ?3",
         params![user, kind, needed],
     )?;
-    let done = scores.len() as i64;
-    let score = (done > 0).then(|| scores.iter().sum::<f64>() / done as f64);
+    let (done, score) = (scores.len() as i64, mean(&scores));
     let threshold = f64::from(settings.practice_percent) / 100.0;
     let sql = "SELECT 1 FROM usr WHERE id = ?1 AND role = 'annotator'";
     let annotates = tx.has(sql, params![user])?;

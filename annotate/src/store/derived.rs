@@ -26,24 +26,27 @@ pub(super) const SCHEMA: &str = include_str!("projections.sql");
 /// Entries read at a time.
 const BATCH: i64 = 1000;
 
-/// Entries of the log after a sequence number, up to [`BATCH`].
-pub(super) fn entries(tx: &mut dyn Tx, after: i64) -> Result<Vec<(i64, Entry)>> {
+/// Calls `each` with the log and every entry after number `last`, and leaves the number of the newest entry in `last`.
+pub(super) fn follow(
+    log: &mut dyn Tx,
+    last: &mut i64,
+    mut each: impl FnMut(&mut dyn Tx, i64, &Entry) -> Result<()>,
+) -> Result<()> {
     let sql = format!("SELECT {ENTRY_COLUMNS} FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2");
-    let rows = tx.query(&sql, params![after, BATCH])?;
-    rows.iter().map(read_entry).collect()
+    loop {
+        let rows = log.query(&sql, params![*last, BATCH])?;
+        if rows.is_empty() {
+            return Ok(());
+        }
+        for row in &rows {
+            let (seq, entry) = read_entry(row)?;
+            each(log, seq, &entry)?;
+            *last = seq;
+        }
+    }
 }
 
 /// Fills the empty projections of a store from its log.
 pub(super) fn derive(tx: &mut dyn Tx) -> Result<()> {
-    let mut last = 0;
-    loop {
-        let some = entries(tx, last)?;
-        if some.is_empty() {
-            return Ok(());
-        }
-        for (seq, entry) in some {
-            apply(tx, seq, &entry)?;
-            last = seq;
-        }
-    }
+    follow(tx, &mut 0, apply)
 }

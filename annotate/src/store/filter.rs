@@ -1,8 +1,10 @@
 //! Filters of tasks, as conditions in SQL.
 
+use std::str::FromStr;
+
 use super::db::{Result, ToSql};
-use super::settings::{has_up_to, require};
-use crate::Error;
+use super::settings::has_up_to;
+use crate::error::{Error, require};
 use crate::wire::{SkipFilter, TaskFilter};
 
 /// Parameters of a query under construction.
@@ -158,6 +160,15 @@ pub(super) fn check(filter: &TaskFilter) -> Result<()> {
         require(is_share, field, "a distance is 0 to 1")?;
     }
     Ok(())
+}
+
+/// The two values of a page's cursor, written `VALUE:ID`. Refused with `invalid`.
+pub(super) fn cursor<T: FromStr>(field: &str, text: &str) -> Result<(T, i64)> {
+    let parsed = text
+        .split_once(':')
+        .and_then(|(value, id)| value.parse().ok().zip(id.parse().ok()));
+    let problem = "this is no cursor of a page; begin at the first";
+    parsed.ok_or_else(|| Error::invalid(field, problem))
 }
 
 /// The LIKE pattern for a text anywhere in a lower-case column. Spaces around the text are ignored; a blank text

@@ -30,10 +30,8 @@ fn home(tx: &mut dyn Tx, user: i64, now: Millis) -> Result<Home> {
          WHERE r.state IN ('submitted', 'accepted', 'superseded', 'returned') AND t.practice = 0";
     let sql = format!("SELECT r.secs FROM revision r {handed_in} AND r.author = ?1 AND r.at >= ?2");
     let mut secs: Vec<f64> = tx.list(&sql, params![user, midnight])?;
-    let today_all = tx.number(
-        &format!("SELECT COUNT(*) FROM revision r {handed_in} AND r.at >= ?1"),
-        params![midnight],
-    )?;
+    let sql = format!("SELECT COUNT(*) FROM revision r {handed_in} AND r.at >= ?1");
+    let today_all = tx.number(&sql, params![midnight])?;
     let sql = "SELECT COALESCE(SUM(secs), 0.0) FROM work WHERE usr = ?1 AND at >= ?2";
     Ok(Home {
         queues,

@@ -25,12 +25,8 @@ impl Store {
     pub fn renew(&self, user: i64, lease: i64, now: Millis) -> Result<Lease> {
         self.write(move |tx| {
             let held = lease_of_id(tx, lease)?.filter(|held| held.lease.user == user);
-            let held = held.ok_or_else(|| {
-                Error::refused(
-                    Code::LeaseLost,
-                    "this lease ended; take the task again if it still wants answers",
-                )
-            })?;
+            let problem = "this lease ended; take the task again if it still wants answers";
+            let held = held.ok_or_else(|| Error::refused(Code::LeaseLost, problem))?;
             // A reservation for an author cannot be renewed.
             if matches!(held.purpose, Purpose::Returned | Purpose::Assigned) {
                 return Err(Error::wrong_state(TaskState::Returned, "renewed; claim it"));

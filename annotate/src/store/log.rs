@@ -7,8 +7,8 @@ use super::apply::apply;
 use super::db::{Result, Tx, json, params, unreadable};
 use super::entry::{Body, Entry, VERSION};
 use super::records::Millis;
-use super::settings::{is_word, require};
-use crate::Error;
+use super::settings::is_word;
+use crate::error::{Error, require};
 use crate::wire::Code;
 
 /// [`write`] for an entry that belongs to no lease.
@@ -72,11 +72,8 @@ pub(super) struct Request {
 
 impl Request {
     pub(super) fn new<T: Serialize>(user: i64, key: &str, content: &T) -> Result<Self> {
-        require(
-            is_word(key, 8..=64),
-            "idem_key",
-            "a key must have 8 to 64 letters, digits and dashes",
-        )?;
+        let problem = "a key must have 8 to 64 letters, digits and dashes";
+        require(is_word(key, 8..=64), "idem_key", problem)?;
         Ok(Self {
             key: format!("{user}:{key}"),
             hash: blake3::hash(json(content)?.as_bytes()).to_hex()[..32].to_owned(),

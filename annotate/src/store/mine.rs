@@ -4,11 +4,11 @@ use serde::Deserialize;
 
 use super::append::take_back_window;
 use super::db::{Result, Tx, params};
+use super::filter::cursor;
 use super::records::{Millis, MineQuery, TaskRecord};
 use super::rows::{self, REVISION, TASK};
 use super::store::Store;
 use super::{project, read};
-use crate::Error;
 use crate::wire::{Answer, Feedback, MyAnswer, Revision, RevisionState, Standing, TaskState};
 
 impl Store {
@@ -20,17 +20,9 @@ impl Store {
         now: Millis,
     ) -> Result<(Vec<MyAnswer>, Option<String>)> {
         self.read(|tx| {
-            let bad =
-                || Error::invalid("before", "this is no cursor of a page; begin at the first");
             let (mut at, mut task) = match &query.before {
                 None => (i64::MAX, i64::MAX),
-                Some(cursor) => {
-                    let (at, task) = cursor.split_once(':').ok_or_else(bad)?;
-                    (
-                        at.parse::<i64>().map_err(|_| bad())?,
-                        task.parse::<i64>().map_err(|_| bad())?,
-                    )
-                }
+                Some(before) => cursor("before", before)?,
             };
             let since = now - take_back_window(&project::settings(tx)?);
             let sql = format!(
@@ -53,8 +45,8 @@ impl Store {
                     if found.len() > query.limit {
                         found.truncate(query.limit);
                         let last = found.last().map(|last| &last.mine);
-                        let cursor = last.map(|mine| format!("{}:{}", mine.at, mine.task));
-                        return Ok((found, cursor));
+                        let next = last.map(|mine| format!("{}:{}", mine.at, mine.task));
+                        return Ok((found, next));
                     }
                 }
                 if is_last {

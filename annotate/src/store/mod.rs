@@ -61,6 +61,7 @@ use db::Result;
 
 pub use backup::{back_up, backup_is_due};
 pub use browse::{DecisionQuery, PageQuery};
+pub(crate) use people::sha256;
 pub use records::{
     AcceptedAnswer, AuditFilter, BundleEntry, Credit, Imported, IssuedToken, KeyRange, Label,
     Millis, MineQuery, MotionRecord, NewSuggestion, NewTask, Reject, ReviewDetail, ShelfFilter,

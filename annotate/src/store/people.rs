@@ -6,10 +6,10 @@ use sha2::{Digest, Sha256};
 use super::db::{Result, Tx, params};
 use super::entry::Body;
 use super::records::{IssuedToken, Millis, TokenUse, Who};
-use super::settings::{has_up_to, require};
+use super::settings::has_up_to;
 use super::store::Store;
 use super::{leases, log, rows};
-use crate::Error;
+use crate::error::{Error, require};
 use crate::state::ReleaseReason;
 use crate::wire::{Code, Role, TokenInfo, User};
 
@@ -112,21 +112,20 @@ impl Store {
 
     /// The user of a token, if it is valid for this purpose. A one-time token becomes invalid.
     /// Refused with `unauthenticated`.
-    pub fn authenticate(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
+    pub fn authenticate(&self, token: &str, purpose: TokenUse, now: Millis) -> Result<Who> {
         let hash = hash(token);
-        let found = self.read(|tx| find(tx, &hash, purposes, now))?;
+        let found = self.read(|tx| find(tx, &hash, &[purpose], now))?;
         let is_old = |at: Millis| now - at > NOTE_EVERY;
-        if found.purpose == TokenUse::Once || found.last_used.is_none_or(is_old) {
-            let purposes = purposes.to_vec();
-            return self.write(move |tx| used(tx, &hash, &purposes, now));
+        if purpose == TokenUse::Once || found.last_used.is_none_or(is_old) {
+            return self.write(move |tx| used(tx, &hash, &[purpose], now));
         }
         Ok(found.who)
     }
 
     /// [`Self::authenticate`] without a record of the use. Refused with `unauthenticated`.
-    pub fn recognise(&self, token: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
+    pub fn recognise(&self, token: &str, purpose: TokenUse, now: Millis) -> Result<Who> {
         let hash = hash(token);
-        Ok(self.read(|tx| find(tx, &hash, purposes, now))?.who)
+        Ok(self.read(|tx| find(tx, &hash, &[purpose], now))?.who)
     }
 
     /// Begins a session with a token. It ends at `until`, or with the token if that is earlier; the end of a one-time
@@ -181,20 +180,23 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// SHA-256 of a token, hexadecimal.
+/// SHA-256, hexadecimal.
+pub(crate) fn sha256(bytes: &[u8]) -> String {
+    hex(&Sha256::digest(bytes))
+}
+
+/// The hash by which a token is stored.
 fn hash(token: &str) -> String {
-    hex(&Sha256::digest(token.trim().as_bytes()))
+    sha256(token.trim().as_bytes())
 }
 
 /// Random bytes, hexadecimal.
 pub(super) fn random<const BYTES: usize>() -> Result<String> {
     let mut bytes = [0; BYTES];
+    let source = "the operating system";
     getrandom::fill(&mut bytes)
         .map_err(|error| std::io::Error::other(error.to_string()))
-        .map_err(datasets_spec::Error::io(
-            "read random bytes from",
-            "the operating system",
-        ))?;
+        .map_err(datasets_spec::Error::io("read random bytes from", source))?;
     Ok(hex(&bytes))
 }
 
@@ -216,17 +218,12 @@ fn logged(tx: &mut dyn Tx, actor: Option<i64>, user: &User, now: Millis) -> Resu
 
 fn add(tx: &mut dyn Tx, actor: Option<i64>, name: &str, role: Role, now: Millis) -> Result<User> {
     let name = name.trim();
-    let bad = |c: char| c.is_control();
-    require(
-        !name.is_empty() && has_up_to(name, 64) && !name.chars().any(bad),
-        "name",
-        "a name must have 1 to 64 characters and no control characters",
-    )?;
-    require(
-        !tx.has("SELECT 1 FROM usr WHERE name = ?1", params![name])?,
-        "name",
-        format!("there is a user {name:?} already; choose another name"),
-    )?;
+    let is_name = !name.is_empty() && has_up_to(name, 64) && !name.contains(char::is_control);
+    let problem = "a name must have 1 to 64 characters and no control characters";
+    require(is_name, "name", problem)?;
+    let is_taken = tx.has("SELECT 1 FROM usr WHERE name = ?1", params![name])?;
+    let problem = format!("there is a user {name:?} already; choose another name");
+    require(!is_taken, "name", problem)?;
     let id = tx.next_id("usr")?;
     let sql = "INSERT INTO usr (id, name, role, active, created) VALUES (?1, ?2, ?3, 1, ?4)";
     tx.run(sql, params![id, name, role, now])?;
@@ -295,11 +292,9 @@ fn parse_lines(text: &str) -> Result<Vec<(usize, String, Role)>> {
         };
         users.push((number, name, role));
     }
-    require(
-        (1..=MAX_LINES).contains(&users.len()),
-        "lines",
-        format!("write 1 to {MAX_LINES} lines, each a name or NAME,ROLE"),
-    )?;
+    let fits = (1..=MAX_LINES).contains(&users.len());
+    let problem = format!("write 1 to {MAX_LINES} lines, each a name or NAME,ROLE");
+    require(fits, "lines", problem)?;
     Ok(users)
 }
 
@@ -321,21 +316,16 @@ fn find(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Resu
         params![hash],
     )?;
     let fits = |found: &Found| purposes.contains(&found.purpose) && found.expires > now;
-    found.filter(fits).ok_or_else(|| {
-        Error::refused(
-            Code::Unauthenticated,
-            "this token is unknown, revoked or expired; ask an admin for a new one",
-        )
-    })
+    let problem = "this token is unknown, revoked or expired; ask an admin for a new one";
+    let found = found.filter(fits);
+    found.ok_or_else(|| Error::refused(Code::Unauthenticated, problem))
 }
 
 /// Like [`find`], but also records the use. A one-time token becomes invalid.
 fn used(tx: &mut dyn Tx, hash: &str, purposes: &[TokenUse], now: Millis) -> Result<Who> {
     let found = find(tx, hash, purposes, now)?;
     let sql = "UPDATE token SET last_used = ?2, revoked = ?3 WHERE id = ?1";
-    tx.run(
-        sql,
-        params![found.token, now, found.purpose == TokenUse::Once],
-    )?;
+    let is_over = found.purpose == TokenUse::Once;
+    tx.run(sql, params![found.token, now, is_over])?;
     Ok(found.who)
 }

@@ -3,13 +3,13 @@
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use super::db::{Result, Tx, params, unreadable};
+use super::db::{Result, params, unreadable};
 use super::entry::Body;
 use super::log;
 use super::records::Millis;
-use super::settings::{check_picture_name, require};
+use super::settings::check_picture_name;
 use super::store::Store;
-use crate::Error;
+use crate::error::{Error, require};
 use crate::wire::{MAX_PICTURE_BYTES, PictureInfo};
 
 /// Maximum number of pictures.
@@ -52,7 +52,31 @@ impl Store {
         now: Millis,
     ) -> Result<PictureInfo> {
         let name = name.to_owned();
-        self.write(move |tx| put(tx, actor, name, &bytes, now))
+        self.write(move |tx| {
+            check_picture_name(&name)?;
+            let problem = "this is no PNG, JPEG, GIF or WebP; convert the picture";
+            let mime = mime(&bytes).ok_or_else(|| Error::invalid("body", problem))?;
+            let is_small = bytes.len() <= MAX_PICTURE_BYTES;
+            require(is_small, "body", "the picture is larger than 2 MB")?;
+            let sql = "SELECT COUNT(*) FROM picture WHERE name <> ?1";
+            let others = tx.number(sql, params![&name])?;
+            let problem = format!("there are {MAX_PICTURES} pictures already; delete one");
+            require(others < MAX_PICTURES, "name", problem)?;
+            tx.run(
+                "INSERT INTO picture (name, mime, bytes, at) VALUES (?1, ?2, ?3, ?4)
+                 ON CONFLICT (name) DO UPDATE SET mime = excluded.mime, bytes = excluded.bytes, at = excluded.at",
+                params![&name, mime, STANDARD.encode(&bytes), now],
+            )?;
+            let info = PictureInfo {
+                name: name.clone(),
+                mime: mime.to_owned(),
+                bytes: bytes.len(),
+            };
+            let hash = Some(blake3::hash(&bytes).to_hex().to_string());
+            let body = Body::GuidePicture { name, hash };
+            log::note(tx, now, Some(actor), None, body)?;
+            Ok(info)
+        })
     }
 
     /// Deletes a picture of the guide. Refused with `not_found`.
@@ -79,42 +103,6 @@ fn decoded(text: &str) -> Result<Vec<u8>> {
     STANDARD
         .decode(text)
         .map_err(|error| unreadable("picture", error))
-}
-
-fn put(
-    tx: &mut dyn Tx,
-    actor: i64,
-    name: String,
-    bytes: &[u8],
-    now: Millis,
-) -> Result<PictureInfo> {
-    check_picture_name(&name)?;
-    let mime = mime(bytes).ok_or_else(|| {
-        Error::invalid(
-            "body",
-            "this is no PNG, JPEG, GIF or WebP; convert the picture",
-        )
-    })?;
-    let is_small = bytes.len() <= MAX_PICTURE_BYTES;
-    require(is_small, "body", "the picture is larger than 2 MB")?;
-    let sql = "SELECT COUNT(*) FROM picture WHERE name <> ?1";
-    let others = tx.number(sql, params![&name])?;
-    let problem = format!("there are {MAX_PICTURES} pictures already; delete one");
-    require(others < MAX_PICTURES, "name", problem)?;
-    tx.run(
-        "INSERT INTO picture (name, mime, bytes, at) VALUES (?1, ?2, ?3, ?4)
-         ON CONFLICT (name) DO UPDATE SET mime = excluded.mime, bytes = excluded.bytes, at = excluded.at",
-        params![&name, mime, STANDARD.encode(bytes), now],
-    )?;
-    let info = PictureInfo {
-        name: name.clone(),
-        mime: mime.to_owned(),
-        bytes: bytes.len(),
-    };
-    let hash = Some(blake3::hash(bytes).to_hex().to_string());
-    let body = Body::GuidePicture { name, hash };
-    log::note(tx, now, Some(actor), None, body)?;
-    Ok(info)
 }
 
 #[cfg(test)]

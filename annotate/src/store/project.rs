@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use super::db::{Params, Result, Tx, json, params};
 use super::entry::{Body, read_stored};
 use super::records::{Millis, MotionRecord, NewSuggestion};
-use super::settings::{check, is_name, require};
+use super::settings::{check, is_name};
 use super::store::Store;
 use super::{log, rows};
-use crate::Error;
+use crate::error::{Error, require};
 use crate::wire::{
     Action, KEY_CODES, KEY_MODIFIERS, Prefs, Settings, Style, Suggestion, TaskState,
 };
@@ -17,6 +17,8 @@ use crate::wire::{
 const TRIED: usize = 64 * 1024;
 /// Name under which table `setting` holds the settings.
 const SETTINGS: &str = "settings";
+/// Comment on a task that returns to review because of its clip.
+const REOPENED: &str = "the clip was ingested anew, with other content, after this was accepted";
 /// Motions or tasks written per transaction; bounds how long others wait.
 pub(super) const AT_ONCE: usize = 500;
 
@@ -138,8 +140,20 @@ impl Store {
         for some in tasks.chunks(AT_ONCE) {
             let some = some.to_vec();
             self.write(move |tx| {
-                some.iter()
-                    .try_for_each(|task| settle_changed(tx, actor, *task, keep, now))
+                for task in some {
+                    let body = match (keep, rows::task(tx, task)?.state) {
+                        (true, _) => Body::ClipKept,
+                        (false, TaskState::Accepted) => Body::Reopened {
+                            comment: REOPENED.to_owned(),
+                            rule: None,
+                            request: String::new(),
+                        },
+                        // A reviewer will decide anyway, and sees the change.
+                        (false, _) => continue,
+                    };
+                    log::note(tx, now, actor, Some(task), body)?;
+                }
+                Ok(())
             })?;
         }
         Ok(())
@@ -309,29 +323,6 @@ fn put_motion(tx: &mut dyn Tx, motion: &MotionRecord) -> Result<()> {
             motion.action
         ],
     )
-}
-
-/// Decides about a task whose clip was ingested again: its answers stay valid, or it returns to review.
-fn settle_changed(
-    tx: &mut dyn Tx,
-    actor: Option<i64>,
-    task: i64,
-    keep: bool,
-    now: Millis,
-) -> Result<()> {
-    let state = rows::task(tx, task)?.state;
-    let body = match (keep, state) {
-        (true, _) => Body::ClipKept,
-        (false, TaskState::Accepted) => Body::Reopened {
-            comment: "the clip was ingested anew, with other content, after this was accepted"
-                .to_owned(),
-            rule: None,
-            request: String::new(),
-        },
-        // A reviewer will decide anyway, and sees the change.
-        (false, _) => return Ok(()),
-    };
-    log::note(tx, now, actor, Some(task), body)
 }
 
 /// Motions by hash, in the order of the hashes. Unknown hashes are skipped.

@@ -14,8 +14,8 @@ use super::store::Store;
 use crate::Error;
 use crate::state::Purpose;
 use crate::wire::{
-    Answer, Audit, AuditEntry, Bundle, HeldLease, MotionInfo, Person, RevisionState, Role, Task,
-    TaskKind, TaskState, Week,
+    Answer, Audit, AuditEntry, Bundle, EditType, HeldLease, MotionInfo, Person, RevisionState,
+    Role, Task, TaskKind, TaskState, Week,
 };
 
 impl Store {
@@ -195,7 +195,7 @@ impl Store {
     }
 
     /// Number of kept pairs by category and edit type.
-    pub fn kept(&self) -> Result<Vec<(Option<String>, String, i64)>> {
+    pub fn kept(&self) -> Result<Vec<(Option<String>, EditType, i64)>> {
         let sql = "SELECT category, kept_type, COUNT(*) FROM task
              WHERE kind = 'pair' AND counted = 1 AND kept_type IS NOT NULL
              GROUP BY category, kept_type ORDER BY category, kept_type";

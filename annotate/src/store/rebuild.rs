@@ -9,8 +9,8 @@ use std::sync::{Arc, Mutex};
 use rusqlite::Connection;
 
 use super::apply::apply;
-use super::db::{self, Database, Result, Row, ToSql, Tx, Value, params};
-use super::derived::{PROJECTIONS, Projection, SCHEMA, entries};
+use super::db::{Result, Row, ToSql, Tx, Value, params};
+use super::derived::{PROJECTIONS, Projection, SCHEMA, follow};
 use super::sqlite::scratch;
 use super::store::Store;
 use crate::lock::lock;
@@ -27,7 +27,23 @@ impl Store {
     /// # Errors
     /// An entry of the log cannot be read.
     pub fn rebuild(&self) -> Result<Vec<&'static str>> {
-        rebuild(self.db.as_ref())
+        let (mut derived, found) = self.snapshot()?.read(compare)?;
+        if found.is_empty() {
+            return Ok(Vec::new());
+        }
+        // Apply most of the new entries now, so that writers wait only for the rest.
+        self.read(|tx| derived.catch_up(tx))?;
+        let derived = Arc::new(Mutex::new(derived));
+        let tasks: BTreeSet<i64> = found.values().flatten().copied().collect();
+        for some in Vec::from_iter(tasks).chunks(REPAIRED) {
+            let (some, derived) = (some.to_vec(), Arc::clone(&derived));
+            self.write(move |tx| {
+                let mut derived = lock(&derived);
+                derived.catch_up(tx)?;
+                some.iter().try_for_each(|task| derived.repair(tx, *task))
+            })?;
+        }
+        Ok(found.into_keys().collect())
     }
 
     /// Checks the whole store and returns its findings: gaps in the log, and projections that do not follow from it.
@@ -52,16 +68,10 @@ impl Derived {
 
     /// Applies the log entries that were added since the last call.
     fn catch_up(&mut self, log: &mut dyn Tx) -> Result<()> {
-        loop {
-            let some = entries(log, self.last)?;
-            if some.is_empty() {
-                return Ok(());
-            }
-            for (seq, entry) in some {
-                apply(&mut self.scratch, seq, &entry)?;
-                self.last = seq;
-            }
-        }
+        let scratch = &mut self.scratch;
+        follow(log, &mut self.last, |_, seq, entry| {
+            apply(scratch, seq, entry)
+        })
     }
 
     /// Replaces the rows of a task by rows derived from the log.
@@ -143,37 +153,8 @@ fn compare(tx: &mut dyn Tx) -> Result<(Derived, Differing)> {
     Ok((derived, found))
 }
 
-/// Repairs the projections and returns the names of those that differed.
-pub(super) fn rebuild(store: &dyn Database) -> Result<Vec<&'static str>> {
-    let snapshot = store.snapshot()?;
-    let (mut derived, found) = db::read(snapshot.as_ref(), compare)?;
-    drop(snapshot);
-    if found.is_empty() {
-        return Ok(Vec::new());
-    }
-    // Apply most of the new entries now, so that writers wait only for the rest.
-    db::read(store, |tx| derived.catch_up(tx))?;
-    let derived = Arc::new(Mutex::new(derived));
-    let tasks: Vec<i64> = found
-        .values()
-        .flatten()
-        .copied()
-        .collect::<BTreeSet<_>>()
-        .into_iter()
-        .collect();
-    for some in tasks.chunks(REPAIRED) {
-        let (some, derived) = (some.to_vec(), Arc::clone(&derived));
-        db::write(store, move |tx| {
-            let mut derived = lock(&derived);
-            derived.catch_up(tx)?;
-            some.iter().try_for_each(|task| derived.repair(tx, *task))
-        })?;
-    }
-    Ok(found.into_keys().collect())
-}
-
 /// Findings about the log and the projections.
-pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>> {
+fn verify(tx: &mut dyn Tx) -> Result<Vec<String>> {
     let mut findings = Vec::new();
     let sql = "SELECT COUNT(*), COALESCE(MAX(seq), 0) FROM event";
     let (count, last): (i64, i64) = tx.get(sql, &[])?;
@@ -202,7 +183,7 @@ pub(super) fn verify(tx: &mut dyn Tx) -> Result<Vec<String>> {
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use super::super::db::{Params, Work};
+    use super::super::db::{Database, Params, Work};
     use super::super::records::NewTask;
     use super::super::sqlite;
     use super::*;

@@ -6,11 +6,11 @@ use super::entry::{Body, Entry};
 use super::leases::Turn;
 use super::log::Request;
 use super::records::{Millis, ReviewDetail, TaskRecord};
-use super::settings::{has_up_to, require};
+use super::settings::has_up_to;
 use super::store::Store;
 use super::{apply, project, rows};
-use crate::Error;
 use crate::answer;
+use crate::error::{Error, require};
 use crate::state::{LogKind, Purpose};
 use crate::wire::{
     Code, Decision, MAX_TEXT_CHARS, NewReview, ReviewDone, ReviewEmpty, ReviewQueue, Revision,
@@ -345,10 +345,7 @@ pub(super) fn comment(text: &str, is_needed: bool, readers: &str) -> Result<Stri
     let comment = text.trim().to_owned();
     let is_short = has_up_to(&comment, MAX_TEXT_CHARS);
     require(is_short, "comment", "the comment is too long")?;
-    require(
-        !is_needed || !comment.is_empty(),
-        "comment",
-        format!("write a comment; the {readers} and the log need it"),
-    )?;
+    let problem = format!("write a comment; the {readers} and the log need it");
+    require(!is_needed || !comment.is_empty(), "comment", problem)?;
     Ok(comment)
 }

@@ -17,10 +17,8 @@ pub(crate) const TASK: &str = "t.id, t.key, t.kind, t.source, t.target,
 
 /// Tasks `t` that match an SQL condition.
 pub(crate) fn tasks(tx: &mut dyn Tx, condition: &str, params: Params) -> Result<Vec<TaskRecord>> {
-    tx.list(
-        &format!("SELECT {TASK} FROM task t WHERE {condition}"),
-        params,
-    )
+    let sql = format!("SELECT {TASK} FROM task t WHERE {condition}");
+    tx.list(&sql, params)
 }
 
 /// The task with this id.
@@ -56,10 +54,8 @@ pub(crate) const LEASE: &str = "l.id, l.task, l.usr, l.epoch, l.expires";
 
 /// Leases `l`, selected by an SQL `FROM` clause.
 pub(crate) fn leases(tx: &mut dyn Tx, from: &str, params: Params) -> Result<Vec<LeaseRow>> {
-    tx.list(
-        &format!("SELECT {LEASE}, l.purpose, l.blind FROM {from}"),
-        params,
-    )
+    let sql = format!("SELECT {LEASE}, l.purpose, l.blind FROM {from}");
+    tx.list(&sql, params)
 }
 
 /// A user's lease on a task.

@@ -75,12 +75,10 @@ impl Store {
             for &task in &tasks {
                 reopen(tx, actor, task, &name, "", now)?;
             }
+            let sql = "SELECT COUNT(*) FROM accepted WHERE basis = ?1";
             Ok(RuleUndone {
                 reopened: tasks.len() as i64,
-                left: tx.number(
-                    "SELECT COUNT(*) FROM accepted WHERE basis = ?1",
-                    params![&basis],
-                )?,
+                left: tx.number(sql, params![&basis])?,
             })
         })
     }

@@ -1,7 +1,7 @@
 //! Checks of new settings.
 
 use super::db::Result;
-use crate::Error;
+use crate::error::require;
 use crate::wire::{
     MAX_GUIDELINE_CHARS, MAX_MASKS, MAX_NAME_CHARS, MAX_TEXT_CHARS, Rule, RuleKind, Settings, Style,
 };
@@ -15,24 +15,13 @@ const WEEK: u32 = 7 * 24 * 60;
 /// Maximum number of styles. Published datasets have about a hundred.
 const MAX_STYLES: usize = 2_000;
 
-/// Refuses a field unless a condition holds.
-pub(super) fn require(holds: bool, field: &str, problem: impl Into<String>) -> Result<()> {
-    if holds {
-        return Ok(());
-    }
-    Err(Error::invalid(field, problem))
-}
-
 /// Checks the numbers, names, time zone, rules and guides of new settings.
 pub(super) fn check(settings: &Settings) -> Result<()> {
     let zone = &settings.time_zone;
     check_numbers(settings)?;
     check_names(settings)?;
-    require(
-        crate::clock::is_zone(zone),
-        "time_zone",
-        format!("{zone:?} is no time zone; write a name such as Europe/Berlin or UTC"),
-    )?;
+    let problem = format!("{zone:?} is no time zone; write a name such as Europe/Berlin or UTC");
+    require(crate::clock::is_zone(zone), "time_zone", problem)?;
     check_rules(&settings.rules)?;
     check_guides(settings)
 }
@@ -67,22 +56,17 @@ fn check_numbers(settings: &Settings) -> Result<()> {
 }
 
 fn check_names(settings: &Settings) -> Result<()> {
-    require(
-        is_name(&settings.name),
-        "name",
-        format!("the project needs a name of up to {MAX_NAME_CHARS} characters"),
-    )?;
+    let problem = format!("the project needs a name of up to {MAX_NAME_CHARS} characters");
+    require(is_name(&settings.name), "name", problem)?;
     check_styles(&settings.styles)?;
     for (field, names) in [
         ("templates", &settings.templates),
         ("mask_templates", &settings.mask_templates),
         ("style_templates", &settings.style_templates),
     ] {
-        require(
-            names.len() <= MAX_NAMES && names.iter().all(|name| is_name(name)),
-            field,
-            format!("use up to {MAX_NAMES} names of up to {MAX_NAME_CHARS} characters"),
-        )?;
+        let are_names = names.len() <= MAX_NAMES && names.iter().all(|name| is_name(name));
+        let problem = format!("use up to {MAX_NAMES} names of up to {MAX_NAME_CHARS} characters");
+        require(are_names, field, problem)?;
     }
     Ok(())
 }
@@ -109,31 +93,24 @@ fn check_styles(styles: &[Style]) -> Result<()> {
     require(styles.len() <= MAX_STYLES, most)?;
     for (index, style) in styles.iter().enumerate() {
         let name = &style.name;
-        require(
-            is_name(name),
-            format!("name each style in up to {MAX_NAME_CHARS} characters"),
-        )?;
-        require(
-            styles[..index].iter().all(|other| other.name != *name),
-            format!("two styles are called {name:?}"),
-        )?;
-        require(
-            has_up_to(&style.text, MAX_TEXT_CHARS),
-            format!("the text of {name:?} has more than {MAX_TEXT_CHARS} characters"),
-        )?;
-        require(
-            has_up_to(&style.guideline, MAX_GUIDELINE_CHARS),
-            format!("the guideline of {name:?} has more than {MAX_GUIDELINE_CHARS} characters"),
-        )?;
+        let problem = format!("name each style in up to {MAX_NAME_CHARS} characters");
+        require(is_name(name), problem)?;
+        let is_first = styles[..index].iter().all(|other| other.name != *name);
+        require(is_first, format!("two styles are called {name:?}"))?;
+        for (what, text, most) in [
+            ("text", &style.text, MAX_TEXT_CHARS),
+            ("guideline", &style.guideline, MAX_GUIDELINE_CHARS),
+        ] {
+            let problem = format!("the {what} of {name:?} has more than {most} characters");
+            require(has_up_to(text, most), problem)?;
+        }
         let is_colour = |text: &String| {
             text.strip_prefix('#').is_some_and(|digits| {
                 digits.len() == 6 && digits.bytes().all(|byte| byte.is_ascii_hexdigit())
             })
         };
-        require(
-            style.colour.as_ref().is_none_or(is_colour),
-            format!("the colour of {name:?} is not written as #rrggbb"),
-        )?;
+        let problem = format!("the colour of {name:?} is not written as #rrggbb");
+        require(style.colour.as_ref().is_none_or(is_colour), problem)?;
     }
     Ok(())
 }
@@ -141,11 +118,9 @@ fn check_styles(styles: &[Style]) -> Result<()> {
 fn check_guides(settings: &Settings) -> Result<()> {
     const MAX_GUIDE: usize = 100_000;
     for (kind, guide) in &settings.guides {
-        require(
-            has_up_to(&guide.text, MAX_GUIDE) && guide.pictures.len() <= MAX_NAMES,
-            &format!("guides.{kind}"),
-            format!("use up to {MAX_GUIDE} characters and {MAX_NAMES} pictures"),
-        )?;
+        let is_short = has_up_to(&guide.text, MAX_GUIDE) && guide.pictures.len() <= MAX_NAMES;
+        let problem = format!("use up to {MAX_GUIDE} characters and {MAX_NAMES} pictures");
+        require(is_short, &format!("guides.{kind}"), problem)?;
         for picture in &guide.pictures {
             check_picture_name(&picture.name)?;
         }
@@ -163,16 +138,11 @@ fn check_rules(rules: &[Rule]) -> Result<()> {
         let require = |holds: bool, field: &str, problem: &str| {
             require(holds, &format!("rules.{index}.{field}"), problem)
         };
-        require(
-            is_word(name, 1..=40),
-            "name",
-            &format!("{name:?} is no name of a rule; use 1 to 40 letters, digits and dashes"),
-        )?;
-        require(
-            rules[..index].iter().all(|other| other.name != *name),
-            "name",
-            &format!("two rules are called {name}"),
-        )?;
+        let problem =
+            format!("{name:?} is no name of a rule; use 1 to 40 letters, digits and dashes");
+        require(is_word(name, 1..=40), "name", &problem)?;
+        let is_first = rules[..index].iter().all(|other| other.name != *name);
+        require(is_first, "name", &format!("two rules are called {name}"))?;
         if kind == RuleKind::Trusted {
             let named = !rule.people.is_empty();
             require(named, "people", "name the people to trust")?;
@@ -180,28 +150,23 @@ fn check_rules(rules: &[Rule]) -> Result<()> {
             let problem = format!("a rule that accepts {kind} has no people; leave them out");
             require(rule.people.is_empty(), "people", &problem)?;
         }
-        let (answers, distance) = (rule.min_answers, rule.max_distance);
-        let is_share = rule.review_percent <= 100;
-        require((1..=50).contains(&answers), "min_answers", "use 1 to 50")?;
-        require(
-            (0.0..=1.0).contains(&distance),
-            "max_distance",
-            "use 0 to 1",
-        )?;
-        require(is_share, "review_percent", "use 0 to 100")?;
+        let are_enough = (1..=50).contains(&rule.min_answers);
+        let is_distance = (0.0..=1.0).contains(&rule.max_distance);
+        let is_percent = rule.review_percent <= 100;
+        require(are_enough, "min_answers", "use 1 to 50")?;
+        require(is_distance, "max_distance", "use 0 to 1")?;
+        require(is_percent, "review_percent", "use 0 to 100")?;
     }
     Ok(())
 }
 
 pub(super) fn check_picture_name(name: &str) -> Result<()> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    require(
-        (1..=60).contains(&name.len()) && name.chars().all(allowed),
-        "name",
-        format!(
-            "{name:?} is no name of a picture; use up to 60 letters, digits, dashes, dots and underscores"
-        ),
-    )
+    let is_allowed = (1..=60).contains(&name.len()) && name.chars().all(allowed);
+    let problem = format!(
+        "{name:?} is no name of a picture; use up to 60 letters, digits, dashes, dots and underscores"
+    );
+    require(is_allowed, "name", problem)
 }
 
 #[cfg(test)]

@@ -87,11 +87,8 @@ fn annotation_task(
         .and_then(|()| crate::mask::check_ranges(answer.fields().masks, source.frames))
         .map_err(|error| error.to_string())?;
     new.accepted = Some(answer);
-    new.credit = credit(
-        &first.author,
-        first.merged != 0,
-        first.accepted_by.as_deref(),
-    );
+    let accepted_by = first.accepted_by.as_deref();
+    new.credit = credit(&first.author, first.merged != 0, accepted_by);
     Ok(new)
 }
 

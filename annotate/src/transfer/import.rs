@@ -426,11 +426,9 @@ pub fn from_labels(
         let exported = labels.motions.get(id);
         if let Some(exported) = exported.filter(|hashes| !hashes.contains(hash)) {
             let exported: Vec<&str> = exported.iter().map(String::as_str).collect();
+            let what = format!("the labels of motion {id:?}");
             let problem = other_content(hash, &exported.join(" or "));
-            return Err(Error::import(
-                format!("the labels of motion {id:?}"),
-                problem,
-            ));
+            return Err(Error::import(what, problem));
         }
         if by_hash.insert(hash) {
             by_id.insert(id, clip);

@@ -2,7 +2,6 @@
 
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::TcpStream;
-use std::sync::Arc;
 use std::time::Duration;
 
 use annotate::store::{TokenUse, open_sqlite};
@@ -367,7 +366,7 @@ fn a_server_that_starts_leaves_the_jobs_of_others_running_and_lost_ones_fail() {
 #[cfg(feature = "postgres")]
 struct Pair {
     servers: [annotate::http::Server; 2],
-    store: Arc<annotate::store::Store>,
+    store: std::sync::Arc<annotate::store::Store>,
     folder: tempfile::TempDir,
 }
 

@@ -54,7 +54,7 @@ fn pairs_of_the_type_that_is_furthest_behind_come_first_and_none_is_held_back() 
         assert_eq!(answer(kept(Timing)), 5);
         let count = |edit_type: EditType| {
             let kept = site.store.kept().expect("counts");
-            let of_type = kept.iter().filter(|row| row.1 == edit_type.as_str());
+            let of_type = kept.iter().filter(|row| row.1 == edit_type);
             of_type.map(|row| row.2).sum::<i64>()
         };
         assert_eq!([Speed, Force, Timing].map(count), [2, 1, 2]);

@@ -706,7 +706,7 @@ fn users_come_in_bulk_with_a_token_each_or_not_at_all() {
         let roles: Vec<_> = users.map(|user| (user.name.as_str(), user.role)).collect();
         assert_eq!(roles, [("cleo", Role::Annotator), ("dora", Role::Reviewer)]);
         let token = &added[0].token;
-        let who = site.store.authenticate(token, &[TokenUse::Token], START);
+        let who = site.store.authenticate(token, TokenUse::Token, START);
         assert_eq!(who.expect("a token").name, "cleo");
     });
 }

@@ -917,8 +917,7 @@ fn tokens_end_are_revoked_and_work_once_where_they_should() {
             let issued = store.issue(ann, purpose, START + MINUTE, START);
             issued.expect("a token").token
         };
-        let good_at =
-            |token: &str, purpose, now| store.authenticate(token, &[purpose], now).is_ok();
+        let good_at = |token: &str, purpose, now| store.authenticate(token, purpose, now).is_ok();
         let good = |token: &str, purpose| good_at(token, purpose, START);
         let token = issue(Token);
         assert!(good(&token, Token));

@@ -2,8 +2,8 @@
 
 use axum::response::Response;
 
-use crate::Error;
 use crate::clock::DAY;
+use crate::error::{Error, require};
 use crate::http::app::{Context, json};
 use crate::store::TokenUse;
 use crate::wire::{CapturePlan, NewToken, NewUser, NewUserLink, NewUsers, TokenShown, UserChange};
@@ -30,10 +30,9 @@ fn issued(cx: &Context, user: i64, days: u32) -> Result<Response, Error> {
 
 /// Expiry of a token that is issued now for this many days. Refused with `invalid`.
 fn end(cx: &Context, days: u32) -> Result<i64, Error> {
-    match days {
-        1..=365 => Ok(cx.now + i64::from(days) * DAY),
-        _ => Err(Error::invalid("days", "a token is valid for 1 to 365 days")),
-    }
+    let problem = "a token is valid for 1 to 365 days";
+    require((1..=365).contains(&days), "days", problem)?;
+    Ok(cx.now + i64::from(days) * DAY)
 }
 
 pub(super) fn add_user(cx: &Context) -> Result<Response, Error> {

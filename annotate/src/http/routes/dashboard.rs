@@ -6,11 +6,12 @@ use axum::response::Response;
 use serde::Deserialize;
 
 use crate::Error;
+use crate::agreement::mean;
 use crate::clock::{self, DAY};
 use crate::http::app::{Context, json, page_size};
 use crate::quality::Figures;
 use crate::store::AuditFilter;
-use crate::wire::{EditType, EditTypeCount, Funnel, QuotaRow, TaskKind};
+use crate::wire::{EditTypeCount, Funnel, QuotaRow, TaskKind};
 
 /// Weeks the dashboard shows.
 const WEEKS: i64 = 12;
@@ -21,11 +22,9 @@ pub(super) fn figures(cx: &Context) -> Result<Arc<Figures>, Error> {
 }
 
 pub(super) fn funnel(cx: &Context) -> Result<Response, Error> {
+    let kinds = TaskKind::ALL.iter();
     let mut funnel = Funnel {
-        counts: TaskKind::ALL
-            .iter()
-            .map(|&kind| (kind, Default::default()))
-            .collect(),
+        counts: kinds.map(|&kind| (kind, Default::default())).collect(),
         weeks: Vec::new(),
     };
     for (kind, state, count) in cx.store().funnel()? {
@@ -34,12 +33,8 @@ pub(super) fn funnel(cx: &Context) -> Result<Response, Error> {
     let zone = cx.store().settings()?.time_zone;
     let bounds = clock::weeks(&zone, cx.now, WEEKS);
     let figures = figures(cx)?;
-    for (mut week, span) in cx
-        .store()
-        .weeks(&bounds)?
-        .into_iter()
-        .zip(bounds.windows(2))
-    {
+    let weeks = cx.store().weeks(&bounds)?;
+    for (mut week, span) in weeks.into_iter().zip(bounds.windows(2)) {
         let inside = |values: &[(i64, f64)]| -> Vec<f64> {
             let within = values
                 .iter()
@@ -48,8 +43,7 @@ pub(super) fn funnel(cx: &Context) -> Result<Response, Error> {
         };
         let agreed = inside(&figures.agreed_by_time);
         week.median_secs = datasets_spec::quantile::median(&mut inside(&figures.secs_by_time));
-        week.agreement =
-            (!agreed.is_empty()).then(|| agreed.iter().sum::<f64>() / agreed.len() as f64);
+        week.agreement = mean(&agreed);
         week.shared_items = agreed.len();
         funnel.weeks.push(week);
     }
@@ -72,21 +66,15 @@ pub(super) fn people(cx: &Context) -> Result<Response, Error> {
 
 pub(super) fn quota(cx: &Context) -> Result<Response, Error> {
     let settings = cx.store().settings()?;
-    let rows: Vec<QuotaRow> = cx
-        .store()
-        .kept()?
-        .into_iter()
-        .filter_map(|(category, edit_type, kept)| {
-            Some(QuotaRow {
-                category: category.unwrap_or_default(),
-                edit_type: EditType::parse(&edit_type)?,
-                kept,
-                wanted: settings.quota.into(),
-                category_wanted: settings.category_quota.into(),
-            })
-        })
-        .collect();
-    json(&rows)
+    let kept = cx.store().kept()?.into_iter();
+    let rows = kept.map(|(category, edit_type, kept)| QuotaRow {
+        category: category.unwrap_or_default(),
+        edit_type,
+        kept,
+        wanted: settings.quota.into(),
+        category_wanted: settings.category_quota.into(),
+    });
+    json(&Vec::from_iter(rows))
 }
 
 pub(super) fn edit_types(cx: &Context) -> Result<Response, Error> {
@@ -103,7 +91,7 @@ pub(super) fn edit_types(cx: &Context) -> Result<Response, Error> {
             edit_type,
             kept: kept
                 .iter()
-                .filter(|(_, name, _)| name == edit_type.as_str())
+                .filter(|(_, known, _)| *known == edit_type)
                 .map(|(.., count)| count)
                 .sum(),
             wanted: wanted.into(),

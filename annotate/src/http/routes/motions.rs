@@ -3,7 +3,7 @@
 use axum::response::Response;
 use serde::Deserialize;
 
-use crate::Error;
+use crate::error::{Error, require};
 use crate::http::app::{Context, binary, content, json};
 use crate::mask::{check_names, known_parts, mask_of};
 use crate::motions::row_bytes;
@@ -65,18 +65,13 @@ pub(super) fn difference(cx: &Context) -> Result<Response, Error> {
 
 pub(super) fn blend(cx: &Context) -> Result<Response, Error> {
     let request: BlendRequest = cx.body()?;
-    if !(0.0..=1.0).contains(&request.alpha) {
-        return Err(Error::invalid(
-            "alpha",
-            "the weight of the soft ring must be 0 to 1",
-        ));
-    }
-    if known_parts(&request.parts).len() != request.parts.len() || request.parts.is_empty() {
-        return Err(Error::invalid(
-            "parts",
-            "name the parts to take from the other motion",
-        ));
-    }
+    let is_share = (0.0..=1.0).contains(&request.alpha);
+    let problem = "the weight of the soft ring must be 0 to 1";
+    require(is_share, "alpha", problem)?;
+    let count = request.parts.len();
+    let are_known = count > 0 && known_parts(&request.parts).len() == count;
+    let problem = "name the parts to take from the other motion";
+    require(are_known, "parts", problem)?;
     check_names(&request.joints).map_err(|problem| Error::invalid("joints", problem))?;
     let mask = mask_of(&request.parts, request.soft, &request.joints);
     let (source, target) = (&request.src, &request.tgt);

@@ -3,8 +3,8 @@
 use axum::response::Response;
 
 use super::tasks::offered;
-use crate::Error;
 use crate::answer;
+use crate::error::{Error, require};
 use crate::http::app::{Context, json};
 use crate::quality::draft_distance;
 use crate::wire::{
@@ -76,8 +76,7 @@ pub(super) fn candidates_of(
 
 pub(super) fn review(cx: &Context) -> Result<Response, Error> {
     let new: NewReview = cx.body()?;
-    if new.decision != Decision::Merge && new.answer.is_some() {
-        return Err(Error::invalid("answer", "only a merge contains an answer"));
-    }
+    let fits = new.decision == Decision::Merge || new.answer.is_none();
+    require(fits, "answer", "only a merge contains an answer")?;
     json(&cx.store().review(cx.user()?, new, cx.now)?)
 }

@@ -2,8 +2,8 @@
 
 use axum::response::Response;
 
-use crate::Error;
 use crate::answer;
+use crate::error::{Error, require};
 use crate::http::app::{App, Context, json};
 use crate::mask::known_parts;
 use crate::model::MAX_REQUESTS_PER_MINUTE;
@@ -98,11 +98,9 @@ pub(super) fn claim(cx: &Context) -> Result<Response, Error> {
 
 pub(super) fn events(cx: &Context) -> Result<Response, Error> {
     let EventBatch { events } = cx.body()?;
-    if events.is_empty() || events.len() > MAX_EVENTS {
-        let count = events.len();
-        let problem = format!("a batch has 1 to {MAX_EVENTS} events, this one has {count}");
-        return Err(Error::invalid("events", problem));
-    }
+    let count = events.len();
+    let problem = format!("a batch has 1 to {MAX_EVENTS} events, this one has {count}");
+    require((1..=MAX_EVENTS).contains(&count), "events", problem)?;
     let results = cx.store().append(cx.user()?, cx.id()?, events, cx.now)?;
     json(&EventResults { results })
 }
@@ -111,38 +109,28 @@ pub(super) fn suggest(cx: &Context) -> Result<Response, Error> {
     let request: SuggestRequest = cx.body()?;
     let who = cx.who()?;
     let Some(model) = &cx.app.config.model else {
-        return Err(Error::refused(
-            Code::NoModel,
-            "no language model is configured; write the text yourself",
-        ));
+        let problem = "no language model is configured; write the text yourself";
+        return Err(Error::refused(Code::NoModel, problem));
     };
     let detail = cx.store().task(who, cx.id()?)?;
     if detail.lease.is_none() {
-        return Err(Error::refused(
-            Code::LeaseLost,
-            "you hold no lease on this task",
-        ));
+        let problem = "you hold no lease on this task";
+        return Err(Error::refused(Code::LeaseLost, problem));
     }
     if detail.blind {
-        return Err(Error::wrong_state(
-            detail.task.state,
-            "given a draft: its drafts are withheld",
-        ));
+        let problem = "given a draft: its drafts are withheld";
+        return Err(Error::wrong_state(detail.task.state, problem));
     }
     let parts = known_parts(&request.parts);
-    if parts.is_empty() || parts.len() != request.parts.len() {
-        return Err(Error::invalid(
-            "parts",
-            "name the parts that the text shall describe",
-        ));
-    }
+    let are_known = !parts.is_empty() && parts.len() == request.parts.len();
+    let problem = "name the parts that the text shall describe";
+    require(are_known, "parts", problem)?;
     let (who, limiter) = (who.id.to_string(), &cx.app.limiter);
     limiter.count("suggestions", &who, MAX_REQUESTS_PER_MINUTE, cx.now)?;
     let suggestion = model.suggest(cx.store(), &detail.task, &parts)?;
-    let kept = cx
-        .store()
-        .put_suggestion(detail.task.id, suggestion, cx.now)?;
-    json(&shown(kept, detail.task.kind))
+    let task = &detail.task;
+    let kept = cx.store().put_suggestion(task.id, suggestion, cx.now)?;
+    json(&shown(kept, task.kind))
 }
 
 pub(super) fn make_gold(cx: &Context) -> Result<Response, Error> {

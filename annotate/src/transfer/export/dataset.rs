@@ -165,20 +165,16 @@ impl Exporter<'_> {
             !is_exported || stays(&key_of_pair(&pair.id), pair.split, false)
         });
         let taken_back = before - masks.len() - pairs.len();
-        self.done.lose("taken_back", taken_back);
-        if taken_back > 0 {
-            self.done.messages.push(format!(
-                "{taken_back} masks and pairs left the dataset, because their acceptance was taken back; `stance masks` \
-                 and `stance pairs` make automatic ones in their place"
-            ));
-        }
-        self.done.lose("taken_back_but_kept", unsure);
-        if unsure > 0 {
-            self.done.messages.push(format!(
-                "{unsure} masks and pairs stay in the dataset although their tasks were reopened and are not accepted: the \
-                 last export of this project did not write them; accept other answers to replace them"
-            ));
-        }
+        let message = format!(
+            "{taken_back} masks and pairs left the dataset, because their acceptance was taken back; `stance masks` \
+             and `stance pairs` make automatic ones in their place"
+        );
+        self.done.report("taken_back", taken_back, message);
+        let message = format!(
+            "{unsure} masks and pairs stay in the dataset although their tasks were reopened and are not accepted: the \
+             last export of this project did not write them; accept other answers to replace them"
+        );
+        self.done.report("taken_back_but_kept", unsure, message);
         Ok(())
     }
 

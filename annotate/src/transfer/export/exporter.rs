@@ -40,6 +40,14 @@ impl Exported {
             self.count(what, count);
         }
     }
+
+    /// Counts omitted items and adds a message about them, if there are any.
+    pub(super) fn report(&mut self, what: &str, count: usize, message: String) {
+        if count > 0 {
+            self.count(what, count);
+            self.messages.push(message);
+        }
+    }
 }
 
 /// File that records the origin of an export.
@@ -87,33 +95,26 @@ impl<'a> Exporter<'a> {
 
     /// Adds to the result what was left out with its clips.
     pub(super) fn note_left_out(&mut self) {
-        if let Some(first) = self.gone.first() {
-            let count = self.gone.len();
-            let message = format!(
-                "{count} clips with accepted answers are not in the dataset, for example {first}; these answers are \
-                 left out and stay in the project"
-            );
-            self.done.count("clips_gone", count);
-            self.done.messages.push(message);
-        }
-        if let Some(first) = self.other.first() {
-            let count = self.other.len();
-            let message = format!(
-                "{count} clips with accepted answers have another content in the dataset than in the project, for \
-                 example {first}; these answers are left out: import the dataset first (stance annotate DATASET import)"
-            );
-            self.done.count("clips_of_other_content", count);
-            self.done.messages.push(message);
-        }
-        if let Some(first) = self.across.first() {
-            let count = self.across.len();
-            let message = format!(
-                "{count} pairs have their clips in two splits, for example {first}; their answers are left out and \
-                 stay in the project"
-            );
-            self.done.count("pairs_across_splits", count);
-            self.done.messages.push(message);
-        }
+        let first = |of: &BTreeSet<String>| of.first().cloned().unwrap_or_default();
+        let (gone, other, across) = (self.gone.len(), self.other.len(), self.across.len());
+        let message = format!(
+            "{gone} clips with accepted answers are not in the dataset, for example {}; these answers are left out \
+             and stay in the project",
+            first(&self.gone)
+        );
+        self.done.report("clips_gone", gone, message);
+        let message = format!(
+            "{other} clips with accepted answers have another content in the dataset than in the project, for \
+             example {}; these answers are left out: import the dataset first (stance annotate DATASET import)",
+            first(&self.other)
+        );
+        self.done.report("clips_of_other_content", other, message);
+        let message = format!(
+            "{across} pairs have their clips in two splits, for example {}; their answers are left out and stay in \
+             the project",
+            first(&self.across)
+        );
+        self.done.report("pairs_across_splits", across, message);
     }
 
     /// Adds to the result how answers were accepted, and how many were accepted before their clip was ingested again.
@@ -136,13 +137,12 @@ impl<'a> Exporter<'a> {
             .iter()
             .filter(|task| task.state == TaskState::Accepted && self.wanted(&task.split))
             .count();
-        if accepted > 0 {
-            self.done.count("accepted_before_clip_changed", accepted);
-            self.done.messages.push(format!(
-                "{accepted} accepted answers were given before their clip was ingested anew; decide about them with \
-                 `stance annotate DATASET changed`"
-            ));
-        }
+        let message = format!(
+            "{accepted} accepted answers were given before their clip was ingested anew; decide about them with \
+             `stance annotate DATASET changed`"
+        );
+        self.done
+            .report("accepted_before_clip_changed", accepted, message);
         Ok(())
     }
 
@@ -157,11 +157,9 @@ impl<'a> Exporter<'a> {
 
     /// Whether an author is the pseudonym of a person of this store.
     pub(super) fn is_own(&self, author: &str) -> bool {
-        let rest = author.strip_prefix('a').unwrap_or_default();
-        let number = rest
-            .split_once('-')
-            .map(|(number, _)| number.parse::<i64>());
-        number.is_some_and(|user| user.is_ok_and(|user| self.pseudonym(user) == author))
+        let rest = author.strip_prefix('a');
+        let user = rest.and_then(|rest| rest.split_once('-')?.0.parse().ok());
+        user.is_some_and(|user| self.pseudonym(user) == author)
     }
 
     /// The author of an accepted answer: the pseudonym of a person of this store, or the author that an import named.

@@ -193,13 +193,11 @@ impl Exporter<'_> {
             others += usize::from(accepted.merged || accepted.author == 0);
             Ok(())
         })?;
-        if others > 0 {
-            self.done.count("merged_or_imported", others);
-            self.done.messages.push(format!(
-                "{others} accepted answers were merged by a reviewer or imported: they are no label of a person, and \
-                 layout parquet alone has them"
-            ));
-        }
+        let message = format!(
+            "{others} accepted answers were merged by a reviewer or imported: they are no label of a person, and \
+             layout parquet alone has them"
+        );
+        self.done.report("merged_or_imported", others, message);
         Ok(())
     }
 
