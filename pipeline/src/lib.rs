@@ -29,6 +29,7 @@ mod counts;
 pub mod doctor;
 mod error;
 pub mod export;
+mod facts;
 pub mod ingest;
 pub mod jobs;
 pub mod likeness;

@@ -15,9 +15,10 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipRow};
+use crate::facts::json;
 use crate::ingest::{MergedSources, recorded_settings, with_label};
 use crate::recordings::{Clip, Origin, Prefixes, Recording, clips, grouped, sketches, unite_alike};
-use crate::versions::{Labels, json};
+use crate::versions::Labels;
 
 /// Result of [`merge`].
 #[derive(Clone, Debug, Serialize)]

@@ -18,6 +18,7 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::clip_table::clip_facts;
+use crate::facts::fact;
 use crate::likeness::{Sketch, near_pairs};
 
 #[derive(Clone, Debug, PartialEq)]
@@ -58,10 +59,7 @@ pub(crate) struct Prefixes(Vec<String>);
 
 impl Prefixes {
     pub(crate) fn of(dataset: &Dataset) -> Self {
-        let fact = dataset.manifest().facts.get("sources");
-        let sources: Vec<serde_json::Value> = fact
-            .and_then(|text| serde_json::from_str(text).ok())
-            .unwrap_or_default();
+        let sources: Vec<serde_json::Value> = fact(&dataset.manifest().facts, "sources");
         let prefixes = sources
             .iter()
             .filter_map(|source| source.get("label")?.as_str());
@@ -83,8 +81,6 @@ impl Prefixes {
 impl Origin {
     /// The recordings that a clip of a dataset belongs to. `number` identifies the dataset.
     pub(crate) fn recordings(&self, prefixes: &Prefixes, number: usize) -> Vec<Recording> {
-        let source_clip =
-            |id: &str| MotionId::parse(id).map_or(id.to_owned(), |id| id.source_clip().to_owned());
         let own = source_clip(self.id.as_str());
         let original = self.mirrored_of.as_deref().map(source_clip);
         let name = original.clone().unwrap_or_else(|| own.clone());
@@ -98,6 +94,11 @@ impl Origin {
         }
         recordings
     }
+}
+
+/// Id of the clip of the source that a clip was made from; the id itself if it is malformed.
+pub(crate) fn source_clip(id: &str) -> String {
+    MotionId::parse(id).map_or(id.to_owned(), |id| id.source_clip().to_owned())
 }
 
 /// Groups the clips that have a recording in common.

@@ -388,6 +388,7 @@ impl Difference {
     }
 }
 
+#[derive(Default)]
 struct Tally {
     clips: u64,
     frames: u64,
@@ -400,12 +401,8 @@ struct Tally {
 impl Tally {
     fn new() -> Self {
         Self {
-            clips: 0,
-            frames: 0,
             groups: vec![(Difference::default(), Vec::new()); GROUPS.len() + 1],
-            met: BTreeSet::new(),
-            only_in_dataset: Missing::default(),
-            problems: Vec::new(),
+            ..Self::default()
         }
     }
 

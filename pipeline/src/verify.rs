@@ -55,14 +55,9 @@ pub fn verify(root: &Path, progress: &dyn Progress) -> Result<Verification, Erro
     let manifest = dataset.manifest();
     let mut findings = Vec::new();
     if !manifest.accounting.balances() {
-        findings.push(Finding {
-            check: Check::Accounting,
-            item: "manifest".to_owned(),
-            problem: format!(
-                "sources are not all accounted for: {:?}",
-                manifest.accounting
-            ),
-        });
+        let accounting = &manifest.accounting;
+        let problem = format!("sources are not all accounted for: {accounting:?}");
+        findings.push(Finding::new(Check::Accounting, "manifest", problem));
     }
     let files: Vec<(&str, &FileEntry)> = manifest
         .tables
@@ -116,11 +111,8 @@ impl Contents {
     fn take(&mut self, read: Read) -> Vec<Finding> {
         let mut findings = read.findings;
         let mut twice = |item: String, what: &str| {
-            findings.push(Finding {
-                check: Check::Contents,
-                item,
-                problem: format!("two {what} have this id"),
-            });
+            let problem = format!("two {what} have this id");
+            findings.push(Finding::new(Check::Contents, item, problem));
         };
         self.named.extend(read.named);
         self.answers.extend(read.answers);
@@ -159,16 +151,15 @@ fn duplicates(met: Vec<Met>) -> Vec<Finding> {
         }
     }
     let duplicates = near_pairs(&sketches).into_iter();
-    let duplicates = duplicates.map(|(first, second, distance)| Finding {
-        check: Check::Splits,
-        item: ids[second].to_string(),
-        problem: format!(
+    let duplicates = duplicates.map(|(first, second, distance)| {
+        let problem = format!(
             "is in {}, and {} in {} is the same motion within {:.1} mm",
             sketches[second].0,
             ids[first],
             sketches[first].0,
             1000.0 * distance
-        ),
+        );
+        Finding::new(Check::Splits, ids[second].as_str(), problem)
     });
     duplicates.collect()
 }

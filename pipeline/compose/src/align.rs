@@ -33,14 +33,7 @@ pub(super) fn warped(motion: &Motion, onto: &Motion, skeleton: &Skeleton) -> Mot
         .map(|place| {
             let place = place.clamp(0.0, last as f64);
             let before = (place.floor() as usize).min(last.saturating_sub(1));
-            (
-                before,
-                if last == 0 {
-                    0.0
-                } else {
-                    place - before as f64
-                },
-            )
+            (before, place - before as f64)
         })
         .collect();
     let poses = resample::interpolate_all(&motion.poses(), &grid);
@@ -67,13 +60,9 @@ fn apart(a: &Posture, b: &Posture) -> f64 {
 
 /// For every frame of `to`, the mean index of the frames of `from` that the optimal path matches with it.
 fn path(from: &[Posture], to: &[Posture]) -> Vec<f64> {
-    /// Predecessor on a path.
-    #[derive(Clone, Copy)]
-    enum Step {
-        Both,
-        From,
-        To,
-    }
+    /// Whether a step of a path advances in `to`, and whether in `from`.
+    type Step = [bool; 2];
+    const BOTH: Step = [true, true];
     let (rows, columns) = (to.len(), from.len());
     let longer = rows.max(columns);
     let band = ((BAND * longer as f64) as usize).max(MIN_BAND) as f64;
@@ -98,14 +87,14 @@ fn path(from: &[Posture], to: &[Posture]) -> Vec<f64> {
         };
         for (column, frame) in from.iter().enumerate().take(end).skip(first) {
             let candidates = [
-                (Step::Both, column.checked_sub(1).and_then(above)),
-                (Step::To, above(column)),
-                (Step::From, costs.last().copied()),
+                (BOTH, column.checked_sub(1).and_then(above)),
+                ([true, false], above(column)),
+                ([false, true], costs.last().copied()),
             ];
             let (step, cost) = candidates
                 .into_iter()
                 .filter_map(|(step, cost)| Some((step, cost?)))
-                .fold((Step::Both, f64::INFINITY), |best, next| {
+                .fold((BOTH, f64::INFINITY), |best, next| {
                     if next.1 < best.1 { next } else { best }
                 });
             let cost = if row == 0 && column == 0 { 0.0 } else { cost };
@@ -123,16 +112,13 @@ fn path(from: &[Posture], to: &[Posture]) -> Vec<f64> {
         if row == 0 && column == 0 {
             break;
         }
-        match steps[row][column - bounds(row).0] {
-            _ if row == 0 => column -= 1,
-            _ if column == 0 => row -= 1,
-            Step::Both => {
-                row -= 1;
-                column -= 1;
-            }
-            Step::To => row -= 1,
-            Step::From => column -= 1,
-        }
+        let [in_to, in_from] = match (row, column) {
+            (0, _) => [false, true],
+            (_, 0) => [true, false],
+            _ => steps[row][column - bounds(row).0],
+        };
+        row -= usize::from(in_to);
+        column -= usize::from(in_from);
     }
     sums.into_iter().map(|(sum, count)| sum / count).collect()
 }

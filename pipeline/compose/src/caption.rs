@@ -39,6 +39,7 @@ fn is_one_of(word: &str, words: &str) -> bool {
 }
 
 /// Gerunds of the verbs in `verbs.txt`, by third person, by gerund and by bare form.
+#[derive(Default)]
 struct Verbs {
     finite: BTreeMap<String, String>,
     gerunds: BTreeMap<String, String>,
@@ -48,12 +49,7 @@ struct Verbs {
 }
 
 static VERBS: LazyLock<Verbs> = LazyLock::new(|| {
-    let mut verbs = Verbs {
-        finite: BTreeMap::new(),
-        gerunds: BTreeMap::new(),
-        bare: BTreeMap::new(),
-        only_finite: BTreeSet::new(),
-    };
+    let mut verbs = Verbs::default();
     let lines = include_str!("verbs.txt").lines();
     let words = lines
         .filter(|line| !line.starts_with('#'))

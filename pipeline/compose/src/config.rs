@@ -290,43 +290,29 @@ impl ComposeConfig {
     /// # Errors
     /// A setting is out of range.
     pub fn check(&self) -> Result<(), Error> {
-        let is_share = |got: f64| got > 0.0 && got <= 1.0;
-        let is_probability = |got: f64| (0.0..=1.0).contains(&got);
-        let AlphaDistribution::Uniform { low, high } = self.alpha;
-        let undonored = self.undonored_ratio.unwrap_or(0.0);
-        let (share, probability) = ("above 0 and at most 1", "from 0 to 1");
+        // A value, whether it fits, and what is expected.
+        let share = |got: f64| (got, got > 0.0 && got <= 1.0, "above 0 and at most 1");
+        let probability = |got: f64| (got, (0.0..=1.0).contains(&got), "from 0 to 1");
+        let within = |got: f64, low: f64| {
+            let expected = "between 0 and 1, low not above high";
+            (got, (low..=1.0).contains(&got), expected)
+        };
         let kinds = "at least one of semantic, style, fine-grained";
-        let window = "more than the two fixed frames";
-        let alpha = "between 0 and 1, low not above high";
-        for (key, got, fits, expected) in [
-            ("mcm_ratio", self.mcm_ratio, is_share(self.mcm_ratio), share),
-            (
-                "annotated_ratio",
-                self.annotated_ratio,
-                is_share(self.annotated_ratio),
-                share,
-            ),
-            (
-                "undonored_ratio",
-                undonored,
-                is_probability(undonored),
-                probability,
-            ),
-            (
-                "mirrored_ratio",
-                self.mirrored_ratio,
-                is_probability(self.mirrored_ratio),
-                probability,
-            ),
-            ("kinds", 0.0, !self.kinds.is_empty(), kinds),
+        let window = (self.window as f64, self.window > FIXED_FRAMES);
+        let undonored = self.undonored_ratio.unwrap_or(0.0);
+        let AlphaDistribution::Uniform { low, high } = self.alpha;
+        for (key, (got, fits, expected)) in [
+            ("mcm_ratio", share(self.mcm_ratio)),
+            ("annotated_ratio", share(self.annotated_ratio)),
+            ("undonored_ratio", probability(undonored)),
+            ("mirrored_ratio", probability(self.mirrored_ratio)),
+            ("kinds", (0.0, !self.kinds.is_empty(), kinds)),
             (
                 "window",
-                self.window as f64,
-                self.window > FIXED_FRAMES,
-                window,
+                (window.0, window.1, "more than the two fixed frames"),
             ),
-            ("alpha.low", low, is_probability(low), alpha),
-            ("alpha.high", high, (low..=1.0).contains(&high), alpha),
+            ("alpha.low", within(low, 0.0)),
+            ("alpha.high", within(high, low)),
         ] {
             if !fits {
                 return Err(Error::Config { key, expected, got });

@@ -4,7 +4,7 @@ use datasets_spec::BodyPart;
 use rand::RngExt;
 use rayon::prelude::*;
 
-use super::stream::{Room, WindowPlace, item_rng};
+use super::stream::{Room, WindowPlace};
 use super::window::{BlendPlan, PARTS_OF_ORIGINAL};
 use super::{Error, Stream};
 
@@ -77,7 +77,7 @@ impl Stream {
             .try_for_each_init(<[Room; 2]>::default, |rooms, (place, (out, composed))| {
                 let [room, other_room] = rooms;
                 let item = first_item + place as u64;
-                let mut rng = item_rng(seed, item);
+                let mut rng = seed.rng_of(item);
                 let mut draw = |other_than: Option<usize>| loop {
                     let clip = self.base[rng.random_range(0..self.base.len())];
                     if other_than.is_none_or(|other| self.library.may_pair(clip, other)) {

@@ -123,11 +123,13 @@ pub enum Error {
         /// The kind found.
         found: String,
     },
-    /// A pair row names something that does not exist.
-    #[error("pair {pair:?} is not usable")]
-    Pair {
-        /// Id of the pair.
-        pair: String,
+    /// A row of a mask or pair does not hold one, or names something that does not exist.
+    #[error("{table} {row:?} is not usable")]
+    Row {
+        /// Table of the row.
+        table: &'static str,
+        /// Id of the row.
+        row: String,
         /// What is wrong with it.
         source: datasets_spec::Error,
     },
@@ -187,14 +189,6 @@ pub enum Error {
         bytes: u64,
         /// The cause.
         source: std::io::Error,
-    },
-    /// A mask row does not hold a mask.
-    #[error("mask {mask:?} is not usable")]
-    Mask {
-        /// Id of the mask.
-        mask: String,
-        /// What is wrong with it.
-        source: datasets_spec::Error,
     },
     /// A description names a body part that does not exist.
     #[error("motion {motion} describes an unknown body part")]

@@ -16,10 +16,9 @@ pub fn instruction(action: &str, part: BodyPart) -> String {
 /// "Replace a person with an angry look".
 pub fn style_instruction(style: &str) -> String {
     let style = style.replace(['_', '-'], " ").to_lowercase();
-    let article = if style.starts_with(['a', 'e', 'i', 'o', 'u']) {
-        "an"
-    } else {
-        "a"
+    let article = match style.starts_with(['a', 'e', 'i', 'o', 'u']) {
+        true => "an",
+        false => "a",
     };
     format!("Replace a person with {article} {style} look")
 }

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::library::{Clip, Subject};
-use super::novelty::{Asked, Novelty, Shown};
+use super::novelty::{Novelty, Shown};
 use super::triplet::{Place, Triplet, within};
 use super::{ComposeConfig, Error, ItemTask, Library, blend_motion};
 
@@ -91,7 +91,7 @@ impl From<ItemCount> for CountText {
 }
 
 /// Selection of items.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ItemConfig {
     /// Number of items.
@@ -108,16 +108,9 @@ pub struct ItemConfig {
     pub compose: ComposeConfig,
 }
 
-impl Default for ItemConfig {
+impl Default for ItemCount {
     fn default() -> Self {
-        Self {
-            count: ItemCount::Exactly(128),
-            tasks: Vec::new(),
-            novelty: Vec::new(),
-            part: None,
-            digest: None,
-            compose: ComposeConfig::default(),
-        }
+        Self::Exactly(128)
     }
 }
 
@@ -447,23 +440,15 @@ impl Drawer<'_> {
     /// Novelty of an item of this subject. `source` is the clip that the edit of a mask is applied to.
     fn novelty(&self, subject: Subject, source: &MotionId) -> Option<Novelty> {
         let library = &self.library;
-        let text = library.text_of(subject);
         let [before, after] = library
             .captured_of(subject)
             .map(|clip| &library.clip(clip).id);
-        self.shown.novelty(match subject {
-            Subject::Annotation(_) => Asked::Mask {
-                source,
-                target: after,
-                text,
-            },
-            Subject::Pair(_) => Asked::Pair {
-                source: before,
-                target: after,
-                text,
-                kind: library.kind_of(subject),
-            },
-        })
+        let (source, pair) = match subject {
+            Subject::Annotation(_) => (source, None),
+            Subject::Pair(_) => (before, Some(library.kind_of(subject))),
+        };
+        let text = library.text_of(subject);
+        self.shown.novelty([source, after], text, pair)
     }
 
     /// Draws the source of an item.
@@ -606,13 +591,8 @@ impl Drawer<'_> {
             }
         };
         let blended = blend_motion(&under, &over, item.mask, item.alpha, self.config.slerp)?;
-        let edited = &item.edited_frames;
-        within(
-            &under,
-            blended,
-            &(edited.start.min(frames)..edited.end.min(frames)),
-        )
-        .map(Some)
+        let Range { start, end } = item.edited_frames;
+        within(&under, blended, &(start.min(frames)..end.min(frames))).map(Some)
     }
 }
 

@@ -48,6 +48,16 @@ pub enum ReadOrder {
     Shuffled(Seed),
 }
 
+impl ReadOrder {
+    /// The order of `count` things of this name, unless it is the recorded one.
+    fn of(self, count: usize, name: &[&str]) -> Option<Shuffle> {
+        match self {
+            Self::Sequential => None,
+            Self::Shuffled(seed) => Some(Shuffle::new(count as u64, seed.draw_u64(name))),
+        }
+    }
+}
+
 /// The windows of a dataset of table `windows`. Item `i` of an epoch does not depend on earlier reads. Only
 /// instructions and the windows of two groups of blocks are in memory.
 #[derive(Debug)]
@@ -177,13 +187,8 @@ impl WindowLoader {
             let end = start + count as u64;
             if end > wanted.start && start < wanted.end {
                 let group = self.group(epoch, index, &blocks)?;
-                let mix = match self.order {
-                    ReadOrder::Sequential => None,
-                    ReadOrder::Shuffled(seed) => {
-                        let name = ["window order", &epoch.to_string(), &index.to_string()];
-                        Some(Shuffle::new(count as u64, seed.draw_u64(&name)))
-                    }
-                };
+                let name = ["window order", &epoch.to_string(), &index.to_string()];
+                let mix = self.order.of(count, &name);
                 let of_blocks = std::iter::zip(&blocks, &group.blocks);
                 let windows = of_blocks.flat_map(|(&block, rows)| {
                     let first = self.blocks[block].first[1];
@@ -250,13 +255,7 @@ impl WindowLoader {
     /// The blocks of an epoch in groups that are shuffled together.
     fn groups(&self, epoch: u64) -> impl Iterator<Item = Vec<usize>> + '_ {
         let count = self.blocks.len();
-        let order = match self.order {
-            ReadOrder::Sequential => None,
-            ReadOrder::Shuffled(seed) => {
-                let key = seed.draw_u64(&["page order", &epoch.to_string()]);
-                Some(Shuffle::new(count as u64, key))
-            }
-        };
+        let order = self.order.of(count, &["page order", &epoch.to_string()]);
         (0..count.div_ceil(MIXED_BLOCKS)).map(move |group| {
             let first = group * MIXED_BLOCKS;
             (first..count.min(first + MIXED_BLOCKS))

@@ -78,24 +78,6 @@ enum Edit {
     Style(String),
 }
 
-/// The parts of a question that its novelty depends on.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Asked<'a> {
-    /// A mask: the clip that is edited, the annotated clip, and the text of the annotation.
-    Mask {
-        source: &'a MotionId,
-        target: &'a MotionId,
-        text: &'a str,
-    },
-    /// A pair: its motions and instruction, and its kind.
-    Pair {
-        source: &'a MotionId,
-        target: &'a MotionId,
-        text: &'a str,
-        kind: EditKind,
-    },
-}
-
 /// Contents of the training split of a dataset.
 #[derive(Clone, Debug, Default)]
 pub struct Shown {
@@ -165,33 +147,25 @@ impl Shown {
         self.edits.insert(edit);
     }
 
-    /// The novelty of a question; `None` if an action is not known, or no training clip has one.
-    pub(super) fn novelty(&self, asked: Asked<'_>) -> Option<Novelty> {
+    /// The novelty of a question; `None` if an action is not known, or no training clip has one. A question about a
+    /// mask has the clip that is edited, the annotated clip, and the text of the annotation; one about a pair has its
+    /// motions and its instruction. `pair` is the kind of a pair.
+    pub(super) fn novelty(
+        &self,
+        clips: [&MotionId; 2],
+        text: &str,
+        pair: Option<EditKind>,
+    ) -> Option<Novelty> {
         if self.actions.is_empty() {
             return None;
         }
-        let group = |id: &MotionId| self.groups.get(id);
-        let (source, target, edit) = match asked {
-            Asked::Mask {
-                source,
-                target,
-                text,
-            } => (group(source)?, group(target)?, Edit::Text(text.to_owned())),
-            Asked::Pair {
-                source,
-                target,
-                text,
-                kind,
-            } => {
-                let (source, target) = (group(source)?, group(target)?);
-                let edit = match &target.style {
-                    Some(style) if kind == EditKind::Style => Edit::Style(style.clone()),
-                    _ => Edit::Text(text.to_owned()),
-                };
-                (source, target, edit)
-            }
+        let [source, target] = clips.map(|id| self.groups.get(id));
+        let (source, target) = (source?, target?);
+        let edit = match &target.style {
+            Some(style) if pair == Some(EditKind::Style) => Edit::Style(style.clone()),
+            _ => Edit::Text(text.to_owned()),
         };
-        let is_mask = matches!(asked, Asked::Mask { .. });
+        let is_mask = pair.is_none();
         let is_edit_shown =
             self.edits.contains(&edit) || is_mask && self.actions.contains(&target.action);
         let are_groups_shown = is_mask
@@ -256,11 +230,7 @@ mod tests {
         let shown = shown();
         let of = |source: &str, target: &str, text: &str| {
             let (source, target) = (id(source), id(target));
-            shown.novelty(Asked::Mask {
-                source: &source,
-                target: &target,
-                text,
-            })
+            shown.novelty([&source, &target], text, None)
         };
         assert_eq!(of("walk-a2", "wave-a2", "Wave."), Some(Novelty::Retake));
         // The groups decide, even if the wording is new.
@@ -280,12 +250,7 @@ mod tests {
         let shown = shown();
         let of = |source: &str, target: &str, text: &str, kind: EditKind| {
             let (source, target) = (id(source), id(target));
-            shown.novelty(Asked::Pair {
-                source: &source,
-                target: &target,
-                text,
-                kind,
-            })
+            shown.novelty([&source, &target], text, Some(kind))
         };
         let style = |source, target| of(source, target, "Be proud.", EditKind::Style);
         assert_eq!(style("kick-b", "kick-b"), Some(Novelty::Retake));
@@ -304,12 +269,7 @@ mod tests {
         let mut shown = shown();
         shown.actions.clear();
         let (source, target) = (id("walk-a2"), id("wave-a2"));
-        let asked = Asked::Mask {
-            source: &source,
-            target: &target,
-            text: "Wave.",
-        };
-        assert_eq!(shown.novelty(asked), None);
+        assert_eq!(shown.novelty([&source, &target], "Wave.", None), None);
     }
 
     #[test]

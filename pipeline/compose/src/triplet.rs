@@ -64,15 +64,8 @@ impl Stream {
     /// # Panics
     /// If the item is not in the epoch.
     pub fn triplet(&self, epoch: u64, item: u64) -> Result<Triplet, Error> {
-        let pairing = self.pairing(epoch, item);
-        let place = Place {
-            id: self.triplet_id(epoch, item),
-            seed: self.seed,
-            epoch,
-            recipe_hash: self.recipe_hash.clone(),
-            instruction: self.instruction_of(epoch, item, &pairing).to_owned(),
-        };
-        self.library.compose(place, &pairing, &self.config)
+        let id = self.triplet_id(epoch, item);
+        self.composed(id, epoch, self.pairing(epoch, item))
     }
 
     /// Composes the whole-clip triplet of one of the [`Stream::num_clips`] annotated motions and pairs in use, with the
@@ -85,10 +78,20 @@ impl Stream {
     /// # Panics
     /// If the number is not below [`Stream::num_clips`].
     pub fn clip(&self, epoch: u64, number: u64) -> Result<Triplet, Error> {
-        let (pairing, instruction) = self.clip_pairing(epoch, number);
-        let kind = self.library.kind_of(pairing.subject).as_str();
+        let drawn = self.clip_pairing(epoch, number);
+        let kind = self.library.kind_of(drawn.0.subject).as_str();
+        let id = format!("{}-{kind}-clip-{epoch}-{number}", self.library.split());
+        self.composed(id, epoch, drawn)
+    }
+
+    fn composed(
+        &self,
+        id: String,
+        epoch: u64,
+        (pairing, instruction): (Pairing, &str),
+    ) -> Result<Triplet, Error> {
         let place = Place {
-            id: format!("{}-{kind}-clip-{epoch}-{number}", self.library.split()),
+            id,
             seed: self.seed,
             epoch,
             recipe_hash: self.recipe_hash.clone(),
@@ -203,9 +206,9 @@ impl Library {
         let (crop, donor) = (pairing.crop, pairing.donor);
         let id_of = |clip: usize| self.clip(clip).id.clone();
         let target = self.target_of(pairing.subject);
-        let edited_frames = match pairing.subject {
-            Subject::Annotation(_) => self.edited_of(pairing),
-            Subject::Pair(_) => 0..donor.num_frames,
+        let (edited_frames, alignment) = match pairing.subject {
+            Subject::Annotation(_) => (self.edited_of(pairing), Alignment::None),
+            Subject::Pair(_) => (0..donor.num_frames, config.alignment),
         };
         let (source_id, starts, original, edited, donors) = match (pairing.subject, pairing.partner)
         {
@@ -234,7 +237,6 @@ impl Library {
                 }
             }
         };
-        let is_pair = matches!(pairing.subject, Subject::Pair(_));
         Ok(Triplet {
             id: place.id,
             split: self.split(),
@@ -246,11 +248,7 @@ impl Library {
             source_start: starts.0,
             target_start: starts.1,
             donor_start: donor.source_start,
-            alignment: if is_pair {
-                config.alignment.as_str()
-            } else {
-                Alignment::None.as_str()
-            },
+            alignment: alignment.as_str(),
             mask,
             edited_frames,
             alpha: pairing.alpha,
@@ -557,7 +555,7 @@ mod tests {
             (mask.start, mask.end) = (start, end);
             let library = Library::new(Split::Train, &motions, &[mask], &[]);
             library.map(|_| ()).map_err(|error| match error {
-                Error::Mask { source, .. } => source.to_string(),
+                Error::Row { source, .. } => source.to_string(),
                 other => panic!("{other}"),
             })
         };

@@ -61,6 +61,28 @@ pub(super) struct Coupling {
     pub(super) lift_lead: f64,
 }
 
+impl Script {
+    /// A script of the path and the feet alone.
+    pub(super) fn new(
+        duration_secs: f64,
+        path: RootPath,
+        feet: [FootTrack; 2],
+        coupling: Coupling,
+    ) -> Self {
+        Self {
+            duration_secs,
+            path,
+            feet,
+            coupling,
+            pelvis: vec![],
+            feet_offset: [vec![], vec![]],
+            trunk: vec![],
+            head: vec![],
+            arms: [vec![], vec![]],
+        }
+    }
+}
+
 impl Coupling {
     pub(super) const WALK: Coupling = Coupling {
         pelvis_turn: 0.16,
@@ -80,14 +102,11 @@ impl Coupling {
         pelvis_turn: 0.10,
         chest_turn: 0.0,
         arm_swing: 0.1,
-        lean: 0.0,
-        elbow_bend: 0.0,
         shift: [0.85, 0.9],
         shift_secs: 0.16,
         list: 0.04,
-        bob: 0.0,
         bounce: 0.0,
-        lift_lead: 0.0,
+        ..Self::WALK
     };
 }
 
@@ -143,20 +162,10 @@ pub(super) fn perform(
     let num_frames = (script.duration_secs * fps.get()).round() as usize + 1;
     let grounds = ground_plan(script, &body, num_frames, fps);
     let answers = answers(script, &grounds, fps);
-    let tracks = Tracks::new(script, style, rng);
+    let tracks = Tracks::new(script, style, &body, rng);
 
     let mut torsos: Vec<Torso> = (0..num_frames)
-        .map(|frame| {
-            tracks.torso(
-                script,
-                style,
-                &body,
-                &grounds[frame],
-                &answers,
-                frame,
-                fps.secs_at(frame),
-            )
-        })
+        .map(|frame| tracks.torso(&grounds[frame], &answers, frame, fps.secs_at(frame)))
         .collect();
     // A target out of a leg's reach lowers the pelvis, ahead of time and as little as necessary.
     let mut allowances: Vec<f64> = torsos
@@ -188,17 +197,8 @@ pub(super) fn perform(
             pose.rotations[Joint::Head.index()] = torso.head;
             for side in Side::BOTH {
                 body.pose_leg(side, torso, &ground.feet[side as usize], &mut pose);
-                let lead = answers.lead[frame];
-                tracks.pose_arm(
-                    side,
-                    script,
-                    style,
-                    &body,
-                    torso,
-                    lead,
-                    fps.secs_at(frame),
-                    &mut pose,
-                );
+                let (lead, secs) = (answers.lead[frame], fps.secs_at(frame));
+                tracks.pose_arm(side, torso, lead, secs, &mut pose);
             }
             pose
         })
@@ -206,7 +206,7 @@ pub(super) fn perform(
 }
 
 fn ground_plan(script: &Script, body: &Body, num_frames: usize, fps: Fps) -> Vec<Ground> {
-    let offsets = script.feet_offset.each_ref().map(track);
+    let offsets = script.feet_offset.clone().map(Track::new);
     (0..num_frames)
         .map(|frame| {
             let secs = fps.secs_at(frame);
@@ -387,17 +387,11 @@ const KNEE_SPLAY: f64 = 0.10;
 /// Greatest bend of the toes in radians.
 const MAX_TOE_BEND: f64 = 0.9;
 
-/// A track through the keys; constantly zero without keys.
-fn track<const N: usize>(keys: &Keys<N>) -> Track<N> {
-    if keys.is_empty() {
-        Track::new(vec![(0.0, [0.0; N])])
-    } else {
-        Track::new(keys.clone())
-    }
-}
-
 /// The interpolated parts of a script, and its noise.
-struct Tracks {
+struct Tracks<'a> {
+    script: &'a Script,
+    style: &'a Style,
+    body: &'a Body<'a>,
     pelvis: Track<4>,
     trunk: Track<3>,
     head: Track<3>,
@@ -410,17 +404,20 @@ struct Tracks {
     breath: Wobble,
 }
 
-impl Tracks {
-    fn new(script: &Script, style: &Style, rng: &mut Rng) -> Self {
+impl<'a> Tracks<'a> {
+    fn new(script: &'a Script, style: &'a Style, body: &'a Body<'a>, rng: &mut Rng) -> Self {
         // Sizes in radians and metres, frequencies in hertz: postural sway of quiet standing is a
         // few millimetres and below 1 Hz; a breath takes about four seconds.
         let restless = style.restlessness;
         Self {
-            pelvis: track(&script.pelvis),
-            trunk: track(&script.trunk),
-            head: track(&script.head),
-            bob: track(&bob_keys(script, style)),
-            arms: script.arms.each_ref().map(track),
+            script,
+            style,
+            body,
+            pelvis: Track::new(script.pelvis.clone()),
+            trunk: Track::new(script.trunk.clone()),
+            head: Track::new(script.head.clone()),
+            bob: Track::new(bob_keys(script, style)),
+            arms: script.arms.clone().map(Track::new),
             trunk_noise: std::array::from_fn(|_| Wobble::new(rng, 0.012 * restless, 0.35)),
             head_noise: [0.025, 0.02, 0.07].map(|size| Wobble::new(rng, size * restless, 0.28)),
             arm_noise: std::array::from_fn(|_| {
@@ -432,18 +429,8 @@ impl Tracks {
     }
 
     /// Places pelvis, spine and head of a frame, with the pelvis at the script's height.
-    #[expect(clippy::too_many_arguments, reason = "all the inputs of one frame")]
-    fn torso(
-        &self,
-        script: &Script,
-        style: &Style,
-        body: &Body,
-        ground: &Ground,
-        answers: &Answers,
-        frame: usize,
-        secs: f64,
-    ) -> Torso {
-        let coupling = &script.coupling;
+    fn torso(&self, ground: &Ground, answers: &Answers, frame: usize, secs: f64) -> Torso {
+        let (style, coupling) = (self.style, &self.script.coupling);
         let [left, up, forward, tilt] = self.pelvis.at(secs);
         let [trunk_bend, trunk_lean, trunk_turn] = self.trunk.at(secs);
         let [nod, head_lean, head_turn] = self.head.at(secs);
@@ -459,7 +446,7 @@ impl Tracks {
             * DQuat::from_rotation_z(list);
         let shift = DVec3::new(
             left + answers.shift[0][frame] * style.sway.sqrt() + self.drift.at(secs),
-            body.standing + up + bob - style.crouch,
+            self.body.standing + up + bob - style.crouch,
             // Bending forward moves the pelvis back, so that the body stays over its feet.
             forward + answers.shift[1][frame] - 0.10 * (style.lean + style.tilt),
         );
@@ -507,19 +494,8 @@ impl Tracks {
     }
 
     /// Sets collar, shoulder, elbow and wrist of one arm.
-    #[expect(clippy::too_many_arguments, reason = "all the inputs of one arm")]
-    fn pose_arm(
-        &self,
-        side: Side,
-        script: &Script,
-        style: &Style,
-        body: &Body,
-        torso: &Torso,
-        lead: f64,
-        secs: f64,
-        pose: &mut Pose,
-    ) {
-        let coupling = &script.coupling;
+    fn pose_arm(&self, side: Side, torso: &Torso, lead: f64, secs: f64, pose: &mut Pose) {
+        let (style, coupling) = (self.style, &self.script.coupling);
         let noise = self.arm_noise[side as usize]
             .each_ref()
             .map(|wobble| wobble.at(secs));
@@ -527,11 +503,8 @@ impl Tracks {
         let driven = -side.sign() * coupling.arm_swing * style.arm_swing * lead;
         let swing = MAX_ARM_SWING * (driven / MAX_ARM_SWING).tanh() + noise[0];
         // The smaller of the two bends adds little: running bends the elbows already.
-        let (more, less) = if style.elbow_bend > coupling.elbow_bend {
-            (style.elbow_bend, coupling.elbow_bend)
-        } else {
-            (coupling.elbow_bend, style.elbow_bend)
-        };
+        let more = style.elbow_bend.max(coupling.elbow_bend);
+        let less = style.elbow_bend.min(coupling.elbow_bend);
         let hanging_bend = (more + 0.3 * less + 0.55 * swing).max(MIN_ELBOW_BEND);
         // The upper arm swings about the vertical; the wrist of a bent arm is ahead of it.
         let ahead = swing + 0.45 * hanging_bend;
@@ -561,7 +534,7 @@ impl Tracks {
         let shrug = side.sign() * (style.shrug + 0.28 * (raised + 0.5).max(0.0));
         let collar_rotation =
             DQuat::from_rotation_z(shrug) * DQuat::from_rotation_y(-side.sign() * style.hunch);
-        let placed = body.arms[side as usize].place(towards, bend, elbow);
+        let placed = self.body.arms[side as usize].place(towards, bend, elbow);
         pose.rotations[collar.index()] = collar_rotation;
         pose.rotations[shoulder.index()] = (torso.chest * collar_rotation).inverse() * placed.upper;
         pose.rotations[elbow_joint.index()] = placed.hinge;

@@ -20,12 +20,14 @@ pub(super) struct Track<const N: usize> {
 }
 
 impl<const N: usize> Track<N> {
-    /// A track through the keys, which may come in any order.
+    /// A track through the keys, which may come in any order; constantly zero without keys.
     ///
     /// # Panics
-    /// If there is no key or two keys share a time.
+    /// If two keys share a time.
     pub(super) fn new(mut keys: Vec<(f64, [f64; N])>) -> Self {
-        assert!(!keys.is_empty(), "a track needs a key");
+        if keys.is_empty() {
+            keys.push((0.0, [0.0; N]));
+        }
         keys.sort_by(|a, b| a.0.total_cmp(&b.0));
         let (times, values): (Vec<f64>, Vec<[f64; N]>) = keys.into_iter().unzip();
         assert!(

@@ -282,9 +282,6 @@ impl FootTrack {
                 (on + settle, [0.0]),
             ]);
         }
-        if keys.is_empty() {
-            keys.push((0.0, [0.0]));
-        }
         Self {
             plants,
             swings,

@@ -471,22 +471,12 @@ pub(super) fn talk(script: &mut Script, style: &Style, from: f64, to: f64, rng: 
     }
     let mut secs = from;
     while secs < to {
-        script.head.push((
-            secs,
-            [
-                rng.random_range(-0.06..0.14),
-                rng.random_range(-0.07..0.07),
-                rng.random_range(-0.30..0.30),
-            ],
-        ));
-        script.trunk.push((
-            secs,
-            [
-                rng.random_range(-0.03..0.06),
-                rng.random_range(-0.05..0.05),
-                rng.random_range(-0.14..0.14),
-            ],
-        ));
+        let nod = [-0.06..0.14, -0.07..0.07, -0.30..0.30];
+        let head = nod.map(|range| rng.random_range(range));
+        script.head.push((secs, head));
+        let sway = [-0.03..0.06, -0.05..0.05, -0.14..0.14];
+        let trunk = sway.map(|range| rng.random_range(range));
+        script.trunk.push((secs, trunk));
         secs += rng.random_range(0.5..1.1) / style.tempo;
     }
 }

@@ -169,13 +169,9 @@ impl std::ops::Add for CorpusSummary {
 pub fn clip(index: usize, options: &CorpusOptions) -> CorpusClip {
     let (action, style, take) = cast(index);
     let (motion, facts) = perform_take(action, style, take, options.seed);
-    let mut words = options.seed.rng(&[
-        "corpus",
-        "text",
-        action.name(),
-        style.name,
-        &take.to_string(),
-    ]);
+    let take_name = take.to_string();
+    let of_text = ["corpus", "text", action.name(), style.name, &take_name];
+    let mut words = options.seed.rng(&of_text);
     let (captions, parts) = text::describe(action, style.name, facts, &mut words);
     CorpusClip {
         name: clip_name(action, style, take),

@@ -30,13 +30,14 @@ fn stance(style: &Style, ahead: f64, scatter: &mut Rng) -> [FootTrack; 2] {
     let ahead = ahead + scatter.random_range(-0.025..0.025);
     let toe_out = scatter.random_range(0.04..0.14);
     Side::BOTH.map(|side| {
-        let place = DVec3::new(
-            side.sign() * half_width,
-            0.0,
-            0.5 * side.sign() * ahead - Gait::ANKLE_BEHIND,
-        );
+        let place = foot_at(side, half_width, 0.5 * side.sign() * ahead);
         FootTrack::new(place, side.sign() * toe_out, &[])
     })
+}
+
+/// Place of a foot of a body that stands `forward` metres ahead of the origin.
+fn foot_at(side: Side, half_width: f64, forward: f64) -> DVec3 {
+    DVec3::new(side.sign() * half_width, 0.0, forward - Gait::ANKLE_BEHIND)
 }
 
 fn stand_on(
@@ -44,17 +45,7 @@ fn stand_on(
     scatter: &mut Rng,
     act: impl FnOnce(&mut Script, f64, &mut Rng) -> f64,
 ) -> Script {
-    let mut script = Script {
-        duration_secs: 0.0,
-        path: RootPath::still(),
-        feet,
-        coupling: Coupling::STAND,
-        pelvis: vec![],
-        feet_offset: [vec![], vec![]],
-        trunk: vec![],
-        head: vec![],
-        arms: [vec![], vec![]],
-    };
+    let mut script = Script::new(0.0, RootPath::still(), feet, Coupling::STAND);
     let from = STILL_SECS + scatter.random_range(0.0..0.4);
     let end = act(&mut script, from, scatter);
     script.duration_secs = (end + STILL_SECS).max(MIN_SECS);
@@ -234,10 +225,7 @@ pub(super) fn throwing(style: &Style, facts: Facts, scatter: &mut Rng) -> Script
     let beat = 1.0 / style.tempo;
     let step = 0.42 * style.stride;
     let swing = Swing::rolling(0.07 * style.lift.min(1.3), [0.35, 0.45, -0.15]);
-    let half_width = 0.10 * style.width;
-    let place = |side: Side, forward: f64| {
-        DVec3::new(side.sign() * half_width, 0.0, forward - Gait::ANKLE_BEHIND)
-    };
+    let place = |side: Side, forward: f64| foot_at(side, 0.10 * style.width, forward);
     let leading = facts.side.other();
     // Each throw has two steps: the leading foot towards the target before the release, then the other foot.
     let mut steps = [Vec::new(), Vec::new()];
@@ -286,7 +274,6 @@ pub(super) fn jumping(
     let height = 0.20 * style.amplitude * style.amplitude * take.random_range(0.9..1.15);
     // The fall from the apex takes half of the flight.
     let flight = 2.0 * (2.0 * height / GRAVITY).sqrt();
-    let half_width = 0.10 * style.width;
     let swing = Swing {
         lift: height + 0.015,
         ballistic: true,
@@ -294,9 +281,7 @@ pub(super) fn jumping(
         peak: 0.85,
         strike: 0.5,
     };
-    let place = |side: Side, forward: f64| {
-        DVec3::new(side.sign() * half_width, 0.0, forward - Gait::ANKLE_BEHIND)
-    };
+    let place = |side: Side, forward: f64| foot_at(side, 0.10 * style.width, forward);
     let mut secs = STILL_SECS + scatter.random_range(0.0..0.3);
     let mut way = vec![(0.0, [0.0])];
     let mut flights = Vec::new();

@@ -304,31 +304,16 @@ impl Travel {
             duration + OVERHANG_SECS,
             |secs| {
                 let [pace] = pace.at(secs / duration);
-                let starting = if self.halts[0] {
-                    ease((secs - from) / RAMP_SECS)
-                } else {
-                    1.0
-                };
-                let stopping = if self.halts[1] {
-                    ease((to - secs) / RAMP_SECS)
-                } else {
-                    1.0
-                };
-                velocity * pace * starting * stopping
+                let ramp = |halts, secs| if halts { ease(secs / RAMP_SECS) } else { 1.0 };
+                let [starts, stops] = self.halts;
+                velocity * pace * ramp(starts, secs - from) * ramp(stops, to - secs)
             },
             |secs| heading.at(secs / duration)[0],
         );
         let feet = gait.plan(&path, from, to, scatter);
         Script {
-            duration_secs: duration,
-            path,
-            feet,
-            coupling: self.coupling,
-            pelvis: vec![],
-            feet_offset: [vec![], vec![]],
-            trunk: vec![],
             head: gesture::glances(duration, scatter),
-            arms: [vec![], vec![]],
+            ..Script::new(duration, path, feet, self.coupling)
         }
     }
 }

@@ -210,16 +210,15 @@ pub fn motion_of_features(
     if features.is_empty() {
         return Err(FeatureError::TooShort { frames: 0 });
     }
-    let no_motion = |reason: String| FeatureError::NoMotion { reason };
     let scale = leg_ratio(features, skeleton)
-        .ok_or_else(|| no_motion("the legs have no length".to_owned()))?;
+        .ok_or_else(|| FeatureError::no_motion("the legs have no length"))?;
     let mut poses = recover_poses(features, DVec3::ZERO);
     for pose in &mut poses {
         pose.transl = pose.transl * scale - skeleton.rest(0);
     }
     let fps = released_fps();
     floor::put_on_floor(&mut poses, fps, skeleton);
-    let motion = Motion::from_poses(fps, &poses).map_err(|error| no_motion(error.to_string()))?;
+    let motion = Motion::from_poses(fps, &poses).map_err(FeatureError::no_motion)?;
     let stated = recover_joints(features);
     let posed: Vec<Joints> = skeleton.points_of_poses(&poses);
     let apart: f64 = stated

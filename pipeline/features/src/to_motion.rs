@@ -63,15 +63,13 @@ pub fn motion_of_joints(
             target
         })
         .collect();
-    let no_motion = |error: kinematics::Error| FeatureError::NoMotion {
-        reason: error.to_string(),
-    };
     let options = FitOptions::body_joints();
-    let fitted = fit_motion(&smpl_body(skeleton), &targets, fps, &options).map_err(no_motion)?;
+    let fitted = fit_motion(&smpl_body(skeleton), &targets, fps, &options)
+        .map_err(FeatureError::no_motion)?;
     let error = fitted.error_m.iter().sum::<f64>() / fitted.error_m.len() as f64;
     let mut poses: Vec<Pose> = fitted.motion.poses();
     floor::put_on_floor(&mut poses, fps, skeleton);
-    let motion = Motion::from_poses(fps, &poses).map_err(no_motion)?;
+    let motion = Motion::from_poses(fps, &poses).map_err(FeatureError::no_motion)?;
     Ok((motion, error as f32))
 }
 
@@ -114,9 +112,7 @@ fn motion_of_directions(
         })
         .collect();
     floor::put_on_floor(&mut poses, fps, skeleton);
-    let motion = Motion::from_poses(fps, &poses).map_err(|error| FeatureError::NoMotion {
-        reason: error.to_string(),
-    })?;
+    let motion = Motion::from_poses(fps, &poses).map_err(FeatureError::no_motion)?;
     Ok((motion, (error / frames.len() as f64) as f32))
 }
 

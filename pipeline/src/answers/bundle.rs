@@ -101,11 +101,8 @@ impl Bundle {
             )));
         };
         let first = rows.first().expect("there is a system");
-        let settings = match first.settings.as_str() {
-            "" => serde_json::Map::new(),
-            text => serde_json::from_str(text)
-                .map_err(|error| refused(format!("its settings are no JSON object: {error}")))?,
-        };
+        let settings = settings_of(first)
+            .map_err(|error| refused(format!("its settings are no JSON object: {error}")))?;
         let rates: Rates<'_> = items.iter().map(|item| (&*item.id, item.fps)).collect();
         let mut facts = BundleFacts {
             format: FORMAT,
@@ -311,10 +308,7 @@ impl Bundle {
                 row.system, row.checkpoint_hash, facts.system, facts.checkpoint_hash
             ));
         }
-        let settings: serde_json::Map<_, _> = match row.settings.as_str() {
-            "" => serde_json::Map::new(),
-            text => serde_json::from_str(text).map_err(|error| error.to_string())?,
-        };
+        let settings = settings_of(row).map_err(|error| error.to_string())?;
         if settings != facts.settings || row.settings_hash != first.settings_hash {
             return Err("it was made with other settings than the bundle says".to_owned());
         }
@@ -333,6 +327,14 @@ impl Bundle {
             ));
         }
         Ok(())
+    }
+}
+
+/// The settings of the system of an answer; none if it states no text.
+fn settings_of(row: &EditRow) -> serde_json::Result<serde_json::Map<String, serde_json::Value>> {
+    match row.settings.as_str() {
+        "" => Ok(serde_json::Map::new()),
+        text => serde_json::from_str(text),
     }
 }
 

@@ -24,8 +24,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
-use crate::export::item_stem;
-use crate::ingest::{list_files, quarantine_row};
+use crate::export::safe_name;
+use crate::ingest::{guarded, list_files, quarantine_row};
 use file::Kind;
 use recorded::Recorded;
 
@@ -115,7 +115,7 @@ impl Names {
         // A name that is not an id must not shadow an id or be ambiguous.
         let mut others: BTreeMap<String, BTreeSet<usize>> = BTreeMap::new();
         for (index, item) in items.iter().enumerate() {
-            for name in [Some(item_stem(&item.id)), motionfix_number(item)]
+            for name in [Some(safe_name(&item.id)), motionfix_number(item)]
                 .into_iter()
                 .flatten()
             {
@@ -237,15 +237,6 @@ impl Reader<'_> {
             }
         };
         let file_hash = blake3::hash(&bytes).to_hex().to_string();
-        // Readers should not panic, but a bug in one of them must not lose the other answers.
-        let guarded = |work: &mut dyn FnMut() -> Result<Vec<Found>, Rejected>| {
-            std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or_else(|_| {
-                Err(Rejected::read(
-                    "E-INTERNAL",
-                    "the reader failed on this file; please report it",
-                ))
-            })
-        };
         let one = |name: &str, seed: Option<Seed>, recorded: Result<Recorded, Rejected>| {
             let found = self.names.find(name);
             let read = match found {
@@ -265,9 +256,7 @@ impl Reader<'_> {
                 read,
             }
         };
-        let mut bytes = Some(bytes);
-        let done = guarded(&mut || {
-            let bytes = bytes.take().unwrap_or_default();
+        let done = guarded(|| {
             if kind == Kind::Parquet {
                 let answers = table::read(bytes)?.into_iter();
                 let found =

@@ -23,27 +23,19 @@ pub(super) fn amass_subsets(rest: &[&Looked]) -> (Vec<SubsetFindings>, Estimate)
             by_subset.entry(subset).or_default().push(file);
         }
     }
-    let mut estimate = Estimate::default();
-    let mut subsets = Vec::new();
-    for (name, files) in by_subset {
+    let subsets = by_subset.into_iter().map(|(name, files)| {
         let (findings, seconds) = sample(name, &files);
-        let frames = seconds * Fps::STORE.get();
-        estimate.add(Estimate::of(findings.files, frames));
-        subsets.push(findings);
-    }
-    (subsets, estimate)
+        let estimate = Estimate::of(findings.files, seconds * Fps::STORE.get());
+        (findings, estimate)
+    });
+    let (subsets, estimates): (_, Vec<Estimate>) = subsets.unzip();
+    (subsets, estimates.into_iter().sum())
 }
 
 /// Samples a few files of a subset and extrapolates its seconds of motion.
 fn sample(name: &str, files: &[&Looked]) -> (SubsetFindings, f64) {
     let bytes: u64 = files.iter().map(|file| file.bytes).sum();
-    let mut findings = SubsetFindings {
-        name: name.to_owned(),
-        files: files.len() as u64,
-        bytes,
-        variants: Vec::new(),
-        unreadable: Vec::new(),
-    };
+    let mut unreadable = Vec::new();
     let (mut sampled_bytes, mut sampled_seconds) = (0, 0.0);
     let mut variants: BTreeSet<Variant> = BTreeSet::new();
     // Evenly spaced: the first few may all be of one subject.
@@ -60,21 +52,23 @@ fn sample(name: &str, files: &[&Looked]) -> (SubsetFindings, f64) {
                 sampled_bytes += file.bytes;
                 sampled_seconds += frames as f64 / fps;
             }
-            Ok(None) => findings
-                .unreadable
-                .push(format!("{}: no AMASS keys", file.relative)),
-            Err(reason) => findings
-                .unreadable
-                .push(format!("{}: {reason}", file.relative)),
+            Ok(None) => unreadable.push(format!("{}: no AMASS keys", file.relative)),
+            Err(reason) => unreadable.push(format!("{}: {reason}", file.relative)),
         }
     }
-    findings.variants = variants.iter().map(|v| v.as_str().to_owned()).collect();
     let seconds = if sampled_bytes > 0 {
         sampled_seconds / sampled_bytes as f64 * bytes as f64
-    } else if findings.unreadable.is_empty() {
+    } else if unreadable.is_empty() {
         seconds_in(amass::FORMAT, bytes)
     } else {
         0.0
+    };
+    let findings = SubsetFindings {
+        name: name.to_owned(),
+        files: files.len() as u64,
+        bytes,
+        variants: variants.iter().map(|v| v.as_str().to_owned()).collect(),
+        unreadable,
     };
     (findings, seconds)
 }

@@ -37,10 +37,7 @@ pub(super) fn ask(path: PathBuf, rows: &[IndexRow], files: &Files) -> IndexFindi
             .entry(name.to_owned())
             .or_insert_with(|| IndexSubset {
                 name: name.to_owned(),
-                rows: 0,
-                found: 0,
-                examples: Vec::new(),
-                archive: None,
+                ..IndexSubset::default()
             });
         subset.rows += 1;
         let recording = Recording::of(source);

@@ -36,7 +36,8 @@ fn duration(seconds: f64) -> String {
 }
 
 /// Writes rows of cells in columns; the first column is left-aligned, the others are right-aligned.
-fn columns(f: &mut fmt::Formatter<'_>, rows: &[Vec<String>]) -> fmt::Result {
+fn columns(f: &mut fmt::Formatter<'_>, rows: impl IntoIterator<Item = Vec<String>>) -> fmt::Result {
+    let rows: Vec<Vec<String>> = rows.into_iter().collect();
     let num_columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let widths: Vec<usize> = (0..num_columns)
         .map(|column| {
@@ -66,16 +67,14 @@ impl fmt::Display for Diagnosis {
             write!(f, "{index}")?;
         }
         writeln!(f, "estimate")?;
+        let estimate = [
+            ("clips", self.estimate.clips.to_string()),
+            ("dataset", size(self.estimate.bytes)),
+            ("time on one core", duration(self.estimate.core_seconds)),
+        ];
         columns(
             f,
-            &[
-                vec!["clips".to_owned(), self.estimate.clips.to_string()],
-                vec!["dataset".to_owned(), size(self.estimate.bytes)],
-                vec![
-                    "time on one core".to_owned(),
-                    duration(self.estimate.core_seconds),
-                ],
-            ],
+            estimate.map(|(name, value)| vec![name.to_owned(), value]),
         )?;
         if self.advice.is_empty() {
             return writeln!(f, "nothing is missing");
@@ -97,18 +96,14 @@ impl fmt::Display for Findings {
             self.files,
             size(self.bytes)
         )?;
-        let kinds: Vec<Vec<String>> = self
-            .kinds
-            .iter()
-            .map(|kind| {
-                let name = match kind.is_motion {
-                    true => kind.name.clone(),
-                    false => format!("not read: {}", kind.name),
-                };
-                vec![name, kind.files.to_string(), size(kind.bytes)]
-            })
-            .collect();
-        columns(f, &kinds)?;
+        let kinds = self.kinds.iter().map(|kind| {
+            let name = match kind.is_motion {
+                true => kind.name.clone(),
+                false => format!("not read: {}", kind.name),
+            };
+            vec![name, kind.files.to_string(), size(kind.bytes)]
+        });
+        columns(f, kinds)?;
         for found in &self.licenses {
             let license = found.license.as_deref().unwrap_or("not recognised");
             let non_commercial = match found.non_commercial {
@@ -126,14 +121,12 @@ impl fmt::Display for Findings {
         }
         if !self.amass.is_empty() {
             writeln!(f, " AMASS")?;
-            let rows: Vec<Vec<String>> = self.amass.iter().map(SubsetFindings::cells).collect();
-            columns(f, &rows)?;
+            columns(f, self.amass.iter().map(SubsetFindings::cells))?;
         }
         for (name, releases) in [("STANCE", &self.stance), ("MotionFix", &self.motionfix)] {
             for release in releases {
                 writeln!(f, " {name} release at {}", place(&release.root))?;
-                let rows: Vec<Vec<String>> = release.parts.iter().map(Part::cells).collect();
-                columns(f, &rows)?;
+                columns(f, release.parts.iter().map(Part::cells))?;
             }
         }
         Ok(())
@@ -179,26 +172,24 @@ impl Part {
 impl fmt::Display for HumanMl3dFindings {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, " HumanML3D at {}", place(&self.root))?;
-        let mut rows: Vec<Vec<String>> = [
+        let counts = [
             ("joints", self.joints),
             ("vectors", self.vectors),
             ("captions", self.texts),
             ("captions without motion", self.texts_without_motion),
             ("motions without captions", self.motions_without_text),
             ("motions in no split", self.motions_without_split),
-        ]
-        .into_iter()
-        .map(|(name, count)| vec![name.to_owned(), count.to_string()])
-        .collect();
-        for list in &self.lists {
-            rows.push(vec![
+        ];
+        let counts = counts.map(|(name, count)| vec![name.to_owned(), count.to_string()]);
+        let lists = self.lists.iter().map(|list| {
+            vec![
                 list.file.clone(),
                 format!("{} ids", list.ids),
                 format!("{} without motion", list.without_motion),
                 format!("{} without captions", list.without_text),
-            ]);
-        }
-        columns(f, &rows)
+            ]
+        });
+        columns(f, counts.into_iter().chain(lists))
     }
 }
 
@@ -212,18 +203,14 @@ impl fmt::Display for IndexFindings {
             self.humanact12,
             self.found
         )?;
-        let rows: Vec<Vec<String>> = self
-            .subsets
-            .iter()
-            .map(|subset| {
-                let fetch = subset.archive.as_ref();
-                vec![
-                    subset.name.clone(),
-                    format!("{} of {}", subset.found, subset.rows),
-                    fetch.map_or("complete".to_owned(), |archive| format!("fetch {archive}")),
-                ]
-            })
-            .collect();
-        columns(f, &rows)
+        let rows = self.subsets.iter().map(|subset| {
+            let fetch = subset.archive.as_ref();
+            vec![
+                subset.name.clone(),
+                format!("{} of {}", subset.found, subset.rows),
+                fetch.map_or("complete".to_owned(), |archive| format!("fetch {archive}")),
+            ]
+        });
+        columns(f, rows)
     }
 }

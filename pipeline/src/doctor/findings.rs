@@ -1,5 +1,6 @@
 //! Result of a diagnosis: findings by source and kind, and the estimate.
 
+use std::iter::Sum;
 use std::path::PathBuf;
 
 use kinematics::motion::BODY_POSE_WIDTH;
@@ -135,7 +136,7 @@ pub(super) struct IndexFindings {
     pub(super) subsets: Vec<IndexSubset>,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(super) struct IndexSubset {
     /// Folder of the subset in the list, or `unknown`.
     pub(super) name: String,
@@ -184,11 +185,15 @@ impl Estimate {
             core_seconds: frames / FRAMES_PER_CORE_SECOND,
         }
     }
+}
 
-    pub(super) fn add(&mut self, other: Self) {
-        self.clips += other.clips;
-        self.frames += other.frames;
-        self.bytes += other.bytes;
-        self.core_seconds += other.core_seconds;
+impl Sum for Estimate {
+    fn sum<I: Iterator<Item = Self>>(estimates: I) -> Self {
+        estimates.fold(Self::default(), |sum, one| Self {
+            clips: sum.clips + one.clips,
+            frames: sum.frames + one.frames,
+            bytes: sum.bytes + one.bytes,
+            core_seconds: sum.core_seconds + one.core_seconds,
+        })
     }
 }

@@ -55,19 +55,19 @@ pub(super) fn estimate_layouts(layouts: &[Layout], looked: &[Looked]) -> Estimat
         .iter()
         .map(|file| (file.relative.as_str(), file.bytes))
         .collect();
-    let mut estimate = Estimate::default();
-    for layout in layouts {
-        for id in layout.ids() {
-            // Joints take a quarter of the bytes of a vector.
-            let joints_share = (3 * NUM_BODY_JOINTS) as f64 / HUMANML3D_WIDTH as f64;
-            let (file, share) = match layout.vectors.get(id) {
-                Some(file) => (Some(file), 1.0),
-                None => (layout.joints.get(id), joints_share),
-            };
-            let bytes = file.and_then(|file| sizes.get(file.as_str())).copied();
-            let seconds = seconds_in(humanml3d::FORMAT, bytes.unwrap_or(0)) / share;
-            estimate.add(Estimate::of(1, seconds * Fps::STORE.get()));
-        }
-    }
-    estimate
+    // Joints take a quarter of the bytes of a vector.
+    let joints_share = (3 * NUM_BODY_JOINTS) as f64 / HUMANML3D_WIDTH as f64;
+    let ids = layouts
+        .iter()
+        .flat_map(|layout| layout.ids().map(move |id| (layout, id)));
+    let estimates = ids.map(|(layout, id)| {
+        let (file, share) = match layout.vectors.get(id) {
+            Some(file) => (Some(file), 1.0),
+            None => (layout.joints.get(id), joints_share),
+        };
+        let bytes = file.and_then(|file| sizes.get(file.as_str())).copied();
+        let seconds = seconds_in(humanml3d::FORMAT, bytes.unwrap_or(0)) / share;
+        Estimate::of(1, seconds * Fps::STORE.get())
+    });
+    estimates.sum()
 }

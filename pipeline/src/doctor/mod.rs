@@ -94,10 +94,7 @@ pub fn examine(
         None => index_among(&files),
     };
     let index = index.map(|(path, rows)| ask(path, &rows, &files));
-    let mut estimate = Estimate::default();
-    for source in &findings {
-        estimate.add(source.estimate);
-    }
+    let estimate = findings.iter().map(|source| source.estimate).sum();
     let advice = advise(&findings, index.as_ref(), asked);
     let advice = unlisted.into_iter().chain(advice).collect();
     Ok(Diagnosis {
@@ -117,10 +114,9 @@ fn find(source: &Path, files: &Files, looked: &[Looked], options: &ReadOptions) 
         .collect();
     let stance = stance_folders(&rest);
     let motionfix = motionfix_folders(&rest);
-    let (amass, amass_estimate) = amass_subsets(&rest);
-    let mut estimate = amass_estimate;
-    estimate.add(estimate_layouts(&layouts, looked));
-    estimate.add(estimate_others(&rest));
+    let (amass, of_amass) = amass_subsets(&rest);
+    let of_layouts = estimate_layouts(&layouts, looked);
+    let estimates = [of_amass, of_layouts, estimate_others(&rest)];
     let labels = FolderLabels::read(files);
     Findings {
         captures: captures::captures(&rest, options),
@@ -143,7 +139,7 @@ fn find(source: &Path, files: &Files, looked: &[Looked], options: &ReadOptions) 
                 }
             }
         }),
-        estimate,
+        estimate: estimates.into_iter().sum(),
     }
 }
 
@@ -193,18 +189,18 @@ fn kinds(looked: &[Looked], claimed: &BTreeSet<&str>) -> Vec<Kind> {
 
 /// Estimates all files except AMASS and HumanML3D.
 fn estimate_others(rest: &[&Looked]) -> Estimate {
-    let mut estimate = Estimate::default();
-    for file in rest.iter().filter(|file| !file.is_pointer) {
+    let files = rest.iter().filter(|file| !file.is_pointer);
+    let estimates = files.filter_map(|file| {
         let format = match file.kind {
             _ if is_stance(&file.relative) => stance::FORMAT,
             _ if motionfix::is_dump(&file.relative) => motionfix::FORMAT,
             Recognised::Motion(format) if format != formats::source::amass::FORMAT => format,
-            _ => continue,
+            _ => return None,
         };
         let frames = seconds_in(format, file.bytes) * Fps::STORE.get();
-        estimate.add(Estimate::of(1, frames));
-    }
-    estimate
+        Some(Estimate::of(1, frames))
+    });
+    estimates.sum()
 }
 
 /// Seconds of motion in files of a format, estimated from their size.

@@ -8,10 +8,10 @@ use datasets_spec::{Dataset, Motion, Progress};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::Layout;
 use super::clips::FileKind;
 use super::document::{file, write_json};
-use super::paths::safe_path;
-use super::{Layout, item_stem};
+use super::paths::safe_name;
 use crate::Error;
 use work::NewFolder;
 
@@ -29,11 +29,12 @@ pub struct Sides {
 struct Clip<'a> {
     stem: String,
     motion: Motion,
+    /// The entry of its file, without its name and the length and rate of the motion.
     said: Said<'a>,
 }
 
 /// An entry of `edits.json`.
-#[derive(Clone, Serialize)]
+#[derive(Clone, Default, Serialize)]
 struct Said<'a> {
     file: String,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -88,17 +89,17 @@ pub fn export_edits(
     progress.begin("export", Some(named.len() as u64));
     let said: Vec<Said<'_>> = named
         .into_par_iter()
-        .map(|(name, mut clip)| {
-            clip.motion = kind.motion(clip.motion)?;
-            clip.said.fps = clip.motion.fps().get() as f32;
-            clip.said.frames = clip.motion.len();
-            let encoded = (kind.encode)(&clip.motion, &skeleton);
+        .map(|(name, clip)| {
+            let motion = kind.motion(clip.motion)?;
+            let encoded = (kind.encode)(&motion, &skeleton);
             let path = folder.path().join(&name);
             let bytes = encoded.map_err(datasets_spec::Error::io("encode", path))?;
             file(folder.path(), &name, &bytes)?;
             progress.advance(1);
             Ok(Said {
                 file: name,
+                fps: motion.fps().get() as f32,
+                frames: motion.len(),
                 ..clip.said
             })
         })
@@ -120,40 +121,33 @@ fn clips<'a>(
     }
     let mut clips = Vec::new();
     for row in edits {
-        let item = item_stem(&row.id);
+        let item = safe_name(&row.id);
         let take = match takes[&(row.system.as_str(), row.id.as_str())] {
             1 => String::new(),
             _ => format!("-{}", row.seed),
         };
-        let motion = row.motion()?;
         clips.push(Clip {
-            stem: format!("{}/{item}{take}", folder_of(&row.system)),
+            stem: format!("{}/{item}{take}", safe_name(&row.system)),
             said: Said {
-                file: String::new(),
                 system: Some(&row.system),
                 item: &row.id,
                 seed: Some(row.seed),
                 task: &row.kind,
                 instruction: &row.instruction,
-                fps: row.fps,
-                frames: motion.len(),
+                ..Said::default()
             },
-            motion,
+            motion: row.motion()?,
         });
     }
     for item in items {
         let mut add = |side: &str, motion: Motion| {
             clips.push(Clip {
-                stem: format!("{side}/{}", item_stem(&item.id)),
+                stem: format!("{side}/{}", safe_name(&item.id)),
                 said: Said {
-                    file: String::new(),
-                    system: None,
                     item: &item.id,
-                    seed: None,
                     task: &item.task,
                     instruction: &item.instruction,
-                    fps: item.fps,
-                    frames: motion.len(),
+                    ..Said::default()
                 },
                 motion,
             });
@@ -168,11 +162,6 @@ fn clips<'a>(
     Ok(clips)
 }
 
-/// The folder of a system: its name as one component of a path.
-fn folder_of(system: &str) -> String {
-    safe_path(&system.replace('/', "_"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -185,7 +174,7 @@ mod tests {
             ("..", "_"),
             ("../x", ".._x"),
         ] {
-            assert_eq!(folder_of(system), folder);
+            assert_eq!(safe_name(system), folder);
         }
     }
 }

@@ -126,6 +126,7 @@ impl ByClip for HumanMl3dFolder {
 }
 
 /// The features that the dataset holds beside its motions.
+#[derive(Default)]
 struct Stored {
     shards: Vec<ShardReader>,
     /// Shard and row, by the id of the motion.
@@ -134,10 +135,7 @@ struct Stored {
 
 impl Stored {
     fn of(dataset: &Dataset) -> Result<Self, Error> {
-        let mut stored = Self {
-            shards: Vec::new(),
-            places: BTreeMap::new(),
-        };
+        let mut stored = Self::default();
         for (number, (path, _)) in dataset.files(HumanMl3dRow::TABLE, None).iter().enumerate() {
             let shard = ShardReader::open(path)?;
             let ids = shard.column::<HumanMl3dRow, String>("id")?;

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::document::{file, write_json};
+use super::paths::safe_name;
 use crate::Error;
 use work::NewFolder;
 
@@ -53,10 +54,6 @@ struct File {
     frames: usize,
 }
 
-pub(crate) fn item_stem(id: &str) -> String {
-    super::paths::safe_path(&id.replace('/', "_"))
-}
-
 /// Writes items to a new folder: `sources/ID.npz` with SMPL-X parameters in AMASS's layout (z up) and
 /// `keypoints` `[T, 28, 3]` in the same frame, and the questions to `items.json`. Targets go to
 /// `targets/ID.npz`, but only on request. Equal items give equal bytes. Returns the number of motions
@@ -74,12 +71,7 @@ pub fn export_items(
 ) -> Result<u64, Error> {
     items.iter().try_for_each(ItemRow::check)?;
     let folder = NewFolder::beside(out)?;
-    let sides: &[&str] = if with_targets {
-        &[SOURCES, TARGETS]
-    } else {
-        &[SOURCES]
-    };
-    for side in sides {
+    for side in std::iter::once(SOURCES).chain(with_targets.then_some(TARGETS)) {
         let path = folder.path().join(side);
         fs::create_dir_all(&path).map_err(datasets_spec::Error::io("create folder", &path))?;
     }
@@ -88,7 +80,7 @@ pub fn export_items(
         .par_iter()
         .map(|item| {
             let put = |side: &str, motion: &Motion| -> Result<File, Error> {
-                let name = format!("{side}/{}.npz", item_stem(&item.id));
+                let name = format!("{side}/{}.npz", safe_name(&item.id));
                 let bytes =
                     formats::write::amass::encode_with_keypoints(motion, skeleton).map_err(
                         datasets_spec::Error::io("encode", folder.path().join(&name)),

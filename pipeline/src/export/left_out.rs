@@ -140,11 +140,8 @@ fn left_out(layout: Layout, clips: &Clips) -> Result<Counts, Error> {
         captions(shard, layout, &mut counts);
         if !has(PART_CAPTIONS) {
             let parts = newer::<Vec<PartCaption>>(shard, "part_captions");
-            put(
-                &mut counts,
-                PART_CAPTIONS,
-                parts.iter().map(Vec::len).sum::<usize>() as u64,
-            );
+            let count = parts.iter().flatten().count();
+            put(&mut counts, PART_CAPTIONS, count as u64);
         }
         for (name, column) in [
             (SUBJECTS, "subject"),
@@ -165,10 +162,10 @@ fn left_out(layout: Layout, clips: &Clips) -> Result<Counts, Error> {
         }
     }
     let dataset = clips.dataset();
+    let num_chosen = |clips: &[String]| clips.iter().filter(|id| ids.contains(*id)).count();
     if !has(MASKS) {
         let masks = column::<MaskRow, String>(dataset, "motion_id")?;
-        let masks = masks.iter().filter(|id| ids.contains(*id));
-        put(&mut counts, MASKS, masks.count() as u64);
+        put(&mut counts, MASKS, num_chosen(&masks) as u64);
     }
     let sources = column::<PairRow, String>(dataset, "source_id")?;
     let targets = column::<PairRow, String>(dataset, "target_id")?;
@@ -180,19 +177,15 @@ fn left_out(layout: Layout, clips: &Clips) -> Result<Counts, Error> {
     put(&mut counts, PAIRS, lost.count() as u64);
     if !has(FEATURES) {
         let features = column::<HumanMl3dRow, String>(dataset, "id")?;
-        let features = features.iter().filter(|id| ids.contains(*id));
-        put(&mut counts, FEATURES, features.count() as u64);
+        put(&mut counts, FEATURES, num_chosen(&features) as u64);
     }
     let markers = column::<MarkerRow, String>(dataset, "id")?;
-    let of_clips = markers.iter().filter(|id| ids.contains(*id)).count();
+    let of_clips = num_chosen(&markers);
     put(&mut counts, "markers", of_clips as u64);
     let all = Clips::all(dataset);
     if clips.len() == all.len() {
-        put(
-            &mut counts,
-            "captures_without_motion",
-            (markers.len() - of_clips) as u64,
-        );
+        let alone = (markers.len() - of_clips) as u64;
+        put(&mut counts, "captures_without_motion", alone);
     }
     Ok(counts)
 }
@@ -205,11 +198,8 @@ fn said(shard: &Shard) -> impl Iterator<Item = (Caption, bool)> {
         let origins = origins.next().unwrap_or_default();
         let captions = captions.into_iter().enumerate();
         captions.map(move |(number, caption)| {
-            let origin = origins.get(number);
-            (
-                caption,
-                origin.is_some_and(|origin| origin == CAPTION_BY_RULE),
-            )
+            let origin = origins.get(number).map(String::as_str);
+            (caption, origin == Some(CAPTION_BY_RULE))
         })
     })
 }
@@ -243,17 +233,10 @@ fn captions(shard: &Shard, layout: Layout, counts: &mut Counts) {
 
 /// Whether the captions of a layout are those of HumanML3D, whose words have tags of their part of speech.
 fn has_tags(layout: Layout) -> bool {
-    match layout {
-        Layout::HumanMl3d | Layout::HumanMl3d272 | Layout::Babel272 | Layout::HyMotion => true,
-        Layout::Amass
-        | Layout::Bvh
-        | Layout::Gltf
-        | Layout::WebDataset
-        | Layout::Stance
-        | Layout::MotionMillion
-        | Layout::LeRobot
-        | Layout::MotionFix => false,
-    }
+    matches!(
+        layout,
+        Layout::HumanMl3d | Layout::HumanMl3d272 | Layout::Babel272 | Layout::HyMotion
+    )
 }
 
 /// Number of captions without tokens, whose words get the tag `OTHER` in a layout with tags; 0 for other layouts.
@@ -273,12 +256,8 @@ pub fn untagged_captions(layout: Layout, clips: &Clips) -> u64 {
 /// The dataset cannot be read.
 pub fn before(layout: Layout, clips: &Clips) -> Result<Vec<String>, Error> {
     let mut remarks = Vec::new();
-    if has_tags(layout)
-        && !clips
-            .shards(None)
-            .flat_map(said)
-            .any(|(_, is_made)| !is_made)
-    {
+    let mut said = clips.shards(None).flat_map(said);
+    if has_tags(layout) && said.all(|(_, is_made)| is_made) {
         remarks.push(format!(
             "none of the {} clips has a caption of its source, so texts/ stays empty and the loaders of this layout \
              find no clip; add captions first (captions.csv beside the sources and `stance ingest` again, or `stance \

@@ -49,8 +49,11 @@ pub(super) fn write(
     progress: &dyn Progress,
 ) -> Result<Exported, Error> {
     progress.begin("export lerobot", Some(clips.len()));
-    let robot_type = &clips.dataset().manifest().skeleton;
-    let mut writer = Writer::new(robot_type, folder);
+    let mut writer = Writer {
+        robot_type: clips.dataset().manifest().skeleton.clone(),
+        folder: folder.to_owned(),
+        ..Writer::default()
+    };
     let mut splits = BTreeMap::new();
     for split in Split::ALL {
         let first = writer.num_episodes;
@@ -79,9 +82,10 @@ struct Episode {
     clip: MotionRow,
 }
 
-struct Writer<'a> {
-    robot_type: &'a str,
-    folder: &'a Path,
+#[derive(Default)]
+struct Writer {
+    robot_type: String,
+    folder: PathBuf,
     fps: Option<f32>,
     tasks: Vec<String>,
     task_places: BTreeMap<String, usize>,
@@ -95,24 +99,7 @@ struct Writer<'a> {
     statistics: Option<Statistics>,
 }
 
-impl<'a> Writer<'a> {
-    fn new(robot_type: &'a str, folder: &'a Path) -> Self {
-        Self {
-            robot_type,
-            folder,
-            fps: None,
-            tasks: Vec::new(),
-            task_places: BTreeMap::new(),
-            num_episodes: 0,
-            episodes: Vec::new(),
-            states: Vec::new(),
-            places: Vec::new(),
-            files: 0,
-            rows: 0,
-            statistics: None,
-        }
-    }
-
+impl Writer {
     fn episode(&mut self, mut row: MotionRow) -> Result<(), Error> {
         let fps = *self.fps.get_or_insert(row.fps);
         if fps != row.fps {
@@ -224,13 +211,10 @@ impl<'a> Writer<'a> {
         ];
         let path = self.folder.join("meta/tasks.parquet");
         write_parquet(&path, tasks, tasks_index())?;
-        write_json(self.folder, "meta/info.json", &self.info(splits))?;
+        write_json(&self.folder, "meta/info.json", &self.info(splits))?;
         let statistics = self.statistics.as_ref().map(Statistics::json);
-        write_json(
-            self.folder,
-            "meta/stats.json",
-            &statistics.unwrap_or_default(),
-        )
+        let statistics = statistics.unwrap_or_default();
+        write_json(&self.folder, "meta/stats.json", &statistics)
     }
 
     fn info(&self, splits: &BTreeMap<&str, String>) -> serde_json::Value {

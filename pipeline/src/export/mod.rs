@@ -36,12 +36,12 @@ use self::by_clip::PART_CLIPS;
 use self::form::Form;
 pub use edits::{Sides, export_edits};
 pub use items::export_items;
-pub(crate) use items::item_stem;
 pub use job::plan_export;
 pub(crate) use job::{JOB, open_job};
 pub use layout::Layout;
 pub use left_out::{Counts, Exported, before, untagged_captions};
 pub use motionfix::export_triplets;
+pub(crate) use paths::safe_name;
 
 /// Writes clips to a new folder in another layout.
 ///

@@ -47,6 +47,15 @@ struct Side {
 }
 
 impl Side {
+    fn new(id: &MotionId, motion: Motion, start: i32) -> Self {
+        Self {
+            id: id.to_string(),
+            from_s: f64::from(start) / motion.fps().get(),
+            motion,
+            license: None,
+        }
+    }
+
     fn value(&self, skeleton: &Skeleton) -> Result<Value, Error> {
         let to_s = self.from_s + self.motion.duration_secs();
         let parameters = Parameters::of(&self.motion, skeleton)?;
@@ -80,12 +89,8 @@ pub fn export_triplets(
             let mut rows: Vec<ItemRow> = read_rows(&path)?;
             let all = rows.len();
             rows.retain(|item| item.target_frames > 0);
-            let without_target = all - rows.len();
-            put(
-                &mut done.left_out,
-                "items_without_target",
-                without_target as u64,
-            );
+            let without_target = (all - rows.len()) as u64;
+            put(&mut done.left_out, "items_without_target", without_target);
             writer.take(&rows, &of_item)?;
         }
     }
@@ -155,11 +160,8 @@ pub(super) fn write(
         .iter()
         .flat_map(|pair| [&pair.source_id, &pair.target_id]);
     let paired: BTreeSet<&MotionId> = paired.collect();
-    put(
-        &mut done.left_out,
-        "clips",
-        clips.len() - paired.len() as u64,
-    );
+    let alone = clips.len() - paired.len() as u64;
+    put(&mut done.left_out, "clips", alone);
     let mut say = |name, is_said: fn(&PairRow) -> bool| {
         let said = written.iter().filter(|pair| is_said(pair));
         put(&mut done.left_out, name, said.count() as u64);
@@ -169,17 +171,6 @@ pub(super) fn write(
     say("edit_types", |pair| pair.edit_type.is_some());
     say("accepted_by", |pair| pair.accepted_by.is_some());
     Ok(done)
-}
-
-impl Side {
-    fn new(id: &MotionId, motion: Motion, start: i32) -> Self {
-        Self {
-            id: id.to_string(),
-            from_s: f64::from(start) / motion.fps().get(),
-            motion,
-            license: None,
-        }
-    }
 }
 
 fn of_triplet(row: &TripletRow) -> Result<Triplet, Error> {

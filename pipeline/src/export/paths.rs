@@ -43,6 +43,11 @@ pub(super) fn safe_path(id: &str) -> String {
     parts.join("/")
 }
 
+/// [`safe_path`] of a name that is one component of a path, such as the id of an item or the name of a system.
+pub(crate) fn safe_name(name: &str) -> String {
+    safe_path(&name.replace('/', "_"))
+}
+
 /// [`safe_path`] of an id, without `ending`, which the file name gets anyway: `walk.bvh` is written to `walk.bvh`, not
 /// to `walk.bvh.bvh`.
 pub(super) fn safe_stem(id: &str, ending: &str) -> String {

@@ -22,6 +22,7 @@ use super::document::file;
 use super::left_out::{Exported, put};
 use crate::Error;
 use crate::clips::Clips;
+use crate::ingest::free;
 use pickle::{self, Array, Value};
 
 /// Writes the motions, pairs and masks of a dataset into an empty folder.
@@ -39,7 +40,7 @@ pub(super) fn write(
     for mask in &labels.masks {
         annotations.take_mask(mask);
     }
-    let annotated = annotations.by_id.keys().cloned().collect();
+    let annotated = annotations.0.keys().cloned().collect();
     let plan = Plan::make(&labels, &annotated);
     let manifest = clips.dataset().manifest();
     let mut writer = Writer {
@@ -109,6 +110,7 @@ struct Adjustment {
     pair: PairRow,
 }
 
+#[derive(Default)]
 struct Plan {
     /// Section and file stem of each motion, by id; `None` for motions that occur only in adjustments.
     places: BTreeMap<String, Option<(&'static str, String)>>,
@@ -134,11 +136,7 @@ impl Plan {
         // The file of a style is named after that of its base motion, so the base motion needs one.
         let bases: BTreeSet<String> = styled.values().map(|(source, _)| source.clone()).collect();
         styled.retain(|target, _| !bases.contains(target));
-        let mut plan = Self {
-            places: BTreeMap::new(),
-            adjustments: Vec::new(),
-            uses: BTreeMap::new(),
-        };
+        let mut plan = Self::default();
         plan.place_adjustments(adjusted);
         plan.place_base(&labels.ids, &styled, &bases, annotated);
         plan.place_styled(&styled);
@@ -207,12 +205,7 @@ impl Plan {
                 _ => continue,
             };
             let name = format!("{base}_{}", file_name(style));
-            let mut stem = name.clone();
-            let mut take = 1;
-            while !taken.insert(stem.clone()) {
-                take += 1;
-                stem = format!("{name}-{take}");
-            }
+            let stem = free(&name, |stem| taken.insert(stem.to_owned()));
             let place = Some((STYLE_TRANSFER, stem));
             self.places.insert(target.clone(), place);
         }
@@ -245,25 +238,20 @@ fn is_named(mask: &MaskRow) -> bool {
 
 /// Part annotations of each motion, by id: body parts joined by `+`, and their text.
 #[derive(Default)]
-struct Annotations {
-    by_id: BTreeMap<String, Vec<(String, String)>>,
-}
+struct Annotations(BTreeMap<String, Vec<(String, String)>>);
 
 impl Annotations {
     fn take_mask(&mut self, mask: &MaskRow) {
         if is_named(mask) {
-            self.put(
-                mask.motion_id.as_str(),
-                mask.parts.join("+"),
-                mask.text.clone(),
-            );
+            let (id, parts) = (mask.motion_id.as_str(), mask.parts.join("+"));
+            self.put(id, parts, mask.text.clone());
         }
     }
 
     /// Adds the text of a part, unless a mask with the part has it already.
     fn take_caption(&mut self, id: &str, caption: &PartCaption) {
         let PartCaption { part, text } = caption;
-        let said = self.by_id.get(id).into_iter().flatten();
+        let said = self.0.get(id).into_iter().flatten();
         let known = said
             .filter(|(_, said)| said == text)
             .any(|(parts, _)| parts.split('+').any(|name| name == part));
@@ -273,7 +261,7 @@ impl Annotations {
     }
 
     fn put(&mut self, id: &str, parts: String, text: String) {
-        let said = self.by_id.entry(id.to_owned()).or_default();
+        let said = self.0.entry(id.to_owned()).or_default();
         said.push((parts, text));
     }
 }
@@ -357,7 +345,7 @@ impl Writer<'_> {
 
     fn finish(&mut self) -> Result<(), Error> {
         let (mut masks, mut texts) = (BTreeMap::new(), BTreeMap::new());
-        for (id, said) in &self.annotations.by_id {
+        for (id, said) in &self.annotations.0 {
             let Some(Some((BASE_MOTION, stem))) = self.plan.places.get(id) else {
                 continue;
             };

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use datasets_spec::MotionId;
 use serde::Serialize;
 
 /// Counts of the fates of the clips and labels that a dataset had.
@@ -30,6 +31,17 @@ pub struct Growth {
     pub lost: Vec<LostLabel>,
     /// Tables that were composed of changed or removed clips; their commands make them again.
     pub dropped_tables: Vec<String>,
+}
+
+impl LostLabel {
+    pub(crate) fn new(table: &str, id: &str, clip: &MotionId, reason: String) -> Self {
+        Self {
+            table: table.to_owned(),
+            id: id.to_owned(),
+            clip: clip.to_string(),
+            reason,
+        }
+    }
 }
 
 /// A mask or pair whose clip changed or was removed.

@@ -6,6 +6,7 @@ use std::path::Path;
 use formats::source::labels::{is_pattern, matches};
 use serde::{Deserialize, Serialize};
 
+use super::unread::some_of;
 use crate::Error;
 
 /// Ids and patterns that choose clips.
@@ -62,13 +63,7 @@ impl IdList {
 
     /// The first three names, and how many more there are.
     pub(super) fn shown(&self) -> String {
-        const SHOWN: usize = 3;
-        let first: Vec<&str> = self.names.iter().take(SHOWN).map(String::as_str).collect();
-        let more = self.names.len().saturating_sub(SHOWN);
-        match more {
-            0 => first.join(", "),
-            more => format!("{} and {more} more", first.join(", ")),
-        }
+        some_of(self.names.iter().map(String::as_str))
     }
 
     pub(super) fn chooses(&self, names: &BTreeSet<String>) -> bool {

@@ -3,18 +3,18 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::record::{QuarantineRow, SkippedRow};
-use datasets_spec::{MotionId, Seed, Split};
+use datasets_spec::{Seed, Split};
 use formats::source::{Entry, Format, escaped};
 
 use super::alike::Alike;
 use super::list::{path_of, without_extension};
-use super::plan::{Plan, Planned};
+use super::plan::{Plan, Planned, source_hash};
 use super::recorded::{Recorded, RecordedClip};
 use super::shard::PIECE_STAGE;
 use super::sources::free;
 use super::split_by::SplitBy;
 use super::taken_out::NOT_CHOSEN;
-use crate::recordings::Groups;
+use crate::recordings::{Groups, source_clip};
 use crate::versions::taken_out;
 
 impl Plan {
@@ -27,9 +27,8 @@ impl Plan {
         // A clip whose file cannot be read now stays unchanged.
         let (sources, remarks) = (&self.sources, &mut self.notes.remarks);
         self.rejected.retain(|row| {
-            let unreadable = sources
-                .get(&row.path)
-                .is_some_and(|source| source.hash.is_err());
+            let source = sources.get(&row.path);
+            let unreadable = source.is_some_and(|source| source.hash.is_err());
             let stays = unreadable && recorded.clips.iter().any(|clip| clip.path == row.path);
             if stays {
                 remarks.push(format!("{} stays as it was: {}", row.path, row.reason));
@@ -128,11 +127,7 @@ impl Plan {
     /// Files that moved within their source, with their previous paths. A file is taken for a recorded one if it has
     /// the same content, nothing lies at the recorded path, and the match is unique.
     fn moved_files(&self, items: &[Planned], recorded: &Recorded) -> BTreeMap<String, String> {
-        let known: BTreeSet<&str> = recorded
-            .clips
-            .iter()
-            .map(|clip| clip.path.as_str())
-            .collect();
+        let known = recorded.paths();
         let mut gone: BTreeMap<(&str, &str), BTreeSet<&str>> = BTreeMap::new();
         for clip in &recorded.clips {
             let name = recorded.sources[clip.source].name.as_str();
@@ -170,10 +165,7 @@ impl Plan {
     }
 
     pub(super) fn hash_of(&self, item: &Planned) -> &str {
-        let source = self.sources.get(&item.entry.file);
-        source
-            .and_then(|source| source.hash.as_deref().ok())
-            .unwrap_or("")
+        source_hash(&self.sources, &item.entry.file)
     }
 
     /// Gives the new motions of releases their ids.
@@ -357,9 +349,7 @@ impl Plan {
             // hold different clips under the same names, unless their content is equal, so the number of the release is
             // added.
             Some(release) => {
-                let id = &item.entry.id;
-                let clip =
-                    || MotionId::parse(id).map_or(id.clone(), |id| id.source_clip().to_owned());
+                let clip = || source_clip(&item.entry.id);
                 let key = item.entry.group.clone().unwrap_or_else(clip);
                 match self.number_in_format(release) {
                     0 => key,

@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use formats::source::Contents;
 
 use super::list::Source;
+use super::plan::source_hash;
 
 /// Label and licence files that apply to all clips in their folder and below. A file is one of them if its
 /// name begins with one of these words.
@@ -178,10 +179,7 @@ fn stem(name: &str) -> &str {
 fn hash<'a>(files: impl Iterator<Item = &'a str>, sources: &BTreeMap<String, Source>) -> String {
     let mut hasher = blake3::Hasher::new();
     for file in files {
-        let hash = sources
-            .get(file)
-            .and_then(|source| source.hash.as_deref().ok());
-        for part in [split_name(file).1, hash.unwrap_or("")] {
+        for part in [split_name(file).1, source_hash(sources, file)] {
             hasher.update(&(part.len() as u64).to_le_bytes());
             hasher.update(part.as_bytes());
         }

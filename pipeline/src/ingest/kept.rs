@@ -13,6 +13,7 @@ use super::growth::{Growth, LostLabel};
 use super::plan::Plan;
 use super::recorded::Recorded;
 use super::sources::SourceLabel;
+use crate::facts::json;
 use crate::versions::{is_mask_of_people, is_mask_of_source, is_pair_of_people, is_pair_of_source};
 
 /// Labels of the previous version that are kept, and those that are lost.
@@ -49,7 +50,7 @@ impl Fates<'_> {
                 Ok(true) if is_mask_of_source(&mask) => {}
                 Ok(_) => labels.masks.push(mask),
                 Err(_) if !is_mask_of_people(&mask) => {}
-                Err(lost) => labels.lose(MaskRow::TABLE, mask.id, lost),
+                Err(lost) => labels.lose(MaskRow::TABLE, &mask.id, lost),
             }
         }
         for pair in pairs {
@@ -59,7 +60,7 @@ impl Fates<'_> {
                 Ok(true) if is_pair_of_source(&pair) => {}
                 Ok(_) => labels.pairs.push(pair),
                 Err(_) if !is_pair_of_people(&pair) => {}
-                Err(lost) => labels.lose(PairRow::TABLE, pair.id, lost),
+                Err(lost) => labels.lose(PairRow::TABLE, &pair.id, lost),
             }
         }
         labels
@@ -67,7 +68,7 @@ impl Fates<'_> {
 
     /// Whether the clip of a label is read again; otherwise it stays. If the label no longer applies to the clip, the
     /// error is the clip and what happened to it.
-    fn is_read_again(&self, id: &MotionId) -> Result<bool, (String, String)> {
+    fn is_read_again<'a>(&self, id: &'a MotionId) -> Result<bool, (&'a MotionId, String)> {
         let reason = match self.of_clip(id) {
             Some(Fate::Kept | Fate::Elsewhere | Fate::Missing | Fate::Unusable) => {
                 return Ok(false);
@@ -78,7 +79,7 @@ impl Fates<'_> {
             Some(Fate::Pruned { is_there: true }) => format!("{id} cannot be used any more"),
             None => format!("{id} is not in the dataset"),
         };
-        Err((id.to_string(), reason))
+        Err((id, reason))
     }
 }
 
@@ -111,7 +112,6 @@ impl Plan {
 }
 
 /// Rejected items of sources that a run does not read.
-#[derive(Default)]
 pub(super) struct Outside {
     pub(super) quarantine: Vec<QuarantineRow>,
     pub(super) skipped: Vec<SkippedRow>,
@@ -126,17 +126,13 @@ impl Plan {
             let here = |path| self.sources.contains_key(path) || self.is_of_run(name, path);
             !here(path) && !here(file)
         };
-        let mut outside = Outside {
-            quarantine: recorded.quarantine.clone(),
-            skipped: recorded.skipped.clone(),
-        };
-        let Outside {
-            quarantine,
-            skipped,
-        } = &mut outside;
+        let (mut quarantine, mut skipped) = (recorded.quarantine.clone(), recorded.skipped.clone());
         quarantine.retain(|row| is_outside(&row.source_name, &row.path));
         skipped.retain(|row| is_outside(&row.source_name, &row.path));
-        outside
+        Outside {
+            quarantine,
+            skipped,
+        }
     }
 
     /// Whether this run rejects the same items as recorded.
@@ -170,7 +166,7 @@ impl Plan {
     }
 
     pub(super) fn all_sources(&self, recorded: &Recorded) -> String {
-        serde_json::to_string(&self.all_labels(recorded)).expect("texts serialise")
+        json(&self.all_labels(recorded))
     }
 
     pub(super) fn has_known_sources(&self, recorded: &Recorded) -> bool {
@@ -194,19 +190,12 @@ impl Labels {
                 self.pairs.push(pair);
             } else {
                 let reason = "its clips are in two splits now".to_owned();
-                let clip = pair.target_id.to_string();
-                self.lose(PairRow::TABLE, pair.id, (clip, reason));
+                self.lose(PairRow::TABLE, &pair.id, (&pair.target_id, reason));
             }
         }
     }
 
-    fn lose(&mut self, table: &str, id: String, (clip, reason): (String, String)) {
-        let table = table.to_owned();
-        self.lost.push(LostLabel {
-            table,
-            id,
-            clip,
-            reason,
-        });
+    fn lose(&mut self, table: &str, id: &str, (clip, reason): (&MotionId, String)) {
+        self.lost.push(LostLabel::new(table, id, clip, reason));
     }
 }

@@ -48,6 +48,7 @@ pub(crate) struct Listing {
 const FOLDER_LINK: &str =
     "link to a folder, not followed; name the folder it leads to as a source of its own";
 
+#[derive(Default)]
 pub(crate) struct Listed {
     pub(super) name: Option<String>,
     /// The given path; of several files, the first.
@@ -114,10 +115,7 @@ impl<'a> Located<'a> {
             place: text_of_name(self.folder.as_os_str()),
             folder: self.folder.clone(),
             is_whole: self.file.is_none(),
-            given_files: BTreeSet::new(),
-            places: Vec::new(),
-            left_out: BTreeMap::new(),
-            listing: Listing::default(),
+            ..Listed::default()
         };
         if listed.is_whole {
             listed.places.push((listed.place.clone(), Kind::Folder));

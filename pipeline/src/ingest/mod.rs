@@ -58,7 +58,9 @@ pub(crate) use self::list::{labelled as with_label, list_each, list_files, quara
 pub use self::options::{IngestOptions, REMARKS_FACT};
 pub(crate) use self::recorded::{MergedSources, recorded_settings};
 pub use self::report::IngestReport;
+pub(crate) use self::shard::guarded;
 pub use self::sources::SourceArg;
+pub(crate) use self::sources::free;
 pub use self::split_by::SplitBy;
 pub use self::split_list::SplitList;
 

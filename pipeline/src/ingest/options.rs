@@ -18,6 +18,7 @@ use super::split_by::SplitBy;
 use super::split_list::SplitList;
 use crate::Error;
 use crate::annotation::pairs::PairList;
+use crate::facts::json;
 use work::{absolute, hash_file};
 
 /// Version of the code that turns files into rows. A dataset made by an older version is read again.
@@ -144,25 +145,20 @@ impl StoredOptions {
     /// Restores the options. Files that are kept by their paths must still have the recorded hashes.
     pub(super) fn options(self) -> Result<IngestOptions, Error> {
         let changed = |path: PathBuf| Error::from(work::Error::SourceChanged { path });
-        let subjects = match self.subjects {
-            Some((folder, hash)) => {
-                let subjects = Subjects::read(&folder)?;
-                if subjects.hash() != hash {
-                    return Err(changed(folder));
-                }
-                Some(Arc::new(subjects))
+        let mut subjects = None;
+        if let Some((folder, hash)) = self.subjects {
+            let read = Subjects::read(&folder)?;
+            if read.hash() != hash {
+                return Err(changed(folder));
             }
-            None => None,
-        };
-        let humanml3d_index = match self.humanml3d_index {
-            Some((index, hash)) => {
-                if hash_file(&index)? != hash {
-                    return Err(changed(index));
-                }
-                Some(index)
-            }
-            None => None,
-        };
+            subjects = Some(Arc::new(read));
+        }
+        let index = self.humanml3d_index;
+        if let Some((index, hash)) = &index
+            && hash_file(index)? != *hash
+        {
+            return Err(changed(index.clone()));
+        }
         Ok(IngestOptions {
             format: self.format.and_then(|name| format_named(&name)),
             read: ReadOptions {
@@ -174,7 +170,7 @@ impl StoredOptions {
                 subjects,
                 ..ReadOptions::default()
             },
-            humanml3d_index,
+            humanml3d_index: index.map(|(index, _)| index),
             ..self.options
         })
     }
@@ -219,54 +215,41 @@ pub(super) struct Settings(BTreeMap<String, String>);
 
 impl Settings {
     pub(super) fn of(options: &IngestOptions) -> Self {
-        let none = || "none".to_owned();
-        let skeleton = &options.read.skeleton;
-        let map = options.read.user_map.as_ref();
-        let markers = options.read.markers.as_ref();
-        let unit = options.read.unit;
-        let subjects = options.read.subjects.as_ref();
+        let read = &options.read;
+        let format = options.format.map(|format| format.as_str().to_owned());
+        let skeleton = format!("{} {}", read.skeleton.name(), read.skeleton.hash());
+        let subjects = read.subjects.as_ref();
+        let subjects = subjects.map(|subjects| subjects.hash().to_owned());
         let features = options.humanml3d_features.then_some(humanml3d::RECIPE);
+        let lower = |value: &dyn std::fmt::Debug| Some(format!("{value:?}").to_lowercase());
         let values = [
-            ("rules", INGEST_VERSION.to_string()),
-            ("fps", rate_name(options)),
-            ("resample", format!("{:?}", options.resample).to_lowercase()),
-            (
-                "format",
-                options
-                    .format
-                    .map_or_else(none, |format| format.as_str().to_owned()),
-            ),
-            ("seed", options.seed.0.to_string()),
-            ("license", options.license.clone().unwrap_or_else(none)),
-            (
-                "skeleton",
-                format!("{} {}", skeleton.name(), skeleton.hash()),
-            ),
-            ("joint-map", map.map_or_else(none, UserMap::hash)),
-            ("markers", markers.map_or_else(none, MarkerSet::hash)),
-            ("unit", unit.map_or_else(none, |unit| unit.to_string())),
-            (
-                "subject-models",
-                subjects.map_or_else(none, |subjects| subjects.hash().to_owned()),
-            ),
-            ("features", features.map_or_else(none, str::to_owned)),
-            ("made-captions", options.made_captions.to_string()),
-            (
-                "splits",
-                options.splits.as_ref().map_or_else(none, SplitList::hash),
-            ),
-            ("ids", options.ids.as_ref().map_or_else(none, IdList::hash)),
-            ("lenient", options.read.lenient.to_string()),
-            (
-                "teleports",
-                format!("{:?}", options.teleports).to_lowercase(),
-            ),
+            ("rules", Some(INGEST_VERSION.to_string())),
+            ("fps", Some(rate_name(options))),
+            ("resample", lower(&options.resample)),
+            ("format", format),
+            ("seed", Some(options.seed.0.to_string())),
+            ("license", options.license.clone()),
+            ("skeleton", Some(skeleton)),
+            ("joint-map", read.user_map.as_ref().map(UserMap::hash)),
+            ("markers", read.markers.as_ref().map(MarkerSet::hash)),
+            ("unit", read.unit.map(|unit| unit.to_string())),
+            ("subject-models", subjects),
+            ("features", features.map(str::to_owned)),
+            ("made-captions", Some(options.made_captions.to_string())),
+            ("splits", options.splits.as_ref().map(SplitList::hash)),
+            ("ids", options.ids.as_ref().map(IdList::hash)),
+            ("lenient", Some(read.lenient.to_string())),
+            ("teleports", lower(&options.teleports)),
         ];
-        Self(values.map(|(name, value)| (name.to_owned(), value)).into())
+        let values = values.map(|(name, value)| {
+            let value = value.unwrap_or_else(|| "none".to_owned());
+            (name.to_owned(), value)
+        });
+        Self(values.into())
     }
 
     pub(super) fn text(&self) -> String {
-        serde_json::to_string(self).expect("texts serialise")
+        json(self)
     }
 
     /// Whether two recorded settings read clips the same way: all are equal but the seed of the splits.

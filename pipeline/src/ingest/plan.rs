@@ -9,7 +9,7 @@ use std::sync::Arc;
 use clip::{LabelProblem, Rejected, rejected};
 use datasets_spec::record::{QuarantineRow, SkippedRow};
 use datasets_spec::store::Store;
-use datasets_spec::{MotionId, Progress, Split};
+use datasets_spec::{Progress, Split};
 use formats::sidecar::Sidecar;
 use formats::source::archive::{self, Archives};
 use formats::source::labels::{self, FolderLabels};
@@ -30,6 +30,7 @@ use super::split_by::SplitBy;
 use super::split_list::{SplitList, name_of_subject};
 use crate::Error;
 use crate::annotation::pairs::{PairList, RefusedLine, names_of, originals, style_group};
+use crate::recordings::source_clip;
 
 /// Everything a run will do, known before any motion is read.
 pub(super) struct Plan {
@@ -123,8 +124,7 @@ impl Planned {
 
     /// Id in the dataset without crop or mirror suffix.
     fn clip(&self) -> String {
-        let id = MotionId::parse(&self.id);
-        id.map_or(self.id.clone(), |id| id.source_clip().to_owned())
+        source_clip(&self.id)
     }
 
     /// Names by which a list of splits may refer to the motion: its id, that of its source clip, its file, its subject.
@@ -226,7 +226,7 @@ impl Plan {
         SkippedRow {
             path: list::path_of(file, key),
             source_name: self.source_name(file).to_owned(),
-            source_hash: source_hash(&self.sources, file),
+            source_hash: source_hash(&self.sources, file).to_owned(),
             inputs_hash: inputs.to_owned(),
             reason,
         }
@@ -243,7 +243,7 @@ impl Plan {
     }
 
     pub(super) fn rejected_row(&self, file: &str, key: &str, rejected: Rejected) -> QuarantineRow {
-        let hash = source_hash(&self.sources, file);
+        let hash = source_hash(&self.sources, file).to_owned();
         quarantine_row(file, key, self.source_name(file), hash, rejected)
     }
 
@@ -478,11 +478,8 @@ impl Plan {
             stated.map(|(clip, (split, _))| (clip, split)).collect();
         if let Some(list) = list {
             self.notes.refused_splits = list.refused(&known);
-            splits.extend(
-                lines
-                    .into_iter()
-                    .map(|(clip, line)| (clip, list.split(line))),
-            );
+            let lines = lines.into_iter();
+            splits.extend(lines.map(|(clip, line)| (clip, list.split(line))));
         }
         for item in &mut self.items {
             item.own_split = splits.get(&item.clip()).copied();
@@ -531,15 +528,13 @@ impl Plan {
                 *split = split.or(item.own_split).or(item.entry.split);
             }
         }
-        let mut items = self.items.clone();
-        for item in &mut items {
+        for item in &mut self.items {
             let original = originals.get(item.clip().as_str());
             if let Some((split, key)) = original.and_then(|original| deciding.get(original)) {
                 item.entry.split = item.entry.split.or(*split);
                 item.group = Some(key.clone());
             }
         }
-        self.items = items;
     }
 
     pub(super) fn all_remarks(&self) -> Vec<String> {
@@ -664,9 +659,11 @@ pub(super) fn bounded_length(files: &Files, relative: &str) -> Result<usize, Rej
     Ok(usize::try_from(length).unwrap_or(usize::MAX))
 }
 
-pub(super) fn source_hash(sources: &BTreeMap<String, Source>, relative: &str) -> String {
-    let hash = sources.get(relative).map(|source| source.hash.clone());
-    hash.and_then(Result::ok).unwrap_or_default()
+/// BLAKE3 of a source file; empty if the file is not known or cannot be read.
+pub(super) fn source_hash<'a>(sources: &'a BTreeMap<String, Source>, relative: &str) -> &'a str {
+    let source = sources.get(relative);
+    let hash = source.and_then(|source| source.hash.as_deref().ok());
+    hash.unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ use super::plan::Plan;
 use super::recorded::{Base, Recorded};
 use super::split_by::SplitBy;
 use super::split_list::SplitList;
+use super::unread::some_of;
 use crate::Error;
 
 pub(super) struct Prepared {
@@ -49,22 +50,15 @@ impl Prepared {
         let recorded = Base::read(root, base)?;
         let is_new = recorded.is_none();
         let base = recorded.unwrap_or_default();
+        let (splits, ids) = (options.splits.as_ref(), options.ids.as_ref());
+        let in_words = |name: &str| match name {
+            "splits" => splits.map(|list| list.changes(&base.recorded)),
+            "ids" => ids.map(|list| format!("now chooses {}", list.shown())),
+            _ => None,
+        };
         let differing = |only| match is_new {
             true => None,
-            false => {
-                let in_words = |name: &str| match name {
-                    "splits" => options
-                        .splits
-                        .as_ref()
-                        .map(|list| list.changes(&base.recorded)),
-                    "ids" => options
-                        .ids
-                        .as_ref()
-                        .map(|list| format!("now chooses {}", list.shown())),
-                    _ => None,
-                };
-                settings.differing(base.settings.as_ref(), only, &in_words)
-            }
+            false => settings.differing(base.settings.as_ref(), only, &in_words),
         };
         let mut places = match is_new {
             true => Places::default(),
@@ -142,7 +136,6 @@ impl Prepared {
 impl SplitList {
     /// The recorded clips whose split the list changes, in words.
     fn changes(&self, recorded: &Recorded) -> String {
-        const SHOWN: usize = 3;
         let moved: Vec<String> = recorded
             .clips
             .iter()
@@ -154,13 +147,9 @@ impl SplitList {
                 (split != clip.split).then(|| format!("{} ({}, now {split})", clip.id, clip.split))
             })
             .collect();
-        let more = match moved.len().saturating_sub(SHOWN) {
-            0 => String::new(),
-            more => format!(" and {more} more"),
-        };
         match moved.is_empty() {
             true => "has other lines, which move none of its clips by their ids".to_owned(),
-            false => format!("moves {}{more}", moved[..moved.len().min(SHOWN)].join(", ")),
+            false => format!("moves {}", some_of(moved.iter().map(String::as_str))),
         }
     }
 }

@@ -16,6 +16,7 @@ use super::places::Places;
 use super::sources::{SOURCES_FACT, SourceLabel, UNNAMED, below, free, of_path, with_names};
 use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipFacts};
+use crate::facts::{fact, json};
 
 /// The version that a run starts from.
 #[derive(Default)]
@@ -33,23 +34,16 @@ pub(super) struct Base {
 impl Base {
     /// Reads the version that a run starts from, of the dataset at `root`; `None` if it has no motions.
     pub(super) fn read(root: &Path, base: Option<&Manifest>) -> Result<Option<Self>, Error> {
-        let Some(base) = base else {
-            return Ok(None);
-        };
-        let Some(recorded) = Recorded::read(root, base)? else {
+        let Some(base) = base.filter(|base| base.tables.contains_key(MotionRow::TABLE)) else {
             return Ok(None);
         };
         Ok(Some(Self {
-            recorded,
+            recorded: Recorded::read(root, base)?,
             settings: base.facts.get(SETTINGS_FACT).cloned(),
             pairs: base.facts.get(PAIRS_FACT).cloned(),
             masks: rows(root, base)?,
             label_pairs: rows(root, base)?,
-            label_problems: base
-                .facts
-                .get(LABEL_PROBLEMS_FACT)
-                .and_then(|text| serde_json::from_str(text).ok())
-                .unwrap_or_default(),
+            label_problems: fact(&base.facts, LABEL_PROBLEMS_FACT),
         }))
     }
 }
@@ -98,13 +92,10 @@ pub(super) struct RecordedShard {
 }
 
 impl Recorded {
-    /// Reads what a version of the dataset holds, without its frames; `None` if it has no table of motions.
-    fn read(root: &Path, base: &Manifest) -> Result<Option<Self>, Error> {
-        if !base.tables.contains_key(MotionRow::TABLE) {
-            return Ok(None);
-        }
+    /// Reads what a version of the dataset holds, without its frames.
+    fn read(root: &Path, base: &Manifest) -> Result<Self, Error> {
         let mut recorded = Self {
-            sources: with_names(sources_of(&base.facts)),
+            sources: with_names(fact(&base.facts, SOURCES_FACT)),
             quarantine: rows(root, base)?,
             skipped: rows(root, base)?,
             ..Self::default()
@@ -134,14 +125,13 @@ impl Recorded {
             row.source_name = sources.name_of(&row.source_name, &row.path);
         }
         recorded.sources = sources.0;
-        Ok(Some(recorded))
+        Ok(recorded)
     }
-}
 
-fn sources_of(facts: &BTreeMap<String, String>) -> Vec<SourceLabel> {
-    let text = facts.get(SOURCES_FACT);
-    text.and_then(|text| serde_json::from_str(text).ok())
-        .unwrap_or_default()
+    /// Paths of the files of all clips.
+    pub(super) fn paths(&self) -> BTreeSet<&str> {
+        self.clips.iter().map(|clip| clip.path.as_str()).collect()
+    }
 }
 
 /// Looks up the source of a row, by its recorded name or, in older datasets, by the prefix of its path.
@@ -214,9 +204,7 @@ fn clips_of(
 
 /// The settings that a dataset's clips were read with, by name; empty if they are not recorded.
 pub(crate) fn recorded_settings(dataset: &Dataset) -> BTreeMap<String, String> {
-    let text = dataset.manifest().facts.get(SETTINGS_FACT);
-    text.and_then(|text| serde_json::from_str(text).ok())
-        .unwrap_or_default()
+    fact(&dataset.manifest().facts, SETTINGS_FACT)
 }
 
 /// Sources of two datasets after a merge.
@@ -246,7 +234,7 @@ impl MergedSources {
         let mut facts: BTreeMap<String, String> = facts
             .map(|(name, value)| (name.clone(), value.clone()))
             .collect();
-        let [own, mut others] = [a, b].map(|facts| with_names(sources_of(facts)));
+        let [own, mut others] = [a, b].map(|facts| with_names(fact(facts, SOURCES_FACT)));
         if others.is_empty() {
             others.push(SourceLabel {
                 label: String::new(),
@@ -275,8 +263,7 @@ impl MergedSources {
             };
             all.push(SourceLabel { label, name });
         }
-        let text = serde_json::to_string(&all).expect("texts serialise");
-        facts.insert(SOURCES_FACT.to_owned(), text);
+        facts.insert(SOURCES_FACT.to_owned(), json(&all));
         let names = [(own, BTreeMap::new()), (others, renamed)];
         let names = names.map(|(sources, renamed)| SourceNames { sources, renamed });
         Self {

@@ -19,6 +19,7 @@ use super::plan::Plan;
 use super::shard::ShardNotes;
 use crate::Error;
 use crate::annotation::pairs::{ListedPairs, PairList, RefusedLine};
+use crate::facts::fact;
 use crate::versions::taken_out;
 
 /// The report of a run.
@@ -64,20 +65,13 @@ pub struct IngestReport {
 pub(super) fn already_complete(out: &Path, plan: &Plan) -> Result<IngestReport, Error> {
     let dataset = Dataset::open(out)?;
     let facts = &dataset.manifest().facts;
-    let licenses = license::licenses(dataset.manifest());
     let dropped = facts.get("dropped_pairs");
-    let refused = facts.get(REFUSED_PAIRS_FACT);
     Ok(IngestReport {
-        refused_pairs: refused
-            .and_then(|lines| serde_json::from_str(lines).ok())
-            .unwrap_or_default(),
+        refused_pairs: fact(facts, REFUSED_PAIRS_FACT),
         remarks: plan.all_remarks(),
         refused_splits: plan.notes.refused_splits.clone(),
-        label_problems: facts
-            .get(LABEL_PROBLEMS_FACT)
-            .and_then(|problems| serde_json::from_str(problems).ok())
-            .unwrap_or_default(),
-        licenses,
+        label_problems: fact(facts, LABEL_PROBLEMS_FACT),
+        licenses: license::licenses(dataset.manifest()),
         accounting: dataset.manifest().accounting.clone(),
         files: plan.files.len() as u64,
         dropped_pairs: dropped.and_then(|count| count.parse().ok()).unwrap_or(0),
@@ -230,10 +224,8 @@ impl Tally {
         // Of several motions with one id, the first is ingested. Reversed, it comes last and replaces the others.
         let made = plan.items.iter().rev().filter(|item| !item.is_kept);
         let made = made.map(|item| {
-            (
-                item.id.as_str(),
-                *self.moves.get(&item.id).unwrap_or(&item.split),
-            )
+            let split = self.moves.get(&item.id).unwrap_or(&item.split);
+            (item.id.as_str(), *split)
         });
         staying
             .map(|(id, split)| (id.as_str(), *split))

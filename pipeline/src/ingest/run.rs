@@ -16,7 +16,6 @@ use datasets_spec::{NoProgress, Progress, Split, Transaction};
 use super::alike::Alike;
 use super::deal::{Dealt, Item};
 use super::fates::{Fates, Files, Reread};
-use super::growth::Growth;
 use super::kept::{Labels, Outside};
 use super::options::{
     IngestOptions, LABEL_PROBLEMS_FACT, PAIRS_FACT, REFUSED_PAIRS_FACT, REMARKS_FACT, SEED_FACT,
@@ -31,7 +30,8 @@ use super::unread::is_passing;
 use crate::Error;
 use crate::annotation::pairs::RefusedLine;
 use crate::clip_table::{ClipRow, is_composed};
-use crate::versions::{check_lost, json};
+use crate::facts::json;
+use crate::versions::check_lost;
 use work::{self, Failed, Made, Piece};
 
 struct Run<'a> {
@@ -150,11 +150,7 @@ impl Prepared {
                 fates,
                 plan_hash,
             };
-            let (report, growth) = run.finish(outside, is_same, pieces, progress)?;
-            IngestReport {
-                growth: (!self.is_new).then_some(growth),
-                ..report
-            }
+            run.finish(outside, is_same, pieces, progress)?
         };
         let warning = license::warning(&report.licenses);
         report.remarks.extend(plan.notes.choice.iter().cloned());
@@ -175,7 +171,7 @@ impl Run<'_> {
         is_same: bool,
         pieces: Pieces,
         progress: &dyn Progress,
-    ) -> Result<(IngestReport, Growth), Error> {
+    ) -> Result<IngestReport, Error> {
         let Self { prepared, plan, .. } = self;
         let root = self.transaction.root().to_owned();
         // Refused before the motions are read: clips that cannot stay, and labels that may not be lost.
@@ -206,7 +202,11 @@ impl Run<'_> {
             growth.dropped_tables = std::mem::take(&mut carried).into_iter().collect();
         }
         let report = self.commit(tables, carried, accounting, tally, pairs)?;
-        Ok((IngestReport { alike, ..report }, growth))
+        Ok(IngestReport {
+            alike,
+            growth: (!prepared.is_new).then_some(growth),
+            ..report
+        })
     }
 
     /// Reads the shards, or takes those that were made.
@@ -430,14 +430,9 @@ impl Run<'_> {
         tables.insert(QuarantineRow::TABLE.to_owned(), quarantine);
         let skipped = transaction.write_shards(None, &tally.skipped, facts)?;
         tables.insert(SkippedRow::TABLE.to_owned(), skipped);
-        if !pairs.is_empty() {
-            let files = write_present(transaction, |row: &PairRow| row.split, pairs, facts)?;
-            tables.insert(PairRow::TABLE.to_owned(), files);
-        }
-        if !masks.is_empty() {
-            let files = write_present(transaction, |row: &MaskRow| row.split, masks, facts)?;
-            tables.insert(MaskRow::TABLE.to_owned(), files);
-        }
+        let pairs = write_present(transaction, |row: &PairRow| row.split, pairs, facts)?;
+        let masks = write_present(transaction, |row: &MaskRow| row.split, masks, facts)?;
+        tables.extend(pairs.into_iter().chain(masks));
         Ok(tables)
     }
 
@@ -594,13 +589,13 @@ impl Prepared {
     }
 }
 
-/// Writes a table with a shard for each split that has rows.
+/// Writes a table with a shard for each split that has rows; nothing without rows.
 fn write_present<R: Row>(
     transaction: &Transaction,
     split_of: fn(&R) -> Split,
     rows: &[R],
     facts: &[(&str, String)],
-) -> Result<Vec<FileEntry>, Error> {
+) -> Result<Option<(String, Vec<FileEntry>)>, Error> {
     let mut files = Vec::new();
     for split in Split::ALL {
         let rows = rows.iter().filter(|row| split_of(row) == split);
@@ -609,5 +604,5 @@ fn write_present<R: Row>(
             files.extend(transaction.write_shards(Some(split), &rows, facts)?);
         }
     }
-    Ok(files)
+    Ok((!files.is_empty()).then(|| (R::TABLE.to_owned(), files)))
 }

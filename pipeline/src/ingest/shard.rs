@@ -48,7 +48,7 @@ impl ShardNotes {
         let rows = items.iter().map(|item| QuarantineRow {
             path: path_of(&item.entry.file, &item.entry.key),
             source_name: item.source_name.to_owned(),
-            source_hash: source_hash(&plan.sources, &item.entry.file),
+            source_hash: source_hash(&plan.sources, &item.entry.file).to_owned(),
             inputs_hash: item.inputs.to_owned(),
             code: code.to_owned(),
             reason: reason.to_owned(),
@@ -147,22 +147,13 @@ impl Plan {
     }
 
     fn ingest_item(&self, item: &Item, options: &IngestOptions) -> Done {
-        // Readers should not panic, but a bug in one of them must not lose the other clips.
-        let attempt = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-            self.read_checked(item, options)
-        }));
-        let rejected = match attempt {
-            Ok(Ok(done)) => return done,
-            Ok(Err(rejected)) => rejected,
-            Err(_) => Rejected::read(
-                "E-INTERNAL",
-                "the reader failed on this file; please report it",
-            ),
-        };
-        let entry = item.entry;
-        Done::Rejected(QuarantineRow {
-            inputs_hash: item.inputs.to_owned(),
-            ..self.rejected_row(&entry.file, &entry.key, rejected)
+        let read = guarded(|| self.read_checked(item, options));
+        read.unwrap_or_else(|rejected| {
+            let Entry { file, key, .. } = item.entry;
+            Done::Rejected(QuarantineRow {
+                inputs_hash: item.inputs.to_owned(),
+                ..self.rejected_row(file, key, rejected)
+            })
         })
     }
 
@@ -237,6 +228,17 @@ impl Plan {
             options,
         ))
     }
+}
+
+/// Runs a reader. Readers should not panic, but a bug in one of them must not lose the other files.
+pub(crate) fn guarded<T>(read: impl FnOnce() -> Result<T, Rejected>) -> Result<T, Rejected> {
+    let read = std::panic::catch_unwind(std::panic::AssertUnwindSafe(read));
+    read.unwrap_or_else(|_| {
+        Err(Rejected::read(
+            "E-INTERNAL",
+            "the reader failed on this file; please report it",
+        ))
+    })
 }
 
 /// Writes the rows of another table as a shard that accompanies one of motions, if there are any.

@@ -145,7 +145,7 @@ pub(super) struct Given {
 }
 
 /// The name if it is free, otherwise the name with the first number that makes it free.
-pub(super) fn free(name: &str, mut is_free: impl FnMut(&str) -> bool) -> String {
+pub(crate) fn free(name: &str, mut is_free: impl FnMut(&str) -> bool) -> String {
     let numbered = (2..).map(|number| format!("{name}-{number}"));
     let mut candidates = std::iter::once(name.to_owned()).chain(numbered);
     let found = candidates.find(|candidate| is_free(candidate));

@@ -26,11 +26,7 @@ impl Plan {
         if by_hash.is_empty() {
             return;
         }
-        let known: BTreeSet<&str> = recorded
-            .clips
-            .iter()
-            .map(|clip| clip.path.as_str())
-            .collect();
+        let known = recorded.paths();
         let (mut left, mut entries) = (Vec::new(), Vec::new());
         items.retain(|item| {
             let file = item.entry.file.as_str();

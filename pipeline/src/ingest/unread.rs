@@ -81,10 +81,10 @@ impl Plan {
         self.items.retain(|item| item.known.is_none_or(is_read));
         if !described.is_empty() {
             let places: BTreeSet<&str> = described.values().map(String::as_str).collect();
+            let places = some_of(places.into_iter());
             self.notes.remarks.push(format!(
-                "{} clips stay as they were, because files that may describe them cannot be read now: {}",
-                described.len(),
-                some_of(&places)
+                "{} clips stay as they were, because files that may describe them cannot be read now: {places}",
+                described.len()
             ));
         }
         let num_new = self.num_new_beside_unlisted();
@@ -93,7 +93,7 @@ impl Plan {
             let places: BTreeSet<&str> = places.collect();
             self.notes.remarks.push(format!(
                 "{num_new} new clips have no labels from what cannot be read now: {}",
-                some_of(&places)
+                some_of(places.into_iter())
             ));
         }
         let staying = described.keys().map(|clip| &recorded.clips[*clip].path);
@@ -259,12 +259,13 @@ impl Plan {
     }
 }
 
-/// The first of some names, and the number of the others.
-fn some_of(names: &BTreeSet<&str>) -> String {
+/// The first three names, and how many more there are.
+pub(super) fn some_of<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
     const SHOWN: usize = 3;
-    let shown: Vec<&str> = names.iter().copied().take(SHOWN).collect();
+    let more = names.len().saturating_sub(SHOWN);
+    let shown: Vec<&str> = names.take(SHOWN).collect();
     let shown = shown.join(", ");
-    match names.len().saturating_sub(SHOWN) {
+    match more {
         0 => shown,
         more => format!("{shown} and {more} more"),
     }

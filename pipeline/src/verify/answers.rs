@@ -25,12 +25,8 @@ pub(super) struct Answer {
 }
 
 impl Answer {
-    fn finding(&self, check: Check, problem: String) -> Finding {
-        Finding {
-            check,
-            item: format!("{} of {}", self.id, self.system),
-            problem,
-        }
+    fn finding(&self, check: Check, problem: impl Into<String>) -> Finding {
+        Finding::new(check, format!("{} of {}", self.id, self.system), problem)
     }
 }
 
@@ -45,11 +41,11 @@ pub(super) fn check_answers(answers: &[Answer], items: &BTreeMap<String, Asked>)
             Some(asked) if *asked == answer.asked => {}
             Some(_) => {
                 let problem = "differs from its item in split, task or instruction";
-                findings.push(answer.finding(Check::References, problem.to_owned()));
+                findings.push(answer.finding(Check::References, problem));
             }
             None => {
                 let problem = "names an item that is not in the table of items";
-                findings.push(answer.finding(Check::References, problem.to_owned()));
+                findings.push(answer.finding(Check::References, problem));
             }
         }
         if !taken.insert((&answer.system, &answer.id, answer.seed)) {

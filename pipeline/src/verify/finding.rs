@@ -50,3 +50,13 @@ pub struct Finding {
     /// What is wrong, with the numbers found and expected.
     pub problem: String,
 }
+
+impl Finding {
+    pub(super) fn new(check: Check, item: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self {
+            check,
+            item: item.into(),
+            problem: problem.into(),
+        }
+    }
+}

@@ -22,13 +22,9 @@ pub(super) fn check_splits(dataset: &Dataset, met: &[Met]) -> Vec<Finding> {
                 parted.get_or_insert((first, says));
             }
         }
-        findings.extend(parted.map(|(first, says)| Finding {
-            check: Check::Splits,
-            item: origin.id.to_string(),
-            problem: format!(
-                "is in {}, and {}, {says}, in {}",
-                origin.split, first.id, first.split
-            ),
+        findings.extend(parted.map(|(Origin { id, split, .. }, says)| {
+            let problem = format!("is in {}, and {id}, {says}, in {split}", origin.split);
+            Finding::new(Check::Splits, origin.id.as_str(), problem)
         }));
     }
     findings
@@ -48,12 +44,8 @@ pub(super) fn check_mixture(
     let mut first: BTreeMap<Split, (&MotionId, f32)> = BTreeMap::new();
     let mut mixed = BTreeSet::new();
     for (Met { origin, .. }, fps) in met.iter().filter_map(|met| Some((met, met.fps?))) {
-        let mut find = |problem| {
-            findings.push(Finding {
-                check: Check::Contents,
-                item: origin.id.to_string(),
-                problem,
-            });
+        let mut find = |problem: String| {
+            findings.push(Finding::new(Check::Contents, origin.id.as_str(), problem));
         };
         if let Some(stated) = stated {
             if fps != stated {
@@ -74,10 +66,9 @@ pub(super) fn check_mixture(
     }
     let mut recipes = recipes.iter();
     if let Some((first, first_id)) = recipes.next() {
-        findings.extend(recipes.map(|(recipe, id)| Finding {
-            check: Check::Contents,
-            item: id.to_string(),
-            problem: format!("has features of {recipe}, and {first_id} of {first}"),
+        findings.extend(recipes.map(|(recipe, id)| {
+            let problem = format!("has features of {recipe}, and {first_id} of {first}");
+            Finding::new(Check::Contents, id.as_str(), problem)
         }));
     }
     findings

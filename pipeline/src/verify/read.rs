@@ -40,33 +40,31 @@ pub(super) struct Named {
 impl Named {
     /// Compares the row with the split and the number of frames of its motion, by id in `motions`.
     pub(super) fn check(&self, motions: &BTreeMap<MotionId, (Split, i32)>) -> Option<Finding> {
-        let item = format!("{} of {}", self.row, self.table);
+        let finding = |check: Check, problem: String| {
+            let item = format!("{} of {}", self.row, self.table);
+            Some(Finding::new(check, item, problem))
+        };
         let found = MotionId::parse(&self.motion)
             .ok()
             .and_then(|id| motions.get(&id));
         match found {
-            Some((_, frames)) if *frames < self.frames => Some(Finding {
-                check: Check::References,
-                item,
-                problem: format!(
+            Some((_, frames)) if *frames < self.frames => {
+                let problem = format!(
                     "ends at frame {} of {}, which has {frames} frames",
                     self.frames, self.motion
-                ),
-            }),
+                );
+                finding(Check::References, problem)
+            }
             Some((split, _)) if *split == self.split => None,
-            Some((split, _)) => Some(Finding {
-                check: Check::Splits,
-                item,
-                problem: format!(
-                    "is in {} and names {}, which is in {split}",
-                    self.split, self.motion
-                ),
-            }),
-            None => Some(Finding {
-                check: Check::References,
-                item,
-                problem: format!("names {}, which is not in the dataset", self.motion),
-            }),
+            Some((split, _)) => {
+                let (own, motion) = (self.split, &self.motion);
+                let problem = format!("is in {own} and names {motion}, which is in {split}");
+                finding(Check::Splits, problem)
+            }
+            None => {
+                let problem = format!("names {}, which is not in the dataset", self.motion);
+                finding(Check::References, problem)
+            }
         }
     }
 }
@@ -137,11 +135,7 @@ impl Read {
     }
 
     fn find(&mut self, check: Check, item: &str, problem: String) {
-        self.findings.push(Finding {
-            check,
-            item: item.to_owned(),
-            problem,
-        });
+        self.findings.push(Finding::new(check, item, problem));
     }
 
     /// Decodes features, and collects their motions and recipes.

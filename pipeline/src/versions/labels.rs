@@ -6,7 +6,7 @@ use std::path::Path;
 use datasets_spec::manifest::FileEntry;
 use datasets_spec::record::{MaskRow, PairRow};
 use datasets_spec::table::Row;
-use datasets_spec::{Dataset, MotionId, Skeleton, Split, Transaction};
+use datasets_spec::{Dataset, Skeleton, Split, Transaction};
 use formats::source::format_named;
 use serde::Serialize;
 
@@ -97,15 +97,6 @@ pub(crate) fn is_pair_of_people(pair: &PairRow) -> bool {
     !is_pair_of_source(pair) && !is_from_labels(pair)
 }
 
-pub(super) fn lost(table: &str, id: &str, clip: &MotionId, reason: String) -> LostLabel {
-    LostLabel {
-        table: table.to_owned(),
-        id: id.to_owned(),
-        clip: clip.to_string(),
-        reason,
-    }
-}
-
 /// Refuses to lose labels, unless that is allowed.
 pub(crate) fn check_lost(root: &Path, lost: &[LostLabel], drop_labels: bool) -> Result<(), Error> {
     if drop_labels || lost.is_empty() {
@@ -126,8 +117,4 @@ pub(crate) fn check_lost(root: &Path, lost: &[LostLabel], drop_labels: bool) -> 
         root.display(),
         shown.join(", ")
     )))
-}
-
-pub(crate) fn json(value: &impl Serialize) -> String {
-    serde_json::to_string(value).expect("texts and counts serialise")
 }

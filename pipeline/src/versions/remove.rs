@@ -11,10 +11,11 @@ use datasets_spec::{Dataset, MotionId, Split, Transaction};
 use serde::Serialize;
 
 use super::choose::{Choice, REMOVED, accounting, left_out};
-use super::labels::{Labels, check_lost, is_mask_of_people, is_pair_of_people, json, lost};
+use super::labels::{Labels, check_lost, is_mask_of_people, is_pair_of_people};
 use super::select::composed;
 use crate::Error;
 use crate::clip_table::{CLIP_TABLES, borrowed, clip_ids, rewrite};
+use crate::facts::json;
 use crate::ingest::LostLabel;
 
 /// Result of [`remove`], or of its dry run.
@@ -141,7 +142,10 @@ fn without(
             return false;
         };
         match of_people {
-            true => gone.push(lost(table, id, clip, format!("{clip} is to be removed"))),
+            true => {
+                let reason = format!("{clip} is to be removed");
+                gone.push(LostLabel::new(table, id, clip, reason));
+            }
             false => *dropped.entry(table.to_owned()).or_default() += 1,
         }
         true

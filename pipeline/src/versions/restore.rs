@@ -8,7 +8,7 @@ use datasets_spec::table::{Row, ShardReader};
 use datasets_spec::{Dataset, MotionId, Split, Transaction};
 use serde::Serialize;
 
-use super::labels::{KeptLabel, Labels, check_lost, is_mask_of_people, is_pair_of_people, lost};
+use super::labels::{KeptLabel, Labels, check_lost, is_mask_of_people, is_pair_of_people};
 use crate::Error;
 use crate::ingest::LostLabel;
 
@@ -191,7 +191,7 @@ impl Merge {
                     continue;
                 }
             };
-            self.lost.push(lost(table, id, clip, reason));
+            self.lost.push(LostLabel::new(table, id, clip, reason));
             return None;
         }
         splits.first().copied()

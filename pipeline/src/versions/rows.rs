@@ -31,6 +31,7 @@ impl Clip {
 }
 
 /// The clips of a dataset in the order of its files, without their frames.
+#[derive(Default)]
 pub(super) struct ClipIndex {
     pub(super) clips: Vec<Clip>,
     files: [Vec<PathBuf>; 3],
@@ -38,10 +39,7 @@ pub(super) struct ClipIndex {
 
 impl ClipIndex {
     pub(super) fn read(dataset: &Dataset) -> Result<Self, Error> {
-        let mut index = Self {
-            clips: Vec::new(),
-            files: Default::default(),
-        };
+        let mut index = Self::default();
         let mut of_id: BTreeMap<MotionId, usize> = BTreeMap::new();
         for (table, name) in CLIP_TABLES.into_iter().enumerate() {
             for (number, (path, file)) in dataset.files(name, None).into_iter().enumerate() {

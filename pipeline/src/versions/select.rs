@@ -13,10 +13,11 @@ use serde::{Deserialize, Serialize};
 use tables::Condition;
 
 use super::choose::{Choice, NOT_SELECTED, accounting, left_out};
-use super::labels::{Labels, json};
+use super::labels::Labels;
 use super::rows::ClipIndex;
 use crate::Error;
 use crate::clip_table::is_composed;
+use crate::facts::{fact, json};
 use crate::ingest::Places;
 
 /// Fact of a manifest: the datasets from which its clips were selected, with the conditions, as JSON.
@@ -134,10 +135,7 @@ pub fn select(
 
 fn selected_from(dataset: &Dataset, filter: &Condition) -> String {
     let manifest = dataset.manifest();
-    let earlier = manifest.facts.get(SELECTED_FACT);
-    let mut selections: Vec<Origin> = earlier
-        .and_then(|text| serde_json::from_str(text).ok())
-        .unwrap_or_default();
+    let mut selections: Vec<Origin> = fact(&manifest.facts, SELECTED_FACT);
     selections.push(Origin {
         root_hash: manifest.root_hash.clone(),
         condition: filter.text().to_owned(),

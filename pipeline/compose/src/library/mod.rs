@@ -91,23 +91,10 @@ impl Clip {
     }
 }
 
-/// An annotated motion: clip, mask and instruction.
+/// An annotated motion, or a pair: two motions of one body that differ in one respect. All clips of an annotation are
+/// the annotated one.
 #[derive(Clone, Debug)]
-struct Annotation {
-    id: String,
-    /// Index of the clip.
-    clip: usize,
-    /// Frames of the clip that the mask applies to.
-    frames: Range<usize>,
-    mask: BlendMask,
-    /// Names of the parts the mask is made of.
-    parts: Arc<[String]>,
-    instruction: Arc<str>,
-}
-
-/// Two motions of one body that differ in one respect, and the instruction for the difference.
-#[derive(Clone, Debug)]
-struct Pair {
+struct Edit {
     id: String,
     kind: EditKind,
     /// Index of the clip before the edit, as stored in the dataset.
@@ -116,11 +103,15 @@ struct Pair {
     source: usize,
     /// Index of the clip after the edit.
     target: usize,
-    /// Halves of the body that may be edited.
+    /// Frames of that clip that the instruction is about.
+    frames: Range<usize>,
+    /// Mask of an annotation; empty for a pair.
+    mask: BlendMask,
+    /// Halves of the body that a pair may be edited in; empty for an annotation, which has a mask.
     halves: Vec<BodyPart>,
-    /// Names of the parts that the pair changes.
+    /// Names of the parts that the mask is made of, or that the pair changes.
     parts: Arc<[String]>,
-    /// Whether the pair is from MotionFix, which is evaluated without a donor.
+    /// Whether it is a pair from MotionFix, which is evaluated without a donor.
     is_motionfix: bool,
     instruction: Arc<str>,
 }
@@ -137,8 +128,8 @@ pub struct Library {
     /// Captured clips, by id, and then time-warped copies.
     clips: Vec<Clip>,
     num_captured: usize,
-    annotations: Vec<Annotation>,
-    pairs: Vec<Pair>,
+    annotations: Vec<Edit>,
+    pairs: Vec<Edit>,
     alignment: Alignment,
     cache: FrameCache,
     /// Cache key of the file with the captured clips.
@@ -252,7 +243,7 @@ impl Library {
 
     /// The source of each pair, aligned with its target.
     fn warped(&self) -> Result<Vec<Clip>, Error> {
-        let warped = |pair: &Pair| -> Result<Motion, Error> {
+        let warped = |pair: &Edit| -> Result<Motion, Error> {
             let [source, target] =
                 [pair.captured, pair.target].map(|clip| self.clips[clip].motion());
             Ok(align::warped(&source?, &target?, &self.skeleton))

@@ -6,7 +6,8 @@ use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::{Fps, Motion, Seed, Skeleton, Split};
 
 use super::frames::FrameFile;
-use super::rows::{LibraryRows, StatedClip, motion_on};
+use super::read::LabelledClip;
+use super::rows::{LibraryRows, motion_on};
 use super::{Library, frames_of_file};
 use crate::{ComposeConfig, Error, FrameCache, Stream};
 
@@ -46,12 +47,15 @@ impl Library {
         let mut library = LibraryRows::new(split, &skeleton);
         let frames = frames_of_file(Arc::new(file), lens);
         for ((row, motion), frames) in rows.iter().zip(&motions).zip(frames) {
-            let stated = StatedClip {
-                id: &row.id,
+            let stated = LabelledClip {
+                id: row.id.clone(),
                 split: row.split,
-                source: &row.source,
-                action: row.action.as_deref(),
-                style: row.style.as_deref(),
+                source: row.source.clone(),
+                skeleton: row.skeleton.clone(),
+                fps: row.fps,
+                n_frames: row.n_frames,
+                action: row.action.clone(),
+                style: row.style.clone(),
             };
             library.add_clip(&stated, motion.fps(), frames)?;
         }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use datasets_spec::{BlendMask, BodyPart, Rng, Seed};
 use rand::RngExt;
 
-use super::{Annotation, Clip, Library, Pair};
+use super::{Clip, Edit, Library};
 use crate::config::EditKind;
 use crate::draw::{Crop, subset};
 use crate::sinc::whole_parts;
@@ -84,42 +84,35 @@ impl Library {
             .collect()
     }
 
-    pub(crate) fn subject_id(&self, subject: Subject) -> &str {
+    fn edit(&self, subject: Subject) -> &Edit {
         match subject {
-            Subject::Annotation(annotation) => &self.annotations[annotation].id,
-            Subject::Pair(pair) => &self.pairs[pair].id,
+            Subject::Annotation(annotation) => &self.annotations[annotation],
+            Subject::Pair(pair) => &self.pairs[pair],
         }
     }
 
+    pub(crate) fn subject_id(&self, subject: Subject) -> &str {
+        &self.edit(subject).id
+    }
+
     pub(crate) fn kind_of(&self, subject: Subject) -> EditKind {
-        match subject {
-            Subject::Annotation(_) => EditKind::Semantic,
-            Subject::Pair(pair) => self.pairs[pair].kind,
-        }
+        self.edit(subject).kind
     }
 
     /// The motion after the edit.
     pub(crate) fn target_of(&self, subject: Subject) -> usize {
-        match subject {
-            Subject::Annotation(annotation) => self.annotations[annotation].clip,
-            Subject::Pair(pair) => self.pairs[pair].target,
-        }
+        self.edit(subject).target
     }
 
-    /// The annotated motion, or both motions of a pair.
-    pub(crate) fn clips_of(&self, subject: Subject) -> Vec<usize> {
-        match subject {
-            Subject::Annotation(annotation) => vec![self.annotations[annotation].clip],
-            Subject::Pair(pair) => vec![self.pairs[pair].source, self.pairs[pair].target],
-        }
+    /// The clips before and after the edit, aligned in time; both are the annotated one for an annotation.
+    pub(crate) fn clips_of(&self, subject: Subject) -> [usize; 2] {
+        let Edit { source, target, .. } = self.edit(subject);
+        [*source, *target]
     }
 
     /// Halves of the body that a pair may be edited in; empty for an annotation, which has a mask.
     pub(crate) fn halves_of(&self, subject: Subject) -> &[BodyPart] {
-        match subject {
-            Subject::Annotation(_) => &[],
-            Subject::Pair(pair) => &self.pairs[pair].halves,
-        }
+        &self.edit(subject).halves
     }
 
     pub(crate) fn len_of(&self, clip: usize) -> usize {
@@ -135,10 +128,7 @@ impl Library {
 
     /// Frames of the motion after the edit that the instruction is about.
     pub(crate) fn held_of(&self, subject: Subject) -> Range<usize> {
-        match subject {
-            Subject::Annotation(annotation) => self.annotations[annotation].frames.clone(),
-            Subject::Pair(pair) => 0..self.clips[self.pairs[pair].target].len(),
-        }
+        self.edit(subject).frames.clone()
     }
 
     /// The frames of a semantic edit's crop that the instruction is about.
@@ -154,15 +144,10 @@ impl Library {
         half: Option<BodyPart>,
         config: &ComposeConfig,
     ) -> BlendMask {
-        let mask = match (subject, half) {
-            (Subject::Annotation(annotation), _) => self.annotations[annotation].mask,
-            (Subject::Pair(_), Some(half)) => half.mask(),
-            (Subject::Pair(_), None) => BlendMask::EMPTY,
-        };
-        if config.fixed_pairs {
-            whole_parts(mask)
-        } else {
-            mask
+        let mask = half.map_or(self.edit(subject).mask, BodyPart::mask);
+        match config.fixed_pairs {
+            true => whole_parts(mask),
+            false => mask,
         }
     }
 
@@ -182,15 +167,8 @@ impl Library {
     }
 
     pub(crate) fn may_meet(&self, clip: usize, subject: Subject) -> bool {
-        match subject {
-            Subject::Annotation(annotation) => {
-                self.may_pair(clip, self.annotations[annotation].clip)
-            }
-            Subject::Pair(pair) => {
-                let Pair { source, target, .. } = self.pairs[pair];
-                self.may_pair(clip, source) && self.may_pair(clip, target)
-            }
-        }
+        let [source, target] = self.clips_of(subject);
+        self.may_pair(clip, source) && self.may_pair(clip, target)
     }
 
     /// Draws a partner from the base and everything else of an edit. At least one clip of the base
@@ -228,12 +206,17 @@ impl Library {
         let crop_of = |first: usize, second: usize, held: &Range<usize>, rng: &mut Rng| {
             Crop::around(first, second, held, |allowed| place(allowed, rng))
         };
+        let Edit {
+            source,
+            target,
+            frames,
+            halves,
+            ..
+        } = self.edit(subject);
+        let target_frames = frames_of(*target);
         match subject {
-            Subject::Annotation(annotation) => {
-                let Annotation {
-                    clip, ref frames, ..
-                } = self.annotations[annotation];
-                let crop = crop_of(frames_of(partner), frames_of(clip), frames, rng);
+            Subject::Annotation(_) => {
+                let crop = crop_of(frames_of(partner), target_frames, frames, rng);
                 Pairing {
                     subject,
                     partner: Some(partner),
@@ -244,35 +227,16 @@ impl Library {
                     crop,
                 }
             }
-            Subject::Pair(pair) => {
-                let Pair {
-                    source,
-                    target,
-                    ref halves,
-                    is_motionfix,
-                    ..
-                } = self.pairs[pair];
-                let target_frames = frames_of(target);
-                let mut crop = crop_of(frames_of(source), target_frames, &(0..target_frames), rng);
-                let plain = rng.random::<f64>() < config.undonored_ratio_of(is_motionfix);
+            Subject::Pair(_) => {
+                let mut crop = crop_of(frames_of(*source), target_frames, frames, rng);
+                let plain = rng.random::<f64>() < self.undonored_ratio(subject, config);
                 let half = halves[rng.random_range(0..halves.len())];
                 // A whole-clip triplet lasts as long as the shortest of the three.
                 let whole = 0..crop.num_frames;
                 let mut donor = crop_of(frames_of(partner), crop.num_frames, &whole, rng);
-                let alpha = config.alpha.draw(rng);
-                let wording = rng.random();
                 if plain {
-                    return Pairing {
-                        subject,
-                        partner: None,
-                        half: None,
-                        alpha,
-                        wording,
-                        donor: Crop::whole(crop.num_frames),
-                        crop,
-                    };
-                }
-                if config.fixed_pairs {
+                    donor = Crop::whole(crop.num_frames);
+                } else if config.fixed_pairs {
                     crop.source_start += donor.target_start;
                     crop.target_start += donor.target_start;
                     crop.num_frames = donor.num_frames;
@@ -280,10 +244,10 @@ impl Library {
                 }
                 Pairing {
                     subject,
-                    partner: Some(partner),
-                    half: Some(half),
-                    alpha,
-                    wording,
+                    partner: (!plain).then_some(partner),
+                    half: (!plain).then_some(half),
+                    alpha: config.alpha.draw(rng),
+                    wording: rng.random(),
                     crop,
                     donor,
                 }
@@ -311,36 +275,29 @@ impl Library {
     }
 
     pub(crate) fn task_of(&self, subject: Subject) -> ItemTask {
-        match subject {
-            Subject::Pair(pair) if self.pairs[pair].is_motionfix => ItemTask::MotionFix,
-            _ => match self.kind_of(subject) {
-                EditKind::Semantic => ItemTask::Semantic,
-                EditKind::Style => ItemTask::Style,
-                EditKind::FineGrained => ItemTask::FineGrained,
-            },
+        let edit = self.edit(subject);
+        match edit.kind {
+            _ if edit.is_motionfix => ItemTask::MotionFix,
+            EditKind::Semantic => ItemTask::Semantic,
+            EditKind::Style => ItemTask::Style,
+            EditKind::FineGrained => ItemTask::FineGrained,
         }
     }
 
     pub(crate) fn parts_of(&self, subject: Subject) -> &[String] {
-        match subject {
-            Subject::Annotation(annotation) => &self.annotations[annotation].parts,
-            Subject::Pair(pair) => &self.pairs[pair].parts,
-        }
+        &self.edit(subject).parts
     }
 
     pub(crate) fn text_of(&self, subject: Subject) -> &Arc<str> {
-        match subject {
-            Subject::Annotation(annotation) => &self.annotations[annotation].instruction,
-            Subject::Pair(pair) => &self.pairs[pair].instruction,
-        }
+        &self.edit(subject).instruction
     }
 
     /// The clips before and after an edit, as stored in the dataset.
     pub(crate) fn captured_of(&self, subject: Subject) -> [usize; 2] {
-        match subject {
-            Subject::Annotation(annotation) => [self.annotations[annotation].clip; 2],
-            Subject::Pair(pair) => [self.pairs[pair].captured, self.pairs[pair].target],
-        }
+        let Edit {
+            captured, target, ..
+        } = self.edit(subject);
+        [*captured, *target]
     }
 
     /// The best partners in the base: clips of another action that are as long as `preferred` or the
@@ -352,23 +309,14 @@ impl Library {
         preferred: usize,
     ) -> Result<Vec<usize>, Error> {
         let target = &self.clips[self.target_of(subject)];
-        let other: Vec<usize> = base
-            .iter()
-            .copied()
-            .filter(|&clip| self.may_meet(clip, subject))
-            .collect();
+        let mut other = base.to_vec();
+        other.retain(|&clip| self.may_meet(clip, subject));
         let same_action = |clip: &Clip| clip.action.is_some() && clip.action == target.action;
-        let other_action: Vec<usize> = other
-            .iter()
-            .copied()
-            .filter(|&clip| !same_action(&self.clips[clip]))
-            .collect();
+        let mut other_action = other.clone();
+        other_action.retain(|&clip| !same_action(&self.clips[clip]));
         let needed = preferred.min(self.frames_of(subject));
-        let long: Vec<usize> = other_action
-            .iter()
-            .copied()
-            .filter(|&clip| self.clips[clip].len() >= needed)
-            .collect();
+        let mut long = other_action.clone();
+        long.retain(|&clip| self.clips[clip].len() >= needed);
         [long, other_action, other]
             .into_iter()
             .find(|partners| !partners.is_empty())

@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use datasets_spec::record::{FramesRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, ShardReader, read_rows};
-use datasets_spec::{Dataset, Fps, Motion, MotionId, Skeleton, Split};
+use datasets_spec::{Dataset, Fps, Motion, MotionId, Split};
 use rayon::prelude::*;
 
 use super::frames::FrameFile;
-use super::rows::{LibraryRows, StatedClip};
+use super::rows::{LibraryRows, check_skeleton, no_motion};
 use super::{Library, frames_of_file};
 use crate::{Error, FrameCache};
 
@@ -56,7 +56,7 @@ impl Library {
                     .filter(|(_, clip)| dataset.has_clip(&clip.id))
                     .collect();
                 for (_, clip) in &clips {
-                    check(clip, &skeleton)?;
+                    check_skeleton(&clip.id, &clip.skeleton, &skeleton)?;
                 }
                 Ok((path, entry.blake3.clone(), clips))
             })
@@ -89,14 +89,7 @@ impl Library {
         let mut rows = LibraryRows::new(split, &skeleton);
         let frames = frames_of_file(Arc::new(file), all().map(len_of));
         for (clip, frames) in all().zip(frames) {
-            let stated = StatedClip {
-                id: &clip.id,
-                split: clip.split,
-                source: &clip.source,
-                action: clip.action.as_deref(),
-                style: clip.style.as_deref(),
-            };
-            rows.add_clip(&stated, rate_of(clip)?, frames)?;
+            rows.add_clip(clip, rate_of(clip)?, frames)?;
         }
         drop(shards);
         rows.end_of_clips()?;
@@ -119,31 +112,16 @@ fn len_of(clip: &LabelledClip) -> usize {
 }
 
 fn rate_of(clip: &LabelledClip) -> Result<Fps, Error> {
-    Fps::new(f64::from(clip.fps)).map_err(|source| Error::Motion {
-        motion: clip.id.clone(),
-        source: source.into(),
-    })
-}
-
-fn check(clip: &LabelledClip, skeleton: &Skeleton) -> Result<(), Error> {
-    if clip.skeleton == skeleton.name() {
-        return Ok(());
-    }
-    Err(Error::OtherSkeleton {
-        motion: clip.id.clone(),
-        found: clip.skeleton.clone(),
-        expected: skeleton.name().to_owned(),
-    })
+    Fps::new(f64::from(clip.fps)).map_err(|source| no_motion(&clip.id, source.into()))
 }
 
 fn motions_of(shard: &ShardReader, clips: &[(usize, LabelledClip)]) -> Result<Vec<Motion>, Error> {
     let rows: Vec<usize> = clips.iter().map(|(row, _)| *row).collect();
     let read: Vec<FramesRow> = shard.rows_at(&rows)?;
     let of = |(read, (_, clip)): (FramesRow, &(usize, LabelledClip))| {
-        let motion = read.motion().map_err(|source| Error::Motion {
-            motion: clip.id.clone(),
-            source,
-        })?;
+        let motion = read
+            .motion()
+            .map_err(|source| no_motion(&clip.id, source))?;
         if motion.len() != len_of(clip) {
             return Err(Error::Length {
                 motion: clip.id.clone(),

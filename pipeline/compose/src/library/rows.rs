@@ -6,17 +6,10 @@ use std::sync::Arc;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::{BlendMask, BodyPart, Fps, JointSet, Motion, MotionId, Skeleton, Split};
 
-use super::{Annotation, Clip, FileFrames, Library, Pair};
+use super::read::LabelledClip;
+use super::{Clip, Edit, FileFrames, Library};
 use crate::config::{Alignment, EditKind};
 use crate::{Error, FrameCache, ItemTask, style_instruction};
-
-pub(super) struct StatedClip<'a> {
-    pub(super) id: &'a MotionId,
-    pub split: Split,
-    pub(super) source: &'a str,
-    pub(super) action: Option<&'a str>,
-    pub(super) style: Option<&'a str>,
-}
 
 /// A library to which rows are added: first all clips, then masks and pairs.
 pub(super) struct LibraryRows<'a> {
@@ -24,8 +17,8 @@ pub(super) struct LibraryRows<'a> {
     skeleton: &'a Skeleton,
     fps: Option<Fps>,
     clips: Vec<Clip>,
-    annotations: Vec<Annotation>,
-    pairs: Vec<Pair>,
+    annotations: Vec<Edit>,
+    pairs: Vec<Edit>,
     texts: Shared<str>,
     lists: Shared<[String]>,
 }
@@ -58,7 +51,7 @@ impl<'a> LibraryRows<'a> {
 
     pub(super) fn add_clip(
         &mut self,
-        stated: &StatedClip<'_>,
+        stated: &LabelledClip,
         fps: Fps,
         frames: FileFrames,
     ) -> Result<(), Error> {
@@ -75,9 +68,9 @@ impl<'a> LibraryRows<'a> {
         self.clips.push(Clip {
             id: stated.id.clone(),
             origin: 0,
-            source: shared(stated.source),
-            action: stated.action.map(&mut shared),
-            style: stated.style.map(&mut shared),
+            source: shared(&stated.source),
+            action: stated.action.as_deref().map(&mut shared),
+            style: stated.style.as_deref().map(&mut shared),
             frames,
             in_base: true,
         });
@@ -103,12 +96,17 @@ impl<'a> LibraryRows<'a> {
             self.check_split("masks", &row.id, row.split)?;
             let clip = self.clip("mask", &row.id, &row.motion_id)?;
             let frames = row.frames(self.clips[clip].len());
-            self.annotations.push(Annotation {
+            self.annotations.push(Edit {
                 id: row.id.clone(),
-                clip,
-                frames: frames.map_err(|source| unusable(row, source))?,
+                kind: EditKind::Semantic,
+                captured: clip,
+                source: clip,
+                target: clip,
+                frames: frames.map_err(|source| unusable("mask", &row.id, source))?,
                 mask: blend_of_mask(row)?,
+                halves: Vec::new(),
                 parts: self.lists.get(row.parts.as_slice()),
+                is_motionfix: false,
                 instruction: self.texts.get(row.text.as_str()),
             });
         }
@@ -122,12 +120,14 @@ impl<'a> LibraryRows<'a> {
             let source = self.clip("pair", &row.id, &row.source_id)?;
             let target = self.clip("pair", &row.id, &row.target_id)?;
             let (kind, instruction, parts) = meaning_of_pair(row)?;
-            self.pairs.push(Pair {
+            self.pairs.push(Edit {
                 id: row.id.clone(),
                 kind,
                 captured: source,
                 source,
                 target,
+                frames: 0..self.clips[target].len(),
+                mask: BlendMask::EMPTY,
                 halves: halves_of(&parts),
                 parts: self.lists.get(row.parts.as_slice()),
                 is_motionfix: row.source == ItemTask::MotionFix.as_str(),
@@ -209,17 +209,30 @@ impl<T: ?Sized + Eq + std::hash::Hash> Shared<T> {
 /// # Errors
 /// The row has another skeleton, or its columns do not make a motion.
 pub fn motion_on(row: &MotionRow, skeleton: &Skeleton) -> Result<Motion, Error> {
-    if row.skeleton != skeleton.name() {
-        return Err(Error::OtherSkeleton {
-            motion: row.id.clone(),
-            found: row.skeleton.clone(),
+    check_skeleton(&row.id, &row.skeleton, skeleton)?;
+    row.motion().map_err(|source| no_motion(&row.id, source))
+}
+
+/// Checks that a motion on the skeleton of this name drives the given one.
+pub(super) fn check_skeleton(
+    motion: &MotionId,
+    found: &str,
+    skeleton: &Skeleton,
+) -> Result<(), Error> {
+    match found == skeleton.name() {
+        true => Ok(()),
+        false => Err(Error::OtherSkeleton {
+            motion: motion.clone(),
+            found: found.to_owned(),
             expected: skeleton.name().to_owned(),
-        });
+        }),
     }
-    row.motion().map_err(|source| Error::Motion {
-        motion: row.id.clone(),
-        source,
-    })
+}
+
+/// The error of a motion whose row does not hold one.
+pub(super) fn no_motion(motion: &MotionId, source: datasets_spec::Error) -> Error {
+    let motion = motion.clone();
+    Error::Motion { motion, source }
 }
 
 /// Checks the row of a pair, except for the motions it names.
@@ -236,15 +249,14 @@ pub fn check_pair(row: &PairRow) -> Result<(), Error> {
 /// A joint is unknown or twice in the mask, the mask or its text is empty, or its range lacks an end, is empty or
 /// is too short.
 pub fn check_mask(row: &MaskRow) -> Result<(), Error> {
-    row.range().map_err(|source| unusable(row, source))?;
+    row.range()
+        .map_err(|source| unusable("mask", &row.id, source))?;
     blend_of_mask(row).map(|_| ())
 }
 
-fn unusable(row: &MaskRow, source: datasets_spec::Error) -> Error {
-    Error::Mask {
-        mask: row.id.clone(),
-        source,
-    }
+fn unusable(table: &'static str, row: &str, source: datasets_spec::Error) -> Error {
+    let row = row.to_owned();
+    Error::Row { table, row, source }
 }
 
 fn meaning_of_pair(row: &PairRow) -> Result<(EditKind, String, Vec<BodyPart>), Error> {
@@ -254,12 +266,7 @@ fn meaning_of_pair(row: &PairRow) -> Result<(EditKind, String, Vec<BodyPart>), E
     })?;
     let instruction = match (row.instruction.trim(), &row.style) {
         ("", Some(style)) => style_instruction(style),
-        ("", None) => {
-            return Err(Error::EmptyText {
-                table: "pair",
-                row: row.id.clone(),
-            });
-        }
+        ("", None) => return Err(no_text("pair", &row.id)),
         (text, _) => text.to_owned(),
     };
     let parts = row
@@ -267,10 +274,7 @@ fn meaning_of_pair(row: &PairRow) -> Result<(EditKind, String, Vec<BodyPart>), E
         .iter()
         .map(|name| name.parse())
         .collect::<Result<_, _>>()
-        .map_err(|source| Error::Pair {
-            pair: row.id.clone(),
-            source,
-        })?;
+        .map_err(|source| unusable("pair", &row.id, source))?;
     Ok((kind, instruction, parts))
 }
 
@@ -280,29 +284,28 @@ fn halves_of(parts: &[BodyPart]) -> Vec<BodyPart> {
     let named = parts
         .iter()
         .fold(JointSet::EMPTY, |all, part| all.union(part.mask().hard()));
-    let touched: Vec<BodyPart> = both
-        .into_iter()
-        .filter(|half| !half.mask().hard().intersection(named).is_empty())
-        .collect();
-    if touched.is_empty() {
-        both.to_vec()
-    } else {
-        touched
+    let mut touched = both.to_vec();
+    touched.retain(|half| !half.mask().hard().intersection(named).is_empty());
+    match touched.is_empty() {
+        true => both.to_vec(),
+        false => touched,
     }
 }
 
 /// The blend mask of a row; its text must not be empty.
 fn blend_of_mask(row: &MaskRow) -> Result<BlendMask, Error> {
     let mask = BlendMask::of_names(&row.hard_joints, &row.soft_joints);
-    let mask = mask.map_err(|source| unusable(row, source))?;
+    let mask = mask.map_err(|source| unusable("mask", &row.id, source))?;
     if mask.is_empty() {
         return Err(Error::EmptyMask(row.id.clone()));
     }
     if row.text.trim().is_empty() {
-        return Err(Error::EmptyText {
-            table: "mask",
-            row: row.id.clone(),
-        });
+        return Err(no_text("mask", &row.id));
     }
     Ok(mask)
+}
+
+fn no_text(table: &'static str, row: &str) -> Error {
+    let row = row.to_owned();
+    Error::EmptyText { table, row }
 }

@@ -119,7 +119,7 @@ impl Stream {
         let base = library.base(&config, seed, span)?;
 
         let mut targets = Vec::new();
-        let mut shared = SharedSides::default();
+        let mut shared = SharedSides::new(&library, &config);
         let mut first_items = Vec::new();
         let mut num_items = 0;
         for subject in library.subjects(&config, seed, span) {
@@ -138,14 +138,7 @@ impl Stream {
             };
             first_items.push(num_items);
             num_items += ((num_frames - span) / advance + 1) as u64;
-            targets.push(Target::new(
-                &library,
-                &config,
-                subject,
-                num_frames,
-                fixed,
-                &mut shared,
-            ));
+            targets.push(shared.target(subject, num_frames, fixed));
         }
         if targets.is_empty() {
             return Err(Error::NoItem {
@@ -329,10 +322,11 @@ impl Stream {
         edited: &mut [f32],
     ) -> Result<(), Error> {
         let [first, second, third] = rooms;
-        let [before, after] = drawn.windows;
         let (edited_parts, under_parts) = match drawn.plan {
             None => (PARTS_OF_ORIGINAL, PARTS_OF_ORIGINAL),
-            Some(plan) if before.is_some() => (plan.parts_of_target(), plan.parts_of_source()),
+            Some(plan) if drawn.before.is_some() => {
+                (plan.parts_of_target(), plan.parts_of_source())
+            }
             Some(plan) => {
                 let under = both_parts(plan.parts_of_source(), PARTS_OF_ORIGINAL);
                 (plan.parts_of_target(), under)
@@ -341,8 +335,8 @@ impl Stream {
         let read = |at: Option<WindowPlace>, parts, room| {
             at.map(|at| self.window_of(at, parts, room)).transpose()
         };
-        let before = read(before, edited_parts, first)?;
-        let after = read(after, edited_parts, second)?;
+        let before = read(drawn.before, edited_parts, first)?;
+        let after = self.window_of(drawn.after, edited_parts, second)?;
         let under = read(drawn.under, under_parts, third)?;
         match (under, drawn.plan) {
             (Some(under), Some(plan)) => {
@@ -351,12 +345,10 @@ impl Stream {
                     None => self.composer.original(under, original),
                     Some(before) => self.composer.blended(under, before, plan, alpha, original),
                 }
-                let after = after.expect("an edit has a motion after it");
                 self.composer.blended(under, after, plan, alpha, edited);
             }
             _ => {
-                let [before, after] =
-                    [before, after].map(|window| window.expect("a plain pair is two motions"));
+                let before = before.expect("a plain pair is two motions");
                 self.composer.original(before, original);
                 self.composer.original(after, edited);
             }
@@ -364,11 +356,12 @@ impl Stream {
         Ok(())
     }
 
-    /// The pairing of an item of an epoch; [`Stream::fill`] takes a window of it.
-    pub(super) fn pairing(&self, epoch: u64, place: u64) -> Pairing {
+    /// The pairing of an item of an epoch, of which [`Stream::fill`] takes a window, and its instruction.
+    pub(super) fn pairing(&self, epoch: u64, place: u64) -> (Pairing, &str) {
         let item = self.order(epoch).at(place);
-        let mut rng = item_rng(self.epoch_seed(epoch), item);
-        self.draw_pairing(self.target_of(item).0, &mut rng)
+        let (target, _) = self.target_of(item);
+        let pairing = self.draw_pairing(target, &mut self.epoch_seed(epoch).rng_of(item));
+        (pairing, target.wording(&pairing))
     }
 
     pub(super) fn kind(&self, epoch: u64, place: u64) -> EditKind {
@@ -422,7 +415,7 @@ impl Stream {
     }
 
     fn draw_window(&self, item: u64, epoch_seed: Seed) -> DrawnWindow<'_> {
-        let mut rng = item_rng(epoch_seed, item);
+        let mut rng = epoch_seed.rng_of(item);
         let (target, window) = self.target_of(item);
         let pairing = self.draw_pairing(target, &mut rng);
         let earliest = window * self.advance;
@@ -441,46 +434,37 @@ impl Stream {
         let (crop, held) = (pairing.crop, library.held_of(target.subject));
         // Windows of a mask lie within the mask's range.
         let first = library.edited_of(&pairing).start;
-        let (windows, under, shown) = match target.subject {
+        let (before, after, under) = match target.subject {
             Subject::Annotation(_) => {
                 let clip = library.target_of(target.subject);
                 let source = pairing.partner.expect("a semantic edit has a source");
                 let under = partner_at(&mut rng, source, crop.source_start + first);
-                let at = match target.fixed {
+                let start = match target.fixed {
                     Some(_) => crop.target_start + first + start,
                     None => held.start + start,
                 };
-                (
-                    [None, Some(WindowPlace { clip, start: at })],
-                    Some(under),
-                    at,
-                )
+                (None, WindowPlace { clip, start }, Some(under))
             }
             Subject::Pair(_) => {
-                let [source, target] = library.clips_of(target.subject)[..] else {
-                    unreachable!("a pair is two motions")
-                };
-                let at = crop.target_start + start;
+                let [source, target] = library.clips_of(target.subject);
                 let under = pairing
                     .partner
                     .map(|donor| partner_at(&mut rng, donor, pairing.donor.source_start));
-                let before = WindowPlace {
-                    clip: source,
-                    start: crop.source_start + start,
+                let at = |clip, first: usize| WindowPlace {
+                    clip,
+                    start: first + start,
                 };
-                let after = WindowPlace {
-                    clip: target,
-                    start: at,
-                };
-                ([Some(before), Some(after)], under, at)
+                let before = at(source, crop.source_start);
+                (Some(before), at(target, crop.target_start), under)
             }
         };
         DrawnWindow {
-            windows,
+            before,
+            after,
             under,
             plan: target.side_of(&pairing).0.map(|side| &*side.plan),
             alpha: pairing.alpha,
-            progress: (shown - held.start) as f64 / held.len() as f64,
+            progress: (after.start - held.start) as f64 / held.len() as f64,
             instruction: target.wording(&pairing),
             is_mirrored: self.draws_mirrored(&mut rng),
         }
@@ -491,21 +475,13 @@ impl Stream {
     pub(super) fn draws_mirrored(&self, rng: &mut Rng) -> bool {
         self.config.mirrored_ratio > 0.0 && rng.random_bool(self.config.mirrored_ratio)
     }
-
-    pub(super) fn instruction_of(&self, epoch: u64, place: u64, pairing: &Pairing) -> &str {
-        let item = self.order(epoch).at(place);
-        self.target_of(item).0.wording(pairing)
-    }
-}
-
-/// The random numbers of an item, independent of its batch.
-pub(super) fn item_rng(epoch_seed: Seed, item: u64) -> Rng {
-    epoch_seed.rng_of(item)
 }
 
 struct DrawnWindow<'a> {
-    /// Windows before and after the edit; before a semantic edit there is only the partner.
-    windows: [Option<WindowPlace>; 2],
+    /// Window before the edit; before a semantic edit there is only the partner.
+    before: Option<WindowPlace>,
+    /// Window after the edit.
+    after: WindowPlace,
     /// The partner's window, which takes joints of the others.
     under: Option<WindowPlace>,
     plan: Option<&'a BlendPlan>,

@@ -24,39 +24,67 @@ pub(super) struct Target {
 
 pub(super) type Wordings = Arc<[String]>;
 
-/// Blend plans and wordings, each stored once for all targets that share it.
-#[derive(Debug, Default)]
-pub(super) struct SharedSides {
+/// Makes targets. Blend plans and wordings are stored once for all targets that share them.
+#[derive(Debug)]
+pub(super) struct SharedSides<'a> {
+    library: &'a Library,
+    config: &'a ComposeConfig,
     plans: HashMap<BlendMask, Arc<BlendPlan>>,
     wordings: HashMap<(Arc<str>, Option<BodyPart>), Wordings>,
 }
 
-impl SharedSides {
-    fn wordings(
-        &mut self,
-        library: &Library,
-        config: &ComposeConfig,
-        subject: Subject,
-        part: Option<BodyPart>,
-    ) -> Wordings {
-        let text = Arc::clone(library.text_of(subject));
+impl<'a> SharedSides<'a> {
+    pub(super) fn new(library: &'a Library, config: &'a ComposeConfig) -> Self {
+        Self {
+            library,
+            config,
+            plans: HashMap::new(),
+            wordings: HashMap::new(),
+        }
+    }
+
+    fn wordings(&mut self, subject: Subject, part: Option<BodyPart>) -> Wordings {
+        let text = Arc::clone(self.library.text_of(subject));
         let known = self.wordings.entry((text, part));
-        let made = || library.wordings(subject, part, config).into();
+        let made = || self.library.wordings(subject, part, self.config).into();
         Arc::clone(known.or_insert_with(made))
     }
 
-    fn side(
-        &mut self,
-        library: &Library,
-        config: &ComposeConfig,
-        subject: Subject,
-        part: Option<BodyPart>,
-    ) -> Side {
-        let mask = library.mask_of(subject, part, config);
+    fn side(&mut self, subject: Subject, part: Option<BodyPart>) -> Side {
+        let mask = self.library.mask_of(subject, part, self.config);
         let plan = self.plans.entry(mask);
+        let made = || Arc::new(BlendPlan::new(mask, self.config.slerp));
         Side {
-            plan: Arc::clone(plan.or_insert_with(|| Arc::new(BlendPlan::new(mask, config.slerp)))),
-            wordings: self.wordings(library, config, subject, part),
+            plan: Arc::clone(plan.or_insert_with(made)),
+            wordings: self.wordings(subject, part),
+        }
+    }
+
+    /// The target that a subject is, of which windows are taken from `num_frames` frames.
+    pub(super) fn target(
+        &mut self,
+        subject: Subject,
+        num_frames: usize,
+        fixed: Option<Pairing>,
+    ) -> Target {
+        let (library, config) = (self.library, self.config);
+        let sides = match subject {
+            Subject::Annotation(_) => vec![self.side(subject, None)],
+            Subject::Pair(_) => {
+                let halves = library.halves_of(subject).iter();
+                halves.map(|half| self.side(subject, Some(*half))).collect()
+            }
+        };
+        let plain = match library.undonored_ratio(subject, config) > 0.0 {
+            true => self.wordings(subject, None),
+            false => Wordings::default(),
+        };
+        Target {
+            subject,
+            num_frames,
+            sides,
+            plain,
+            fixed: fixed.map(Box::new),
         }
     }
 }
@@ -69,38 +97,6 @@ pub(super) struct Side {
 }
 
 impl Target {
-    pub(super) fn new(
-        library: &Library,
-        config: &ComposeConfig,
-        subject: Subject,
-        num_frames: usize,
-        fixed: Option<Pairing>,
-        shared: &mut SharedSides,
-    ) -> Self {
-        let none = Wordings::default();
-        let (sides, plain) = match subject {
-            Subject::Annotation(_) => (vec![shared.side(library, config, subject, None)], none),
-            Subject::Pair(_) => {
-                let halves = library.halves_of(subject).iter();
-                let sides = halves
-                    .map(|half| shared.side(library, config, subject, Some(*half)))
-                    .collect();
-                let plain = match library.undonored_ratio(subject, config) > 0.0 {
-                    true => shared.wordings(library, config, subject, None),
-                    false => none,
-                };
-                (sides, plain)
-            }
-        };
-        Self {
-            subject,
-            num_frames,
-            sides,
-            plain,
-            fixed: fixed.map(Box::new),
-        }
-    }
-
     /// The side a pairing is edited on, and the wordings of its instruction.
     pub(super) fn side_of(&self, pairing: &Pairing) -> (Option<&Side>, &[String]) {
         let side = match (self.subject, pairing.half) {

@@ -15,7 +15,7 @@ fn stream(change: impl FnOnce(&mut ComposeConfig)) -> Stream {
 /// What is drawn for every item of some epochs.
 fn pairings(stream: &Stream, epochs: u64) -> impl Iterator<Item = Pairing> {
     let items = (0..epochs).flat_map(move |epoch| (0..stream.epoch_len()).map(move |i| (epoch, i)));
-    items.map(move |(epoch, item)| stream.pairing(epoch, item))
+    items.map(move |(epoch, item)| stream.pairing(epoch, item).0)
 }
 
 fn epoch(stream: &Stream, epoch: u64) -> WindowBatch {
@@ -99,7 +99,7 @@ fn fixed_pairs_keep_their_partner_and_new_ones_change() {
             .map(|epoch| {
                 let mut pairs: Vec<(Subject, Option<usize>, u64)> = (0..stream.epoch_len())
                     .map(|item| {
-                        let pairing = stream.pairing(epoch, item);
+                        let (pairing, _) = stream.pairing(epoch, item);
                         (pairing.subject, pairing.partner, pairing.alpha.to_bits())
                     })
                     .collect();

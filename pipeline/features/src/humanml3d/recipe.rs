@@ -135,3 +135,10 @@ pub enum FeatureError {
         reason: String,
     },
 }
+
+impl FeatureError {
+    pub(crate) fn no_motion(reason: impl ToString) -> Self {
+        let reason = reason.to_string();
+        Self::NoMotion { reason }
+    }
+}
