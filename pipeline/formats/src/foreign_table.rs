@@ -7,7 +7,7 @@ use arrow_array::types::{
     Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type, UInt8Type, UInt16Type,
     UInt32Type, UInt64Type,
 };
-use arrow_array::{Array, ArrayRef, RecordBatch};
+use arrow_array::{Array, ArrayRef, OffsetSizeTrait, RecordBatch};
 use arrow_schema::DataType;
 use bytes::Bytes;
 use parquet::arrow::ProjectionMask;
@@ -39,10 +39,8 @@ pub fn read<T>(
     crate::source::refuse_pointer(&bytes)?;
     // The Parquet library panics on some damaged pages.
     std::panic::catch_unwind(|| decode(&ForeignTable::open(bytes)?)).unwrap_or_else(|_| {
-        Err(Rejected::read(
-            "E-TABLE-FORMAT",
-            "the Parquet library failed on a page; the file is damaged",
-        ))
+        let reason = "the Parquet library failed on a page; the file is damaged";
+        Err(Rejected::read("E-TABLE-FORMAT", reason))
     })
 }
 
@@ -145,19 +143,8 @@ pub fn is_list(data_type: &DataType) -> bool {
 /// The items of all rows of a list column, and the range of the given row; `None` for other columns.
 pub fn list(values: &ArrayRef, row: usize) -> Option<(ArrayRef, std::ops::Range<usize>)> {
     Some(match values.data_type() {
-        DataType::List(_) => {
-            let list = values.as_list::<i32>();
-            let bounds = list.value_offsets();
-            // Arrow guarantees that offsets are non-negative and ascending.
-            let range = bounds[row] as usize..bounds[row + 1] as usize;
-            (list.values().clone(), range)
-        }
-        DataType::LargeList(_) => {
-            let list = values.as_list::<i64>();
-            let bounds = list.value_offsets();
-            let range = bounds[row] as usize..bounds[row + 1] as usize;
-            (list.values().clone(), range)
-        }
+        DataType::List(_) => list_by_offsets::<i32>(values, row),
+        DataType::LargeList(_) => list_by_offsets::<i64>(values, row),
         DataType::FixedSizeList(_, width) => {
             let list = values.as_fixed_size_list();
             let start = list.value_offset(row) as usize;
@@ -166,6 +153,17 @@ pub fn list(values: &ArrayRef, row: usize) -> Option<(ArrayRef, std::ops::Range<
         }
         _ => return None,
     })
+}
+
+/// [`list`] for offsets of a width.
+fn list_by_offsets<O: OffsetSizeTrait>(
+    values: &ArrayRef,
+    row: usize,
+) -> (ArrayRef, std::ops::Range<usize>) {
+    let list = values.as_list::<O>();
+    let bounds = list.value_offsets();
+    let range = bounds[row].as_usize()..bounds[row + 1].as_usize();
+    (list.values().clone(), range)
 }
 
 /// Appends the numbers of a value, which may be a list of up to [`MAX_DEPTH`] levels. `depth` is the number of lists

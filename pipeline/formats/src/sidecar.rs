@@ -106,7 +106,6 @@ struct Fields {
     from_s: f32,
     #[serde(default)]
     to_s: f32,
-    #[serde(default)]
     origin: Option<String>,
 }
 

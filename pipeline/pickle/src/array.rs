@@ -69,30 +69,20 @@ impl ItemType {
     /// Parses a type such as `f4`, `<f8`, `|b1`, `U7` or `O8`.
     pub(crate) fn parse(text: &str) -> Option<Self> {
         let big_endian = text.starts_with('>');
-        let text = text.trim_start_matches(['<', '>', '|', '=']);
-        let mut chars = text.chars();
-        let letter = chars.next()?;
-        let digits = chars.as_str();
-        if letter == 'O' {
-            return Some(Self {
-                dtype: None,
-                big_endian,
-            });
-        }
-        let len: usize = digits.parse().ok()?;
-        let dtype = match (letter, len) {
-            ('b', 1) => Dtype::Bool,
-            ('f', 2 | 4 | 8) => Dtype::Float(len),
-            ('i', 1 | 2 | 4 | 8) => Dtype::Signed(len),
-            ('u', 1 | 2 | 4 | 8) => Dtype::Unsigned(len),
-            ('S' | 'a', 1..) => Dtype::Bytes(len),
-            ('U', 1..) if len < usize::MAX / 4 => Dtype::Text(len),
-            _ => return None,
+        let mut chars = text.trim_start_matches(['<', '>', '|', '=']).chars();
+        let dtype = match chars.next()? {
+            'O' => None,
+            letter => Some(match (letter, chars.as_str().parse().ok()?) {
+                ('b', 1) => Dtype::Bool,
+                ('f', len @ (2 | 4 | 8)) => Dtype::Float(len),
+                ('i', len @ (1 | 2 | 4 | 8)) => Dtype::Signed(len),
+                ('u', len @ (1 | 2 | 4 | 8)) => Dtype::Unsigned(len),
+                ('S' | 'a', len @ 1..) => Dtype::Bytes(len),
+                ('U', len @ 1..) if len < usize::MAX / 4 => Dtype::Text(len),
+                _ => return None,
+            }),
         };
-        Some(Self {
-            dtype: Some(dtype),
-            big_endian,
-        })
+        Some(Self { dtype, big_endian })
     }
 }
 

@@ -12,6 +12,14 @@ pub struct Error {
     pub byte_offset: Option<u64>,
 }
 
+/// An [`Error`] from a code and a reason in the syntax of `format!`.
+macro_rules! error {
+    ($code:expr, $($reason:tt)+) => {
+        $crate::error::Error::new($code, format!($($reason)+))
+    };
+}
+pub(crate) use error;
+
 impl Error {
     pub(crate) fn new(code: &'static str, reason: impl Into<String>) -> Self {
         Self {

@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader, ErrorKind, Read};
 
-use crate::error::Error;
+use crate::error::{Error, error};
 
 /// The bytes of a pickle.
 pub(crate) struct Input<'a> {
@@ -61,9 +61,9 @@ impl<'a> Input<'a> {
     }
 
     fn truncated(&self, needed: u64) -> Error {
-        Error::new(
+        error!(
             "E-PICKLE-TRUNCATED",
-            format!("the pickle ends within an element, expected {needed} more bytes"),
+            "the pickle ends within an element, expected {needed} more bytes"
         )
         .at(self.position)
     }
@@ -78,6 +78,6 @@ impl<'a> Input<'a> {
             | ErrorKind::Other => "E-PICKLE-UNPACK",
             _ => "E-IO",
         };
-        Error::new(code, format!("the pickle cannot be read on ({error})")).at(self.position)
+        error!(code, "the pickle cannot be read on ({error})").at(self.position)
     }
 }

@@ -7,7 +7,7 @@ use flate2::read::{MultiGzDecoder, ZlibDecoder};
 use lz4_flex::frame::FrameDecoder;
 use lzma_rust2::{LzmaReader, XzReader};
 
-use crate::error::Error;
+use crate::error::{Error, error};
 use crate::machine::Machine;
 use crate::value::{Options, Value};
 
@@ -78,7 +78,7 @@ pub fn read_from<'a>(
         .by_ref()
         .take(MAGIC_LEN as u64)
         .read_to_end(&mut head)
-        .map_err(|error| Error::new("E-IO", format!("cannot read the dump ({error})")))?;
+        .map_err(|error| error!("E-IO", "cannot read the dump ({error})"))?;
     let limit = packed_len
         .saturating_mul(MAX_RATIO)
         .clamp(SMALL_LEN, MAX_UNPACKED_LEN);
@@ -103,10 +103,8 @@ impl<R: Read> Read for Capped<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let read = self.inner.read(buffer)?;
         self.left = self.left.checked_sub(read as u64).ok_or_else(|| {
-            io::Error::new(
-                io::ErrorKind::FileTooLarge,
-                format!("it unpacks to more than {} bytes", self.limit),
-            )
+            let reason = format!("it unpacks to more than {} bytes", self.limit);
+            io::Error::new(io::ErrorKind::FileTooLarge, reason)
         })?;
         Ok(read)
     }

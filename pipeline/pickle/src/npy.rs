@@ -6,7 +6,7 @@
 use std::borrow::Cow;
 
 use crate::array::{self, Dtype, ItemType, MAX_DIMENSIONS};
-use crate::error::Error;
+use crate::error::{Error, error};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header read, in bytes. NumPy's own limit is 10,000 for files it does not trust.
@@ -46,13 +46,11 @@ impl Header {
                 product.checked_mul(extent)
             });
         if needed != Some(found) {
-            return Err(Error::new(
+            return Err(error!(
                 "E-NPY-SHAPE",
-                format!(
-                    "{name}: found {found} bytes of data, expected {} for shape {:?} of {descr}",
-                    needed.map_or("more than 2^64".to_owned(), |needed| needed.to_string()),
-                    header.shape,
-                ),
+                "{name}: found {found} bytes of data, expected {} for shape {:?} of {descr}",
+                needed.map_or("more than 2^64".to_owned(), |needed| needed.to_string()),
+                header.shape
             )
             .at(header.data_start));
         }
@@ -90,50 +88,33 @@ impl Header {
 
     /// Parses the dictionary of the header; also returns the offset of the data.
     fn parse_literal(name: &str, bytes: &[u8]) -> Result<(Literal, usize), Error> {
-        let bad = |reason: String, at: usize| {
-            Error::new("E-NPY-HEADER", format!("{name}: {reason}")).at(at)
-        };
+        let bad = |reason: &str, at: usize| error!("E-NPY-HEADER", "{name}: {reason}").at(at);
         let version_at = MAGIC.len();
+        let cut_off = || bad("the header is cut off", bytes.len());
         if !bytes.starts_with(MAGIC) || bytes.len() < version_at + 4 {
-            return Err(bad(
-                "found no npy magic number, expected \\x93NUMPY".to_owned(),
-                0,
-            ));
+            return Err(bad("found no npy magic number, expected \\x93NUMPY", 0));
         }
-        let (header_start, header_len) = match bytes[version_at] {
-            1 => (
-                version_at + 4,
-                usize::from(u16::from_le_bytes([
-                    bytes[version_at + 2],
-                    bytes[version_at + 3],
-                ])),
-            ),
-            2 | 3 => {
-                let field = bytes
-                    .get(version_at + 2..)
-                    .and_then(|rest| rest.first_chunk::<4>())
-                    .ok_or_else(|| bad("the header is cut off".to_owned(), bytes.len()))?;
-                (version_at + 6, u32::from_le_bytes(*field) as usize)
+        let length = &bytes[version_at + 2..];
+        let (header_start, header_len) = match (bytes[version_at], length) {
+            (1, &[low, high, ..]) => (version_at + 4, u16::from_le_bytes([low, high]).into()),
+            (2 | 3, _) => {
+                let length = length.first_chunk().ok_or_else(cut_off)?;
+                (version_at + 6, u32::from_le_bytes(*length) as usize)
             }
-            version => {
-                return Err(bad(
-                    format!("found npy version {version}, expected 1 to 3"),
-                    version_at,
-                ));
+            (version, _) => {
+                let reason = format!("found npy version {version}, expected 1 to 3");
+                return Err(bad(&reason, version_at));
             }
         };
         if header_len > MAX_HEADER_LEN {
-            return Err(bad(
-                format!("found a header of {header_len} bytes, expected at most {MAX_HEADER_LEN}"),
-                version_at + 2,
-            ));
+            let reason =
+                format!("found a header of {header_len} bytes, expected at most {MAX_HEADER_LEN}");
+            return Err(bad(&reason, version_at + 2));
         }
         let data_start = header_start + header_len;
-        let text = bytes
-            .get(header_start..data_start)
-            .ok_or_else(|| bad("the header is cut off".to_owned(), bytes.len()))?;
-        let literal = Literal::parse(text)
-            .map_err(|(reason, at)| bad(reason.to_owned(), header_start + at))?;
+        let text = bytes.get(header_start..data_start).ok_or_else(cut_off)?;
+        let literal =
+            Literal::parse(text).map_err(|(reason, at)| bad(reason, header_start + at))?;
         Ok((literal, data_start))
     }
 }
@@ -161,9 +142,9 @@ pub fn read_numbers(name: &str, bytes: &[u8]) -> Result<Array, Error> {
         ..
     } = header;
     if matches!(dtype, Dtype::Float(2) | Dtype::Bytes(_) | Dtype::Text(_)) {
-        return Err(Error::new(
+        return Err(error!(
             "E-NPY-DTYPE",
-            format!("{name}: found {dtype}, expected f4, f8 or an integer"),
+            "{name}: found {dtype}, expected f4, f8 or an integer"
         ));
     }
     let items = bytes[header.data_start..].chunks_exact(dtype.item_len());
@@ -200,33 +181,24 @@ impl<'a> Rows<'a> {
     /// As [`read_numbers`]. The inner error is the shape, if it is not two-dimensional or its rows are empty.
     pub fn new(name: &str, bytes: Cow<'a, [u8]>) -> Result<Result<Self, Vec<usize>>, Error> {
         let header = Header::parse(name, &bytes)?;
-        let [num_rows, width] = header.shape[..] else {
+        let [num_rows, width @ (1..)] = header.shape[..] else {
             return Ok(Err(header.shape));
-        };
-        if width == 0 {
-            return Ok(Err(header.shape));
-        }
-        let kind = match header.dtype {
-            Dtype::Float(8) => Some(RowKind::F64),
-            Dtype::Float(4) => Some(RowKind::F32),
-            _ => None,
         };
         let plain = !header.big_endian && (!header.fortran_order || num_rows == 1 || width == 1);
-        if let Some(kind) = kind.filter(|_| plain) {
-            return Ok(Ok(Self {
-                data_start: header.data_start,
-                bytes,
-                kind,
-                num_rows,
-                width,
-            }));
-        }
-        // All other formats are converted to little-endian `f64` first.
-        let array = read_numbers(name, &bytes)?;
+        let (kind, data_start, bytes) = match header.dtype {
+            Dtype::Float(8) if plain => (RowKind::F64, header.data_start, bytes),
+            Dtype::Float(4) if plain => (RowKind::F32, header.data_start, bytes),
+            // All other formats are converted to little-endian `f64` first.
+            _ => {
+                let values = read_numbers(name, &bytes)?.values.into_iter();
+                let bytes = values.flat_map(f64::to_le_bytes).collect();
+                (RowKind::F64, 0, Cow::Owned(bytes))
+            }
+        };
         Ok(Ok(Self {
-            bytes: Cow::Owned(array.values.iter().flat_map(|v| v.to_le_bytes()).collect()),
-            data_start: 0,
-            kind: RowKind::F64,
+            bytes,
+            data_start,
+            kind,
             num_rows,
             width,
         }))
@@ -247,25 +219,18 @@ impl<'a> Rows<'a> {
     /// # Panics
     /// If the row or a column does not exist.
     pub fn is_finite(&self, row: usize, column: usize, len: usize) -> bool {
-        assert!(
-            column + len <= self.width,
-            "columns {column}.. of {}",
-            self.width
-        );
         const LARGEST: f64 = f32::MAX as f64;
-        let first = row * self.width + column;
-        let data = &self.bytes[self.data_start..];
         // There is no early exit, so that the loop vectorises.
         match self.kind {
             RowKind::F64 => {
-                let (numbers, _) = data[8 * first..][..8 * len].as_chunks::<8>();
-                numbers.iter().fold(true, |all, number| {
+                let numbers = self.numbers(row, column, len).iter();
+                numbers.fold(true, |all, number| {
                     all & (f64::from_le_bytes(*number).abs() <= LARGEST)
                 })
             }
             RowKind::F32 => {
-                let (numbers, _) = data[4 * first..][..4 * len].as_chunks::<4>();
-                numbers.iter().fold(true, |all, number| {
+                let numbers = self.numbers(row, column, len).iter();
+                numbers.fold(true, |all, number| {
                     all & f32::from_le_bytes(*number).is_finite()
                 })
             }
@@ -277,23 +242,28 @@ impl<'a> Rows<'a> {
     /// # Panics
     /// If the row or a column does not exist.
     pub fn get<const N: usize>(&self, row: usize, column: usize) -> [f64; N] {
+        match self.kind {
+            RowKind::F64 => {
+                let numbers = self.numbers(row, column, N);
+                std::array::from_fn(|i| f64::from_le_bytes(numbers[i]))
+            }
+            RowKind::F32 => {
+                let numbers = self.numbers(row, column, N);
+                std::array::from_fn(|i| f64::from(f32::from_le_bytes(numbers[i])))
+            }
+        }
+    }
+
+    /// The bytes of `len` numbers of a row, each of `SIZE` bytes.
+    fn numbers<const SIZE: usize>(&self, row: usize, column: usize, len: usize) -> &[[u8; SIZE]] {
         assert!(
-            column + N <= self.width,
+            column + len <= self.width,
             "columns {column}.. of {}",
             self.width
         );
         let first = row * self.width + column;
         let data = &self.bytes[self.data_start..];
-        match self.kind {
-            RowKind::F64 => {
-                let (numbers, _) = data[8 * first..][..8 * N].as_chunks::<8>();
-                std::array::from_fn(|i| f64::from_le_bytes(numbers[i]))
-            }
-            RowKind::F32 => {
-                let (numbers, _) = data[4 * first..][..4 * N].as_chunks::<4>();
-                std::array::from_fn(|i| f64::from(f32::from_le_bytes(numbers[i])))
-            }
-        }
+        data[SIZE * first..][..SIZE * len].as_chunks().0
     }
 }
 
@@ -307,21 +277,18 @@ pub fn read_text(name: &str, bytes: &[u8]) -> Result<String, Error> {
     let item = items.get(..header.dtype.item_len()).unwrap_or_default();
     let text: String = match header.dtype {
         Dtype::Bytes(_) => String::from_utf8_lossy(item).into_owned(),
-        Dtype::Text(_) => item
-            .chunks_exact(4)
-            .filter_map(|code| {
-                let code = [code[0], code[1], code[2], code[3]];
-                char::from_u32(if header.big_endian {
-                    u32::from_be_bytes(code)
-                } else {
-                    u32::from_le_bytes(code)
-                })
-            })
-            .collect(),
+        Dtype::Text(_) => {
+            let decode = match header.big_endian {
+                true => u32::from_be_bytes,
+                false => u32::from_le_bytes,
+            };
+            let codes = item.as_chunks().0.iter().copied().map(decode);
+            codes.filter_map(char::from_u32).collect()
+        }
         dtype => {
-            return Err(Error::new(
+            return Err(error!(
                 "E-NPY-DTYPE",
-                format!("{name}: found {dtype}, expected text"),
+                "{name}: found {dtype}, expected text"
             ));
         }
     };
@@ -392,18 +359,16 @@ fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
 /// Parses a type such as `<f8`; also returns whether its bytes are big-endian.
 fn parse_descr(name: &str, descr: &str) -> Result<(Dtype, bool), Error> {
     let item = ItemType::parse(descr).ok_or_else(|| {
-        Error::new(
+        error!(
             "E-NPY-DTYPE",
-            format!("{name}: found type \"{descr}\", expected one such as <f4, <f8, <i8 or <U6"),
+            "{name}: found type \"{descr}\", expected one such as <f4, <f8, <i8 or <U6"
         )
     })?;
     let dtype = item.dtype.ok_or_else(|| {
-        Error::new(
+        error!(
             "E-PICKLE-REFUSED",
-            format!(
-                "{name}: holds pickled objects, which are code and are never executed; save it as \
+            "{name}: holds pickled objects, which are code and are never executed; save it as \
                  plain numbers"
-            ),
         )
     })?;
     Ok((dtype, item.big_endian))

@@ -10,7 +10,7 @@ use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, System, ZipArchive, ZipWriter};
 
-use crate::error::Error;
+use crate::error::{Error, error};
 use crate::npy::{self, Array, Header, Number};
 
 /// Limits on a member: its size in bytes, and its ratio to the compressed size. Real recordings stay far below both (an
@@ -66,12 +66,9 @@ impl<'a> Archive<Cursor<&'a [u8]>> {
         };
         let found = crc32fast::hash(member);
         if found != expected {
-            return Err(Error::new(
+            return Err(error!(
                 "E-NPZ-TRUNCATED",
-                format!(
-                    "{name} has the checksum {:08x}, expected {expected:08x}; it is damaged",
-                    found
-                ),
+                "{name} has the checksum {found:08x}, expected {expected:08x}; it is damaged"
             )
             .at(start));
         }
@@ -88,19 +85,17 @@ impl<R: Read + Seek> Archive<R> {
     pub fn open(mut reader: R) -> Result<Self, Error> {
         let len = reader.seek(std::io::SeekFrom::End(0)).unwrap_or(0);
         let zip = ZipArchive::new(reader).map_err(|error| {
-            Error::new(
+            error!(
                 "E-NPZ-TRUNCATED",
-                format!("found no complete zip archive in {len} bytes ({error})"),
+                "found no complete zip archive in {len} bytes ({error})"
             )
             .at(usize::try_from(len).unwrap_or(usize::MAX))
         })?;
         if zip.len() > MAX_MEMBERS {
-            return Err(Error::new(
+            return Err(error!(
                 "E-NPZ-LIMIT",
-                format!(
-                    "found {} members, expected at most {MAX_MEMBERS}",
-                    zip.len()
-                ),
+                "found {} members, expected at most {MAX_MEMBERS}",
+                zip.len()
             ));
         }
         check_names(zip.file_names_raw())?;
@@ -204,20 +199,15 @@ pub(crate) fn check_len(
     if len <= max_len && (len <= SMALL_MEMBER_LEN || len / MAX_RATIO <= compressed_len.max(1)) {
         return Ok(());
     }
-    Err(Error::new(
+    Err(error!(
         code,
-        format!(
-            "{name} unpacks from {compressed_len} to {len} bytes, expected at most {max_len} and {MAX_RATIO} times its \
+        "{name} unpacks from {compressed_len} to {len} bytes, expected at most {max_len} and {MAX_RATIO} times its \
              packed size"
-        ),
     ))
 }
 
 fn member_error(name: &str, error: &ZipError) -> Error {
-    Error::new(
-        "E-NPZ-TRUNCATED",
-        format!("{name} cannot be unpacked ({error})"),
-    )
+    error!("E-NPZ-TRUNCATED", "{name} cannot be unpacked ({error})")
 }
 /// Refuses names that would lead out of a folder, and names that differ in case alone. Archives are never unpacked to
 /// files, so such names do no harm here, but they show a hostile or broken writer.
@@ -236,9 +226,9 @@ fn check_names<'a>(names: impl Iterator<Item = &'a [u8]>) -> Result<(), Error> {
         } else {
             continue;
         };
-        return Err(Error::new(
+        return Err(error!(
             "E-ARCHIVE-PATH",
-            format!("found a member {name:?}, which {problem}"),
+            "found a member {name:?}, which {problem}"
         ));
     }
     Ok(())

@@ -279,9 +279,9 @@ impl<'a> Solver<'a> {
             [DQuat::IDENTITY; NUM_BODY_JOINTS],
             self.skeleton,
         );
-        let body_markers: Vec<DVec3> = (0..self.worn.joints.len())
-            .map(|marker| rest.points[self.worn.joints[marker]] + self.offsets[marker])
-            .collect();
+        let markers = self.worn.joints.iter().zip(&self.offsets);
+        let markers = markers.map(|(joint, offset)| rest.points[*joint] + *offset);
+        let body_markers: Vec<DVec3> = markers.collect();
         // Arms are left out, because their height varies.
         let upright = |marker: &usize| !matches!(self.worn.joints[*marker], 16..=21);
         let mut ratios: Vec<f64> = Vec::new();
@@ -321,15 +321,13 @@ impl<'a> Solver<'a> {
             (!seen.is_empty())
                 .then(|| seen.iter().sum::<DVec3>() * (self.scale / seen.len() as f64))
         };
-        let side = |sign: f64| {
-            move |solver: &Self, marker: usize| {
-                let at =
-                    solver.skeleton.rest(solver.worn.joints[marker]) + solver.worn.offsets[marker];
-                sign * at.x > 0.03 && !matches!(solver.worn.joints[marker], 16..=21)
-            }
+        // How far on the left a marker is at rest; 0 for markers of the arms, which do not count.
+        let side = |marker: usize| match self.worn.joints[marker] {
+            16..=21 => 0.0,
+            joint => (self.skeleton.rest(joint) + self.worn.offsets[marker]).x,
         };
-        let left = mean(&|marker| side(1.0)(self, marker))?;
-        let right = mean(&|marker| side(-1.0)(self, marker))?;
+        let left = mean(&|marker| side(marker) > 0.03)?;
+        let right = mean(&|marker| side(marker) < -0.03)?;
         let pelvis = mean(&|marker| self.worn.joints[marker] == 0)
             .or_else(|| mean(&|marker| matches!(self.worn.joints[marker], 1 | 2)))?;
         let across = (left - right).with_y(0.0).try_normalize()?;

@@ -12,6 +12,7 @@ pub(super) const MIN_SEEN: usize = 6;
 const MIN_SEEN_SHARE: f64 = 0.5;
 
 /// The markers with a known placement.
+#[derive(Default)]
 pub(super) struct LabelledMarkers {
     /// Column of each marker in the capture.
     pub(super) columns: Vec<usize>,
@@ -21,11 +22,7 @@ pub(super) struct LabelledMarkers {
 
 impl LabelledMarkers {
     pub(super) fn of(subject: &Subject, set: &MarkerSet) -> Self {
-        let mut worn = Self {
-            columns: Vec::new(),
-            joints: Vec::new(),
-            offsets: Vec::new(),
-        };
+        let mut worn = Self::default();
         let mut names: Vec<&str> = Vec::new();
         for (column, name) in subject.columns.iter().zip(&subject.bare) {
             // Of repeated labels, the first is used.
@@ -58,21 +55,20 @@ pub(super) struct Frames {
 impl Frames {
     pub(super) fn of(markers: &Markers, worn: &LabelledMarkers) -> Self {
         let count = markers.labels.len().max(1);
-        let points = markers
-            .positions
-            .chunks_exact(count)
-            .zip(markers.residuals.chunks_exact(count))
-            .map(|(positions, residuals)| {
-                worn.columns
-                    .iter()
-                    .map(|&column| {
-                        (residuals[column] >= 0.0)
-                            .then(|| DVec3::from_array(positions[column].map(f64::from)))
-                    })
-                    .collect()
-            })
-            .collect();
-        Self { points }
+        let seen = |position: [f32; 3], residual: f32| {
+            (residual >= 0.0).then(|| DVec3::from_array(position.map(f64::from)))
+        };
+        let frames = markers.positions.chunks_exact(count);
+        let frames = frames.zip(markers.residuals.chunks_exact(count));
+        let points = frames.map(|(positions, residuals)| {
+            let places = worn.columns.iter();
+            places
+                .map(|&at| seen(positions[at], residuals[at]))
+                .collect()
+        });
+        Self {
+            points: points.collect(),
+        }
     }
 
     pub(super) fn len(&self) -> usize {

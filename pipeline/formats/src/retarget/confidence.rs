@@ -75,16 +75,13 @@ impl Evidence {
     pub(super) fn doubts(&self, mapping: &Mapping) -> String {
         /// Value below which a piece of evidence is mentioned.
         const WEAK: f64 = 0.7;
-        let mut doubts = Vec::new();
-        if self.posture < WEAK {
-            doubts.push("its trunk is not upright over its legs".to_owned());
-        }
-        if self.symmetry < WEAK {
-            doubts.push("its left and right limbs differ in length".to_owned());
-        }
-        if self.descent < WEAK {
-            doubts.push("its limb joints do not hang from one another".to_owned());
-        }
+        let pieces = [
+            (self.posture, "its trunk is not upright over its legs"),
+            (self.symmetry, "its left and right limbs differ in length"),
+            (self.descent, "its limb joints do not hang from one another"),
+        ];
+        let weak = pieces.into_iter().filter(|(value, _)| *value < WEAK);
+        let mut doubts: Vec<String> = weak.map(|(_, doubt)| doubt.to_owned()).collect();
         let absent = mapping.absent();
         if !absent.is_empty() {
             doubts.push(format!("it has no {}", absent.join(", ")));

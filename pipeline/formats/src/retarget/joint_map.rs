@@ -141,12 +141,9 @@ impl Mapping {
             let names = map.source_names();
             names.filter(|name| by_name.contains_key(name)).count()
         };
-        let mut best = &JOINT_MAPS[0];
-        for map in &JOINT_MAPS[1..] {
-            if num_matches(map) > num_matches(best) {
-                best = map;
-            }
-        }
+        // Of maps with equally many names, the first is taken.
+        let best = JOINT_MAPS.iter().rev().max_by_key(|map| num_matches(map));
+        let best = best.expect("there are built-in maps");
         let mapping = Self {
             name: best.name().to_owned(),
             origin: Origin::Dialect,

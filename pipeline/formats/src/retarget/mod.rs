@@ -73,18 +73,11 @@ pub fn clip(rig: &impl Rig, options: &ReadOptions) -> Result<SourceClip, Rejecte
     let stated_up = user_map.and_then(|map| map.up).map(Up::direction);
     notes.extend(set_upright(&mut track, stated_up.or_else(|| rig.up())));
     notes.extend(facing_note(&track, mapping.origin));
-    let alignment = match from_rest {
-        Some((alignment, name)) => {
-            notes.push(format!("joint frames from the {name}"));
-            alignment
-        }
-        None => {
-            notes.push(
-                "joint frames from the motion, as the zero pose is no standing one".to_owned(),
-            );
-            align::by_motion(&track, skeleton)
-        }
-    };
+    let (alignment, origin) = from_rest.unwrap_or_else(|| {
+        let alignment = align::by_motion(&track, skeleton);
+        (alignment, "motion, as the zero pose is no standing one")
+    });
+    notes.push(format!("joint frames from the {origin}"));
     let body_leg = leg_length(|joint| skeleton.rest(joint));
     notes.push(unit::note(rig, &track, body_leg, user_map, options)?);
 

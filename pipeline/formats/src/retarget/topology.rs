@@ -103,13 +103,11 @@ impl Tree<'_> {
         let toes = |leg: &Chain| Some(self.position(*leg.get(3)?) - self.position(leg[2]));
         let front = toes(&legs[0])? + toes(&legs[1])?;
         let left = up.cross(front).try_normalize()?;
-        let from_left = |pair: [Chain; 2]| -> [Chain; 2] {
-            let [a, b] = pair;
+        let from_left = |[a, b]: [Chain; 2]| {
             let across = self.position(a[1]) - self.position(b[1]);
-            if across.dot(left) > 0.0 {
-                [a, b]
-            } else {
-                [b, a]
+            match across.dot(left) > 0.0 {
+                true => [a, b],
+                false => [b, a],
             }
         };
 

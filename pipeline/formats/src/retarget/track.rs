@@ -87,13 +87,10 @@ impl Track {
             visited += 1;
         });
         if let Some(frame) = lost {
-            return Err(Rejected::retarget(
-                "E-NOT-FINITE",
-                format!(
-                    "found a joint that is not finite or beyond {MAX_COORDINATE:e} units in frame {frame}, expected a \
-                     body"
-                ),
-            ));
+            let reason = format!(
+                "found a joint that is not finite or beyond {MAX_COORDINATE:e} units in frame {frame}, expected a body"
+            );
+            return Err(Rejected::retarget("E-NOT-FINITE", reason));
         }
         let rests = rests
             .iter()
@@ -116,10 +113,8 @@ impl Track {
         // Legs shorter than this, in the file's unit, are no bones.
         const SHORTEST_LEG: f64 = 1e-6;
         if track.points.is_empty() || track.leg_length < SHORTEST_LEG {
-            return Err(Rejected::retarget(
-                rig.skeleton_code(),
-                format!("found legs of length {}, expected bones", track.leg_length),
-            ));
+            let reason = format!("found legs of length {}, expected bones", track.leg_length);
+            return Err(Rejected::retarget(rig.skeleton_code(), reason));
         }
         Ok(track)
     }

@@ -75,13 +75,10 @@ fn guessed(leg: f64, body_leg: f64, height: f64) -> String {
     /// Largest ratio of a person's leg to the body's.
     const PLAUSIBLE: f64 = 1.45;
     let misfit = |metres: f64| (leg * metres / body_leg).ln().abs();
-    let (name, metres) = UNITS.into_iter().fold(UNITS[0], |best, unit| {
-        if misfit(unit.1) < misfit(best.1) {
-            unit
-        } else {
-            best
-        }
-    });
+    let nearest = UNITS
+        .into_iter()
+        .min_by(|a, b| misfit(a.1).total_cmp(&misfit(b.1)));
+    let (name, metres) = nearest.expect("there are units");
     if misfit(metres) > PLAUSIBLE.ln() {
         return format!("unit unknown (a leg measures {leg:.3}), scaled to the body's leg");
     }

@@ -53,16 +53,21 @@ pub fn read_skeleton(path: &Path) -> Result<Skeleton, Error> {
         .and_then(complete)
         .and_then(plausible)
         .map_err(unusable(path))?;
-    let mut hasher = blake3::Hasher::new();
-    for value in joints.iter().flat_map(DVec3::to_array) {
-        hasher.update(&value.to_le_bytes());
-    }
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let hash = &hasher.finalize().to_hex()[..HASH_DIGITS];
+    let hash = hash_of(joints.iter());
     Ok(Skeleton::new(
         format!("{}-{hash}", stem.to_lowercase()),
         joints,
     ))
+}
+
+/// The start of the BLAKE3 of some points, in hexadecimal.
+fn hash_of<'a>(points: impl Iterator<Item = &'a DVec3>) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for number in points.flat_map(DVec3::to_array) {
+        hasher.update(&number.to_le_bytes());
+    }
+    hasher.finalize().to_hex()[..HASH_DIGITS].to_owned()
 }
 
 fn unusable(path: &Path) -> impl Fn(Rejected) -> Error {
@@ -146,6 +151,11 @@ impl BodyModel {
         Skeleton::new(name, whole)
     }
 
+    /// The joints, then the displacements.
+    fn points(&self) -> impl Iterator<Item = &DVec3> {
+        self.joints.iter().chain(self.shapes.iter().flatten())
+    }
+
     /// Whether this is SMPL-H.
     fn is_smplh(&self) -> bool {
         self.joints.len() == NUM_SMPLH_JOINTS
@@ -187,8 +197,7 @@ impl Subjects {
     pub fn read(folder: &Path) -> Result<Self, Error> {
         let mut files = Vec::new();
         list_npz(folder, 0, &mut files)?;
-        let mut hasher = blake3::Hasher::new();
-        let mut model = |gender: &str| -> Result<BodyModel, Error> {
+        let model = |gender: &str| -> Result<BodyModel, Error> {
             let found: Vec<&PathBuf> = files
                 .iter()
                 .filter(|file| gender_of(folder, file) == Some(gender))
@@ -204,15 +213,10 @@ impl Subjects {
                     ),
                 });
             };
-            let model = BodyModel::read(file)?;
-            let shapes = model.shapes.iter().flatten();
-            for number in model.joints.iter().chain(shapes).flat_map(DVec3::to_array) {
-                hasher.update(&number.to_le_bytes());
-            }
-            Ok(model)
+            BodyModel::read(file)
         };
         let (male, female) = (model("male")?, model("female")?);
-        let hash = hasher.finalize().to_hex()[..HASH_DIGITS].to_owned();
+        let hash = hash_of(male.points().chain(female.points()));
         Ok(Self {
             male,
             female,
@@ -263,12 +267,8 @@ fn list_npz(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(),
 /// The gender that the file name of a model states, else the nearest folder that states one.
 fn gender_of(root: &Path, file: &Path) -> Option<&'static str> {
     let inside = file.strip_prefix(root).unwrap_or(file).with_extension("");
-    let mut names: Vec<String> = inside
-        .components()
-        .map(|part| part.as_os_str().to_string_lossy().to_lowercase())
-        .collect();
-    names.reverse();
-    names.iter().find_map(|name| {
+    inside.components().rev().find_map(|part| {
+        let name = part.as_os_str().to_string_lossy().to_lowercase();
         name.split(|c: char| !c.is_alphabetic())
             .find_map(|word| match word {
                 "male" | "m" => Some("male"),

@@ -230,12 +230,13 @@ impl Release for StoredDataset {
 
     fn read(&self, _files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let refused = |reason: String| Rejected::read(CODE, reason);
+        let unread = |error: datasets_spec::Error| refused(error.to_string());
         let shard = self.shards.get(&entry.file);
         let row: MotionRow = shard
             .zip(entry.key.parse().ok())
             .and_then(|(shard, row)| shard.rows_at(&[row]).map(|mut rows| rows.pop()).transpose())
             .ok_or_else(|| refused("the file has no such row".to_owned()))?
-            .map_err(|error| refused(error.to_string()))?;
+            .map_err(unread)?;
         check_skeleton(&row.skeleton, options)?;
         let motion = row.motion().map_err(|error| refused(error.to_string()))?;
         let frame = |frame: i32| usize::try_from(frame).unwrap_or(0);
@@ -243,10 +244,8 @@ impl Release for StoredDataset {
         let by_origin = row.captions_by_origin();
         let made = by_origin.filter(|(_, origin)| *origin == CAPTION_BY_RULE);
         let made_captions = made.map(|(caption, _)| caption.clone()).collect();
-        let markers = self.markers.row::<MarkerRow>(&entry.id);
-        let markers = markers.map_err(|error| refused(error.to_string()))?;
-        let features = self.features.row::<HumanMl3dRow>(&entry.id);
-        let features = features.map_err(|error| refused(error.to_string()))?;
+        let markers: Option<MarkerRow> = self.markers.row(&entry.id).map_err(unread)?;
+        let features: Option<HumanMl3dRow> = self.features.row(&entry.id).map_err(unread)?;
         Ok(SourceClip {
             fit_error_m: row.fit_error_m,
             source_fps: Fps::new(row.fps_source.into()).unwrap_or(motion.fps()),

@@ -4,13 +4,13 @@ use std::fmt;
 use std::io::Read;
 use std::path::Path;
 
-use datasets_spec::Split;
 use datasets_spec::store::Reader;
+use datasets_spec::{Fps, Split};
 
 use super::files::Files;
 use super::options::ReadOptions;
 use crate::markers::{self, Capture};
-use clip::{Outcome, ReadClip, Rejected, rejected};
+use clip::{MAX_FPS, MIN_FPS, Outcome, ReadClip, Rejected, rejected};
 
 /// Reads the markers of a file; `None` if it has no markers.
 pub type ReadCapture = fn(&[u8], &ReadOptions) -> Result<Option<Capture>, Rejected>;
@@ -191,6 +191,15 @@ impl Contents {
         self.passed_over.push((file.into(), reason.into()));
     }
 
+    /// Passes over a file of captions. `has_motion` says whether the motion that they describe is among the files.
+    pub(super) fn pass_over_captions(&mut self, file: impl Into<String>, has_motion: bool) {
+        let reason = match has_motion {
+            true => "captions, read with the motion they describe",
+            false => "captions without a motion",
+        };
+        self.pass_over(file, reason);
+    }
+
     /// Rejects a file that was found broken.
     pub(super) fn reject(&mut self, file: impl Into<String>, rejected: Rejected) {
         self.rejected.push((file.into(), rejected));
@@ -230,6 +239,20 @@ pub(super) fn boxed<R: Release + 'static>(
     found
         .map(|release| Box::new(release) as Box<dyn Release>)
         .collect()
+}
+
+/// A frame rate in 1/s that a file states; `None` if it is implausible.
+pub(super) fn plausible_fps(rate: f64) -> Option<Fps> {
+    let fps = Fps::from_file(rate).ok();
+    fps.filter(|_| (MIN_FPS..=MAX_FPS).contains(&rate))
+}
+
+/// Code of a motion of 0 or 1 frames.
+pub(super) const TOO_SHORT: &str = "E-TOO-SHORT";
+
+/// The rejection of a motion of 0 or 1 frames.
+pub(super) fn too_short(num_frames: usize) -> Rejected {
+    rejected!(TOO_SHORT, "found {num_frames} frames, expected at least 2")
 }
 
 /// Refuses a stored pose whose skeleton differs from the requested one.

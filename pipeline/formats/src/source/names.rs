@@ -30,6 +30,11 @@ pub(super) fn file_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
 
+/// Whether a text is a whole number: one digit or more.
+pub(super) fn is_number(text: &str) -> bool {
+    !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
+}
+
 /// Splits a path at its first folder with one of these names: the part before it, the name, and the part after it.
 pub(super) fn around_folder<'a, 'b>(
     path: &'a str,

@@ -6,6 +6,7 @@ use glam::{DQuat, DVec3};
 use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::rotation::to_axis_angle;
 
+use super::format::too_short;
 use clip::{Rejected, rejected};
 use pickle::{Array, Value};
 
@@ -64,27 +65,16 @@ impl Parameters {
     ///
     /// # Errors
     /// `E-NOT-FINITE` if a number is not finite, `E-TOO-SHORT` if there is no frame.
-    ///
-    /// # Source
-    /// For a rotation `Q` of the world, `R' = Q R` and `t' = Q (t + J0) - J0` with `J0` the rest
-    /// position of the pelvis, about which SMPL turns the body.
     pub(super) fn turned(
         &self,
         turn: DQuat,
         fps: Fps,
         skeleton: &Skeleton,
     ) -> Result<Motion, Rejected> {
-        let rest_pelvis = skeleton.rest(0);
-        let whole = self.unchanged(fps)?;
-        let mut poses: Vec<Pose> = whole
-            .poses()
-            .into_iter()
-            .map(|mut pose| {
-                pose.rotations[0] = turn * pose.rotations[0];
-                pose.transl = turn * (pose.transl + rest_pelvis) - rest_pelvis;
-                pose
-            })
-            .collect();
+        let mut poses = self.unchanged(fps)?.poses();
+        for pose in &mut poses {
+            turn_world(pose, turn, skeleton);
+        }
         floor::put_on_floor(&mut poses, fps, skeleton);
         let rounded = |v: DVec3| v.as_vec3().to_array();
         Self {
@@ -104,10 +94,7 @@ impl Parameters {
     /// As [`Parameters::turned`].
     pub(super) fn unchanged(&self, fps: Fps) -> Result<Motion, Rejected> {
         if self.trans.is_empty() {
-            return Err(Rejected::read(
-                "E-TOO-SHORT",
-                "found 0 frames, expected at least 2",
-            ));
+            return Err(too_short(0));
         }
         Motion::new(
             fps,
@@ -138,6 +125,22 @@ pub fn column<const D: usize>(value: &Value, key: &str) -> Result<Vec<[f32; D]>,
         )
     })?;
     Ok(numbers.as_chunks::<D>().0.to_vec())
+}
+
+/// Rotates the world of a pose.
+///
+/// # Source
+/// For a rotation `Q` of the world, `R' = Q R` and `t' = Q (t + J0) - J0` with `J0` the rest
+/// position of the pelvis, about which SMPL turns the body.
+pub(crate) fn turn_world(pose: &mut Pose, turn: DQuat, skeleton: &Skeleton) {
+    let rest_pelvis = skeleton.rest(0);
+    pose.rotations[0] = turn * pose.rotations[0];
+    pose.transl = turn * (pose.transl + rest_pelvis) - rest_pelvis;
+}
+
+/// The note on rotations that pose another body unchanged.
+pub(super) fn rotations_note(skeleton: &Skeleton) -> String {
+    format!("rotations drive the body {} as they are", skeleton.name())
 }
 
 /// The rotation of the world that carries z up to y up: `(x, y, z)` becomes `(x, z, -y)`.

@@ -14,16 +14,13 @@ use pickle::npy::read_numbers;
 use serde::Deserialize;
 
 use super::format::{Contents, Entry, Format, Release, boxed, check_skeleton};
+use super::humanml3d::in_single_precision;
 use super::{Files, ReadOptions};
 use crate::sidecar::LabelCaption;
 use clip::{ReadClip, Rejected, RotationSource, SourceClip, rejected};
 
-/// Endings of a clip's arrays, and their numbers per frame.
-const ARRAYS: [(&str, usize); 3] = [
-    ("transl.npy", 3),
-    ("global_orient.npy", 3),
-    ("body_pose.npy", 63),
-];
+/// Endings of a clip's arrays.
+const ARRAYS: [&str; 3] = ["transl.npy", "global_orient.npy", "body_pose.npy"];
 const FACTS: &str = "json";
 /// Longest member that is read, in bytes: an hour of poses at 120 fps.
 const MAX_MEMBER_LEN: u64 = 1 << 28;
@@ -113,15 +110,12 @@ impl Shards {
         let mut shards = Self::default();
         for ((_, key), members) in clips {
             // Any npy or json file may have such an ending; a clip has the three arrays.
-            if !ARRAYS
-                .iter()
-                .all(|(ending, _)| members.contains_key(ending))
-            {
+            if !ARRAYS.iter().all(|ending| members.contains_key(ending)) {
                 continue;
             }
             // Invalid metadata is reported when the clip is read.
             let facts = facts(files, &members).unwrap_or_default();
-            let file = members[ARRAYS[0].0].file.clone();
+            let file = members[ARRAYS[0]].file.clone();
             for place in members.values().filter(|place| place.range.is_none()) {
                 if place.file != file {
                     let reason = "member of a clip of a WebDataset, read with it";
@@ -136,8 +130,8 @@ impl Shards {
                     id => id,
                 },
                 split: facts.split.and_then(|split| split.parse().ok()),
-                group: None,
                 mirrored_of: facts.mirrored_of,
+                ..Entry::default()
             });
             shards.clips.insert((file, key), members);
         }
@@ -160,27 +154,12 @@ impl Release for Shards {
         if let Some(found) = &facts.skeleton {
             check_skeleton(found, options)?;
         }
-        let array = |ending: &str, width: usize| {
-            let array = read_numbers(ending, &bytes(files, &members[ending])?)?;
-            let frames = array.shape.first().copied().unwrap_or(0);
-            if array.shape != [frames, width] {
-                let reason = format!(
-                    "{ending} has shape {:?}, expected [L, {width}]",
-                    array.shape
-                );
-                return Err(refused(reason));
-            }
-            Ok(array
-                .values
-                .iter()
-                .map(|value| *value as f32)
-                .collect::<Vec<f32>>())
-        };
-        let [transl, global_orient, body_pose] = ARRAYS.map(|(ending, width)| array(ending, width));
-        let (transl, global_orient, body_pose) = (transl?, global_orient?, body_pose?);
-        let rate = facts.fps.unwrap_or(Fps::STORE.get());
-        let motion = Fps::new(rate)
-            .and_then(|fps| Motion::new(fps, rows(&transl), rows(&global_orient), rows(&body_pose)))
+        let [transl, global_orient, body_pose] = ARRAYS;
+        let transl = rows(files, &members[transl], transl)?;
+        let global_orient = rows(files, &members[global_orient], global_orient)?;
+        let body_pose = rows(files, &members[body_pose], body_pose)?;
+        let motion = Fps::new(facts.fps.unwrap_or(Fps::STORE.get()))
+            .and_then(|fps| Motion::new(fps, transl, global_orient, body_pose))
             .map_err(|error| refused(error.to_string()))?;
         let said = facts.captions.into_iter();
         let (made, stated): (Vec<_>, Vec<_>) = said.partition(LabelCaption::is_made);
@@ -200,15 +179,28 @@ impl Release for Shards {
     }
 }
 
-fn rows<const D: usize>(values: &[f32]) -> Vec<[f32; D]> {
-    values.as_chunks().0.to_vec()
+/// The rows of a member that is an array `[L, D]`.
+fn rows<const D: usize>(
+    files: &Files,
+    place: &Place,
+    ending: &str,
+) -> Result<Vec<[f32; D]>, Rejected> {
+    let array = read_numbers(ending, &bytes(files, place)?)?;
+    match array.shape[..] {
+        [_, width] if width == D => Ok(in_single_precision(&array)),
+        _ => Err(rejected!(
+            CODE,
+            "{ending} has shape {:?}, expected [L, {D}]",
+            array.shape
+        )),
+    }
 }
 
 /// Key and ending of a clip's member; `None` for other names.
 fn member(name: &str) -> Option<(&str, &'static str)> {
     let (key, ending) = name.split_once('.')?;
-    let endings = ARRAYS.iter().map(|(ending, _)| *ending).chain([FACTS]);
-    let ending = endings.into_iter().find(|known| *known == ending)?;
+    let mut endings = ARRAYS.into_iter().chain([FACTS]);
+    let ending = endings.find(|known| *known == ending)?;
     (!key.is_empty()).then_some((key, ending))
 }
 

@@ -13,7 +13,7 @@ use datasets_spec::{Fps, Motion, Resample, Skeleton};
 use kinematics::rotation::to_axis_angle;
 use pickle::npz::Writer;
 
-use crate::source::smpl::y_up_from_z_up;
+use crate::source::smpl::{turn_world, y_up_from_z_up};
 
 /// Joints of a row of `poses` in the SMPL-H layout.
 const SMPLH_JOINTS: usize = 52;
@@ -60,12 +60,11 @@ impl Parameters {
     /// The parameters of a motion on a body, at the motion's rate.
     pub fn of(motion: &Motion, skeleton: &Skeleton) -> Self {
         let file_from_motion = y_up_from_z_up().conjugate();
-        let rest_pelvis = skeleton.rest(0);
         let (mut root, mut trans) = (Vec::new(), Vec::new());
-        for pose in motion.poses() {
-            root.extend(to_axis_angle(file_from_motion * pose.rotations[0]).to_array());
-            let shifted = file_from_motion * (pose.transl + rest_pelvis) - rest_pelvis;
-            trans.extend(shifted.to_array());
+        for mut pose in motion.poses() {
+            turn_world(&mut pose, file_from_motion, skeleton);
+            root.extend(to_axis_angle(pose.rotations[0]).to_array());
+            trans.extend(pose.transl.to_array());
         }
         let body = motion.body_pose().as_flattened().iter();
         Self {

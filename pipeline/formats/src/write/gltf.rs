@@ -165,21 +165,12 @@ impl Builder {
     }
 
     fn mesh(&mut self, mesh: &Mesh) -> Value {
-        let flat = |vectors: &[Vec3]| -> Vec<f32> {
-            vectors
-                .iter()
-                .flat_map(|vector| vector.to_array())
-                .collect()
-        };
+        let flat =
+            |vectors: &[Vec3]| -> Vec<f32> { vectors.iter().flat_map(Vec3::to_array).collect() };
         let positions = self.floats("VEC3", 3, &flat(&mesh.positions), Some(VERTICES));
-        let least = mesh
-            .positions
-            .iter()
-            .fold(Vec3::INFINITY, |low, p| low.min(*p));
-        let largest = mesh
-            .positions
-            .iter()
-            .fold(Vec3::NEG_INFINITY, |high, p| high.max(*p));
+        let places = mesh.positions.iter().copied();
+        let least = places.clone().fold(Vec3::INFINITY, Vec3::min);
+        let largest = places.fold(Vec3::NEG_INFINITY, Vec3::max);
         self.bound(positions, &least.to_array(), &largest.to_array());
         let normals = self.floats("VEC3", 3, &flat(&mesh.normals), Some(VERTICES));
         let count = mesh.joints.len();

@@ -18,7 +18,7 @@ use kinematics::rotation::to_axis_angle;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use pickle::Value;
 
-use crate::source::smpl::y_up_from_z_up;
+use crate::source::smpl::{turn_world, y_up_from_z_up};
 
 /// Numbers per frame of `rots`: the root and 21 body joints, axis-angle.
 const ROTATIONS_WIDTH: usize = 3 * NUM_BODY_JOINTS;
@@ -42,11 +42,9 @@ impl Parameters {
     pub fn of(motion: &Motion, skeleton: &Skeleton) -> Result<Self, kinematics::Error> {
         let motion = Resample::Exact.apply(motion, released_fps())?;
         let z_up = y_up_from_z_up().conjugate();
-        let rest_pelvis = skeleton.rest(0);
         let mut poses = motion.poses();
         for pose in &mut poses {
-            pose.rotations[0] = z_up * pose.rotations[0];
-            pose.transl = z_up * (pose.transl + rest_pelvis) - rest_pelvis;
+            turn_world(pose, z_up, skeleton);
         }
         canonicalise(&mut poses);
         let joints = smpl_body(skeleton).points_of_poses::<NUM_BODY_JOINTS>(&poses);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::Machine;
 use crate::array::{self, Array, ItemType};
-use crate::error::Error;
+use crate::error::{Error, error};
 use crate::object::{Global, Id, Node, Storage, StorageData, Tensor};
 use crate::torch;
 use crate::value::Value;
@@ -26,12 +26,10 @@ impl Machine<'_> {
         let name = arguments.first().and_then(|&name| self.text_of(name));
         let name = name.unwrap_or_default();
         ItemType::parse(name).ok_or_else(|| {
-            Error::new(
+            error!(
                 "E-PICKLE-DTYPE",
-                format!(
-                    "found an array type \"{}\", expected one such as f4, f8, i8 or U6",
-                    name.escape_debug()
-                ),
+                "found an array type \"{}\", expected one such as f4, f8, i8 or U6",
+                name.escape_debug()
             )
             .at(self.op_at)
         })
@@ -178,11 +176,8 @@ impl Machine<'_> {
                 .all(|&part| matches!(self.node(part), Node::Leaf(Value::None)))
         });
         if !plain {
-            return Err(Error::new(
-                "E-PICKLE-DTYPE",
-                "found an array type with named fields, expected plain numbers",
-            )
-            .at(self.op_at));
+            let reason = "found an array type with named fields, expected plain numbers";
+            return Err(Error::new("E-PICKLE-DTYPE", reason).at(self.op_at));
         }
         Ok(ItemType {
             big_endian: order == ">",

@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::io::Read;
 
 use crate::array;
-use crate::error::Error;
+use crate::error::{Error, error};
 use crate::input::Input;
 use crate::object::{Id, Node, Storage, StorageData};
 use crate::value::{Options, Value};
@@ -208,11 +208,7 @@ impl<'a> Machine<'a> {
     }
 
     fn refused(&self, what: &str, why: &str) -> Error {
-        Error::new(
-            "E-PICKLE-REFUSED",
-            format!("the pickle asks for {what}: {why}"),
-        )
-        .at(self.op_at)
+        error!("E-PICKLE-REFUSED", "the pickle asks for {what}: {why}").at(self.op_at)
     }
 
     fn malformed(&self, reason: impl Into<String>) -> Error {

@@ -52,14 +52,10 @@ impl Machine<'_> {
             Node::Tuple(items) => Value::Tuple(all(items)?),
             Node::Set(items) => Value::Set(all(items)?),
             Node::Dict(entries) => {
-                let mut unfolded = Vec::new();
-                for &(key, value) in entries {
-                    let pair = all(&[key, value])?;
-                    if let Ok([key, value]) = <[Value; 2]>::try_from(pair) {
-                        unfolded.push((key, value));
-                    }
-                }
-                Value::Dict(unfolded)
+                let mut one = |id: Id| self.unfold(id, depth + 1, left, storages);
+                let pairs = entries.iter();
+                let pairs = pairs.map(|&(key, value)| Ok((one(key)?, one(value)?)));
+                Value::Dict(pairs.collect::<Result<_, Error>>()?)
             }
             Node::ItemType(item) => Value::Str(
                 item.dtype

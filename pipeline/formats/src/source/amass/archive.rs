@@ -7,6 +7,7 @@ use pickle::npy::{self, Rows};
 use pickle::npz::Archive;
 
 use super::parameters::{Parameters, Variant};
+use crate::source::format::too_short;
 use crate::source::robot;
 use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
@@ -68,10 +69,7 @@ pub fn parse_at(bytes: &[u8], rate: Option<f64>) -> Result<Parsed<'_>, Rejected>
         }
     }
     if num_frames == 0 {
-        return Err(Rejected::read(
-            "E-TOO-SHORT",
-            "found 0 frames, expected at least 2",
-        ));
+        return Err(too_short(0));
     }
     let stated_fps = match rate {
         Some(rate) => rate,
@@ -124,11 +122,10 @@ pub fn peek<R: Read + Seek>(reader: R) -> Result<Option<(Variant, usize, f64)>, 
 pub(super) fn refuse_large<R: Read + Seek>(reader: R) -> Option<Rejected> {
     let mut archive = Archive::open(reader).ok()?;
     for key in ["poses", "pose_body", "root_orient", "trans"] {
-        let Some(error) = archive
-            .has(key)
-            .then(|| archive.check_size(key).err())
-            .flatten()
-        else {
+        if !archive.has(key) {
+            continue;
+        }
+        let Err(error) = archive.check_size(key) else {
             continue;
         };
         let mut rejected = Rejected::from(error);

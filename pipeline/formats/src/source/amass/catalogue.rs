@@ -120,16 +120,11 @@ impl Recording {
             .into_iter()
             .find_map(|end| stem.strip_suffix(end))
             .unwrap_or(stem);
-        let mut name = String::new();
-        for folder in folders {
-            name += folder;
-            name.push('/');
-        }
-        name += stem;
+        let folders: String = folders.iter().map(|folder| format!("{folder}/")).collect();
         Some(Self {
             subset: subset.name,
             // The SMPL-X releases have underscores in place of spaces.
-            name: name.replace(' ', "_"),
+            name: (folders + stem).replace(' ', "_"),
         })
     }
 }

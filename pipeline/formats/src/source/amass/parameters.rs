@@ -10,6 +10,7 @@ use kinematics::{motion, resample};
 use pickle::npy::Rows;
 
 use crate::source::options::ReadOptions;
+use crate::source::smpl::rotations_note;
 use clip::{Rejected, rejected};
 
 /// The parameters of an archive: z up, at the file's rate, decoded frame by frame on access.
@@ -102,10 +103,7 @@ impl Parameters<'_> {
         } else {
             format!("{gender}, body shape ignored")
         });
-        notes.push(format!(
-            "rotations drive the body {} as they are",
-            skeleton.name()
-        ));
+        notes.push(rotations_note(skeleton));
         notes
     }
 

@@ -22,7 +22,7 @@ use datasets_spec::store::{ByPath, Mounted, Store, mount};
 use datasets_spec::{NoProgress, Progress};
 use rayon::prelude::*;
 
-use self::content::{Content, LIMIT, NAME};
+use self::content::{Content, LIMIT, NAME, unreadable};
 use self::kind::Kind;
 use self::limits::Budget;
 use self::members::Members;
@@ -152,11 +152,7 @@ pub fn open_all(
     files: &mut BTreeMap<String, PathBuf>,
     progress: &dyn Progress,
 ) -> Result<Opened, Error> {
-    let names = files.iter();
-    let archives: Vec<(String, PathBuf)> = names
-        .filter(|(relative, _)| Kind::of_name(relative).is_some())
-        .map(|(relative, path)| (relative.clone(), path.clone()))
-        .collect();
+    let archives = archives_in(files);
     let mut all = Opened::default();
     if archives.is_empty() {
         return Ok(all);
@@ -193,6 +189,15 @@ pub fn open_all(
         }
     }
     Ok(all)
+}
+
+/// The archives among some files, by their names.
+fn archives_in(files: &BTreeMap<String, PathBuf>) -> Vec<(String, PathBuf)> {
+    let archives = files.iter();
+    let archives = archives.filter(|(relative, _)| Kind::of_name(relative).is_some());
+    archives
+        .map(|(relative, path)| (relative.clone(), path.clone()))
+        .collect()
 }
 
 fn refuse(relative: &str, path: &Path, rejected: Rejected) -> Opened {
@@ -257,12 +262,7 @@ fn open(
     if !kind.is_random_access() {
         opened.archives.unpacked.push(path.to_owned());
     }
-    let names = opened.files.iter();
-    let inner: Vec<(String, PathBuf)> = names
-        .filter(|(name, _)| Kind::of_name(name).is_some())
-        .map(|(name, place)| (name.clone(), place.clone()))
-        .collect();
-    for (name, place) in inner {
+    for (name, place) in archives_in(&opened.files) {
         if let Some(found) = open(&name, &place, depth + 1, unpacking)? {
             opened.files.remove(&name);
             opened.add(found);
@@ -279,10 +279,7 @@ fn content(
 ) -> Result<Result<Content, Rejected>, Error> {
     let size = match ByPath.size(path) {
         Ok(size) => size,
-        Err(error) => {
-            let reason = format!("cannot read the archive: {error}");
-            return Ok(Err(Rejected::read("E-IO", reason)));
-        }
+        Err(error) => return Ok(Err(unreadable(&error))),
     };
     let budget = Budget::new(size);
     match kind {

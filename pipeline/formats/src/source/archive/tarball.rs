@@ -13,14 +13,14 @@ use flate2::read::MultiGzDecoder;
 use lzma_rust2::XzReader;
 use tar::EntryType;
 
-use super::content::{Content, DAMAGED, LIMIT};
+use super::content::{Content, DAMAGED, too_large, unreadable};
 use super::kind::Kind;
 use super::limits::Budget;
 use super::members::{Member, ReadFrom};
 use super::scratch::{Scratch, no_room};
 use super::unpacked::{Capped, Counting, Slice};
 use crate::Error;
-use clip::{Rejected, rejected};
+use clip::Rejected;
 
 /// Maximum memory in KiB of an xz stream; the strongest preset needs 64 MiB.
 const XZ_MEMORY_KIB: u32 = 128 << 10;
@@ -28,14 +28,6 @@ const XZ_MEMORY_KIB: u32 = 128 << 10;
 const COPIED: usize = 1 << 16;
 /// Size of a tar's blocks.
 const BLOCK: u64 = 512;
-
-fn unreadable(error: &io::Error) -> Rejected {
-    rejected!("E-IO", "cannot read the archive: {error}")
-}
-
-fn too_large(reason: String, at: u64) -> Rejected {
-    Rejected::read(LIMIT, reason).at(at as usize)
-}
 
 /// Lists a tar archive that is not packed.
 pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Rejected> {
@@ -51,8 +43,7 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
         let entry = match entry {
             Ok(entry) => entry,
             Err(error) => {
-                let what = broken(end, &error);
-                content.refuse("", DAMAGED, what, end);
+                content.refuse("", DAMAGED, broken(end, &error), end);
                 break;
             }
         };
@@ -91,7 +82,7 @@ fn file_name<R: Read>(content: &mut Content, entry: &tar::Entry<'_, R>) -> Optio
         EntryType::GNUSparse => "file with holes in an archive, not read; unpack it",
         _ => "pipe or device in an archive",
     };
-    content.special.push((name, reason.to_owned()));
+    content.skip(name, reason);
     None
 }
 

@@ -6,16 +6,14 @@ use std::sync::Arc;
 use datasets_spec::store::{ByPath, Reader, Store};
 use zip::{CompressionMethod, ZipArchive};
 
-use super::content::{Content, DAMAGED, LIMIT, PACKING};
+use super::content::{Content, DAMAGED, PACKING, too_large, unreadable};
 use super::limits::Budget;
 use super::members::{Member, ReadFrom};
 use clip::{Rejected, rejected};
 
 /// Lists a zip archive.
 pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Rejected> {
-    let file = ByPath
-        .open_at(path)
-        .map_err(|error| rejected!("E-IO", "cannot read the archive: {error}"))?;
+    let file = ByPath.open_at(path).map_err(|error| unreadable(&error))?;
     let size = budget.size;
     let zip = ZipArchive::new(Reader::new(Arc::clone(&file))).map_err(|error| {
         rejected!(
@@ -26,9 +24,8 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
     })?;
     let mut content = Content::default();
     if zip.has_duplicate_names() {
-        let reason =
-            "the archive has several members of one name; the last one of each is read".to_owned();
-        content.special.push((String::new(), reason));
+        let reason = "the archive has several members of one name; the last one of each is read";
+        content.skip(String::new(), reason);
     }
     for number in 0..zip.len() {
         let Ok(entry) = zip.by_index_data(number) else {
@@ -46,14 +43,13 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
             continue;
         };
         if entry.is_symlink() {
-            let reason = "link in an archive, not followed".to_owned();
-            content.special.push((name, reason));
+            content.skip(name, "link in an archive, not followed");
             continue;
         }
         if entry.encrypted() {
             let reason =
                 "it is encrypted; unpack the archive with its password and name the folder";
-            content.refuse(&name, PACKING, reason.to_owned(), at);
+            content.refuse(&name, PACKING, reason, at);
             continue;
         }
         let method = entry.compression();
@@ -68,14 +64,12 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
             continue;
         }
         if at.saturating_add(entry.compressed_size()) > budget.size {
-            let reason = "the archive ends before the member does; it is cut short".to_owned();
+            let reason = "the archive ends before the member does; it is cut short";
             content.refuse(&name, DAMAGED, reason, at);
             continue;
         }
         let size = entry.size();
-        budget
-            .take(size)
-            .map_err(|reason| Rejected::read(LIMIT, reason).at(at as usize))?;
+        budget.take(size).map_err(|reason| too_large(reason, at))?;
         content.add(name, Member::Zipped { number, size });
     }
     content.read_from = Some(ReadFrom::Zip(file, zip));

@@ -9,6 +9,11 @@ pub(super) fn syntax(at: usize, reason: impl Into<String>) -> Rejected {
     Rejected::read("E-BVH-SYNTAX", reason).at(at)
 }
 
+/// The error of a word that is not what was expected.
+pub(super) fn unexpected(at: usize, word: &[u8], expected: &str) -> Rejected {
+    syntax(at, format!("found {}, expected {expected}", shown(word)))
+}
+
 /// The text of a token for a message.
 pub(super) fn shown(token: &[u8]) -> String {
     match token {
@@ -60,13 +65,9 @@ impl<'a> Cursor<'a> {
 
     pub(super) fn expect(&mut self, expected: &str) -> Result<(), Rejected> {
         let (at, word) = self.word();
-        if word.eq_ignore_ascii_case(expected.as_bytes()) {
-            Ok(())
-        } else {
-            Err(syntax(
-                at,
-                format!("found {}, expected {expected}", shown(word)),
-            ))
+        match word.eq_ignore_ascii_case(expected.as_bytes()) {
+            true => Ok(()),
+            false => Err(unexpected(at, word, expected)),
         }
     }
 
@@ -81,10 +82,7 @@ impl<'a> Cursor<'a> {
             if rest.len() < part.len() || !rest[..part.len()].eq_ignore_ascii_case(part.as_bytes())
             {
                 let (_, word) = self.word();
-                return Err(syntax(
-                    start,
-                    format!("found {}, expected {expected}", shown(word)),
-                ));
+                return Err(unexpected(start, word, expected));
             }
             self.at += part.len();
         }
@@ -102,7 +100,7 @@ impl<'a> Cursor<'a> {
         std::str::from_utf8(word)
             .ok()
             .and_then(|text| text.parse().ok())
-            .ok_or_else(|| syntax(at, format!("found {}, expected {expected}", shown(word))))
+            .ok_or_else(|| unexpected(at, word, expected))
     }
 
     pub(super) fn vector(&mut self) -> Result<DVec3, Rejected> {

@@ -97,10 +97,8 @@ impl Header {
         }
         let num_channels = joints.iter().map(|joint| joint.channels.len()).sum();
         if num_channels == 0 {
-            return Err(syntax(
-                cursor.at,
-                "the hierarchy has no channels, expected at least one",
-            ));
+            let reason = "the hierarchy has no channels, expected at least one";
+            return Err(syntax(cursor.at, reason));
         }
         cursor.keyword("MOTION")?;
         cursor.keyword("FRAMES:")?;

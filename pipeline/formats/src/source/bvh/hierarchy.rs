@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::cursor::{Cursor, parse_number, shown, syntax};
+use super::cursor::{Cursor, parse_number, syntax, unexpected};
 use clip::Rejected;
 
 /// Limit on the joints of a file. Full-body rigs with fingers and face have some 200.
@@ -26,10 +26,8 @@ pub(super) fn parse_hierarchy(
             rest_rotation = rest_rotation.or(skip_rest_rotation(cursor)?);
         } else if word.eq_ignore_ascii_case(b"CHANNELS") {
             if !joints[joint].channels.is_empty() {
-                return Err(syntax(
-                    at,
-                    "a joint has two lists of channels, expected one",
-                ));
+                let reason = "a joint has two lists of channels, expected one";
+                return Err(syntax(at, reason));
             }
             joints[joint].first_channel = num_channels;
             joints[joint].channels = parse_channels(cursor)?;
@@ -45,13 +43,8 @@ pub(super) fn parse_hierarchy(
         } else if word == b"}" {
             open.pop();
         } else {
-            return Err(syntax(
-                at,
-                format!(
-                    "found {}, expected OFFSET, CHANNELS, JOINT, End Site or a brace",
-                    shown(word)
-                ),
-            ));
+            let expected = "OFFSET, CHANNELS, JOINT, End Site or a brace";
+            return Err(unexpected(at, word, expected));
         }
     }
     Ok((joints, rest_rotation))
@@ -98,34 +91,21 @@ fn parse_channels(cursor: &mut Cursor) -> Result<Vec<Channel>, Rejected> {
     const MOST: usize = 6;
     let (at, count) = (cursor.at, cursor.count("a number of channels")?);
     if count > MOST {
-        return Err(syntax(
-            at,
-            format!("found {count} channels, expected at most {MOST}"),
-        ));
+        let reason = format!("found {count} channels, expected at most {MOST}");
+        return Err(syntax(at, reason));
     }
     let mut channels = Vec::with_capacity(count);
     for _ in 0..count {
         let (at, word) = cursor.word();
         let first = word.first().map(u8::to_ascii_uppercase);
         let axis = first.and_then(|first| b"XYZ".iter().position(|axis| *axis == first));
-        let channel = axis.and_then(|axis| {
-            if word[1..].eq_ignore_ascii_case(b"position") {
-                Some(Channel::Position(axis))
-            } else if word[1..].eq_ignore_ascii_case(b"rotation") {
-                Some(Channel::Rotation(axis))
-            } else {
-                None
-            }
+        let channel = axis.and_then(|axis| match &word[1..].to_ascii_lowercase()[..] {
+            b"position" => Some(Channel::Position(axis)),
+            b"rotation" => Some(Channel::Rotation(axis)),
+            _ => None,
         });
-        channels.push(channel.ok_or_else(|| {
-            syntax(
-                at,
-                format!(
-                    "found {}, expected a channel such as Xrotation or Yposition",
-                    shown(word)
-                ),
-            )
-        })?);
+        let expected = "a channel such as Xrotation or Yposition";
+        channels.push(channel.ok_or_else(|| unexpected(at, word, expected))?);
     }
     Ok(channels)
 }

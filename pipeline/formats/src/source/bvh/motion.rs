@@ -3,6 +3,7 @@
 use datasets_spec::Fps;
 
 use super::cursor::{Cursor, number, parse_number, shown};
+use crate::source::format::too_short;
 use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
 
 pub(super) fn parse_frame_time(cursor: &mut Cursor) -> Result<Fps, Rejected> {
@@ -100,9 +101,7 @@ impl Rows {
             return Ok(values);
         }
         if values.is_empty() && num_frames == 0 {
-            return Err(
-                Rejected::read("E-TOO-SHORT", "found 0 frames, expected at least 2").at(file_end),
-            );
+            return Err(too_short(0).at(file_end));
         }
         let counts = format!(
             "found {} rows of motion, expected {num_frames} as `Frames:` says",

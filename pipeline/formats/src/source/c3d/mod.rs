@@ -12,11 +12,11 @@ use datasets_spec::Fps;
 use glam::DVec3;
 
 use self::parameters::{BLOCK, Parameters, Processor};
-use super::format::Format;
+use super::format::{Format, plausible_fps};
 use super::options::ReadOptions;
 use super::unit::Unit;
 use crate::markers::{self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, is_model_output};
-use clip::{MAX_FPS, MIN_FPS, Outcome, Rejected, rejected};
+use clip::{Outcome, Rejected, rejected};
 
 /// Second byte of every C3D file.
 const MAGIC: u8 = 0x50;
@@ -52,27 +52,19 @@ fn parameters(bytes: &[u8]) -> Result<(Processor, Parameters<'_>), Rejected> {
         .at(bytes.len()));
     }
     if bytes[1] != MAGIC {
-        return Err(header_error(
-            1,
-            format!("found 0x{:02x}, expected 0x{MAGIC:02x}", bytes[1]),
-        ));
+        let reason = format!("found 0x{:02x}, expected 0x{MAGIC:02x}", bytes[1]);
+        return Err(header_error(1, reason));
     }
     let start = usize::from(bytes[0]).saturating_sub(1) * BLOCK;
     let section = bytes.get(start..start + 4).filter(|_| start > 0);
     let Some(&[_, _, _, code]) = section else {
-        return Err(header_error(
-            0,
-            format!(
-                "the parameters are said to be in block {}, which is none",
-                bytes[0]
-            ),
-        ));
+        let block = bytes[0];
+        let reason = format!("the parameters are said to be in block {block}, which is none");
+        return Err(header_error(0, reason));
     };
     let processor = Processor::of(code).ok_or_else(|| {
-        header_error(
-            start + 3,
-            format!("found processor {code}, expected 84 (Intel), 85 (DEC) or 86 (MIPS)"),
-        )
+        let reason = format!("found processor {code}, expected 84 (Intel), 85 (DEC) or 86 (MIPS)");
+        header_error(start + 3, reason)
     })?;
     let parameters = Parameters::parse(bytes, start, processor)?;
     Ok((processor, parameters))
@@ -114,8 +106,10 @@ impl Header {
 struct Layout {
     start: usize,
     points: usize,
-    /// Number of analogue values of a frame. They follow the points.
-    analog: usize,
+    /// Size of a number in bytes: whole numbers take 2, real numbers 4.
+    value_size: usize,
+    /// Size of a frame in bytes: its points, and the analogue values that follow them.
+    frame_size: usize,
     frames: usize,
     scale: f64,
     fps: Fps,
@@ -138,31 +132,22 @@ impl Layout {
             return Ok(None);
         }
         if points > MAX_POINTS {
-            return Err(header_error(
-                2,
-                format!("found {points} points, expected at most {MAX_POINTS}"),
-            ));
+            let reason = format!("found {points} points, expected at most {MAX_POINTS}");
+            return Err(header_error(2, reason));
         }
         let scale = stated("SCALE")
             .filter(|scale| *scale != 0.0)
             .unwrap_or(header.scale);
         if !scale.is_finite() || scale == 0.0 {
-            return Err(header_error(
-                12,
-                format!("found a scale of {scale}, expected another"),
-            ));
+            let reason = format!("found a scale of {scale}, expected another");
+            return Err(header_error(12, reason));
         }
-        let rate = [stated("RATE").unwrap_or(0.0), header.rate]
-            .into_iter()
-            .find(|rate| (MIN_FPS..=MAX_FPS).contains(rate))
-            .ok_or_else(|| {
-                header_error(
-                    20,
-                    format!("found {} frames a second, expected a rate", header.rate),
-                )
-            })?;
-        let fps = Fps::from_file(rate)
-            .map_err(|error| header_error(20, format!("no frame rate: {error}")))?;
+        let fps = stated("RATE").and_then(plausible_fps);
+        let fps = fps.or_else(|| plausible_fps(header.rate)).ok_or_else(|| {
+            let found = header.rate;
+            let reason = format!("found {found} frames a second, expected a rate");
+            header_error(20, reason)
+        })?;
         let data_block = match header.data_block {
             0 => stated("DATA_START").map_or(0, |block| block.max(0.0) as usize),
             block => block,
@@ -177,14 +162,14 @@ impl Layout {
             .at(bytes.len()));
         }
         let value_size = if scale < 0.0 { 4 } else { 2 };
-        let analog = header.analog_per_frame;
-        let frame_size = (4 * points + analog) * value_size;
+        let frame_size = (4 * points + header.analog_per_frame) * value_size;
         let room = (bytes.len() - start) / frame_size;
         let frames = frame_count(header, parameters, room, &mut notes)?;
         Ok(Some(Self {
             start,
             points,
-            analog,
+            value_size,
+            frame_size,
             frames,
             scale,
             fps,
@@ -258,11 +243,10 @@ impl Layout {
 
     /// Every point of every frame in the file's unit.
     fn raw_positions(&self, bytes: &[u8], processor: Processor) -> Vec<Point> {
-        let size = if self.scale < 0.0 { 4 } else { 2 };
-        let frame_size = (4 * self.points + self.analog) * size;
-        let data = &bytes[self.start..self.start + self.frames * frame_size];
+        let size = self.value_size;
+        let data = &bytes[self.start..self.start + self.frames * self.frame_size];
         let mut points = Vec::with_capacity(self.frames * self.points);
-        for frame in data.chunks_exact(frame_size) {
+        for frame in data.chunks_exact(self.frame_size) {
             for point in frame[..4 * self.points * size].chunks_exact(4 * size) {
                 points.push(if size == 4 {
                     real_point(point, processor, self.scale)
@@ -369,17 +353,10 @@ fn frame_count(
 
 /// A unique name for each point.
 fn labels(parameters: &Parameters<'_>, points: usize) -> Vec<String> {
-    let mut stated = Vec::new();
-    for number in 1.. {
-        let name = match number {
-            1 => "LABELS".to_owned(),
-            more => format!("LABELS{more}"),
-        };
-        match parameters.texts("POINT", &name) {
-            Some(more) => stated.extend(more),
-            None => break,
-        }
-    }
+    let further = (2..).map(|number| format!("LABELS{number}"));
+    let names = std::iter::once("LABELS".to_owned()).chain(further);
+    let stated = names.map_while(|name| parameters.texts("POINT", &name));
+    let stated: Vec<String> = stated.flatten().collect();
     let label = |point: usize| {
         let label = stated.get(point).map(|label| label.trim());
         match label.unwrap_or_default() {

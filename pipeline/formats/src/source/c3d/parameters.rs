@@ -1,6 +1,6 @@
 //! The parameter section of a C3D file: groups of named values.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use clip::{Rejected, rejected};
 
@@ -219,16 +219,11 @@ impl<'a> Parameters<'a> {
     }
 
     /// Names of points that are angles, forces and the like.
-    pub(super) fn model_outputs(&self) -> Vec<String> {
-        let listed = MODEL_OUTPUTS
-            .iter()
-            .filter_map(|name| self.texts("POINT", name))
-            .flatten()
-            .filter(|label| !label.is_empty());
-        let mut outputs: Vec<String> = listed.collect();
-        outputs.sort();
-        outputs.dedup();
-        outputs
+    pub(super) fn model_outputs(&self) -> BTreeSet<String> {
+        let listed = MODEL_OUTPUTS.iter();
+        let listed = listed.filter_map(|name| self.texts("POINT", name));
+        let labels = listed.flatten().filter(|label| !label.is_empty());
+        labels.collect()
     }
 }
 

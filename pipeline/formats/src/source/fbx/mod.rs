@@ -14,7 +14,7 @@ use ufbx::{
 };
 
 use super::Unit;
-use super::format::Format;
+use super::format::{Format, plausible_fps};
 use super::names::unique_keys;
 use super::options::ReadOptions;
 use crate::retarget::{self, Bone, Placed, Rest, Rig, with_ancestors};
@@ -208,19 +208,14 @@ fn grouped(nodes: &[&Node], parents: &[Option<usize>], bones: &[bool]) -> Vec<Sk
         }
         of_root.entry(root).or_default().push(node);
     }
-    let large = of_root
+    of_root.retain(|_, bones| bones.len() >= MIN_BONES);
+    of_root
         .into_iter()
-        .filter(|(_, bones)| bones.len() >= MIN_BONES);
-    large
         .map(|(root, bones)| {
             let wanted = with_ancestors(parents, bones);
             let mut sorted: Vec<usize> = (0..nodes.len()).filter(|node| wanted[*node]).collect();
             sorted.sort_by_key(|node| (nodes[*node].node_depth, *node));
-            let place: BTreeMap<usize, usize> = sorted
-                .iter()
-                .enumerate()
-                .map(|(place, node)| (*node, place))
-                .collect();
+            let place: BTreeMap<usize, usize> = sorted.iter().copied().zip(0..).collect();
             Skeleton {
                 root,
                 parents: sorted
@@ -263,14 +258,12 @@ impl<'a> Performance<'a> {
         let (stack, skeleton): (&AnimStack, _) =
             (&scene.anim_stacks[take], &all.skeletons[skeleton]);
         let rate = scene.settings.frames_per_second;
-        let fps = Fps::from_file(rate).ok();
-        let fps = fps
-            .filter(|_| (MIN_FPS..=MAX_FPS).contains(&rate))
-            .ok_or_else(|| {
-                let reason =
-                    format!("found {rate} frames a second, expected {MIN_FPS} to {MAX_FPS}");
-                Rejected::read("E-FBX-RATE", reason)
-            })?;
+        let fps = plausible_fps(rate).ok_or_else(|| {
+            rejected!(
+                "E-FBX-RATE",
+                "found {rate} frames a second, expected {MIN_FPS} to {MAX_FPS}"
+            )
+        })?;
         let num_frames = frames_in(stack.time_end - stack.time_begin, fps)?;
         let mut performance = Self {
             scene,
@@ -343,26 +336,18 @@ impl<'a> Performance<'a> {
 
     /// The bind pose, if the file states it for most of the bones. The others are placed relative to their parents.
     fn bind_pose(&self, stored: &[Placed]) -> Option<Vec<Placed>> {
-        let poses = self
-            .scene
-            .poses
-            .into_iter()
-            .filter(|pose| pose.is_bind_pose);
+        let poses = self.scene.poses.into_iter();
+        let poses = poses.filter(|pose| pose.is_bind_pose);
         let stated: BTreeMap<usize, Placed> = poses
             .flat_map(|pose| pose.bone_poses.iter())
             .map(|bone| {
-                (
-                    bone.bone_node.element.typed_id as usize,
-                    placed(&bone.bone_to_world),
-                )
+                let node = bone.bone_node.element.typed_id as usize;
+                (node, placed(&bone.bone_to_world))
             })
             .collect();
         let nodes = &self.skeleton.nodes;
-        let found = nodes
-            .iter()
-            .filter(|node| stated.contains_key(node))
-            .count();
-        if 2 * found <= nodes.len() {
+        let found = nodes.iter().filter(|node| stated.contains_key(node));
+        if 2 * found.count() <= nodes.len() {
             return None;
         }
         let mut bones: Vec<Placed> = Vec::with_capacity(nodes.len());
@@ -450,10 +435,8 @@ fn frames_in(seconds: f64, fps: Fps) -> Result<usize, Rejected> {
     const SLACK: f64 = 1e-3;
     let frames = (seconds * fps.get() + SLACK).floor() + 1.0;
     if frames.is_nan() || frames < 2.0 {
-        return Err(rejected!(
-            "E-TOO-SHORT",
-            "the take lasts {seconds} s, expected at least 2 frames"
-        ));
+        let found = format!("the take lasts {seconds} s, expected at least 2 frames");
+        return Err(Rejected::read("E-TOO-SHORT", found));
     }
     if frames > MAX_FRAMES as f64 {
         let found = format!("the take lasts {seconds} s, expected at most {MAX_FRAMES} frames");

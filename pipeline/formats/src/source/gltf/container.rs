@@ -37,35 +37,24 @@ pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), Rejected> {
         return Ok((bytes.strip_prefix(UTF8_BOM).unwrap_or(bytes), None));
     }
     let broken = |reason: String, at: usize| Rejected::read("E-GLTF-CHUNK", reason).at(at);
+    let found = bytes.len();
     let header = bytes.get(MAGIC.len()..HEADER_LEN).ok_or_else(|| {
-        broken(
-            format!(
-                "found {} bytes, expected a header of {HEADER_LEN}",
-                bytes.len()
-            ),
-            bytes.len(),
-        )
+        let reason = format!("found {found} bytes, expected a header of {HEADER_LEN}");
+        broken(reason, found)
     })?;
     let (version, length) = (little_endian(&header[..4]), little_endian(&header[4..]));
     if version != VERSION {
-        return Err(broken(
-            format!("found version {version}, expected {VERSION}"),
-            4,
-        ));
+        let reason = format!("found version {version}, expected {VERSION}");
+        return Err(broken(reason, 4));
     }
     let body = usize::try_from(length)
         .ok()
         .and_then(|length| bytes.get(HEADER_LEN..length))
         .ok_or_else(|| {
-            broken(
-                format!(
-                    "the header says {length} bytes, the file has {}",
-                    bytes.len()
-                ),
-                8,
-            )
+            let reason = format!("the header says {length} bytes, the file has {found}");
+            broken(reason, 8)
         })?;
-    let mut found: Vec<(&[u8], &[u8])> = Vec::new();
+    let mut chunks: Vec<(&[u8], &[u8])> = Vec::new();
     let mut rest = body;
     while !rest.is_empty() {
         let at = HEADER_LEN + body.len() - rest.len();
@@ -74,18 +63,14 @@ pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), Rejected> {
             .ok_or_else(|| broken(format!("{} bytes follow the last chunk", rest.len()), at))?;
         let length = little_endian(&header[..4]);
         let chunk = part(rest, CHUNK_HEADER_LEN as u64, length).ok_or_else(|| {
-            broken(
-                format!(
-                    "a chunk of {length} bytes is announced where {} are left",
-                    rest.len() - CHUNK_HEADER_LEN
-                ),
-                at,
-            )
+            let left = rest.len() - CHUNK_HEADER_LEN;
+            let reason = format!("a chunk of {length} bytes is announced where {left} are left");
+            broken(reason, at)
         })?;
-        found.push((&header[4..], chunk));
+        chunks.push((&header[4..], chunk));
         rest = &rest[CHUNK_HEADER_LEN + chunk.len()..];
     }
-    match found[..] {
+    match chunks[..] {
         [(b"JSON", text), ref others @ ..] => {
             let binary = others.first().filter(|(kind, _)| *kind == b"BIN\0");
             Ok((text, binary.map(|(_, chunk)| *chunk)))
@@ -99,17 +84,13 @@ pub(super) fn buffer_bytes<'a>(
     buffer: &json::Buffer,
     binary: Option<&'a [u8]>,
 ) -> Buffer<'a> {
-    let bytes: Cow<'a, [u8]> = match buffer.uri.as_deref() {
-        None => match binary.filter(|_| index == 0) {
-            Some(binary) => Cow::Borrowed(binary),
-            None => {
-                return Err(rejected!(
-                    "E-GLTF-BUFFER",
-                    "buffer {index} has neither bytes nor a URI"
-                ));
-            }
-        },
-        Some(uri) => Cow::Owned(decode_uri(index, uri)?),
+    let bytes: Cow<'a, [u8]> = match (buffer.uri.as_deref(), binary) {
+        (Some(uri), _) => Cow::Owned(decode_uri(index, uri)?),
+        (None, Some(binary)) if index == 0 => Cow::Borrowed(binary),
+        (None, _) => {
+            let reason = format!("buffer {index} has neither bytes nor a URI");
+            return Err(Rejected::read("E-GLTF-BUFFER", reason));
+        }
     };
     let expected = buffer.byte_length.0;
     if (bytes.len() as u64) < expected {

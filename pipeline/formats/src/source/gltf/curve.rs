@@ -10,7 +10,8 @@ use kinematics::rotation::slerp;
 
 use super::document::{Document, accessor_error};
 use super::nodes::unit;
-use clip::{MAX_FPS, MIN_FPS, Rejected};
+use crate::source::format::plausible_fps;
+use clip::Rejected;
 
 /// Rate in 1/s at which unevenly spaced keys are sampled; the most common rate of animations.
 pub(super) const DEFAULT_FPS: f64 = 30.0;
@@ -22,7 +23,7 @@ const MIN_KEY_RATE: f64 = 10.0;
 pub(super) const ON_GRID: f64 = 0.02;
 
 /// Reads key times in seconds, which must ascend.
-pub(super) fn read_times(document: &Document, accessor: usize) -> Result<Vec<f64>, Rejected> {
+fn read_times(document: &Document, accessor: usize) -> Result<Vec<f64>, Rejected> {
     let wrong = |reason: String| Rejected::read("E-GLTF-TIME", reason);
     let times: Vec<[f64; 1]> = document
         .elements(accessor, Type::Scalar)
@@ -34,9 +35,8 @@ pub(super) fn read_times(document: &Document, accessor: usize) -> Result<Vec<f64
         })?;
     let times = times.into_flattened();
     if times.is_empty() {
-        return Err(wrong(format!(
-            "accessor {accessor} holds no times, expected at least one"
-        )));
+        let reason = format!("accessor {accessor} holds no times, expected at least one");
+        return Err(wrong(reason));
     }
     if let Some(at) = times.windows(2).position(|pair| pair[1] <= pair[0]) {
         return Err(wrong(format!(
@@ -88,15 +88,10 @@ impl Grid {
 
     /// The rate to sample at, and whether it is the rate of the keys.
     pub(super) fn rate(&self) -> (Fps, bool) {
-        let believed = MIN_KEY_RATE.max(MIN_FPS)..=MAX_FPS;
-        let of_keys = self
-            .key_rate
-            .filter(|rate| believed.contains(rate))
-            .and_then(|rate| Fps::from_file(rate).ok());
-        match (of_keys, Fps::new(DEFAULT_FPS)) {
-            (Some(fps), _) => (fps, true),
-            (None, Ok(fps)) => (fps, false),
-            (None, Err(_)) => (Fps::STORE, false),
+        let of_keys = self.key_rate.filter(|rate| *rate >= MIN_KEY_RATE);
+        match of_keys.and_then(plausible_fps) {
+            Some(fps) => (fps, true),
+            None => (Fps::new(DEFAULT_FPS).expect("30 fps is a rate"), false),
         }
     }
 
@@ -117,20 +112,17 @@ impl<const N: usize> Curve<N> {
     pub(super) fn read(
         document: &Document,
         sampler: &json::animation::Sampler,
-        times: Vec<f64>,
         kind: Type,
     ) -> Result<Self, Rejected> {
+        let times = read_times(document, sampler.input.value())?;
         let Checked::Valid(interpolation) = sampler.interpolation else {
-            return Err(Rejected::read(
-                "E-GLTF-SYNTAX",
-                "found an unknown interpolation, expected LINEAR, STEP or CUBICSPLINE",
-            ));
+            let reason = "found an unknown interpolation, expected LINEAR, STEP or CUBICSPLINE";
+            return Err(Rejected::read("E-GLTF-SYNTAX", reason));
         };
         let values: Vec<[f64; N]> = document.elements(sampler.output.value(), kind)?;
-        let per_key = if interpolation == Interpolation::CubicSpline {
-            3
-        } else {
-            1
+        let per_key = match interpolation {
+            Interpolation::CubicSpline => 3,
+            _ => 1,
         };
         if values.len() != times.len() * per_key {
             return Err(accessor_error(format!(

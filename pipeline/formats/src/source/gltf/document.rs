@@ -145,19 +145,10 @@ impl<'a> Document<'a> {
                 bytes.len()
             ))
         })?;
-        Ok((0..count)
-            .map(|element| {
-                let element = &bytes[element * stride..][..size];
-                let mut values = [0.0; N];
-                for (value, bytes) in values
-                    .iter_mut()
-                    .zip(element.chunks_exact(component.size()))
-                {
-                    *value = number(component, bytes);
-                }
-                values
-            })
-            .collect())
+        let width = component.size();
+        let value = |at: usize| number(component, &bytes[at..at + width]);
+        let element = |at: usize| std::array::from_fn(|i| value(at * stride + i * width));
+        Ok((0..count).map(element).collect())
     }
 
     /// Replaces the elements that a sparse accessor lists.

@@ -47,17 +47,10 @@ pub fn read(bytes: &[u8], key: &str, options: &ReadOptions) -> Result<Outcome, R
         return no_motion("no animation in the file");
     }
     // The first of the skins with the most joints: smaller ones are clothes and props.
-    let mut skins = document.root.skins.iter();
-    let Some(first) = skins.next() else {
+    let skins = document.root.skins.iter().rev();
+    let Some(skin) = skins.max_by_key(|skin| skin.joints.len()) else {
         return no_motion("no skin in the file: its animations move objects, not a body");
     };
-    let skin = skins.fold(first, |best, skin| {
-        if skin.joints.len() > best.joints.len() {
-            skin
-        } else {
-            best
-        }
-    });
     let names = document.keys();
     let index = if key.is_empty() {
         0

@@ -16,7 +16,8 @@ pub(super) struct Tree {
 impl Tree {
     pub(super) fn of(nodes: &[json::Node]) -> Result<Self, Rejected> {
         let broken = |reason: String| Rejected::read("E-GLTF-NODES", reason);
-        let mut parents = vec![None; nodes.len()];
+        let count = nodes.len();
+        let mut parents = vec![None; count];
         let children = |node: usize| {
             nodes[node]
                 .children
@@ -24,34 +25,28 @@ impl Tree {
                 .flatten()
                 .map(json::Index::value)
         };
-        for node in 0..nodes.len() {
+        for node in 0..count {
             for child in children(node) {
                 let parent: &mut Option<usize> = parents.get_mut(child).ok_or_else(|| {
-                    broken(format!(
-                        "node {node} has child {child} of {} nodes",
-                        nodes.len()
-                    ))
+                    broken(format!("node {node} has child {child} of {count} nodes"))
                 })?;
                 if let Some(other) = parent.replace(node) {
-                    return Err(broken(format!(
-                        "node {child} hangs from {other} and {node}"
-                    )));
+                    let reason = format!("node {child} hangs from {other} and {node}");
+                    return Err(broken(reason));
                 }
             }
         }
-        let mut order: Vec<usize> = (0..nodes.len()).filter(|&n| parents[n].is_none()).collect();
+        let mut order: Vec<usize> = (0..count).filter(|&n| parents[n].is_none()).collect();
         let mut at = 0;
         while let Some(&node) = order.get(at) {
             order.extend(children(node));
             at += 1;
         }
         // A node that no root leads to is part of a cycle.
-        if order.len() < nodes.len() {
-            return Err(broken(format!(
-                "{} of {} nodes hang from themselves in a circle",
-                nodes.len() - order.len(),
-                nodes.len()
-            )));
+        if order.len() < count {
+            let lost = count - order.len();
+            let reason = format!("{lost} of {count} nodes hang from themselves in a circle");
+            return Err(broken(reason));
         }
         Ok(Self { parents, order })
     }

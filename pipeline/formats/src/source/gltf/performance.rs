@@ -9,7 +9,7 @@ use gltf::json::accessor::Type;
 use gltf::json::animation::Property;
 use gltf::json::validation::Checked;
 
-use super::curve::{Curve, Curves, Grid, ON_GRID, read_times};
+use super::curve::{Curve, Curves, Grid, ON_GRID};
 use super::document::{Document, accessor_error, limit};
 use super::nodes::{Local, World};
 use super::skeleton::Skeleton;
@@ -54,21 +54,13 @@ impl<'a> Performance<'a> {
             let Checked::Valid(property) = channel.target.path else {
                 continue;
             };
-            let times = || read_times(document, sampler.input.value());
+            let vectors = || Curve::read(document, sampler, Type::Vec3);
+            let rotations = || Curve::read(document, sampler, Type::Vec4);
             let curves = &mut curves[bone];
             let times: &[f64] = match property {
-                Property::Translation => {
-                    let curve = Curve::read(document, sampler, times()?, Type::Vec3)?;
-                    &curves.translation.insert(curve).times
-                }
-                Property::Scale => {
-                    let curve = Curve::read(document, sampler, times()?, Type::Vec3)?;
-                    &curves.scale.insert(curve).times
-                }
-                Property::Rotation => {
-                    let curve = Curve::read(document, sampler, times()?, Type::Vec4)?;
-                    &curves.rotation.insert(curve).times
-                }
+                Property::Translation => &curves.translation.insert(vectors()?).times,
+                Property::Scale => &curves.scale.insert(vectors()?).times,
+                Property::Rotation => &curves.rotation.insert(rotations()?).times,
                 Property::MorphTargetWeights => continue,
             };
             num_keys = num_keys.saturating_add(times.len());
@@ -105,19 +97,12 @@ impl<'a> Performance<'a> {
         let rest = self.skeleton.locals[bone];
         let curves = &self.curves[bone];
         let slack = ON_GRID / self.fps.get();
+        let vector = |curve: &Curve<3>| curve.vector(time, slack);
+        let rotation = |curve: &Curve<4>| curve.rotation(time, slack);
         Local {
-            translation: curves
-                .translation
-                .as_ref()
-                .map_or(rest.translation, |curve| curve.vector(time, slack)),
-            rotation: curves
-                .rotation
-                .as_ref()
-                .map_or(rest.rotation, |curve| curve.rotation(time, slack)),
-            scale: curves
-                .scale
-                .as_ref()
-                .map_or(rest.scale, |curve| curve.vector(time, slack)),
+            translation: curves.translation.as_ref().map_or(rest.translation, vector),
+            rotation: curves.rotation.as_ref().map_or(rest.rotation, rotation),
+            scale: curves.scale.as_ref().map_or(rest.scale, vector),
         }
     }
 }

@@ -40,20 +40,12 @@ impl Skeleton {
             ));
         }
         let wanted = with_ancestors(&tree.parents, joints);
-        let order: Vec<usize> = tree
-            .order
-            .iter()
-            .copied()
-            .filter(|&node| wanted[node])
-            .collect();
+        let order = tree.order.iter().copied().filter(|&node| wanted[node]);
+        let order: Vec<usize> = order.collect();
         if order.len() > MAX_BONES {
             return Err(limit("bones", order.len(), MAX_BONES));
         }
-        let bone_of_node: BTreeMap<usize, usize> = order
-            .iter()
-            .enumerate()
-            .map(|(bone, &node)| (node, bone))
-            .collect();
+        let bone_of_node: BTreeMap<usize, usize> = order.iter().copied().zip(0..).collect();
         let locals: Vec<Local> = order.iter().map(|&node| Local::of(&nodes[node])).collect();
         if let Some(bone) = locals.iter().position(|local| !local.is_finite()) {
             return Err(rejected!(
@@ -62,17 +54,13 @@ impl Skeleton {
                 order[bone]
             ));
         }
+        let nodes = order.iter().map(|&node| &nodes[node]);
+        let names = nodes.map(|node| node.name.clone().unwrap_or_default());
+        let parents = order.iter().map(|&node| tree.parents[node]);
+        let parents = parents.map(|parent| bone_of_node.get(&parent?).copied());
         let mut skeleton = Self {
-            names: order
-                .iter()
-                .map(|&node| nodes[node].name.clone().unwrap_or_default())
-                .collect(),
-            parents: order
-                .iter()
-                .map(|&node| {
-                    tree.parents[node].and_then(|parent| bone_of_node.get(&parent).copied())
-                })
-                .collect(),
+            names: names.collect(),
+            parents: parents.collect(),
             locals,
             bone_of_node,
             bind: None,

@@ -7,6 +7,7 @@ use glam::DVec3;
 use kinematics::skeleton::NUM_BODY_JOINTS;
 use pickle::npy::{self, Array};
 
+use crate::source::format::too_short;
 use crate::source::head::refuse_pointer;
 use clip::{Rejected, RotationSource, SourceClip, rejected};
 
@@ -16,8 +17,6 @@ pub(crate) const FPS: Fps = Fps::STORE;
 /// Widths of KIT-ML, which has the same layout: number of features, and number of joints.
 pub(super) const KIT_WIDTH: usize = 251;
 pub(super) const KIT_JOINTS: usize = 21;
-
-pub(super) const TOO_SHORT: &str = "E-TOO-SHORT";
 
 /// Reads HumanML3D's feature vectors or joint positions as a motion of the given body.
 ///
@@ -77,10 +76,7 @@ pub(crate) fn in_single_precision<const WIDTH: usize>(array: &Array) -> Vec<[f32
 /// Refuses an array of fewer than two frames.
 pub(crate) fn check_length(num_frames: usize) -> Result<(), Rejected> {
     match num_frames {
-        0 | 1 => Err(rejected!(
-            TOO_SHORT,
-            "found {num_frames} frames, expected at least 2"
-        )),
+        0 | 1 => Err(too_short(num_frames)),
         _ => Ok(()),
     }
 }

@@ -7,13 +7,13 @@ use datasets_spec::table::Caption;
 use features::humanml3d::recover_joints;
 use pickle::npy;
 
-use super::array::{TOO_SHORT, features, joints, read_array};
+use super::array::{features, joints, read_array};
 use super::id::{clip_of, mirrored_of};
 use super::index::IndexRow;
 use super::layout::{Layout, layouts};
 use super::splits::Splits;
 use crate::source::files::Files;
-use crate::source::format::{Contents, Entry, Release, boxed};
+use crate::source::format::{Contents, Entry, Release, TOO_SHORT, boxed};
 use crate::source::head::refuse_pointer;
 use crate::source::labels;
 use crate::source::options::ReadOptions;
@@ -90,11 +90,8 @@ impl Folder {
     /// Lists the files that hold no motion.
     fn pass_over(&mut self) {
         for (id, file) in &self.layout.texts {
-            let reason = match self.layout.has_motion(id) {
-                true => "captions, read with the motion they describe",
-                false => "captions without a motion",
-            };
-            self.contents.pass_over(file, reason);
+            let has_motion = self.layout.has_motion(id);
+            self.contents.pass_over_captions(file, has_motion);
         }
         for file in self.layout.lists.keys() {
             let reason = "HumanML3D list of ids, no motion";

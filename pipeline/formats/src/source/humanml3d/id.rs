@@ -1,9 +1,10 @@
 //! Ids of HumanML3D: six digits, with `M` before them for mirrored copies.
 
+use crate::source::names::is_number;
+
 /// The id of the original of a mirrored copy: `012314` for `M012314`. `None` for other ids.
 pub fn mirrored_of(id: &str) -> Option<&str> {
-    let original = id.strip_prefix('M')?;
-    is_original(original).then_some(original)
+    id.strip_prefix('M').filter(|id| is_original(id))
 }
 
 /// Whether this is an id of HumanML3D: six digits, or `M` and six digits.
@@ -13,7 +14,7 @@ pub fn is_id(id: &str) -> bool {
 
 fn is_original(id: &str) -> bool {
     const DIGITS: usize = 6;
-    id.len() == DIGITS && id.bytes().all(|byte| byte.is_ascii_digit())
+    id.len() == DIGITS && is_number(id)
 }
 
 /// The id that a clip and its mirror image share.

@@ -1,6 +1,6 @@
 //! Folders of HumanML3D among the files.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::Split;
 
@@ -132,12 +132,7 @@ impl Layout {
 
     /// Ids of motions, each once, sorted.
     pub fn ids(&self) -> impl Iterator<Item = &String> {
-        let joints_only = self
-            .joints
-            .keys()
-            .filter(|id| !self.vectors.contains_key(*id));
-        let mut ids: Vec<&String> = self.vectors.keys().chain(joints_only).collect();
-        ids.sort();
+        let ids: BTreeSet<&String> = self.vectors.keys().chain(self.joints.keys()).collect();
         ids.into_iter()
     }
 }

@@ -175,8 +175,7 @@ impl Cuts {
         for (id, file) in texts {
             let clip = humanml3d::mirrored_of(id).unwrap_or(id);
             if self.crops.contains_key(clip) {
-                let reason = "captions, read with the motion they describe";
-                self.contents.pass_over(*file, reason);
+                self.contents.pass_over_captions(*file, true);
             }
         }
     }

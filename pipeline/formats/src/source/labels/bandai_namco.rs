@@ -4,6 +4,7 @@ use datasets_spec::table::Caption;
 use serde::Deserialize;
 
 use crate::sidecar::caption;
+use crate::source::names::is_number;
 
 /// The labels of a Bandai-Namco clip.
 ///
@@ -25,18 +26,13 @@ struct LabelIndices {
 impl BandaiNamcoLabel {
     /// The labels in a file name; `None` if the name is not of this form.
     pub(super) fn named(stem: &str) -> Option<Self> {
-        let mut fields = stem.split('_');
-        let number = fields.next()?.strip_prefix("dataset-")?;
-        if number.is_empty() || !number.bytes().all(|byte| byte.is_ascii_digit()) {
+        let fields: Vec<&str> = stem.split('_').collect();
+        let [dataset, action, style, take] = fields[..] else {
             return None;
-        }
-        let (action, style) = (fields.next()?, fields.next()?);
-        let take = fields.next()?;
-        let whole = fields.next().is_none();
-        if !whole || action.is_empty() || style.is_empty() || take.is_empty() {
-            return None;
-        }
-        Some(Self {
+        };
+        let is_dataset = is_number(dataset.strip_prefix("dataset-")?);
+        let is_whole = [action, style, take].iter().all(|field| !field.is_empty());
+        (is_dataset && is_whole).then(|| Self {
             action: action.to_owned(),
             style: style.to_owned(),
             note: None,
@@ -84,13 +80,8 @@ fn labels_in_tables(
         serde_json::from_slice(&companions(&format!("{stem}.json"))?).ok()?;
     let line = |table: &str, index: usize| -> Option<String> {
         let bytes = companions(table)?;
-        Some(
-            String::from_utf8_lossy(&bytes)
-                .lines()
-                .nth(index)?
-                .trim()
-                .to_owned(),
-        )
+        let text = String::from_utf8_lossy(&bytes);
+        Some(text.lines().nth(index)?.trim().to_owned())
     };
     Some((
         line("cfg/content_label.txt", indices.content)?,

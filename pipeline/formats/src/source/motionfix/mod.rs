@@ -17,7 +17,7 @@ use super::format::{Contents, Entry, Format, Release};
 use super::head::{LFS_POINTER, refuse_pointer};
 use super::names::file_name;
 use super::options::ReadOptions;
-use super::smpl::{Parameters, column, y_up_from_z_up};
+use super::smpl::{Parameters, column, rotations_note, y_up_from_z_up};
 use clip::{EditOf, ReadClip, Rejected, RotationSource, SourceClip, rejected};
 use pickle::joblib;
 use pickle::{Options, Value};
@@ -331,10 +331,7 @@ impl Release for MotionFixRelease {
         let mut clip = SourceClip::new(motion, RotationSource::Native);
         clip.notes = vec![
             "SMPL-H parameters (66 pose columns), z up, placed at the origin".to_owned(),
-            format!(
-                "rotations drive the body {} as they are",
-                options.skeleton.name()
-            ),
+            rotations_note(&options.skeleton),
         ];
         clip.notes.extend(pair.note.clone());
         if side == TARGET {

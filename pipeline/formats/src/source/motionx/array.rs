@@ -9,7 +9,7 @@ use pickle::npy;
 
 use crate::source::head::refuse_pointer;
 use crate::source::humanml3d::check_length;
-use crate::source::smpl::Parameters;
+use crate::source::smpl::{Parameters, rotations_note};
 use clip::{Rejected, RotationSource, SourceClip, rejected};
 
 /// Columns of a frame: root 3, body 63, hands 90, jaw 3, expression 50, shape of the face 100, translation 3, betas 10.
@@ -66,7 +66,7 @@ pub fn read_array(bytes: &[u8], skeleton: &Skeleton) -> Result<SourceClip, Rejec
             "SMPL-X parameters of Motion-X, {WIDTH} columns at {FPS} fps; hands, face and body \
                  shape are not used"
         ),
-        format!("rotations drive the body {} as they are", skeleton.name()),
+        rotations_note(skeleton),
     ];
     let up: DVec3 = rows
         .iter()

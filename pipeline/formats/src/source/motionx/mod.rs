@@ -17,7 +17,7 @@ use super::escaped;
 use super::files::Files;
 use super::format::{Contents, Entry, Format, Release, boxed};
 use super::humanml3d::{Splits, add_captions, lists_above};
-use super::names::around_folder;
+use super::names::{around_folder, is_number};
 use super::options::ReadOptions;
 use clip::ReadClip;
 
@@ -87,6 +87,10 @@ impl MotionXFolder {
             .iter()
             .map(|root| Self::plan(files, root, &roots, &captions))
             .collect();
+        let used: BTreeSet<String> = folders
+            .iter()
+            .flat_map(|folder| folder.captions.values().cloned())
+            .collect();
         // Files of no motion folder are listed once, in the first folder.
         if let Some(first) = folders.first_mut() {
             let faces = files
@@ -96,18 +100,9 @@ impl MotionXFolder {
                 let reason = "facial expressions of Motion-X, no body";
                 first.contents.pass_over(file, reason);
             }
-        }
-        let used: BTreeSet<String> = folders
-            .iter()
-            .flat_map(|folder| folder.captions.values().cloned())
-            .collect();
-        if let Some(first) = folders.first_mut() {
             for file in captions.into_values().flatten() {
-                let reason = match used.contains(file) {
-                    true => "captions, read with the motion they describe",
-                    false => "captions without a motion",
-                };
-                first.contents.pass_over(file, reason);
+                let is_used = used.contains(file);
+                first.contents.pass_over_captions(file, is_used);
             }
         }
         folders
@@ -186,8 +181,8 @@ fn is_face(root: &str) -> bool {
 fn original_of(name: &str) -> Option<String> {
     let (folder, clip) = name.rsplit_once('/')?;
     let number = clip.strip_prefix('M')?;
-    let is_copy = folder.ends_with("humanml") && number.bytes().all(|byte| byte.is_ascii_digit());
-    (is_copy && !number.is_empty()).then(|| format!("{folder}/{number}"))
+    let is_copy = folder.ends_with("humanml") && is_number(number);
+    is_copy.then(|| format!("{folder}/{number}"))
 }
 
 fn common_start(a: &str, b: &str) -> usize {

@@ -113,12 +113,12 @@ impl Folder {
             let inside = &file[root.len()..];
             let text_of = |folder: &str| inside.strip_prefix(folder)?.strip_suffix(".txt");
             let reason = if let Some(id) = text_of(TEXTS) {
-                if clips.contains_key(id) {
+                let has_motion = clips.contains_key(id);
+                folder.contents.pass_over_captions(file, has_motion);
+                if has_motion {
                     folder.texts.insert(id.to_owned(), file.to_owned());
-                    "captions, read with the motion they describe"
-                } else {
-                    "captions without a motion"
                 }
+                continue;
             } else if let Some(list) = text_of(SPLITS) {
                 match files.read(file) {
                     Ok(bytes) => lists.push((file_name(list).parse().ok(), parse_list(&bytes))),

@@ -157,12 +157,7 @@ fn name_column(names: &[&str]) -> Result<&'static str, Rejected> {
     columns
         .find(|column| names.contains(column))
         .ok_or_else(|| {
-            let found = names
-                .iter()
-                .take(12)
-                .copied()
-                .collect::<Vec<_>>()
-                .join(", ");
+            let found = names[..names.len().min(12)].join(", ");
             rejected!(
                 "E-TABLE-COLUMNS",
                 "found columns {found}, expected {}",

@@ -34,11 +34,9 @@ pub(super) struct Timeline {
 #[derive(Deserialize)]
 struct Line {
     filename: String,
-    #[serde(default)]
     overview_description: Option<String>,
     #[serde(default)]
     events: Vec<Event>,
-    #[serde(default)]
     propagated_from_filename: Option<String>,
 }
 
@@ -100,23 +98,17 @@ impl Timeline {
             timeline.captions.push(caption(overview.trim()));
         }
         for event in line.events.iter().take(MAX_EVENTS) {
-            let Event {
-                start_time,
-                end_time,
-                description,
-            } = event;
-            let text = description.trim();
-            let is_span = start_time.is_finite() && end_time.is_finite();
-            if !is_span || *start_time < 0.0 || start_time >= end_time || text.is_empty() {
+            let (from, to, text) = (event.start_time, event.end_time, event.description.trim());
+            let is_span = from.is_finite() && to.is_finite();
+            if !is_span || from < 0.0 || from >= to || text.is_empty() {
                 timeline.problems.push(format!(
-                    "label {text:?} is from {start_time} s to {end_time} s, expected a text and a time after \
-                     another"
+                    "label {text:?} is from {from} s to {to} s, expected a text and a time after another"
                 ));
                 continue;
             }
             timeline.captions.push(Caption {
-                from_s: *start_time as f32,
-                to_s: *end_time as f32,
+                from_s: from as f32,
+                to_s: to as f32,
                 ..caption(text)
             });
         }

@@ -147,7 +147,16 @@ struct StanceRelease {
 
 impl StanceRelease {
     fn plan(files: &Files, root: String) -> Self {
-        let mut planner = Planner::new(files, &root);
+        let mut planner = Planner {
+            files,
+            root: &root,
+            release: Self::default(),
+            base_lists: Lists::default(),
+            style_lists: Lists::default(),
+            adjustment_lists: Lists::default(),
+            origins: Origins::new(),
+            taken: BTreeMap::new(),
+        };
         planner.read_origin();
         planner.read_lists();
         planner.plan_motions();
@@ -309,20 +318,7 @@ struct Planner<'a> {
     taken: BTreeMap<String, (String, String)>,
 }
 
-impl<'a> Planner<'a> {
-    fn new(files: &'a Files, root: &'a str) -> Self {
-        Self {
-            files,
-            root,
-            release: StanceRelease::default(),
-            base_lists: Lists::default(),
-            style_lists: Lists::default(),
-            adjustment_lists: Lists::default(),
-            origins: Origins::new(),
-            taken: BTreeMap::new(),
-        }
-    }
-
+impl Planner<'_> {
     /// Reads the files that an export adds to the layout.
     fn read_origin(&mut self) {
         let at = |name: &str| format!("{}{name}", self.root);
@@ -389,12 +385,9 @@ impl<'a> Planner<'a> {
 
     /// Notes motions of an export without a file.
     fn note_missing(&mut self) {
-        let Some(labels) = &self.release.labels else {
-            return;
-        };
-        if let Some(remark) = labels.missing(|id| self.taken.contains_key(id)) {
-            self.release.contents.remarks.push(remark);
-        }
+        let labels = self.release.labels.as_ref();
+        let remark = labels.and_then(|labels| labels.missing(|id| self.taken.contains_key(id)));
+        self.release.contents.remarks.extend(remark);
     }
 
     /// Reads the lists and annotations.
@@ -444,7 +437,7 @@ impl<'a> Planner<'a> {
                 Err(rejected) => self.release.contents.reject(file, rejected),
             },
             "json" => {
-                if let Some(value) = self.json::<Json>(file) {
+                if let Some(value) = self.json(file) {
                     lists.take_json(split, &value);
                 }
             }
@@ -459,9 +452,10 @@ impl<'a> Planner<'a> {
     }
 
     /// Content of a JSON file of the release; `None` if it is damaged, which is recorded.
-    fn json<T: serde::de::DeserializeOwned>(&mut self, file: &str) -> Option<T> {
-        let parse = |bytes: &[u8]| serde_json::from_slice(bytes).map_err(|error| error.to_string());
-        self.take(file, parse)
+    fn json(&mut self, file: &str) -> Option<Json> {
+        self.take(file, |bytes| {
+            serde_json::from_slice(bytes).map_err(|error| error.to_string())
+        })
     }
 
     /// Parses a file of the release; `None` if it is damaged, which is recorded.
@@ -580,11 +574,9 @@ impl<'a> Planner<'a> {
         let stem = listed_name(file);
         let split = self.adjustment_lists.of(stem);
         let id_of = |key: &str| {
-            let origin = self.origins.get(&format!("{ADJUSTMENT}/{stem}#{key}"));
-            origin.map_or_else(
-                || format!("{ADJUSTMENT}/{stem}#{key}"),
-                |origin| origin.id.clone(),
-            )
+            let id = format!("{ADJUSTMENT}/{stem}#{key}");
+            let origin = self.origins.get(&id);
+            origin.map_or(id, |origin| origin.id.clone())
         };
         let entry_of = |key: &str| Entry {
             file: file.to_owned(),

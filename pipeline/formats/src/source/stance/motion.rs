@@ -4,7 +4,7 @@ use datasets_spec::{Fps, Skeleton};
 use glam::DQuat;
 
 use crate::source::robot;
-use crate::source::smpl::{Parameters, column};
+use crate::source::smpl::{Parameters, column, rotations_note};
 use clip::{Outcome, Rejected, RotationSource, SourceClip, rejected};
 use pickle::joblib;
 use pickle::{Array, Value};
@@ -40,10 +40,9 @@ fn motion_of(value: &Value, skeleton: &Skeleton) -> Result<SourceClip, Rejected>
         return aist(value, skeleton);
     }
     if value.get("src").is_some() && value.get("tgt").is_some() {
-        return Err(Rejected::read(
-            "E-STANCE-KEYS",
-            "found a pair (src and tgt) outside a release; put it under a folder named adjustment",
-        ));
+        let reason =
+            "found a pair (src and tgt) outside a release; put it under a folder named adjustment";
+        return Err(Rejected::read("E-STANCE-KEYS", reason));
     }
     release_clip(value)
 }
@@ -102,7 +101,7 @@ fn aist(value: &Value, skeleton: &Skeleton) -> Result<SourceClip, Rejected> {
     let mut clip = SourceClip::new(motion, RotationSource::Native);
     clip.notes = vec![
         format!("SMPL parameters of AIST++ at {AIST_FPS} fps, translation divided by {scale}"),
-        format!("rotations drive the body {} as they are", skeleton.name()),
+        rotations_note(skeleton),
     ];
     Ok(clip)
 }

@@ -1,5 +1,7 @@
 //! File numbers of the release and ids of HumanML3D.
 
+use crate::source::names::is_number;
+
 /// Clips of HumanML3D before mirroring. The release numbers a clip's mirrored copy this much
 /// higher: its last file, 029231, is the copy of the last clip.
 ///
@@ -14,14 +16,14 @@ pub(crate) fn motion_id(name: &str) -> String {
         Some(rest) => (true, rest),
         None => (false, name),
     };
-    let is_number = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
     match digits.parse::<u32>() {
-        Ok(number) if is_number && mirrored => format!("M{number:06}"),
-        Ok(number) if is_number && (NUM_ORIGINALS..2 * NUM_ORIGINALS).contains(&number) => {
+        _ if !is_number(digits) => name.to_owned(),
+        Ok(number) if mirrored => format!("M{number:06}"),
+        Ok(number) if (NUM_ORIGINALS..2 * NUM_ORIGINALS).contains(&number) => {
             format!("M{:06}", number - NUM_ORIGINALS)
         }
-        Ok(number) if is_number => format!("{number:06}"),
-        _ => name.to_owned(),
+        Ok(number) => format!("{number:06}"),
+        Err(_) => name.to_owned(),
     }
 }
 
@@ -45,8 +47,7 @@ pub const FIRST_FREE_NUMBER: u32 = 2 * NUM_ORIGINALS;
 
 /// The id of the original of a mirrored copy; `None` for other ids.
 pub(super) fn original_of(id: &str) -> Option<&str> {
-    let digits = id.strip_prefix('M')?;
-    (!digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit())).then_some(digits)
+    id.strip_prefix('M').filter(|digits| is_number(digits))
 }
 
 /// The name in a list of files: without folders and without the extension of a motion file.

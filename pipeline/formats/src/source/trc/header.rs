@@ -1,9 +1,10 @@
 //! The lines of the text, and the settings and marker names above the rows.
 
 use crate::markers::unique_labels;
+use crate::source::format::plausible_fps;
 use crate::source::head::UTF8_BOM;
 use crate::source::names::shown;
-use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
+use clip::{Rejected, rejected};
 
 /// First word of every file.
 pub(super) const MAGIC: &[u8] = b"PathFileType";
@@ -67,7 +68,7 @@ impl Header {
         let rate = ["DataRate", "CameraRate"].into_iter().find_map(|name| {
             let (_, value) = settings.get(name).ok()?;
             let rate = fast_float2::parse::<f64, _>(value).ok()?;
-            (MIN_FPS..=MAX_FPS).contains(&rate).then_some(rate)
+            plausible_fps(rate).map(|_| rate)
         });
         let (unit_at, unit) = settings
             .get("Units")

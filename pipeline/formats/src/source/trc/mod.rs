@@ -14,7 +14,7 @@ mod tests;
 
 use self::header::{Header, Lines, MAGIC};
 use self::rows::Rows;
-use super::format::Format;
+use super::format::{Format, too_short};
 use super::head::UTF8_BOM;
 use super::options::ReadOptions;
 use crate::markers::{self, Capture, CaptureUnit, MAX_DISTANCE_M, Positions, UNIT_CODE};
@@ -34,8 +34,7 @@ pub fn capture(bytes: &[u8], options: &ReadOptions) -> Result<Capture, Rejected>
     let mut notes = Vec::new();
     let mut flags = 0;
     if rows.len() == 0 {
-        let reason = "found 0 frames, expected at least 2";
-        return Err(Rejected::read("E-TOO-SHORT", reason).at(bytes.len()));
+        return Err(too_short(0).at(bytes.len()));
     }
     if let Some(note) = cut_to_stated(&mut rows, header.num_frames, options.lenient, bytes.len())? {
         flags |= FLAG_ROW_COUNT;

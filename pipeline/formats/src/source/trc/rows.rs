@@ -4,8 +4,9 @@ use datasets_spec::Fps;
 use glam::DVec3;
 
 use super::header::{Header, Line, Lines};
+use crate::source::format::plausible_fps;
 use crate::source::names::shown;
-use clip::{MAX_FPS, MIN_FPS, Rejected, rejected};
+use clip::{Rejected, rejected};
 
 /// Columns before the coordinates: number and time of the frame.
 const BEFORE: usize = 2;
@@ -14,6 +15,7 @@ const RATE_TOLERANCE: f64 = 0.01;
 const ROUNDING_S: f64 = 1e-3;
 
 /// The frames of a file.
+#[derive(Default)]
 pub(super) struct Rows {
     num_markers: usize,
     places: Vec<usize>,
@@ -28,10 +30,7 @@ impl Rows {
     pub(super) fn parse(lines: &mut Lines<'_>, header: &Header) -> Result<Self, Rejected> {
         let mut rows = Self {
             num_markers: header.names.len(),
-            places: Vec::new(),
-            times: Vec::new(),
-            positions: Vec::new(),
-            num_zeros: 0,
+            ..Self::default()
         };
         for line in lines {
             rows.take(line)?;
@@ -121,16 +120,12 @@ impl Rows {
     /// The stated rate, else that of the times; and a note if the rate is doubtful.
     pub(super) fn rate(&self, stated: Option<f64>) -> Result<(Fps, Option<String>), Rejected> {
         let span = self.span();
-        let by_times = span.map(|(steps, secs)| steps / secs);
-        let by_times = by_times.filter(|rate| (MIN_FPS..=MAX_FPS).contains(rate));
-        let rate = stated.or(by_times).ok_or_else(|| {
-            Rejected::read(
-                "E-TRC-HEADER",
-                "found neither a DataRate nor times that give a rate, expected one of them",
-            )
+        let rate = stated.or(span.map(|(steps, secs)| steps / secs));
+        let fps = rate.and_then(plausible_fps).ok_or_else(|| {
+            let reason =
+                "found neither a DataRate nor times that give a rate, expected one of them";
+            Rejected::read("E-TRC-HEADER", reason)
         })?;
-        let fps = Fps::from_file(rate)
-            .map_err(|error| Rejected::read("E-TRC-HEADER", error.to_string()))?;
         let note = match (stated, span) {
             (Some(stated), Some((steps, secs))) => {
                 let expected = steps / stated;
