@@ -480,11 +480,20 @@ fn the_command_says_what_to_do_when_it_cannot() {
     for (line, option) in [
         ("--where TRUE export", "--where has no effect"),
         ("--backup-hours 1 check", "--backup-hours has no effect"),
+        ("--backups 3 check", "--backups has no effect"),
+        ("--backups 3", "--backup-hours HOURS"),
+        ("--listen 127.0.0.1:0 export", "--listen has no effect"),
+        ("--host a.example user list", "--host has no effect"),
         ("export --to files", "--to has no effect"),
         ("export --events", "--events has no effect"),
     ] {
         run(&Vec::from_iter(line.split(' '))).expect_refused(option);
     }
+    // The environment names the host for every command on the machine of the server.
+    let mut elsewhere = command(&["annotate", arg(&dataset), "user", "list"]);
+    let elsewhere = elsewhere.env("STANCE_HOST", "a.example,b.example");
+    let elsewhere = Ran::from(elsewhere.output().expect("stance runs"));
+    elsewhere.expect_refused("there is no store");
     let token = run(&["user", "add", "ann"]).printed();
     assert!(token.trim().starts_with("ann_") && token.trim().len() == 68);
     run(&["user", "add", "ann"]).expect_refused("choose another name");

@@ -1,6 +1,6 @@
 //! The arguments of `stance annotate`.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
 use annotate::http::TrustedProxy;
@@ -10,6 +10,12 @@ use tables::Condition;
 
 /// Environment variable with the file or address of the store.
 pub(super) const STORE: &str = "STANCE_STORE";
+/// Environment variable with the host names of the server.
+const HOST: &str = "STANCE_HOST";
+/// Address that the server listens on by default.
+const LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8765);
+/// Copies of the store that a server keeps by default.
+const BACKUPS: u16 = 7;
 
 /// Annotate a dataset in the browser: masks, descriptions, pairs, styles, review.
 ///
@@ -29,9 +35,9 @@ pub(crate) struct Args {
     /// imports; existing tasks stay, and "TRUE" selects all clips again. See `stance query --help`
     #[arg(long = "where", value_name = "CONDITION")]
     pub(super) condition: Option<Condition>,
-    /// Address to listen on; port 0 selects a free port
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8765")]
-    pub(super) listen: SocketAddr,
+    /// Address to listen on; port 0 selects a free port [default: 127.0.0.1:8765]
+    #[arg(long, value_name = "ADDR")]
+    listen: Option<SocketAddr>,
     /// File of the annotations, or an address postgres://… [default: DATASET/annotate/store.sqlite]. Pass an address
     /// with a password in the variable: other users can read the command lines of processes
     #[arg(long, value_name = "FILE", env = STORE, hide_env_values = true)]
@@ -41,7 +47,7 @@ pub(crate) struct Args {
     pub(super) secure: bool,
     /// Host names by which browsers reach the server, such as the proxy's, separated by commas. Requests to other names
     /// are refused; localhost and IP addresses are always accepted
-    #[arg(long, value_name = "NAME", value_delimiter = ',', env = "STANCE_HOST", value_parser = host_name)]
+    #[arg(long, value_name = "NAME", value_delimiter = ',', env = HOST, value_parser = host_name)]
     pub(super) host: Vec<String>,
     /// Addresses or networks of proxies that name the client in X-Forwarded-For or Forwarded, separated by commas
     #[arg(long, value_name = "ADDR", value_delimiter = ',')]
@@ -52,9 +58,9 @@ pub(crate) struct Args {
     /// Copy the store this often while the server runs, into folder `annotate/backups` of the dataset [default: never]
     #[arg(long, value_name = "HOURS", value_parser = clap::value_parser!(u16).range(1..))]
     pub(super) backup_hours: Option<u16>,
-    /// Copies to keep; older ones are removed
-    #[arg(long, value_name = "N", default_value_t = 7, value_parser = clap::value_parser!(u16).range(1..))]
-    pub(super) backups: u16,
+    /// Copies to keep; older ones are removed [default: 7]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    backups: Option<u16>,
     #[command(subcommand)]
     pub(super) action: Option<Action>,
 }
@@ -65,21 +71,44 @@ impl Args {
         self.dataset.join("annotate")
     }
 
-    /// Refuses options that the subcommand does not use: their user expects an effect.
+    /// Address that the server listens on.
+    pub(super) fn listen(&self) -> SocketAddr {
+        self.listen.unwrap_or(LISTEN)
+    }
+
+    /// Number of copies of the store that the server keeps.
+    pub(super) fn backups(&self) -> usize {
+        self.backups.unwrap_or(BACKUPS).into()
+    }
+
+    /// Whether host names were typed. Those of the environment are for every command of a machine.
+    fn has_typed_host(&self) -> bool {
+        !self.host.is_empty() && std::env::var(HOST).ok() != Some(self.host.join(","))
+    }
+
+    /// Refuses options that the command does not use: their user expects an effect.
     ///
     /// # Errors
     /// There is such an option; the error names it.
     pub(super) fn check(&self) -> anyhow::Result<()> {
         let Some(action) = &self.action else {
+            if self.backups.is_some() && self.backup_hours.is_none() {
+                bail!(
+                    "--backups has no effect without --backup-hours HOURS; add it, or leave both out"
+                );
+            }
             return Ok(());
         };
         let imports = matches!(action, Action::Import { .. } | Action::Unpack { .. });
         for (option, is_unused) in [
             ("--where", self.condition.is_some() && !imports),
+            ("--listen", self.listen.is_some()),
             ("--secure", self.secure),
+            ("--host", self.has_typed_host()),
             ("--trusted-proxy", !self.trusted_proxy.is_empty()),
             ("--metrics", self.metrics.is_some()),
             ("--backup-hours", self.backup_hours.is_some()),
+            ("--backups", self.backups.is_some()),
         ] {
             if is_unused {
                 bail!("{option} has no effect on this subcommand; leave it out");

@@ -57,7 +57,7 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
         Arc::clone(&store),
         motions,
         ServerConfig {
-            listen: args.listen,
+            listen: args.listen(),
             operators: args.metrics,
             secure: args.secure,
             hosts: args.host.clone(),
@@ -81,7 +81,7 @@ pub(super) fn serve(args: &Args, store: Arc<Store>, global: &Global) -> anyhow::
 }
 
 fn warnings(args: &Args) -> impl Iterator<Item = &'static str> {
-    let is_reached = !args.listen.ip().is_loopback();
+    let is_reached = !args.listen().ip().is_loopback();
     let is_measured = args
         .metrics
         .is_some_and(|metrics| !metrics.ip().is_loopback());
@@ -152,7 +152,7 @@ fn announce(
 fn copies(args: &Args) -> impl FnMut(&Store) {
     let folder = args.folder().join("backups");
     let every = args.backup_hours.map(|hours| i64::from(hours) * HOUR);
-    let keep = args.backups.into();
+    let keep = args.backups();
     // Time of the next check whether a copy is due.
     let mut next = 0;
     move |store| {
