@@ -17,6 +17,14 @@ pub enum Error {
         /// Why, and what to do.
         reason: String,
     },
+    /// There is no store, and the command creates none.
+    #[error(
+        "there is no store {place}; name the store with --store or STANCE_STORE, or create it: stance annotate DATASET import"
+    )]
+    Missing {
+        /// Path or address of the store.
+        place: String,
+    },
     /// An SQLite operation failed.
     #[error("the store cannot {action}")]
     Sqlite {

@@ -820,6 +820,36 @@ fn work(
     }
 }
 
+#[cfg(feature = "postgres")]
+#[test]
+fn commands_that_read_a_store_on_postgresql_create_none() {
+    use std::io::Write;
+    let Ok(url) = std::env::var("ANNOTATE_TEST_PG") else {
+        let _said = writeln!(
+            std::io::stderr().lock(),
+            "SKIPPED commands that read a store: needs ANNOTATE_TEST_PG"
+        );
+        return;
+    };
+    let (_dir, dataset) = dataset(2);
+    // A database of every server, in which no test makes a store.
+    let address = url.strip_suffix("/postgres").expect("the database");
+    let empty = format!("{address}/template1");
+    for line in [
+        "export",
+        "check",
+        "user list",
+        "styles",
+        "token ann",
+        "export",
+    ] {
+        let words = ["--store", &empty].into_iter().chain(line.split(' '));
+        let refused = annotate(&dataset, &Vec::from_iter(words)).expect_refused("template1");
+        refused.expect_said("there is no store");
+        refused.expect_said("stance annotate DATASET import");
+    }
+}
+
 /// Two servers of one store on PostgreSQL. This runs the full form, with the numbers of annotators, of tasks for each
 /// of them, and of all tasks:
 ///

@@ -86,6 +86,16 @@ pub fn open_sqlite(path: &Path) -> Result<Arc<Store>> {
 /// The server cannot be reached, or its tables are of a newer version.
 #[cfg(feature = "postgres")]
 pub fn open_postgres(url: &str, schema: &str) -> Result<Arc<Store>> {
-    let (db, upgrade) = postgres::open(url, schema)?;
+    let (db, upgrade) = postgres::open(url, schema, postgres::IfMissing::Create)?;
+    Ok(Arc::new(Store::new(Box::new(db), upgrade)))
+}
+
+/// Opens a store on PostgreSQL as [`open_postgres`] does, but creates none.
+///
+/// # Errors
+/// [`Error::Missing`](crate::Error::Missing) if there is no store, or as for [`open_postgres`].
+#[cfg(feature = "postgres")]
+pub fn open_existing_postgres(url: &str, schema: &str) -> Result<Arc<Store>> {
+    let (db, upgrade) = postgres::open(url, schema, postgres::IfMissing::Refuse)?;
     Ok(Arc::new(Store::new(Box::new(db), upgrade)))
 }

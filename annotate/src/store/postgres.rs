@@ -53,8 +53,19 @@ fn failed(action: &'static str) -> impl Fn(postgres::Error) -> Error {
     }
 }
 
-/// Connects, and creates missing tables. Also returns the upgrade, if one was made.
-pub(crate) fn open(url: &str, schema: &str) -> Result<(Pool<Postgres>, Option<Upgrade>)> {
+/// Whether to create the tables of a store where there are none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum IfMissing {
+    Create,
+    Refuse,
+}
+
+/// Connects, and creates or refuses missing tables. Also returns the upgrade, if one was made.
+pub(crate) fn open(
+    url: &str,
+    schema: &str,
+    missing: IfMissing,
+) -> Result<(Pool<Postgres>, Option<Upgrade>)> {
     let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     if schema.is_empty() || !schema.chars().all(plain) {
         let reason = "the name of a schema may have lower-case letters, digits and underscores";
@@ -65,6 +76,11 @@ pub(crate) fn open(url: &str, schema: &str) -> Result<(Pool<Postgres>, Option<Up
         schema: schema.to_owned(),
     };
     let mut writer = postgres.connect(true)?;
+    if missing == IfMissing::Refuse && version(&mut writer, schema)?.is_none() {
+        return Err(Error::Missing {
+            place: format!("on PostgreSQL at {}", postgres.place()),
+        });
+    }
     let upgrade = postgres.prepare(&mut writer)?;
     Ok((Pool::open(postgres, writer)?, upgrade))
 }
@@ -83,11 +99,7 @@ impl Postgres {
         let make = format!("CREATE SCHEMA IF NOT EXISTS {schema}");
         connection.batch(&make, migrate::MAKE)?;
         let tx: &mut dyn Tx = connection;
-        let sql = "SELECT 1 FROM information_schema.tables WHERE table_schema = ?1 AND table_name = 'version'";
-        let found = match tx.has(sql, params![schema])? {
-            true => tx.number("SELECT number FROM version", &[])?,
-            false => 0,
-        };
+        let found = version(tx, schema)?.unwrap_or(0);
         let upgrade = migrate::prepare(tx, &self.place(), found, TRIGGERS, |tx| {
             copy_schema(tx, schema, found)
         })?;
@@ -96,6 +108,15 @@ impl Postgres {
         // Discard the plans prepared for the dropped tables.
         connection.statements.clear();
         Ok(upgrade)
+    }
+}
+
+/// The version of the tables of a store; `None` if there is no store in the schema.
+fn version(tx: &mut dyn Tx, schema: &str) -> Result<Option<i64>> {
+    let sql = "SELECT 1 FROM information_schema.tables WHERE table_schema = ?1 AND table_name = 'version'";
+    match tx.has(sql, params![schema])? {
+        true => Ok(Some(tx.number("SELECT number FROM version", &[])?)),
+        false => Ok(None),
     }
 }
 

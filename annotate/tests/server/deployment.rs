@@ -457,6 +457,31 @@ fn two_servers_share_the_clock_of_the_database_and_its_exports() {
 
 #[test]
 #[cfg(feature = "postgres")]
+fn a_store_on_postgresql_is_only_created_on_purpose() {
+    use annotate::store::{open_existing_postgres, open_postgres};
+    let Ok(url) = std::env::var("ANNOTATE_TEST_PG") else {
+        crate::store::skipped("existing");
+        return;
+    };
+    let schema = format!("d{}_existing", std::process::id());
+    // The second try finds what the first one left.
+    for _ in 0..2 {
+        let Err(missing) = open_existing_postgres(&url, &schema) else {
+            panic!("there is a store");
+        };
+        assert!(matches!(missing, annotate::Error::Missing { .. }));
+        let said = missing.to_string();
+        for part in ["there is no store", &schema, "stance annotate"] {
+            assert!(said.contains(part), "{said}");
+        }
+    }
+    let id = open_postgres(&url, &schema).expect("a new store").id();
+    let found = open_existing_postgres(&url, &schema).expect("the store");
+    assert_eq!(found.id().expect("an id"), id.expect("an id"));
+}
+
+#[test]
+#[cfg(feature = "postgres")]
 fn a_connection_to_postgresql_is_encrypted_and_its_certificate_checked() {
     use annotate::store::open_postgres;
     let addresses = ["ANNOTATE_TEST_PG_TLS", "ANNOTATE_TEST_PG_CA"].map(std::env::var);

@@ -132,7 +132,7 @@ impl Args {
     }
 
     /// Whether the command may begin a project: the server, an import, and new users. All others are about a store that
-    /// exists; an empty one would answer them wrongly. In PostgreSQL every command creates the tables.
+    /// exists; an empty one would answer them wrongly.
     pub(super) fn may_create_store(&self) -> bool {
         match &self.action {
             None | Some(Action::Import { .. }) => true,

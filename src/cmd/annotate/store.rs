@@ -61,15 +61,13 @@ fn has_password(url: &str) -> bool {
 
 fn find_or_create(args: &Args) -> anyhow::Result<Arc<Store>> {
     let file = match place(args) {
-        Place::Postgres(url) => return open_postgres(url),
+        Place::Postgres(url) => return open_postgres(url, args.may_create_store()),
         Place::File(file) => file,
     };
     if !file.exists() {
         if !args.may_create_store() {
-            bail!(
-                "there is no store {}; name the store with --store or {STORE}, or create it: stance annotate DATASET import",
-                file.display()
-            );
+            let place = file.display().to_string();
+            return Err(annotate::Error::Missing { place }.into());
         }
         refuse_leftovers(&file)?;
         create_parent(&file)?;
@@ -109,12 +107,16 @@ fn create_parent(file: &Path) -> anyhow::Result<()> {
 }
 
 #[cfg(feature = "postgres")]
-fn open_postgres(url: &str) -> anyhow::Result<Arc<Store>> {
-    Ok(store::open_postgres(url, "annotate")?)
+fn open_postgres(url: &str, may_create: bool) -> anyhow::Result<Arc<Store>> {
+    const SCHEMA: &str = "annotate";
+    Ok(match may_create {
+        true => store::open_postgres(url, SCHEMA)?,
+        false => store::open_existing_postgres(url, SCHEMA)?,
+    })
 }
 
 #[cfg(not(feature = "postgres"))]
-fn open_postgres(_: &str) -> anyhow::Result<Arc<Store>> {
+fn open_postgres(_: &str, _: bool) -> anyhow::Result<Arc<Store>> {
     bail!(
         "this stance was built without PostgreSQL; build it with `cargo build --release --features postgres`"
     )
