@@ -5,6 +5,7 @@
 //! paths below the archive's, which [`datasets_spec::store::ByPath`] serves while the archive is open.
 
 mod content;
+mod ending;
 mod kind;
 mod limits;
 mod members;
@@ -33,6 +34,7 @@ use crate::Error;
 use clip::Rejected;
 
 pub use self::content::DAMAGED;
+pub(super) use self::ending::{Ending, UNMARKED};
 pub use self::kind::is_in_archive;
 pub(crate) use self::kind::stem;
 

@@ -14,6 +14,7 @@ use lzma_rust2::XzReader;
 use tar::EntryType;
 
 use super::content::{Content, DAMAGED, too_large, unreadable};
+use super::ending::{Ending, UNMARKED};
 use super::kind::Kind;
 use super::limits::Budget;
 use super::members::{Member, ReadFrom};
@@ -33,7 +34,11 @@ const BLOCK: u64 = 512;
 pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Rejected> {
     let file = ByPath.open_at(path).map_err(|error| unreadable(&error))?;
     let mut content = Content::default();
-    let mut archive = tar::Archive::new(Reader::new(Arc::clone(&file)));
+    let is_at_end = Cell::new(false);
+    let mut archive = tar::Archive::new(Ending {
+        inner: Reader::new(Arc::clone(&file)),
+        is_at_end: &is_at_end,
+    });
     let entries = archive
         .entries_with_seek()
         .map_err(|error| unreadable(&error))?;
@@ -44,7 +49,7 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
             Ok(entry) => entry,
             Err(error) => {
                 content.refuse("", DAMAGED, broken(end, &error), end);
-                break;
+                return Ok(content);
             }
         };
         let (start, size) = (entry.raw_file_position(), entry.size());
@@ -61,10 +66,13 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
                 "it is cut short: it ends before its member {name} does; the members before this place are read"
             );
             content.refuse("", DAMAGED, reason, start);
-            break;
+            return Ok(content);
         }
         let file = Arc::clone(&file);
         content.add(name, Member::Range(Slice { file, start, size }));
+    }
+    if is_at_end.get() {
+        content.refuse("", DAMAGED, UNMARKED.to_owned(), budget.size);
     }
     Ok(content)
 }
@@ -96,6 +104,24 @@ fn broken(end: u64, error: &io::Error) -> String {
     }
 }
 
+/// Unpacks the bytes of a packed tar archive.
+fn decoder<'a>(kind: Kind, packed: impl Read + 'a) -> Box<dyn Read + 'a> {
+    match kind {
+        Kind::Gzip => Box::new(MultiGzDecoder::new(packed)),
+        Kind::Bzip2 => Box::new(MultiBzDecoder::new(packed)),
+        Kind::Xz => Box::new(XzReader::new_mem_limit(packed, true, XZ_MEMORY_KIB)),
+        Kind::Zip | Kind::Tar => Box::new(packed),
+    }
+}
+
+/// Error message for an archive that unpacks to too many bytes.
+fn exceeded(packed: u64, most: u64) -> String {
+    format!(
+        "{packed} bytes unpack to more than {most} bytes; if its files are really so large, unpack it and name the \
+         folder"
+    )
+}
+
 /// Unpacks a packed tar archive into the scratch folder.
 pub(super) fn unpack(
     path: &Path,
@@ -115,27 +141,22 @@ pub(super) fn unpack(
         progress,
     };
     let (most, packed_size) = (budget.bytes_left(), budget.size);
-    let unpacked: Box<dyn Read + '_> = match kind {
-        Kind::Gzip => Box::new(MultiGzDecoder::new(packed)),
-        Kind::Bzip2 => Box::new(MultiBzDecoder::new(packed)),
-        Kind::Xz => Box::new(XzReader::new_mem_limit(packed, true, XZ_MEMORY_KIB)),
-        Kind::Zip | Kind::Tar => Box::new(packed),
+    let mut content = Content {
+        read_from: Some(ReadFrom::Scratch(Arc::clone(scratch))),
+        ..Content::default()
     };
-    let mut content = Content::default();
     // Headers count towards the limit too: their long names are read into memory.
     let unpacked = Capped {
-        inner: unpacked,
+        inner: decoder(kind, packed),
         left: most,
         is_exceeded: &is_exceeded,
     };
-    let too_much = || {
-        let reason = format!(
-            "{packed_size} bytes unpack to more than {most} bytes; if its files are really so large, unpack it and name the \
-             folder"
-        );
-        too_large(reason, place.get())
-    };
-    let mut archive = tar::Archive::new(unpacked);
+    let too_much = || too_large(exceeded(packed_size, most), place.get());
+    let is_at_end = Cell::new(false);
+    let mut archive = tar::Archive::new(Ending {
+        inner: unpacked,
+        is_at_end: &is_at_end,
+    });
     let entries = match archive.entries() {
         Ok(entries) => entries,
         Err(error) => return Ok(Err(unreadable(&error))),
@@ -148,7 +169,7 @@ pub(super) fn unpack(
             Err(error) => {
                 let end = if is_first { 0 } else { place.get() };
                 content.refuse("", DAMAGED, broken(end, &error), place.get());
-                break;
+                return Ok(Ok(content));
             }
         };
         is_first = false;
@@ -170,11 +191,13 @@ pub(super) fn unpack(
                 let error = copied.err().unwrap_or(io::ErrorKind::UnexpectedEof.into());
                 let what = broken(place.get().max(1), &error);
                 content.refuse("", DAMAGED, what, place.get());
-                break;
+                return Ok(Ok(content));
             }
         }
     }
-    content.read_from = Some(ReadFrom::Scratch(Arc::clone(scratch)));
+    if is_at_end.get() {
+        content.refuse("", DAMAGED, UNMARKED.to_owned(), place.get());
+    }
     Ok(Ok(content))
 }
 
