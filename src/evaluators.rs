@@ -32,7 +32,15 @@ pub(crate) fn judge_hash(run: &Path) -> anyhow::Result<String> {
     Ok(network(run)?.hash().to_owned())
 }
 
-impl EvaluatorRuns<'_> {
+impl<'a> EvaluatorRuns<'a> {
+    /// An encoder without a coordinator.
+    pub(crate) fn of_encoder(encoder: &'a Path) -> Self {
+        Self {
+            encoder,
+            coordinator: None,
+        }
+    }
+
     pub(crate) fn with<T>(
         &self,
         skeleton: &Skeleton,

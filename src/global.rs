@@ -4,6 +4,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use compose::FrameCache;
 use datasets_spec::Seed;
 use serde::Serialize;
+use serde_json::Value;
 use train::config::Preset;
 use work::Context;
 
@@ -81,6 +82,16 @@ impl Global {
             false => report::text(text),
         }
         Ok(Exit::Done)
+    }
+
+    /// Prints a result whose document has the fields of two values.
+    pub(crate) fn say_joined<T: Serialize>(
+        &self,
+        own: Value,
+        all_of: &T,
+        text: &str,
+    ) -> anyhow::Result<Exit> {
+        self.say(&report::Joined { own, all_of }, text)
     }
 
     pub(crate) fn bars(&self) -> Bars {

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use datasets_spec::store::is_url;
-use datasets_spec::store::replace_file;
+use datasets_spec::store::{is_url, replace_file};
+use serde::de::DeserializeOwned;
 
 /// Parses a path and refuses a URL: datasets and sources can be remote, runs, exports and stores cannot.
 pub(crate) fn path() -> impl TypedValueParser<Value = PathBuf> {
@@ -27,6 +27,12 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
     fs::read(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
+/// Reads a JSON file. The error about another content is the path with `problem` after it.
+pub(crate) fn read_json<T: DeserializeOwned>(path: &Path, problem: &str) -> anyhow::Result<T> {
+    let parsed = serde_json::from_slice(&read(path)?);
+    parsed.with_context(|| format!("{} {problem}", path.display()))
+}
+
 pub(crate) fn read_text(path: &Path) -> anyhow::Result<String> {
     fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
 }
@@ -40,13 +46,10 @@ pub(crate) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
 /// last part.
 pub(crate) fn names_of(paths: &[PathBuf]) -> Vec<String> {
     let names: Vec<String> = paths.iter().map(|path| name_of(path)).collect();
-    let name = |(name, path): (&String, &PathBuf)| match names
-        .iter()
-        .filter(|other| *other == name)
-        .count()
-    {
-        1 => name.clone(),
-        _ => path.display().to_string(),
+    let is_shared = |name: &String| names.iter().filter(|other| *other == name).count() > 1;
+    let name = |(name, path): (&String, &PathBuf)| match is_shared(name) {
+        true => path.display().to_string(),
+        false => name.clone(),
     };
     names.iter().zip(paths).map(name).collect()
 }

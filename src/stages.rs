@@ -33,7 +33,8 @@ pub(crate) const ENCODER: &str = "tmr";
 /// Makes or completes the dataset of some sources in folder `root`: motions, masks and, if there are settings for them,
 /// style pairs. Also returns the ids of styled motions without a counterpart.
 pub(crate) fn dataset(
-    (sources, root): (&[SourceArg], &Path),
+    sources: &[SourceArg],
+    root: &Path,
     config: &IngestConfig,
     masks: &MaskConfig,
     pairs: Option<&PairConfig>,
@@ -130,16 +131,9 @@ pub(crate) fn edits(
 ) -> anyhow::Result<Answers> {
     let items = Dataset::open(items)?;
     let mut system = open_system(source, config, &items.skeleton()?, &device())?;
+    let (takes, holder) = (config.takes, global.holder());
     let made = with_session(&global.bars(), |session| {
-        answer_items(
-            &mut *system,
-            &items,
-            out,
-            config.takes,
-            seed,
-            &global.holder(),
-            session,
-        )
+        answer_items(&mut *system, &items, out, takes, seed, &holder, session)
     })?;
     note_remarks(&made.remarks);
     made.remarks.write(out)?;

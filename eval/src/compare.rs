@@ -13,7 +13,7 @@ use crate::format::csv::line;
 use crate::format::grid::Grid;
 use crate::linalg::Matrix;
 use crate::metric::fid::{self, FID, MIN_ROWS};
-use crate::metric::interval::MIN_TARGETS;
+use crate::metric::interval::{MIN_TARGETS, mean};
 use crate::metric::{self, Better, CLAIMS, Measure, Metric, RankSummary};
 use crate::names::REAL_DATA;
 use crate::protocol::{FidSample, Protocol, Spread};
@@ -27,24 +27,9 @@ use crate::table::notes::{shortage_of_fid, shortage_of_targets};
 /// Number of resamples for the interval of a Fréchet distance; each decomposes up to three large matrices.
 const FID_RESAMPLES: usize = 200;
 
-/// Columns of [`Comparison::csv`]. Those of the table of scores have the same names there (`format::csv`).
-const CSV_HEAD: [&str; 15] = [
-    "task",
-    "system_a",
-    "system_b",
-    "metric",
-    "protocol",
-    "encoder_hash",
-    "n",
-    "targets",
-    "items_digest",
-    "a",
-    "b",
-    "difference",
-    "from",
-    "to",
-    "better",
-];
+/// Header of [`Comparison::csv`]. The columns of the table of scores have the same names there (`format::csv`).
+const CSV_HEAD: &str = "task,system_a,system_b,metric,protocol,encoder_hash,n,targets,items_digest,\
+                        a,b,difference,from,to,better";
 
 /// Share of the resamples outside the interval at each end.
 const TAIL: f64 = 0.025;
@@ -251,15 +236,12 @@ impl Pairing<'_> {
     ) -> Option<Difference> {
         // Items outside of all galleries have NaN as value.
         let differences: Vec<f64> = a.iter().zip(b).map(|(a, b)| b - a).collect();
-        let mean = |values: &[f64]| {
+        let mean_of = |values: &[f64]| {
             let known = values.iter().zip(&differences);
             let known = known.filter(|(_, difference)| difference.is_finite());
-            let (sum, count) = known.fold((0.0, 0.0), |(sum, count), (value, _)| {
-                (sum + value, count + 1.0)
-            });
-            sum / count
+            mean(known.map(|(value, _)| *value)).unwrap_or(f64::NAN)
         };
-        let values = [mean(a), mean(b)];
+        let values = [mean_of(a), mean_of(b)];
         let mut resampled = self.resamples.means(&differences);
         if resampled.is_empty() || values.iter().any(|value| !value.is_finite()) {
             return None;
@@ -425,7 +407,6 @@ impl Comparison {
     /// Comparisons as one table of comma-separated values, one line per metric of each task. Numbers keep all their
     /// digits.
     pub fn csv(comparisons: &[Self]) -> String {
-        let head = CSV_HEAD.map(str::to_owned);
         let rows = comparisons.iter().flat_map(|comparison| {
             let [a, b] = &comparison.systems;
             comparison.differences.iter().map(move |row| {
@@ -452,31 +433,26 @@ impl Comparison {
                 ])
             })
         });
-        line(&head) + &rows.collect::<String>()
+        format!("{CSV_HEAD}\n{}", rows.collect::<String>())
     }
 
     /// The comparison as a table.
     pub fn grid(&self) -> Grid {
         let [a, b] = &self.systems;
+        let mut title = String::new();
+        if let Some(reason) = &self.unranked {
+            title += &format!(
+                "No system is called better: the encoder is too weak to judge: {reason}.\n"
+            );
+        }
+        let (task, n, targets, ids) = (&self.task, self.n, self.targets, &self.items_digest);
+        let (protocol, encoder) = (&self.protocol, &self.encoder_hash);
+        title += &format!(
+            "{task}: A = {a}, B = {b}, intervals of B - A; {n} items of {targets} targets (ids {ids}); {protocol}; \
+             encoder {encoder:.12}"
+        );
         Grid {
-            title: self
-                .unranked
-                .iter()
-                .map(|reason| {
-                    format!(
-                        "No system is called better: the encoder is too weak to judge: {reason}.\n"
-                    )
-                })
-                .collect::<String>()
-                + &format!(
-                    "{}: A = {a}, B = {b}, intervals of B - A; {} items of {} targets (ids {}); {}; encoder {}",
-                    self.task,
-                    self.n,
-                    self.targets,
-                    self.items_digest,
-                    self.protocol,
-                    crate::table::short_hash(&self.encoder_hash),
-                ),
+            title,
             head: ["Metric", "A", "B", "B - A", "from", "to", "better"]
                 .map(str::to_owned)
                 .to_vec(),

@@ -11,7 +11,7 @@ use crate::draw::plot::{Curve, HeatMap, Plot, Scale};
 use crate::format::ABSENT;
 use crate::format::grid::Grid;
 use crate::metric::Metric;
-use crate::names::{ALL_TASKS, IDENTITY, NOISE_FLOOR, REAL_DATA};
+use crate::names::{ALL_TASKS, GIVEN, IDENTITY, REAL_DATA};
 use crate::report::Chart;
 
 /// Sections of the settings. The key of a setting begins with its section, as in `compose.mcm_ratio`.
@@ -180,10 +180,8 @@ impl Figure {
         points: &[Point],
         scored: &[Vec<ScoreRow>],
     ) -> Chart {
-        let value = |rows: &[ScoreRow], wanted: &dyn Fn(&str) -> bool| -> (f64, f64) {
-            value(rows, metric, task, wanted)
-        };
-        let values: Vec<(f64, f64)> = scored.iter().map(|rows| value(rows, &is_edited)).collect();
+        let edited = |rows: &Vec<ScoreRow>| value(rows, metric, task, &is_edited);
+        let values: Vec<(f64, f64)> = scored.iter().map(edited).collect();
         let of_task = match task {
             ALL_TASKS => String::new(),
             task => format!(", {task}"),
@@ -215,9 +213,8 @@ impl Figure {
         // Rows that do not depend on the system have the same value at every scored point.
         let given = |name: &str| {
             let rows = scored.iter().find(|rows| !rows.is_empty());
-            let (mean, _) = rows.map_or((f64::NAN, f64::NAN), |rows| {
-                value(rows, &|system| system == name)
-            });
+            let rows = rows.map_or(&[][..], Vec::as_slice);
+            let (mean, _) = value(rows, metric, task, &|system| system == name);
             Curve {
                 name: name.to_owned(),
                 points: places.iter().map(|&place| (place, mean)).collect(),
@@ -244,7 +241,7 @@ impl Figure {
 
 /// Whether a row belongs to the system whose setting changes, rather than being a reference row of every table.
 fn is_edited(system: &str) -> bool {
-    ![REAL_DATA, IDENTITY, NOISE_FLOOR].contains(&system)
+    !GIVEN.contains(&system)
 }
 
 /// Mean and half width of the score of a wanted system; NaN for missing values.

@@ -131,20 +131,17 @@ impl JudgeReport {
             }
             for indices in galleries {
                 for &query in indices {
-                    let hits = indices
-                        .iter()
-                        .filter(|&&other| texts[other] == texts[query]);
-                    let hits = hits.count();
-                    chance.add(
-                        query,
-                        RECALL_CUTS.map(|k| of_random_order(indices.len(), hits, k)),
-                    );
+                    let is_hit = |other: &&usize| texts[**other] == texts[query];
+                    let (size, hits) = (indices.len(), indices.iter().filter(is_hit).count());
+                    chance.add(query, RECALL_CUTS.map(|k| of_random_order(size, hits, k)));
                 }
             }
         }
         let resamples = Resamples::new(texts.iter().copied(), &protocol);
         let [text_to_motion, motion_to_text] = queries.map(|queries| queries.recalls(&resamples));
-        let [r1, r3] = chance.means();
+        let [r1, r3] = chance
+            .percent()
+            .map(|values| mean_of_known(&values).unwrap_or(f64::NAN));
         Ok(Self {
             format: FORMAT,
             encoder_hash: about.encoder_hash.to_owned(),
@@ -163,11 +160,8 @@ impl JudgeReport {
 
     /// Reason why an encoder with this report cannot rank systems; `None` if it can.
     pub fn weakness(&self) -> Option<String> {
-        let lower = self
-            .text_to_motion
-            .r3
-            .lower
-            .min(self.motion_to_text.r3.lower);
+        let [texts, motions] = [&self.text_to_motion, &self.motion_to_text];
+        let lower = texts.r3.lower.min(motions.r3.lower);
         let needed = CHANCE_FACTOR * self.chance.r3;
         // A comparison with NaN is false.
         let is_fit = lower >= needed;
@@ -285,19 +279,10 @@ impl Queries {
         })
     }
 
-    fn means(&self) -> [f64; RECALL_CUTS.len()] {
-        self.percent()
-            .map(|values| mean_of_known(&values).unwrap_or(f64::NAN))
-    }
-
     fn recalls(&self, resamples: &Resamples) -> Recalls<Bounded> {
-        let means = self.means();
-        let lower = self
-            .percent()
-            .map(|values| quantile(&mut resamples.means(&values), TAIL).unwrap_or(f64::NAN));
-        let [r1, r3] = std::array::from_fn(|at| Bounded {
-            mean: means[at],
-            lower: lower[at],
+        let [r1, r3] = self.percent().map(|values| Bounded {
+            mean: mean_of_known(&values).unwrap_or(f64::NAN),
+            lower: quantile(&mut resamples.means(&values), TAIL).unwrap_or(f64::NAN),
         });
         Recalls { r1, r3 }
     }

@@ -161,55 +161,49 @@ impl Matrix {
 
 fn product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Matrix {
     assert_eq!(a.ncols(), b.nrows(), "matrices of different inner size");
-    let mut result = Matrix::zeros(a.nrows(), b.ncols());
-    if result.data.is_empty() {
-        return result;
-    }
-    let columns = b.ncols();
-    result
-        .data
-        .par_chunks_mut(ROWS_PER_TASK * columns)
-        .enumerate()
-        .for_each(|(task, out)| {
-            let rows = out.len() / columns;
-            let a = a.subrows(task * ROWS_PER_TASK, rows);
-            let out = MatMut::from_row_major_slice_mut(out, rows, columns);
-            matmul(out, Accum::Replace, a, b, 1.0, Par::Seq);
-        });
+    in_blocks(a.nrows(), b.ncols(), |first, out| {
+        let a = a.subrows(first, out.nrows());
+        matmul(out, Accum::Replace, a, b, 1.0, Par::Seq);
+    })
+}
+
+/// A matrix whose blocks of rows are written in parallel. `write` gets the number of the first row of a block.
+fn in_blocks(
+    num_rows: usize,
+    num_cols: usize,
+    write: impl Fn(usize, MatMut<'_, f64>) + Sync,
+) -> Matrix {
+    let mut result = Matrix::zeros(num_rows, num_cols);
+    let blocks = result.data.par_chunks_mut(ROWS_PER_TASK * num_cols.max(1));
+    blocks.enumerate().for_each(|(block, out)| {
+        let rows = out.len() / num_cols;
+        let out = MatMut::from_row_major_slice_mut(out, rows, num_cols);
+        write(block * ROWS_PER_TASK, out);
+    });
     result
 }
 
 /// `A Aᵀ`, computed from its lower triangle.
 fn symmetric_product(a: MatRef<'_, f64>) -> Matrix {
     let size = a.nrows();
-    let mut result = Matrix::zeros(size, size);
-    if size == 0 {
-        return result;
-    }
-    result
-        .data
-        .par_chunks_mut(ROWS_PER_TASK * size)
-        .enumerate()
-        .for_each(|(task, out)| {
-            let (first, rows) = (task * ROWS_PER_TASK, out.len() / size);
-            let own = a.subrows(first, rows);
-            let out = MatMut::from_row_major_slice_mut(out, rows, size);
-            let (left, rest) = out.split_at_col_mut(first);
-            let before = a.subrows(0, first).transpose();
-            matmul(left, Accum::Replace, own, before, 1.0, Par::Seq);
-            let (diagonal, _) = rest.split_at_col_mut(rows);
-            triangular::matmul(
-                diagonal,
-                BlockStructure::TriangularLower,
-                Accum::Replace,
-                own,
-                BlockStructure::Rectangular,
-                own.transpose(),
-                BlockStructure::Rectangular,
-                1.0,
-                Par::Seq,
-            );
-        });
+    let mut result = in_blocks(size, size, |first, out| {
+        let own = a.subrows(first, out.nrows());
+        let (left, rest) = out.split_at_col_mut(first);
+        let before = a.subrows(0, first).transpose();
+        matmul(left, Accum::Replace, own, before, 1.0, Par::Seq);
+        let (diagonal, _) = rest.split_at_col_mut(own.nrows());
+        triangular::matmul(
+            diagonal,
+            BlockStructure::TriangularLower,
+            Accum::Replace,
+            own,
+            BlockStructure::Rectangular,
+            own.transpose(),
+            BlockStructure::Rectangular,
+            1.0,
+            Par::Seq,
+        );
+    });
     for row in 1..size {
         for col in 0..row {
             result.data[col * size + row] = result.data[row * size + col];

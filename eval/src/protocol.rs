@@ -235,12 +235,11 @@ impl Protocol {
             Keypoints::All => "",
             Keypoints::Body => ", position error of 22 joints",
         };
-        let limit = self.limit.map_or_else(String::new, |limit| {
-            format!(
-                ", a random {} of the items (seed {})",
-                limit.items, limit.seed.0
-            )
-        });
+        let limit = self
+            .limit
+            .map_or_else(String::new, |Limit { items, seed }| {
+                format!(", a random {items} of the items (seed {})", seed.0)
+            });
         let interval = match self.interval {
             Spread::Targets => format!(
                 "95 % intervals from {RESAMPLES}{FROM_TARGETS} ({SET_RESAMPLES} for FID and Diversity)"

@@ -206,7 +206,7 @@ impl Table {
         text.push_str(&self.takes());
         text.push_str(&format!(", {} repeats; {}", self.repeats, self.protocol));
         if !self.encoder_hash.is_empty() {
-            text.push_str(&format!("; encoder {}", short_hash(&self.encoder_hash)));
+            text.push_str(&format!("; encoder {:.12}", self.encoder_hash));
         }
         if !self.encoder_recipe.is_empty() {
             text.push_str(&format!(" ({})", self.encoder_recipe));
@@ -297,16 +297,6 @@ fn counted(count: u32, what: &str) -> String {
     } else {
         format!("{count} {what}s")
     }
-}
-
-/// Number of digits of a hash that tables print: enough to distinguish the encoders of a project.
-const SHORT_HASH: usize = 12;
-
-/// The first digits of a hash.
-pub(crate) fn short_hash(hash: &str) -> &str {
-    hash.char_indices()
-        .nth(SHORT_HASH)
-        .map_or(hash, |(end, _)| &hash[..end])
 }
 
 #[cfg(test)]

@@ -80,14 +80,9 @@ fn layouts<'de, D: Deserializer<'de>>(names: D) -> Result<Vec<Layout>, D::Error>
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let config = read(args)?;
     let (root, seed) = (config.out.join("dataset"), global.seed());
-    let (ingested, alone) = stages::dataset(
-        (&config.sources, &root),
-        &config.ingest,
-        &config.masks,
-        config.pairs.as_ref(),
-        seed,
-        global,
-    )?;
+    let (ingest, masks, pairs) = (&config.ingest, &config.masks, config.pairs.as_ref());
+    let (ingested, alone) =
+        stages::dataset(&config.sources, &root, ingest, masks, pairs, seed, global)?;
     let triplets = config.out.join("triplets");
     let (count, compose) = (config.triplets, &config.compose);
     let recorded = stages::triplets([&root, &triplets], count, compose, seed, global)?;

@@ -40,8 +40,6 @@ pub(crate) fn man(args: &ManArgs, command: Command, global: &Global) -> anyhow::
     std::fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
     clap_mangen::generate_to(command, out)
         .with_context(|| format!("cannot write to {}", out.display()))?;
-    global.say(
-        &serde_json::json!({ "out": out }),
-        &format!("man pages in {}", out.display()),
-    )
+    let text = format!("man pages in {}", out.display());
+    global.say(&serde_json::json!({ "out": out }), &text)
 }

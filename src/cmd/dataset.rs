@@ -14,7 +14,6 @@ use serde_json::json;
 
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report::Joined;
 
 /// Versions of a dataset, and datasets made of others.
 ///
@@ -82,30 +81,19 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
 }
 
 fn merged(args: &Merge, global: &Global) -> anyhow::Result<Exit> {
-    let done = merge(
-        &args.first,
-        &args.second,
-        &args.out,
-        &global.holder(),
-        &global.bars(),
-    )
-    .with_context(|| {
-        format!(
-            "cannot merge {} and {}",
-            args.first.display(),
-            args.second.display()
-        )
+    let (holder, bars) = (global.holder(), global.bars());
+    let done = merge(&args.first, &args.second, &args.out, &holder, &bars).with_context(|| {
+        let [first, second] = [&args.first, &args.second].map(|path| path.display());
+        format!("cannot merge {first} and {second}")
     })?;
     global.say(&done, &summary(&done))
 }
 
 fn summary(done: &Merged) -> String {
+    let (clips, shared) = (done.clips, done.shared.len());
+    let (renamed, moved) = (done.renamed.len(), done.moved.len());
     let mut text = format!(
-        "{} clips; of the second dataset {} are in both, {} have a new id, {} a new split\n",
-        done.clips,
-        done.shared.len(),
-        done.renamed.len(),
-        done.moved.len()
+        "{clips} clips; of the second dataset {shared} are in both, {renamed} have a new id, {moved} a new split\n"
     );
     for (from, to) in &done.renamed {
         text += &format!("  {from} is {to}\n");
@@ -128,15 +116,8 @@ fn pruned(args: &Prune, global: &Global) -> anyhow::Result<Exit> {
     let transaction = Transaction::begin(&args.dataset, &global.holder())?;
     let done = transaction.prune(args.keep.get(), args.dry_run)?;
     let removed = if args.dry_run { "to remove" } else { "removed" };
-    let text = format!(
-        "{} versions and {} files {removed}, {:.1} MB\n",
-        done.versions.len(),
-        done.files,
-        done.bytes as f64 / 1e6
-    );
-    let document = Joined {
-        own: json!({ "dry_run": args.dry_run }),
-        all_of: &done,
-    };
-    global.say(&document, &text)
+    let (versions, files) = (done.versions.len(), done.files);
+    let megabytes = done.bytes as f64 / 1e6;
+    let text = format!("{versions} versions and {files} files {removed}, {megabytes:.1} MB\n");
+    global.say_joined(json!({ "dry_run": args.dry_run }), &done, &text)
 }

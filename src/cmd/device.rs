@@ -36,16 +36,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let failed = |problem: String| anyhow::anyhow!("device {name} {problem}; do not train on it");
     let products = check(&device).map_err(failed)?;
     let begun = Instant::now();
-    let windows = usize::from(args.windows);
-    let (steps, secs) = of_training(
-        Preset::Official,
-        windows,
-        Duration::from_secs(args.secs),
-        &device,
-        arithmetic(),
-        &|| begun.elapsed(),
-    )
-    .map_err(failed)?;
+    let (windows, least) = (usize::from(args.windows), Duration::from_secs(args.secs));
+    let (preset, clock) = (Preset::Official, || begun.elapsed());
+    let (steps, secs) =
+        of_training(preset, windows, least, &device, arithmetic(), &clock).map_err(failed)?;
     let windows_per_sec = (steps * windows) as f64 / secs;
     let products = match products {
         Products::Single => "single precision",

@@ -35,11 +35,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         unit: args.unit,
         ..ReadOptions::default()
     };
-    let diagnosis = examine(
-        &args.sources,
-        args.humanml3d_index.as_deref(),
-        &options,
-        &global.bars(),
-    )?;
+    let index = args.humanml3d_index.as_deref();
+    let diagnosis = examine(&args.sources, index, &options, &global.bars())?;
     global.say(&diagnosis, &diagnosis.to_string())
 }

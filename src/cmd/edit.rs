@@ -16,8 +16,8 @@ use train::history::{EditHistory, HistoryStep};
 use train::registry::open_system;
 use train::sample::{EditTimes, FitMethod, TimedInstruction};
 use train::system::{
-    Answers, EditConfig, EditSystem, Edited, Misfit, Remarks, SystemIdentity, SystemSource,
-    edit_layers, edit_motion, whole,
+    EditConfig, EditSystem, Edited, Misfit, Remarks, SystemIdentity, SystemSource, edit_layers,
+    edit_motion, whole,
 };
 use train::work::edits::plan_edits;
 use work::Plan;
@@ -26,10 +26,9 @@ use work::commit_edits;
 use crate::device::{DeviceArgs, device};
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::local;
-use crate::report;
 use crate::session::{surroundings, text_encoder, with_session};
 use crate::stages::{self, note_remarks, per_window};
+use crate::{local, report};
 
 /// Edit motions by instruction with a trained editor.
 ///
@@ -167,12 +166,8 @@ impl Args {
     }
 
     fn system(&self, skeleton: &Skeleton) -> anyhow::Result<Box<dyn EditSystem>> {
-        Ok(open_system(
-            &self.source(),
-            &self.config(),
-            skeleton,
-            &device(),
-        )?)
+        let (source, config) = (self.source(), self.config());
+        Ok(open_system(&source, &config, skeleton, &device())?)
     }
 
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
@@ -180,15 +175,10 @@ impl Args {
         let (Some(items), [out]) = (&self.items, self.out.as_slice()) else {
             bail!("answers to items are planned: --items ITEMS --into DIR");
         };
-        Ok(plan_edits(
-            &self.source(),
-            items,
-            out,
-            (&self.config(), global.seed()),
-            self.device.to_json(),
-            surroundings(),
-            plan,
-        )?)
+        let (source, config, device) = (self.source(), self.config(), self.device.to_json());
+        let settings = (&config, global.seed());
+        let made = plan_edits(&source, items, out, settings, device, surroundings(), plan)?;
+        Ok(made)
     }
 }
 
@@ -215,30 +205,21 @@ fn answer(args: &Args, items: &Path, global: &Global) -> anyhow::Result<Exit> {
     let [out] = args.out.as_slice() else {
         bail!("items are answered in one folder; pass --out once");
     };
-    let Answers {
-        dataset: done,
-        times,
-        remarks,
-    } = stages::edits(
-        items,
-        &args.source(),
-        out,
-        &args.config(),
-        global.seed(),
-        global,
-    )?;
-    let rows = done.manifest().rows(EditRow::TABLE, None);
+    let (source, config, seed) = (args.source(), args.config(), global.seed());
+    let made = stages::edits(items, &source, out, &config, seed, global)?;
+    let manifest = made.dataset.manifest();
+    let rows = manifest.rows(EditRow::TABLE, None);
     let document = serde_json::json!({
         "edits": rows,
-        "root_hash": done.manifest().root_hash,
-        "num_short": remarks.num_short,
-        "unknown_words": remarks.unknown_words,
-        "times": times,
+        "root_hash": manifest.root_hash,
+        "num_short": made.remarks.num_short,
+        "unknown_words": made.remarks.unknown_words,
+        "times": made.times,
     });
     global.say(&document, &format!("{rows} rows in {}", out.display()))?;
     if args.profile && !global.json {
-        report::text(&match times {
-            Some(times) => profile(&times),
+        report::text(&match &made.times {
+            Some(times) => profile(times),
             None => "the edits were there already; edit into another folder to time it".to_owned(),
         });
     }
@@ -336,13 +317,10 @@ fn say(args: &Args, edited: &Edited, remarks: &Remarks, global: &Global) -> anyh
         "times": edited.times,
     });
     let out = args.out.iter().map(|out| out.display().to_string());
-    let text = format!(
-        "{} frames at {}, fitted to {:.1} cm; in {}",
-        edited.motion.len(),
-        edited.motion.fps(),
-        100.0 * edited.misfit.fit_error_m,
-        out.collect::<Vec<_>>().join(", ")
-    );
+    let out = out.collect::<Vec<_>>().join(", ");
+    let (frames, fps) = (edited.motion.len(), edited.motion.fps());
+    let error_cm = 100.0 * edited.misfit.fit_error_m;
+    let text = format!("{frames} frames at {fps}, fitted to {error_cm:.1} cm; in {out}");
     global.say(&document, &text)?;
     if args.profile && !global.json {
         report::text(&profile(&edited.times));
@@ -521,12 +499,11 @@ impl Interactive<'_> {
             _ if line.starts_with(':') => {
                 bail!("{line:?} is no command; known are :undo, :redo, :save FILE and :quit")
             }
-            _ if line.starts_with(|first: char| first.is_ascii_digit()) => {
-                let asked: TimedInstruction = line.parse().map_err(anyhow::Error::msg)?;
-                self.edit(history, vec![asked])?;
-            }
             _ => {
-                let asked = whole(line, &history.current()?);
+                let asked = match line.starts_with(|first: char| first.is_ascii_digit()) {
+                    true => line.parse().map_err(anyhow::Error::msg)?,
+                    false => whole(line, &history.current()?),
+                };
                 self.edit(history, vec![asked])?;
             }
         }
@@ -535,41 +512,32 @@ impl Interactive<'_> {
     }
 
     fn say(&self, history: &EditHistory) -> anyhow::Result<Exit> {
-        let current = history.current()?;
+        let (current, edits) = (history.current()?, history.edits());
+        let edited = |edit: &HistoryStep| {
+            serde_json::json!({
+                "instructions": edit.instructions,
+                "seed": edit.seed,
+                "guidance": edit.guidance,
+                "fit_error_m": edit.misfit.fit_error_m,
+            })
+        };
         let document = serde_json::json!({
             "history": self.path,
             "motion": history.id(),
-            "edits": history
-                .edits()
-                .iter()
-                .map(|edit| serde_json::json!({
-                    "instructions": edit.instructions,
-                    "seed": edit.seed,
-                    "guidance": edit.guidance,
-                    "fit_error_m": edit.misfit.fit_error_m,
-                }))
-                .collect::<Vec<_>>(),
+            "edits": edits.iter().map(edited).collect::<Vec<_>>(),
             "undone": history.num_undone(),
             "frames": current.len(),
             "out": self.args.out,
         });
+        let (id, frames, count) = (history.id(), current.len(), edits.len());
+        let (undone, path) = (history.num_undone(), self.path.display());
         let mut lines = vec![format!(
-            "{}: {} frames, {} edits, {} taken back; in {}",
-            history.id(),
-            current.len(),
-            history.edits().len(),
-            history.num_undone(),
-            self.path.display()
+            "{id}: {frames} frames, {count} edits, {undone} taken back; in {path}"
         )];
-        for (number, edit) in history.edits().iter().enumerate() {
-            for asked in &edit.instructions {
-                lines.push(format!(
-                    "{:>3}  {}:{}  {}",
-                    number + 1,
-                    asked.frames.start,
-                    asked.frames.end,
-                    asked.text
-                ));
+        for (number, edit) in (1..).zip(edits) {
+            for TimedInstruction { frames, text } in &edit.instructions {
+                let (start, end) = (frames.start, frames.end);
+                lines.push(format!("{number:>3}  {start}:{end}  {text}"));
             }
         }
         self.global.say(&document, &lines.join("\n"))

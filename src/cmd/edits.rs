@@ -13,8 +13,7 @@ use serde_json::json;
 use crate::evaluators::judge_hash;
 use crate::exit::Exit;
 use crate::global::{Global, one_of};
-use crate::local;
-use crate::report::{self, Joined};
+use crate::{local, report};
 
 /// Import answers of systems outside this program, and bundle answers.
 #[derive(clap::Args, Debug)]
@@ -145,9 +144,8 @@ fn import(args: &ImportArgs, global: &Global) -> anyhow::Result<Exit> {
         "out": written.as_ref().map(|_| args.out.display().to_string()),
         "root_hash": written.as_ref().map(|made| &made.manifest().root_hash),
     });
-    let all_of = report;
     let text = text(args, report, written.is_some());
-    global.say(&Joined { own, all_of }, &text)?;
+    global.say_joined(own, report, &text)?;
     for warning in &report.warnings {
         report::note(&format!("warning: {warning}"));
     }
@@ -184,21 +182,12 @@ fn bundle(args: &BundleArgs, global: &Global) -> anyhow::Result<Exit> {
     let bundle = Bundle::new(&args.edits, rows, &items, &skeleton, &license, judge)?;
     let zip = bundle.to_zip()?;
     local::write(&args.out, &zip)?;
+    let (out, bytes) = (args.out.display(), zip.len());
+    let (answers, facts) = (bundle.rows.len(), &bundle.facts);
+    let (system, items, kilobytes) = (&facts.system, &facts.item_hash, bytes / 1000);
     global.say(
-        &json!({
-            "out": args.out,
-            "bytes": zip.len(),
-            "answers": bundle.rows.len(),
-            "bundle": bundle.facts,
-        }),
-        &format!(
-            "{} answers of {} to the items {}, in {} ({} kB)",
-            bundle.rows.len(),
-            bundle.facts.system,
-            bundle.facts.item_hash,
-            args.out.display(),
-            zip.len() / 1000
-        ),
+        &json!({ "out": args.out, "bytes": bytes, "answers": answers, "bundle": facts }),
+        &format!("{answers} answers of {system} to the items {items}, in {out} ({kilobytes} kB)"),
     )
 }
 
@@ -218,15 +207,11 @@ fn settings(given: Option<&str>) -> anyhow::Result<String> {
 }
 
 fn text(args: &ImportArgs, report: &AnswerReport, is_written: bool) -> String {
+    let (found, imported, refused) = (report.found, report.imported, report.refused.len());
+    let (answered, items, passed_over) = (report.answered, report.items, report.passed_over.len());
     let mut text = format!(
-        "{} answers found: {} imported, {} refused, {} files passed over\n{} of {} items answered by \
-         {}\n",
-        report.found,
-        report.imported,
-        report.refused.len(),
-        report.passed_over.len(),
-        report.answered,
-        report.items,
+        "{found} answers found: {imported} imported, {refused} refused, {passed_over} files passed over\n\
+         {answered} of {items} items answered by {}\n",
         args.name
     );
     let mut list = |title, lines: Vec<String>| report::append_list(&mut text, title, &lines);
@@ -245,12 +230,8 @@ fn text(args: &ImportArgs, report: &AnswerReport, is_written: bool) -> String {
     });
     list("refused", refused.collect());
     let passed_over = report.passed_over.iter();
-    list(
-        "passed over",
-        passed_over
-            .map(|passed| format!("{}: {}", passed.file, passed.reason))
-            .collect(),
-    );
+    let passed_over = passed_over.map(|passed| format!("{}: {}", passed.file, passed.reason));
+    list("passed over", passed_over.collect());
     list("without an answer", report.missing.clone());
     if is_written {
         text += &format!("edits in {}\n", args.out.display());

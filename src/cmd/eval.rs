@@ -415,11 +415,8 @@ fn timed(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         report::json(&rows.iter().map(row).collect::<Vec<_>>())?;
     } else {
         let grids = times::tables(&rows);
-        let grids: Vec<String> = grids
-            .iter()
-            .map(|grid| printed(grid, args.measure.format))
-            .collect();
-        report::text(&grids.join("\n"));
+        let texts = grids.iter().map(|grid| printed(grid, args.measure.format));
+        report::text(&texts.collect::<Vec<_>>().join("\n"));
         if rows.iter().any(|(_, times)| !times.is_latency()) {
             report::note("a latency is timed by editing with --max-batch 1, into another folder");
         }
@@ -441,11 +438,18 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
         let notes = comparison.notes.iter().cloned();
         notes.chain(comparison.claim()).collect()
     };
-    match args.measure.format(global) {
-        FormatArg::Json => {
-            report::json(&comparisons)?;
-            return Ok(exit);
+    let printed = |comparison: &Comparison| {
+        let mut text = printed(&comparison.grid(), args.measure.format);
+        for line in said(comparison) {
+            text += &match args.measure.format {
+                FormatArg::Latex => format!("% {line}\n"),
+                _ => format!("\n{line}\n"),
+            };
         }
+        text
+    };
+    match args.measure.format(global) {
+        FormatArg::Json => report::json(&comparisons)?,
         FormatArg::Csv => {
             report::text(&Comparison::csv(&comparisons));
             // CSV has no place for a sentence.
@@ -454,24 +458,12 @@ fn compared(args: &CompareArgs, global: &Global) -> anyhow::Result<Exit> {
                     report::note(&format!("{}: {line}", comparison.task));
                 }
             }
-            return Ok(exit);
         }
-        FormatArg::Text | FormatArg::Markdown | FormatArg::Latex => {}
+        FormatArg::Text | FormatArg::Markdown | FormatArg::Latex => {
+            let texts: Vec<String> = comparisons.iter().map(printed).collect();
+            report::text(&texts.join("\n"));
+        }
     }
-    let texts: Vec<String> = comparisons
-        .iter()
-        .map(|comparison| {
-            let mut text = printed(&comparison.grid(), args.measure.format);
-            for line in said(comparison) {
-                text += &match args.measure.format {
-                    FormatArg::Latex => format!("% {line}\n"),
-                    _ => format!("\n{line}\n"),
-                };
-            }
-            text
-        })
-        .collect();
-    report::text(&texts.join("\n"));
     Ok(exit)
 }
 

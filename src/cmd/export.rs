@@ -90,13 +90,9 @@ impl Args {
         if dataset.manifest().tables.contains_key(MotionRow::TABLE) {
             remark_before(layout, &self.clips(&dataset)?)?;
         }
-        Ok(plan_export(
-            &self.dataset,
-            layout,
-            self.chosen.condition.as_ref(),
-            &self.out,
-            plan,
-        )?)
+        let condition = self.chosen.condition.as_ref();
+        let made = plan_export(&self.dataset, layout, condition, &self.out, plan)?;
+        Ok(made)
     }
 
     fn clips<'a>(&self, dataset: &'a Dataset) -> anyhow::Result<Clips<'a>> {

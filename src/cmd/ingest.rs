@@ -27,8 +27,7 @@ use self::words::foreseen;
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::global::{Global, Names, one_of};
-use crate::local;
-use crate::report::{self, Joined};
+use crate::{local, report};
 
 pub(crate) use self::words::summary;
 
@@ -215,14 +214,9 @@ fn parse_allowance(text: &str) -> Result<Allowance, String> {
 
 impl Args {
     pub(crate) fn plan(&self, plan: &Path, global: &Global) -> anyhow::Result<Plan> {
-        let options = options(self, global)?;
-        Ok(plan_ingest(
-            &self.sources,
-            &self.out,
-            &options,
-            plan,
-            &global.bars(),
-        )?)
+        let (options, bars) = (options(self, global)?, global.bars());
+        let made = plan_ingest(&self.sources, &self.out, &options, plan, &bars)?;
+        Ok(made)
     }
 }
 
@@ -254,21 +248,15 @@ pub(crate) fn run(args: &RunArgs, global: &Global) -> anyhow::Result<Exit> {
     if *dry_run {
         return tell(args, &options, global);
     }
-    let done = ingest(
-        &args.sources,
-        &args.out,
-        &options,
-        &global.holder(),
-        &global.bars(),
-    )
-    .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
+    let (holder, bars) = (global.holder(), global.bars());
+    let done = ingest(&args.sources, &args.out, &options, &holder, &bars)
+        .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
     let empty = without_motions(&done);
     let mut own = empty.as_ref().map_or(json!({}), |failure| json!(failure));
     own["dataset"] = json!(done.dataset.root().display().to_string());
     own["tables"] = json!(done.dataset.manifest().row_counts());
     own["root_hash"] = json!(done.dataset.manifest().root_hash);
-    let all_of = &done;
-    global.say(&Joined { own, all_of }, &summary(&done))?;
+    global.say_joined(own, &done, &summary(&done))?;
     Ok(match empty {
         Some(failure) => {
             report::note(&failure.reason);
@@ -282,8 +270,7 @@ fn tell(args: &Args, options: &IngestOptions, global: &Global) -> anyhow::Result
     let told = forecast(&args.sources, &args.out, options, &global.bars())
         .with_context(|| format!("cannot ingest into {}", args.out.display()))?;
     let own = json!({ "dataset": args.out.display().to_string(), "dry_run": true });
-    let all_of = &told;
-    global.say(&Joined { own, all_of }, &foreseen(&told))?;
+    global.say_joined(own, &told, &foreseen(&told))?;
     Ok(Exit::done_if(told.refusals.is_empty()))
 }
 

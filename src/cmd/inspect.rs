@@ -14,7 +14,7 @@ use datasets_spec::store::{ByPath, Store, is_url};
 use datasets_spec::table::{Row, ShardDescription, describe, read_column};
 use datasets_spec::{Dataset, MotionId, Skeleton};
 use formats::source::ReadOptions;
-use pipeline::catalogue::{Group, catalogue};
+use pipeline::catalogue::catalogue;
 use pipeline::ingest::REMARKS_FACT;
 use pipeline::open::{read_file, stored_clip, stored_item};
 use serde::Serialize;
@@ -148,13 +148,12 @@ fn say_dataset(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {
             continue;
         }
         text += &format!("\n{title:<24} {:>7} {:>9}\n", "clips", "minutes");
-        for Group {
-            label,
-            clips,
-            minutes,
-        } in groups
-        {
-            let label = if label.is_empty() { "(none)" } else { label };
+        for group in groups {
+            let (clips, minutes) = (group.clips, group.minutes);
+            let label = match group.label.as_str() {
+                "" => "(none)",
+                label => label,
+            };
             text += &format!("{label:<24} {clips:>7} {minutes:>9.2}\n");
         }
     }
@@ -186,11 +185,8 @@ fn manifest_text(manifest: &Manifest) -> String {
 }
 
 fn listing(facts: &BTreeMap<String, String>) -> String {
-    let lines: Vec<String> = facts
-        .iter()
-        .map(|(key, value)| format!("{key:<14} {value}\n"))
-        .collect();
-    lines.concat()
+    let line = |(key, value): (&String, &String)| format!("{key:<14} {value}\n");
+    facts.iter().map(line).collect()
 }
 
 fn shard_text(shard: &ShardDescription) -> String {
@@ -276,13 +272,10 @@ fn about_item(item: &ItemRow, edits: &[EditRow]) -> About {
     about.fact("donors", item.donor_ids.join(", "));
     about.fact("origin", &item.origin);
     let edits = edits.iter().filter(|edit| edit.id == item.id);
-    let answer =
-        |EditRow {
-             system,
-             seed,
-             n_frames,
-             ..
-         }: &EditRow| { format!("{system}, seed {seed}, {n_frames} frames") };
+    let answer = |edit: &EditRow| {
+        let (seed, frames) = (edit.seed, edit.n_frames);
+        format!("{}, seed {seed}, {frames} frames", edit.system)
+    };
     about.lists.insert("answers", edits.map(answer).collect());
     about
 }

@@ -14,8 +14,7 @@ use pipeline::stage::{self, Judged};
 use crate::chosen::ChosenArgs;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::local;
-use crate::report;
+use crate::{local, report};
 
 /// Mark which body parts each clip is about, and let people correct it.
 ///
@@ -107,12 +106,8 @@ fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> 
         Ok(taken) => taken,
         Err(findings) => {
             for finding in findings.iter().take(SHOWN) {
-                report::note(&format!(
-                    "{}:{}: {}",
-                    file.display(),
-                    finding.line,
-                    finding.problem
-                ));
+                let place = format!("{}:{}", file.display(), finding.line);
+                report::note(&format!("{place}: {}", finding.problem));
             }
             bail!(
                 "{} lines cannot be taken; nothing was changed",
@@ -126,16 +121,12 @@ fn accept(args: &Args, file: &Path, global: &Global) -> anyhow::Result<Dataset> 
             taken.open_edits
         ));
     }
-    let plan = blake3::hash(format!("{author}\n{lines}").as_bytes());
+    let plan = blake3::hash(format!("{author}\n{lines}").as_bytes()).to_hex();
     let split_of = |row: &MaskRow| row.split;
-    Ok(commit_rows(
-        &args.dataset,
-        &taken.masks,
-        Some(split_of),
-        &dataset.skeleton()?,
-        plan.to_hex().as_str(),
-        &global.holder(),
-    )?)
+    let (root, rows) = (&args.dataset, &taken.masks);
+    let (skeleton, holder) = (dataset.skeleton()?, global.holder());
+    let made = commit_rows(root, rows, Some(split_of), &skeleton, &plan, &holder)?;
+    Ok(made)
 }
 
 fn print(dataset: &Dataset, global: &Global) -> anyhow::Result<Exit> {

@@ -266,12 +266,8 @@ fn make_table(args: &TableArgs) -> anyhow::Result<()> {
 }
 
 fn read_texts(path: &Path) -> anyhow::Result<Vec<String>> {
-    let TextList { texts } = serde_json::from_slice(&local::read(path)?).with_context(|| {
-        format!(
-            "{} is not the document of `stance model texts DATASET --json`",
-            path.display()
-        )
-    })?;
+    let problem = "is not the document of `stance model texts DATASET --json`";
+    let TextList { texts } = local::read_json(path, problem)?;
     Ok(texts)
 }
 
@@ -433,8 +429,7 @@ fn import_mdm(args: &ImportArgs, stats: &Path) -> anyhow::Result<()> {
     let weights = weights(&args.file, &options)?;
     let described = args.file.with_file_name("args.json");
     let mdm: MdmArgs = if described.exists() {
-        serde_json::from_slice(&local::read(&described)?)
-            .with_context(|| format!("{} does not describe an MDM", described.display()))?
+        local::read_json(&described, "does not describe an MDM")?
     } else {
         MdmArgs::default()
     };
@@ -468,10 +463,8 @@ fn weights(file: &Path, options: &StateDictOptions<'_>) -> anyhow::Result<Vec<u8
 }
 
 fn range(path: &Path) -> anyhow::Result<Normalizer> {
-    let bytes = local::read(path)?;
     if path.extension().is_some_and(|ending| ending == "json") {
-        let range: Normalizer = serde_json::from_slice(&bytes)
-            .with_context(|| format!("{} is no normaliser", path.display()))?;
+        let range: Normalizer = local::read_json(path, "is no normaliser")?;
         if !std::iter::zip(range.min, range.max).all(|(min, max)| min < max) {
             bail!(
                 "{} is no normaliser: on every axis, min must be below max",
@@ -480,5 +473,5 @@ fn range(path: &Path) -> anyhow::Result<Normalizer> {
         }
         return Ok(range);
     }
-    Ok(exchange::read_released_range(&bytes, path)?)
+    Ok(exchange::read_released_range(&local::read(path)?, path)?)
 }

@@ -20,8 +20,7 @@ use crate::device::DeviceArgs;
 use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs};
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::local;
-use crate::stages;
+use crate::{local, stages};
 
 /// Write one HTML file with the tables, and a 3D viewer of all systems side by side.
 ///
@@ -58,10 +57,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let mut unranked = None;
     let tables = match &args.encoder {
         Some(encoder) => {
-            let runs = EvaluatorRuns {
-                encoder,
-                coordinator: None,
-            };
+            let runs = EvaluatorRuns::of_encoder(encoder);
             let protocol = Protocol {
                 seed: global.seed(),
                 ..Protocol::default()
@@ -100,11 +96,7 @@ pub(crate) fn of_edits(
     let mut systems: Vec<&str> = edits.iter().map(|row| row.system.as_str()).collect();
     systems.sort_unstable();
     systems.dedup();
-    let settings = settings_of(edits);
-    let settings: Vec<(&str, &serde_json::Value)> = settings
-        .iter()
-        .map(|(system, settings)| (*system, settings))
-        .collect();
+    let settings: Vec<(&str, serde_json::Value)> = settings_of(edits).into_iter().collect();
     Ok(Report {
         title: "Edited motions".to_owned(),
         subtitle: format!("{} items edited by {}", items.len(), systems.join(", ")),

@@ -86,16 +86,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         ),
     };
     let mut lines = vec![format!("{pairs} pairs; {left_out}")];
-    lines.extend(
-        splits
-            .iter()
-            .map(|(split, count)| format!("  {split:<12} {count:>6}")),
-    );
-    lines.extend(
-        styles
-            .iter()
-            .map(|(style, count)| format!("  {style:<12} {count:>6}")),
-    );
+    let counted = |name: &str, count: &u64| format!("  {name:<12} {count:>6}");
+    lines.extend(splits.iter().map(|(split, count)| counted(split, count)));
+    lines.extend(styles.iter().map(|(style, count)| counted(style, count)));
     let document = serde_json::json!({
         "pairs": pairs,
         "alone": alone.len(),

@@ -8,6 +8,7 @@ use std::process::{ExitStatus, Stdio};
 use std::time::Instant;
 
 use anyhow::{Context, bail};
+use datasets_spec::Progress as _;
 use datasets_spec::store::temporary_beside;
 use pipeline::export::Exported;
 use serde::Deserialize;
@@ -19,14 +20,13 @@ use work::{
     is_occupied,
 };
 
-use crate::cmd;
 use crate::device::DeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
 use crate::itself::Itself;
-use crate::report;
 use crate::session::surroundings;
 use crate::stages::per_window;
+use crate::{cmd, report};
 
 /// Do a long job in pieces, on any number of machines, with the same result.
 ///
@@ -282,8 +282,7 @@ fn work(args: &WorkArgs, global: &Global, itself: Itself<'_>) -> anyhow::Result<
     let worker = Worker::open(&args.plan, jobs())?;
     let ids = chosen(args, worker.plan())?;
     let (mut done, mut before, mut failed) = (0u64, 0u64, 0u64);
-    let bars = global.bars();
-    let progress: &dyn datasets_spec::Progress = &bars;
+    let progress = global.bars();
     progress.begin("work", Some(ids.len() as u64));
     for id in &ids {
         let record = match args.isolate {
@@ -340,11 +339,8 @@ fn chosen(args: &WorkArgs, plan: &Plan) -> anyhow::Result<Vec<String>> {
             ids.extend(words.filter(|word| !word.is_empty()).map(str::to_owned));
         }
     }
-    let known: BTreeSet<&str> = plan
-        .pieces()
-        .iter()
-        .map(|piece| piece.id.as_str())
-        .collect();
+    let known = plan.pieces().iter().map(|piece| piece.id.as_str());
+    let known: BTreeSet<&str> = known.collect();
     if let Some(unknown) = ids.iter().find(|id| !known.contains(id.as_str())) {
         bail!(
             "the plan {} has no piece {unknown:?}; ids are in its pieces.parquet, and `stance stage status` \

@@ -22,9 +22,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
-    let statistics = statistics(
-        &open_metadata(&args.dataset)?,
-        args.chosen.condition.as_ref(),
-    )?;
+    let dataset = open_metadata(&args.dataset)?;
+    let statistics = statistics(&dataset, args.chosen.condition.as_ref())?;
     global.say(&statistics, &statistics.to_string())
 }

@@ -19,10 +19,9 @@ use crate::cmd::triplets::ComposeArgs;
 use crate::device::TrainDeviceArgs;
 use crate::exit::Exit;
 use crate::global::{Global, PRESETS, one_of};
-use crate::local;
 use crate::session::text_encoder;
-use crate::settings;
 use crate::stages::{ENCODER, trained};
+use crate::{local, settings};
 
 /// Train a model on a dataset, continue its run, or plot its losses.
 ///
@@ -177,28 +176,20 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         done.document["judge"] = serde_json::to_value(&found)?;
     }
     global.say(&done.document, &done.summary)?;
-    Ok(if done.is_complete {
-        Exit::Done
-    } else {
-        Exit::Interrupted
+    Ok(match done.is_complete {
+        true => Exit::Done,
+        false => Exit::Interrupted,
     })
 }
 
 /// Refuses options that the model would ignore.
 fn refuse_unused(args: &Args, kind: &ModelKind) -> anyhow::Result<()> {
     let has_length = args.steps.is_some() || args.epochs.is_some();
+    let (has_compose, has_encoder) = (args.compose.is_given(), args.text_encoder.is_some());
     for (options, input, is_given) in [
-        (
-            "--compose and --phrases",
-            Input::Compose,
-            args.compose.is_given(),
-        ),
+        ("--compose and --phrases", Input::Compose, has_compose),
         ("--windows", Input::Windows, args.windows.is_some()),
-        (
-            "--text-encoder",
-            Input::TextEncoder,
-            args.text_encoder.is_some(),
-        ),
+        ("--text-encoder", Input::TextEncoder, has_encoder),
         ("--steps and --epochs", Input::Length, has_length),
         ("--memory", Input::Memory, args.memory.is_some()),
     ] {

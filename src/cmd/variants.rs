@@ -19,7 +19,6 @@ use crate::chosen::ChosenArgs;
 use crate::device::DeviceArgs;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report::Joined;
 use crate::session::{surroundings, text_encoder, with_session};
 
 /// Make candidates of fine-grained pairs: variants of one motion, paired one to one.
@@ -117,28 +116,18 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let holder = global.holder();
     let made = match (&args.generator, &args.instructions) {
         (Some(generator), Some(instructions)) => {
-            let instructions = read_instructions(instructions, args.chosen.text())?;
-            let config = args.config();
+            let asked = read_instructions(instructions, args.chosen.text())?;
+            let (config, seed) = (args.config(), global.seed());
             let folders = [&args.dataset, generator, &args.out].map(PathBuf::as_path);
             let encoder = text_encoder(args.text_encoder.as_deref());
             with_session(&global.bars(), |session| {
-                make_variants(
-                    folders,
-                    &instructions,
-                    &config,
-                    &encoder,
-                    global.seed(),
-                    &holder,
-                    session,
-                )
+                make_variants(folders, &asked, &config, &encoder, seed, &holder, session)
             })?
         }
-        _ => pair_variants(
-            &args.chosen.open(&args.dataset)?,
-            &args.out,
-            &args.filter(),
-            &holder,
-        )?,
+        _ => {
+            let dataset = args.chosen.open(&args.dataset)?;
+            pair_variants(&dataset, &args.out, &args.filter(), &holder)?
+        }
     };
     print(&made, global)
 }
@@ -198,5 +187,5 @@ fn print(made: &VariantReport, global: &Global) -> anyhow::Result<Exit> {
     }
     let splits = Split::ALL.map(|split| (split, manifest.rows(PairRow::TABLE, Some(split))));
     let own = json!({ "pairs": pairs, "splits": splits, "root_hash": manifest.root_hash });
-    global.say(&Joined { own, all_of: made }, &lines.join("\n"))
+    global.say_joined(own, made, &lines.join("\n"))
 }

@@ -9,7 +9,7 @@ use serde_json::json;
 
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report::{Joined, listing};
+use crate::report::listing;
 
 /// Check a dataset: hashes, columns, contents, and that no split leaks into another.
 ///
@@ -34,11 +34,10 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     let verification = verify(&args.dataset, &global.bars())?;
     let comparison = match &args.reference {
         // The features of a damaged dataset are not compared.
-        Some(folder) if verification.passed(true) => Some(compare(
-            &Dataset::open(&args.dataset)?,
-            folder,
-            &global.bars(),
-        )?),
+        Some(folder) if verification.passed(true) => {
+            let dataset = Dataset::open(&args.dataset)?;
+            Some(compare(&dataset, folder, &global.bars())?)
+        }
         _ => None,
     };
     let passed = verification.passed(args.accept_duplicates)
@@ -51,8 +50,7 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
     if let Some(comparison) = &comparison {
         own["reference"] = json!(comparison);
     }
-    let all_of = &verification;
-    global.say(&Joined { own, all_of }, &page)?;
+    global.say_joined(own, &verification, &page)?;
     Ok(Exit::done_if(passed))
 }
 

@@ -14,11 +14,11 @@ const FONT: &str = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neu
 const FAINT: &str = r#"opacity="0.65""#;
 
 /// Opens a drawing of the given size, which shrinks on a narrower page.
-fn open(svg: &mut String, width: f64, height: f64, title: &str) {
-    svg.push_str(&format!(
+fn open(width: f64, height: f64, title: &str) -> String {
+    format!(
         r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0} {height:.0}" width="{width:.0}" height="{height:.0}" role="img" font-family="{FONT}" fill="currentColor" style="max-width:100%;height:auto"><title>{}</title>"#,
         escaped(title)
-    ));
+    )
 }
 
 /// Adds a line of text. `anchor` is `start`, `middle` or `end`; `attributes` are written as given.
@@ -37,6 +37,11 @@ fn line(svg: &mut String, from: DVec2, to: DVec2) {
         r#"<path d="M{:.1} {:.1}L{:.1} {:.1}" stroke="currentColor" stroke-opacity="0.22" fill="none"/>"#,
         from.x, from.y, to.x, to.y
     ));
+}
+
+/// Adds a faint horizontal line.
+fn level_line(svg: &mut String, left: f64, right: f64, y: f64) {
+    line(svg, DVec2::new(left, y), DVec2::new(right, y));
 }
 
 /// Escapes text for XML and HTML, inside and outside of attributes. Line breaks and tabs become spaces; other control

@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-use super::{FAINT, Rgb, line, open, text};
+use super::{FAINT, Rgb, level_line, line, open, text};
 
 /// A named line.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -117,8 +117,7 @@ pub fn heat_map(map: &HeatMap) -> String {
     }
     axis_label(&mut svg, SIZE, &map.x.0);
     side_label(&mut svg, 14.0, [start.y, end.y], &map.y.0);
-    svg.push_str("</svg>");
-    svg
+    svg + "</svg>"
 }
 
 /// Line colours: six of the colour-blind safe palette of Okabe and Ito, ordered by contrast on light and dark pages.
@@ -150,13 +149,12 @@ const HEADING_Y: f64 = 16.0;
 
 /// Draws curves as one SVG document.
 pub fn plot(plot: &Plot) -> String {
-    let mut svg = String::new();
     let title = if plot.title.is_empty() {
         format!("{} over {}", plot.y_label, plot.x_label)
     } else {
         plot.title.clone()
     };
-    open(&mut svg, SIZE.x, SIZE.y, &title);
+    let mut svg = open(SIZE.x, SIZE.y, &title);
     heading(&mut svg, &plot.title);
     let Some(axes) = Axes::around(plot) else {
         return without_values(svg);
@@ -173,8 +171,7 @@ pub fn plot(plot: &Plot) -> String {
         axes.intervals(&mut svg, curve, colour(index));
     }
     legend(&mut svg, &plot.title, &plot.curves);
-    svg.push_str("</svg>");
-    svg
+    svg + "</svg>"
 }
 
 /// Draws counts as bars in one SVG document: vertical bars if all labels fit side by side, else
@@ -214,10 +211,9 @@ fn bar(svg: &mut String, corner: DVec2, size: DVec2) {
 
 /// The height of a bar; 0 if the value is negative or not finite.
 fn bar_height(value: f64) -> f64 {
-    if value.is_finite() {
-        value.max(0.0)
-    } else {
-        0.0
+    match value.is_finite() {
+        true => value.max(0.0),
+        false => 0.0,
     }
 }
 
@@ -305,8 +301,7 @@ fn colour(index: usize) -> &'static str {
 
 /// Opens a drawing with its title as heading.
 fn begin(size: DVec2, title: &str) -> String {
-    let mut svg = String::new();
-    open(&mut svg, size.x, size.y, title);
+    let mut svg = open(size.x, size.y, title);
     heading(&mut svg, title);
     svg
 }
@@ -341,7 +336,7 @@ fn without_values(mut svg: String) -> String {
 
 /// A horizontal line of the grid with its value.
 fn grid_line(svg: &mut String, left: f64, right: f64, y: f64, value: f64) {
-    line(svg, DVec2::new(left, y), DVec2::new(right, y));
+    level_line(svg, left, right, y);
     let at = DVec2::new(left - 8.0, y + 4.0);
     text(svg, at, "end", 11.0, FAINT, &tick_text(value, value.abs()));
 }
@@ -437,7 +432,7 @@ impl Axes {
             let y = self.place((self.x.0, on_axis)).y;
             grid_line(svg, start.x, end.x, y, tick);
         }
-        line(svg, DVec2::new(start.x, end.y), end);
+        level_line(svg, start.x, end.x, end.y);
         let ticks: Vec<(f64, String)> = if plot.x_names.is_empty() {
             linear_ticks(self.x.0, self.x.1)
                 .into_iter()

@@ -4,7 +4,8 @@ use datasets_spec::{Joint, JointSet, Keypoints, Motion, Skeleton};
 use glam::{DVec2, DVec3};
 use kinematics::skeleton::{KEYPOINT_PARENTS, NUM_KEYPOINTS};
 
-use super::{FAINT, Rgb, line, open, text};
+use super::{FAINT, Rgb, level_line, open, text};
+use crate::format::text::lines_of;
 
 /// A clip of a strip.
 #[derive(Clone, Debug, PartialEq)]
@@ -159,48 +160,29 @@ pub fn strip(rows: &[Row], style: &Style) -> String {
         .map(|drawn| MARGIN + (drawn.rise_m * scale).max(drawn.label_height()) + TIME_HEIGHT)
         .collect();
 
-    let mut svg = String::new();
-    let labels: Vec<&str> = rows.iter().map(|row| row.label.as_str()).collect();
-    open(
-        &mut svg,
-        style.width,
-        heights.iter().sum::<f64>(),
-        &format!("Motion strip: {}", labels.join(", ")),
-    );
+    let title = format!("Motion strip: {}", names(rows));
+    let mut svg = open(style.width, heights.iter().sum(), &title);
     let mut top = 0.0;
     for (drawn, height) in drawn.iter().zip(&heights) {
         let ground = top + height - TIME_HEIGHT;
         drawn.label(&mut svg, top + (MARGIN + ground - top) / 2.0);
-        line(
-            &mut svg,
-            DVec2::new(LABEL_WIDTH + MARGIN, ground),
-            DVec2::new(style.width - MARGIN, ground),
-        );
+        level_line(&mut svg, LABEL_WIDTH + MARGIN, style.width - MARGIN, ground);
         for (place, figure) in drawn.figures.iter().enumerate() {
             let middle = LABEL_WIDTH + MARGIN + (place as f64 + 0.5) * slot;
             let share = place as f64 / (drawn.figures.len() - 1).max(1) as f64;
-            figure.draw(
-                &mut svg,
-                &Pen {
-                    origin: DVec2::new(middle, ground),
-                    scale,
-                    colour: colour_at(share).hex(),
-                },
-                drawn.row.highlighted,
-            );
-            text(
-                &mut svg,
-                DVec2::new(middle, ground + TIME_HEIGHT / 2.0 + 3.0),
-                "middle",
-                11.0,
-                FAINT,
-                &format!("{:.1} s", figure.secs),
-            );
+            let pen = Pen {
+                origin: DVec2::new(middle, ground),
+                scale,
+                colour: colour_at(share).hex(),
+            };
+            figure.draw(&mut svg, &pen, drawn.row.highlighted);
+            let at = DVec2::new(middle, ground + TIME_HEIGHT / 2.0 + 3.0);
+            let secs = format!("{:.1} s", figure.secs);
+            text(&mut svg, at, "middle", 11.0, FAINT, &secs);
         }
         top += height;
     }
-    svg.push_str("</svg>");
-    svg
+    svg + "</svg>"
 }
 
 /// Arranges drawings with titles in columns of equal width, in pixels.
@@ -224,13 +206,9 @@ pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String 
         [titles.fold(0.0, f64::max), panels.fold(0.0, f64::max)]
     });
     let heights: Vec<[f64; 2]> = heights.collect();
-    let mut svg = String::new();
-    open(
-        &mut svg,
-        width * columns as f64,
-        heights.iter().map(|[titles, panels]| titles + panels).sum(),
-        &format!("{} motion strips", panels.len()),
-    );
+    let height = heights.iter().map(|[titles, panels]| titles + panels).sum();
+    let title = format!("{} motion strips", panels.len());
+    let mut svg = open(width * columns as f64, height, &title);
     let mut top = 0.0;
     for (row, [title_height, panel_height]) in panels.chunks(columns).zip(heights) {
         for (column, (title, panel)) in row.iter().enumerate() {
@@ -245,8 +223,7 @@ pub fn sheet(panels: &[(String, String)], columns: usize, width: f64) -> String 
         }
         top += title_height + panel_height;
     }
-    svg.push_str("</svg>");
-    svg
+    svg + "</svg>"
 }
 
 /// Size of one panel of [`moment`] in pixels, with a label of one line.
@@ -262,17 +239,15 @@ pub fn moment(rows: &[Row], secs: f64) -> String {
     let camera = Camera::facing(rows);
     let longest = rows.iter().map(Row::secs).fold(0.0, f64::max);
     let share = if longest > 0.0 { secs / longest } else { 0.0 };
-    let mut svg = String::new();
-    let labels: Vec<&str> = rows.iter().map(|row| row.label.as_str()).collect();
     let width = PANEL.x * rows.len() as f64;
-    let title = format!("{} at {secs:.2} s", labels.join(", "));
+    let title = format!("{} at {secs:.2} s", names(rows));
     let labels: Vec<Vec<String>> = rows
         .iter()
         .map(|row| lines(&format!("{} {secs:.1} s", row.label), PANEL_CHARS))
         .collect();
     let tallest = labels.iter().map(Vec::len).max().unwrap_or(1);
     let height = PANEL.y + LABEL_LINE * (tallest.max(1) - 1) as f64;
-    open(&mut svg, width, height, &title);
+    let mut svg = open(width, height, &title);
     for (place, row) in rows.iter().enumerate() {
         let Some(last) = row.keypoints.points.len().checked_sub(1) else {
             continue;
@@ -281,28 +256,27 @@ pub fn moment(rows: &[Row], secs: f64) -> String {
         let figure = Figure::new(&row.keypoints.points[frame], row.floor(), secs, &camera);
         let left = PANEL.x * place as f64;
         let ground = PANEL.y - TIME_HEIGHT;
-        line(
-            &mut svg,
-            DVec2::new(left + MARGIN, ground),
-            DVec2::new(left + PANEL.x - MARGIN, ground),
-        );
-        figure.draw(
-            &mut svg,
-            &Pen {
-                origin: DVec2::new(left + PANEL.x / 2.0, ground),
-                scale: PANEL_PIXELS_PER_M,
-                colour: colour_at(share).hex(),
-            },
-            row.highlighted,
-        );
+        level_line(&mut svg, left + MARGIN, left + PANEL.x - MARGIN, ground);
+        let middle = left + PANEL.x / 2.0;
+        let pen = Pen {
+            origin: DVec2::new(middle, ground),
+            scale: PANEL_PIXELS_PER_M,
+            colour: colour_at(share).hex(),
+        };
+        figure.draw(&mut svg, &pen, row.highlighted);
         for (line, label) in labels[place].iter().enumerate() {
             let below = TIME_HEIGHT / 2.0 + 4.0 + LABEL_LINE * line as f64;
-            let at = DVec2::new(left + PANEL.x / 2.0, ground + below);
+            let at = DVec2::new(middle, ground + below);
             text(&mut svg, at, "middle", 11.0, FAINT, label);
         }
     }
-    svg.push_str("</svg>");
-    svg
+    svg + "</svg>"
+}
+
+/// The labels of clips, for the title of their drawing.
+fn names(rows: &[Row]) -> String {
+    let labels: Vec<&str> = rows.iter().map(|row| row.label.as_str()).collect();
+    labels.join(", ")
 }
 
 /// The colour at a share (0 to 1) of the clip's duration.
@@ -384,12 +358,8 @@ impl<'a> Drawn<'a> {
                 } else {
                     0
                 };
-                Figure::new(
-                    &frames[frame],
-                    floor,
-                    row.keypoints.fps.secs_at(frame),
-                    camera,
-                )
+                let secs = row.keypoints.fps.secs_at(frame);
+                Figure::new(&frames[frame], floor, secs, camera)
             })
             .collect();
         let rise_m = figures.iter().map(Figure::rise_m).fold(0.0, f64::max);
@@ -434,28 +404,12 @@ impl<'a> Drawn<'a> {
 /// Wraps a text at spaces into lines of at most `max_chars` characters. A word is split only if it is longer than a
 /// line.
 fn lines(text: &str, max_chars: usize) -> Vec<String> {
-    let mut lines: Vec<String> = vec![String::new()];
-    let mut room = max_chars;
-    for word in text.split_whitespace() {
+    let parts = |word: &str| -> Vec<String> {
         let letters: Vec<char> = word.chars().collect();
-        for (part, letters) in letters.chunks(max_chars.max(1)).enumerate() {
-            let begins = room == max_chars;
-            let needed = letters.len() + usize::from(!begins);
-            if part > 0 || needed > room {
-                lines.push(String::new());
-                room = max_chars;
-            }
-            if let Some(line) = lines.last_mut() {
-                if !line.is_empty() {
-                    line.push(' ');
-                    room -= 1;
-                }
-                line.extend(letters);
-                room -= letters.len();
-            }
-        }
-    }
-    lines
+        let parts = letters.chunks(max_chars.max(1));
+        parts.map(String::from_iter).collect()
+    };
+    lines_of(text.split_whitespace().flat_map(parts), max_chars)
 }
 
 /// Position and scale of a figure on the page.
@@ -554,11 +508,9 @@ impl Figure {
                 self.draw_trunk(svg, pen);
             }
             let limb = &LIMBS[index];
-            let path = pen.path(
-                limb.chains
-                    .iter()
-                    .map(|chain| chain.iter().map(|&point| self.points[point]).collect()),
-            );
+            let chains = limb.chains.iter();
+            let points = |chain: &&[usize]| chain.iter().map(|&point| self.points[point]).collect();
+            let path = pen.path(chains.map(points));
             let opacity = if limb.left { LEFT_OPACITY } else { 1.0 };
             svg.push_str(&format!(
                 r#"<path d="{path}" stroke-opacity="{opacity}" stroke-width="{:.1}"/>"#,
@@ -590,11 +542,8 @@ impl Figure {
 
     /// Mean depth of a limb's keypoints.
     fn depth(&self, limb: &Limb) -> f64 {
-        let depths: Vec<f64> = limb
-            .chains
-            .iter()
-            .flat_map(|chain| chain.iter().map(|&point| self.points[point].z))
-            .collect();
+        let points = limb.chains.iter().copied().flatten();
+        let depths: Vec<f64> = points.map(|&point| self.points[point].z).collect();
         depths.iter().sum::<f64>() / depths.len() as f64
     }
 }

@@ -6,66 +6,66 @@ use crate::table::Table;
 
 /// Writes tables as `tabular` environments. They need `\usepackage{booktabs}`.
 pub fn render(tables: &[Table]) -> String {
+    let texts: Vec<String> = tables.iter().map(table_text).collect();
+    texts.join("\n")
+}
+
+fn table_text(table: &Table) -> String {
     let mut text = String::new();
-    for (index, table) in tables.iter().enumerate() {
-        if index > 0 {
-            text.push('\n');
-        }
-        if let Some(reason) = &table.unranked {
-            text.push_str(&format!(
-                "% {}\n{{\\footnotesize {}\\par}}\\smallskip\n",
-                comment(reason),
-                escaped(reason)
-            ));
-        }
-        text.push_str(&format!("% {}\n", comment(&table.head())));
+    if let Some(reason) = &table.unranked {
         text.push_str(&format!(
-            "\\begin{{tabular}}{{l{}}}\n\\toprule\nMethod",
-            "r".repeat(table.columns.len())
+            "% {}\n{{\\footnotesize {}\\par}}\\smallskip\n",
+            comment(reason),
+            escaped(reason)
         ));
-        for column in &table.columns {
-            let arrow = match column.better {
-                Better::Lower => "\\downarrow",
-                Better::Higher => "\\uparrow",
-                Better::NearReal => "\\rightarrow",
+    }
+    text.push_str(&format!("% {}\n", comment(&table.head())));
+    text.push_str(&format!(
+        "\\begin{{tabular}}{{l{}}}\n\\toprule\nMethod",
+        "r".repeat(table.columns.len())
+    ));
+    for column in &table.columns {
+        let arrow = match column.better {
+            Better::Lower => "\\downarrow",
+            Better::Higher => "\\uparrow",
+            Better::NearReal => "\\rightarrow",
+        };
+        text.push_str(&format!(" & {} ${arrow}$", escaped(column.metric.name)));
+    }
+    text.push_str(" \\\\\n\\midrule\n");
+    let mut previous = None;
+    for row in &table.rows {
+        let group = RowGroup::of(row);
+        if previous.is_some_and(|previous| previous != group) {
+            text.push_str("\\midrule\n");
+        }
+        previous = Some(group);
+        text.push_str(&escaped(&row_name(row)));
+        for (cell, column) in row.cells.iter().zip(&table.columns) {
+            text.push_str(" & ");
+            let Some(cell) = cell else {
+                text.push_str("--");
+                continue;
             };
-            text.push_str(&format!(" & {} ${arrow}$", escaped(column.metric.name)));
-        }
-        text.push_str(" \\\\\n\\midrule\n");
-        let mut previous = None;
-        for row in &table.rows {
-            let group = RowGroup::of(row);
-            if previous.is_some_and(|previous| previous != group) {
-                text.push_str("\\midrule\n");
+            let mean = cell.mean_text(column.metric);
+            if cell.best {
+                text.push_str(&format!("\\textbf{{{mean}}}"));
+            } else {
+                text.push_str(&mean);
             }
-            previous = Some(group);
-            text.push_str(&escaped(&row_name(row)));
-            for (cell, column) in row.cells.iter().zip(&table.columns) {
-                text.push_str(" & ");
-                let Some(cell) = cell else {
-                    text.push_str("--");
-                    continue;
-                };
-                let mean = cell.mean_text(column.metric);
-                if cell.best {
-                    text.push_str(&format!("\\textbf{{{mean}}}"));
-                } else {
-                    text.push_str(&mean);
-                }
-                let ci = cell.ci_text(column.metric);
-                if let Some(half_width) = ci.strip_prefix('±') {
-                    text.push_str(&format!("{{\\tiny$\\pm${half_width}}}"));
-                }
+            let ci = cell.ci_text(column.metric);
+            if let Some(half_width) = ci.strip_prefix('±') {
+                text.push_str(&format!("{{\\tiny$\\pm${half_width}}}"));
             }
-            text.push_str(" \\\\\n");
         }
-        text.push_str("\\bottomrule\n\\end{tabular}\n");
-        for note in &table.notes {
-            text.push_str(&format!(
-                "\\par\\smallskip{{\\footnotesize {}\\par}}\n",
-                escaped(note)
-            ));
-        }
+        text.push_str(" \\\\\n");
+    }
+    text.push_str("\\bottomrule\n\\end{tabular}\n");
+    for note in &table.notes {
+        text.push_str(&format!(
+            "\\par\\smallskip{{\\footnotesize {}\\par}}\n",
+            escaped(note)
+        ));
     }
     text
 }

@@ -5,52 +5,39 @@ use crate::table::Table;
 
 /// Writes tables one below the other, each under a heading with its task.
 pub fn render(tables: &[Table]) -> String {
-    let mut text = String::new();
-    for (index, table) in tables.iter().enumerate() {
-        if index > 0 {
-            text.push('\n');
+    let texts: Vec<String> = tables.iter().map(table_text).collect();
+    texts.join("\n")
+}
+
+fn table_text(table: &Table) -> String {
+    let mut text = format!("### {}\n\n", escaped(&table.task));
+    if let Some(reason) = &table.unranked {
+        text.push_str(&format!("{}\n\n", escaped(reason)));
+    }
+    text.push_str(&format!("{}\n\n", escaped(&table.conditions())));
+    text.push_str("| System |");
+    for column in &table.columns {
+        text.push_str(&format!(" {} |", column.label()));
+    }
+    text.push_str("\n| :-- |");
+    text.push_str(&" --: |".repeat(table.columns.len()));
+    text.push('\n');
+    for row in &table.rows {
+        text.push_str(&format!("| {} |", escaped(&row_name(row))));
+        for (cell, column) in row.cells.iter().zip(&table.columns) {
+            let Some(cell) = cell else {
+                text.push_str(&format!(" {ABSENT} |"));
+                continue;
+            };
+            let metric = column.metric;
+            let value = format!("{} {}", cell.mean_text(metric), cell.ci_text(metric));
+            let bold = if cell.best { "**" } else { "" };
+            text.push_str(&format!(" {bold}{}{bold} |", value.trim_end()));
         }
-        text.push_str(&format!(
-            "### {}\n\n{}{}\n\n",
-            escaped(&table.task),
-            table
-                .unranked
-                .as_ref()
-                .map_or_else(String::new, |reason| format!("{}\n\n", escaped(reason))),
-            escaped(&table.conditions())
-        ));
-        text.push_str("| System |");
-        for column in &table.columns {
-            text.push_str(&format!(" {} |", column.label()));
-        }
-        text.push_str("\n| :-- |");
-        text.push_str(&" --: |".repeat(table.columns.len()));
         text.push('\n');
-        for row in &table.rows {
-            text.push_str(&format!("| {} |", escaped(&row_name(row))));
-            for (cell, column) in row.cells.iter().zip(&table.columns) {
-                let value = cell.map_or_else(
-                    || ABSENT.to_owned(),
-                    |cell| {
-                        let value = format!(
-                            "{} {}",
-                            cell.mean_text(column.metric),
-                            cell.ci_text(column.metric)
-                        );
-                        if cell.best {
-                            format!("**{}**", value.trim_end())
-                        } else {
-                            value.trim_end().to_owned()
-                        }
-                    },
-                );
-                text.push_str(&format!(" {value} |"));
-            }
-            text.push('\n');
-        }
-        for note in &table.notes {
-            text.push_str(&format!("\n{}\n", escaped(note)));
-        }
+    }
+    for note in &table.notes {
+        text.push_str(&format!("\n{}\n", escaped(note)));
     }
     text
 }

@@ -18,18 +18,11 @@ const BEST: char = '*';
 /// Writes tables one below the other. Lines stay within [`MAX_WIDTH`]: the head is wrapped, and long system names are
 /// shortened as long as they stay distinct.
 pub fn render(tables: &[Table]) -> String {
-    let mut text = String::new();
-    for (index, table) in tables.iter().enumerate() {
-        if index > 0 {
-            text.push('\n');
-        }
-        table_text(table, &mut text);
-    }
-    if tables
-        .iter()
-        .flat_map(|table| &table.rows)
-        .any(|row| row.cells.iter().flatten().any(|cell| cell.best))
-    {
+    let texts: Vec<String> = tables.iter().map(table_text).collect();
+    let mut text = texts.join("\n");
+    let rows = tables.iter().flat_map(|table| &table.rows);
+    let mut cells = rows.flat_map(|row| row.cells.iter().flatten());
+    if cells.any(|cell| cell.best) {
         text.push_str(&format!(
             "\n{BEST} best measured system of its column, where the identity editor is worse\n"
         ));
@@ -37,11 +30,11 @@ pub fn render(tables: &[Table]) -> String {
     text
 }
 
-fn table_text(table: &Table, text: &mut String) {
+fn table_text(table: &Table) -> String {
+    let mut text = String::new();
     let first = table.unranked.iter().flat_map(|reason| wrapped(reason));
     for line in first.chain(wrapped(&table.head())) {
-        text.push_str(&line);
-        text.push('\n');
+        push_line(&mut text, &line);
     }
     // Columns of one family, such as the four of E2S, share a heading.
     let (families, labels): (Vec<&str>, Vec<String>) =
@@ -61,14 +54,12 @@ fn table_text(table: &Table, text: &mut String) {
     let name_width = name_width(table, MAX_WIDTH.saturating_sub(values_width));
     let rule = "─".repeat(name_width + values_width);
 
-    text.push_str(&rule);
-    text.push('\n');
+    push_line(&mut text, &rule);
     if families.iter().any(|family| !family.is_empty()) {
-        push_line(text, &families_line(name_width, &families, &widths));
+        push_line(&mut text, &families_line(name_width, &families, &widths));
     }
-    push_line(text, &line("System", name_width, &labels, &widths));
-    text.push_str(&rule);
-    text.push('\n');
+    push_line(&mut text, &line("System", name_width, &labels, &widths));
+    push_line(&mut text, &rule);
     let mut previous = None;
     for (index, row) in table.rows.iter().enumerate() {
         let cells: Vec<String> = columns.iter().map(|cells| cells[index].clone()).collect();
@@ -77,18 +68,18 @@ fn table_text(table: &Table, text: &mut String) {
             text.push('\n');
         }
         if group == RowGroup::Published && previous != Some(group) {
-            push_line(text, PUBLISHED_HEADING);
+            push_line(&mut text, PUBLISHED_HEADING);
         }
         previous = Some(group);
-        push_line(text, &line(&row.system, name_width, &cells, &widths));
+        push_line(&mut text, &line(&row.system, name_width, &cells, &widths));
     }
-    text.push_str(&rule);
-    text.push('\n');
+    push_line(&mut text, &rule);
     for note in &table.notes {
         for line in wrapped(note) {
-            push_line(text, &line);
+            push_line(&mut text, &line);
         }
     }
+    text
 }
 
 /// Width of the column of names: at most `free`, but at least [`MIN_NAME_WIDTH`] and enough to keep names distinct.
@@ -200,16 +191,24 @@ fn cut(text: &str, max_width: usize) -> String {
 
 /// Wraps a line at spaces; a word longer than a line gets its own line.
 fn wrapped(text: &str) -> Vec<String> {
+    lines_of(text.split_whitespace(), MAX_WIDTH)
+}
+
+/// Joins words by spaces into lines of at most `max_width` columns; a longer word gets its own line.
+pub(crate) fn lines_of(
+    words: impl Iterator<Item = impl AsRef<str>>,
+    max_width: usize,
+) -> Vec<String> {
     let mut lines = vec![String::new()];
-    for word in text.split_whitespace() {
+    for word in words {
+        let word = word.as_ref();
         let last = lines.len() - 1;
-        if !lines[last].is_empty() && width(&lines[last]) + 1 + width(word) > MAX_WIDTH {
+        if lines[last].is_empty() {
+            lines[last].push_str(word);
+        } else if width(&lines[last]) + 1 + width(word) > max_width {
             lines.push(word.to_owned());
         } else {
-            if !lines[last].is_empty() {
-                lines[last].push(' ');
-            }
-            lines[last].push_str(word);
+            lines[last] += &format!(" {word}");
         }
     }
     lines

@@ -27,16 +27,13 @@ pub const MIN_ROWS: usize = 2;
 
 fn of_sample(sample: &SetSample<'_>) -> Result<Option<Vec<f64>>, Error> {
     // A bootstrap resample may hold fewer items than the set.
-    let num_items = sample.sets[0].raw.num_rows();
-    if num_items < sample.protocol.diversity_pairs || sample.items.len() < MIN_ROWS {
+    let (num_items, num_drawn) = (sample.sets[0].raw.num_rows(), sample.items.len());
+    let num_pairs = sample.protocol.diversity_pairs;
+    if num_items < num_pairs || num_drawn < MIN_ROWS {
         return Ok(None);
     }
     let mut rng = sample.protocol.rng("diversity", sample.draw);
-    let pairs = draw_pairs(
-        sample.items.len(),
-        sample.protocol.diversity_pairs,
-        &mut rng,
-    );
+    let pairs = draw_pairs(num_drawn, num_pairs, &mut rng);
     let [first, second] = pairs.map(|drawn| -> Vec<usize> {
         drawn.into_iter().map(|place| sample.items[place]).collect()
     });

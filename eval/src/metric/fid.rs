@@ -47,12 +47,11 @@ fn of_sample(
         .sets
         .iter()
         .map(|latents| of(latents).select_rows(compared));
-    if sample.resampled {
-        return distances(&real, sets).map(Some);
-    }
-    let real = Reference::new(Gaussian::of_latents(&real)?);
-    let found = sets.map(|set| real.distance(&Gaussian::of_latents(&set)?));
-    found.collect::<Result<_, _>>().map(Some)
+    let found = match sample.resampled {
+        true => distances(&real, sets),
+        false => fids(&real, sets),
+    };
+    found.map(Some)
 }
 
 /// Minimum number of items on each side for which the distance is reported. With fewer, the covariance of latents of
@@ -77,18 +76,9 @@ impl Gaussian {
     /// # Errors
     /// The sizes disagree or a number is not finite.
     pub fn new(mean: Vec<f64>, covariance: Matrix) -> Result<Self, Error> {
-        check_size(
-            METRIC,
-            "covariance height",
-            covariance.num_rows(),
-            mean.len(),
-        )?;
-        check_size(
-            METRIC,
-            "covariance width",
-            covariance.num_cols(),
-            mean.len(),
-        )?;
+        let [height, width] = [covariance.num_rows(), covariance.num_cols()];
+        check_size(METRIC, "covariance height", height, mean.len())?;
+        check_size(METRIC, "covariance width", width, mean.len())?;
         check_finite(METRIC, &covariance)?;
         check_finite(METRIC, &Matrix::from_rows(&[&mean]))?;
         Ok(Self { mean, covariance })
@@ -150,19 +140,12 @@ impl Reference {
     /// eigenvalues of `Σ_A Σ_B` and is symmetric, so no complex root arises. The reference (T2M) takes the root of the
     /// plain product and agrees wherever that root is defined.
     pub fn distance(&self, other: &Gaussian) -> Result<f64, Error> {
-        check_size(
-            METRIC,
-            "latent width",
-            other.mean.len(),
-            self.gaussian.mean.len(),
-        )?;
-        let shift = squared_distance(&self.gaussian.mean, &other.mean);
-        let inner = self
-            .root
-            .times(&other.covariance)
-            .times_transposed(&self.root);
+        let (root, Gaussian { mean, covariance }) = (&self.root, &self.gaussian);
+        check_size(METRIC, "latent width", other.mean.len(), mean.len())?;
+        let shift = squared_distance(mean, &other.mean);
+        let inner = root.times(&other.covariance).times_transposed(root);
         let overlap = trace_of_root(&inner);
-        let spread = self.gaussian.covariance.trace() + other.covariance.trace();
+        let spread = covariance.trace() + other.covariance.trace();
         Ok((shift + spread - 2.0 * overlap).max(0.0))
     }
 }
@@ -176,6 +159,14 @@ impl Reference {
 /// A set has fewer than two rows, the widths differ, or a number is not finite.
 pub fn fid(real: &Matrix, generated: &Matrix) -> Result<f64, Error> {
     Reference::new(Gaussian::of_latents(real)?).distance(&Gaussian::of_latents(generated)?)
+}
+
+/// The [`fid`] of several sets from one.
+fn fids(real: &Matrix, others: impl Iterator<Item = Matrix>) -> Result<Vec<f64>, Error> {
+    let real = Reference::new(Gaussian::of_latents(real)?);
+    others
+        .map(|other| real.distance(&Gaussian::of_latents(&other)?))
+        .collect()
 }
 
 /// Distances of several sets from one, equal to [`fid`] up to rounding. If the one set has no more rows than
@@ -192,10 +183,7 @@ pub(crate) fn distances(
     others: impl Iterator<Item = Matrix>,
 ) -> Result<Vec<f64>, Error> {
     if real.num_rows() > real.num_cols() {
-        let real = Reference::new(Gaussian::of_latents(real)?);
-        return others
-            .map(|other| real.distance(&Gaussian::of_latents(&other)?))
-            .collect();
+        return fids(real, others);
     }
     let real = Centred::of(real)?;
     others

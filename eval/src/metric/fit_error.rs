@@ -1,9 +1,7 @@
 //! Fit errors of generated keypoints, as recorded with an edit.
 
+use super::CM_PER_M;
 use super::definition::{Better, Measure, Metric, Part};
-
-/// Centimetres in a metre.
-const CM_PER_M: f64 = 100.0;
 
 pub(crate) static FIT_ERROR: Metric = Metric {
     name: "Fit error (cm)",

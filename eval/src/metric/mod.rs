@@ -22,6 +22,9 @@ pub use definition::{
     Part, RankSummary, SeamAcceleration, SetMeasure, SetSample, TakesMeasure, TakesSample, Target,
 };
 
+/// Centimetres in a metre.
+pub(crate) const CM_PER_M: f64 = 100.0;
+
 /// Version of the metrics. It is raised when a metric gives other values for the same motions, so that stored scores
 /// are computed again. Stored scores are also computed again if the names of [`ALL`] change.
 pub const METRICS_VERSION: u32 = 4;

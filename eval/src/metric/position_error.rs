@@ -4,10 +4,8 @@ use kinematics::KeypointFrame;
 use kinematics::canonical::GroundTransform;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS, parent_of};
 
+use super::CM_PER_M;
 use super::definition::{Better, Measure, Metric, MotionSample, Part};
-
-/// Centimetres in a metre.
-const CM_PER_M: f64 = 100.0;
 
 /// Mean distance to the keypoints of the target in centimetres. Both motions are placed by their first frames.
 ///

@@ -192,12 +192,8 @@ pub(super) fn ranks_among_equivalents(
     similarity: &Matrix,
     equivalent: impl Fn(usize, usize) -> bool,
 ) -> Result<Vec<f64>, Error> {
-    check_size(
-        METRIC,
-        "gallery size",
-        similarity.num_cols(),
-        similarity.num_rows(),
-    )?;
+    let [queries, gallery] = [similarity.num_rows(), similarity.num_cols()];
+    check_size(METRIC, "gallery size", gallery, queries)?;
     check_finite(METRIC, similarity)?;
     Ok(similarity
         .rows()

@@ -21,7 +21,7 @@ pub struct Details {
 impl Details {
     /// Lays out the settings of one or more JSON documents. Nested settings are named by their path, such as
     /// `diffusion.steps`. A dash marks a setting that a document lacks.
-    pub fn of_json(title: &str, documents: &[(&str, &Value)]) -> Self {
+    pub fn of_json(title: &str, documents: &[(&str, Value)]) -> Self {
         let mut rows: Vec<(String, Vec<String>)> = Vec::new();
         for (column, (_, document)) in documents.iter().enumerate() {
             let mut found = Vec::new();
@@ -50,6 +50,7 @@ impl Details {
 
 /// Adds every value of a document with its path.
 fn flatten(path: &str, value: &Value, found: &mut Vec<(String, String)>) {
+    let is_nested = |value: &Value| value.is_object() || value.is_array();
     let plain = |value: &Value| match value {
         Value::String(text) => text.clone(),
         Value::Null => "not set".to_owned(),
@@ -58,19 +59,14 @@ fn flatten(path: &str, value: &Value, found: &mut Vec<(String, String)>) {
     match value {
         Value::Object(fields) if !fields.is_empty() => {
             for (name, value) in fields {
-                let path = if path.is_empty() {
-                    name.clone()
-                } else {
-                    format!("{path}.{name}")
+                let path = match path {
+                    "" => name.clone(),
+                    path => format!("{path}.{name}"),
                 };
                 flatten(&path, value, found);
             }
         }
-        Value::Array(values)
-            if values
-                .iter()
-                .any(|value| value.is_object() || value.is_array()) =>
-        {
+        Value::Array(values) if values.iter().any(is_nested) => {
             for (place, value) in values.iter().enumerate() {
                 flatten(&format!("{path}[{place}]"), value, found);
             }
@@ -122,7 +118,7 @@ mod tests {
             "coordinator": {"strength": 1.0, "parts": ["left arm", "head"]},
         });
         let two = serde_json::json!({"guidance": 2.5, "axis": [{"key": "x"}], "none": {}});
-        let details = Details::of_json("Editors", &[("full", &one), ("bare", &two)]);
+        let details = Details::of_json("Editors", &[("full", one), ("bare", two)]);
         let rows: Vec<(&str, [&str; 2])> = details
             .rows
             .iter()

@@ -179,12 +179,11 @@ fn between(open: &str, entries: impl Iterator<Item = String>, close: &str) -> St
 }
 
 fn cards(cards: &[Card]) -> String {
-    let cards = cards.iter().map(|card| {
+    let cards = cards.iter().map(|Card { label, value, note }| {
+        let [label, value, note] = [label, value, note].map(|text| escaped(text));
         format!(
-            "<div class=\"card\"><div class=\"label\">{}</div><div class=\"value\">{}</div><div class=\"note\">{}</div></div>\n",
-            escaped(&card.label),
-            escaped(&card.value),
-            escaped(&card.note),
+            "<div class=\"card\"><div class=\"label\">{label}</div><div class=\"value\">{value}</div>\
+             <div class=\"note\">{note}</div></div>\n"
         )
     });
     between("<div class=\"cards\">\n", cards, "</div>\n")

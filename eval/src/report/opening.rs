@@ -2,6 +2,7 @@
 
 use crate::best_edit::BestEdit;
 use crate::draw::escaped;
+use crate::metric::CM_PER_M;
 
 use super::viewer::{self, Strip};
 
@@ -63,6 +64,3 @@ impl BestEdit {
         )
     }
 }
-
-/// Centimetres in a metre.
-const CM_PER_M: f64 = 100.0;

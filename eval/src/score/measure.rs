@@ -100,11 +100,8 @@ pub(crate) fn measured<'a>(
         let asked = measuring.asked(test_set, indices)?;
         let given_sources = || given("source", &asked, |asked| &asked.source);
         measuring.add(given_sources(), false, &mut sources)?;
-        measuring.add(
-            given("target", &asked, |asked| &asked.target),
-            false,
-            &mut targets,
-        )?;
+        let given_targets = given("target", &asked, |asked| &asked.target);
+        measuring.add(given_targets, false, &mut targets)?;
         if cut {
             measuring.add(given_sources(), true, &mut cut_sources)?;
         }
@@ -129,16 +126,8 @@ pub(crate) fn measured<'a>(
         false => sources.clone(),
     };
     let targets = measuring.take(targets)?;
-    let mut found = vec![
-        System {
-            name: REAL_DATA,
-            takes: vec![targets],
-        },
-        System {
-            name: IDENTITY,
-            takes: vec![identity],
-        },
-    ];
+    let reference = [(REAL_DATA, vec![targets]), (IDENTITY, vec![identity])];
+    let mut found = Vec::from(reference.map(|(name, takes)| System { name, takes }));
     for (&name, takes) in test_set.systems.keys().zip(systems) {
         let takes = takes.into_iter().map(|take| measuring.take(take));
         let takes = takes.collect::<Result<Vec<_>, Error>>()?;
@@ -384,14 +373,11 @@ impl<'a> Measuring<'a> {
     ) -> Result<Vec<Asked<'i>>, Error> {
         let positions: Vec<usize> = indices.iter().map(|&index| test_set.items[index]).collect();
         let rows = test_set.answered.items_at(&positions)?;
-        let ids: Vec<&str> = indices
-            .iter()
-            .map(|&index| test_set.item(index).id.as_str())
-            .collect();
         let skeleton = self.of_motions.skeleton;
         rows.into_par_iter()
-            .zip(ids)
-            .map(|(row, id)| {
+            .zip(indices)
+            .map(|(row, &index)| {
+                let id = test_set.item(index).id.as_str();
                 Asked::new(id, &row, skeleton).map_err(|source| Error::Item {
                     id: id.to_owned(),
                     source: Box::new(source),

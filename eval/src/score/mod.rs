@@ -254,7 +254,7 @@ impl<'a> OfTask<'a> {
     /// Paired differences in the metrics of [`CLAIMS`](crate::metric::CLAIMS): each system against the identity editor
     /// and against the next worse system in E2T R@1.
     fn claims(&self, encoder: &dyn MotionEncoder) -> Vec<Comparison> {
-        let values = &self.of_items;
+        let (values, task, protocol) = (&self.of_items, self.task, self.protocol);
         let recall = |place: usize| -> f64 {
             let of_system = values[place].get(&E2T_RECALL_1);
             let known = of_system.into_iter().flatten();
@@ -269,21 +269,14 @@ impl<'a> OfTask<'a> {
         let pairs = against_identity.chain(neighbours);
         let of_pair = |pair: [usize; 2]| {
             let pairing = Pairing {
-                task: self.task,
+                task,
                 real: &values[0],
                 sides: pair.map(|place| &values[place]),
                 resamples: &self.resamples,
             };
             let systems = pair.map(|place| self.systems[place].name);
-            let differences = pairing.differences(&CLAIMS);
-            Comparison::new(
-                self.task,
-                &self.counts,
-                systems,
-                self.protocol,
-                encoder,
-                differences,
-            )
+            let (counts, claims) = (&self.counts, pairing.differences(&CLAIMS));
+            Comparison::new(task, counts, systems, protocol, encoder, claims)
         };
         pairs.map(of_pair).collect()
     }

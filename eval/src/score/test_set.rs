@@ -209,11 +209,8 @@ type OfSystem<'a> = BTreeMap<&'a str, Vec<(u64, usize)>>;
 
 /// Checks the edits of a system. Returns its takes, sorted by seed, each as the positions of its edits by item id.
 fn takes<'a>(system: &str, rows: OfSystem<'a>, ids: &[&'a str]) -> Result<Vec<Vec<usize>>, Error> {
-    let missing: Vec<&str> = ids
-        .iter()
-        .copied()
-        .filter(|id| !rows.contains_key(id))
-        .collect();
+    let missing = ids.iter().copied().filter(|id| !rows.contains_key(id));
+    let missing: Vec<&str> = missing.collect();
     if !missing.is_empty() {
         return Err(Error::Invalid(format!(
             "system {system:?} lacks {} of {} items: {}; edit them or leave the system out",
@@ -222,11 +219,8 @@ fn takes<'a>(system: &str, rows: OfSystem<'a>, ids: &[&'a str]) -> Result<Vec<Ve
             listed(&missing)
         )));
     }
-    let unknown: Vec<&str> = rows
-        .keys()
-        .copied()
-        .filter(|id| ids.binary_search(id).is_err())
-        .collect();
+    let is_unknown = |id: &&str| ids.binary_search(id).is_err();
+    let unknown: Vec<&str> = rows.keys().copied().filter(is_unknown).collect();
     if !unknown.is_empty() {
         return Err(Error::Invalid(format!(
             "system {system:?} has {} items without a target: {}; score them with the table they belong to",

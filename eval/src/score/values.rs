@@ -168,14 +168,8 @@ fn of_sets_by_repeat(
             .into_par_iter()
             .map(|repeat| {
                 let [real, compared] = protocol.fid_items(num_items, repeat);
-                let fid_items = [&real[..], &compared];
-                of_sets(
-                    of_sample,
-                    systems,
-                    (&items, fid_items),
-                    (repeat, false),
-                    protocol,
-                )
+                let drawn = (&items[..], [&real[..], &compared]);
+                of_sets(of_sample, systems, drawn, (repeat, false), protocol)
             })
             .collect::<Result<Vec<Option<Vec<f64>>>, Error>>()?;
         let values: Option<Vec<Vec<f64>>> = values.into_iter().collect();
@@ -215,8 +209,7 @@ pub(super) fn of_resample(
         let Measure::Set(of_sample, _) = metric.measure else {
             continue;
         };
-        let fid_items = [&real[..], &compared];
-        let drawn = (&items[..], fid_items);
+        let drawn = (&items[..], [&real[..], &compared]);
         let values = of_sets(of_sample, systems, drawn, (resample, true), protocol)?;
         for (found, value) in found.iter_mut().zip(values.into_iter().flatten()) {
             found.push((metric, value));

@@ -114,11 +114,10 @@ fn cell(fields: &[&str]) -> anyhow::Result<PlannedCapture> {
 
 fn plan_lines(cells: &[CaptureCell]) -> String {
     let mut lines = vec![HEAD.join(",")];
-    lines.extend(
-        cells
-            .iter()
-            .map(|cell| csv_lines::line(&[&cell.motion, &cell.style, &cell.takes.to_string()])),
-    );
+    lines.extend(cells.iter().map(|cell| {
+        let takes = cell.takes.to_string();
+        csv_lines::line(&[&cell.motion, &cell.style, &takes])
+    }));
     lines.join("\n")
 }
 

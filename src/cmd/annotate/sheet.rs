@@ -79,10 +79,8 @@ fn section(style: &Style, open: &[&CaptureCell], captions: &Captions<'_>) -> Str
         format!("<span class=\"mark\" style=\"background: {colour}\"></span>")
     });
     let mut text = format!("<section>\n<h2>{mark}{}</h2>\n", escaped(&style.name));
-    for paragraph in paragraphs(&style.text)
-        .into_iter()
-        .chain(paragraphs(&style.guideline))
-    {
+    let texts = [&style.text, &style.guideline];
+    for paragraph in texts.iter().flat_map(|text| paragraphs(text)) {
         text += &format!("<p>{}</p>\n", escaped(&paragraph));
     }
     if !open.is_empty() {

@@ -135,10 +135,8 @@ pub(super) fn back_up(
         store.backup(file)?;
         file.to_owned()
     };
-    global.say(
-        &json!({ "backup": copy }),
-        &format!("copied to {}", copy.display()),
-    )
+    let text = format!("copied to {}", copy.display());
+    global.say(&json!({ "backup": copy }), &text)
 }
 
 pub(super) fn rebuild(store: &Store, global: &Global) -> anyhow::Result<Exit> {

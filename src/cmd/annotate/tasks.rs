@@ -32,10 +32,8 @@ pub(super) fn changed_clips(
     let lines = tasks
         .iter()
         .map(|task| format!("{:>8} {:<10} {}", task.id, task.state.as_str(), task.key));
-    global.say(
-        &rows.collect::<Vec<_>>(),
-        &lines.collect::<Vec<_>>().join("\n"),
-    )
+    let text = lines.collect::<Vec<_>>().join("\n");
+    global.say(&rows.collect::<Vec<_>>(), &text)
 }
 
 pub(super) fn run_bulk(store: &Store, args: &BulkArgs, global: &Global) -> anyhow::Result<Exit> {

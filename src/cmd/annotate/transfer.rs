@@ -5,7 +5,6 @@ use std::path::Path;
 use annotate::store::Store;
 use annotate::transfer::{self, CHOSEN, Taken};
 use annotate::wire::ExportRequest;
-use anyhow::Context;
 use datasets_spec::{Dataset, Progress as _};
 use formats::source::stance::exported_labels;
 
@@ -71,12 +70,8 @@ fn import_folder(args: &Args, store: &Store, folder: &Path) -> anyhow::Result<Ta
     transfer::check_files(folder)?;
     let annotations = folder.join(ANNOTATIONS);
     if annotations.is_file() {
-        return Ok(transfer::from_annotations(
-            store,
-            &annotations,
-            None,
-            now(),
-        )?);
+        let taken = transfer::from_annotations(store, &annotations, None, now())?;
+        return Ok(taken);
     }
     if let Some(labels) = exported_labels(folder)? {
         let dataset = &args.dataset;
@@ -96,8 +91,7 @@ fn import_folder(args: &Args, store: &Store, folder: &Path) -> anyhow::Result<Ta
 }
 
 fn read_json(path: &Path) -> anyhow::Result<serde_json::Value> {
-    serde_json::from_slice(&local::read(path)?)
-        .with_context(|| format!("{} is not JSON", path.display()))
+    local::read_json(path, "is not JSON")
 }
 
 pub(super) fn export(

@@ -50,17 +50,18 @@ impl Versions {
     }
 }
 
+/// Number and size of the files of a version.
+fn size(files: u64, bytes: u64) -> String {
+    format!("{files} files, {:.1} MB", bytes as f64 / 1e6)
+}
+
 fn line(version: &Version) -> String {
     let mark = if version.current { "*" } else { " " };
-    let mut text = format!(
-        "{mark} {:<4} {} clips, {} files, {:.1} MB, {}, root hash {}\n",
-        version.version,
-        version.clips,
-        version.files,
-        version.bytes as f64 / 1e6,
-        version.tool_version,
-        version.root_hash
-    );
+    let (number, clips) = (version.version, version.clips);
+    let size = size(version.files, version.bytes);
+    let (tool, root_hash) = (&version.tool_version, &version.root_hash);
+    let mut text =
+        format!("{mark} {number:<4} {clips} clips, {size}, {tool}, root hash {root_hash}\n");
     let changes: Vec<String> = version
         .changed
         .iter()
@@ -122,22 +123,12 @@ impl Compact {
 }
 
 fn compacted(done: &Compacted) -> String {
-    let megabytes = |bytes: u64| bytes as f64 / 1e6;
+    let [before, after] =
+        [&done.before, &done.after].map(|version| size(version.files, version.bytes));
     if done.already_compact {
-        return format!(
-            "{} files, {:.1} MB; fewer are not possible\n",
-            done.before.files,
-            megabytes(done.before.bytes)
-        );
+        return format!("{before}; fewer are not possible\n");
     }
-    let mut text = format!(
-        "version {}: {} files, {:.1} MB; before {} files, {:.1} MB\n",
-        done.version,
-        done.after.files,
-        megabytes(done.after.bytes),
-        done.before.files,
-        megabytes(done.before.bytes)
-    );
+    let mut text = format!("version {}: {after}; before {before}\n", done.version);
     for (table, now) in &done.after.tables {
         let then = done.before.tables.get(table).copied().unwrap_or(0);
         if then != *now {

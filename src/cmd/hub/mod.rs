@@ -14,7 +14,7 @@ use self::thing::Thing;
 use crate::cmd::edits::parse_license;
 use crate::exit::Exit;
 use crate::global::{Global, Names, one_of};
-use crate::report::{self, Joined};
+use crate::report;
 
 /// Publish datasets, trained models and edits on the Hugging Face hub, and pull them.
 #[derive(clap::Args, Debug)]
@@ -116,12 +116,8 @@ fn push_folder(args: &PushArgs, global: &Global) -> anyhow::Result<Exit> {
         kind: thing.kind(),
         name: args.repo.clone(),
     };
-    let files = thing.files(
-        &args.folder,
-        &args.license,
-        args.dataset.as_deref(),
-        &args.repo,
-    )?;
+    let (folder, dataset) = (&args.folder, args.dataset.as_deref());
+    let files = thing.files(folder, &args.license, dataset, &args.repo)?;
     let message = format!("stance {}: {}", env!("CARGO_PKG_VERSION"), thing.title());
     let options = PushOptions {
         revision: &args.revision,
@@ -145,25 +141,21 @@ fn push_folder(args: &PushArgs, global: &Global) -> anyhow::Result<Exit> {
         "revision": args.revision,
         "dry_run": args.dry_run,
     });
-    let all_of = &done;
-    global.say(&Joined { own, all_of }, &text)
+    global.say_joined(own, &done, &text)
 }
 
 fn pushed_text(done: &Pushed, dry_run: bool) -> String {
+    let (changed, unchanged) = (done.changed.len(), done.unchanged);
     let mut text = match (&done.commit, dry_run) {
         (Some(commit), _) => format!(
-            "{} files committed as {commit:.12}, {} unchanged; {} large ones sent ({:.1} MB)\n",
-            done.changed.len(),
-            done.unchanged,
+            "{changed} files committed as {commit:.12}, {unchanged} unchanged; {} large ones sent ({:.1} MB)\n",
             done.sent,
             done.sent_bytes as f64 / 1e6
         ),
-        (None, true) => format!(
-            "{} files to publish, {} unchanged; nothing was written\n",
-            done.changed.len(),
-            done.unchanged
-        ),
-        (None, false) => format!("nothing to publish: {} files unchanged\n", done.unchanged),
+        (None, true) => {
+            format!("{changed} files to publish, {unchanged} unchanged; nothing was written\n")
+        }
+        (None, false) => format!("nothing to publish: {unchanged} files unchanged\n"),
     };
     let mut list = |title, paths| report::append_list(&mut text, title, paths);
     if dry_run {

@@ -143,13 +143,10 @@ impl Thing {
 }
 
 fn read<T: DeserializeOwned>(path: &Path) -> anyhow::Result<Option<T>> {
-    if !path.is_file() {
-        return Ok(None);
+    match path.is_file() {
+        true => local::read_json(path, "is not what stance writes there").map(Some),
+        false => Ok(None),
     }
-    let parsed = serde_json::from_slice(&local::read(path)?);
-    parsed
-        .map(Some)
-        .with_context(|| format!("{} is not what stance writes there", path.display()))
 }
 
 fn check_trained_on(record: &RunRecord<Value>, dataset: &Dataset) -> anyhow::Result<()> {
@@ -175,12 +172,8 @@ fn check_trained_on(record: &RunRecord<Value>, dataset: &Dataset) -> anyhow::Res
 fn licenses_of(dataset: &Dataset, given: &[String]) -> anyhow::Result<BTreeMap<String, u64>> {
     let manifest = dataset.manifest();
     let motions = [MotionRow::TABLE, EditRow::TABLE].map(|table| manifest.rows(table, None));
-    settled(
-        licenses(manifest),
-        motions.iter().sum(),
-        given,
-        dataset.root(),
-    )
+    let count = motions.iter().sum();
+    settled(licenses(manifest), count, given, dataset.root())
 }
 
 /// Licences of the published motions, each with its number of motions: the stated ones, and the given one for all
@@ -193,11 +186,8 @@ fn settled(
 ) -> anyhow::Result<BTreeMap<String, u64>> {
     let folder = folder.display();
     let restricted = |tag: &&String| is_restricted(tag);
-    if let Some(tag) = stated
-        .keys()
-        .filter(restricted)
-        .find(|tag| !given.contains(tag))
-    {
+    let mut restricted = stated.keys().filter(restricted);
+    if let Some(tag) = restricted.find(|tag| !given.contains(tag)) {
         bail!(
             "{} motions of {folder} are under {tag}, which may not let you pass them on; if you may: --license {tag}",
             stated[tag]

@@ -166,13 +166,11 @@ fn alike_clips(alike: &[AlikeClips]) -> String {
 }
 
 fn grown(growth: &Growth) -> String {
+    let lists = [&growth.changed, &growth.read_again, &growth.moved];
+    let [changed, read_again, moved] = lists.map(Vec::len);
+    let (new, kept) = (growth.new, growth.kept);
     let mut text = format!(
-        "{} clips are new, {} changed, {} were read again, {} moved, {} stay as they are\n",
-        growth.new,
-        growth.changed.len(),
-        growth.read_again.len(),
-        growth.moved.len(),
-        growth.kept
+        "{new} clips are new, {changed} changed, {read_again} were read again, {moved} moved, {kept} stay as they are\n"
     );
     for (what, clips) in [
         ("changed", &growth.changed),

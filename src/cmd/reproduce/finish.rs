@@ -36,7 +36,7 @@ pub(super) struct Done {
 }
 
 /// The `--json` document, also `results.json`.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct Document {
     page: PathBuf,
     tables: Vec<(String, Vec<Value>)>,
@@ -65,11 +65,9 @@ pub(super) fn finish(
         texts: Vec::new(),
         document: Document {
             page: out.join("index.html"),
-            tables: Vec::new(),
-            trainings: Vec::new(),
-            figures: Vec::new(),
             pictures: std::mem::take(&mut done.pictures),
             failed: std::mem::take(&mut done.failed.0),
+            ..Document::default()
         },
         record: Vec::new(),
     };
@@ -80,23 +78,17 @@ pub(super) fn finish(
     for figure in done.figures {
         results.add_figure(figure, &mut page)?;
     }
-    let Results {
-        mut texts,
-        document,
-        record,
-        ..
-    } = results;
+    let document = &results.document;
     page.title.clone_from(&plan.title);
     page.commands = vec![command];
     write(&document.page, page.to_html().as_bytes())?;
-    write(
-        &out.join("results.json"),
-        &serde_json::to_vec_pretty(&document)?,
-    )?;
-    write(&out.join("record.jsonl"), &record)?;
+    let text = serde_json::to_vec_pretty(document)?;
+    write(&out.join("results.json"), &text)?;
+    write(&out.join("record.jsonl"), &results.record)?;
     let paths = document.pictures.iter().chain([&document.page]);
-    texts.extend(paths.map(|path| path.display().to_string()));
-    global.say(&document, &texts.join("\n"))?;
+    let paths = paths.map(|path| path.display().to_string());
+    results.texts.extend(paths);
+    global.say(document, &results.texts.join("\n"))?;
     if document.failed.is_empty() {
         return Ok(weak_judge.exit(unranked, Exit::Done));
     }

@@ -10,10 +10,11 @@ use eval::times::{self, WindowTimes};
 
 use super::files::table_name;
 use super::plan::{PaperTable, Plan};
-use super::work::{Scored, Work};
+use super::work::Work;
 use crate::cmd::eval::result_tables;
 use crate::global::Global;
 
+#[derive(Default)]
 pub(super) struct TableMade {
     pub(super) name: String,
     pub(super) tables: Vec<Table>,
@@ -80,18 +81,14 @@ pub(super) fn tables(
         }
         return Ok(Some(TableMade {
             name,
-            tables: Vec::new(),
-            scores: Vec::new(),
-            trainings: Vec::new(),
             grids: times::tables(&rows),
-            unranked: None,
+            ..TableMade::default()
         }));
     };
     let edits: Vec<&[PathBuf]> = found.iter().map(|(_, edits)| edits.as_slice()).collect();
     let protocol = plan.protocol(Some(table.paper), global);
-    let Scored {
-        scores, trainings, ..
-    } = work.scored(&edits, None, &protocol)?;
+    let scored = work.scored(&edits, None, &protocol)?;
+    let (scores, trainings) = (scored.scores, scored.trainings);
     let mut tables = result_tables(&scores, table.paper, paper);
     for laid_out in &mut tables {
         laid_out.sort_systems(&wanted);
@@ -106,7 +103,7 @@ pub(super) fn tables(
         tables,
         scores: scores.rows,
         trainings,
-        grids: Vec::new(),
+        ..TableMade::default()
     }))
 }
 

@@ -20,9 +20,8 @@ use self::work::Work;
 use crate::evaluators::WeakJudgeArgs;
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::report;
-use crate::settings;
 use crate::trainings::TrainingsArgs;
+use crate::{report, settings};
 
 /// Reproduce tables and figures of a plan: train what is missing, edit, score, draw.
 ///

@@ -106,11 +106,8 @@ fn chosen(picture: &Picture, answered: &Answered) -> anyhow::Result<Vec<(usize, 
     let is_one_of =
         |wanted: &[String], found: &str| wanted.is_empty() || wanted.iter().any(|one| one == found);
     let is_wanted = |item: &ItemFacts| {
-        is_one_of(&picture.tasks, &item.task)
-            && is_one_of(
-                &picture.novelty,
-                item.novelty.as_deref().unwrap_or_default(),
-            )
+        let novelty = item.novelty.as_deref().unwrap_or_default();
+        is_one_of(&picture.tasks, &item.task) && is_one_of(&picture.novelty, novelty)
     };
     let mut all: Vec<(usize, Option<f64>)> = match picture.order {
         Order::Parts => {

@@ -30,10 +30,9 @@ use super::pictures::Picture;
 use crate::cmd::eval::TableArg;
 use crate::global::Global;
 use crate::judge::is_builtin;
-use crate::local;
 use crate::seeds::Seeds;
-use crate::settings;
 use crate::stages::ENCODER;
+use crate::{local, settings};
 
 /// Model of a system that names none.
 const EDITOR: &str = "motionrefit";
@@ -213,25 +212,17 @@ impl Plan {
         let pairs: Vec<PairRow> = dataset.read(Some(self.split))?;
         let is_motionfix = |pair: &PairRow| pair.source == ItemTask::MotionFix.as_str();
         for task in &self.items.tasks {
-            let is_there = match task {
-                ItemTask::Semantic => has_masks,
-                ItemTask::MotionFix => pairs.iter().any(is_motionfix),
-                ItemTask::Style | ItemTask::FineGrained => pairs
-                    .iter()
-                    .any(|pair| pair.kind == task.as_str() && !is_motionfix(pair)),
+            let is_of_kind = |pair: &PairRow| pair.kind == task.as_str() && !is_motionfix(pair);
+            let (is_there, data) = match task {
+                ItemTask::Semantic => (has_masks, "masks"),
+                ItemTask::MotionFix => (pairs.iter().any(is_motionfix), "pairs"),
+                ItemTask::Style | ItemTask::FineGrained => (pairs.iter().any(is_of_kind), "pairs"),
             };
             if !is_there {
+                let (task, split, dataset) = (task.as_str(), self.split, self.dataset.display());
                 bail!(
-                    "the plan asks for items of task {}, and split {} of {} has none of its {}; name a dataset that has \
-                     them with --dataset, or choose another plan (--list)",
-                    task.as_str(),
-                    self.split,
-                    self.dataset.display(),
-                    if *task == ItemTask::Semantic {
-                        "masks"
-                    } else {
-                        "pairs"
-                    },
+                    "the plan asks for items of task {task}, and split {split} of {dataset} has none of its {data}; name \
+                     a dataset that has them with --dataset, or choose another plan (--list)"
                 );
             }
         }
@@ -313,10 +304,7 @@ impl Plan {
             bail!("two systems are called {name:?}; name them apart");
         }
         let of_tables = self.tables.iter().flat_map(|table| &table.systems);
-        let of_figures = self
-            .figures
-            .iter()
-            .filter_map(|figure| figure.system.as_ref());
+        let of_figures = self.figures.iter().flat_map(|figure| &figure.system);
         let of_pictures = self.pictures.iter().flat_map(|picture| &picture.systems);
         for name in of_tables.chain(of_figures).chain(of_pictures) {
             self.system(Some(name))?;
@@ -388,16 +376,12 @@ impl Plan {
     }
 
     pub(super) fn trained(&self, global: &Global) -> anyhow::Result<Vec<Trained>> {
-        let systems = self.systems.iter();
-        systems
-            .map(|system| {
-                let specs = self.specs(system, &self.sections(system)?, None, global)?;
-                Ok(Trained {
-                    name: system.name.clone(),
-                    specs,
-                })
-            })
-            .collect()
+        let trained = |system: &System| {
+            let specs = self.specs(system, &self.sections(system)?, None, global)?;
+            let name = system.name.clone();
+            Ok(Trained { name, specs })
+        };
+        self.systems.iter().map(trained).collect()
     }
 
     pub(super) fn figure_specs(&self, global: &Global) -> anyhow::Result<Vec<FigureSpecs<'_>>> {
@@ -414,16 +398,13 @@ impl Plan {
                     Ok(Trained { name, specs })
                 });
                 let window = |point: &Point| point.value("train.window")?.as_u64();
+                let longest = points.iter().filter_map(window).max();
                 Ok(FigureSpecs {
                     figure,
                     trained: trained.collect::<anyhow::Result<_>>()?,
                     metrics: metrics(&figure.metrics)?,
                     tasks: tasks(figure),
-                    min_frames: points
-                        .iter()
-                        .filter_map(window)
-                        .max()
-                        .map(|most| most as usize),
+                    min_frames: longest.map(|frames| frames as usize),
                     points,
                 })
             })
@@ -474,9 +455,9 @@ impl Plan {
         epoch: Option<u64>,
         global: &Global,
     ) -> anyhow::Result<Spec> {
-        let own = |section: &str| match &sections[section] {
-            Value::Object(own) => own.clone(),
-            _ => Own::new(),
+        let own = |section: &str| -> Own {
+            let own = sections[section].as_object().cloned();
+            own.unwrap_or_default()
         };
         let compose = &TrainConfig::compose_preset(self.preset);
         let compose = settings::over(compose, "compose", &own("compose"))?;
@@ -606,15 +587,12 @@ fn tasks(figure: &Figure) -> Vec<&str> {
 }
 
 fn metrics(names: &[String]) -> anyhow::Result<Vec<&'static Metric>> {
-    let known = || {
-        let known: Vec<&str> = metric::ALL.iter().map(|metric| metric.name).collect();
-        known.join(", ")
-    };
-    names
-        .iter()
-        .map(|name| {
-            metric::from_name(name)
-                .with_context(|| format!("there is no metric {name:?}; there are: {}", known()))
+    let known: Vec<&str> = metric::ALL.iter().map(|metric| metric.name).collect();
+    let metric = |name: &String| {
+        metric::from_name(name).with_context(|| {
+            let known = known.join(", ");
+            format!("there is no metric {name:?}; there are: {known}")
         })
-        .collect()
+    };
+    names.iter().map(metric).collect()
 }

@@ -87,17 +87,12 @@ impl<'a> Work<'a> {
     }
 
     fn runs(&self) -> EvaluatorRuns<'_> {
-        EvaluatorRuns {
-            encoder: &self.encoder,
-            coordinator: None,
-        }
+        EvaluatorRuns::of_encoder(&self.encoder)
     }
 
     fn run_folder(&self, training: &Training) -> PathBuf {
-        self.plan
-            .out
-            .join("runs")
-            .join(name_of(training, &self.data))
+        let name = name_of(training, &self.data);
+        self.plan.out.join("runs").join(name)
     }
 
     /// Runs the trainings of some specifications, `at_once` of them at a time. Failures are ignored: the training is

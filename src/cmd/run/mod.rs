@@ -24,10 +24,9 @@ use train::text::source::TextEncoderSource;
 use crate::evaluators::{EvaluatorRuns, WeakJudgeArgs};
 use crate::exit::Exit;
 use crate::global::Global;
-use crate::local;
 use crate::session::text_encoder;
 use crate::trainings::{TrainingsArgs, side_by_side};
-use crate::{report, settings, stages};
+use crate::{local, report, settings, stages};
 
 pub(crate) use plan::{Plan, RunConfig};
 
@@ -62,15 +61,9 @@ pub(crate) fn run(args: &Args, global: &Global) -> anyhow::Result<Exit> {
         bail!("{} names no sources", args.config.display());
     }
     let mut plan = Plan::new(config, global).map_err(|error| settings::at(&args.config, error))?;
-    let name = args
-        .config
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy();
-    plan.commands = vec![format!(
-        "stance run --config {name}{}",
-        global.seed_option()
-    )];
+    let name = args.config.file_name().unwrap_or_default();
+    let (name, seed) = (name.to_string_lossy(), global.seed_option());
+    plan.commands = vec![format!("stance run --config {name}{seed}")];
     finish(plan, &args.trainings, args.weak_judge, global)
 }
 
@@ -83,45 +76,28 @@ pub(crate) fn finish(
 ) -> anyhow::Result<Exit> {
     let config = &plan.config;
     let root = plan.at("dataset");
-    let (ingested, _) = stages::dataset(
-        (&config.sources, &root),
-        &config.ingest,
-        &config.masks,
-        config.stages.pairs.then_some(&config.pairs),
-        global.seed_or(config.seeds.split),
-        global,
-    )?;
+    let (ingest, masks) = (&config.ingest, &config.masks);
+    let pairs = config.stages.pairs.then_some(&config.pairs);
+    let seed = global.seed_or(config.seeds.split);
+    let (ingested, _) =
+        stages::dataset(&config.sources, &root, ingest, masks, pairs, seed, global)?;
     let (triplets, seed) = (plan.at("triplets"), Seed(plan.train.seed));
-    stages::triplets(
-        [&root, &triplets],
-        config.triplets,
-        &plan.compose,
-        seed,
-        global,
-    )?;
+    let (count, compose) = (config.triplets, &plan.compose);
+    stages::triplets([&root, &triplets], count, compose, seed, global)?;
     let dataset = Dataset::open(&root)?;
     let text_encoder = text_encoder(config.text_encoder.as_deref());
     let trained = train_all(&plan, &dataset, &text_encoder, trainings, global)?;
-    let seed = global.seed_or(config.seeds.items);
-    stages::items(
-        &dataset,
-        &plan.at("items"),
-        Split::Test,
-        &config.items,
-        seed,
-        global,
-    )
-    .context("stage items")?;
+    let (items, seed) = (plan.at("items"), global.seed_or(config.seeds.items));
+    stages::items(&dataset, &items, Split::Test, &config.items, seed, global)
+        .context("stage items")?;
     let tables = edit_all(&plan, &trained, &text_encoder, global)?;
     let protocol = Protocol {
         seed: global.seed_or(Some(config.eval.seed.0)),
         ..config.eval
     };
     let edits = Answered::read_for_table(&tables)?;
-    let runs = EvaluatorRuns {
-        encoder: &plan.encoder_run(),
-        coordinator: None,
-    };
+    let encoder = plan.encoder_run();
+    let runs = EvaluatorRuns::of_encoder(&encoder);
     let scores = stages::scores(&edits, &runs, &protocol, global).context("stage eval")?;
     scores
         .commit(&plan.at("scores"), &edits.skeleton, &global.holder())

@@ -106,15 +106,12 @@ fn cards(done: &Done) -> Vec<Card> {
     let losses = format!("loss {} → {}", loss("first_loss"), loss("last_loss"));
     let speed = format!("{:.0}", number("samples_per_sec"));
     let waiting = 100.0 * number("data_wait_share");
+    let waiting = format!("{waiting:.1} % waiting for data");
     vec![
         card("clips", rows(MotionRow::TABLE), &lost),
         card("masks", rows(MaskRow::TABLE), ""),
         card("editor steps", &editor["steps"], &losses),
-        card(
-            "samples/s",
-            speed,
-            &format!("{waiting:.1} % waiting for data"),
-        ),
+        card("samples/s", speed, &waiting),
     ]
 }
 
@@ -133,10 +130,8 @@ fn charts(done: &Done) -> anyhow::Result<Vec<Chart>> {
     let editor = done.plan.at("runs/motionrefit");
     let mut charts = vec![curves(&editor, "Editor: denoising loss")?];
     if done.trained.encoder.is_some() {
-        charts.push(curves(
-            &done.plan.encoder_run(),
-            "Encoder of the evaluation",
-        )?);
+        let encoder = done.plan.encoder_run();
+        charts.push(curves(&encoder, "Encoder of the evaluation")?);
     }
     let groups = pipeline::catalogue::catalogue(done.dataset)?.actions;
     let bars = groups
@@ -190,7 +185,7 @@ fn details(done: &Done) -> Vec<Details> {
         ("Edits", json!(config.edit)),
         ("Evaluation", json!(config.eval)),
     ];
-    let details = details.map(|(title, value)| Details::of_json(title, &[("value", &value)]));
+    let details = details.map(|(title, value)| Details::of_json(title, &[("value", value)]));
     details.into()
 }
 
