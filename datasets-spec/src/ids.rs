@@ -36,10 +36,9 @@ impl MotionId {
         } else {
             return Ok(Self(text.to_owned()));
         };
-        Err(Error::MotionId {
-            id: text.to_owned(),
-            reason,
-        })
+        Err(Error::Refused(format!(
+            "motion id {text:?} is not usable: {reason}"
+        )))
     }
 
     /// The id as text.
@@ -124,8 +123,8 @@ impl std::str::FromStr for Split {
         Self::ALL
             .into_iter()
             .find(|split| split.as_str() == text)
-            .ok_or_else(|| Error::Split {
-                got: text.to_owned(),
+            .ok_or_else(|| {
+                Error::Refused(format!("split must be train, val or test, got {text:?}"))
             })
     }
 }

@@ -233,9 +233,9 @@ impl FromStr for BodyPart {
         Self::ALL
             .into_iter()
             .find(|part| part.name() == text)
-            .ok_or_else(|| Error::BodyPart {
-                name: text.to_owned(),
-                known: Self::ALL.map(Self::name).join(", "),
+            .ok_or_else(|| {
+                let known = Self::ALL.map(Self::name).join(", ");
+                Error::Refused(format!("unknown body part {text:?}; known: {known}"))
             })
     }
 }

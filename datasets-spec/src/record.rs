@@ -312,14 +312,14 @@ impl NormalizerRow {
             min: [self.min_x, self.min_y, self.min_z],
             max: [self.max_x, self.max_y, self.max_z],
         };
-        if normalizer.hash() == self.id {
-            Ok(normalizer)
-        } else {
-            Err(Error::NormalizerHash {
-                stated: self.id.clone(),
-                found: normalizer.hash(),
-            })
+        let found = normalizer.hash();
+        if found != self.id {
+            return Err(Error::Refused(format!(
+                "a normaliser states hash {} but hashes to {found}; fit it again",
+                self.id
+            )));
         }
+        Ok(normalizer)
     }
 }
 
@@ -652,19 +652,24 @@ pub fn range_of(start: Option<i32>, end: Option<i32>) -> Result<Option<Range<usi
         (Some(first), Some(end)) if 0 <= first && first < end => {
             Ok(Some(first as usize..end as usize))
         }
-        _ => Err(Error::FrameRange { start, end }),
+        _ => {
+            let [start, end] = [start, end]
+                .map(|frame| frame.map_or("?".to_owned(), |frame| frame.to_string()));
+            Err(Error::Refused(format!(
+                "frames {start} to {end} are no range; give a first frame and one past the last, or neither"
+            )))
+        }
     }
 }
 
 /// Returns the range, or all frames if there is none. An error if it ends after frame `len`, the end of the motion.
 fn within(range: Option<Range<usize>>, len: usize) -> Result<Range<usize>, Error> {
     let frames = range.unwrap_or(0..len);
-    match frames.end <= len {
-        true => Ok(frames),
-        false => Err(Error::RangeEnd {
-            end: frames.end,
-            len,
-        }),
+    match frames.end {
+        end if end > len => Err(Error::Refused(format!(
+            "a range ends at frame {end}, but its motion has {len} frames; end it at {len} or before"
+        ))),
+        _ => Ok(frames),
     }
 }
 
@@ -680,7 +685,9 @@ impl MaskRow {
     pub fn range(&self) -> Result<Option<Range<usize>>, Error> {
         let (range, shortest) = (range_of(self.start, self.end)?, Self::SHORTEST as usize);
         match range.as_ref().map(Range::len) {
-            Some(frames) if frames < shortest => Err(Error::ShortRange { frames, shortest }),
+            Some(frames) if frames < shortest => Err(Error::Refused(format!(
+                "a mask holds for {frames} frames, and a training window spans {shortest}; make its range that long"
+            ))),
             _ => Ok(range),
         }
     }
@@ -912,10 +919,10 @@ impl ItemRow {
     pub fn check(&self) -> Result<(), Error> {
         let found = self.content_id();
         if found != self.id {
-            return Err(Error::ItemId {
-                stated: self.id.clone(),
-                found,
-            });
+            return Err(Error::Refused(format!(
+                "item {} holds the content of {found}; draw the items again: stance items",
+                self.id
+            )));
         }
         self.source()?;
         self.edited_frames()?;
