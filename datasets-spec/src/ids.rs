@@ -166,9 +166,8 @@ impl Seed {
     /// A random number for the draw named by `parts`.
     pub fn draw_u64(self, parts: &[&str]) -> u64 {
         let digest = self.digest(parts);
-        u64::from_le_bytes([
-            digest[0], digest[1], digest[2], digest[3], digest[4], digest[5], digest[6], digest[7],
-        ])
+        let (words, _) = digest.as_chunks();
+        u64::from_le_bytes(words[0])
     }
 
     /// A derived seed for a sub-task, independent of other uses.
