@@ -200,22 +200,17 @@ impl Error {
         path: impl Into<PathBuf>,
     ) -> impl FnOnce(parquet::errors::ParquetError) -> Self {
         let path = path.into();
+        let failed = move |path, source| Self::Parquet {
+            action,
+            path,
+            source,
+        };
         move |source| match source {
-            parquet::errors::ParquetError::External(cause) if cause.is::<std::io::Error>() => {
-                let cause = cause
-                    .downcast::<std::io::Error>()
-                    .map_or_else(|_| std::io::Error::other("unknown"), |cause| *cause);
-                Self::Io {
-                    action,
-                    path,
-                    source: cause,
-                }
-            }
-            source => Self::Parquet {
-                action,
-                path,
-                source,
+            parquet::errors::ParquetError::External(cause) => match cause.downcast() {
+                Ok(cause) => Self::io(action, path)(*cause),
+                Err(cause) => failed(path, parquet::errors::ParquetError::External(cause)),
             },
+            source => failed(path, source),
         }
     }
 }
