@@ -9,20 +9,9 @@ pub enum Error {
     /// A motion, a frame rate or a joint is invalid.
     #[error(transparent)]
     Motion(#[from] kinematics::Error),
-    /// A motion id is malformed.
-    #[error("motion id {id:?} is not usable: {reason}")]
-    MotionId {
-        /// The text found.
-        id: String,
-        /// What is wrong with it.
-        reason: &'static str,
-    },
-    /// A split name is unknown.
-    #[error("split must be train, val or test, got {got:?}")]
-    Split {
-        /// The text found.
-        got: String,
-    },
+    /// A name or a row cannot be used; the message states why.
+    #[error("{0}")]
+    Refused(String),
     /// A dataset has no version of this number.
     #[error("{} has no version {version}; there are {known}", path.display())]
     NoVersion {
@@ -49,14 +38,6 @@ pub enum Error {
         path: PathBuf,
         /// The cause.
         source: Box<Error>,
-    },
-    /// A body part name is unknown.
-    #[error("unknown body part {name:?}; known: {known}")]
-    BodyPart {
-        /// The text found.
-        name: String,
-        /// The known names.
-        known: String,
     },
     /// A blend mask names a joint as hard and soft.
     #[error("joints {joints} are both hard and soft; a joint is one or the other (paper Sec. 4.2)")]
@@ -104,54 +85,6 @@ pub enum Error {
         /// Version read by this program.
         supported: &'static str,
     },
-    /// A normaliser does not match its hash.
-    #[error("a normaliser states hash {stated} but hashes to {found}; fit it again")]
-    NormalizerHash {
-        /// The hash stated.
-        stated: String,
-        /// The hash of the numbers.
-        found: String,
-    },
-    /// A range of frames is empty, begins before the first frame, or lacks one of its ends.
-    #[error(
-        "frames {} to {} are no range; give a first frame and one past the last, or neither",
-        start.map_or("?".to_owned(), |frame| frame.to_string()),
-        end.map_or("?".to_owned(), |frame| frame.to_string())
-    )]
-    FrameRange {
-        /// First frame.
-        start: Option<i32>,
-        /// One past the last frame.
-        end: Option<i32>,
-    },
-    /// A range of frames ends after its motion.
-    #[error(
-        "a range ends at frame {end}, but its motion has {len} frames; end it at {len} or before"
-    )]
-    RangeEnd {
-        /// One past the last frame of the range.
-        end: usize,
-        /// Frames of the motion.
-        len: usize,
-    },
-    /// A mask holds for fewer frames than a training window spans.
-    #[error(
-        "a mask holds for {frames} frames, and a training window spans {shortest}; make its range that long"
-    )]
-    ShortRange {
-        /// Frames that the mask holds for.
-        frames: usize,
-        /// Fewest frames that the window needs.
-        shortest: usize,
-    },
-    /// The content of a test item does not match its id.
-    #[error("item {stated} holds the content of {found}; draw the items again: stance items")]
-    ItemId {
-        /// The id stated.
-        stated: String,
-        /// The id of the content.
-        found: String,
-    },
     /// A file differs from what the manifest records.
     #[error("{} does not match its manifest ({detail}); restore the file or ingest again", path.display())]
     Corrupt {
@@ -187,16 +120,6 @@ pub enum Error {
         path: PathBuf,
         /// The version that both made.
         version: u64,
-    },
-    /// The folder already holds the result of a different plan.
-    #[error("{} already holds a dataset made by a different plan (recorded {recorded}, now {now}); choose another folder, or ask for a new version of this one", path.display())]
-    OtherPlan {
-        /// The folder.
-        path: PathBuf,
-        /// Plan hash recorded.
-        recorded: String,
-        /// Plan hash of this run.
-        now: String,
     },
     /// Reading or writing a file failed.
     #[error("cannot {action} {}", path.display())]
@@ -252,7 +175,6 @@ impl Error {
             Self::Corrupt { path, .. } | Self::Parquet { path, .. } | Self::Json { path, .. } => {
                 ("E-CORRUPT", path)
             }
-            Self::OtherPlan { path, .. } => ("E-PLAN", path),
             _ => return None,
         };
         Some((code, Some(path.display().to_string())))
@@ -278,22 +200,17 @@ impl Error {
         path: impl Into<PathBuf>,
     ) -> impl FnOnce(parquet::errors::ParquetError) -> Self {
         let path = path.into();
+        let failed = move |path, source| Self::Parquet {
+            action,
+            path,
+            source,
+        };
         move |source| match source {
-            parquet::errors::ParquetError::External(cause) if cause.is::<std::io::Error>() => {
-                let cause = cause
-                    .downcast::<std::io::Error>()
-                    .map_or_else(|_| std::io::Error::other("unknown"), |cause| *cause);
-                Self::Io {
-                    action,
-                    path,
-                    source: cause,
-                }
-            }
-            source => Self::Parquet {
-                action,
-                path,
-                source,
+            parquet::errors::ParquetError::External(cause) => match cause.downcast() {
+                Ok(cause) => Self::io(action, path)(*cause),
+                Err(cause) => failed(path, parquet::errors::ParquetError::External(cause)),
             },
+            source => failed(path, source),
         }
     }
 }

@@ -36,10 +36,9 @@ impl MotionId {
         } else {
             return Ok(Self(text.to_owned()));
         };
-        Err(Error::MotionId {
-            id: text.to_owned(),
-            reason,
-        })
+        Err(Error::Refused(format!(
+            "motion id {text:?} is not usable: {reason}"
+        )))
     }
 
     /// The id as text.
@@ -124,8 +123,8 @@ impl std::str::FromStr for Split {
         Self::ALL
             .into_iter()
             .find(|split| split.as_str() == text)
-            .ok_or_else(|| Error::Split {
-                got: text.to_owned(),
+            .ok_or_else(|| {
+                Error::Refused(format!("split must be train, val or test, got {text:?}"))
             })
     }
 }
@@ -167,9 +166,8 @@ impl Seed {
     /// A random number for the draw named by `parts`.
     pub fn draw_u64(self, parts: &[&str]) -> u64 {
         let digest = self.digest(parts);
-        u64::from_le_bytes([
-            digest[0], digest[1], digest[2], digest[3], digest[4], digest[5], digest[6], digest[7],
-        ])
+        let (words, _) = digest.as_chunks();
+        u64::from_le_bytes(words[0])
     }
 
     /// A derived seed for a sub-task, independent of other uses.

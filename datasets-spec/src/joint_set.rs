@@ -233,9 +233,9 @@ impl FromStr for BodyPart {
         Self::ALL
             .into_iter()
             .find(|part| part.name() == text)
-            .ok_or_else(|| Error::BodyPart {
-                name: text.to_owned(),
-                known: Self::ALL.map(Self::name).join(", "),
+            .ok_or_else(|| {
+                let known = Self::ALL.map(Self::name).join(", ");
+                Error::Refused(format!("unknown body part {text:?}; known: {known}"))
             })
     }
 }
@@ -298,12 +298,11 @@ impl BlendMask {
 
     /// The mask of several parts together. A joint that is hard in one part and soft in another is hard.
     pub fn of_parts(parts: &[BodyPart]) -> Self {
-        let hard = parts
-            .iter()
-            .fold(JointSet::EMPTY, |set, part| set.union(part.mask().hard));
-        let soft = parts
-            .iter()
-            .fold(JointSet::EMPTY, |set, part| set.union(part.mask().soft));
+        let union = |of: fn(Self) -> JointSet| {
+            let masks = parts.iter().map(|part| part.mask());
+            masks.fold(JointSet::EMPTY, |set, mask| set.union(of(mask)))
+        };
+        let (hard, soft) = (union(Self::hard), union(Self::soft));
         Self {
             hard,
             soft: soft.difference(hard),

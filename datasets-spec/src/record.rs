@@ -312,14 +312,14 @@ impl NormalizerRow {
             min: [self.min_x, self.min_y, self.min_z],
             max: [self.max_x, self.max_y, self.max_z],
         };
-        if normalizer.hash() == self.id {
-            Ok(normalizer)
-        } else {
-            Err(Error::NormalizerHash {
-                stated: self.id.clone(),
-                found: normalizer.hash(),
-            })
+        let found = normalizer.hash();
+        if found != self.id {
+            return Err(Error::Refused(format!(
+                "a normaliser states hash {} but hashes to {found}; fit it again",
+                self.id
+            )));
         }
+        Ok(normalizer)
     }
 }
 
@@ -588,7 +588,10 @@ impl MotionRow {
     /// # Errors
     /// The row's columns do not make a motion.
     pub fn motion(&self) -> Result<Motion, Error> {
-        motion_of(self.fps, &self.transl, &self.global_orient, &self.body_pose)
+        motion_of(
+            self.fps,
+            (&self.transl, &self.global_orient, &self.body_pose),
+        )
     }
 
     /// Drops the frames, which are most of a row.
@@ -619,12 +622,8 @@ impl TripletRow {
     /// # Errors
     /// The row's columns do not make a motion.
     pub fn original(&self) -> Result<Motion, Error> {
-        motion_of(
-            self.fps,
-            &self.original_transl,
-            &self.original_global_orient,
-            &self.original_body_pose,
-        )
+        let (transl, global_orient) = (&self.original_transl, &self.original_global_orient);
+        motion_of(self.fps, (transl, global_orient, &self.original_body_pose))
     }
 
     /// The edited motion.
@@ -632,12 +631,8 @@ impl TripletRow {
     /// # Errors
     /// The row's columns do not make a motion.
     pub fn edited(&self) -> Result<Motion, Error> {
-        motion_of(
-            self.fps,
-            &self.edited_transl,
-            &self.edited_global_orient,
-            &self.edited_body_pose,
-        )
+        let (transl, global_orient) = (&self.edited_transl, &self.edited_global_orient);
+        motion_of(self.fps, (transl, global_orient, &self.edited_body_pose))
     }
 }
 
@@ -652,19 +647,24 @@ pub fn range_of(start: Option<i32>, end: Option<i32>) -> Result<Option<Range<usi
         (Some(first), Some(end)) if 0 <= first && first < end => {
             Ok(Some(first as usize..end as usize))
         }
-        _ => Err(Error::FrameRange { start, end }),
+        _ => {
+            let [start, end] =
+                [start, end].map(|frame| frame.map_or("?".to_owned(), |frame| frame.to_string()));
+            Err(Error::Refused(format!(
+                "frames {start} to {end} are no range; give a first frame and one past the last, or neither"
+            )))
+        }
     }
 }
 
 /// Returns the range, or all frames if there is none. An error if it ends after frame `len`, the end of the motion.
 fn within(range: Option<Range<usize>>, len: usize) -> Result<Range<usize>, Error> {
     let frames = range.unwrap_or(0..len);
-    match frames.end <= len {
-        true => Ok(frames),
-        false => Err(Error::RangeEnd {
-            end: frames.end,
-            len,
-        }),
+    match frames.end {
+        end if end > len => Err(Error::Refused(format!(
+            "a range ends at frame {end}, but its motion has {len} frames; end it at {len} or before"
+        ))),
+        _ => Ok(frames),
     }
 }
 
@@ -680,7 +680,9 @@ impl MaskRow {
     pub fn range(&self) -> Result<Option<Range<usize>>, Error> {
         let (range, shortest) = (range_of(self.start, self.end)?, Self::SHORTEST as usize);
         match range.as_ref().map(Range::len) {
-            Some(frames) if frames < shortest => Err(Error::ShortRange { frames, shortest }),
+            Some(frames) if frames < shortest => Err(Error::Refused(format!(
+                "a mask holds for {frames} frames, and a training window spans {shortest}; make its range that long"
+            ))),
             _ => Ok(range),
         }
     }
@@ -738,12 +740,8 @@ impl ItemRow {
     /// # Errors
     /// The row's columns do not make a motion.
     pub fn source(&self) -> Result<Motion, Error> {
-        motion_of(
-            self.fps,
-            &self.source_transl,
-            &self.source_global_orient,
-            &self.source_body_pose,
-        )
+        let [source, ..] = self.motions();
+        motion_of(self.fps, source)
     }
 
     /// The target of the edit.
@@ -751,12 +749,29 @@ impl ItemRow {
     /// # Errors
     /// The item has no target, or its columns do not make a motion.
     pub fn target(&self) -> Result<Motion, Error> {
-        motion_of(
-            self.fps,
-            &self.target_transl,
-            &self.target_global_orient,
-            &self.target_body_pose,
-        )
+        let [_, target, _] = self.motions();
+        motion_of(self.fps, target)
+    }
+
+    /// Source, target and the target made of another capture.
+    fn motions(&self) -> [MotionColumns<'_>; 3] {
+        [
+            (
+                &self.source_transl,
+                &self.source_global_orient,
+                &self.source_body_pose,
+            ),
+            (
+                &self.target_transl,
+                &self.target_global_orient,
+                &self.target_body_pose,
+            ),
+            (
+                &self.other_transl,
+                &self.other_global_orient,
+                &self.other_body_pose,
+            ),
+        ]
     }
 
     /// The frames of the source that the question is about.
@@ -804,13 +819,8 @@ impl ItemRow {
         if self.other_frames == 0 {
             return Ok(None);
         }
-        let motion = motion_of(
-            self.fps,
-            &self.other_transl,
-            &self.other_global_orient,
-            &self.other_body_pose,
-        );
-        motion.map(Some)
+        let [.., other] = self.motions();
+        motion_of(self.fps, other).map(Some)
     }
 
     /// Sets the columns of the three motions of an item.
@@ -879,23 +889,7 @@ impl ItemRow {
             let bytes: Vec<[u8; 4]> = numbers.map(|value| value.to_le_bytes()).collect();
             bytes.into_flattened()
         }
-        for (transl, global_orient, body_pose) in [
-            (
-                &self.source_transl,
-                &self.source_global_orient,
-                &self.source_body_pose,
-            ),
-            (
-                &self.target_transl,
-                &self.target_global_orient,
-                &self.target_body_pose,
-            ),
-            (
-                &self.other_transl,
-                &self.other_global_orient,
-                &self.other_body_pose,
-            ),
-        ] {
+        for (transl, global_orient, body_pose) in self.motions() {
             part(&bytes(transl));
             part(&bytes(global_orient));
             part(&bytes(body_pose));
@@ -912,10 +906,10 @@ impl ItemRow {
     pub fn check(&self) -> Result<(), Error> {
         let found = self.content_id();
         if found != self.id {
-            return Err(Error::ItemId {
-                stated: self.id.clone(),
-                found,
-            });
+            return Err(Error::Refused(format!(
+                "item {} holds the content of {found}; draw the items again: stance items",
+                self.id
+            )));
         }
         self.source()?;
         self.edited_frames()?;
@@ -956,7 +950,10 @@ impl EditRow {
     /// # Errors
     /// The row's columns do not make a motion.
     pub fn motion(&self) -> Result<Motion, Error> {
-        motion_of(self.fps, &self.transl, &self.global_orient, &self.body_pose)
+        motion_of(
+            self.fps,
+            (&self.transl, &self.global_orient, &self.body_pose),
+        )
     }
 }
 
@@ -990,11 +987,12 @@ impl FramesRow {
     }
 }
 
+/// Translation, root orientation and body rotations of a motion.
+type MotionColumns<'a> = (&'a [[f32; 3]], &'a [[f32; 3]], &'a [[f32; BODY_POSE_WIDTH]]);
+
 fn motion_of(
     fps: f32,
-    transl: &[[f32; 3]],
-    global_orient: &[[f32; 3]],
-    body_pose: &[[f32; BODY_POSE_WIDTH]],
+    (transl, global_orient, body_pose): MotionColumns<'_>,
 ) -> Result<Motion, Error> {
     Ok(Motion::new(
         Fps::new(fps.into())?,

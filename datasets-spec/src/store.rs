@@ -266,6 +266,17 @@ pub fn aside(path: &Path) -> Option<PathBuf> {
     })
 }
 
+/// Turns the error that a file or folder does not exist into `None`.
+///
+/// # Errors
+/// All other errors.
+pub fn if_exists<T>(done: io::Result<T>) -> io::Result<Option<T>> {
+    match done {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        done => done.map(Some),
+    }
+}
+
 /// Calls `act` with the path of a file, or with the path that a commit of its dataset has moved it to.
 ///
 /// # Errors
@@ -300,13 +311,15 @@ pub fn replace_file(path: &Path, content: &[u8]) -> io::Result<()> {
 ///
 /// # Errors
 /// Any step fails.
-pub(crate) fn write_atomically(
-    store: &dyn Store,
-    path: &Path,
-    write: impl FnOnce(Box<dyn NewFile>) -> Result<Box<dyn NewFile>, Error>,
-) -> Result<(), Error> {
-    let file = store.create(path).map_err(Error::io("create", path))?;
-    write(file)?.publish().map_err(Error::io("write", path))
+pub(crate) fn write_bytes(store: &dyn Store, path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    let file = unpublished(store, path, bytes)?;
+    file.publish().map_err(Error::io("write", path))
+}
+
+fn unpublished(store: &dyn Store, path: &Path, bytes: &[u8]) -> Result<Box<dyn NewFile>, Error> {
+    let mut file = store.create(path).map_err(Error::io("create", path))?;
+    file.write_all(bytes).map_err(Error::io("write", path))?;
+    Ok(file)
 }
 
 /// Writes a file whole unless a file with that name exists, and returns whether it did.
@@ -314,9 +327,7 @@ pub(crate) fn write_atomically(
 /// # Errors
 /// Any step fails.
 pub(crate) fn write_new(store: &dyn Store, path: &Path, bytes: &[u8]) -> Result<bool, Error> {
-    let mut file = store.create(path).map_err(Error::io("create", path))?;
-    file.write_all(bytes).map_err(Error::io("write", path))?;
-    match file.publish_new() {
+    match unpublished(store, path, bytes)?.publish_new() {
         Ok(()) => Ok(true),
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
         Err(error) => Err(Error::io("write", path)(error)),

@@ -20,6 +20,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use datasets_spec::store::if_exists;
 use kinematics::normalise::Normalizer;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -202,7 +203,7 @@ impl Run {
     ) -> Result<Self, Error> {
         let start = start.into();
         let path = start.run.join(CONFIG);
-        fs::create_dir_all(start.run).map_err(datasets_spec::Error::io("create", start.run))?;
+        fs::create_dir_all(start.run).map_err(Error::io("create", start.run))?;
         // Both documents are parsed from text, so that numbers compare as they are written.
         let asked = to_value(record).map_err(json_error(&path))?;
         match text_of(&path)? {
@@ -315,7 +316,7 @@ impl Run {
         let new = parent.join(format!(".{name}.new"));
         let old = parent.join(format!(".{name}.old"));
         remove_dir(&new)?;
-        fs::create_dir_all(&new).map_err(datasets_spec::Error::io("create", &new))?;
+        fs::create_dir_all(&new).map_err(Error::io("create", &new))?;
         for (name, bytes) in files {
             write_synced(&new.join(name), bytes)?;
         }
@@ -340,9 +341,9 @@ impl Run {
         // other name, where `read` looks for it.
         if place.exists() {
             remove_dir(&old)?;
-            fs::rename(&place, &old).map_err(datasets_spec::Error::io("rename", &place))?;
+            fs::rename(&place, &old).map_err(Error::io("rename", &place))?;
         }
-        fs::rename(&new, &place).map_err(datasets_spec::Error::io("rename", &new))?;
+        fs::rename(&new, &place).map_err(Error::io("rename", &new))?;
         sync_dir(&parent)?;
         remove_dir(&old)
     }
@@ -395,7 +396,7 @@ fn append(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let mut options = OpenOptions::new();
     let opened = options.create(true).append(true).open(path);
     let appended = opened.and_then(|mut file| file.write_all(bytes));
-    Ok(appended.map_err(datasets_spec::Error::io("append to", path))?)
+    appended.map_err(Error::io("append to", path))
 }
 
 /// Reads and checks a checkpoint of a run. `None` if there is none yet.
@@ -411,19 +412,14 @@ pub(crate) fn read(run_dir: &Path, slot: Slot) -> Result<Option<Files>, Error> {
         return Ok(None);
     };
     let path = place.join(MANIFEST);
-    let text = fs::read(&path).map_err(datasets_spec::Error::io("read", &path))?;
+    let text = fs::read(&path).map_err(Error::io("read", &path))?;
     let manifest: Manifest = serde_json::from_slice(&text).map_err(json_error(&path))?;
     let mut files = Files::new();
     for (name, entry) in manifest.files {
         let path = place.join(&name);
         let corrupt = |detail: String| Error::corrupt(&path, detail);
-        let bytes = match fs::read(&path) {
-            Ok(bytes) => bytes,
-            Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => {
-                return Err(corrupt("it is missing".to_owned()));
-            }
-            Err(problem) => return Err(datasets_spec::Error::io("read", path)(problem).into()),
-        };
+        let bytes = if_exists(fs::read(&path)).map_err(Error::io("read", &path))?;
+        let bytes = bytes.ok_or_else(|| corrupt("it is missing".to_owned()))?;
         if bytes.len() as u64 != entry.bytes {
             let detail = format!("{} bytes, recorded {}", bytes.len(), entry.bytes);
             return Err(corrupt(detail));
@@ -459,7 +455,7 @@ impl<C: Serialize> Opened<C> {
 pub(crate) fn open_for_use<C: Serialize + DeserializeOwned>(
     run_dir: &Path,
     slot: Slot,
-    kind: &'static str,
+    kind: &str,
 ) -> Result<Opened<C>, Error> {
     let record = read_record(run_dir, kind)?;
     let files = read(run_dir, slot)?.ok_or_else(|| {
@@ -563,20 +559,18 @@ fn begin_with<C: Serialize + DeserializeOwned>(
     record: &RunRecord<C>,
     asked: &Value,
 ) -> Result<(Vec<Ancestor>, Files), Error> {
-    let before: RunRecord<C> = read_record(from, &record.kind)?;
-    let files = read(from, Slot::Best)?
-        .ok_or_else(|| Error::not_a_run(from, &record.kind, "it holds no checkpoint \"best\""))?;
+    let before: Opened<C> = open_for_use(from, Slot::Best, &record.kind)?;
     let last = read(from, Slot::Last)?.unwrap_or_default();
     let path = from.join(CONFIG);
     let json = json_error(&path);
-    let mut lineage = before.lineage.clone();
+    let mut lineage = before.record.lineage.clone();
     lineage.push(Ancestor {
         by: Inheritance::Init,
-        weights: weights_hash(&before.config, &files),
+        weights: before.hash,
         step: step_of(&last, "best_step"),
-        changed: differences(&to_value(&before).map_err(json)?, asked),
+        changed: differences(&to_value(&before.record).map_err(json)?, asked),
     });
-    Ok((lineage, files))
+    Ok((lineage, before.files))
 }
 
 fn write_record(path: &Path, record: &Value, lineage: &[Ancestor]) -> Result<(), Error> {
@@ -592,32 +586,28 @@ fn write_record(path: &Path, record: &Value, lineage: &[Ancestor]) -> Result<(),
 pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let new = path.with_extension("new");
     write_synced(&new, bytes)?;
-    Ok(fs::rename(&new, path).map_err(datasets_spec::Error::io("rename", new))?)
+    fs::rename(&new, path).map_err(Error::io("rename", new))
 }
 
 fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    Ok(File::create(path)
+    File::create(path)
         .and_then(|mut file| {
             file.write_all(bytes)?;
             file.sync_all()
         })
-        .map_err(datasets_spec::Error::io("write", path))?)
+        .map_err(Error::io("write", path))
 }
 
 /// Makes renames within a folder durable.
 fn sync_dir(path: &Path) -> Result<(), Error> {
-    Ok(File::open(path)
+    File::open(path)
         .and_then(|dir| dir.sync_all())
-        .map_err(datasets_spec::Error::io("sync", path))?)
+        .map_err(Error::io("sync", path))
 }
 
 fn remove_dir(path: &Path) -> Result<(), Error> {
-    match fs::remove_dir_all(path) {
-        Err(problem) if problem.kind() != std::io::ErrorKind::NotFound => {
-            Err(datasets_spec::Error::io("remove", path)(problem).into())
-        }
-        _ => Ok(()),
-    }
+    let removed = if_exists(fs::remove_dir_all(path));
+    removed.map(|_| ()).map_err(Error::io("remove", path))
 }
 
 #[cfg(test)]

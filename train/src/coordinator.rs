@@ -16,9 +16,9 @@ use serde::{Deserialize, Serialize};
 use crate::checkpoint::{Run, RunRecord, Slot, Start, open_for_use};
 use crate::compose::ComposeRecord;
 use crate::config::{
-    DiffusionConfig, NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, ScheduleName,
-    TrainConfig, all_keypoints, check_keypoints, check_windows, ensure, is_all_keypoints,
-    is_default, narrowed, positive, share,
+    NetworkConfig, OptimizerConfig, Preset, RunLength, RunSettings, ScheduleName, TrainConfig,
+    all_keypoints, check_keypoints, check_windows, ensure, is_all_keypoints, is_default, narrowed,
+    positive, share,
 };
 use crate::data::{WindowSource, across_epochs};
 use crate::error::motion_error;
@@ -75,16 +75,11 @@ impl CoordinatorConfig {
     /// unless half of them are mirrored.
     pub fn preset(preset: Preset) -> Self {
         let editor = TrainConfig::preset(preset);
-        let DiffusionConfig {
-            schedule,
-            num_steps,
-            ..
-        } = editor.diffusion;
         let is_tiny = preset == Preset::Tiny;
         Self {
             model: editor.model,
-            schedule,
-            diffusion_steps: num_steps,
+            schedule: editor.diffusion.schedule,
+            diffusion_steps: editor.diffusion.num_steps,
             noise_steps: if is_tiny {
                 editor.coordinator.num_steps
             } else {
@@ -409,9 +404,8 @@ impl TrainedCoordinator {
     /// # Shapes
     /// `windows` `[B, W, 84]` in model units.
     pub fn probabilities(&self, windows: &[f32]) -> Vec<f32> {
-        let CoordinatorConfig {
-            window, keypoints, ..
-        } = self.record.config.train;
+        let config = &self.record.config.train;
+        let (window, keypoints) = (config.window, config.keypoints);
         let rows = windows.len() / (window * FRAME_WIDTH);
         if rows == 0 {
             return Vec::new();

@@ -252,14 +252,8 @@ impl EditSystem for MotionRefitSystem {
         let items: Vec<EditItem> = requests
             .iter()
             .map(|request| {
-                let EditRequest {
-                    id,
-                    motion,
-                    instructions,
-                    fps,
-                    ..
-                } = *request;
-                EditItem::timed(id, motion, instructions, fps, skeleton, record)
+                let (id, motion, fps) = (request.id, request.motion, request.fps);
+                EditItem::timed(id, motion, request.instructions, fps, skeleton, record)
             })
             .collect::<Result<_, _>>()?;
         let mut times = EditTimes::default();

@@ -134,6 +134,15 @@ impl Error {
         }
     }
 
+    /// Returns a function that adds to an I/O error what was tried on which file.
+    pub(crate) fn io(
+        action: &'static str,
+        path: impl Into<PathBuf>,
+    ) -> impl FnOnce(std::io::Error) -> Self {
+        let wrap = datasets_spec::Error::io(action, path);
+        move |error| wrap(error).into()
+    }
+
     /// A folder is not a run of the expected kind.
     pub(crate) fn not_a_run(path: &Path, kind: &str, reason: impl Display) -> Self {
         Self::Refused(format!("{} is not a {kind} run: {reason}", path.display()))

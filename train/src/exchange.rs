@@ -333,9 +333,7 @@ pub fn import_mdm(
 /// # Errors
 /// The file is malformed, or holds something else.
 pub fn read_torch_numbers(bytes: &[u8], path: &Path) -> Result<Vec<f32>, Error> {
-    let value = pickle::torch::read(bytes).map_err(|rejected| {
-        Error::weights(path, format!("{}: {}", rejected.code, rejected.reason))
-    })?;
+    let value = pickle::torch::read(bytes).map_err(no_pickle(path))?;
     value
         .as_array()
         .and_then(pickle::Array::to_f64)
@@ -378,7 +376,7 @@ pub fn export(run_dir: &Path, slot: Slot, out: &Path) -> Result<Vec<PathBuf>, Er
         (opened.files, Denoiser::FILE, train.model, normalizer)
     };
     let bytes = with_tables(&take(&mut files, name, run_dir)?, model.width, run_dir)?;
-    std::fs::create_dir_all(out).map_err(datasets_spec::Error::io("create", out))?;
+    std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
     let weights = out.join(name);
     write_atomically(&weights, &bytes)?;
     let range = out.join(RANGE);
@@ -431,8 +429,11 @@ pub(crate) fn read_numpy_object(bytes: &[u8], path: &Path) -> Result<Value, Erro
     let pickled = bytes
         .get(header..)
         .ok_or_else(|| problem("it ends in its header"))?;
-    pickle::read(pickled)
-        .map_err(|rejected| Error::weights(path, format!("{}: {}", rejected.code, rejected.reason)))
+    pickle::read(pickled).map_err(no_pickle(path))
+}
+
+fn no_pickle(path: &Path) -> impl Fn(pickle::Error) -> Error {
+    move |error| Error::weights(path, format!("{}: {}", error.code, error.reason))
 }
 
 /// Reads the normaliser of the released program: an array with one object, a dictionary whose value holds the lower and

@@ -152,7 +152,7 @@ impl Prepared {
                 let mut poses = poses[segment].to_vec();
                 face_forward(&mut poses);
                 if *recipe == FeatureRecipe::MotionFix {
-                    stand_on_z(&mut poses);
+                    rotate(&mut poses, upright());
                 }
                 Cow::Owned(smpl135(&poses).into_flattened())
             }
@@ -164,9 +164,13 @@ impl Prepared {
     }
 }
 
-/// Rotates poses from y up to z up. A body that faced +z then faces -y, which is heading 0.
-fn stand_on_z(poses: &mut [Pose]) {
-    let turn = DQuat::from_rotation_x(FRAC_PI_2);
+/// The rotation from y up to z up. A body that faced +z then faces -y, which is heading 0.
+pub(crate) fn upright() -> DQuat {
+    DQuat::from_rotation_x(FRAC_PI_2)
+}
+
+/// Rotates poses about the origin.
+pub(crate) fn rotate(poses: &mut [Pose], turn: DQuat) {
     for pose in poses {
         pose.transl = turn * pose.transl;
         pose.rotations[0] = turn * pose.rotations[0];

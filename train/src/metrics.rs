@@ -31,7 +31,7 @@ struct Line {
 /// The file cannot be read, or a line is not a JSON object with a step.
 pub fn read(run_dir: &Path) -> Result<Curves, Error> {
     let path = run_dir.join(METRICS);
-    let text = std::fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?;
+    let text = std::fs::read_to_string(&path).map_err(Error::io("read", &path))?;
     let mut curves = Curves::default();
     for line in text.lines() {
         let line: Line = serde_json::from_str(line).map_err(json_error(&path))?;

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use compose::{keep_outside, leaves_frames};
 use datasets_spec::manifest::plan_hash;
 use datasets_spec::record::{EditRow, ItemRow};
-use datasets_spec::store::{ByPath, Store};
+use datasets_spec::store::{ByPath, Store, if_exists};
 use datasets_spec::table::Row;
 use datasets_spec::{Dataset, Fps, JointSet, Motion, Seed};
 use serde::{Deserialize, Serialize};
@@ -170,10 +170,9 @@ impl Remarks {
     /// The file is malformed or cannot be read.
     pub fn read(edits: &Path) -> Result<Self, Error> {
         let path = edits.join(REMARKS);
-        match ByPath.read(&path) {
-            Ok(bytes) => serde_json::from_slice(&bytes).map_err(json_error(&path)),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
-            Err(error) => Err(datasets_spec::Error::io("read", &path)(error).into()),
+        match if_exists(ByPath.read(&path)).map_err(Error::io("read", &path))? {
+            Some(bytes) => serde_json::from_slice(&bytes).map_err(json_error(&path)),
+            None => Ok(Self::default()),
         }
     }
 
@@ -189,7 +188,7 @@ impl Remarks {
             file.write_all(&text)?;
             file.publish()
         };
-        Ok(write().map_err(datasets_spec::Error::io("write", &path))?)
+        write().map_err(Error::io("write", &path))
     }
 
     /// The warnings as sentences, one per line.

@@ -34,6 +34,15 @@ impl GroundTransform {
         z: 0.0,
     };
 
+    /// A rotation by `yaw_rad`, then the horizontal part of a shift.
+    fn new(yaw_rad: f64, shift: DVec3) -> Self {
+        Self {
+            yaw_rad,
+            x: shift.x,
+            z: shift.z,
+        }
+    }
+
     /// Maps a point.
     pub fn apply(&self, point: DVec3) -> DVec3 {
         self.mapping()(point)
@@ -49,11 +58,7 @@ impl GroundTransform {
     /// The transform that undoes this one.
     pub fn inverse(&self) -> Self {
         let shift = DQuat::from_rotation_y(-self.yaw_rad) * DVec3::new(self.x, 0.0, self.z);
-        Self {
-            yaw_rad: -self.yaw_rad,
-            x: -shift.x,
-            z: -shift.z,
-        }
+        Self::new(-self.yaw_rad, -shift)
     }
 }
 
@@ -88,12 +93,7 @@ pub fn motion_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) ->
 
 /// The ground transform with this yaw that carries `from` to the horizontal position of `onto`.
 fn placed(yaw_rad: f64, onto: DVec3, from: DVec3) -> GroundTransform {
-    let shift = onto - DQuat::from_rotation_y(yaw_rad) * from;
-    GroundTransform {
-        yaw_rad,
-        x: shift.x,
-        z: shift.z,
-    }
+    GroundTransform::new(yaw_rad, onto - DQuat::from_rotation_y(yaw_rad) * from)
 }
 
 /// The ground transform from a canonical segment to its motion by the released rule, which displaces the segment with
@@ -103,11 +103,7 @@ pub fn world_from_segment(first: &Pose, anchor: Anchor, skeleton: &Skeleton) -> 
         Anchor::Pelvis => first.transl + skeleton.rest(0),
         Anchor::Translation => first.transl,
     };
-    GroundTransform {
-        yaw_rad: rotation::yaw(DMat3::from_quat(first.rotations[0])),
-        x: origin.x,
-        z: origin.z,
-    }
+    GroundTransform::new(rotation::yaw(DMat3::from_quat(first.rotations[0])), origin)
 }
 
 /// Moves a segment so that its first frame stands at the origin facing +z; heights stay. Returns the
@@ -243,11 +239,7 @@ fn largest_eigenvector(mut a: [[f64; 4]; 4]) -> [f64; 4] {
 /// biases the heading in every window.
 pub fn ground_transform_of(points: &[DVec3; 3], rest_triangle: &[DVec3; 3]) -> GroundTransform {
     let (rotation, shift) = kabsch(rest_triangle, points);
-    GroundTransform {
-        yaw_rad: rotation::yaw(rotation),
-        x: shift.x,
-        z: shift.z,
-    }
+    GroundTransform::new(rotation::yaw(rotation), shift)
 }
 
 /// Joins generated windows into one motion, and gives the coordinates of the next window.
@@ -340,11 +332,6 @@ impl Stitcher {
         let window_from_world = self.world_from_window.inverse().mapping();
         let last = self.frames.last_chunk::<FIXED_FRAMES>()?;
         Some(last.map(|frame| frame.map(&window_from_world)))
-    }
-
-    /// Transform that places the next window in the world.
-    pub fn world_from_window(&self) -> GroundTransform {
-        self.world_from_window
     }
 
     /// The motion so far, `[T, 28]`.

@@ -6,7 +6,7 @@ use glam::{DQuat, DVec3};
 
 use crate::motion::{Keypoints, Motion, StoredFrame};
 use crate::pose::Pose;
-use crate::simd::blocks::{Frames, Quaternions, Vectors, frame_of, lane, set};
+use crate::simd::blocks::{Frames, Quaternions, Vectors, lane, set};
 use crate::simd::lanes::{self, Kernel, LANES};
 use crate::skeleton::{KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS, Skeleton, parent_of};
 
@@ -76,7 +76,13 @@ impl Skeleton {
     /// # Panics
     /// If there are not as many frames as sinks.
     pub fn place_rows<S: FrameSink>(&self, rows: &[StoredFrame], parts: FrameParts, out: &mut [S]) {
-        placed(self, rows, parts, out);
+        assert_eq!(rows.len(), out.len(), "a sink for each frame");
+        lanes::dispatch(Write {
+            rest: Rest::of(self),
+            frames: rows,
+            parts,
+            out,
+        });
     }
 }
 
@@ -188,20 +194,12 @@ fn keypoints_of<const K: usize>(skeleton: &Skeleton, frames: impl Frames) -> Vec
             let mut points = [[[0.0; LANES]; 3]; K];
             let mut turns = [[[0.0; LANES]; 4]; NUM_BODY_JOINTS];
             for first in (0..frames.len()).step_by(LANES) {
-                let mut transl = [[0.0; LANES]; 3];
-                for at in 0..LANES {
-                    set(
-                        &mut transl,
-                        at,
-                        frames.transl(frame_of(first, at, frames.len())),
-                    );
-                }
                 for (joint, turns) in turns.iter_mut().enumerate() {
                     if FIRST_CHILD[joint] < K {
                         *turns = frames.turns(first, joint);
                     }
                 }
-                rest.place(&transl, &mut turns, &mut points);
+                rest.place(&frames.transls(first), &mut turns, &mut points);
                 let block = &mut out[first..frames.len().min(first + LANES)];
                 for (at, frame) in block.iter_mut().enumerate() {
                     for (slot, point) in frame.iter_mut().enumerate() {
@@ -222,70 +220,50 @@ fn keypoints_of<const K: usize>(skeleton: &Skeleton, frames: impl Frames) -> Vec
 }
 
 /// Computes the requested parts of frames, and writes them to one sink a frame.
-fn placed<S: FrameSink>(
-    skeleton: &Skeleton,
-    frames: impl Frames,
+struct Write<'a, S> {
+    rest: Rest,
+    frames: &'a [StoredFrame],
     parts: FrameParts,
-    out: &mut [S],
-) {
-    struct Write<'a, F, S> {
-        rest: Rest,
-        frames: F,
-        parts: FrameParts,
-        out: &'a mut [S],
-    }
+    out: &'a mut [S],
+}
 
-    impl<F: Frames, S: FrameSink> Kernel for Write<'_, F, S> {
-        type Output = ();
+impl<S: FrameSink> Kernel for Write<'_, S> {
+    type Output = ();
 
-        #[inline(always)]
-        fn run(self) {
-            let Self {
-                rest,
-                frames,
-                parts,
-                out,
-            } = self;
-            let mut points = [[[0.0; LANES]; 3]; NUM_KEYPOINTS];
-            let mut turns = [[[0.0; LANES]; 4]; NUM_BODY_JOINTS];
-            for first in (0..frames.len()).step_by(LANES) {
-                let block = &mut out[first..frames.len().min(first + LANES)];
-                for (joint, turns) in turns.iter_mut().enumerate() {
-                    if parts.points || parts.rotations[joint] {
-                        *turns = frames.turns(first, joint);
-                    }
-                    if parts.rotations[joint] {
-                        let turns = turns.map(|plane| plane.map(|number| number as f32));
-                        for (at, frame) in block.iter_mut().enumerate() {
-                            frame.set_rotation(joint, lane(&turns, at));
-                        }
+    #[inline(always)]
+    fn run(self) {
+        let Self {
+            rest,
+            frames,
+            parts,
+            out,
+        } = self;
+        let mut points = [[[0.0; LANES]; 3]; NUM_KEYPOINTS];
+        let mut turns = [[[0.0; LANES]; 4]; NUM_BODY_JOINTS];
+        for first in (0..frames.len()).step_by(LANES) {
+            let block = &mut out[first..frames.len().min(first + LANES)];
+            for (joint, turns) in turns.iter_mut().enumerate() {
+                if parts.points || parts.rotations[joint] {
+                    *turns = frames.turns(first, joint);
+                }
+                if parts.rotations[joint] {
+                    let turns = turns.map(|plane| plane.map(|number| number as f32));
+                    for (at, frame) in block.iter_mut().enumerate() {
+                        frame.set_rotation(joint, lane(&turns, at));
                     }
                 }
-                if parts.points {
-                    let mut transl = [[0.0; LANES]; 3];
-                    for at in 0..LANES {
-                        let frame = frame_of(first, at, frames.len());
-                        set(&mut transl, at, frames.transl(frame));
-                    }
-                    rest.place(&transl, &mut turns, &mut points);
-                    for (slot, point) in points.iter().enumerate() {
-                        let point = point.map(|plane| plane.map(|number| number as f32));
-                        for (at, frame) in block.iter_mut().enumerate() {
-                            frame.set_point(slot, lane(&point, at));
-                        }
+            }
+            if parts.points {
+                rest.place(&frames.transls(first), &mut turns, &mut points);
+                for (slot, point) in points.iter().enumerate() {
+                    let point = point.map(|plane| plane.map(|number| number as f32));
+                    for (at, frame) in block.iter_mut().enumerate() {
+                        frame.set_point(slot, lane(&point, at));
                     }
                 }
             }
         }
     }
-
-    assert_eq!(frames.len(), out.len(), "a sink for each frame");
-    lanes::dispatch(Write {
-        rest: Rest::of(skeleton),
-        frames,
-        parts,
-        out,
-    });
 }
 
 #[cfg(test)]

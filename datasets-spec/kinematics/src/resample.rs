@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::motion::{Motion, MotionBuilder};
 use crate::pose::Pose;
 use crate::rotation::slerp;
-use crate::simd::blocks;
+pub use crate::simd::blocks::interpolate_all;
 use crate::{Error, Fps};
 
 /// Tolerance of the time of the last frame, in output frames. Files round their rates, so a frame that is due a
@@ -54,7 +54,7 @@ fn exact(motion: &Motion, target: Fps) -> Result<Motion, Error> {
             .iter()
             .map(|&(frame, share)| (frame - first, share))
             .collect();
-        builder.extend(&blocks::interpolate(&poses, &places));
+        builder.extend(&interpolate_all(&poses, &places));
     }
     builder.build(target)
 }
@@ -77,14 +77,6 @@ pub fn grid(num_frames: usize, source: Fps, target: Fps) -> Vec<(usize, f64)> {
         .collect()
 }
 
-/// The poses at the positions of a [`grid`].
-///
-/// # Panics
-/// If a position lies outside the poses.
-pub fn interpolate_all(poses: &[Pose], grid: &[(usize, f64)]) -> Vec<Pose> {
-    blocks::interpolate(poses, grid)
-}
-
 /// Interpolates between two poses: translation linearly, rotations by slerp.
 pub fn interpolate(from: &Pose, to: &Pose, alpha: f64) -> Pose {
     Pose {
@@ -104,15 +96,14 @@ fn floor_stride(motion: &Motion, target: Fps) -> Result<Motion, Error> {
     }
     Motion::new(
         target,
-        motion.transl().iter().step_by(stride).copied().collect(),
-        motion
-            .global_orient()
-            .iter()
-            .step_by(stride)
-            .copied()
-            .collect(),
-        motion.body_pose().iter().step_by(stride).copied().collect(),
+        every(stride, motion.transl()),
+        every(stride, motion.global_orient()),
+        every(stride, motion.body_pose()),
     )
+}
+
+fn every<T: Copy>(stride: usize, frames: &[T]) -> Vec<T> {
+    frames.iter().step_by(stride).copied().collect()
 }
 
 #[cfg(test)]

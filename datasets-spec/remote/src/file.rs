@@ -79,14 +79,36 @@ fn cut(bytes: &Bytes, start: u64, range: &Range<u64>) -> Bytes {
     bytes.slice(at(range.start)..at(range.end))
 }
 
+fn first(bytes: Vec<Bytes>) -> Bytes {
+    bytes.into_iter().next().unwrap_or_default()
+}
+
 impl RemoteFile {
+    /// An object of known size, read without the cache.
+    pub(crate) fn new(client: Client, key: Key, size: u64, tag: Option<String>) -> Self {
+        Self {
+            client,
+            key,
+            aside: None,
+            size,
+            hash: None,
+            tag,
+            cache: None,
+            tail: OnceLock::new(),
+            whole: OnceLock::new(),
+        }
+    }
+
+    pub(crate) fn read_whole(&self) -> io::Result<Bytes> {
+        self.read_ranges(std::slice::from_ref(&(0..self.size)))
+            .map(first)
+    }
+
     fn tail(&self, start: u64) -> io::Result<Bytes> {
         if let Some(bytes) = self.tail.get() {
             return Ok(bytes.clone());
         }
-        let range = start..self.size;
-        let bytes = self.fetch(std::slice::from_ref(&range))?;
-        let bytes = bytes.into_iter().next().unwrap_or_default();
+        let bytes = first(self.fetch(std::slice::from_ref(&(start..self.size)))?);
         Ok(self.tail.get_or_init(|| bytes).clone())
     }
 

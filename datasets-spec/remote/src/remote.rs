@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use bytes::Bytes;
 use datasets_spec::store::{Disk, Locking, NewFile, ReadAt, Reader, Store, aside};
@@ -97,15 +97,10 @@ impl Remote {
             None => client.head(&place.key)?,
         };
         Ok(RemoteFile {
-            client,
-            key: place.key.clone(),
             aside: aside(path).and_then(|aside| Some(Place::parse(&aside).ok()?.key)),
-            size,
             hash: known.and_then(|known| known.hash),
-            tag,
             cache: self.cache.clone(),
-            tail: OnceLock::new(),
-            whole: OnceLock::new(),
+            ..RemoteFile::new(client, place.key.clone(), size, tag)
         })
     }
 
@@ -119,19 +114,7 @@ impl Remote {
         if size <= MAX_REQUEST {
             return Ok(bytes);
         }
-        let file = RemoteFile {
-            client: client.clone(),
-            key: place.key.clone(),
-            aside: None,
-            size,
-            hash: None,
-            tag,
-            cache: None,
-            tail: OnceLock::new(),
-            whole: OnceLock::new(),
-        };
-        let whole = file.read_ranges(std::slice::from_ref(&(0..size)))?;
-        Ok(whole.into_iter().next().unwrap_or_default())
+        RemoteFile::new(client.clone(), place.key.clone(), size, tag).read_whole()
     }
 
     fn keep(&self, hash: &str, bytes: &Bytes) {
@@ -219,8 +202,7 @@ impl Store for Remote {
         };
         let is_whole = |bytes: &[u8]| blake3::hash(bytes).to_hex().as_str() == hash;
         let file = self.file(path, &place, client.clone())?;
-        let bytes = file.read_ranges(std::slice::from_ref(&(0..file.size)))?;
-        let bytes = bytes.into_iter().next().unwrap_or_default();
+        let bytes = file.read_whole()?;
         if is_whole(&bytes) {
             return Ok(bytes.into());
         }

@@ -1,13 +1,12 @@
 //! Names of a dataset's folders, and its manifests.
 
 use std::collections::BTreeSet;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::manifest::{FORMAT, Manifest};
 use crate::record::all_tables;
-use crate::store::{Store, is_url};
-use crate::table::SCHEMA_VERSION;
+use crate::store::{Store, if_exists, is_url};
+use crate::table::check_version;
 use crate::{Error, Split, card, croissant};
 
 pub(super) const META: &str = "meta";
@@ -41,13 +40,9 @@ pub(super) fn read_newest(store: &dyn Store, root: &Path) -> Result<Option<Manif
 
 pub(super) fn manifest_versions(store: &dyn Store, root: &Path) -> Result<Vec<u64>, Error> {
     let meta = root.join(META);
-    let entries = match store.list(&meta) {
-        Ok(entries) => entries,
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(error) => return Err(Error::io("list", meta)(error)),
-    };
+    let entries = if_exists(store.list(&meta)).map_err(Error::io("list", meta))?;
     let mut versions = Vec::new();
-    for (path, _) in entries {
+    for (path, _) in entries.unwrap_or_default() {
         let version: Option<u64> = path.file_name().and_then(|name| {
             name.to_str()?
                 .strip_prefix("manifest-")?
@@ -85,20 +80,17 @@ pub(super) fn check_free(store: &dyn Store, root: &Path) -> Result<(), Error> {
 fn occupant(store: &dyn Store, root: &Path) -> Result<Option<String>, Error> {
     for name in [card::FILE, croissant::FILE] {
         let path = root.join(name);
-        match store.size(&path) {
-            Ok(_) => return Ok(Some(name.to_owned())),
-            Err(error) if error.kind() == ErrorKind::NotFound => {}
-            Err(error) => return Err(Error::io("read", path)(error)),
+        let size = if_exists(store.size(&path)).map_err(Error::io("read", path))?;
+        if size.is_some() {
+            return Ok(Some(name.to_owned()));
         }
     }
     if is_url(root) {
         return Ok(None);
     }
     let data = root.join(DATA);
-    let files = match store.files_below(&data) {
-        Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
-        files => files.map_err(Error::io("list", &data))?,
-    };
+    let files = if_exists(store.files_below(&data)).map_err(Error::io("list", data))?;
+    let files = files.unwrap_or_default();
     let is_table = |file: &&PathBuf| file.extension().is_some_and(|end| end == "parquet");
     Ok(files.iter().find(is_table).map(|file| {
         let relative = file.strip_prefix(root).unwrap_or(file);
@@ -161,14 +153,7 @@ pub(super) fn read_manifest(
             reason: format!("its manifest says format {:?}", manifest.format),
         });
     }
-    let major = |version: &str| version.split('.').next().unwrap_or("").to_owned();
-    if major(&manifest.schema_version) != major(SCHEMA_VERSION) {
-        return Err(Error::Version {
-            path,
-            found: manifest.schema_version,
-            supported: SCHEMA_VERSION,
-        });
-    }
+    check_version(&path, &manifest.schema_version)?;
     let expected = Manifest::compute_root_hash(&manifest.tables);
     if expected != manifest.root_hash {
         return Err(Error::Corrupt {

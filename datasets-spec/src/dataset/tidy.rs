@@ -16,7 +16,7 @@ use super::layout::{
 };
 use super::transaction::Transaction;
 use crate::manifest::Manifest;
-use crate::store::{aside, is_temporary, write_atomically};
+use crate::store::{aside, if_exists, is_temporary, write_bytes};
 use crate::{Error, card, croissant};
 
 /// Names and texts of the files in a dataset's root that describe it. They are made from its manifest only.
@@ -98,11 +98,7 @@ impl Transaction {
             if self.store.read(&path).ok().as_deref() == Some(text.as_bytes()) {
                 continue;
             }
-            write_atomically(self.store.as_ref(), &path, |mut file| {
-                file.write_all(text.as_bytes())
-                    .map_err(Error::io("write", &path))?;
-                Ok(file)
-            })?;
+            write_bytes(self.store.as_ref(), &path, text.as_bytes())?;
         }
         if self.is_alone() {
             self.remove_staged(None)?;
@@ -161,11 +157,8 @@ impl Transaction {
     fn remove_staged(&self, of: Option<&Manifest>) -> Result<(), Error> {
         let newest = manifest_versions(self.store.as_ref(), &self.root)?.pop();
         let staged = self.root.join(META).join(STAGED);
-        let folders = match self.store.list(&staged) {
-            Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
-            folders => folders.map_err(Error::io("list", &staged))?,
-        };
-        for (folder, _) in folders {
+        let folders = if_exists(self.store.list(&staged)).map_err(Error::io("list", &staged))?;
+        for (folder, _) in folders.unwrap_or_default() {
             let name = folder.file_name().unwrap_or_default().to_string_lossy();
             let (base, plan) = name.split_once('-').unwrap_or_default();
             let is_over = match of {
@@ -237,11 +230,8 @@ impl Transaction {
         let mut folders = vec![folder.to_owned()];
         while let Some(folder) = folders.pop() {
             let path = self.root.join(&folder);
-            let entries = match self.store.list(&path) {
-                Err(error) if error.kind() == ErrorKind::NotFound => continue,
-                entries => entries.map_err(Error::io("list", &path))?,
-            };
-            for (path, is_dir) in entries {
+            let entries = if_exists(self.store.list(&path)).map_err(Error::io("list", &path))?;
+            for (path, is_dir) in entries.unwrap_or_default() {
                 let name = path.file_name().unwrap_or_default().to_string_lossy();
                 let relative = format!("{folder}/{name}");
                 if !is_dir {

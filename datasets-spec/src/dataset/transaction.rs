@@ -11,7 +11,7 @@ use super::layout::{
 };
 use super::open::Dataset;
 use crate::manifest::{Accounting, FORMAT, FileEntry, Manifest, REJECTED_PAIRS_FACT};
-use crate::store::{ByPath, Lock, Locking, Store, write_atomically, write_new};
+use crate::store::{ByPath, Lock, Locking, Store, write_bytes, write_new};
 use crate::table::SCHEMA_VERSION;
 use crate::{Error, Skeleton};
 
@@ -136,14 +136,7 @@ impl Transaction {
         let mut manifest = self.base.clone().unwrap_or_else(|| Manifest {
             format: FORMAT.to_owned(),
             schema_version: SCHEMA_VERSION.to_owned(),
-            version: 0,
-            tool_version: String::new(),
-            skeleton: String::new(),
-            tables: BTreeMap::new(),
-            plans: BTreeMap::new(),
-            accounting: Accounting::default(),
-            facts: BTreeMap::new(),
-            root_hash: String::new(),
+            ..Manifest::default()
         });
         if commit.fresh {
             manifest
@@ -157,10 +150,7 @@ impl Transaction {
         manifest.schema_version = newer_version(&manifest.schema_version).to_owned();
         manifest.skeleton = commit.skeleton.name().to_owned();
         if commit.skeleton != Skeleton::smplx_neutral() {
-            let rest = serde_json::to_string(&commit.skeleton).map_err(|source| Error::Json {
-                path: self.root.clone(),
-                source,
-            })?;
+            let rest = serde_json::to_string(&commit.skeleton).expect("numbers serialise");
             manifest.facts.insert(SKELETON_FACT.to_owned(), rest);
         }
         manifest.version = self.version();
@@ -258,9 +248,5 @@ pub(super) fn write_json<T: Serialize>(
     path: &Path,
     value: &T,
 ) -> Result<(), Error> {
-    let text = json(path, value)?;
-    write_atomically(store, path, |mut file| {
-        file.write_all(&text).map_err(Error::io("write", path))?;
-        Ok(file)
-    })
+    write_bytes(store, path, &json(path, value)?)
 }

@@ -5,7 +5,7 @@ use std::io::{self, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{Lock, Locking, NewFile, ReadAt, Store, temporary_beside};
+use super::{Lock, Locking, NewFile, ReadAt, Store, if_exists, temporary_beside};
 
 /// The file system.
 #[derive(Clone, Copy, Debug, Default)]
@@ -84,10 +84,7 @@ impl Store for Disk {
     }
 
     fn remove_dir_all(&self, path: &Path) -> io::Result<()> {
-        match fs::remove_dir_all(path) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
-            done => done,
-        }
+        if_exists(fs::remove_dir_all(path)).map(|_| ())
     }
 
     fn lock(&self, folder: &Path, holder: &str) -> io::Result<Locking> {

@@ -119,47 +119,32 @@ impl Cell for Option<String> {
     }
 }
 
-impl Cell for MotionId {
-    fn data_type() -> DataType {
-        DataType::Utf8
-    }
+/// Implements [`Cell`] for a type that is stored as its name.
+macro_rules! name_cell {
+    ($ty:ty, $parse:expr) => {
+        impl Cell for $ty {
+            fn data_type() -> DataType {
+                DataType::Utf8
+            }
 
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
-        Ok(Arc::new(StringArray::from_iter_values(
-            values.map(MotionId::as_str),
-        )))
-    }
+            fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
+                Ok(Arc::new(StringArray::from_iter_values(
+                    values.map(|value| value.as_str()),
+                )))
+            }
 
-    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
-        parse_each(array, MotionId::parse)
-    }
+            fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
+                let array = array.as_string::<i32>();
+                (0..array.len())
+                    .map(|row| $parse(array.value(row)).map_err(|error| (row, error.to_string())))
+                    .collect()
+            }
+        }
+    };
 }
 
-impl Cell for Split {
-    fn data_type() -> DataType {
-        DataType::Utf8
-    }
-
-    fn encode(values: &mut dyn Iterator<Item = &Self>) -> Result<ArrayRef, String> {
-        Ok(Arc::new(StringArray::from_iter_values(
-            values.map(|split| split.as_str()),
-        )))
-    }
-
-    fn decode(array: &dyn Array) -> Result<Vec<Self>, (usize, String)> {
-        parse_each(array, str::parse)
-    }
-}
-
-fn parse_each<T>(
-    array: &dyn Array,
-    parse: impl Fn(&str) -> Result<T, crate::Error>,
-) -> Result<Vec<T>, (usize, String)> {
-    let array = array.as_string::<i32>();
-    (0..array.len())
-        .map(|row| parse(array.value(row)).map_err(|error| (row, error.to_string())))
-        .collect()
-}
+name_cell!(MotionId, MotionId::parse);
+name_cell!(Split, str::parse::<Split>);
 
 fn item(data_type: DataType) -> Arc<Field> {
     Arc::new(Field::new("item", data_type, false))

@@ -5,6 +5,7 @@ mod chunks;
 mod shard;
 mod values;
 
+use std::path::Path;
 use std::sync::Arc;
 
 use arrow_array::Array;
@@ -24,6 +25,19 @@ pub use values::{Caption, PartCaption, Quality};
 /// Version of the table schemas. The major number changes when an old reader would misread a
 /// column; columns may be added within a major version, and readers ignore those they do not know.
 pub const SCHEMA_VERSION: &str = "1.10.0";
+
+/// Refuses a file of another major version, which this program would misread.
+pub(crate) fn check_version(path: &Path, found: &str) -> Result<(), Error> {
+    let major = |version: &str| version.split('.').next().unwrap_or("").to_owned();
+    match major(found) == major(SCHEMA_VERSION) {
+        true => Ok(()),
+        false => Err(Error::Version {
+            path: path.to_owned(),
+            found: found.to_owned(),
+            supported: SCHEMA_VERSION,
+        }),
+    }
+}
 
 /// One column of a table.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,21 +124,6 @@ pub trait Row: Sized + Clone + Send + Sync {
     }
 }
 
-pub(crate) fn column<'a>(
-    table: &'static str,
-    batch: &'a RecordBatch,
-    name: &str,
-) -> Result<&'a dyn Array, Error> {
-    batch
-        .column_by_name(name)
-        .map(AsRef::as_ref)
-        .ok_or_else(|| Error::Column {
-            table,
-            column: name.to_owned(),
-            problem: "is missing".to_owned(),
-        })
-}
-
 /// Declares a row struct and derives its table from it. A column marked `newer` was added after version 1.0.0: if a
 /// file lacks it, it has its default value. The columns after `of clips` hold the ids of the clips that a row is about.
 #[macro_export]
@@ -203,26 +202,23 @@ pub fn decode_column<T: Cell>(
     name: &'static str,
     batch: &RecordBatch,
 ) -> Result<Vec<T>, Error> {
-    let array = column(table, batch, name)?;
+    let refused = |problem: String| Error::Column {
+        table,
+        column: name.to_owned(),
+        problem,
+    };
+    let array = batch
+        .column_by_name(name)
+        .ok_or_else(|| refused("is missing".to_owned()))?;
     if *array.data_type() != T::data_type() {
-        return Err(Error::Column {
-            table,
-            column: name.to_owned(),
-            problem: format!(
-                "has type {}, expected {}",
-                type_name(array.data_type()),
-                type_name(&T::data_type())
-            ),
-        });
+        let [found, expected] = [array.data_type(), &T::data_type()].map(type_name);
+        return Err(refused(format!("has type {found}, expected {expected}")));
     }
     if !T::NULLABLE && array.null_count() > 0 {
-        return Err(Error::Column {
-            table,
-            column: name.to_owned(),
-            problem: format!("has {} missing values", array.null_count()),
-        });
+        let problem = format!("has {} missing values", array.null_count());
+        return Err(refused(problem));
     }
-    T::decode(array).map_err(|(row, problem)| Error::Cell {
+    T::decode(array.as_ref()).map_err(|(row, problem)| Error::Cell {
         table,
         column: name.to_owned(),
         row,

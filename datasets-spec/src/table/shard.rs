@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use arrow_schema::{DataType, Schema};
 use bytes::Bytes;
 use parquet::arrow::arrow_reader::{
-    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder, RowSelection,
-    RowSelectionPolicy,
+    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReader,
+    ParquetRecordBatchReaderBuilder, RowSelection, RowSelectionPolicy,
 };
 use parquet::arrow::{ArrowWriter, ProjectionMask};
 use parquet::basic::{Compression, Encoding, ZstdLevel};
@@ -219,15 +219,7 @@ fn check_version(path: &Path, metadata: &ArrowReaderMetadata) -> Result<(), Erro
         .find(|entry| entry.key == "motion.schema_version")
         .and_then(|entry| entry.value.clone())
         .unwrap_or_else(|| "none".to_owned());
-    let major = |version: &str| version.split('.').next().unwrap_or("").to_owned();
-    if major(&found) == major(SCHEMA_VERSION) {
-        return Ok(());
-    }
-    Err(Error::Version {
-        path: path.to_owned(),
-        found,
-        supported: SCHEMA_VERSION,
-    })
+    super::check_version(path, &found)
 }
 
 /// Reads all rows of a file.
@@ -330,15 +322,7 @@ impl ShardReader {
             .with_projection(mask)
             .build()
             .map_err(Error::parquet("read", &self.path))?;
-        let mut values = Vec::new();
-        for batch in reader {
-            let batch = batch.map_err(|source| Error::Arrow {
-                table: R::TABLE,
-                source,
-            })?;
-            values.extend(decode_column::<T>(R::TABLE, name, &batch)?);
-        }
-        Ok(values)
+        decoded::<R, T>(reader, |batch| decode_column(R::TABLE, name, batch))
     }
 
     /// Reads the named columns of all rows, batch by batch; names that the file lacks are left out. No other column is read
@@ -507,15 +491,21 @@ fn read_selected<R: Row>(
             .with_row_selection_policy(RowSelectionPolicy::Selectors);
     }
     let reader = builder.build().map_err(Error::parquet("read", path))?;
-    let mut rows = Vec::new();
-    for batch in reader {
-        let batch = batch.map_err(|source| Error::Arrow {
-            table: R::TABLE,
-            source,
-        })?;
-        rows.extend(R::decode(&batch)?);
+    decoded::<R, R>(reader, R::decode)
+}
+
+/// Decodes the batches of a file of table `R`.
+fn decoded<R: Row, T>(
+    batches: ParquetRecordBatchReader,
+    decode: impl Fn(&RecordBatch) -> Result<Vec<T>, Error>,
+) -> Result<Vec<T>, Error> {
+    let table = R::TABLE;
+    let mut values = Vec::new();
+    for batch in batches {
+        let batch = batch.map_err(|source| Error::Arrow { table, source })?;
+        values.extend(decode(&batch)?);
     }
-    Ok(rows)
+    Ok(values)
 }
 
 /// Footer of a Parquet file.

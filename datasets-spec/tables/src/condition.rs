@@ -30,7 +30,7 @@ impl FromStr for Condition {
         };
         let mut names = Names::default();
         for (table, columns) in all_tables() {
-            names.add(None, table, table, &columns);
+            names.add(None, table, &columns);
         }
         let sql = rewrite_condition(text, &names).map_err(fails)?;
         check_columns(text, &names).map_err(fails)?;

@@ -9,9 +9,9 @@ use datasets_spec::record::MotionRow;
 use datasets_spec::table::{Column, Row as _};
 use polars::prelude::PolarsError;
 use sqlparser::ast::{
-    CastKind, DataType as SqlType, Expr, Function, FunctionArg, FunctionArgExpr, FunctionArguments,
-    Ident, ObjectName, Query, Select, SelectItem, Statement, TableFactor, Value, ValueWithSpan,
-    Visit, VisitMut, Visitor, VisitorMut,
+    BinaryOperator, CastKind, DataType as SqlType, Expr, Function, FunctionArg, FunctionArgExpr,
+    FunctionArguments, Ident, ObjectName, Query, Select, SelectItem, Statement, TableFactor, Value,
+    ValueWithSpan, Visit, VisitMut, Visitor, VisitorMut,
 };
 use sqlparser::dialect::GenericDialect;
 use sqlparser::parser::{Parser, ParserOptions};
@@ -42,14 +42,12 @@ pub(crate) struct Names {
 }
 
 impl Names {
-    /// Adds a table; `full` is its name, with the name of its dataset before it if there are several.
-    pub(crate) fn add(
-        &mut self,
-        dataset: Option<&str>,
-        full: &str,
-        table: &str,
-        columns: &[Column],
-    ) {
+    /// Adds a table. Returns its full name, with the name of its dataset before it if there are several.
+    pub(crate) fn add(&mut self, dataset: Option<&str>, table: &str, columns: &[Column]) -> String {
+        let full = match dataset {
+            Some(dataset) => format!("{dataset}.{table}"),
+            None => table.to_owned(),
+        };
         self.datasets.extend(dataset.map(str::to_owned));
         let mut typed: Vec<(&str, DataType)> = columns
             .iter()
@@ -72,7 +70,8 @@ impl Names {
             }
         }
         let names = typed.into_iter().map(|(name, _)| name.to_owned());
-        self.tables.insert(full.to_owned(), names.collect());
+        self.tables.insert(full.clone(), names.collect());
+        full
     }
 
     /// The texts of a list column, as an expression; `None` if `expr` is no such column.
@@ -262,16 +261,14 @@ impl VisitorMut for Rewriting<'_> {
                 escape_char,
             } => self.like(expr, pattern, escape_char.as_ref(), *negated, true),
             Expr::BinaryOp { left, op, right } => {
-                let name = op.to_string();
-                match (self.names.list(left), name.as_str()) {
-                    (Some(list), "=") => {
-                        Ok(Some(one_of(&list, false, std::slice::from_ref(&**right))))
-                    }
-                    (Some(list), "<>" | "!=") => {
-                        Ok(Some(one_of(&list, true, std::slice::from_ref(&**right))))
-                    }
-                    _ => Ok(None),
-                }
+                let negated = match op {
+                    BinaryOperator::Eq => Some(false),
+                    BinaryOperator::NotEq => Some(true),
+                    _ => None,
+                };
+                let list = self.names.list(left).zip(negated);
+                Ok(list
+                    .map(|(list, negated)| one_of(&list, negated, std::slice::from_ref(&**right))))
             }
             Expr::InList {
                 expr,

@@ -145,8 +145,9 @@ impl Scan {
             let derived = beside.iter().find(|(derived, _)| derived.name() == *name);
             let made = match (batch.column_by_name(name), derived) {
                 (Some(array), None) => {
+                    // The types may differ in their nullability.
                     if let Some(expected) = self.stored.get(*name)
-                        && !same_type(expected, array.data_type())
+                        && polars_type(expected) != polars_type(array.data_type())
                     {
                         return Err(format!(
                             "column {name} is {}, not {expected}",
@@ -155,10 +156,10 @@ impl Scan {
                     }
                     Some(series(name, array.as_ref())?)
                 }
-                (_, Some((derived, ids))) => match derived.of(batch, ids) {
-                    Some(array) => Some(series(name, array.as_ref())?),
-                    None => None,
-                },
+                (_, Some((derived, ids))) => {
+                    let array = derived.of(batch, ids);
+                    array.map(|array| series(name, &array)).transpose()?
+                }
                 (None, None) => None,
             };
             // Files of earlier formats lack columns.
@@ -170,11 +171,6 @@ impl Scan {
         }
         pl::DataFrame::new(batch.num_rows(), columns).map_err(|error| error.to_string())
     }
-}
-
-/// Whether two types are equal except for their nullability.
-fn same_type(a: &DataType, b: &DataType) -> bool {
-    polars_type(a) == polars_type(b)
 }
 
 impl pl::AnonymousScan for Scan {

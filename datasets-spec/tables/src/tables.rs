@@ -52,12 +52,8 @@ impl Tables {
                     text: table.to_owned(),
                     problem,
                 };
-                let full = match name {
-                    Some(name) => format!("{name}.{table}"),
-                    None => table.to_owned(),
-                };
                 let with_places = with_places && table == MotionRow::TABLE;
-                tables.names.add(name, &full, table, &columns);
+                let full = tables.names.add(name, table, &columns);
                 let scan = Scan::new(dataset, table, columns, with_places).map_err(fails)?;
                 let frame = scan.frame().map_err(|error| fails(error.to_string()))?;
                 tables.context.register(&full, frame);

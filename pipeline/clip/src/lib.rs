@@ -113,9 +113,7 @@ impl SourceClip {
             body: None,
         }
     }
-}
 
-impl SourceClip {
     /// Source frames per frame of the motion.
     fn stride(&self) -> f64 {
         let (source, own) = (self.source_fps.get(), self.motion.fps().get());

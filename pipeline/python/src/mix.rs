@@ -13,7 +13,7 @@ use serde_json::Value;
 use train::config::overlay;
 
 use crate::error::Failure;
-use crate::motion::{Motion, line};
+use crate::motion::Motion;
 use crate::work;
 
 /// A stream of windows over one split, prepared once and shared by forked workers.
@@ -149,7 +149,7 @@ impl Mix {
         Ok((
             batch.original.into_pyarray(py).reshape(shape)?,
             batch.edited.into_pyarray(py).reshape(shape)?,
-            line(py, batch.progress),
+            batch.progress.into_pyarray(py),
             batch.instructions,
         ))
     }

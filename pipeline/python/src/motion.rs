@@ -15,7 +15,7 @@ use glam::DVec3;
 use kinematics::motion::BODY_POSE_WIDTH;
 use kinematics::skeleton::{NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use numpy::{
-    AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayLike2, PyArrayMethods,
+    AllowTypeChange, IntoPyArray, PyArray2, PyArray3, PyArrayLike2, PyArrayMethods,
     PyUntypedArrayMethods,
 };
 use pipeline::open::clip_of_file;
@@ -130,23 +130,17 @@ impl Recipe {
             Self::HumanMl3d => {
                 let motion = Resample::Exact.apply(motion, fps_of(humanml3d::FPS)?)?;
                 let joints = humanml3d::joints_of_motion(&motion, &smpl_body(skeleton));
-                humanml3d::features_of_joints(&joints)?
-                    .as_flattened()
-                    .to_vec()
+                humanml3d::features_of_joints(&joints)?.into_flattened()
             }
             Self::MotionFix => {
                 let fps = fps_of(MOTIONFIX_FPS)?;
                 let frames = motionfix::features_of_motion(motion, fps, usize::MAX, skeleton)?;
-                frames.as_flattened().to_vec()
+                frames.into_flattened()
             }
             Self::Representation272 => {
-                let frames = representation_272::features_of_motion(motion, skeleton)?;
-                frames.as_flattened().to_vec()
+                representation_272::features_of_motion(motion, skeleton)?.into_flattened()
             }
-            Self::HyMotion => {
-                let frames = hy_motion::features_of_motion(motion, skeleton)?;
-                frames.as_flattened().to_vec()
-            }
+            Self::HyMotion => hy_motion::features_of_motion(motion, skeleton)?.into_flattened(),
         })
     }
 
@@ -474,9 +468,4 @@ pub(crate) fn blend(
         )?)
     })?;
     Ok(Motion::of(inner, &source.skeleton))
-}
-
-/// Makes an array of one dimension, without a copy.
-pub(crate) fn line<T: numpy::Element>(py: Python<'_>, values: Vec<T>) -> Bound<'_, PyArray1<T>> {
-    values.into_pyarray(py)
 }

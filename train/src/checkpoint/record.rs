@@ -5,6 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use datasets_spec::Skeleton;
+use datasets_spec::store::if_exists;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -109,7 +110,7 @@ pub fn check_skeleton(
 /// The text of a run's `config.json`.
 fn config_of(run_dir: &Path) -> Result<String, Error> {
     let path = run_dir.join(CONFIG);
-    Ok(fs::read_to_string(&path).map_err(datasets_spec::Error::io("read", &path))?)
+    fs::read_to_string(&path).map_err(Error::io("read", &path))
 }
 
 /// The fields of `config.json` that are read without the model's configuration.
@@ -173,15 +174,20 @@ pub(crate) fn read_kind(run_dir: &Path) -> Result<String, Error> {
 /// The folder is not a run, or has another format.
 pub fn read_any(run_dir: &Path) -> Result<RunRecord<Value>, Error> {
     let text = config_of(run_dir)?;
-    let refused = |reason: String| Error::not_a_run(run_dir, "stance", reason);
-    let record: RunRecord<Value> = serde_json::from_str(&text)
-        .map_err(|error| refused(format!("its {CONFIG} is of another program ({error})")))?;
-    match record.format {
-        FORMAT => Ok(record),
-        other => Err(refused(format!(
-            "it has format {other}, this program reads {FORMAT}"
-        ))),
+    let record: RunRecord<Value> = serde_json::from_str(&text).map_err(|error| {
+        let reason = format!("its {CONFIG} is of another program ({error})");
+        Error::not_a_run(run_dir, "stance", reason)
+    })?;
+    check_format(record.format, run_dir, "stance")?;
+    Ok(record)
+}
+
+fn check_format(format: u32, run_dir: &Path, kind: &str) -> Result<(), Error> {
+    if format == FORMAT {
+        return Ok(());
     }
+    let reason = format!("it has format {format}, this program reads {FORMAT}");
+    Err(Error::not_a_run(run_dir, kind, reason))
 }
 
 pub(crate) fn read_record<C: DeserializeOwned>(
@@ -196,11 +202,7 @@ pub(crate) fn read_record<C: DeserializeOwned>(
 
 /// The text of a file; none if the file does not exist.
 pub(super) fn text_of(path: &Path) -> Result<Option<String>, Error> {
-    match fs::read_to_string(path) {
-        Ok(text) => Ok(Some(text)),
-        Err(problem) if problem.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(problem) => Err(datasets_spec::Error::io("read", path)(problem).into()),
-    }
+    if_exists(fs::read_to_string(path)).map_err(Error::io("read", path))
 }
 
 /// Parses the text of a run's `config.json`. Errors name the run by `run_dir`.
@@ -214,13 +216,7 @@ pub(crate) fn record_of<C: DeserializeOwned>(
         let reason = format!("it is a run of {:?}", header.kind);
         return Err(Error::not_a_run(run_dir, kind, reason));
     }
-    if header.format != FORMAT {
-        let reason = format!(
-            "it has format {}, this program reads {FORMAT}",
-            header.format
-        );
-        return Err(Error::not_a_run(run_dir, kind, reason));
-    }
+    check_format(header.format, run_dir, kind)?;
     parse_record(text).map_err(json_error(&run_dir.join(CONFIG)))
 }
 

@@ -53,39 +53,34 @@ pub fn train_editor<'a>(
     let start = start.into();
     let seed = config.run.seed;
     let streams = Streams::open(dataset, compose, config.window, seed, start.range()?)?;
-    let Streams {
-        compose,
-        train,
-        val,
-        normalizer,
-    } = &streams;
+    let normalizer = &streams.normalizer;
     let recorded = match windows {
         Some(folder) => {
-            let fitted = library(dataset, Split::Train)?.fit_normalizer(&compose.config)?;
+            let fitted = library(dataset, Split::Train)?.fit_normalizer(&streams.compose.config)?;
             Some(recorded_windows(folder, [&fitted, normalizer], Seed(seed))?)
         }
         None => None,
     };
     let instructions = match &recorded {
         Some(loader) => loader.instructions().to_vec(),
-        None => train.instructions(),
+        None => streams.train.instructions(),
     };
-    let all = [instructions.clone(), val.instructions()].concat();
+    let all = [instructions.clone(), streams.val.instructions()].concat();
     let encoder = (config.text.encoder, ClipModel::VitB32);
     let vectors = text_encoder.embeddings(start.run, &all, encoder, session)?;
     let vectors = kept(vectors, start.run)?;
     let corpus = Corpus {
         train: match &recorded {
             Some(loader) => loader,
-            None => train,
+            None => &streams.train,
         },
-        val,
+        val: &streams.val,
         instructions: &instructions,
         vectors: vectors.as_ref(),
         normalizer: *normalizer,
         skeleton: &dataset.skeleton()?,
         dataset_hash: &data_hash(dataset, windows)?,
-        compose,
+        compose: &streams.compose,
     };
     train_motionrefit(start, config, corpus, session)
 }

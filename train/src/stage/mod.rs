@@ -93,7 +93,7 @@ pub(crate) fn kept(
     run: &Path,
 ) -> Result<Option<EmbeddingTable>, Error> {
     if let Some(table) = &table {
-        std::fs::create_dir_all(run).map_err(datasets_spec::Error::io("create", run))?;
+        std::fs::create_dir_all(run).map_err(Error::io("create", run))?;
         table.save(&run.join(EMBEDDINGS))?;
     }
     Ok(table)

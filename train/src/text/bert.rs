@@ -14,7 +14,7 @@ use tokenizers::{Tokenizer, TruncationParams};
 use super::FrozenText;
 use super::bert_net::{BertConfig, BertText};
 use super::files::{WEIGHTS, file_in, first, read_weights};
-use super::tokens::{PROBE, vocabulary_of};
+use super::tokens::{PROBE, special_token, vocabulary_of};
 use crate::Error;
 use crate::config::BertVectors;
 use crate::error::json_error;
@@ -412,15 +412,10 @@ fn document_of_vocabulary(text: &str, settings: &TokenizerConfig) -> Result<Vec<
         id.ok_or_else(|| format!("it has no token {token}"))
     };
     let (unknown, start, end) = (id("[UNK]")?, id("[CLS]")?, id("[SEP]")?);
-    let special = [("[UNK]", unknown), ("[CLS]", start), ("[SEP]", end)].map(|(name, id)| {
-        json!({
-            "id": id, "content": name, "special": true, "normalized": false,
-            "single_word": false, "lstrip": false, "rstrip": false,
-        })
-    });
+    let special = [("[UNK]", unknown), ("[CLS]", start), ("[SEP]", end)];
     let document = json!({
         "version": "1.0",
-        "added_tokens": special,
+        "added_tokens": special.map(|(name, id)| special_token(name, id)),
         "normalizer": {
             "type": "BertNormalizer", "clean_text": true,
             "handle_chinese_chars": settings.tokenize_chinese_chars.unwrap_or(true),

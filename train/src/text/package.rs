@@ -31,7 +31,7 @@ pub fn unpack(package: &Path, out: &Path, device: &Device) -> Result<Vec<PathBuf
     for name in &files {
         let path = folder.path().join(name);
         if let Some(parent) = path.parent() {
-            fs::create_dir_all(parent).map_err(datasets_spec::Error::io("create", parent))?;
+            fs::create_dir_all(parent).map_err(Error::io("create", parent))?;
         }
         opened.copy(&format!("{prefix}{name}"), &path)?;
     }
@@ -77,7 +77,7 @@ impl Package {
         if path.is_dir() {
             return Ok(Self::Folder(path.to_owned()));
         }
-        let file = File::open(path).map_err(datasets_spec::Error::io("open", path))?;
+        let file = File::open(path).map_err(Error::io("open", path))?;
         let zip = ZipArchive::new(BufReader::new(file)).map_err(|error| failed(path, error))?;
         Ok(Self::Wheel {
             path: path.to_owned(),
@@ -105,21 +105,19 @@ impl Package {
         self.read(name, |from, path| {
             from.take(MAX_DOCUMENT_LEN)
                 .read_to_end(&mut content)
-                .map_err(datasets_spec::Error::io("read", path))?;
+                .map_err(Error::io("read", path))?;
             Ok(())
         })?;
         Ok(content)
     }
 
     fn copy(&mut self, name: &str, to: &Path) -> Result<(), Error> {
-        let mut file = File::create(to).map_err(datasets_spec::Error::io("create", to))?;
+        let mut file = File::create(to).map_err(Error::io("create", to))?;
         self.read(name, |from, _| {
-            io::copy(from, &mut file).map_err(datasets_spec::Error::io("write", to))?;
+            io::copy(from, &mut file).map_err(Error::io("write", to))?;
             Ok(())
         })?;
-        Ok(file
-            .sync_all()
-            .map_err(datasets_spec::Error::io("sync", to))?)
+        file.sync_all().map_err(Error::io("sync", to))
     }
 
     fn read(
@@ -130,8 +128,7 @@ impl Package {
         match self {
             Self::Folder(folder) => {
                 let path = folder.join(name);
-                let mut file =
-                    File::open(&path).map_err(datasets_spec::Error::io("open", &path))?;
+                let mut file = File::open(&path).map_err(Error::io("open", &path))?;
                 act(&mut file, &path)
             }
             Self::Wheel { path, zip } => {
@@ -144,11 +141,9 @@ impl Package {
 
 /// Adds the names of the files of a folder, each with `prefix` in front.
 fn list(folder: &Path, prefix: &str, depth: usize, names: &mut Vec<String>) -> Result<(), Error> {
-    let entries = fs::read_dir(folder).map_err(datasets_spec::Error::io("read", folder))?;
+    let entries = fs::read_dir(folder).map_err(Error::io("read", folder))?;
     for entry in entries {
-        let path = entry
-            .map_err(datasets_spec::Error::io("read", folder))?
-            .path();
+        let path = entry.map_err(Error::io("read", folder))?.path();
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
             continue;
         };

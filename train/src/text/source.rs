@@ -83,32 +83,28 @@ impl TextEncoderSource {
     }
 
     fn given_table(&self, run: &Path, texts: &[String]) -> Result<EmbeddingTable, Error> {
-        let path = run.join(EMBEDDINGS);
-        let own = path
-            .exists()
-            .then(|| EmbeddingTable::load(&path))
-            .transpose()?;
+        let own = stored(run)?;
         // A folder holds CLIP or BERT, given for another model of the same command.
         let given = self.given.as_ref().filter(|given| !given.is_dir());
-        let table = given.map(|path| EmbeddingTable::load(path)).transpose()?;
-        let texts = texts.iter().map(String::as_str);
-        let (Some(given), Some(table)) = (given, table) else {
-            let own = own.ok_or_else(|| {
+        let table = match given {
+            Some(given) => {
+                let table = EmbeddingTable::load(given)?;
+                if let Some(text) = own.and_then(|own| own.contradiction(&table)) {
+                    return Err(Error::Refused(format!(
+                        "{} has another vector for {text:?} than the model was trained with; make it with the same encoder",
+                        given.display()
+                    )));
+                }
+                table
+            }
+            None => own.ok_or_else(|| {
                 Error::Refused(
                     "text.encoder is table; name the table with --text-encoder (`stance model table` makes one)"
                         .to_owned(),
                 )
-            })?;
-            own.check_texts(texts)?;
-            return Ok(own);
+            })?,
         };
-        if let Some(text) = own.and_then(|own| own.contradiction(&table)) {
-            return Err(Error::Refused(format!(
-                "{} has another vector for {text:?} than the model was trained with; make it with the same encoder",
-                given.display()
-            )));
-        }
-        table.check_texts(texts)?;
+        table.check_texts(texts.iter().map(String::as_str))?;
         Ok(table)
     }
 
@@ -162,11 +158,7 @@ impl TextEncoderSource {
                 })
             };
         let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
-        let path = run.join(EMBEDDINGS);
-        let stored = path.exists().then(|| EmbeddingTable::load(&path));
-        let stored = stored
-            .transpose()?
-            .filter(|table| table.check_texts(texts.iter().copied()).is_ok());
+        let stored = stored(run)?.filter(|table| table.check_texts(texts.iter().copied()).is_ok());
         let loaded = match (stored, &self.given) {
             (Some(table), None) => return Ok(table),
             (Some(table), Some(_)) => {
@@ -194,4 +186,11 @@ impl TextEncoderSource {
         progress.finish(&format!("{count} texts encoded by {name}"));
         Ok(table)
     }
+}
+
+/// The table of a run folder, if it holds one.
+fn stored(run: &Path) -> Result<Option<EmbeddingTable>, Error> {
+    let path = run.join(EMBEDDINGS);
+    let table = path.exists().then(|| EmbeddingTable::load(&path));
+    table.transpose()
 }

@@ -247,7 +247,7 @@ impl EmbeddingTable {
         }
         let bytes = safetensors::serialize(&tensors, Some(metadata))
             .map_err(|error| malformed(path, error))?;
-        Ok(replace_file(path, &bytes).map_err(datasets_spec::Error::io("write", path))?)
+        replace_file(path, &bytes).map_err(Error::io("write", path))
     }
 
     /// Reads a table and checks its content against the recorded hash.
@@ -255,7 +255,7 @@ impl EmbeddingTable {
     /// # Errors
     /// The file cannot be read, is of another kind or version, or is damaged.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let bytes = std::fs::read(path).map_err(datasets_spec::Error::io("read", path))?;
+        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
         let (_, header) =
             SafeTensors::read_metadata(&bytes).map_err(|error| malformed(path, error))?;
         let metadata = header

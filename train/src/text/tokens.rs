@@ -5,7 +5,7 @@ use std::io::Read;
 use std::path::Path;
 
 use flate2::read::GzDecoder;
-use serde_json::json;
+use serde_json::{Value, json};
 use tokenizers::Tokenizer;
 
 use crate::Error;
@@ -158,6 +158,14 @@ pub(super) fn vocabulary_of(tokenizer: &Tokenizer) -> BTreeMap<u32, String> {
     vocabulary.map(|(token, id)| (id, token)).collect()
 }
 
+/// An entry of `added_tokens` in a `tokenizer.json`.
+pub(super) fn special_token(name: &str, id: usize) -> Value {
+    json!({
+        "id": id, "content": name, "special": true, "normalized": false,
+        "single_word": false, "lstrip": false, "rstrip": false,
+    })
+}
+
 /// Converts a list of merges to the bytes of a `tokenizer.json`.
 ///
 /// # Source
@@ -191,12 +199,7 @@ fn document_of_merges(text: &str) -> Result<Vec<u8>, String> {
         )
         .chain([START_NAMES[0], END_NAMES[0]].map(str::to_owned));
     let vocabulary: BTreeMap<String, usize> = tokens.enumerate().map(|(id, t)| (t, id)).collect();
-    let special = [START_NAMES[0], END_NAMES[0]].map(|name| {
-        json!({
-            "id": vocabulary.get(name), "content": name, "special": true, "normalized": false,
-            "single_word": false, "lstrip": false, "rstrip": false,
-        })
-    });
+    let special = [START_NAMES[0], END_NAMES[0]].map(|name| special_token(name, vocabulary[name]));
     let document = json!({
         "version": "1.0",
         "added_tokens": special,

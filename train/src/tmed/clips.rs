@@ -206,9 +206,7 @@ impl ClipSampler<'_> {
     }
 
     fn draw_one(&self, place: u64, epoch: u64, number: u64) -> Result<Drawn, Error> {
-        let Self {
-            config, skeleton, ..
-        } = *self;
+        let (config, skeleton) = (self.config, self.skeleton);
         let diffusion = &config.diffusion;
         let clip = self.source.clip(epoch, number)?;
         let features = |motion: &Motion| -> Result<Vec<FeatureFrame>, Error> {

@@ -154,15 +154,8 @@ struct Question<'a> {
 
 impl TmedSystem {
     fn question<'a>(&self, request: &EditRequest<'a>) -> Result<Question<'a>, Error> {
-        let EditRequest {
-            id,
-            motion,
-            instructions,
-            fps,
-            frames,
-            ..
-        } = *request;
-        let [asked] = instructions else {
+        let (id, motion, fps) = (request.id, request.motion, request.fps);
+        let [asked] = request.instructions else {
             let problem = "asks for several edits; TMED follows one instruction";
             return Err(Error::item(id, problem));
         };
@@ -170,7 +163,7 @@ impl TmedSystem {
         let mut source = features_of_motion(motion, own, usize::MAX, &self.skeleton)
             .map_err(motion_error(id))?;
         self.record.statistics.normalize(&mut source);
-        let frames = match frames {
+        let frames = match request.frames {
             Some(frames) => frames.max(1),
             None => grid(motion.len(), motion.fps(), fps).len(),
         };

@@ -1,7 +1,5 @@
 //! The 207 features of TMED: conversion of motions to features and back.
 
-use std::f64::consts::FRAC_PI_2;
-
 use datasets_spec::{Fps, Motion, Pose, Resample, Skeleton};
 use glam::{DMat3, DQuat, DVec3};
 use kinematics::rotation::{from_six_d_rows, to_six_d_rows};
@@ -10,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::config::ensure;
-use crate::features::Moments;
+use crate::features::{Moments, rotate, upright};
 
 /// Number of features in a frame.
 pub const NUM_FEATURES: usize = 207;
@@ -52,10 +50,6 @@ pub const GROUPS: [FeatureGroup; 5] = [
 fn heading(root: DQuat) -> DQuat {
     let m = DMat3::from_quat(root);
     DQuat::from_rotation_z(m.x_axis.y.atan2(m.x_axis.x))
-}
-
-fn upright() -> DQuat {
-    DQuat::from_rotation_x(FRAC_PI_2)
 }
 
 fn six(rotation: DQuat) -> [f32; 6] {
@@ -155,10 +149,7 @@ pub fn features_of_motion(
 ) -> Result<Vec<FeatureFrame>, kinematics::Error> {
     let motion = Resample::Exact.apply(motion, fps)?;
     let mut poses = motion.poses_in(0..motion.len().min(max_frames));
-    for pose in &mut poses {
-        pose.transl = upright() * pose.transl;
-        pose.rotations[0] = upright() * pose.rotations[0];
-    }
+    rotate(&mut poses, upright());
     let joints = skeleton.points_of_poses::<NUM_BODY_JOINTS>(&poses);
     Ok(features_of_poses(&poses, &joints))
 }
@@ -167,11 +158,7 @@ pub fn features_of_motion(
 pub fn poses_from(features: &[FeatureFrame], first: &Pose) -> Vec<Pose> {
     let begin = upright() * first.transl;
     let mut poses = poses_of_features(features, heading(upright() * first.rotations[0]), begin);
-    let back = upright().inverse();
-    for pose in &mut poses {
-        pose.transl = back * pose.transl;
-        pose.rotations[0] = back * pose.rotations[0];
-    }
+    rotate(&mut poses, upright().inverse());
     poses
 }
 

@@ -128,21 +128,19 @@ impl TmrEncoder {
     fn load_motion(run_dir: &Path, device: &Device) -> Result<Self, Error> {
         let opened = open_for_use::<MotionEncoderRecord>(run_dir, Slot::Best, MOTION_KIND)?;
         let (record, hash, mut files) = (opened.record, opened.hash, opened.files);
-        let MotionEncoderRecord {
-            model,
-            features,
-            text,
-        } = record.config;
-        model.check()?;
-        let texts = text
+        let config = record.config;
+        config.model.check()?;
+        let texts = config
+            .text
             .map(|text| load_texts(&text, &mut files, run_dir, device))
             .transpose()?;
-        let mut motion_encoder = SequenceEncoder::new(features.recipe.width(), &model, device);
+        let width = config.features.recipe.width();
+        let mut motion_encoder = SequenceEncoder::new(width, &config.model, device);
         load_network(&mut motion_encoder, &mut files, MOTION_WEIGHTS, run_dir)?;
         Ok(Self {
             motion_encoder,
             texts,
-            features,
+            features: config.features,
             frame_stride: 1,
             max_frames: usize::MAX,
             dataset_hash: record.dataset_hash,

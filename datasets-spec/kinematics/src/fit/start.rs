@@ -13,40 +13,18 @@ use crate::skeleton::{NUM_BODY_JOINTS, parent_of};
 /// 25 cm forearm changes the sine by 0.04.
 const HINGE_SINE: f64 = 0.2;
 
-/// A limb whose twist about its own bone follows from the direction in which the next bone bends.
-struct Hinge {
-    joint: usize,
-    /// Axis of the hinge at the bone's far end, in the rest pose; a positive rotation about it flexes.
-    axis: DVec3,
-}
-
+/// Joints of the limbs whose twist about their own bone follows from the direction in which the next bone bends, each
+/// with the axis of the hinge at the bone's far end, in the rest pose; a positive rotation about it flexes.
+///
 /// The feet set the twist of the shins, the knees that of the thighs, the elbows that of the upper arms. At rest the
 /// body stands with its legs along -y, its toes towards +z and its left arm along +x.
-const HINGES: [Hinge; 6] = [
-    Hinge {
-        joint: 1,
-        axis: DVec3::X,
-    },
-    Hinge {
-        joint: 2,
-        axis: DVec3::X,
-    },
-    Hinge {
-        joint: 4,
-        axis: DVec3::NEG_X,
-    },
-    Hinge {
-        joint: 5,
-        axis: DVec3::NEG_X,
-    },
-    Hinge {
-        joint: 16,
-        axis: DVec3::NEG_Y,
-    },
-    Hinge {
-        joint: 17,
-        axis: DVec3::Y,
-    },
+const HINGES: [(usize, DVec3); 6] = [
+    (1, DVec3::X),
+    (2, DVec3::X),
+    (4, DVec3::NEG_X),
+    (5, DVec3::NEG_X),
+    (16, DVec3::NEG_Y),
+    (17, DVec3::Y),
 ];
 
 /// Joints whose rotation follows from a triangle of points: pelvis and chest from their three
@@ -162,7 +140,7 @@ impl Fitter<'_> {
     /// `base` twisted about the bone below `joint` so that the next bone reaches its target by a rotation
     /// about the hinge alone. The twist is reduced for straight limbs and for large twists.
     fn hinged(&self, base: DQuat, joint: usize, target: &KeypointFrame) -> DQuat {
-        let Some(hinge) = HINGES.iter().find(|hinge| hinge.joint == joint) else {
+        let Some((_, hinge)) = HINGES.into_iter().find(|(limb, _)| *limb == joint) else {
             return base;
         };
         let middle = TREE.children[joint][0];
@@ -183,13 +161,13 @@ impl Fitter<'_> {
         };
         // A rotation about the hinge keeps the next bone's component along the hinge. Seen along this bone, the next
         // one must therefore be at the angle `wanted` from the hinge, towards flexion.
-        let Some(across) = (hinge.axis - bone * bone.dot(hinge.axis)).try_normalize() else {
+        let Some(across) = (hinge - bone * bone.dot(hinge)).try_normalize() else {
             return base;
         };
         let flexion = across.cross(bone);
         let seen = DVec2::new(next.dot(across), next.dot(flexion));
-        let along = hinge.axis.dot(rest) - hinge.axis.dot(bone) * next.dot(bone);
-        let reach = seen.length() * hinge.axis.dot(across);
+        let along = hinge.dot(rest) - hinge.dot(bone) * next.dot(bone);
+        let reach = seen.length() * hinge.dot(across);
         if along.abs() >= reach {
             return base;
         }

@@ -27,15 +27,6 @@ pub fn set<T, const N: usize>(planes: &mut [[T; LANES]; N], lane: usize, value: 
     }
 }
 
-#[inline(always)]
-pub(crate) fn quaternions(vectors: &Vectors) -> Quaternions {
-    let mut out = [[0.0; LANES]; 4];
-    for at in 0..LANES {
-        set(&mut out, at, lanes::quaternion(lane(vectors, at)));
-    }
-    out
-}
-
 /// The quaternions of a block of rotation vectors of any length.
 #[inline(always)]
 fn quaternions_of_any(vectors: &Vectors) -> Quaternions {
@@ -44,11 +35,14 @@ fn quaternions_of_any(vectors: &Vectors) -> Quaternions {
         let [x, y, z] = lane(vectors, at);
         longest = longest.max(x.abs().max(y.abs()).max(z.abs()));
     }
+    let mut out = [[0.0; LANES]; 4];
     // The length is at most sqrt(3) times the largest component.
     if longest < 0.5 * MAX_TURN {
-        return quaternions(vectors);
+        for at in 0..LANES {
+            set(&mut out, at, lanes::quaternion(lane(vectors, at)));
+        }
+        return out;
     }
-    let mut out = [[0.0; LANES]; 4];
     for at in 0..LANES {
         let turn = from_axis_angle(DVec3::from_array(lane(vectors, at)));
         set(&mut out, at, turn.to_array());
@@ -66,6 +60,18 @@ pub(crate) fn frame_of(first: usize, at: usize, num_frames: usize) -> usize {
 pub(crate) trait Frames: Copy {
     fn len(self) -> usize;
     fn transl(self, frame: usize) -> [f64; 3];
+
+    /// The translations in the block that begins with frame `first`.
+    #[inline(always)]
+    fn transls(self, first: usize) -> Vectors {
+        let mut transl = [[0.0; LANES]; 3];
+        for at in 0..LANES {
+            let frame = frame_of(first, at, self.len());
+            set(&mut transl, at, self.transl(frame));
+        }
+        transl
+    }
+
     /// The local rotations of a joint in the block that begins with frame `first`.
     fn turns(self, first: usize, joint: usize) -> Quaternions;
 }
@@ -261,8 +267,11 @@ pub(crate) fn rotation_vectors(poses: &[Pose]) -> (Vec<[f32; 3]>, Vec<[f32; BODY
 }
 
 /// Interpolates poses: `out[i]` lies between frames `at[i].0` and the next at the share `at[i].1`.
-/// A share of 0 is the frame itself.
-pub(crate) fn interpolate(poses: &[Pose], at: &[(usize, f64)]) -> Vec<Pose> {
+/// A share of 0 is the frame itself. The places are those of a [`grid`](crate::resample::grid).
+///
+/// # Panics
+/// If a place lies outside the poses.
+pub fn interpolate_all(poses: &[Pose], at: &[(usize, f64)]) -> Vec<Pose> {
     struct Between<'a> {
         poses: &'a [Pose],
         at: &'a [(usize, f64)],

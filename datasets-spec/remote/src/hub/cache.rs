@@ -8,7 +8,7 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use datasets_spec::store::replace_file;
+use datasets_spec::store::{if_exists, replace_file};
 
 use super::client::{BRANCH, Hub, home_from_variables};
 use super::download::{describe, download};
@@ -79,30 +79,25 @@ impl HubCache {
         let snapshot = folder.join("snapshots").join(&remote.commit);
         let (blobs, refs) = (folder.join("blobs"), folder.join("refs"));
         for folder in [&blobs, &refs, &snapshot] {
-            fs::create_dir_all(folder).map_err(datasets_spec::Error::io("create", folder))?;
+            fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
         }
         let blob = blobs.join(remote.content.checksum.as_str());
         if blob.is_file() {
-            let file = File::open(&blob).map_err(datasets_spec::Error::io("open", &blob))?;
-            let len = file
-                .metadata()
-                .map_err(datasets_spec::Error::io("read", &blob))?
-                .len();
+            let file = File::open(&blob).map_err(Error::io("open", &blob))?;
+            let len = file.metadata().map_err(Error::io("read", &blob))?.len();
             remote.content.checksum.check(file, len, &blob)?;
         } else {
             let part = blobs.join(format!("{}.incomplete", remote.content.checksum.as_str()));
             let pinned = hub.address(repo, &remote.commit, file);
             download(hub, &pinned, &remote.content, &part, progress)?;
-            fs::rename(&part, &blob)
-                .map_err(datasets_spec::Error::io("rename into place", &blob))?;
+            fs::rename(&part, &blob).map_err(Error::io("rename into place", &blob))?;
         }
         let path = snapshot.join(file);
         if !path.is_file() {
-            link(&blob, &path).map_err(datasets_spec::Error::io("link", &path))?;
+            link(&blob, &path).map_err(Error::io("link", &path))?;
         }
         let current = refs.join(BRANCH);
-        replace_file(&current, remote.commit.as_bytes())
-            .map_err(datasets_spec::Error::io("write", &current))?;
+        replace_file(&current, remote.commit.as_bytes()).map_err(Error::io("write", &current))?;
         Ok(Some(path))
     }
 }
@@ -110,10 +105,7 @@ impl HubCache {
 /// Creates the entry of a snapshot: a symbolic link on Unix, a hard link elsewhere.
 fn link(blob: &Path, path: &Path) -> io::Result<()> {
     // Replace a dangling link, which cleaning the cache can leave behind.
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-        _ => {}
-    }
+    if_exists(fs::remove_file(path))?;
     #[cfg(unix)]
     {
         let name = blob.file_name().ok_or(io::ErrorKind::InvalidInput)?;

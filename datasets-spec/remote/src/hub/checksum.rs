@@ -61,9 +61,7 @@ impl Checksum {
 
     /// Verifies the checksum of content; `path` names it in errors.
     pub(super) fn check(&self, content: impl Read, len: u64, path: &Path) -> Result<(), Error> {
-        let found = self
-            .of(content, len)
-            .map_err(datasets_spec::Error::io("read", path))?;
+        let found = self.of(content, len).map_err(Error::io("read", path))?;
         if found != self.as_str() {
             return Err(Error::Checksum {
                 path: path.to_owned(),
@@ -103,11 +101,11 @@ pub(super) fn hex(bytes: &[u8]) -> String {
 /// # Errors
 /// The file cannot be read, or does not match its checksum.
 pub fn read_checked(path: &Path) -> Result<Vec<u8>, Error> {
-    let real = fs::canonicalize(path).map_err(datasets_spec::Error::io("find", path))?;
+    let real = fs::canonicalize(path).map_err(Error::io("find", path))?;
     let checksum = real
         .file_name()
         .and_then(|name| Checksum::parse(name.to_str()?));
-    let content = fs::read(&real).map_err(datasets_spec::Error::io("read", path))?;
+    let content = fs::read(&real).map_err(Error::io("read", path))?;
     if let Some(checksum) = checksum {
         checksum.check(content.as_slice(), content.len() as u64, &real)?;
     }

@@ -36,9 +36,7 @@ impl Content {
         match self {
             Self::File { path, .. } => {
                 let metadata = fs::metadata(path);
-                Ok(metadata
-                    .map_err(datasets_spec::Error::io("read", path))?
-                    .len())
+                Ok(metadata.map_err(Error::io("read", path))?.len())
             }
             Self::Text(text) => Ok(text.len() as u64),
         }
@@ -46,9 +44,7 @@ impl Content {
 
     pub(super) fn open(&self) -> Result<Box<dyn Read + '_>, Error> {
         let content: Box<dyn Read + '_> = match self {
-            Self::File { path, .. } => {
-                Box::new(File::open(path).map_err(datasets_spec::Error::io("open", path))?)
-            }
+            Self::File { path, .. } => Box::new(File::open(path).map_err(Error::io("open", path))?),
             Self::Text(text) => Box::new(Cursor::new(text.as_bytes())),
         };
         Ok(content)
@@ -60,7 +56,7 @@ impl Content {
         self.open()?
             .take(len)
             .read_to_end(&mut bytes)
-            .map_err(datasets_spec::Error::io("read", self.place()))?;
+            .map_err(Error::io("read", self.place()))?;
         Ok(bytes)
     }
 
@@ -73,7 +69,7 @@ impl Content {
             } => Ok(known.clone()),
             _ => {
                 let found = sha256(self.open()?);
-                Ok(found.map_err(datasets_spec::Error::io("read", self.place()))?)
+                found.map_err(Error::io("read", self.place()))
             }
         }
     }
@@ -83,7 +79,7 @@ impl Content {
             Checksum::Sha256(expected) => Ok(self.sha256()? == *expected),
             Checksum::Git(_) => {
                 let found = checksum.is_of(self.open()?, size);
-                Ok(found.map_err(datasets_spec::Error::io("read", self.place()))?)
+                found.map_err(Error::io("read", self.place()))
             }
         }
     }
@@ -116,7 +112,7 @@ pub fn files_below(folder: &Path, without: &[&str]) -> Result<Vec<HubFile>, Erro
             });
             entries.collect()
         };
-        for (name, is_dir) in list().map_err(datasets_spec::Error::io("list", &place))? {
+        for (name, is_dir) in list().map_err(Error::io("list", &place))? {
             let path = match below.as_str() {
                 "" => name.clone(),
                 below => format!("{below}/{name}"),

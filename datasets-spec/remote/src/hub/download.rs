@@ -89,24 +89,23 @@ pub(super) fn download(
         .write(true)
         .truncate(false)
         .open(part)
-        .map_err(datasets_spec::Error::io("create", part))?;
+        .map_err(Error::io("create", part))?;
     match file.try_lock() {
         Ok(()) => {}
         Err(TryLockError::WouldBlock) => {
             return Err(failed("another process is downloading it"));
         }
         Err(TryLockError::Error(error)) => {
-            return Err(datasets_spec::Error::io("lock", part)(error).into());
+            return Err(Error::io("lock", part)(error));
         }
     }
     let mut done = file
         .seek(SeekFrom::End(0))
-        .map_err(datasets_spec::Error::io("read", part))?;
+        .map_err(Error::io("read", part))?;
     // The file is longer than expected, so it is another file.
     if wanted.len.is_some_and(|len| done > len) {
         done = 0;
-        file.set_len(0)
-            .map_err(datasets_spec::Error::io("write", part))?;
+        file.set_len(0).map_err(Error::io("write", part))?;
     }
     for attempt in 1.. {
         if wanted.len == Some(done) {
@@ -118,7 +117,7 @@ pub(super) fn download(
             Ok(()) => "the connection ended early".to_owned(),
             Err(Interrupted::Server(problem)) => problem,
             Err(Interrupted::Disk(error)) => {
-                return Err(datasets_spec::Error::io("write", part)(error).into());
+                return Err(Error::io("write", part)(error));
             }
         };
         // Give up when a connection made no progress.
@@ -126,15 +125,13 @@ pub(super) fn download(
             return Err(failed(&lost));
         }
     }
-    file.sync_all()
-        .map_err(datasets_spec::Error::io("sync", part))?;
-    file.rewind()
-        .map_err(datasets_spec::Error::io("read", part))?;
+    file.sync_all().map_err(Error::io("sync", part))?;
+    file.rewind().map_err(Error::io("read", part))?;
     let checked = wanted.checksum.check(&mut file, done, part);
     if matches!(checked, Err(Error::Checksum { .. })) {
         // Resuming from wrong bytes can never succeed.
         drop(file);
-        fs::remove_file(part).map_err(datasets_spec::Error::io("remove", part))?;
+        fs::remove_file(part).map_err(Error::io("remove", part))?;
     }
     checked
 }

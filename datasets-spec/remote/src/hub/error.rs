@@ -38,6 +38,15 @@ pub enum Error {
 }
 
 impl Error {
+    /// Returns a function that adds to an I/O error what was tried on which file.
+    pub(super) fn io(
+        action: &'static str,
+        path: impl Into<PathBuf>,
+    ) -> impl FnOnce(std::io::Error) -> Self {
+        let wrap = datasets_spec::Error::io(action, path);
+        move |error| wrap(error).into()
+    }
+
     pub(super) fn hub(item: impl Display, problem: impl Into<String>) -> Self {
         Self::Hub {
             item: item.to_string(),

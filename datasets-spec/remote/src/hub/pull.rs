@@ -46,8 +46,7 @@ impl Staged {
     /// # Errors
     /// The folder cannot be renamed.
     pub fn publish(self) -> Result<Pulled, Error> {
-        fs::rename(&self.folder, &self.out)
-            .map_err(datasets_spec::Error::io("rename into place", &self.out))?;
+        fs::rename(&self.folder, &self.out).map_err(Error::io("rename into place", &self.out))?;
         Ok(self.pulled)
     }
 
@@ -57,7 +56,7 @@ impl Staged {
     /// The folder cannot be removed.
     pub fn discard(self) -> Result<(), Error> {
         let removed = fs::remove_dir_all(&self.folder);
-        Ok(removed.map_err(datasets_spec::Error::io("remove", &self.folder))?)
+        removed.map_err(Error::io("remove", &self.folder))
     }
 }
 
@@ -154,7 +153,7 @@ impl Source<'_> {
             return Err(self.foreign("dataset", "meta/manifest-<n>.json"));
         };
         let place = self.fetch(newest, file, progress)?;
-        let text = fs::read(&place).map_err(datasets_spec::Error::io("read", &place))?;
+        let text = fs::read(&place).map_err(Error::io("read", &place))?;
         let manifest: Manifest =
             serde_json::from_slice(&text).map_err(|source| datasets_spec::Error::Json {
                 path: place,
@@ -195,7 +194,7 @@ impl Source<'_> {
         self.check(path)?;
         let place = self.folder.join(path);
         let parent = place.parent().unwrap_or(self.folder);
-        fs::create_dir_all(parent).map_err(datasets_spec::Error::io("create", parent))?;
+        fs::create_dir_all(parent).map_err(Error::io("create", parent))?;
         let address = self.hub.address(&self.repo.path(), self.commit, path);
         download(self.hub, &address, file, &place, &mut |done, _| {
             progress.message(&format!("{path} {:.1} MB", done as f64 / 1e6));

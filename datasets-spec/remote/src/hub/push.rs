@@ -116,9 +116,7 @@ impl<'a> Push<'a> {
     /// There is no token, the server refuses or fails, another commit was made meanwhile, or a file cannot be read.
     /// Uploaded files are not lost: the same push continues from there.
     pub fn send(self, progress: &dyn Progress) -> Result<Pushed, Error> {
-        let Self {
-            hub, repo, options, ..
-        } = self;
+        let (hub, repo, options) = (self.hub, self.repo, self.options);
         hub.check_token()?;
         let mut done = self.preview;
         if self.changed.is_empty() && done.deleted.is_empty() {
