@@ -131,7 +131,7 @@ pub enum Error {
         /// Id of the row.
         row: String,
         /// What is wrong with it.
-        source: datasets_spec::Error,
+        source: Box<datasets_spec::Error>,
     },
     /// A template cannot be filled in.
     #[error(

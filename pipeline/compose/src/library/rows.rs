@@ -255,8 +255,11 @@ pub fn check_mask(row: &MaskRow) -> Result<(), Error> {
 }
 
 fn unusable(table: &'static str, row: &str, source: datasets_spec::Error) -> Error {
-    let row = row.to_owned();
-    Error::Row { table, row, source }
+    Error::Row {
+        table,
+        row: row.to_owned(),
+        source: source.into(),
+    }
 }
 
 fn meaning_of_pair(row: &PairRow) -> Result<(EditKind, String, Vec<BodyPart>), Error> {
