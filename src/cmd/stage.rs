@@ -1,7 +1,6 @@
 //! `stance stage`
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
@@ -15,10 +14,7 @@ use serde::Deserialize;
 use serde_json::json;
 use train::sample::EditTimes;
 use train::work::{Surroundings, device_of, edits, variants};
-use work::{
-    CommitOptions, Failed, Jobs, NewFolder, Outcome, Piece, Plan, Record, Sample, Worker,
-    is_occupied,
-};
+use work::{CommitOptions, Failed, Jobs, NewFolder, Outcome, Piece, Plan, Record, Sample, Worker};
 
 use crate::device::DeviceArgs;
 use crate::exit::Exit;
@@ -188,26 +184,8 @@ fn plan(args: &PlanArgs, global: &Global) -> anyhow::Result<Exit> {
     let Some(folder) = &args.plan else {
         bail!("say where the plan goes: --out PLAN, or --dry-run to see how large it would be");
     };
-    let made =
-        make_in(folder, make).with_context(|| format!("cannot plan in {}", folder.display()))?;
+    let made = make(folder).with_context(|| format!("cannot plan in {}", folder.display()))?;
     say(&made, Some(folder), None, global)
-}
-
-/// Plans in a folder that does not exist, is empty, or holds the plan already. A plan is renamed to its place, so an
-/// empty folder makes room for it, and is there again if nothing can be planned.
-fn make_in(
-    folder: &Path,
-    make: impl FnOnce(&Path) -> anyhow::Result<Plan>,
-) -> anyhow::Result<Plan> {
-    let is_empty = folder.is_dir() && !is_occupied(folder);
-    if is_empty {
-        fs::remove_dir(folder).context("cannot replace the empty folder")?;
-    }
-    let made = make(folder);
-    if made.is_err() && is_empty {
-        fs::create_dir_all(folder).context("cannot make the folder again")?;
-    }
-    made
 }
 
 /// Plans in a temporary folder, and times a small sample.

@@ -514,22 +514,6 @@ fn a_dry_run_counts_and_writes_nothing() {
     }
 }
 
-#[test]
-fn a_plan_may_be_written_into_an_empty_folder() {
-    let folder = Folder::of_clips(4);
-    fs::create_dir(folder.path("dataset-plan")).expect("made");
-    let failed = folder.typed("stage plan ingest @nowhere --into @dataset --out @dataset-plan");
-    assert!(failed.code != 0, "{failed}");
-    assert!(folder.path("dataset-plan").is_dir(), "it is still there");
-    let job = Job::ingestion(&folder);
-    assert!(job.planned.pieces > 0 && job.plan.join("plan.json").is_file());
-    // A folder with other files is refused, and stays as it is.
-    folder.put("other/notes.txt", "mine");
-    let line = "stage plan ingest @corpus --into @dataset --out @other";
-    folder.typed(line).expect_refused("not empty");
-    assert_eq!(folder.text("other/notes.txt"), "mine");
-}
-
 /// Kills the process that makes a piece, as the system does when memory runs out.
 #[cfg(target_os = "linux")]
 #[test]
