@@ -50,15 +50,6 @@ impl Store {
         self.read(|tx| tx.list(sql, &[]))
     }
 
-    /// Key, split and the ids of both motions of each pair whose task was reopened and is not accepted now.
-    pub fn reopened_pairs(&self) -> Result<Vec<(String, String, String, String)>> {
-        let sql = "SELECT t.key, t.split, s.id, g.id FROM task t JOIN motion s ON s.hash = t.source
-           JOIN motion g ON g.hash = t.target
-         WHERE t.gold IS NULL AND t.state <> 'accepted'
-           AND EXISTS (SELECT 1 FROM review v WHERE v.task = t.id AND v.decision = 'reopened') ORDER BY t.key";
-        self.read(|tx| tx.list(sql, &[]))
-    }
-
     /// Tasks whose clip was ingested again with other content after somebody answered.
     pub fn changed_tasks(&self) -> Result<Vec<TaskRecord>> {
         self.read(|tx| rows::tasks(tx, "t.changed = 1 ORDER BY t.id", &[]))

@@ -538,68 +538,6 @@ fn an_acceptance_that_was_taken_back_leaves_the_dataset() {
     sound(&site);
 }
 
-#[test]
-fn a_rejection_that_was_taken_back_leaves_the_dataset() {
-    let site = annotated();
-    let folder = site.folder.path().join("unused");
-    let export_of = |store: &Store| write_to(&site, store, &folder, ExportFormat::Dataset);
-    let store = site.store.as_ref();
-    let users = store.users().expect("users");
-    let eve = users.iter().find(|user| user.name == "eve");
-    let eve = eve.expect("a user").id;
-    let reopen = |key: &str| {
-        let reopened = decision(task_of(store, key).id, 0, Decision::Reopen);
-        store.review(eve, reopened, START).expect("reopens");
-    };
-    let judge = |store: &Store, key: &str, verdict: Verdict| {
-        let TaskRecord { source, target, .. } = task_of(store, key);
-        let judged = NewTask {
-            key: key.to_owned(),
-            source,
-            target,
-            accepted: Some(pair(verdict)),
-            ..bare_task(0, TaskKind::Pair)
-        };
-        let done = store.import(None, vec![judged], START).expect("imports");
-        assert_eq!(done.filled, 1);
-    };
-    let rejected = || {
-        let dataset = Dataset::open(&site.dataset).expect("a dataset");
-        dataset.manifest().rejected_pairs()
-    };
-    let mut gone = pair_rows(&site);
-    export_of(store);
-    gone.retain(|id, _| !pair_rows(&site).contains_key(id));
-    let gone = Vec::from_iter(gone.into_values());
-    let [pair] = &gone[..] else {
-        panic!("one rejected pair, not {gone:?}");
-    };
-    let clips = [pair.source_id.clone(), pair.target_id.clone()];
-    assert_eq!(rejected(), BTreeSet::from([clips]));
-    reopen(&format!("pair:{}", pair.id));
-    let done = export_of(store);
-    assert_eq!(done.counts["rejections_taken_back"], 1);
-    let is_said = |message: &String| message.contains("can make these pairs again");
-    assert!(done.messages.iter().any(is_said), "{:?}", done.messages);
-    assert_eq!(rejected(), BTreeSet::new());
-    sound(&site);
-    let again = export_of(store);
-    assert!(!again.counts.contains_key("rejections_taken_back"));
-
-    // After an export of another store, nothing tells which store rejected the pair.
-    judge(store, "pair:fine-grained5", Verdict::Unclear);
-    export_of(store);
-    assert_eq!(rejected().len(), 1);
-    let other = fresh_store(&site, "other.sqlite");
-    judge(&other, "takes:clip12|clip13", Verdict::Keep);
-    export_of(&other);
-    reopen("pair:fine-grained5");
-    let done = export_of(store);
-    assert_eq!(done.counts["rejections_taken_back_but_kept"], 1);
-    assert_eq!(rejected().len(), 1);
-    sound(&site);
-}
-
 /// Checks that `stance verify` finds nothing wrong with the dataset.
 fn sound(site: &Site) {
     let found = pipeline::verify::verify(&site.dataset, &datasets_spec::NoProgress);

@@ -24,49 +24,9 @@ const SPLITS_FACT: &str = "annotate_splits";
 
 /// Masks of accepted answers by the id of their motion, each with the sequence number of the acceptance.
 type Described = BTreeMap<String, (i64, Vec<MaskRow>)>;
-/// Judgements of pairs by the id of the pair, each with the sequence number of the acceptance.
-type Judged = BTreeMap<String, (i64, Judgement)>;
-
-/// What an accepted answer says of a pair.
-enum Judgement {
-    /// The pair's new row.
-    Kept(PairRow),
-    /// The clips of a rejected pair.
-    Rejected([MotionId; 2]),
-}
-
-/// Tasks that were reopened and are not accepted now, and what the last export wrote.
-struct Reopened {
-    /// By the key of the task, whether it was accepted at the last export, if that was one of this store.
-    was_accepted: BTreeMap<String, bool>,
-    /// Splits of that export, separated by spaces; `None` for all.
-    splits: Option<String>,
-}
-
-/// What holds of a label that is in the dataset.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Standing {
-    Holds,
-    /// This store wrote it, and its acceptance was taken back.
-    TakenBack,
-    /// Its task was reopened, but another store may have written it.
-    Unsure,
-}
-
-impl Reopened {
-    /// The standing of the label of a task. `is_own` if the label itself names this store.
-    fn standing(&self, key: &str, split: Split, is_own: bool) -> Standing {
-        let is_written = || {
-            let mut splits = self.splits.iter().flat_map(|splits| splits.split(' '));
-            self.splits.is_none() || splits.any(|one| one == split.as_str())
-        };
-        match self.was_accepted.get(key) {
-            None => Standing::Holds,
-            Some(was_accepted) if is_own || (*was_accepted && is_written()) => Standing::TakenBack,
-            Some(_) => Standing::Unsure,
-        }
-    }
-}
+/// Judgements of pairs by the id of the pair: the sequence number of the acceptance, and the pair's new row, or `None`
+/// if it is rejected.
+type Judged = BTreeMap<String, (i64, Option<PairRow>)>;
 
 impl Exporter<'_> {
     /// Writes the tables `masks` and `pairs` of the dataset in one commit. Motions with an accepted answer get its
@@ -78,18 +38,15 @@ impl Exporter<'_> {
         let (described, judged) = self.decided()?;
         let mut masks: Vec<MaskRow> = dataset.read(None)?;
         masks.retain(|row| !described.contains_key(row.motion_id.as_str()));
-        let mut pairs: Vec<PairRow> = dataset.read(None)?;
-        pairs.retain(|pair| !judged.contains_key(&pair.id));
-        let reopened = self.reopened(&dataset)?;
-        self.take_back(&reopened, &mut masks, &mut pairs);
-        let rejected = self.rejected(&dataset, &judged, &reopened)?;
+        let (mut pairs, mut rejected) = unjudged(&dataset, &judged)?;
+        self.take_back(&dataset, &mut masks, &mut pairs)?;
         self.done.count("motions_described", described.len());
         masks.extend(described.into_values().flat_map(|(_, rows)| rows));
         masks.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));
-        pairs.extend(judged.into_values().filter_map(|(_, judged)| match judged {
-            Judgement::Kept(row) => Some(row),
-            Judgement::Rejected(_) => None,
-        }));
+        for row in judged.into_values().filter_map(|(_, row)| row) {
+            rejected.remove(&clips_of_pair(&row));
+            pairs.push(row);
+        }
         pairs.sort_by(|a, b| a.id.cmp(&b.id));
         self.done.count("masks", masks.len());
         self.done.count("pairs", pairs.len());
@@ -163,41 +120,39 @@ impl Exporter<'_> {
             }
             exporter.done.count("pairs_judged", 1);
             let id = pair_id(&accepted.task.key).to_owned();
-            if let Some(judgement) = exporter.judgement(&id, &accepted)? {
-                put_later(&mut judged, id, (accepted.seq, judgement));
-            }
+            let row = exporter.pair_row(&id, &accepted)?;
+            put_later(&mut judged, id, (accepted.seq, row));
             Ok(())
         })?;
         Ok((described, judged))
-    }
-
-    /// The reopened tasks, and what the facts of the manifest tell about the last export.
-    fn reopened(&self, dataset: &Dataset) -> Result<Reopened, Error> {
-        let facts = &dataset.manifest().facts;
-        let is_last = facts.get(STORE_FACT) == Some(&self.done.store);
-        let seq = facts.get(SEQ_FACT).filter(|_| is_last);
-        let seq = seq.and_then(|seq| seq.parse().ok());
-        let splits = facts.get(SPLITS_FACT).filter(|splits| !splits.is_empty());
-        Ok(Reopened {
-            was_accepted: self.store.reopened(seq.unwrap_or(i64::MAX))?,
-            splits: splits.cloned(),
-        })
     }
 
     /// Removes the labels that this store wrote and whose acceptance was taken back. A label that another store may have
     /// written stays and is counted: the facts tell what the last export wrote, and the author of a mask tells its store.
     fn take_back(
         &mut self,
-        reopened: &Reopened,
+        dataset: &Dataset,
         masks: &mut Vec<MaskRow>,
         pairs: &mut Vec<PairRow>,
-    ) {
+    ) -> Result<(), Error> {
+        let facts = &dataset.manifest().facts;
+        let is_last = facts.get(STORE_FACT) == Some(&self.done.store);
+        let seq = facts.get(SEQ_FACT).filter(|_| is_last);
+        let seq = seq.and_then(|seq| seq.parse().ok());
+        let reopened = self.store.reopened(seq.unwrap_or(i64::MAX))?;
+        let splits = facts.get(SPLITS_FACT).filter(|splits| !splits.is_empty());
+        let is_written = |split: Split| {
+            splits.is_none_or(|splits| splits.split(' ').any(|one| one == split.as_str()))
+        };
         let before = masks.len() + pairs.len();
         let mut unsure = 0;
-        let mut stays = |key: &str, split: Split, is_own: bool| {
-            let standing = reopened.standing(key, split, is_own);
-            unsure += usize::from(standing == Standing::Unsure);
-            standing != Standing::TakenBack
+        let mut stays = |key: &str, split: Split, is_own: bool| match reopened.get(key) {
+            Some(was_accepted) if is_own || (*was_accepted && is_written(split)) => false,
+            Some(_) => {
+                unsure += 1;
+                true
+            }
+            None => true,
         };
         masks.retain(|row| {
             // Exports say of every label how it was accepted.
@@ -220,64 +175,7 @@ impl Exporter<'_> {
              last export of this project did not write them; accept other answers to replace them"
         );
         self.done.report("taken_back_but_kept", unsure, message);
-    }
-
-    /// The clips of the pairs that are rejected now: those of the dataset, without rejections of this store that were
-    /// taken back and without pairs that are kept now, and those of this store. A rejection that another store may have
-    /// written stays and is counted.
-    fn rejected(
-        &mut self,
-        dataset: &Dataset,
-        judged: &Judged,
-        reopened: &Reopened,
-    ) -> Result<BTreeSet<[MotionId; 2]>, Error> {
-        let (mut own, mut kept) = (BTreeSet::new(), BTreeSet::new());
-        for (id, (_, judgement)) in judged {
-            match judgement {
-                Judgement::Kept(row) => {
-                    kept.insert(clips_of_pair(row));
-                }
-                // Two takes that people find too different for a candidate can still be a style pair.
-                Judgement::Rejected(clips) if !id.starts_with(CANDIDATE) => {
-                    own.insert(clips.clone());
-                }
-                Judgement::Rejected(_) => {}
-            }
-        }
-        let mut rejected = dataset.manifest().rejected_pairs();
-        rejected.extend(own.iter().cloned());
-        rejected.retain(|clips| !kept.contains(clips));
-        let (mut taken_back, mut unsure) = (0, 0);
-        for (key, split, source, target) in self.store.reopened_pairs()? {
-            let of_dataset = self.clips.as_ref().and_then(|clips| clips.get(&source));
-            let split = of_dataset.map_or_else(|| split.parse(), |(split, _)| Ok(*split))?;
-            let clips = [MotionId::parse(&source)?, MotionId::parse(&target)?];
-            let is_other = key.starts_with(CANDIDATE) || own.contains(&clips);
-            if is_other || !rejected.contains(&clips) {
-                continue;
-            }
-            match reopened.standing(&key, split, false) {
-                Standing::Holds => {}
-                Standing::Unsure => unsure += 1,
-                Standing::TakenBack => {
-                    rejected.remove(&clips);
-                    taken_back += 1;
-                }
-            }
-        }
-        let message = format!(
-            "{taken_back} rejections of pairs left the dataset, because they were taken back; `stance pairs` can make \
-             these pairs again"
-        );
-        self.done
-            .report("rejections_taken_back", taken_back, message);
-        let message = format!(
-            "{unsure} pairs stay rejected in the dataset although their tasks were reopened and are not accepted: the \
-             last export of this project did not reject them; accept other answers to replace the rejections"
-        );
-        self.done
-            .report("rejections_taken_back_but_kept", unsure, message);
-        Ok(rejected)
+        Ok(())
     }
 
     /// The masks of an accepted answer about a motion that the table can hold.
@@ -327,17 +225,13 @@ impl Exporter<'_> {
         Ok(rows)
     }
 
-    /// The judgement of an accepted answer about a pair; `None` if its task has no second motion.
-    fn judgement(&self, id: &str, accepted: &AcceptedAnswer) -> Result<Option<Judgement>, Error> {
-        let (source, Some(target)) = self.ids(&accepted.task)? else {
+    /// The row of a judged pair; `None` if the pair is rejected.
+    fn pair_row(&self, id: &str, accepted: &AcceptedAnswer) -> Result<Option<PairRow>, Error> {
+        let (source, target) = self.ids(&accepted.task)?;
+        let said = accepted.answer.fields();
+        let Some(target) = target.filter(|_| !accepted.answer.is_reject()) else {
             return Ok(None);
         };
-        let clips = [MotionId::parse(&source)?, MotionId::parse(&target)?];
-        if accepted.answer.is_reject() {
-            return Ok(Some(Judgement::Rejected(clips)));
-        }
-        let [source_id, target_id] = clips;
-        let said = accepted.answer.fields();
         // If no parts are named, they follow from the extent.
         let parts = match said.extent {
             Some(Extent::Lower) if said.parts.is_empty() => vec!["LOWER_BODY".to_owned()],
@@ -348,20 +242,40 @@ impl Exporter<'_> {
             TaskKind::Style => "style",
             TaskKind::Pair | TaskKind::MaskText => "fine-grained",
         };
-        Ok(Some(Judgement::Kept(PairRow {
+        Ok(Some(PairRow {
             id: id.to_owned(),
             split: accepted.task.split.parse()?,
             source: PAIR_SOURCE.to_owned(),
             kind: kind.to_owned(),
-            source_id,
-            target_id,
+            source_id: MotionId::parse(&source)?,
+            target_id: MotionId::parse(&target)?,
             style: said.style.map(str::to_owned),
             parts,
             instruction: said.text.to_owned(),
             edit_type: said.edit_type.map(|kind| kind.to_string()),
             accepted_by: Some(accepted.accepted_by.clone()),
-        })))
+        }))
     }
+}
+
+/// The pairs of a dataset that no decision is about, and the clips of all pairs that people rejected.
+fn unjudged(
+    dataset: &Dataset,
+    judged: &Judged,
+) -> Result<(Vec<PairRow>, BTreeSet<[MotionId; 2]>), Error> {
+    let mut rejected = dataset.manifest().rejected_pairs();
+    let mut pairs: Vec<PairRow> = Vec::new();
+    for pair in dataset.read::<PairRow>(None)? {
+        match judged.get(&pair.id) {
+            None => pairs.push(pair),
+            // Two takes that people find too different for a candidate can still be a style pair.
+            Some((_, None)) if !pair.id.starts_with(CANDIDATE) => {
+                rejected.insert(clips_of_pair(&pair));
+            }
+            Some(_) => {}
+        }
+    }
+    Ok((pairs, rejected))
 }
 
 fn clips_of_pair(pair: &PairRow) -> [MotionId; 2] {
