@@ -299,12 +299,8 @@ impl Plan {
                         .push(self.skipped_row(file, "", "", reason.clone())),
                 }
             }
-            // A cut shard is listed, and so are the clips before its end.
-            let entries = release.entries.iter();
-            let parts = entries.filter(|entry| !entry.key.is_empty());
-            let mut shards: BTreeSet<&str> = parts.map(|entry| entry.file.as_str()).collect();
             for (file, rejected) in &release.rejected {
-                if claimed.insert(file.clone()) || shards.remove(file.as_str()) {
+                if claimed.insert(file.clone()) {
                     let row = self.rejected_row(file, "", rejected.clone());
                     self.rejected.push(row);
                 }

@@ -3,7 +3,6 @@
 //! A clip is `KEY.transl.npy`, `KEY.global_orient.npy`, `KEY.body_pose.npy` and `KEY.json`. The last holds id, split,
 //! rate and labels. The shards of a folder are one release.
 
-use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
@@ -14,7 +13,6 @@ use datasets_spec::{Fps, Motion};
 use pickle::npy::read_numbers;
 use serde::Deserialize;
 
-use super::archive::{DAMAGED, Ending, UNMARKED};
 use super::format::{Contents, Entry, Format, Release, boxed, check_skeleton};
 use super::humanml3d::in_single_precision;
 use super::{Files, ReadOptions};
@@ -68,18 +66,6 @@ struct Place {
 /// Members of a clip by their endings.
 type Members = BTreeMap<&'static str, Place>;
 
-/// A member that was found: its archive (empty for an unpacked file) and the key of its clip, its ending and its place.
-type Found = ((String, String), &'static str, Place);
-
-/// A folder with shards or unpacked files.
-#[derive(Debug, Default)]
-struct Folder {
-    /// Members by archive and key, because a key is unique only within a shard.
-    clips: BTreeMap<(String, String), Members>,
-    /// Shards without an end mark, each with the key of its last clip.
-    unmarked: Vec<(String, String)>,
-}
-
 /// The clips of a folder's shards, before they are read.
 #[derive(Debug, Default)]
 struct Shards {
@@ -91,56 +77,37 @@ struct Shards {
 impl Shards {
     /// Finds the folders with shards or unpacked files.
     fn find(files: &Files) -> Vec<Self> {
-        let mut found: BTreeMap<&str, Folder> = BTreeMap::new();
+        // By folder; then by archive (empty for unpacked files) and key, because a key is unique only within a shard.
+        let mut found: BTreeMap<&str, BTreeMap<(String, String), Members>> = BTreeMap::new();
         for file in files.all() {
             let (folder, name) = file.rsplit_once('/').unwrap_or(("", file));
-            let (members, is_unmarked) = match name.ends_with(".tar") {
+            let members = match name.ends_with(".tar") {
                 true => members_of(files, file),
-                false => {
-                    let members = member(name).into_iter().map(|(key, ending)| {
+                false => member(name)
+                    .into_iter()
+                    .map(|(key, ending)| {
                         let place = Place {
                             file: file.to_owned(),
                             range: None,
                         };
                         ((String::new(), key.to_owned()), ending, place)
-                    });
-                    (members.collect(), false)
-                }
+                    })
+                    .collect(),
             };
-            let Some((last, ..)) = members.last() else {
-                continue;
-            };
-            let folder = found.entry(folder).or_default();
-            folder.unmarked.extend(is_unmarked.then(|| last.clone()));
             for (key, ending, place) in members {
-                folder.clips.entry(key).or_default().insert(ending, place);
+                let clips = found.entry(folder).or_default();
+                clips.entry(key).or_default().insert(ending, place);
             }
         }
         found
             .into_values()
-            .map(|folder| Self::plan(files, folder))
+            .map(|clips| Self::plan(files, clips))
             .filter(|shards| !shards.clips.is_empty())
             .collect()
     }
 
-    fn plan(files: &Files, folder: Folder) -> Self {
+    fn plan(files: &Files, clips: BTreeMap<(String, String), Members>) -> Self {
         let mut shards = Self::default();
-        let mut clips = folder.clips;
-        for last in folder.unmarked {
-            let mut reason = UNMARKED.to_owned();
-            if clips.get(&last).is_some_and(|of| !of.contains_key(FACTS)) {
-                // Its id may be in the metadata.
-                clips.remove(&last);
-                reason += &format!(
-                    "; its last clip, {}, has no metadata and is left out",
-                    last.1
-                );
-            }
-            let file = last.0;
-            let end = files.size(&file).unwrap_or_default();
-            let rejected = Rejected::read(DAMAGED, reason).at(end as usize);
-            shards.contents.reject(file, rejected);
-        }
         for ((_, key), members) in clips {
             // Any npy or json file may have such an ending; a clip has the three arrays.
             if !ARRAYS.iter().all(|ending| members.contains_key(ending)) {
@@ -252,28 +219,22 @@ pub(super) fn is_shard(path: &Path) -> bool {
     })
 }
 
-/// The members of clips in an archive, up to the first error or other member, and whether the archive has no end mark.
-fn members_of(files: &Files, file: &str) -> (Vec<Found>, bool) {
+/// The members of a clip in an archive, up to the first error or other member.
+fn members_of(files: &Files, file: &str) -> Vec<((String, String), &'static str, Place)> {
     let mut members = Vec::new();
     let Ok(opened) = files.open_at(file) else {
-        return (members, false);
+        return members;
     };
-    let is_at_end = Cell::new(false);
-    let mut archive = tar::Archive::new(Ending {
-        inner: opened,
-        is_at_end: &is_at_end,
-    });
+    let mut archive = tar::Archive::new(opened);
     let Ok(entries) = archive.entries_with_seek() else {
-        return (members, false);
+        return members;
     };
     for entry in entries {
-        let Ok(entry) = entry else {
-            return (members, false);
-        };
+        let Ok(entry) = entry else { break };
         let name = String::from_utf8_lossy(&entry.path_bytes()).into_owned();
         // An archive with other members is not read to its end.
         let Some((key, ending)) = member(&name) else {
-            return (members, false);
+            break;
         };
         let place = Place {
             file: file.to_owned(),
@@ -281,7 +242,7 @@ fn members_of(files: &Files, file: &str) -> (Vec<Found>, bool) {
         };
         members.push(((file.to_owned(), key.to_owned()), ending, place));
     }
-    (members, is_at_end.get())
+    members
 }
 
 fn bytes(files: &Files, place: &Place) -> Result<Vec<u8>, Rejected> {

@@ -4,14 +4,14 @@ use std::cell::Cell;
 use std::io::{self, Read, Seek, SeekFrom};
 
 /// Why a tar archive that ends after a member, without a block of zeros, is reported. Its members are read.
-pub(in crate::source) const UNMARKED: &str =
+pub(super) const UNMARKED: &str =
     "it ends without the end-of-archive mark: it may be cut; the members before its end are read";
 
 /// Reads a tar archive, and notes whether the last read was at the end of the file. A reader of tar archives stops at
 /// a block of zeros, so only an archive without one is read to its end.
-pub(in crate::source) struct Ending<'a, R> {
-    pub(in crate::source) inner: R,
-    pub(in crate::source) is_at_end: &'a Cell<bool>,
+pub(super) struct Ending<'a, R> {
+    pub(super) inner: R,
+    pub(super) is_at_end: &'a Cell<bool>,
 }
 
 impl<R: Read> Read for Ending<'_, R> {

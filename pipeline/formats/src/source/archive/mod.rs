@@ -34,7 +34,6 @@ use crate::Error;
 use clip::Rejected;
 
 pub use self::content::DAMAGED;
-pub(super) use self::ending::{Ending, UNMARKED};
 pub use self::kind::is_in_archive;
 pub(crate) use self::kind::stem;
 

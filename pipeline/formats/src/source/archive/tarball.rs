@@ -71,8 +71,8 @@ pub(super) fn content(path: &Path, mut budget: Budget) -> Result<Content, Reject
         let file = Arc::clone(&file);
         content.add(name, Member::Range(Slice { file, start, size }));
     }
-    if is_at_end.get() {
-        content.refuse("", DAMAGED, UNMARKED.to_owned(), budget.size);
+    if is_at_end.get() && end > 0 {
+        content.refuse("", DAMAGED, UNMARKED, budget.size);
     }
     Ok(content)
 }
@@ -195,8 +195,8 @@ pub(super) fn unpack(
             }
         }
     }
-    if is_at_end.get() {
-        content.refuse("", DAMAGED, UNMARKED.to_owned(), place.get());
+    if is_at_end.get() && !is_first {
+        content.refuse("", DAMAGED, UNMARKED, place.get());
     }
     Ok(Ok(content))
 }
