@@ -30,7 +30,7 @@ struct LaidOut {
 
 /// One committed version of a dataset. Readers open the highest version; data files are never found by
 /// listing folders.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// Always [`FORMAT`].
     pub format: String,

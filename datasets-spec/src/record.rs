@@ -660,12 +660,13 @@ pub fn range_of(start: Option<i32>, end: Option<i32>) -> Result<Option<Range<usi
 /// Returns the range, or all frames if there is none. An error if it ends after frame `len`, the end of the motion.
 fn within(range: Option<Range<usize>>, len: usize) -> Result<Range<usize>, Error> {
     let frames = range.unwrap_or(0..len);
-    match frames.end {
-        end if end > len => Err(Error::Refused(format!(
+    let end = frames.end;
+    if end > len {
+        return Err(Error::Refused(format!(
             "a range ends at frame {end}, but its motion has {len} frames; end it at {len} or before"
-        ))),
-        _ => Ok(frames),
+        )));
     }
+    Ok(frames)
 }
 
 impl MaskRow {

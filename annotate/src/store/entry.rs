@@ -236,17 +236,34 @@ pub(crate) enum Body {
 }
 
 impl Body {
-    /// The kind of the entry; it has the name of the variant.
     pub(crate) fn kind(&self) -> LogKind {
-        macro_rules! kinds {
-            ($($name:ident)*) => {
-                match self { $( Self::$name { .. } => LogKind::$name, )* }
-            };
-        }
-        kinds! {
-            Imported Filled ClipChanged ClipKept Claimed Renewed Released DraftSaved Submitted Skipped Returned
-            Accepted Merged Dropped Reopened Undone SuggestionUsed GoldScored RoleChanged SettingsChanged
-            Exported Assigned Retargeted CapturesPlanned GuidePicture ParaphraseJudged
+        match self {
+            Self::Imported { .. } => LogKind::Imported,
+            Self::Filled { .. } => LogKind::Filled,
+            Self::ClipChanged { .. } => LogKind::ClipChanged,
+            Self::ClipKept => LogKind::ClipKept,
+            Self::Claimed { .. } => LogKind::Claimed,
+            Self::Renewed { .. } => LogKind::Renewed,
+            Self::Released { .. } => LogKind::Released,
+            Self::DraftSaved { .. } => LogKind::DraftSaved,
+            Self::Submitted { .. } => LogKind::Submitted,
+            Self::Skipped { .. } => LogKind::Skipped,
+            Self::Returned { .. } => LogKind::Returned,
+            Self::Accepted { .. } => LogKind::Accepted,
+            Self::Merged { .. } => LogKind::Merged,
+            Self::Dropped { .. } => LogKind::Dropped,
+            Self::Reopened { .. } => LogKind::Reopened,
+            Self::Undone { .. } => LogKind::Undone,
+            Self::SuggestionUsed { .. } => LogKind::SuggestionUsed,
+            Self::GoldScored { .. } => LogKind::GoldScored,
+            Self::RoleChanged { .. } => LogKind::RoleChanged,
+            Self::SettingsChanged { .. } => LogKind::SettingsChanged,
+            Self::Exported { .. } => LogKind::Exported,
+            Self::Assigned { .. } => LogKind::Assigned,
+            Self::Retargeted { .. } => LogKind::Retargeted,
+            Self::CapturesPlanned { .. } => LogKind::CapturesPlanned,
+            Self::GuidePicture { .. } => LogKind::GuidePicture,
+            Self::ParaphraseJudged { .. } => LogKind::ParaphraseJudged,
         }
     }
 

@@ -102,6 +102,7 @@ fn floor_stride(motion: &Motion, target: Fps) -> Result<Motion, Error> {
     )
 }
 
+/// Every frame whose number is a multiple of the stride.
 fn every<T: Copy>(stride: usize, frames: &[T]) -> Vec<T> {
     frames.iter().step_by(stride).copied().collect()
 }

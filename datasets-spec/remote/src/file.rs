@@ -79,6 +79,7 @@ fn cut(bytes: &Bytes, start: u64, range: &Range<u64>) -> Bytes {
     bytes.slice(at(range.start)..at(range.end))
 }
 
+/// The bytes of the only range of a request.
 fn first(bytes: Vec<Bytes>) -> Bytes {
     bytes.into_iter().next().unwrap_or_default()
 }

@@ -136,7 +136,14 @@ impl Transaction {
         let mut manifest = self.base.clone().unwrap_or_else(|| Manifest {
             format: FORMAT.to_owned(),
             schema_version: SCHEMA_VERSION.to_owned(),
-            ..Manifest::default()
+            version: 0,
+            tool_version: String::new(),
+            skeleton: String::new(),
+            tables: BTreeMap::new(),
+            plans: BTreeMap::new(),
+            accounting: Accounting::default(),
+            facts: BTreeMap::new(),
+            root_hash: String::new(),
         });
         if commit.fresh {
             manifest

@@ -298,7 +298,12 @@ impl ComposeConfig {
             (got, (low..=1.0).contains(&got), expected)
         };
         let kinds = "at least one of semantic, style, fine-grained";
-        let window = (self.window as f64, self.window > FIXED_FRAMES);
+        let is_long = self.window > FIXED_FRAMES;
+        let window = (
+            self.window as f64,
+            is_long,
+            "more than the two fixed frames",
+        );
         let undonored = self.undonored_ratio.unwrap_or(0.0);
         let AlphaDistribution::Uniform { low, high } = self.alpha;
         for (key, (got, fits, expected)) in [
@@ -307,10 +312,7 @@ impl ComposeConfig {
             ("undonored_ratio", probability(undonored)),
             ("mirrored_ratio", probability(self.mirrored_ratio)),
             ("kinds", (0.0, !self.kinds.is_empty(), kinds)),
-            (
-                "window",
-                (window.0, window.1, "more than the two fixed frames"),
-            ),
+            ("window", window),
             ("alpha.low", within(low, 0.0)),
             ("alpha.high", within(high, low)),
         ] {

@@ -123,10 +123,10 @@ pub enum Error {
         /// The kind found.
         found: String,
     },
-    /// A row of a mask or pair does not hold one, or names something that does not exist.
+    /// A row is no valid mask or pair, or names something that does not exist.
     #[error("{table} {row:?} is not usable")]
     Row {
-        /// Table of the row.
+        /// What the row is: `mask` or `pair`.
         table: &'static str,
         /// Id of the row.
         row: String,
@@ -319,6 +319,7 @@ impl Error {
     pub fn code(&self) -> Option<Code> {
         let (code, path) = match self {
             Self::Spec(error) => return error.code(),
+            Self::Row { source, .. } => return source.code(),
             Self::Work(error) => return error.code(),
             Self::Frames { path, .. } => ("E-CORRUPT", path),
             Self::UnwrittenFrames { path, .. } => ("E-IO", path),

@@ -636,7 +636,7 @@ mod tests {
             (|row, _| row.transl[3][1] = f32::NAN, "Motion"),
             (|_, mask| mask.motion_id = id("other"), "UnknownMotion"),
             (|_, mask| mask.text = " ".to_owned(), "EmptyText"),
-            (|_, mask| mask.hard_joints = vec!["tail".to_owned()], "Mask"),
+            (|_, mask| mask.hard_joints = vec!["tail".to_owned()], "Row"),
             (
                 |_, mask| {
                     mask.hard_joints.clear();

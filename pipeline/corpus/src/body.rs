@@ -102,11 +102,14 @@ impl Coupling {
         pelvis_turn: 0.10,
         chest_turn: 0.0,
         arm_swing: 0.1,
+        lean: 0.0,
+        elbow_bend: 0.0,
         shift: [0.85, 0.9],
         shift_secs: 0.16,
         list: 0.04,
+        bob: 0.0,
         bounce: 0.0,
-        ..Self::WALK
+        lift_lead: 0.0,
     };
 }
 
@@ -387,7 +390,7 @@ const KNEE_SPLAY: f64 = 0.10;
 /// Greatest bend of the toes in radians.
 const MAX_TOE_BEND: f64 = 0.9;
 
-/// The interpolated parts of a script, and its noise.
+/// A script with its style and body, the interpolated parts of the script, and its noise.
 struct Tracks<'a> {
     script: &'a Script,
     style: &'a Style,

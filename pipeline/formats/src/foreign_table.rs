@@ -162,6 +162,7 @@ fn list_by_offsets<O: OffsetSizeTrait>(
 ) -> (ArrayRef, std::ops::Range<usize>) {
     let list = values.as_list::<O>();
     let bounds = list.value_offsets();
+    // Arrow guarantees that offsets are not negative and ascend.
     let range = bounds[row].as_usize()..bounds[row + 1].as_usize();
     (list.values().clone(), range)
 }

@@ -233,10 +233,17 @@ fn captions(shard: &Shard, layout: Layout, counts: &mut Counts) {
 
 /// Whether the captions of a layout are those of HumanML3D, whose words have tags of their part of speech.
 fn has_tags(layout: Layout) -> bool {
-    matches!(
-        layout,
-        Layout::HumanMl3d | Layout::HumanMl3d272 | Layout::Babel272 | Layout::HyMotion
-    )
+    match layout {
+        Layout::HumanMl3d | Layout::HumanMl3d272 | Layout::Babel272 | Layout::HyMotion => true,
+        Layout::Amass
+        | Layout::Bvh
+        | Layout::Gltf
+        | Layout::WebDataset
+        | Layout::Stance
+        | Layout::MotionMillion
+        | Layout::LeRobot
+        | Layout::MotionFix => false,
+    }
 }
 
 /// Number of captions without tokens, whose words get the tag `OTHER` in a layout with tags; 0 for other layouts.
@@ -256,8 +263,8 @@ pub fn untagged_captions(layout: Layout, clips: &Clips) -> u64 {
 /// The dataset cannot be read.
 pub fn before(layout: Layout, clips: &Clips) -> Result<Vec<String>, Error> {
     let mut remarks = Vec::new();
-    let mut said = clips.shards(None).flat_map(said);
-    if has_tags(layout) && said.all(|(_, is_made)| is_made) {
+    let mut captions = clips.shards(None).flat_map(said);
+    if has_tags(layout) && captions.all(|(_, is_made)| is_made) {
         remarks.push(format!(
             "none of the {} clips has a caption of its source, so texts/ stays empty and the loaders of this layout \
              find no clip; add captions first (captions.csv beside the sources and `stance ingest` again, or `stance \

@@ -138,6 +138,7 @@ impl Library {
         in_crop(held.start)..in_crop(held.end)
     }
 
+    /// The mask of a blend. `half` is the half of a pair that the donor gives; annotations have none.
     pub(crate) fn mask_of(
         &self,
         subject: Subject,

@@ -13,7 +13,7 @@ use kinematics::normalise::{FRAME_WIDTH, Normalizer};
 use rand::RngExt;
 use rayon::prelude::*;
 
-use target::{SharedSides, Target};
+use target::{Target, Targets};
 
 use super::draw::Shuffle;
 use super::instruction::mirrored;
@@ -119,7 +119,7 @@ impl Stream {
         let base = library.base(&config, seed, span)?;
 
         let mut targets = Vec::new();
-        let mut shared = SharedSides::new(&library, &config);
+        let mut made = Targets::new(&library, &config);
         let mut first_items = Vec::new();
         let mut num_items = 0;
         for subject in library.subjects(&config, seed, span) {
@@ -138,7 +138,7 @@ impl Stream {
             };
             first_items.push(num_items);
             num_items += ((num_frames - span) / advance + 1) as u64;
-            targets.push(shared.target(subject, num_frames, fixed));
+            targets.push(made.target(subject, num_frames, fixed));
         }
         if targets.is_empty() {
             return Err(Error::NoItem {

@@ -26,14 +26,14 @@ pub(super) type Wordings = Arc<[String]>;
 
 /// Makes targets. Blend plans and wordings are stored once for all targets that share them.
 #[derive(Debug)]
-pub(super) struct SharedSides<'a> {
+pub(super) struct Targets<'a> {
     library: &'a Library,
     config: &'a ComposeConfig,
     plans: HashMap<BlendMask, Arc<BlendPlan>>,
     wordings: HashMap<(Arc<str>, Option<BodyPart>), Wordings>,
 }
 
-impl<'a> SharedSides<'a> {
+impl<'a> Targets<'a> {
     pub(super) fn new(library: &'a Library, config: &'a ComposeConfig) -> Self {
         Self {
             library,

@@ -68,7 +68,7 @@ impl Header {
         let rate = ["DataRate", "CameraRate"].into_iter().find_map(|name| {
             let (_, value) = settings.get(name).ok()?;
             let rate = fast_float2::parse::<f64, _>(value).ok()?;
-            plausible_fps(rate).map(|_| rate)
+            plausible_fps(rate).is_some().then_some(rate)
         });
         let (unit_at, unit) = settings
             .get("Units")
