@@ -6,8 +6,7 @@ use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::{Fps, Motion, Seed, Skeleton, Split};
 
 use super::frames::FrameFile;
-use super::read::LabelledClip;
-use super::rows::{LibraryRows, motion_on};
+use super::rows::{LabelledClip, LibraryRows, motion_on};
 use super::{Library, frames_of_file};
 use crate::{ComposeConfig, Error, FrameCache, Stream};
 

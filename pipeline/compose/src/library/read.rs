@@ -5,35 +5,13 @@ use std::sync::Arc;
 
 use datasets_spec::record::{FramesRow, MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, ShardReader, read_rows};
-use datasets_spec::{Dataset, Fps, Motion, MotionId, Split};
+use datasets_spec::{Dataset, Fps, Motion, Split};
 use rayon::prelude::*;
 
 use super::frames::FrameFile;
-use super::rows::{LibraryRows, check_skeleton, no_motion};
+use super::rows::{LabelledClip, LibraryRows, check_skeleton, no_motion};
 use super::{Library, frames_of_file};
 use crate::{Error, FrameCache};
-
-datasets_spec::table! {
-    /// Columns of a clip besides its frames.
-    pub struct LabelledClip = "motions" {
-        /// Id of the clip
-        pub id: MotionId [""],
-        /// Split of the clip
-        pub split: Split [""],
-        /// Kind of source
-        pub source: String [""],
-        /// Skeleton the parameters drive
-        pub skeleton: String [""],
-        /// Stored frame rate
-        pub fps: f32 ["1/s"],
-        /// Stored frames
-        pub n_frames: i32 ["frame"],
-        /// Action label
-        pub action: Option<String> [""],
-        /// Style label
-        pub style: Option<String> [""],
-    }
-}
 
 type ChosenClips = Vec<(usize, LabelledClip)>;
 

@@ -6,10 +6,31 @@ use std::sync::Arc;
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::{BlendMask, BodyPart, Fps, JointSet, Motion, MotionId, Skeleton, Split};
 
-use super::read::LabelledClip;
 use super::{Clip, Edit, FileFrames, Library};
 use crate::config::{Alignment, EditKind};
 use crate::{Error, FrameCache, ItemTask, style_instruction};
+
+datasets_spec::table! {
+    /// Columns of a clip besides its frames.
+    pub struct LabelledClip = "motions" {
+        /// Id of the clip
+        pub id: MotionId [""],
+        /// Split of the clip
+        pub split: Split [""],
+        /// Kind of source
+        pub source: String [""],
+        /// Skeleton the parameters drive
+        pub skeleton: String [""],
+        /// Stored frame rate
+        pub fps: f32 ["1/s"],
+        /// Stored frames
+        pub n_frames: i32 ["frame"],
+        /// Action label
+        pub action: Option<String> [""],
+        /// Style label
+        pub style: Option<String> [""],
+    }
+}
 
 /// A library to which rows are added: first all clips, then masks and pairs.
 pub(super) struct LibraryRows<'a> {
