@@ -3,6 +3,7 @@
 mod check;
 mod diffusion;
 mod run;
+mod schedule;
 mod setting;
 
 use serde::{Deserialize, Serialize};
@@ -18,9 +19,10 @@ pub(crate) use self::check::{
 };
 pub(crate) use self::diffusion::is_default;
 pub use self::diffusion::{
-    DiffusionConfig, FixedFrames, Loss, NoiseKind, Prediction, PreviousFrames, ScheduleName,
+    DiffusionConfig, FixedFrames, Loss, NoiseKind, Prediction, PreviousFrames,
 };
 pub use self::run::{Decay, OptimizerConfig, RunLength, RunSettings};
+pub use self::schedule::ScheduleName;
 pub(crate) use self::setting::rename_former;
 pub use self::setting::{SettingError, overlay};
 
