@@ -34,6 +34,7 @@ pub mod ingest;
 pub mod jobs;
 pub mod likeness;
 pub mod merge;
+mod names;
 pub mod open;
 mod recordings;
 pub mod reference;

@@ -22,7 +22,7 @@ use super::document::file;
 use super::left_out::{Exported, put};
 use crate::Error;
 use crate::clips::Clips;
-use crate::ingest::free;
+use crate::names::free;
 use pickle::{self, Array, Value};
 
 /// Writes the motions, pairs and masks of a dataset into an empty folder.

@@ -6,8 +6,8 @@ use std::path::Path;
 use formats::source::labels::{is_pattern, matches};
 use serde::{Deserialize, Serialize};
 
-use super::unread::some_of;
 use crate::Error;
+use crate::names::some_of;
 
 /// Ids and patterns that choose clips.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -7,13 +7,13 @@ use datasets_spec::{Seed, Split};
 use formats::source::{Entry, Format, escaped};
 
 use super::alike::Alike;
-use super::list::{path_of, without_extension};
-use super::plan::{Plan, Planned, source_hash};
+use super::list::{path_of, source_hash, without_extension};
+use super::plan::{Plan, Planned};
 use super::recorded::{Recorded, RecordedClip};
 use super::shard::PIECE_STAGE;
-use super::sources::free;
 use super::split_by::SplitBy;
 use super::taken_out::NOT_CHOSEN;
+use crate::names::free;
 use crate::recordings::{Groups, source_clip};
 use crate::versions::taken_out;
 

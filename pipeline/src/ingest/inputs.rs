@@ -5,8 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use formats::source::Contents;
 
-use super::list::Source;
-use super::plan::source_hash;
+use super::list::{Source, source_hash};
 
 /// Label and licence files that apply to all clips in their folder and below. A file is one of them if its
 /// name begins with one of these words.

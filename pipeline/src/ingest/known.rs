@@ -12,8 +12,9 @@ use formats::source::name_of_text;
 use super::list::{Listed, Listing, list_sources};
 use super::places::Places;
 use super::recorded::Recorded;
-use super::sources::{Given, Kind, SourceArg, SourceLabel, below, check_name, free};
+use super::sources::{Given, Kind, SourceArg, SourceLabel, below, check_name};
 use crate::Error;
+use crate::names::free;
 
 /// Matches the places of a run with the sources that its dataset records.
 pub(super) struct Known<'a> {

@@ -15,8 +15,9 @@ use formats::source::{Entry, read_head};
 use rayon::prelude::*;
 
 use super::places::Places;
-use super::sources::{Kind, SourceArg, free, name_of_folder};
+use super::sources::{Kind, SourceArg, name_of_folder};
 use crate::Error;
+use crate::names::free;
 
 #[derive(Clone, Debug)]
 pub(super) struct Source {
@@ -28,6 +29,13 @@ pub(super) struct Source {
     pub(super) head: Vec<u8>,
     /// Size of the file; 0 if it is not known.
     pub(super) bytes: u64,
+}
+
+/// BLAKE3 of a source file; empty if the file is not known or cannot be read.
+pub(super) fn source_hash<'a>(sources: &'a BTreeMap<String, Source>, relative: &str) -> &'a str {
+    let source = sources.get(relative);
+    let hash = source.and_then(|source| source.hash.as_deref().ok());
+    hash.unwrap_or_default()
 }
 
 /// The regular files under some sources, by their relative paths, and other entries with the reason why

@@ -60,7 +60,6 @@ pub(crate) use self::recorded::{MergedSources, recorded_settings};
 pub use self::report::IngestReport;
 pub(crate) use self::shard::guarded;
 pub use self::sources::SourceArg;
-pub(crate) use self::sources::free;
 pub use self::split_by::SplitBy;
 pub use self::split_list::SplitList;
 

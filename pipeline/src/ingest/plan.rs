@@ -22,7 +22,9 @@ use serde::{Deserialize, Serialize};
 
 use super::inputs;
 use super::known::Identified;
-use super::list::{self, Source, hash_files, quarantine_row, whole, without_extension};
+use super::list::{
+    self, Source, hash_files, quarantine_row, source_hash, whole, without_extension,
+};
 use super::options::{IngestOptions, Settings};
 use super::recorded::Recorded;
 use super::sources::{self, Given};
@@ -657,13 +659,6 @@ pub(super) fn bounded_length(files: &Files, relative: &str) -> Result<usize, Rej
         ));
     }
     Ok(usize::try_from(length).unwrap_or(usize::MAX))
-}
-
-/// BLAKE3 of a source file; empty if the file is not known or cannot be read.
-pub(super) fn source_hash<'a>(sources: &'a BTreeMap<String, Source>, relative: &str) -> &'a str {
-    let source = sources.get(relative);
-    let hash = source.and_then(|source| source.hash.as_deref().ok());
-    hash.unwrap_or_default()
 }
 
 #[cfg(test)]

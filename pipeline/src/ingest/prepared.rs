@@ -18,8 +18,8 @@ use super::plan::Plan;
 use super::recorded::{Base, Recorded};
 use super::split_by::SplitBy;
 use super::split_list::SplitList;
-use super::unread::some_of;
 use crate::Error;
+use crate::names::some_of;
 
 pub(super) struct Prepared {
     pub(super) options: IngestOptions,

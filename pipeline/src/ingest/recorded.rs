@@ -13,10 +13,11 @@ use datasets_spec::{Dataset, MotionId, Split};
 use super::list::labelled;
 use super::options::{LABEL_PROBLEMS_FACT, PAIRS_FACT, SEED_FACT, SETTINGS_FACT, Settings};
 use super::places::Places;
-use super::sources::{SOURCES_FACT, SourceLabel, UNNAMED, below, free, of_path, with_names};
+use super::sources::{SOURCES_FACT, SourceLabel, UNNAMED, below, of_path, with_names};
 use crate::Error;
 use crate::clip_table::{CLIP_TABLES, ClipFacts};
 use crate::facts::{fact, json};
+use crate::names::free;
 
 /// The version that a run starts from.
 #[derive(Default)]

@@ -15,9 +15,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::deal::Item;
-use super::list::path_of;
+use super::list::{path_of, source_hash};
 use super::options::IngestOptions;
-use super::plan::{Plan, bounded_length, companions, source_hash};
+use super::plan::{Plan, bounded_length, companions};
 use super::rows::{ClipRows, clip_rows, mask_row, pair_row};
 use crate::Error;
 

@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 use formats::source::text_of_name;
 use serde::{Deserialize, Serialize};
 
+use crate::names::free;
+
 /// Fact of a manifest: the sources, as JSON.
 pub(super) const SOURCES_FACT: &str = "sources";
 
@@ -142,14 +144,6 @@ pub(super) struct Given {
     pub(super) is_whole: bool,
     /// Where the source was found: folders, files or URLs. They are never published.
     pub(super) places: Vec<(String, Kind)>,
-}
-
-/// The name if it is free, otherwise the name with the first number that makes it free.
-pub(crate) fn free(name: &str, mut is_free: impl FnMut(&str) -> bool) -> String {
-    let numbered = (2..).map(|number| format!("{name}-{number}"));
-    let mut candidates = std::iter::once(name.to_owned()).chain(numbered);
-    let found = candidates.find(|candidate| is_free(candidate));
-    found.expect("numbers do not end")
 }
 
 /// A path without the given label; `None` if the path has another label.

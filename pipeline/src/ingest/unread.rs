@@ -15,6 +15,7 @@ use super::plan::Plan;
 use super::recorded::Recorded;
 use super::shard::PIECE_STAGE;
 use super::sources::below;
+use crate::names::some_of;
 
 /// Whether a rejection says nothing about the content of an item, which may be readable next time.
 pub(super) fn is_passing(row: &QuarantineRow) -> bool {
@@ -256,17 +257,5 @@ impl Plan {
         };
         let new = new.into_iter().filter(|(of, _)| is_part(of));
         new.map(|(_, count)| count).sum()
-    }
-}
-
-/// The first three names, and how many more there are.
-pub(super) fn some_of<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
-    const SHOWN: usize = 3;
-    let more = names.len().saturating_sub(SHOWN);
-    let shown: Vec<&str> = names.take(SHOWN).collect();
-    let shown = shown.join(", ");
-    match more {
-        0 => shown,
-        more => format!("{shown} and {more} more"),
     }
 }
