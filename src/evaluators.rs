@@ -33,7 +33,7 @@ pub(crate) fn judge_hash(run: &Path) -> anyhow::Result<String> {
 }
 
 impl<'a> EvaluatorRuns<'a> {
-    /// An encoder without a coordinator.
+    /// The run of an encoder, and no run of a coordinator.
     pub(crate) fn of_encoder(encoder: &'a Path) -> Self {
         Self {
             encoder,

@@ -27,7 +27,7 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
     fs::read(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
-/// Reads a JSON file. The error about another content is the path with `problem` after it.
+/// Reads a JSON file. If it does not hold a `T`, the error is the path followed by `problem`.
 pub(crate) fn read_json<T: DeserializeOwned>(path: &Path, problem: &str) -> anyhow::Result<T> {
     let parsed = serde_json::from_slice(&read(path)?);
     parsed.with_context(|| format!("{} {problem}", path.display()))

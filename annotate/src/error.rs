@@ -138,7 +138,7 @@ impl Error {
     }
 }
 
-/// Refuses a field with `invalid` unless a condition holds.
+/// Returns the error `invalid` about a field unless a condition holds.
 pub(crate) fn require(holds: bool, field: &str, problem: impl Into<String>) -> Result<(), Error> {
     if holds {
         return Ok(());

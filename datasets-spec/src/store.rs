@@ -269,7 +269,7 @@ pub fn aside(path: &Path) -> Option<PathBuf> {
 /// Turns the error that a file or folder does not exist into `None`.
 ///
 /// # Errors
-/// All other errors.
+/// Any other error of `done`.
 pub fn if_exists<T>(done: io::Result<T>) -> io::Result<Option<T>> {
     match done {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),

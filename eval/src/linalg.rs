@@ -167,7 +167,7 @@ fn product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Matrix {
     })
 }
 
-/// A matrix whose blocks of rows are written in parallel. `write` gets the number of the first row of a block.
+/// Makes a matrix by writing blocks of its rows in parallel. `write` gets the number of the first row of a block, and the block.
 fn in_blocks(
     num_rows: usize,
     num_cols: usize,

@@ -1,4 +1,4 @@
-//! Names: free ones, and lists of them in messages.
+//! Picks names that are not taken, and shortens lists of names in messages.
 
 /// The name if it is free, otherwise the name with the first number that makes it free.
 pub(crate) fn free(name: &str, mut is_free: impl FnMut(&str) -> bool) -> String {

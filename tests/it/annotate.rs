@@ -489,7 +489,7 @@ fn the_command_says_what_to_do_when_it_cannot() {
     ] {
         run(&Vec::from_iter(line.split(' '))).expect_refused(option);
     }
-    // The environment names the host for every command on the machine of the server.
+    // STANCE_HOST may be set for all commands on the machine of the server.
     let mut elsewhere = command(&["annotate", arg(&dataset), "user", "list"]);
     let elsewhere = elsewhere.env("STANCE_HOST", "a.example,b.example");
     let elsewhere = Ran::from(elsewhere.output().expect("stance runs"));
@@ -832,7 +832,7 @@ fn commands_that_read_a_store_on_postgresql_create_none() {
         return;
     };
     let (_dir, dataset) = dataset(2);
-    // A database of every server, in which no test makes a store.
+    // Every server has this database, and no test makes a store in it.
     let (server, _) = url.rsplit_once('/').expect("an address with a database");
     let empty = format!("{server}/template1");
     for line in ["export", "check", "user list", "styles", "token ann"] {

@@ -69,33 +69,47 @@ pub(crate) fn across_epochs(
     Ok(())
 }
 
-/// Implements [`WindowSource`] by a type's own methods of the same names.
-macro_rules! window_source {
-    ($source:ty) => {
-        impl WindowSource for $source {
-            fn epoch_len(&self) -> u64 {
-                <$source>::epoch_len(self)
-            }
+impl WindowSource for Stream {
+    fn epoch_len(&self) -> u64 {
+        Stream::epoch_len(self)
+    }
 
-            fn window_len(&self) -> usize {
-                <$source>::window_len(self)
-            }
+    fn window_len(&self) -> usize {
+        Stream::window_len(self)
+    }
 
-            fn fill(
-                &self,
-                epoch: u64,
-                first_item: u64,
-                num_items: usize,
-                batch: &mut WindowBatch,
-            ) -> Result<(), Error> {
-                Ok(<$source>::fill(self, epoch, first_item, num_items, batch)?)
-            }
-        }
-    };
+    fn fill(
+        &self,
+        epoch: u64,
+        first_item: u64,
+        num_items: usize,
+        batch: &mut WindowBatch,
+    ) -> Result<(), Error> {
+        Ok(Stream::fill(self, epoch, first_item, num_items, batch)?)
+    }
 }
 
-window_source!(Stream);
-window_source!(WindowLoader);
+impl WindowSource for WindowLoader {
+    fn epoch_len(&self) -> u64 {
+        WindowLoader::epoch_len(self)
+    }
+
+    fn window_len(&self) -> usize {
+        WindowLoader::window_len(self)
+    }
+
+    fn fill(
+        &self,
+        epoch: u64,
+        first_item: u64,
+        num_items: usize,
+        batch: &mut WindowBatch,
+    ) -> Result<(), Error> {
+        Ok(WindowLoader::fill(
+            self, epoch, first_item, num_items, batch,
+        )?)
+    }
+}
 
 /// How instructions are encoded for a network.
 #[derive(Clone, Copy, Debug)]

@@ -278,7 +278,7 @@ fn counted(tx: &mut dyn Tx) -> Result<BTreeMap<Option<String>, i64>> {
     counts(tx, sql)
 }
 
-/// Runs a query for names, each once, and their counts.
+/// Runs a query whose rows are a name and its count.
 fn counts(tx: &mut dyn Tx, sql: &str) -> Result<BTreeMap<Option<String>, i64>> {
     let counts: Vec<(Option<String>, i64)> = tx.list(sql, &[])?;
     Ok(BTreeMap::from_iter(counts))

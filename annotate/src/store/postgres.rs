@@ -60,7 +60,7 @@ pub(crate) enum IfMissing {
     Refuse,
 }
 
-/// Connects, and creates or refuses missing tables. Also returns the upgrade, if one was made.
+/// Connects to a store; `missing` says what to do if there is none. Also returns the upgrade, if one was made.
 pub(crate) fn open(
     url: &str,
     schema: &str,

@@ -31,7 +31,8 @@ impl Store {
         if found.is_empty() {
             return Ok(Vec::new());
         }
-        // Apply most of the new entries now, so that writers wait only for the rest.
+        // Entries that were written during the comparison. Applied here, they do not delay the transactions below, for
+        // which other writers wait.
         self.read(|tx| derived.catch_up(tx))?;
         let derived = Arc::new(Mutex::new(derived));
         let tasks: BTreeSet<i64> = found.values().flatten().copied().collect();

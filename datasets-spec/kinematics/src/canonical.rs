@@ -34,7 +34,7 @@ impl GroundTransform {
         z: 0.0,
     };
 
-    /// A rotation by `yaw_rad`, then the horizontal part of a shift.
+    /// Rotates by `yaw_rad`, then shifts by the x and z of `shift`.
     fn new(yaw_rad: f64, shift: DVec3) -> Self {
         Self {
             yaw_rad,

@@ -60,7 +60,7 @@ fn apart(a: &Posture, b: &Posture) -> f64 {
 
 /// For every frame of `to`, the mean index of the frames of `from` that the optimal path matches with it.
 fn path(from: &[Posture], to: &[Posture]) -> Vec<f64> {
-    /// Whether a step of a path advances in `to`, and whether in `from`.
+    /// Whether a step of the path advances by a frame of `to`, and whether by one of `from`.
     type Step = [bool; 2];
     const BOTH: Step = [true, true];
     let (rows, columns) = (to.len(), from.len());

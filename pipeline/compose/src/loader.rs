@@ -49,7 +49,7 @@ pub enum ReadOrder {
 }
 
 impl ReadOrder {
-    /// The order of `count` things of this name, unless it is the recorded one.
+    /// A random order of `count` parts, seeded by `name`; `None` for the recorded order.
     fn of(self, count: usize, name: &[&str]) -> Option<Shuffle> {
         match self {
             Self::Sequential => None,

@@ -149,7 +149,7 @@ impl Shown {
 
     /// The novelty of a question; `None` if an action is not known, or no training clip has one. A question about a
     /// mask has the clip that is edited, the annotated clip, and the text of the annotation; one about a pair has its
-    /// motions and its instruction. `pair` is the kind of a pair.
+    /// motions and its instruction. `pair` is the kind of the pair; `None` for a mask.
     pub(super) fn novelty(
         &self,
         clips: [&MotionId; 2],

@@ -62,7 +62,7 @@ pub(super) struct Coupling {
 }
 
 impl Script {
-    /// A script of the path and the feet alone.
+    /// A script with a path and steps, and without gestures.
     pub(super) fn new(
         duration_secs: f64,
         path: RootPath,

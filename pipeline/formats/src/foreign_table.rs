@@ -155,7 +155,7 @@ pub fn list(values: &ArrayRef, row: usize) -> Option<(ArrayRef, std::ops::Range<
     })
 }
 
-/// [`list`] for offsets of a width.
+/// The values of a list and the range of a row in them. `O` is the type of the offsets, 32 or 64 bits.
 fn list_by_offsets<O: OffsetSizeTrait>(
     values: &ArrayRef,
     row: usize,

@@ -330,7 +330,7 @@ impl Bundle {
     }
 }
 
-/// The settings of the system of an answer; none if it states no text.
+/// The settings of the system of an answer; empty if the answer states none.
 fn settings_of(row: &EditRow) -> serde_json::Result<serde_json::Map<String, serde_json::Value>> {
     match row.settings.as_str() {
         "" => Ok(serde_json::Map::new()),

@@ -29,7 +29,7 @@ pub struct Sides {
 struct Clip<'a> {
     stem: String,
     motion: Motion,
-    /// The entry of its file, without its name and the length and rate of the motion.
+    /// Its entry in `edits.json`, in which name, length and rate are not set yet.
     said: Said<'a>,
 }
 

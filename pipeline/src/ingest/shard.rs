@@ -230,7 +230,7 @@ impl Plan {
     }
 }
 
-/// Runs a reader. Readers should not panic, but a bug in one of them must not lose what other files hold.
+/// Runs a reader. Readers should not panic, but a bug in one of them must not lose other files.
 pub(crate) fn guarded<T>(read: impl FnOnce() -> Result<T, Rejected>) -> Result<T, Rejected> {
     let read = std::panic::catch_unwind(std::panic::AssertUnwindSafe(read));
     read.unwrap_or_else(|_| {

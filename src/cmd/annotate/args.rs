@@ -81,12 +81,12 @@ impl Args {
         self.backups.unwrap_or(BACKUPS).into()
     }
 
-    /// Whether host names were typed. Those of the environment are for every command of a machine.
+    /// Whether `--host` was typed. A value from the environment is no mistake of this command: it is set for all commands.
     fn has_typed_host(&self) -> bool {
         !self.host.is_empty() && std::env::var(HOST).ok() != Some(self.host.join(","))
     }
 
-    /// Refuses options that the command does not use: their user expects an effect.
+    /// Refuses options that have no effect on the command.
     ///
     /// # Errors
     /// There is such an option; the error names it.

@@ -266,8 +266,8 @@ pub(crate) fn rotation_vectors(poses: &[Pose]) -> (Vec<[f32; 3]>, Vec<[f32; BODY
     (root, body)
 }
 
-/// Interpolates poses: `out[i]` lies between frames `at[i].0` and the next at the share `at[i].1`.
-/// A share of 0 is the frame itself. The places are those of a [`grid`](crate::resample::grid).
+/// Interpolates poses: `out[i]` lies between frame `at[i].0` and the next; `at[i].1` is 0 at the frame and 1 at the next.
+/// The places are those of a [`grid`](crate::resample::grid).
 ///
 /// # Panics
 /// If a place lies outside the poses.

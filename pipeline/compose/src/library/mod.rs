@@ -91,8 +91,8 @@ impl Clip {
     }
 }
 
-/// An annotated motion, or a pair: two motions of one body that differ in one respect. All clips of an annotation are
-/// the annotated one.
+/// An annotation of a motion, or a pair: two motions of one body that differ in one respect. For an annotation,
+/// `captured`, `source` and `target` are the same clip.
 #[derive(Clone, Debug)]
 struct Edit {
     id: String,
@@ -103,7 +103,7 @@ struct Edit {
     source: usize,
     /// Index of the clip after the edit.
     target: usize,
-    /// Frames of that clip that the instruction is about.
+    /// Frames of `target` that the instruction describes.
     frames: Range<usize>,
     /// Mask of an annotation; empty for a pair.
     mask: BlendMask,
@@ -111,7 +111,7 @@ struct Edit {
     halves: Vec<BodyPart>,
     /// Names of the parts that the mask is made of, or that the pair changes.
     parts: Arc<[String]>,
-    /// Whether it is a pair from MotionFix, which is evaluated without a donor.
+    /// Whether it is a pair from MotionFix. Such pairs are evaluated without a donor.
     is_motionfix: bool,
     instruction: Arc<str>,
 }

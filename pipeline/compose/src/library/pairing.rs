@@ -104,7 +104,7 @@ impl Library {
         self.edit(subject).target
     }
 
-    /// The clips before and after the edit, aligned in time; both are the annotated one for an annotation.
+    /// The clips before and after the edit, aligned in time. For an annotation, both are the annotated clip.
     pub(crate) fn clips_of(&self, subject: Subject) -> [usize; 2] {
         let Edit { source, target, .. } = self.edit(subject);
         [*source, *target]

@@ -250,7 +250,7 @@ pub(super) fn check_skeleton(
     }
 }
 
-/// The error of a motion whose row does not hold one.
+/// The error about a row that holds no valid motion.
 pub(super) fn no_motion(motion: &MotionId, source: datasets_spec::Error) -> Error {
     let motion = motion.clone();
     Error::Motion { motion, source }

@@ -356,7 +356,7 @@ impl Stream {
         Ok(())
     }
 
-    /// The pairing of an item of an epoch, of which [`Stream::fill`] takes a window, and its instruction.
+    /// The pairing and the instruction of an item of an epoch; [`Stream::fill`] takes a window of it.
     pub(super) fn pairing(&self, epoch: u64, place: u64) -> (Pairing, &str) {
         let item = self.order(epoch).at(place);
         let (target, _) = self.target_of(item);
@@ -478,7 +478,7 @@ impl Stream {
 }
 
 struct DrawnWindow<'a> {
-    /// Window before the edit; before a semantic edit there is only the partner.
+    /// Window before the edit; `None` for a semantic edit, whose original is the window of the partner.
     before: Option<WindowPlace>,
     /// Window after the edit.
     after: WindowPlace,

@@ -60,7 +60,7 @@ impl<'a> Targets<'a> {
         }
     }
 
-    /// The target that a subject is, of which windows are taken from `num_frames` frames.
+    /// The target of a subject; its windows are taken from `num_frames` frames.
     pub(super) fn target(
         &mut self,
         subject: Subject,
@@ -89,7 +89,7 @@ impl<'a> Targets<'a> {
     }
 }
 
-/// A blend of a target, and the wordings of its instruction.
+/// A way to blend a target, and the wordings of the instruction for it.
 #[derive(Clone, Debug)]
 pub(super) struct Side {
     pub(super) plan: Arc<BlendPlan>,

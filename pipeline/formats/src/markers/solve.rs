@@ -321,7 +321,7 @@ impl<'a> Solver<'a> {
             (!seen.is_empty())
                 .then(|| seen.iter().sum::<DVec3>() * (self.scale / seen.len() as f64))
         };
-        // How far on the left a marker is at rest; 0 for markers of the arms, which do not count.
+        // Distance of a marker to the left of the middle in the rest pose, in metres; 0 for those of the arms, which are left out.
         let side = |marker: usize| match self.worn.joints[marker] {
             16..=21 => 0.0,
             joint => (self.skeleton.rest(joint) + self.worn.offsets[marker]).x,

@@ -61,7 +61,7 @@ pub fn read_skeleton(path: &Path) -> Result<Skeleton, Error> {
     ))
 }
 
-/// The start of the BLAKE3 of some points, in hexadecimal.
+/// The first digits of the BLAKE3 of points, hexadecimal.
 fn hash_of<'a>(points: impl Iterator<Item = &'a DVec3>) -> String {
     let mut hasher = blake3::Hasher::new();
     for number in points.flat_map(DVec3::to_array) {

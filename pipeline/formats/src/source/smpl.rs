@@ -129,16 +129,15 @@ pub fn column<const D: usize>(value: &Value, key: &str) -> Result<Vec<[f32; D]>,
 
 /// Rotates the world of a pose.
 ///
-/// # Source
-/// For a rotation `Q` of the world, `R' = Q R` and `t' = Q (t + J0) - J0` with `J0` the rest
-/// position of the pelvis, about which SMPL turns the body.
+/// SMPL rotates the body by `R` about the rest position `J0` of the pelvis, and then moves it by `t`. Rotating the world
+/// by `Q` therefore gives `R' = Q R` and `t' = Q (t + J0) - J0`.
 pub(crate) fn turn_world(pose: &mut Pose, turn: DQuat, skeleton: &Skeleton) {
     let rest_pelvis = skeleton.rest(0);
     pose.rotations[0] = turn * pose.rotations[0];
     pose.transl = turn * (pose.transl + rest_pelvis) - rest_pelvis;
 }
 
-/// The note on rotations that pose another body unchanged.
+/// The note that rotations of one body are used on another.
 pub(super) fn rotations_note(skeleton: &Skeleton) -> String {
     format!("rotations drive the body {} as they are", skeleton.name())
 }

@@ -179,7 +179,7 @@ impl Release for Shards {
     }
 }
 
-/// The rows of a member that is an array `[L, D]`.
+/// Reads a member that holds an array `[L, D]`.
 fn rows<const D: usize>(
     files: &Files,
     place: &Place,

@@ -16,12 +16,12 @@ pub(super) const LIMIT: &str = "E-ARCHIVE-LIMIT";
 /// Code of a member that is encrypted or packed in an unsupported way.
 pub(super) const PACKING: &str = "E-ARCHIVE-PACKING";
 
-/// The rejection of an archive that cannot be read.
+/// Rejects an archive that cannot be read.
 pub(super) fn unreadable(error: &io::Error) -> Rejected {
     rejected!("E-IO", "cannot read the archive: {error}")
 }
 
-/// The rejection of an archive with too many members or bytes. `at` is the offset where there are too many.
+/// Rejects an archive with too many members or bytes. `at` is the offset at which it exceeds the limit.
 pub(super) fn too_large(reason: String, at: u64) -> Rejected {
     Rejected::read(LIMIT, reason).at(at as usize)
 }

@@ -7,8 +7,8 @@ use std::io::{self, Read, Seek, SeekFrom};
 pub(super) const UNMARKED: &str =
     "it ends without the end-of-archive mark: it may be cut; the members before its end are read";
 
-/// Reads a tar archive, and notes whether the last read was at the end of the file. A reader of tar archives stops at
-/// a block of zeros, so only an archive without one is read to its end.
+/// Passes the bytes of a tar archive on, and notes whether the last read met the end of the file. The crate `tar` stops
+/// at a block of zeros, so it meets the end only if the archive has no such block.
 pub(super) struct Ending<'a, R> {
     pub(super) inner: R,
     pub(super) is_at_end: &'a Cell<bool>,

@@ -9,7 +9,7 @@ pub(super) fn syntax(at: usize, reason: impl Into<String>) -> Rejected {
     Rejected::read("E-BVH-SYNTAX", reason).at(at)
 }
 
-/// The error of a word that is not what was expected.
+/// The error about a word other than the expected one.
 pub(super) fn unexpected(at: usize, word: &[u8], expected: &str) -> Rejected {
     syntax(at, format!("found {}, expected {expected}", shown(word)))
 }
