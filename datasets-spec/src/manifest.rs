@@ -10,9 +10,12 @@ use crate::{MotionId, Split};
 /// label are in the same split.
 pub const SPLIT_BY_FACT: &str = "split_by";
 
-/// Key of the fact that lists, as JSON, source and target of the pairs that people judged unusable. It stays when a
-/// dataset grows; see [`Manifest::rejected_pairs`].
+/// Key of the fact that lists, as JSON, source and target of the pairs that people judged unusable, by annotation
+/// project. It stays when a dataset grows; see [`Manifest::rejected_pairs`].
 pub const REJECTED_PAIRS_FACT: &str = "rejected_pairs";
+
+/// The type of [`Manifest::rejected_pairs`].
+pub type RejectedPairs = BTreeMap<String, BTreeSet<[MotionId; 2]>>;
 
 /// Value of `format` in every manifest.
 pub const FORMAT: &str = "stance-dataset";
@@ -134,11 +137,16 @@ impl Manifest {
         self.plans.get(table).map_or("", String::as_str)
     }
 
-    /// Source and target of the pairs that people judged unusable: no stage makes them again.
-    pub fn rejected_pairs(&self) -> BTreeSet<[MotionId; 2]> {
-        let fact = self.facts.get(REJECTED_PAIRS_FACT);
-        fact.and_then(|text| serde_json::from_str(text).ok())
-            .unwrap_or_default()
+    /// Source and target of the pairs that people judged unusable, by annotation project: no stage makes them again. The
+    /// name of the project is empty for a list of version 0.2 or earlier, which does not say whose it is.
+    pub fn rejected_pairs(&self) -> RejectedPairs {
+        let Some(text) = self.facts.get(REJECTED_PAIRS_FACT) else {
+            return RejectedPairs::new();
+        };
+        serde_json::from_str(text).unwrap_or_else(|_| {
+            let list: Option<BTreeSet<[MotionId; 2]>> = serde_json::from_str(text).ok();
+            list.map(|list| (String::new(), list)).into_iter().collect()
+        })
     }
 
     /// Computes the root hash of all files.

@@ -275,7 +275,8 @@ pub fn pairs(
     let is_chosen = |row: &PairRow| row.clips().into_iter().all(|clip| chosen.has_clip(clip));
     let mut rows = before.clone();
     rows.retain(|row| !is_from_labels(row) || !is_chosen(row));
-    let new = new_pairs(made.rows, &rows, dataset.manifest().rejected_pairs());
+    let rejected = dataset.manifest().rejected_pairs().into_values().flatten();
+    let new = new_pairs(made.rows, &rows, rejected.collect());
     rows.extend(new);
     // A condition may choose other clips than before, so the plan alone does not tell whether there is work.
     if is_same_plan && are_same_rows([&rows, &before], |row| row.id.as_str()) {

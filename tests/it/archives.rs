@@ -300,15 +300,50 @@ fn releases_are_found_in_archives_by_their_layout() {
 }
 
 #[test]
-fn shards_and_dumps_that_are_named_like_archives_are_read_as_what_they_are() {
-    let place = Place::new(corpus(4));
+fn clips_of_a_cut_shard_are_named_and_stay() {
+    let place = Place::new(corpus(12));
     place.ingest("corpus", "dataset", 0);
     let (dataset, out) = (place.path("dataset"), place.path("shards"));
     typed("export {} --to webdataset --out {}", &[&dataset, &out]).expect_code(0);
     place.ingest("shards", "again", 0);
+    let before = place.clips("again", "");
+    assert_eq!(before, place.clips("dataset", ""));
     let rows = place.motions("again");
     assert!(rows.iter().all(|row| row.source == "webdataset"));
-    // A file that is neither a known release nor a tar is skipped.
+
+    // The shard ends before its last member, the metadata of a clip.
+    let shard = files_with_extension(&out, "tar").remove(0);
+    let whole = fs::read(&shard).expect("read");
+    let mut archive = tar::Archive::new(&whole[..]);
+    let entries = archive.entries().expect("a tar");
+    let last = entries.last().expect("a last one").expect("a member");
+    let end = last.raw_header_position();
+    let key = String::from_utf8_lossy(&last.path_bytes()).replace(".json", "");
+    fs::write(&shard, &whole[..end as usize]).expect("written");
+    let name = arg(shard.strip_prefix(&out).expect("below it")).to_owned();
+    let (source, again, new) = (place.path("shards"), place.path("again"), place.path("new"));
+    place.run(
+        &["ingest", arg(&source), "--prune", "--out", arg(&again)],
+        3,
+    );
+    assert_eq!(place.clips("again", ""), before);
+    place.ingest("shards", "new", 3);
+    assert_eq!(place.clips("new", "").len(), before.len() - 1);
+    for dataset in [again, new] {
+        let clip = format!("{name}/{key}.body_pose.npy");
+        let expected = [
+            (&*name, "E-ARCHIVE-DAMAGED"),
+            (&*clip, "E-WEBDATASET-MEMBER"),
+        ];
+        let quarantine = assert_quarantined(&dataset, &expected);
+        assert_eq!(quarantine[&name].byte_offset, Some(end));
+        assert_has(&quarantine[&clip].reason, &["json is missing"]);
+    }
+}
+
+#[test]
+fn dumps_that_are_named_like_archives_are_skipped() {
+    let place = Place::new(corpus(4));
     place.put("weights/weights.pth.tar", b"\x80\x04.");
     place.put("weights/walk.npz", place.walk());
     place.ingest("weights", "weights-dataset", 0);

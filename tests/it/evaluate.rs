@@ -591,6 +591,8 @@ fn a_model_of_another_body_is_refused_with_both_hashes() {
     bench.put("nearest.toml", "triplets = 8\n");
     bench.run("train nearest @dataset --out @nearest --config @nearest.toml");
     refused(&format!("edit @nearest {asked}"));
+    bench.trained("mdm", "mdm", crate::mdm::SMALL, "--steps 3");
+    refused(&format!("edit @mdm {asked}"));
     assert!(!bench.path("answers").exists());
     refused("eval encoder @tall --encoder builtin");
     refused("eval encoder @tall --encoder @encoder");

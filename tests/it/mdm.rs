@@ -10,7 +10,7 @@ use crate::results::score;
 use crate::util::number_of;
 
 /// Settings of a network that is trained in a second.
-const SMALL: &str = "
+pub(crate) const SMALL: &str = "
     batch_size = 8
     val_every = 3
     log_every = 3

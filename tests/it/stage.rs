@@ -514,6 +514,18 @@ fn a_dry_run_counts_and_writes_nothing() {
     }
 }
 
+#[test]
+fn a_plan_takes_an_empty_folder_and_no_other() {
+    let folder = Folder::of_clips(4);
+    fs::create_dir(folder.path("dataset-plan")).expect("made");
+    let job = Job::ingestion(&folder);
+    assert!(job.planned.pieces > 0 && job.plan.join("plan.json").is_file());
+    folder.put("other/notes.txt", "mine");
+    let line = "stage plan ingest @corpus --into @dataset --out @other";
+    folder.typed(line).expect_refused("not empty");
+    assert_eq!(folder.text("other/notes.txt"), "mine");
+}
+
 /// Kills the process that makes a piece, as the system does when memory runs out.
 #[cfg(target_os = "linux")]
 #[test]

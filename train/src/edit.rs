@@ -11,7 +11,7 @@ use kinematics::fit::{FitOptions, fit_motion_from};
 use kinematics::skeleton::{Joint, KEYPOINT_JOINTS, NUM_BODY_JOINTS, NUM_KEYPOINTS};
 use rayon::prelude::*;
 
-use crate::checkpoint::{Slot, check_skeleton};
+use crate::checkpoint::Slot;
 use crate::config::{GuidanceConfig, Preset, TrainConfig};
 use crate::coordinator::TrainedCoordinator;
 use crate::error::motion_error;
@@ -46,13 +46,6 @@ pub(crate) fn open(
     skeleton: &Skeleton,
     device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
-    check_skeleton(&source.run, "the editor", skeleton)?;
-    if let Some(run) = &source.poses {
-        check_skeleton(run, "the pose network", skeleton)?;
-    }
-    if let Some(run) = &source.coordinator {
-        check_skeleton(run, "the coordinator", skeleton)?;
-    }
     let mut editor = Editor::load(&source.run, source.slot, device)?;
     if let Some(run) = &source.poses {
         let (net, hash) = PoseNet::load(run, Slot::Best, device)?;

@@ -15,7 +15,7 @@ use annotate::wire::{
 };
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, read_rows, write_rows};
-use datasets_spec::{Dataset, Split, Transaction};
+use datasets_spec::{Dataset, MotionId, Split, Transaction};
 use serde_json::{Value, json};
 
 use crate::support::{
@@ -481,6 +481,66 @@ fn a_clip_in_another_split_takes_its_answers_along() {
             .contains_key("corrected_clips")
     );
     whole(store);
+}
+
+#[test]
+fn a_rejection_holds_for_its_clips_until_it_is_taken_back() {
+    let site = annotated();
+    let store = site.store.as_ref();
+    let mut pairs: Vec<PairRow> = read(&site.dataset);
+    let clips = |row: &PairRow| [row.source_id.clone(), row.target_id.clone()];
+    let places = ["fine-grained0", "fine-grained1", "fine-grained5"]
+        .map(|id| pairs.iter().position(|pair| pair.id == id).expect("a pair"));
+    let [kept, rejected, other] = places;
+    let [before, theirs] = [rejected, other].map(|place| clips(&pairs[place]));
+    let listed = || -> Vec<(String, [MotionId; 2])> {
+        let dataset = Dataset::open(&site.dataset).expect("a dataset");
+        let all = dataset.manifest().rejected_pairs().into_iter();
+        all.flat_map(|(store, pairs)| pairs.into_iter().map(move |pair| (store.clone(), pair)))
+            .collect()
+    };
+    let folder = site.folder.path().join("unused");
+    let export_it = |store: &Store| write_to(&site, store, &folder, ExportFormat::Dataset);
+
+    // `stance pairs` with another seed gives the ids of judged pairs to other clips.
+    for place in [kept, rejected] {
+        pairs[place].source_id = theirs[0].clone();
+        pairs[place].target_id = theirs[1].clone();
+    }
+    pairs.remove(other);
+    commit(&site.dataset, &pairs, |row| row.split, "another seed");
+    let done = export_it(store);
+    assert_eq!(done.counts["replaced"], 1, "{done:?}");
+    let rows = pair_rows(&site);
+    assert_eq!(clips(&rows["fine-grained1"]), theirs);
+    assert_eq!(rows["fine-grained0"].source, "annotate");
+    let own = done.store.clone();
+    assert_eq!(listed(), [(own.clone(), before.clone())]);
+
+    // The rejection of another project stays when it is taken back here.
+    let second = fresh_store(&site, "second.sqlite");
+    let task = task_of(&second, "pair:fine-grained1");
+    let judged = NewTask {
+        key: task.key,
+        source: task.source,
+        target: task.target,
+        accepted: Some(pair(Verdict::Unnatural)),
+        ..bare_task(0, TaskKind::Pair)
+    };
+    second.import(None, vec![judged], START).expect("imports");
+    let theirs = export_it(&second).store;
+    assert_eq!(listed().len(), 2);
+    let users = store.users().expect("users");
+    let eve = users
+        .iter()
+        .find(|user| user.name == "eve")
+        .expect("a user");
+    let reopened = decision(task_of(store, "pair:fine-grained1").id, 0, Decision::Reopen);
+    store.review(eve.id, reopened, START).expect("reopens");
+    export_it(store);
+    let stores: Vec<String> = listed().into_iter().map(|(store, _)| store).collect();
+    assert_eq!(stores, [theirs]);
+    sound(&site);
 }
 
 #[test]

@@ -55,11 +55,7 @@ pub(super) fn files_of_single<'a>(
             continue;
         }
         let beside = stems.get(&(source, folder));
-        let own = beside.and_then(|stems| {
-            let dots = name.match_indices('.').rev();
-            dots.map(|(dot, _)| &name[..dot])
-                .find(|stem| stems.contains(stem))
-        });
+        let own = beside.and_then(|stems| own_stem(name, stems));
         let is_label = beside.is_some() && ENDS_OF_LABELS.iter().any(|end| lower.ends_with(end));
         if let Some(own) = own {
             let motion = (source, folder, own);
@@ -120,11 +116,9 @@ pub(super) fn files_of_release(contents: &Contents) -> FilesOfRelease<'_> {
     let mut of_stem: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     let mut of_all = Vec::new();
     for file in passed_over.chain(rejected) {
-        let own = stem(split_name(file).1);
-        if stems.contains(own) {
-            of_stem.entry(own).or_default().push(file);
-        } else {
-            of_all.push(file);
+        match own_stem(split_name(file).1, &stems) {
+            Some(own) => of_stem.entry(own).or_default().push(file),
+            None => of_all.push(file),
         }
     }
     let own = motions.into_iter().map(|file| {
@@ -172,6 +166,13 @@ fn stem(name: &str) -> &str {
         Some(dot) if dot > 0 => &name[..dot],
         _ => name,
     }
+}
+
+/// The longest part of a name, up to one of its dots, that is the stem of a motion.
+fn own_stem<'a>(name: &'a str, stems: &BTreeSet<&str>) -> Option<&'a str> {
+    let dots = name.match_indices('.').rev();
+    dots.map(|(dot, _)| &name[..dot])
+        .find(|stem| stems.contains(stem))
 }
 
 /// BLAKE3 over names and hashes of files.

@@ -75,7 +75,7 @@ pub struct Draft {
 }
 
 impl Draft {
-    /// Writes the plan as a new folder, whole or not at all. `tables` writes its other files. An existing plan with the
+    /// Writes the plan as a new or empty folder, whole or not at all. `tables` writes its other files. An existing plan with the
     /// same hash and destination stays.
     ///
     /// # Errors
@@ -86,7 +86,7 @@ impl Draft {
         tables: impl FnOnce(&Path) -> Result<(), Error>,
     ) -> Result<Plan, Error> {
         let destination = absolute(&self.destination)?;
-        if out.exists() {
+        if is_occupied(out) {
             match Plan::open(out) {
                 Ok(plan)
                     if plan.header.plan_hash == self.plan_hash

@@ -6,7 +6,7 @@ use burn::tensor::Device;
 use datasets_spec::Skeleton;
 
 use crate::Error;
-use crate::checkpoint::read_kind;
+use crate::checkpoint::{check_skeleton, read_kind};
 use crate::fit;
 use crate::kind::ModelKind;
 use crate::stage::{captioned, coordinator, editor, encoder, poses};
@@ -34,7 +34,7 @@ pub fn model(name: &str) -> Option<&'static ModelKind> {
 ///
 /// # Errors
 /// A number of the settings is not usable, the folder does not hold a model that edits motions, or the model or a
-/// network that it uses cannot be loaded.
+/// network that it uses cannot be loaded or was trained on another skeleton.
 pub fn open_system(
     source: &SystemSource,
     config: &EditConfig,
@@ -43,13 +43,18 @@ pub fn open_system(
 ) -> Result<Box<dyn EditSystem>, Error> {
     config.check()?;
     let kind = read_kind(&source.run)?;
-    match model(&kind).and_then(|kind| kind.open) {
-        Some(open) => open(source, config, skeleton, device),
-        None => {
-            let reason = format!("it is a run of {kind:?}, which edits no motions");
-            Err(Error::not_a_run(&source.run, fit::KIND, reason))
-        }
+    let Some(open) = model(&kind).and_then(|kind| kind.open) else {
+        let reason = format!("it is a run of {kind:?}, which edits no motions");
+        return Err(Error::not_a_run(&source.run, fit::KIND, reason));
+    };
+    check_skeleton(&source.run, "the editor", skeleton)?;
+    if let Some(run) = &source.poses {
+        check_skeleton(run, "the pose network", skeleton)?;
     }
+    if let Some(run) = &source.coordinator {
+        check_skeleton(run, "the coordinator", skeleton)?;
+    }
+    open(source, config, skeleton, device)
 }
 
 #[cfg(test)]

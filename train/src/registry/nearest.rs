@@ -15,7 +15,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use work::Context;
 
-use crate::checkpoint::{Run, RunRecord, check_skeleton, read_record};
+use crate::checkpoint::{Run, RunRecord, read_record};
 use crate::error::motion_error;
 use crate::kind::{Input, ModelKind, TrainRequest, Trained};
 use crate::sample::EditTimes;
@@ -115,7 +115,6 @@ fn open(
     source.check_alone(
         "the nearest neighbour returns motions of the training set and uses no network",
     )?;
-    check_skeleton(&source.run, "the editor", skeleton)?;
     let record = read_record::<NearestRecord>(&source.run, KIND)?;
     let folder = Dataset::open(&source.run.join(TRIPLETS))?;
     let mut targets: BTreeMap<String, Vec<Motion>> = BTreeMap::new();

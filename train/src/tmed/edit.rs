@@ -10,7 +10,7 @@ use super::features::{FeatureFrame, NUM_FEATURES, features_of_motion, poses_from
 use super::guidance::{Branch, branches, guided};
 use super::objective::{places, text_tokens};
 use super::task::{KIND, TmedRecord};
-use crate::checkpoint::{Slot, check_skeleton, open_for_use};
+use crate::checkpoint::{Slot, open_for_use};
 use crate::config::Preset;
 use crate::error::motion_error;
 use crate::gaussian::SampleSteps;
@@ -55,7 +55,6 @@ pub(crate) fn open(
     skeleton: &Skeleton,
     device: &Device,
 ) -> Result<Box<dyn EditSystem>, Error> {
-    check_skeleton(&source.run, "the editor", skeleton)?;
     source.check_alone("TMED makes whole motions of rotations and uses no other network")?;
     let mut opened = open_for_use::<TmedRecord>(&source.run, source.slot, KIND)?;
     let record = opened.record.config;

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use datasets_spec::dataset::{Commit, Transaction};
-use datasets_spec::manifest::REJECTED_PAIRS_FACT;
+use datasets_spec::manifest::{REJECTED_PAIRS_FACT, RejectedPairs};
 use datasets_spec::record::{MaskRow, MotionRow, PairRow};
 use datasets_spec::table::{Row, read_column};
 use datasets_spec::{Dataset, MASK_DEF_VERSION, MotionId, Split};
@@ -24,29 +24,37 @@ const SPLITS_FACT: &str = "annotate_splits";
 
 /// Masks of accepted answers by the id of their motion, each with the sequence number of the acceptance.
 type Described = BTreeMap<String, (i64, Vec<MaskRow>)>;
-/// Judgements of pairs by the id of the pair: the sequence number of the acceptance, and the pair's new row, or `None`
-/// if it is rejected.
-type Judged = BTreeMap<String, (i64, Option<PairRow>)>;
+/// Judgements of pairs by the id of the pair, each with the sequence number of the acceptance.
+type Judged = BTreeMap<String, (i64, Judgement)>;
+
+/// What an accepted answer says of a pair.
+enum Judgement {
+    /// The pair's new row.
+    Kept(PairRow),
+    /// Source and target of a pair that is not usable.
+    Rejected([MotionId; 2]),
+}
 
 impl Exporter<'_> {
     /// Writes the tables `masks` and `pairs` of the dataset in one commit. Motions with an accepted answer get its
-    /// masks, the others keep theirs; accepted pairs replace the pairs they judge. Labels whose acceptance was taken back
-    /// are removed.
+    /// masks, the others keep theirs; accepted pairs replace the pairs they judge, and rejected ones leave. Labels whose
+    /// acceptance was taken back are removed.
     pub(super) fn dataset(&mut self, transaction: Transaction) -> Result<(), Error> {
         let dataset = Dataset::open(transaction.root())?;
         self.clips = Some(clips_of(&dataset)?);
         let (described, judged) = self.decided()?;
         let mut masks: Vec<MaskRow> = dataset.read(None)?;
         masks.retain(|row| !described.contains_key(row.motion_id.as_str()));
-        let (mut pairs, mut rejected) = unjudged(&dataset, &judged)?;
+        let mut pairs = self.unjudged(&dataset, &judged)?;
+        let rejected = self.rejected(&dataset, &judged);
         self.take_back(&dataset, &mut masks, &mut pairs)?;
         self.done.count("motions_described", described.len());
         masks.extend(described.into_values().flat_map(|(_, rows)| rows));
         masks.sort_by(|a, b| (&a.motion_id, &a.id).cmp(&(&b.motion_id, &b.id)));
-        for row in judged.into_values().filter_map(|(_, row)| row) {
-            rejected.remove(&clips_of_pair(&row));
-            pairs.push(row);
-        }
+        pairs.extend(judged.into_values().filter_map(|(_, judged)| match judged {
+            Judgement::Kept(row) => Some(row),
+            Judgement::Rejected(_) => None,
+        }));
         pairs.sort_by(|a, b| a.id.cmp(&b.id));
         self.done.count("masks", masks.len());
         self.done.count("pairs", pairs.len());
@@ -120,11 +128,64 @@ impl Exporter<'_> {
             }
             exporter.done.count("pairs_judged", 1);
             let id = pair_id(&accepted.task.key).to_owned();
-            let row = exporter.pair_row(&id, &accepted)?;
-            put_later(&mut judged, id, (accepted.seq, row));
+            if let Some(judgement) = exporter.judgement(&id, &accepted)? {
+                put_later(&mut judged, id, (accepted.seq, judgement));
+            }
             Ok(())
         })?;
         Ok((described, judged))
+    }
+
+    /// The pairs of a dataset that no decision is about. A pair of other clips under the id of a kept pair makes room for
+    /// it; under that of a rejected one it stays.
+    fn unjudged(&mut self, dataset: &Dataset, judged: &Judged) -> Result<Vec<PairRow>, Error> {
+        let mut pairs: Vec<PairRow> = dataset.read(None)?;
+        let mut replaced = 0;
+        pairs.retain(|pair| match judged.get(&pair.id) {
+            None => true,
+            Some((_, Judgement::Kept(row))) => {
+                replaced += usize::from(clips_of_pair(row) != clips_of_pair(pair));
+                false
+            }
+            Some((_, Judgement::Rejected(clips))) => *clips != clips_of_pair(pair),
+        });
+        let message = format!(
+            "{replaced} pairs left the dataset for accepted pairs of the same ids and another source clip"
+        );
+        self.done.report("replaced", replaced, message);
+        Ok(pairs)
+    }
+
+    /// The rejected pairs of all stores after this export. The list of this store becomes that of its accepted
+    /// rejections; in splits that are not exported it stays. A pair that this store accepts leaves all lists.
+    fn rejected(&self, dataset: &Dataset, judged: &Judged) -> RejectedPairs {
+        let mut all = dataset.manifest().rejected_pairs();
+        let own = all.entry(self.done.store.clone()).or_default();
+        own.retain(|[source, _]| {
+            let clip = self
+                .clips
+                .as_ref()
+                .and_then(|clips| clips.get(source.as_str()));
+            clip.is_some_and(|(split, _)| !self.wanted(split.as_str()))
+        });
+        for (id, (_, judgement)) in judged {
+            // Two takes that people find too different for a candidate can still be a style pair.
+            if let Judgement::Rejected(clips) = judgement
+                && !id.starts_with(CANDIDATE)
+            {
+                own.insert(clips.clone());
+            }
+        }
+        for (_, judgement) in judged.values() {
+            if let Judgement::Kept(row) = judgement {
+                let clips = clips_of_pair(row);
+                all.values_mut().for_each(|list| {
+                    list.remove(&clips);
+                });
+            }
+        }
+        all.retain(|_, list| !list.is_empty());
+        all
     }
 
     /// Removes the labels that this store wrote and whose acceptance was taken back. A label that another store may have
@@ -225,13 +286,17 @@ impl Exporter<'_> {
         Ok(rows)
     }
 
-    /// The row of a judged pair; `None` if the pair is rejected.
-    fn pair_row(&self, id: &str, accepted: &AcceptedAnswer) -> Result<Option<PairRow>, Error> {
+    /// What an accepted answer says of a pair; `None` if its task has one clip only.
+    fn judgement(&self, id: &str, accepted: &AcceptedAnswer) -> Result<Option<Judgement>, Error> {
         let (source, target) = self.ids(&accepted.task)?;
-        let said = accepted.answer.fields();
-        let Some(target) = target.filter(|_| !accepted.answer.is_reject()) else {
+        let Some(target) = target else {
             return Ok(None);
         };
+        let (source_id, target_id) = (MotionId::parse(&source)?, MotionId::parse(&target)?);
+        if accepted.answer.is_reject() {
+            return Ok(Some(Judgement::Rejected([source_id, target_id])));
+        }
+        let said = accepted.answer.fields();
         // If no parts are named, they follow from the extent.
         let parts = match said.extent {
             Some(Extent::Lower) if said.parts.is_empty() => vec!["LOWER_BODY".to_owned()],
@@ -242,40 +307,20 @@ impl Exporter<'_> {
             TaskKind::Style => "style",
             TaskKind::Pair | TaskKind::MaskText => "fine-grained",
         };
-        Ok(Some(PairRow {
+        Ok(Some(Judgement::Kept(PairRow {
             id: id.to_owned(),
             split: accepted.task.split.parse()?,
             source: PAIR_SOURCE.to_owned(),
             kind: kind.to_owned(),
-            source_id: MotionId::parse(&source)?,
-            target_id: MotionId::parse(&target)?,
+            source_id,
+            target_id,
             style: said.style.map(str::to_owned),
             parts,
             instruction: said.text.to_owned(),
             edit_type: said.edit_type.map(|kind| kind.to_string()),
             accepted_by: Some(accepted.accepted_by.clone()),
-        }))
+        })))
     }
-}
-
-/// The pairs of a dataset that no decision is about, and the clips of all pairs that people rejected.
-fn unjudged(
-    dataset: &Dataset,
-    judged: &Judged,
-) -> Result<(Vec<PairRow>, BTreeSet<[MotionId; 2]>), Error> {
-    let mut rejected = dataset.manifest().rejected_pairs();
-    let mut pairs: Vec<PairRow> = Vec::new();
-    for pair in dataset.read::<PairRow>(None)? {
-        match judged.get(&pair.id) {
-            None => pairs.push(pair),
-            // Two takes that people find too different for a candidate can still be a style pair.
-            Some((_, None)) if !pair.id.starts_with(CANDIDATE) => {
-                rejected.insert(clips_of_pair(&pair));
-            }
-            Some(_) => {}
-        }
-    }
-    Ok((pairs, rejected))
 }
 
 fn clips_of_pair(pair: &PairRow) -> [MotionId; 2] {

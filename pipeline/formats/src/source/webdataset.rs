@@ -1,18 +1,16 @@
 //! WebDataset exports of this program: tar shards, or the files unpacked from them.
 //!
 //! A clip is `KEY.transl.npy`, `KEY.global_orient.npy`, `KEY.body_pose.npy` and `KEY.json`. The last holds id, split,
-//! rate and labels. The shards of a folder are one release.
+//! rate and labels. A shard is an archive, which acts as a folder; the shards of a folder are one release.
 
 use std::collections::BTreeMap;
-use std::io::{Read, Seek, SeekFrom};
-use std::path::Path;
 
-use datasets_spec::store::{ByPath, Reader, Store};
 use datasets_spec::table::PartCaption;
 use datasets_spec::{Fps, Motion};
 use pickle::npy::read_numbers;
 use serde::Deserialize;
 
+use super::archive;
 use super::format::{Contents, Entry, Format, Release, boxed, check_skeleton};
 use super::humanml3d::in_single_precision;
 use super::{Files, ReadOptions};
@@ -56,47 +54,28 @@ struct Facts {
     fit_error_m: Option<f32>,
 }
 
-/// Location of a member: start and length of a range of a tar file, or a whole file.
-#[derive(Clone, Debug)]
-struct Place {
-    file: String,
-    range: Option<(u64, u64)>,
-}
-
-/// Members of a clip by their endings.
-type Members = BTreeMap<&'static str, Place>;
+/// Files of a clip by their endings.
+type Members = BTreeMap<&'static str, String>;
 
 /// The clips of a folder's shards, before they are read.
 #[derive(Debug, Default)]
 struct Shards {
     contents: Contents,
-    /// Clips by file and key of the entry.
-    clips: BTreeMap<(String, String), Members>,
+    /// Clips by the file of their entry.
+    clips: BTreeMap<String, Members>,
 }
 
 impl Shards {
     /// Finds the folders with shards or unpacked files.
     fn find(files: &Files) -> Vec<Self> {
-        // By folder; then by archive (empty for unpacked files) and key, because a key is unique only within a shard.
-        let mut found: BTreeMap<&str, BTreeMap<(String, String), Members>> = BTreeMap::new();
+        // By release; then by folder and key, because a key is unique only within a shard.
+        let mut found: BTreeMap<&str, BTreeMap<(&str, &str), Members>> = BTreeMap::new();
         for file in files.all() {
             let (folder, name) = file.rsplit_once('/').unwrap_or(("", file));
-            let members = match name.ends_with(".tar") {
-                true => members_of(files, file),
-                false => member(name)
-                    .into_iter()
-                    .map(|(key, ending)| {
-                        let place = Place {
-                            file: file.to_owned(),
-                            range: None,
-                        };
-                        ((String::new(), key.to_owned()), ending, place)
-                    })
-                    .collect(),
-            };
-            for (key, ending, place) in members {
-                let clips = found.entry(folder).or_default();
-                clips.entry(key).or_default().insert(ending, place);
+            if let Some((key, ending)) = member(name) {
+                let clips = found.entry(release_of(folder)).or_default();
+                let members = clips.entry((folder, key)).or_default();
+                members.insert(ending, file.to_owned());
             }
         }
         found
@@ -106,34 +85,40 @@ impl Shards {
             .collect()
     }
 
-    fn plan(files: &Files, clips: BTreeMap<(String, String), Members>) -> Self {
+    fn plan(files: &Files, clips: BTreeMap<(&str, &str), Members>) -> Self {
         let mut shards = Self::default();
+        // Any npy or json file may have such an ending; a clip has the three arrays.
+        let is_whole = |members: &Members| ARRAYS.iter().all(|ending| members.contains_key(ending));
+        if !clips.values().any(is_whole) {
+            return shards;
+        }
         for ((_, key), members) in clips {
-            // Any npy or json file may have such an ending; a clip has the three arrays.
-            if !ARRAYS.iter().all(|ending| members.contains_key(ending)) {
+            let mut own = members.values();
+            // The file whose name is the key, if it is there: files that begin with its name belong to it.
+            let Some(file) = members.get(FACTS).or_else(|| own.next()).cloned() else {
                 continue;
+            };
+            // A file of metadata alone may be anything.
+            if members.len() == 1 && members.contains_key(FACTS) {
+                continue;
+            }
+            for other in members.values().filter(|other| **other != file) {
+                let reason = "member of a clip of a WebDataset, read with it";
+                shards.contents.pass_over(other, reason);
             }
             // Invalid metadata is reported when the clip is read.
             let facts = facts(files, &members).unwrap_or_default();
-            let file = members[ARRAYS[0]].file.clone();
-            for place in members.values().filter(|place| place.range.is_none()) {
-                if place.file != file {
-                    let reason = "member of a clip of a WebDataset, read with it";
-                    shards.contents.pass_over(&place.file, reason);
-                }
-            }
             shards.contents.entries.push(Entry {
                 file: file.clone(),
-                key: key.clone(),
                 id: match facts.id {
-                    id if id.is_empty() => key.clone(),
+                    id if id.is_empty() => key.to_owned(),
                     id => id,
                 },
                 split: facts.split.and_then(|split| split.parse().ok()),
                 mirrored_of: facts.mirrored_of,
                 ..Entry::default()
             });
-            shards.clips.insert((file, key), members);
+            shards.clips.insert(file, members);
         }
         shards
     }
@@ -146,18 +131,16 @@ impl Release for Shards {
 
     fn read(&self, files: &Files, entry: &Entry, options: &ReadOptions) -> ReadClip {
         let refused = |reason: String| Rejected::read(CODE, reason);
-        let members = self
-            .clips
-            .get(&(entry.file.clone(), entry.key.clone()))
-            .ok_or_else(|| refused("there is no such clip".to_owned()))?;
+        let members = self.clips.get(&entry.file);
+        let members = members.ok_or_else(|| refused("there is no such clip".to_owned()))?;
         let facts = facts(files, members)?;
         if let Some(found) = &facts.skeleton {
             check_skeleton(found, options)?;
         }
         let [transl, global_orient, body_pose] = ARRAYS;
-        let transl = rows(files, &members[transl], transl)?;
-        let global_orient = rows(files, &members[global_orient], global_orient)?;
-        let body_pose = rows(files, &members[body_pose], body_pose)?;
+        let transl = rows(files, members, transl)?;
+        let global_orient = rows(files, members, global_orient)?;
+        let body_pose = rows(files, members, body_pose)?;
         let motion = Fps::new(facts.fps.unwrap_or(Fps::STORE.get()))
             .and_then(|fps| Motion::new(fps, transl, global_orient, body_pose))
             .map_err(|error| refused(error.to_string()))?;
@@ -182,10 +165,10 @@ impl Release for Shards {
 /// Reads a member that holds an array `[L, D]`.
 fn rows<const D: usize>(
     files: &Files,
-    place: &Place,
+    members: &Members,
     ending: &str,
 ) -> Result<Vec<[f32; D]>, Rejected> {
-    let array = read_numbers(ending, &bytes(files, place)?)?;
+    let array = read_numbers(ending, &bytes(files, members, ending)?)?;
     match array.shape[..] {
         [_, width] if width == D => Ok(in_single_precision(&array)),
         _ => Err(rejected!(
@@ -204,70 +187,30 @@ fn member(name: &str) -> Option<(&str, &'static str)> {
     (!key.is_empty()).then_some((key, ending))
 }
 
-/// Whether a tar file is a shard, by its first member.
-pub(super) fn is_shard(path: &Path) -> bool {
-    let Ok(opened) = ByPath.open_at(path) else {
-        return false;
-    };
-    let mut archive = tar::Archive::new(Reader::new(opened));
-    let first = archive
-        .entries_with_seek()
-        .ok()
-        .and_then(|mut entries| entries.next());
-    first.is_some_and(|entry| {
-        entry.is_ok_and(|entry| member(&String::from_utf8_lossy(&entry.path_bytes())).is_some())
-    })
+/// The folder of a release: a shard belongs to the folder that holds it.
+fn release_of(folder: &str) -> &str {
+    let (above, name) = folder.rsplit_once('/').unwrap_or(("", folder));
+    archive::stem(name).map_or(folder, |_| above)
 }
 
-/// The members of a clip in an archive, up to the first error or other member.
-fn members_of(files: &Files, file: &str) -> Vec<((String, String), &'static str, Place)> {
-    let mut members = Vec::new();
-    let Ok(opened) = files.open_at(file) else {
-        return members;
+fn bytes(files: &Files, members: &Members, ending: &str) -> Result<Vec<u8>, Rejected> {
+    let Some(file) = members.get(ending) else {
+        return Err(rejected!(
+            CODE,
+            "its {ending} is missing; export the clip again, or put all members of its key beside each other"
+        ));
     };
-    let mut archive = tar::Archive::new(opened);
-    let Ok(entries) = archive.entries_with_seek() else {
-        return members;
-    };
-    for entry in entries {
-        let Ok(entry) = entry else { break };
-        let name = String::from_utf8_lossy(&entry.path_bytes()).into_owned();
-        // An archive with other members is not read to its end.
-        let Some((key, ending)) = member(&name) else {
-            break;
-        };
-        let place = Place {
-            file: file.to_owned(),
-            range: Some((entry.raw_file_position(), entry.size())),
-        };
-        members.push(((file.to_owned(), key.to_owned()), ending, place));
-    }
-    members
-}
-
-fn bytes(files: &Files, place: &Place) -> Result<Vec<u8>, Rejected> {
-    let Some((start, length)) = place.range else {
-        return files.read(&place.file);
-    };
-    let failed = |error: std::io::Error| rejected!("E-IO", "cannot read {}: {error}", place.file);
+    let length = files.size(file)?;
     if length > MAX_MEMBER_LEN {
         return Err(rejected!(
             "E-TOO-LARGE",
-            "found {length} bytes, expected at most {MAX_MEMBER_LEN} in a member"
-        )
-        .at(start as usize));
+            "found {length} bytes in {ending}, expected at most {MAX_MEMBER_LEN} in a member"
+        ));
     }
-    let mut file = files.open_at(&place.file)?;
-    file.seek(SeekFrom::Start(start)).map_err(failed)?;
-    let mut bytes = Vec::new();
-    file.take(length).read_to_end(&mut bytes).map_err(failed)?;
-    Ok(bytes)
+    files.read(file)
 }
 
 fn facts(files: &Files, members: &Members) -> Result<Facts, Rejected> {
-    let Some(place) = members.get(FACTS) else {
-        return Ok(Facts::default());
-    };
-    serde_json::from_slice(&bytes(files, place)?)
-        .map_err(|error| rejected!(CODE, "{}: {error}", place.file))
+    serde_json::from_slice(&bytes(files, members, FACTS)?)
+        .map_err(|error| rejected!(CODE, "its {FACTS}: {error}"))
 }

@@ -145,7 +145,7 @@ impl<'a> Unpacking<'a> {
     }
 }
 
-/// Opens the archives among some files and removes them from the files. Git LFS pointers and WebDataset shards stay.
+/// Opens the archives among some files and removes them from the files. Git LFS pointers stay.
 ///
 /// # Errors
 /// There is no disk space to unpack an archive.
@@ -209,7 +209,7 @@ fn refuse(relative: &str, path: &Path, rejected: Rejected) -> Opened {
     }
 }
 
-/// Opens an archive. `None` for other files, Git LFS pointers and WebDataset shards.
+/// Opens an archive. `None` for other files and Git LFS pointers.
 fn open(
     relative: &str,
     path: &Path,
@@ -220,9 +220,6 @@ fn open(
         return Ok(None);
     };
     if is_pointer(&read_head(path)) {
-        return Ok(None);
-    }
-    if kind == Kind::Tar && super::webdataset::is_shard(path) {
         return Ok(None);
     }
     if depth > MAX_DEPTH {
